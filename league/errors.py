@@ -1,0 +1,37 @@
+"""Every error a user can meet; each message says what was given, what was expected, how to mend it."""
+
+
+class LeagueError(Exception):
+    """Base of all errors raised at a door: a file, a command line, an API call."""
+
+
+class TrackError(LeagueError):
+    """A track file, array or request that does not describe a sound track."""
+
+
+class ConfigError(LeagueError):
+    """Settings that contradict each other or lie outside their range."""
+
+
+class ActionError(LeagueError):
+    """An action a car cannot take: NaN, out of range, of the wrong shape or for an unknown agent."""
+
+
+class PolicyError(LeagueError):
+    """A driver's name or checkpoint that cannot be used."""
+
+
+class ReplayError(LeagueError):
+    """A replay file that is truncated, foreign or of another version."""
+
+
+class WorldError(LeagueError):
+    """A world that left the numbers: NaN or infinity in a car's state."""
+
+
+def nearest_names(given: str, known: list[str], limit: int = 3) -> str:
+    """Return the known names nearest to what was given, as a phrase for an error message."""
+    import difflib
+
+    close = difflib.get_close_matches(given, known, n=limit, cutoff=0.4)
+    return ", ".join(close or sorted(known))

@@ -1,0 +1,145 @@
+"""The data of a race: what was asked (RaceSpec), what happened (Event), how it ended (RaceResult).
+
+They cross files and the command line, so they are pydantic models: checked, and refused with a reason.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from league.sim.config import RaceKind, SolverName
+
+EventKind = Literal[
+    "start",
+    "lap",
+    "finish",
+    "off_track",
+    "crash",
+    "contact",
+    "obstacle_contact",
+    "wall_contact",
+    "immobilised",
+    "reversed",
+    "put_back",
+    "overtake",
+    "lead_change",
+    "driver_fault",
+]
+
+
+class _Data(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Entry(_Data):
+    """Who drives one car."""
+
+    name: str = Field(min_length=1, max_length=200)
+    """Name of a scripted driver, or the label of a checkpoint."""
+    digest: str = Field(default="", max_length=64)
+    """SHA-256 of the checkpoint; empty for scripted drivers."""
+
+
+class RaceSpec(_Data):
+    """All that decides a race, besides the drivers' own weights; same spec, same race."""
+
+    track: str = Field(default="reinvent_2018", min_length=1, max_length=200)
+    """Name of a track."""
+    kind: RaceKind = "head_to_head"
+    """Kind of race."""
+    laps: int = Field(default=3, ge=1, le=1000)
+    """Laps to drive."""
+    seed: int = Field(default=0, ge=0, lt=2**63)
+    """Seed of obstacles, noise and randomisation."""
+    solver: SolverName = "bullet"
+    """Physics solver."""
+    ranking: Literal["total", "best", "average"] = "total"
+    """Order by total time, best lap or average lap."""
+    entries: tuple[Entry, ...] = Field(min_length=1, max_length=8)
+    """The field, in grid order."""
+    obstacles: int = Field(default=6, ge=0, le=32)
+    """Boxes or bots, in obstacle avoidance."""
+    obstacle_kind: Literal["box", "bot"] = "box"
+    """Standing boxes, or slow bot cars that change lanes."""
+    random_obstacles: bool = True
+    """Obstacles at random places for each seed; otherwise evenly spaced."""
+    off_track_penalty_s: float = Field(default=2.0, ge=0, le=600)
+    """Seconds frozen after leaving the road."""
+    crash_penalty_s: float = Field(default=5.0, ge=0, le=600)
+    """Seconds frozen after a contact to blame for."""
+    max_time_s: float = Field(default=0.0, ge=0, le=36_000)
+    """The race is stopped after this time [s]; 0 chooses by length."""
+
+
+class Event(_Data):
+    """Something the referee saw."""
+
+    time_s: float
+    """Race time [s]."""
+    kind: EventKind
+    """What."""
+    car: int
+    """Whose."""
+    other: int | None = None
+    """The other car or the obstacle, where there is one."""
+    value: float | None = None
+    """Lap time [s], penalty [s] or place, by kind."""
+
+
+class CarResult(_Data):
+    """How one car's race ended."""
+
+    car: int
+    """Grid slot, from 0."""
+    name: str
+    """Who drove."""
+    place: int
+    """From 1; equal places do not occur."""
+    finished: bool
+    """Whether all laps were driven."""
+    laps: int
+    """Complete laps."""
+    total_s: float
+    """Time of the last complete lap's end, penalties included [s]; race time if not finished."""
+    lap_times_s: tuple[float, ...]
+    """Each complete lap [s], penalties included."""
+    distance: float
+    """Driven along the track [m]."""
+    off_tracks: int
+    """Times off the track."""
+    crashes: int
+    """Contacts to blame for."""
+    contacts_taken: int
+    """Contacts others were to blame for."""
+    immobilised: int
+    """Times immobilised."""
+    reversed: int
+    """Times driving backwards."""
+    penalty_s: float
+    """Seconds of penalty in all."""
+    overtakes: int
+    """Cars passed on the road."""
+
+    @property
+    def best_lap_s(self) -> float | None:
+        """Best complete lap [s]."""
+        return min(self.lap_times_s, default=None)
+
+
+class RaceResult(_Data):
+    """The classification of a race."""
+
+    spec: RaceSpec
+    """What was asked."""
+    order: tuple[CarResult, ...]
+    """Cars by place."""
+    steps: int
+    """Control steps raced."""
+    race_s: float
+    """Race time [s]."""
+    lead_changes: int
+    """How often another car took the lead."""
+    events: tuple[Event, ...]
+    """All that happened, by time."""

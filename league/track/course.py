@@ -1,0 +1,325 @@
+"""Track, one fixed course, and TrackSet, many of them as padded tables that a batch of worlds reads.
+
+Frames: world x, y [m]; s [m] runs along the centreline in driving order from the start line; lateral
+[m] is positive to the driver's left. The centreline is resampled at a uniform spacing of about
+5 cm, so a point's neighbours are found by dividing s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+SPACING = 0.05
+"""Wished distance between two points of a resampled centreline [m]."""
+
+ROOM_MARGIN = 0.84
+"""Distance from the road's bounding box to the wall round the room [m] (facts 3.1: 0.76-0.92)."""
+
+Rgb = tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class Colours:
+    """What the floor is painted with, sRGB 0-255 (defaults: re:Invent 2018, facts section 3.1)."""
+
+    road: Rgb = (36, 49, 64)
+    field: Rgb = (95, 136, 104)
+    line: Rgb = (194, 194, 190)
+    dash: Rgb = (194, 117, 0)
+    wall: Rgb = (36, 70, 81)
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """One course, resampled; made by `league.track.files` or `league.track.generate`."""
+
+    name: str
+    """Short name: letters, digits, underscore."""
+    title: str
+    """What a person calls it."""
+    center: np.ndarray
+    """Centreline [m], shape (N, 2) float64, uniform spacing, driving order, row 0 on the start line.
+    A closed track does not repeat row 0."""
+    left: np.ndarray
+    """Border on the driver's left [m], shape (N, 2): where the centreline's normal meets it."""
+    right: np.ndarray
+    """Border on the driver's right [m], shape (N, 2)."""
+    closed: bool = True
+    """False for a straight that ends at its last row."""
+    line_inside: bool = True
+    """True: the border is the outer edge of the white line; False: its inner edge."""
+    line_width: float = 0.076
+    """Width of the white border lines [m]."""
+    colours: Colours = field(default_factory=Colours)
+    origin: str = ""
+    """Where the shape comes from."""
+    text: str = ""
+    """The YAML text it was made from, so that a replay can carry its track."""
+
+    @cached_property
+    def length(self) -> float:
+        """Length of the centreline [m]."""
+        return float(self.segment_lengths.sum())
+
+    @cached_property
+    def segment_lengths(self) -> np.ndarray:
+        """Distance from each centre point to the next [m]; shape (N,), or (N - 1,) if open."""
+        following = np.roll(self.center, -1, axis=0) if self.closed else self.center[1:]
+        return np.linalg.norm(following - self.center[: len(following)], axis=1)
+
+    @cached_property
+    def width(self) -> float:
+        """Mean distance between the borders [m]."""
+        return float(np.linalg.norm(self.left - self.right, axis=1).mean())
+
+    @cached_property
+    def tangent(self) -> np.ndarray:
+        """Unit driving direction at each centre point, shape (N, 2), by central differences."""
+        if self.closed:
+            chord = np.roll(self.center, -1, axis=0) - np.roll(self.center, 1, axis=0)
+        else:
+            chord = np.gradient(self.center, axis=0)
+        return chord / np.linalg.norm(chord, axis=1, keepdims=True)
+
+    @cached_property
+    def curvature(self) -> np.ndarray:
+        """Signed curvature [1/m] over a window of about 0.3 m, shape (N,); positive turns left."""
+        heading = np.unwrap(np.arctan2(self.tangent[:, 1], self.tangent[:, 0]))
+        spacing = float(self.segment_lengths.mean())
+        reach = max(1, round(0.15 / spacing))
+        if self.closed:
+            turn = heading[-1] + _wrapped(heading[0] - heading[-1]) - heading[0]
+            padded = np.concatenate([heading[-reach:] - turn, heading, heading[:reach] + turn])
+        else:
+            padded = np.pad(heading, reach, mode="edge")
+        return (padded[2 * reach :] - padded[: -2 * reach]) / (2 * reach * spacing)
+
+    @property
+    def min_radius(self) -> float:
+        """Smallest radius of the centreline [m], smoothed over 0.3 m."""
+        return float(1.0 / max(np.abs(self.curvature).max(), 1e-9))
+
+    @cached_property
+    def direction(self) -> Literal["counter-clockwise", "clockwise", "open"]:
+        """Which way round it is driven."""
+        if not self.closed:
+            return "open"
+        x, y = self.center.T
+        area = np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)
+        return "counter-clockwise" if area > 0 else "clockwise"
+
+    @cached_property
+    def room(self) -> tuple[float, float, float, float]:
+        """The wall round the field: x_min, y_min, x_max, y_max [m]."""
+        outline = np.concatenate([self.left, self.right])
+        low, high = outline.min(axis=0) - ROOM_MARGIN, outline.max(axis=0) + ROOM_MARGIN
+        return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+
+
+@dataclass(frozen=True)
+class Projection:
+    """Where points lie on their track; every field has the points' shape."""
+
+    s: Tensor
+    """Distance along the centreline from the start line, in [0, length) [m] (closed tracks)."""
+    lateral: Tensor
+    """Distance to the left of the centreline [m]."""
+    cos: Tensor
+    """Cosine of the track's heading there."""
+    sin: Tensor
+    """Sine of the track's heading there."""
+    curvature: Tensor
+    """Signed curvature there [1/m], positive to the left."""
+    left: Tensor
+    """Distance from the centreline to the left border [m], positive."""
+    right: Tensor
+    """Distance from the centreline to the right border [m], positive."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrackSet:
+    """Several tracks as padded tables; `index` arguments say which track each world races on."""
+
+    tracks: tuple[Track, ...]
+    x: Tensor
+    """Centreline x [m], shape (num_tracks, num_points), padded with the last point."""
+    y: Tensor
+    """Centreline y [m]."""
+    cos: Tensor
+    """Cosine of the heading at each point."""
+    sin: Tensor
+    """Sine of the heading at each point."""
+    curvature: Tensor
+    """Signed curvature [1/m]."""
+    left: Tensor
+    """Distance to the left border [m]."""
+    right: Tensor
+    """Distance to the right border [m]."""
+    count: Tensor
+    """Number of points of each track, int64, shape (num_tracks,)."""
+    length: Tensor
+    """Length of each track [m], shape (num_tracks,)."""
+    spacing: Tensor
+    """Distance between two points of each track [m], shape (num_tracks,)."""
+    closed: Tensor
+    """Whether each track is a loop, bool, shape (num_tracks,)."""
+    room: Tensor
+    """Wall of each track, x_min, y_min, x_max, y_max [m], shape (num_tracks, 4)."""
+
+    @classmethod
+    def of(cls, *tracks: Track, device: torch.device | str = "cpu") -> TrackSet:
+        """Pad the tracks into one set of tables on a device."""
+        if not tracks:
+            raise ValueError("a TrackSet needs at least one track")
+        size = max(len(track.center) for track in tracks)
+
+        def table(columns: list[np.ndarray]) -> Tensor:
+            padded = [np.pad(c, (0, size - len(c)), mode="edge") for c in columns]
+            return torch.tensor(np.stack(padded), dtype=torch.float32, device=device)
+
+        def vector(values: list, dtype: torch.dtype = torch.float32) -> Tensor:
+            return torch.tensor(values, dtype=dtype, device=device)
+
+        return cls(
+            tracks=tuple(tracks),
+            x=table([t.center[:, 0] for t in tracks]),
+            y=table([t.center[:, 1] for t in tracks]),
+            cos=table([t.tangent[:, 0] for t in tracks]),
+            sin=table([t.tangent[:, 1] for t in tracks]),
+            curvature=table([t.curvature for t in tracks]),
+            left=table([np.linalg.norm(t.left - t.center, axis=1) for t in tracks]),
+            right=table([np.linalg.norm(t.right - t.center, axis=1) for t in tracks]),
+            count=vector([len(t.center) for t in tracks], torch.int64),
+            length=vector([t.length for t in tracks]),
+            spacing=vector([float(t.segment_lengths.mean()) for t in tracks]),
+            closed=vector([t.closed for t in tracks], torch.bool),
+            room=vector([t.room for t in tracks]),
+        )
+
+    @property
+    def device(self) -> torch.device:
+        """Where the tables lie."""
+        return self.x.device
+
+    def at(self, index: Tensor, s: Tensor) -> tuple[Tensor, Tensor, Projection]:
+        """Return centreline x, y and the track's frame at distance s.
+
+        Args:
+            index: track of each world, int64, shape (num_worlds,).
+            s: any distance [m], wrapped on closed tracks, held at the ends of open ones; shape
+                (num_worlds, ...).
+        """
+        near = _Cell.find(self, index, s)
+        x, y = near.mix(self.x), near.mix(self.y)
+        cos, sin = near.mix(self.cos), near.mix(self.sin)
+        norm = torch.sqrt(cos * cos + sin * sin)
+        frame = Projection(
+            s=near.s,
+            lateral=torch.zeros_like(near.s),
+            cos=cos / norm,
+            sin=sin / norm,
+            curvature=near.mix(self.curvature),
+            left=near.mix(self.left),
+            right=near.mix(self.right),
+        )
+        return x, y, frame
+
+    def project(self, index: Tensor, x: Tensor, y: Tensor, near_s: Tensor) -> Projection:
+        """Project points to the centreline, searching from where they were last seen.
+
+        Newton's method on the distance to the centreline, started at `near_s`: a car stays on its
+        own stretch where two stretches run side by side. Good to moves of about 1 m.
+
+        Args:
+            index: track of each world, int64, shape (num_worlds,).
+            x: points [m], shape (num_worlds, ...).
+            y: points [m].
+            near_s: last known s of each point [m], same shape.
+        """
+        s = near_s
+        for _ in range(3):
+            cx, cy, frame = self.at(index, s)
+            along = (x - cx) * frame.cos + (y - cy) * frame.sin
+            across = (y - cy) * frame.cos - (x - cx) * frame.sin
+            # d(along)/ds = 1 - curvature * across; held positive inside tight turns.
+            step = along / torch.clamp(1 - frame.curvature * across, min=0.3)
+            s = s + torch.clamp(step, -0.5, 0.5)
+        cx, cy, frame = self.at(index, s)
+        lateral = (y - cy) * frame.cos - (x - cx) * frame.sin
+        return Projection(
+            s=frame.s,
+            lateral=lateral,
+            cos=frame.cos,
+            sin=frame.sin,
+            curvature=frame.curvature,
+            left=frame.left,
+            right=frame.right,
+        )
+
+    def locate(self, index: Tensor, x: Tensor, y: Tensor) -> Projection:
+        """Project points of which nothing is known: the nearest centre point, then `project`.
+
+        Costs a pass over the whole table for each point; for placing, not for stepping.
+        """
+        flat = (x.shape[0], -1, 1)
+        table_x = self.x[index].unsqueeze(1)  # (num_worlds, 1, num_points)
+        table_y = self.y[index].unsqueeze(1)
+        squared = (x.reshape(flat) - table_x) ** 2 + (y.reshape(flat) - table_y) ** 2
+        nearest = squared.argmin(dim=-1).reshape(x.shape)
+        return self.project(index, x, y, nearest * _like(self.spacing[index], x))
+
+    def signed_gap(self, index: Tensor, ahead: Tensor, behind: Tensor) -> Tensor:
+        """Return how far `ahead` lies in front of `behind` along the track [m].
+
+        On closed tracks the shorter way round is taken, in [-length / 2, length / 2).
+        """
+        gap = ahead - behind
+        length = _like(self.length[index], gap)
+        wrapped = torch.remainder(gap + length / 2, length) - length / 2
+        return torch.where(_like(self.closed[index], gap), wrapped, gap)
+
+
+@dataclass(frozen=True)
+class _Cell:
+    """Two neighbouring rows of the tables and the place between them."""
+
+    s: Tensor
+    low: Tensor
+    high: Tensor
+    part: Tensor
+
+    @classmethod
+    def find(cls, tracks: TrackSet, index: Tensor, s: Tensor) -> _Cell:
+        length, spacing = _like(tracks.length[index], s), _like(tracks.spacing[index], s)
+        count, closed = _like(tracks.count[index], s), _like(tracks.closed[index], s)
+        on_loop = torch.remainder(s, length)
+        # Rounding can make the remainder of a small negative number equal to the length.
+        on_loop = torch.where(on_loop >= length, torch.zeros_like(on_loop), on_loop)
+        on_line = torch.minimum(torch.clamp(s, min=0.0), length)
+        s = torch.where(closed, on_loop, on_line)
+        place = s / spacing
+        low = torch.minimum(place.to(torch.int64), count - 1)
+        following = low + 1
+        wrapped = torch.where(following >= count, torch.zeros_like(low), following)
+        high = torch.where(closed, wrapped, torch.minimum(following, count - 1))
+        row = _like(index, s) * tracks.x.shape[1]
+        return cls(s=s, low=row + low, high=row + high, part=torch.clamp(place - low, 0.0, 1.0))
+
+    def mix(self, table: Tensor) -> Tensor:
+        low = torch.take(table, self.low)
+        return low + (torch.take(table, self.high) - low) * self.part
+
+
+def _like(per_world: Tensor, points: Tensor) -> Tensor:
+    """Give a per-world value as many trailing axes as the points have."""
+    return per_world.reshape(per_world.shape + (1,) * (points.dim() - per_world.dim()))
+
+
+def _wrapped(angle: float) -> float:
+    return float((angle + np.pi) % (2 * np.pi) - np.pi)
