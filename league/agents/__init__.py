@@ -1,1 +1,1 @@
-
+"""Who drives: scripted drivers and trained policies."""

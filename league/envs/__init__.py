@@ -1,1 +1,1 @@
-
+"""The learning problem, and its doors: PettingZoo, Gymnasium, rsl-rl."""

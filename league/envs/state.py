@@ -1,13 +1,7 @@
-"""The `state` group: the truth about one car and its surroundings, for critics and scripted drivers.
+"""The `state` group: the truth about one car, for critics and scripted drivers.
 
 Its layout is a contract: scripted drivers and docs/observations.md read it by these slices.
 """
-
-import torch
-from torch import Tensor
-
-from league.sim.world import World
-from league.track.course import TrackSet
 
 LOOKAHEADS = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
 """Distances ahead of the car at which the track's curvature is told [m]."""

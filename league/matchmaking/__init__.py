@@ -1,1 +1,1 @@
-
+"""Who races whom, and who is better."""

@@ -202,9 +202,9 @@ class ObstacleConfig:
     lane_change: bool = True
     """Whether bot cars change lanes every 3 to 5 s, over 1 m."""
     length: float = 0.4
-    """Length of a box across its short side's normal [m]."""
+    """Length of a box along the track [m]."""
     width: float = 0.3
-    """Width of a box [m]."""
+    """Width of a box across the track [m]."""
     height: float = 0.25
     """Height of a box [m]."""
 
@@ -237,10 +237,14 @@ class RaceRules:
     """Steps in a row without movement, or backwards, before the rule fires."""
     still_distance: float = 0.0003
     """Movement per step that counts as standing still [m]."""
+    grid_gap: float = 0.75
+    """Distance between two places of the starting grid along the track [m]."""
+    overtake_margin: float = 0.162
+    """How far ahead a car must be before it has passed another [m] (half a car)."""
+    bot_stop_s: float = 2.0
+    """How long bot cars stand after they ran into a car ahead of them [s]."""
     put_back_behind: float = 1.0
     """Where a crashed car is put back: this far behind what it hit [m]."""
-    blinking_s: float = 0.0
-    """Extra seconds without collisions after a penalty."""
     max_time_s: float = 0.0
     """The race is stopped after this time [s]; 0: 30 s plus the laps at 0.25 m/s."""
 

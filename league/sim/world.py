@@ -74,7 +74,7 @@ class Obstacles:
     velocity_y: Tensor
     """[m/s]."""
     s: Tensor
-    """Place along the track [m]."""
+    """Place along the track [m]; of a bot car its odometer, which grows beyond the lap."""
     lateral: Tensor
     """Place to the left of the centreline [m]."""
     half_length: Tensor
@@ -93,8 +93,10 @@ class Standing:
     """Place of the base along the track [m]."""
     lateral: Tensor
     """Place of the base to the left of the centreline [m]."""
+    zero_s: Tensor
+    """Where this car's laps begin and end [m]: the start line, or where its episode began."""
     distance: Tensor
-    """Driven along the track since the start line, signed; negative on the grid [m]."""
+    """Driven along the track since `zero_s`, signed; negative on the grid [m]."""
     best_distance: Tensor
     """Farthest `distance` so far [m]; laps are counted by it, so never twice."""
     laps: Tensor
@@ -135,6 +137,9 @@ class Standing:
     """Cars passed on the road, int64."""
     lead_changes: Tensor
     """How often another car took the lead, int64, (num_worlds,)."""
+    ahead: Tensor
+    """Who is ahead of whom, bool, (num_worlds, num_cars, num_cars): [w, i, j] is True when i leads j.
+    A pair changes only when the pass is clear, so that two cars side by side do not flicker."""
     leader: Tensor
     """Index of the leading car, int64, (num_worlds,)."""
 

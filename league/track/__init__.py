@@ -1,1 +1,1 @@
-
+"""Tracks: files, geometry, generation, drawing."""

@@ -171,6 +171,8 @@ class TrackSet:
     """Whether each track is a loop, bool, shape (num_tracks,)."""
     room: Tensor
     """Wall of each track, x_min, y_min, x_max, y_max [m], shape (num_tracks, 4)."""
+    inner: Tensor
+    """Side of the enclosed border: +1 left (counter-clockwise, open), -1 right; (num_tracks,)."""
 
     @classmethod
     def of(cls, *tracks: Track, device: torch.device | str = "cpu") -> TrackSet:
@@ -200,6 +202,7 @@ class TrackSet:
             spacing=vector([float(t.segment_lengths.mean()) for t in tracks]),
             closed=vector([t.closed for t in tracks], torch.bool),
             room=vector([t.room for t in tracks]),
+            inner=vector([-1.0 if t.direction == "clockwise" else 1.0 for t in tracks]),
         )
 
     @property

@@ -1,1 +1,1 @@
-
+"""What each car sees."""

@@ -1,0 +1,60 @@
+"""Settings of the learning problem: the world, who sees what, what is rewarded, when it ends."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from league.errors import ConfigError
+from league.sim.config import SensorConfig, SimConfig, SolverName
+
+
+@dataclass(frozen=True)
+class RewardConfig:
+    """Weights of the built-in reward terms (league/envs/rewards.py)."""
+
+    progress: float = 1.0
+    """For each metre along the track, signed."""
+    centerline: float = 0.0
+    """For each step, by the classic three bands about the centreline."""
+    lap: float = 0.0
+    """For each complete lap."""
+    overtake: float = 0.0
+    """For each car passed on the road."""
+    off_track: float = -1.0
+    """For leaving the road."""
+    crash: float = -1.0
+    """For a contact to blame for."""
+    contact: float = 0.0
+    """For being hit by another car."""
+
+
+@dataclass(frozen=True)
+class EnvConfig:
+    """Everything a RaceEnv needs but its tracks and its seed."""
+
+    sim: SimConfig = field(default_factory=SimConfig)
+    """The world."""
+    solver: SolverName = "planar"
+    """Who integrates it."""
+    sensors: tuple[SensorConfig, ...] = (SensorConfig(),)
+    """What each car carries; one entry serves all cars."""
+    camera_path: Literal["cv", "ray"] = "cv"
+    """OpenCV on the CPU, or torch ray casting on any device."""
+    mode: Literal["race", "training"] = "race"
+    """In a race a mistake costs penalty seconds; in training it ends the car's episode."""
+    reward: RewardConfig = field(default_factory=RewardConfig)
+    """Weights of the reward terms."""
+    episode_s: float = 60.0
+    """Longest episode in training [s]."""
+
+    def __post_init__(self) -> None:
+        if len(self.sensors) not in (1, self.sim.num_cars):
+            raise ConfigError(
+                f"{len(self.sensors)} sensor settings for {self.sim.num_cars} cars: "
+                "give one for all, or one for each"
+            )
+        if self.episode_s <= 0:
+            raise ConfigError(f"episode_s is {self.episode_s}: give more than 0 seconds")
+
+    def sensors_of(self, car: int) -> SensorConfig:
+        """Return what one car carries."""
+        return self.sensors[car if len(self.sensors) > 1 else 0]

@@ -1,0 +1,93 @@
+"""Each sensor on its own clock: what is new is made, what is not due is told again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from torch import Tensor
+
+from league.envs import observations
+from league.envs.config import EnvConfig
+from league.sim.config import CameraConfig
+from league.sim.world import World
+from league.track.course import TrackSet
+
+Reading = Callable[[World, Tensor | None], Tensor]
+
+
+class Sensing:
+    """The sensors of all cars, with their last readings; part of RaceEnv's state."""
+
+    def __init__(self, tracks: TrackSet, cfg: EnvConfig) -> None:
+        """Build the sensors that the cars carry; cars with equal cameras share a renderer."""
+        self._tracks, self._cfg = tracks, cfg
+        self._renderers: dict[CameraConfig, object] = {}
+        self._sensors: list[dict[str, tuple[float, Reading]]] = [
+            self._sensors_of(car) for car in range(cfg.sim.num_cars)
+        ]
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all readings."""
+        self._held: list[dict[str, Tensor]] = [{} for _ in self._sensors]
+        self._stale: Tensor | None = None
+
+    def refresh(self, who: Tensor) -> None:
+        """Have the sensors of these cars read at once, due or not; bool, (num_worlds, num_cars)."""
+        self._stale = who
+
+    def observe(
+        self, world: World, last_action: Tensor, tick: int
+    ) -> tuple[Mapping[str, Tensor], ...]:
+        """Return each car's groups; a reading that is not due is the last one."""
+        step_hz = self._cfg.sim.step_hz
+        told = []
+        for car, sensors in enumerate(self._sensors):
+            held = self._held[car]
+            for name, (rate_hz, read) in sensors.items():
+                if name not in held or observations.due(rate_hz, step_hz, tick):
+                    held[name] = read(world, None)
+                elif self._stale is not None and bool(self._stale[:, car].any()):
+                    rows = self._stale[:, car].nonzero()[:, 0]
+                    fresh = held[name].clone()
+                    fresh[rows] = read(world, rows)
+                    held[name] = fresh
+            told.append(
+                {
+                    **held,
+                    "motion": observations.motion(world, last_action, car),
+                    "state": observations.state(self._tracks, self._cfg.sim, world, car),
+                }
+            )
+        self._stale = None
+        return tuple(told)
+
+    def _sensors_of(self, car: int) -> dict[str, tuple[float, Reading]]:
+        carried = self._cfg.sensors_of(car)
+        sensors: dict[str, tuple[float, Reading]] = {}
+        if carried.camera is not None:
+            renderer = self._renderer(carried.camera)
+            sensors["stereo"] = (
+                carried.camera.rate_hz,
+                lambda world, rows: renderer.render(world, car, rows),
+            )
+        if carried.lidar is not None:
+            from league.sim import lidar
+
+            settings, sim, tracks = carried.lidar, self._cfg.sim, self._tracks
+
+            def scan(world: World, rows: Tensor | None) -> Tensor:
+                ranges = lidar.scan(tracks, sim, settings, world, car)
+                return ranges if rows is None else ranges[rows]
+
+            sensors["lidar"] = (settings.rate_hz, scan)
+        return sensors
+
+    def _renderer(self, camera: CameraConfig):  # noqa: ANN202
+        if camera not in self._renderers:
+            if self._cfg.camera_path == "ray":
+                from league.sim.camera.ray import RayRenderer as Renderer
+            else:
+                from league.sim.camera.cv import CvRenderer as Renderer
+            self._renderers[camera] = Renderer(self._tracks, self._cfg.sim, camera)
+        return self._renderers[camera]

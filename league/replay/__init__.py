@@ -1,0 +1,7 @@
+"""Replays: one race on disk, from which every picture of it is drawn again."""
+
+from league.replay.columns import Columns
+from league.replay.format import read, write
+from league.replay.recording import Agreement, Recorder, Replay, compare
+
+__all__ = ["Agreement", "Columns", "Recorder", "Replay", "compare", "read", "write"]

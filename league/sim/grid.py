@@ -1,0 +1,267 @@
+"""Where cars are put: on the starting grid, back on the road, anywhere for training."""
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from league.geometry import heading_of, wrap_angle
+from league.sim import draws, obstacles
+from league.sim.config import SimConfig
+from league.sim.world import (
+    CarParameters,
+    Control,
+    Motion,
+    Standing,
+    World,
+    select,
+)
+from league.track.course import TrackSet
+
+_GRIP, _MASS, _LATENCY, _STEERING, _CAMERA_UP, _CAMERA_PITCH = range(201, 207)
+_SPOT, _SIDE = 211, 212
+_CLEARANCE = 0.45
+_CANDIDATES = 8
+
+
+def start(tracks: TrackSet, sim: SimConfig, seed: Tensor, track: Tensor) -> World:
+    """Return the worlds at the start of a race: cars at rest on a staggered grid.
+
+    The first car stands on the start line, each further one 0.75 m behind, odd ones on the inner
+    lane and even ones on the outer (facts 5.1); a car alone stands on the centreline. On an open
+    track the whole grid stands just after the start.
+
+    Args:
+        tracks: the courses.
+        sim: settings.
+        seed: seed of each race, int64, (num_worlds,).
+        track: row of the TrackSet of each race, int64, (num_worlds,).
+    """
+    shape = (seed.shape[0], sim.num_cars)
+    slot = torch.arange(sim.num_cars, device=seed.device).expand(shape)
+    distance = -sim.rules.grid_gap * slot.to(torch.float32)
+    closed = tracks.closed[track].unsqueeze(1)
+    distance = torch.where(closed, distance, distance - distance[:, -1:] + 0.2)
+    lateral = torch.zeros(shape, device=seed.device)
+    if sim.num_cars > 1:
+        inner = tracks.inner[track].unsqueeze(1)
+        side = torch.where(slot % 2 == 1, inner, -inner)
+        _, _, frame = tracks.at(track, distance)
+        lateral = side * torch.where(side > 0, frame.left, frame.right) / 2
+    motion, s = _at_rest(tracks, track, distance, lateral)
+    standing = _blank_standing(sim, s, lateral, distance)
+    still = Control(steering=torch.zeros_like(s), speed=torch.zeros_like(s))
+    return World(
+        seed=seed,
+        step=torch.zeros_like(seed),
+        track=track,
+        motion=motion,
+        control=still,
+        cars=parameters(sim, seed, torch.zeros_like(slot)),
+        obstacles=obstacles.place(tracks, sim, seed, track),
+        standing=standing,
+    )
+
+
+def parameters(sim: SimConfig, seed: Tensor, episode: Tensor) -> CarParameters:
+    """Draw each car's parameters; with a zero spread they are the settings.
+
+    Args:
+        sim: settings.
+        seed: seed of each race, (num_worlds,).
+        episode: number that makes this draw differ from others, int64, (num_worlds, num_cars).
+    """
+    car, spread = sim.car, sim.spread
+    number = torch.arange(episode.shape[1], device=seed.device).expand(episode.shape)
+
+    def centred(purpose: int) -> Tensor:
+        return 2.0 * draws.uniform(seed.unsqueeze(1), purpose, number, episode) - 1.0
+
+    return CarParameters(
+        grip=car.grip * (1.0 + spread.grip * centred(_GRIP)),
+        mass=car.mass * (1.0 + spread.mass * centred(_MASS)),
+        latency_s=car.latency_s + spread.latency_s * 0.5 * (1.0 + centred(_LATENCY)),
+        steering_offset=spread.steering_offset * centred(_STEERING),
+        camera_up=spread.camera_position * centred(_CAMERA_UP),
+        camera_pitch=spread.camera_angle * centred(_CAMERA_PITCH),
+    )
+
+
+def move(tracks: TrackSet, world: World, who: Tensor, shift: Tensor, lateral: Tensor) -> World:
+    """Return the world with some cars put elsewhere along their track, at rest.
+
+    Args:
+        tracks: the courses.
+        world: the races.
+        who: which cars, bool, (num_worlds, num_cars).
+        shift: how far along the track from where they are [m].
+        lateral: where across the track [m].
+    """
+    book = world.standing
+    distance = book.distance + shift
+    motion, s = _at_rest(tracks, world.track, book.s + shift, lateral)
+    moved = replace(
+        book,
+        s=s,
+        lateral=lateral,
+        distance=distance,
+        still_steps=torch.zeros_like(book.still_steps),
+        backward_steps=torch.zeros_like(book.backward_steps),
+    )
+    still = Control(torch.zeros_like(s), torch.zeros_like(s))
+    return replace(
+        world,
+        motion=select(who, motion, world.motion),
+        control=select(who, still, world.control),
+        standing=replace(
+            book,
+            **{
+                name: torch.where(who, getattr(moved, name), getattr(book, name))
+                for name in ("s", "lateral", "distance", "still_steps", "backward_steps")
+            },
+        ),
+    )
+
+
+def release(tracks: TrackSet, world: World, done: Tensor) -> World:
+    """Put back the cars whose penalty ended, on the nearer lane where they left the road."""
+    who = done & world.standing.put_back
+    _, _, frame = tracks.at(world.track, world.standing.s)
+    left_lane, right_lane = frame.left / 2, -frame.right / 2
+    lateral = torch.where(world.standing.lateral > 0, left_lane, right_lane)
+    moved = move(tracks, world, who, torch.zeros_like(lateral), lateral)
+    book = moved.standing
+    return replace(moved, standing=replace(book, put_back=book.put_back & ~done))
+
+
+def clear_of_others(world: World) -> Tensor:
+    """Return which cars have no solid car or obstacle within a car's length, (num_worlds, cars)."""
+    cars, things = world.motion, world.obstacles
+    near = torch.zeros_like(world.standing.ghost)
+    for other in range(world.num_cars):
+        gap = _squared_gap(
+            cars.x, cars.y, cars.x[:, other : other + 1], cars.y[:, other : other + 1]
+        )
+        close = gap < _CLEARANCE**2
+        close[:, other] = False
+        near = near | (close & ~world.standing.ghost[:, other : other + 1])
+    for thing in range(things.x.shape[1]):
+        part = slice(thing, thing + 1)
+        gap = _squared_gap(cars.x, cars.y, things.x[:, part], things.y[:, part])
+        reach = things.half_length[:, part] + 0.5 * _CLEARANCE
+        near = near | (gap < reach * reach)
+    return ~near
+
+
+def restart(tracks: TrackSet, sim: SimConfig, world: World, who: Tensor) -> World:
+    """Start a new episode for some cars, on a free stretch anywhere on the track, at rest.
+
+    Eight places are drawn; the first that is 0.8 m clear of all else is taken, or the clearest.
+    Their book begins anew there: a lap is complete where the episode began.
+    """
+    length = tracks.length[world.track].unsqueeze(1)
+    number = torch.arange(world.num_cars, device=who.device).expand(who.shape)
+    seed, step = world.seed.unsqueeze(1), world.step.unsqueeze(1)
+    spot, room = torch.zeros_like(world.standing.s), torch.full_like(world.standing.s, -1.0)
+    for attempt in range(_CANDIDATES):
+        candidate = draws.uniform(seed, _SPOT, step, number, attempt) * length
+        clearance = _clearance(tracks, world, candidate)
+        better = (room < 0.8) & (clearance > room)
+        spot = torch.where(better, candidate, spot)
+        room = torch.where(better, clearance, room)
+    _, _, frame = tracks.at(world.track, spot)
+    across = draws.uniform(seed, _SIDE, step, number) - 0.5
+    lateral = across * torch.minimum(frame.left, frame.right)
+    motion, s = _at_rest(tracks, world.track, spot, lateral)
+    closed = tracks.closed[world.track].unsqueeze(1)
+    zero_s = torch.where(closed, s, torch.zeros_like(s))
+    fresh = replace(_blank_standing(sim, s, lateral, s - zero_s), zero_s=zero_s)
+    now = (world.step.to(torch.float32) * sim.step_dt).unsqueeze(1).expand(who.shape).contiguous()
+    fresh = replace(fresh, lap_start_s=now, ahead=world.standing.ahead)
+    return replace(
+        world,
+        motion=select(who, motion, world.motion),
+        control=select(who, Control(torch.zeros_like(s), torch.zeros_like(s)), world.control),
+        cars=select(who, parameters(sim, world.seed, step.expand(who.shape)), world.cars),
+        standing=select(who, fresh, world.standing),
+    )
+
+
+def restart_all(tracks: TrackSet, sim: SimConfig, world: World) -> World:
+    """Start every car's first episode, one after the other, so that each finds a free stretch."""
+    for car in range(world.num_cars):
+        who = torch.zeros_like(world.standing.ghost)
+        who[:, car] = True
+        world = restart(tracks, sim, world, who)
+    return world
+
+
+def _clearance(tracks: TrackSet, world: World, s: Tensor) -> Tensor:
+    """Return the distance along the track to the nearest other car or obstacle [m]."""
+    nearest = torch.full_like(s, 1e9)
+    for other in range(world.num_cars):
+        gap = tracks.signed_gap(world.track, world.standing.s[:, other : other + 1], s).abs()
+        gap[:, other] = 1e9
+        nearest = torch.minimum(nearest, gap)
+    for thing in range(world.obstacles.s.shape[1]):
+        gap = tracks.signed_gap(world.track, world.obstacles.s[:, thing : thing + 1], s).abs()
+        nearest = torch.minimum(nearest, gap)
+    return nearest
+
+
+def _squared_gap(x: Tensor, y: Tensor, other_x: Tensor, other_y: Tensor) -> Tensor:
+    dx, dy = x - other_x, y - other_y
+    return dx * dx + dy * dy
+
+
+def _at_rest(tracks: TrackSet, track: Tensor, s: Tensor, lateral: Tensor) -> tuple[Motion, Tensor]:
+    """Return the motion of cars standing at (s, lateral) along the track, and s wrapped."""
+    x, y, frame = tracks.at(track, s)
+    zero = torch.zeros_like(x)
+    motion = Motion(
+        x=x - frame.sin * lateral,
+        y=y + frame.cos * lateral,
+        yaw=wrap_angle(heading_of(frame.cos, frame.sin)),
+        velocity_x=zero,
+        velocity_y=zero,
+        yaw_rate=zero,
+        steering=zero,
+    )
+    return motion, frame.s
+
+
+def _blank_standing(sim: SimConfig, s: Tensor, lateral: Tensor, distance: Tensor) -> Standing:
+    worlds, cars = s.shape
+    zero, count = torch.zeros_like(s), torch.zeros_like(s, dtype=torch.int64)
+    never = torch.zeros_like(s, dtype=torch.bool)
+    slot = torch.arange(cars, device=s.device)
+    return Standing(
+        s=s,
+        lateral=lateral,
+        zero_s=zero,
+        distance=distance,
+        best_distance=distance,
+        laps=count,
+        lap_start_s=zero,
+        last_lap_s=zero,
+        best_lap_s=torch.full_like(s, float("inf")),
+        finish_s=torch.full_like(s, float("inf")),
+        penalty_s=zero,
+        ghost=never,
+        put_back=never,
+        still_steps=count,
+        backward_steps=count,
+        touching_cars=never.unsqueeze(-1).expand(worlds, cars, cars).contiguous(),
+        touching_obstacles=torch.zeros(
+            (worlds, cars, sim.num_obstacles), dtype=torch.bool, device=s.device
+        ),
+        off_tracks=count,
+        crashes=count,
+        contacts_taken=count,
+        immobilised=count,
+        reversed=count,
+        overtakes=count,
+        lead_changes=count[:, 0].contiguous(),
+        ahead=(slot.unsqueeze(1) < slot.unsqueeze(0)).expand(worlds, cars, cars).contiguous(),
+        leader=count[:, 0].contiguous(),
+    )

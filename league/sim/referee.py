@@ -1,0 +1,346 @@
+"""The referee: laps, off-track, contacts and who is to blame, penalties, running order.
+
+`judge` looks at a world before and after physics and says what happened (Verdict) with its new
+book (Standing); it moves nobody. `penalise` applies the race's penalties; in training a mistake
+ends the episode instead.
+Rules: facts section 5.2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from league.geometry import rotate
+from league.sim import grid
+from league.sim.config import CarConfig, SimConfig
+from league.sim.world import Contacts, Obstacles, Standing, World
+from league.track.course import Projection, TrackSet
+
+NOBODY = -1
+_OPEN_TRACK_MARGIN = 0.3
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the referee found in one step, (num_worlds, num_cars) unless said otherwise."""
+
+    advance: Tensor
+    """Signed movement along the track in this step [m]."""
+    off_track: Tensor
+    """All four wheels have left the road, bool."""
+    crashed: Tensor
+    """A contact this car is to blame for, bool."""
+    crashed_car: Tensor
+    """The car it ran into, or NOBODY, int64."""
+    crashed_obstacle: Tensor
+    """The obstacle it ran into, or NOBODY, int64."""
+    was_hit: Tensor
+    """A contact another car is to blame for, bool."""
+    wall: Tensor
+    """The car touches the wall, bool."""
+    immobilised: Tensor
+    """Stood still too long, bool."""
+    reversed: Tensor
+    """Drove backwards too long, bool."""
+    lap: Tensor
+    """Completed a lap in this step, bool."""
+    finished: Tensor
+    """Completed its last lap in this step, bool."""
+    overtook: Tensor
+    """Cars passed on the road, bool, (num_worlds, num_cars, num_cars): [w, i, j], i passed j."""
+    lead_changed: Tensor
+    """Another car leads, bool, (num_worlds,)."""
+    released: Tensor
+    """A penalty ended in this step, bool."""
+
+    @property
+    def mistake(self) -> Tensor:
+        """Anything that ends an episode in training and costs a penalty in a race."""
+        return self.off_track | self.crashed | self.immobilised | self.reversed
+
+
+def judge(
+    tracks: TrackSet, sim: SimConfig, before: World, after: World, contacts: Contacts
+) -> tuple[Verdict, Standing]:
+    """Return what happened between two worlds, and the referee's new book.
+
+    Args:
+        tracks: the courses.
+        sim: settings.
+        before: the worlds before the step.
+        after: the worlds after physics, `step` counted up, still with the old book.
+        contacts: what touched what during the step.
+    """
+    old, rules = before.standing, sim.rules
+    place = tracks.project(after.track, after.motion.x, after.motion.y, old.s)
+    advance = tracks.signed_gap(after.track, place.s, old.s)
+    distance = _unwrapped(tracks, after, place, old.distance + advance)
+    racing = (old.penalty_s <= 0) & torch.isinf(old.finish_s)
+    released = (old.penalty_s > 0) & (old.penalty_s <= 1.5 * sim.step_dt)
+    penalty = torch.where(released, 0.0, torch.clamp(old.penalty_s - sim.step_dt, min=0.0))
+
+    off_track = racing & ~_any_wheel_on_road(tracks, sim.car, after, place)
+    fault = _blame(tracks, before, after, place, contacts)
+    crashed = racing & fault.to_blame
+    still_steps, immobilised = _stillness(sim, before, after, racing)
+    backward_steps = torch.where(racing & (advance < 0), old.backward_steps + 1, 0)
+    backwards = backward_steps >= rules.patience_steps
+    laps = _lap_times(tracks, sim, before, old, distance, racing)
+    ahead, overtook, leader = _order(sim, old, distance, racing)
+
+    verdict = Verdict(
+        advance=advance,
+        off_track=off_track,
+        crashed=crashed,
+        crashed_car=fault.car,
+        crashed_obstacle=fault.obstacle,
+        was_hit=fault.was_hit,
+        wall=contacts.walls,
+        immobilised=immobilised,
+        reversed=backwards,
+        lap=laps.lap,
+        finished=laps.finished,
+        overtook=overtook,
+        lead_changed=leader != old.leader,
+        released=released,
+    )
+    standing = replace(
+        laps.standing,
+        s=place.s,
+        lateral=place.lateral,
+        distance=distance,
+        penalty_s=penalty,
+        still_steps=still_steps,
+        backward_steps=torch.where(backwards, 0, backward_steps),
+        touching_cars=contacts.cars,
+        touching_obstacles=contacts.obstacles,
+        off_tracks=old.off_tracks + off_track,
+        crashes=old.crashes + crashed,
+        contacts_taken=old.contacts_taken + fault.was_hit,
+        immobilised=old.immobilised + immobilised,
+        reversed=old.reversed + backwards,
+        overtakes=old.overtakes + _count(overtook),
+        lead_changes=old.lead_changes + (leader != old.leader),
+        ahead=ahead,
+        leader=leader,
+    )
+    return verdict, standing
+
+
+def penalise(tracks: TrackSet, sim: SimConfig, world: World, verdict: Verdict) -> World:
+    """Apply the race's penalties: who made a mistake is frozen, then goes on (facts 5.2).
+
+    After a crash the car is moved first, 1 m behind what it hit and to the other lane, then frozen.
+    Off the track, backwards or immobilised: frozen where it stands, then put on the nearer lane.
+    Frozen cars are ghosts, and stay so until nothing is near; so are cars that have finished.
+    """
+    rules = sim.rules
+    world = grid.release(tracks, world, verdict.released)
+    if bool(verdict.crashed.any()):
+        world = _move_behind(tracks, sim, world, verdict)
+    penalty = world.standing.penalty_s
+    for who, seconds in (
+        (verdict.immobilised, rules.immobilised_penalty_s),
+        (verdict.reversed, rules.reversed_penalty_s),
+        (verdict.off_track, rules.off_track_penalty_s),
+        (verdict.crashed, rules.crash_penalty_s),
+    ):
+        # At least one step: the car is put back by the end of its penalty.
+        penalty = torch.where(who, max(seconds, sim.step_dt), penalty)
+    book = world.standing
+    over = ~torch.isinf(book.finish_s)
+    waiting = book.ghost & ~grid.clear_of_others(world)
+    book = replace(
+        book,
+        penalty_s=penalty,
+        put_back=torch.where(verdict.mistake, ~verdict.crashed, book.put_back),
+        ghost=(penalty > 0) | waiting | over,
+    )
+    return replace(world, standing=book, obstacles=_stop_bots(sim, world, verdict))
+
+
+def places(standing: Standing) -> Tensor:
+    """Return each car's place from 0: by finish, then by who is ahead; (num_worlds, num_cars)."""
+    return standing.ahead.shape[-1] - 1 - _count(standing.ahead)
+
+
+def lap_length(tracks: TrackSet, track: Tensor) -> Tensor:
+    """Return what counts as a lap [m], (num_worlds, 1): the loop, or an open track but its end."""
+    length = tracks.length[track]
+    usable = torch.where(tracks.closed[track], length, length - _OPEN_TRACK_MARGIN)
+    return usable.unsqueeze(1)
+
+
+def wheel_positions(car: CarConfig, world: World) -> tuple[Tensor, Tensor]:
+    """Return the wheel centres in the world frame [m], (num_worlds, num_cars, 4)."""
+    cos = torch.cos(world.motion.yaw).unsqueeze(-1)
+    sin = torch.sin(world.motion.yaw).unsqueeze(-1)
+    half_base, half_track = car.wheelbase / 2, car.wheel_track / 2
+    along = cos.new_tensor([half_base, half_base, -half_base, -half_base])
+    across = cos.new_tensor([half_track, -half_track, half_track, -half_track])
+    dx, dy = rotate(along, across, cos, sin)
+    return world.motion.x.unsqueeze(-1) + dx, world.motion.y.unsqueeze(-1) + dy
+
+
+def wheels_on_road(tracks: TrackSet, car: CarConfig, world: World, near_s: Tensor) -> Tensor:
+    """Return which wheel centres are within the borders, bool, (num_worlds, num_cars, 4)."""
+    x, y = wheel_positions(car, world)
+    wheel = tracks.project(world.track, x, y, near_s.unsqueeze(-1).expand(x.shape).contiguous())
+    return (wheel.lateral <= wheel.left) & (wheel.lateral >= -wheel.right)
+
+
+def _any_wheel_on_road(tracks: TrackSet, car: CarConfig, world: World, place: Projection) -> Tensor:
+    # A wheel is at most this far from the base: nearer to the middle than that, one is surely on.
+    reach = 0.5 * (car.wheelbase**2 + car.wheel_track**2) ** 0.5
+    surely = (place.lateral < place.left) & (place.lateral > -place.right)
+    if bool(surely.all()):
+        return surely
+    doubtful = ~surely & (place.lateral.abs() < torch.maximum(place.left, place.right) + reach)
+    if not bool(doubtful.any()):
+        return surely
+    on = wheels_on_road(tracks, car, world, place.s)
+    return surely | (on[..., 0] | on[..., 1] | on[..., 2] | on[..., 3])
+
+
+def _unwrapped(tracks: TrackSet, world: World, place: Projection, rough: Tensor) -> Tensor:
+    """Return the distance driven as whole laps plus the place on this one, so no error adds up."""
+    length = tracks.length[world.track].unsqueeze(1)
+    on_lap = place.s - world.standing.zero_s
+    turns = torch.round((rough - on_lap) / length)
+    turns = torch.where(tracks.closed[world.track].unsqueeze(1), turns, 0.0)
+    return turns * length + on_lap
+
+
+@dataclass(frozen=True)
+class _Fault:
+    to_blame: Tensor
+    was_hit: Tensor
+    car: Tensor
+    obstacle: Tensor
+
+
+def _blame(
+    tracks: TrackSet, before: World, after: World, place: Projection, contacts: Contacts
+) -> _Fault:
+    """Judge contacts: of two cars the rear one along the track is to blame.
+
+    Contact with an obstacle is the car's own fault, but for a bot car that ran into it from behind.
+    """
+    count = after.num_cars
+    to_blame, was_hit = torch.zeros_like(contacts.walls), torch.zeros_like(contacts.walls)
+    nobody = torch.full_like(place.s, NOBODY, dtype=torch.int64)
+    car, thing = nobody, nobody
+    new_cars = contacts.cars & ~before.standing.touching_cars
+    for other in range(count) if bool(contacts.cars.any()) else ():
+        gap = tracks.signed_gap(after.track, place.s[:, other : other + 1], place.s)
+        fault = contacts.cars[:, :, other] & (gap > 0)
+        to_blame = to_blame | fault
+        car = torch.where(fault & (car == NOBODY), other, car)
+        was_hit = was_hit | (new_cars[:, :, other] & (gap < 0))
+    for index in range(contacts.obstacles.shape[2]) if bool(contacts.obstacles.any()) else ():
+        gap = tracks.signed_gap(after.track, after.obstacles.s[:, index : index + 1], place.s)
+        moving = (before.obstacles.velocity_x != 0) | (before.obstacles.velocity_y != 0)
+        own_fault = (gap > 0) | ~moving[:, index : index + 1]
+        fault = contacts.obstacles[:, :, index] & own_fault
+        to_blame = to_blame | fault
+        thing = torch.where(fault & (thing == NOBODY), index, thing)
+    return _Fault(to_blame=to_blame, was_hit=was_hit, car=car, obstacle=thing)
+
+
+def _stillness(
+    sim: SimConfig, before: World, after: World, racing: Tensor
+) -> tuple[Tensor, Tensor]:
+    dx, dy = after.motion.x - before.motion.x, after.motion.y - before.motion.y
+    still = dx * dx + dy * dy <= sim.rules.still_distance**2
+    steps = torch.where(racing & still, before.standing.still_steps + 1, 0)
+    fired = steps >= sim.rules.patience_steps
+    return torch.where(fired, 0, steps), fired
+
+
+@dataclass(frozen=True)
+class _Laps:
+    standing: Standing
+    lap: Tensor
+    finished: Tensor
+
+
+def _lap_times(
+    tracks: TrackSet, sim: SimConfig, before: World, old: Standing, distance: Tensor, racing: Tensor
+) -> _Laps:
+    """Count laps, forward only; the time of crossing is interpolated within the step."""
+    length = lap_length(tracks, before.track)
+    target = (old.laps + 1).to(distance.dtype) * length
+    lap = racing & (distance >= target) & (old.best_distance < target)
+    step_s = before.step.to(distance.dtype).unsqueeze(1) * sim.step_dt
+    travelled = torch.clamp(distance - old.distance, min=1e-9)
+    part = torch.clamp((target - old.distance) / travelled, 0.0, 1.0)
+    crossing = step_s + part * sim.step_dt
+    lap_s = crossing - old.lap_start_s
+    laps = old.laps + lap
+    finished = lap & (laps >= sim.rules.laps)
+    standing = replace(
+        old,
+        best_distance=torch.maximum(old.best_distance, distance),
+        laps=laps,
+        lap_start_s=torch.where(lap, crossing, old.lap_start_s),
+        last_lap_s=torch.where(lap, lap_s, old.last_lap_s),
+        best_lap_s=torch.where(lap, torch.minimum(old.best_lap_s, lap_s), old.best_lap_s),
+        finish_s=torch.where(finished, crossing, old.finish_s),
+    )
+    return _Laps(standing=standing, lap=lap, finished=finished)
+
+
+def _order(
+    sim: SimConfig, old: Standing, distance: Tensor, racing: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return who is ahead of whom, who passed whom on the road, and the leader."""
+    if distance.shape[1] == 1:
+        return old.ahead, torch.zeros_like(old.ahead), old.leader
+    lead = distance.unsqueeze(2) - distance.unsqueeze(1)  # (num_worlds, num_cars, num_cars)
+    margin = sim.rules.overtake_margin
+    both = racing.unsqueeze(2) & racing.unsqueeze(1)
+    settled = ~torch.isinf(old.finish_s)
+    fixed = settled.unsqueeze(2) | settled.unsqueeze(1)
+    # Whoever has finished keeps its place, whatever it does on its cooling lap.
+    ahead = torch.where(fixed, old.ahead, (lead > margin) | (old.ahead & (lead >= -margin)))
+    overtook = ahead & ~old.ahead & both
+    beaten = _count(ahead)
+    leader = beaten.argmax(dim=1)
+    return ahead, overtook, leader
+
+
+def _count(pairs: Tensor) -> Tensor:
+    """Count True along the last axis; integers, so the order of adding does not matter."""
+    return pairs.to(torch.int64).sum(dim=-1)
+
+
+def _move_behind(tracks: TrackSet, sim: SimConfig, world: World, verdict: Verdict) -> World:
+    """Move crashed cars 1 m behind what they hit, to the other lane; never forward."""
+    book, behind = world.standing, sim.rules.put_back_behind
+    car = torch.clamp(verdict.crashed_car, min=0)
+    target, side = torch.gather(book.s, 1, car), torch.gather(book.lateral, 1, car)
+    if sim.num_obstacles:
+        thing = torch.clamp(verdict.crashed_obstacle, min=0)
+        box = verdict.crashed_obstacle != NOBODY
+        target = torch.where(box, torch.gather(world.obstacles.s, 1, thing), target)
+        side = torch.where(box, torch.gather(world.obstacles.lateral, 1, thing), side)
+    shift = tracks.signed_gap(world.track, target, book.s) - behind
+    shift = torch.clamp(shift, max=0.0)
+    # On an open track the start is as far back as one can go.
+    closed = tracks.closed[world.track].unsqueeze(1)
+    shift = torch.where(closed, shift, torch.maximum(shift, -book.s))
+    _, _, frame = tracks.at(world.track, book.s + shift)
+    lateral = torch.where(side > 0, -frame.right / 2, frame.left / 2)
+    return grid.move(tracks, world, verdict.crashed, shift, lateral)
+
+
+def _stop_bots(sim: SimConfig, world: World, verdict: Verdict) -> Obstacles:
+    things = world.obstacles
+    if sim.num_obstacles == 0 or sim.obstacles.kind == "box":
+        return things
+    touched = world.standing.touching_obstacles & ~verdict.crashed.unsqueeze(2)
+    hit = touched.flatten(1).any(dim=1, keepdim=True)
+    return replace(things, stopped_s=torch.where(hit, sim.rules.bot_stop_s, things.stopped_s))

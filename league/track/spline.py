@@ -1,0 +1,136 @@
+"""Curves through points: a smooth centreline at even spacing, and how far its normals may reach."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+FOLD_REACH = 1.3 * np.pi
+"""How far along the line a bend can fold its own border, in half widths.
+
+Up to here a border is clipped where it folds; two stretches further apart that overlap are a fault
+of the track. A bend that turns back on itself within this distance has a radius below the half
+width, so nothing but folds is clipped.
+"""
+
+_CLIP_MARGIN = 0.98  # keeps the two sides of a fold from touching
+
+
+def through(points: np.ndarray, *, closed: bool) -> CubicSpline:
+    """Return the smooth curve through the points, by chord length: periodic, or natural if open."""
+    ring = np.concatenate([points, points[:1]]) if closed else points
+    chord = np.linalg.norm(np.diff(ring, axis=0), axis=1)
+    place = np.concatenate([[0.0], np.cumsum(chord)])
+    return CubicSpline(place, ring, bc_type="periodic" if closed else "natural")
+
+
+def resample(
+    points: np.ndarray, *, closed: bool, spacing: float, start: np.ndarray | None = None
+) -> np.ndarray:
+    """Return rows at an even distance along the smooth curve through the points.
+
+    Args:
+        points: control points [m], shape (K, 2).
+        closed: whether the curve returns to its first point, which is not repeated.
+        spacing: wished distance between rows [m]; the nearest that divides the length is taken.
+        start: where row 0 lies [m], moved to the nearest point of the curve; the first control
+            point if not given.
+    """
+    curve = through(points, closed=closed)
+    place, s = _arc_length(curve)
+    first = 0.0
+    if start is not None:
+        first = s[np.linalg.norm(curve(place) - start, axis=1).argmin()]
+    length = s[-1]
+    count = max(8, round(length / spacing))
+    if closed:
+        wanted = (first + np.arange(count) * (length / count)) % length
+    else:
+        wanted = np.linspace(first, length, count + 1)
+    return np.ascontiguousarray(curve(np.interp(wanted, s, place)))
+
+
+def _arc_length(curve: CubicSpline) -> tuple[np.ndarray, np.ndarray]:
+    """Return places along the curve, dense in every piece, and the distance travelled there [m]."""
+    counts = np.clip(np.ceil(np.diff(curve.x) / 0.01), 8, 10_000).astype(int)
+    pieces = [
+        np.linspace(low, high, count, endpoint=False)
+        for low, high, count in zip(curve.x[:-1], curve.x[1:], counts, strict=True)
+    ]
+    place = np.concatenate([*pieces, curve.x[-1:]])
+    steps = np.linalg.norm(np.diff(curve(place), axis=0), axis=1)
+    return place, np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def tangent(center: np.ndarray, *, closed: bool) -> np.ndarray:
+    """Return the unit driving direction at each row, as `Track.tangent` does."""
+    if closed:
+        chord = np.roll(center, -1, axis=0) - np.roll(center, 1, axis=0)
+    else:
+        chord = np.gradient(center, axis=0)
+    return chord / np.maximum(np.linalg.norm(chord, axis=1, keepdims=True), 1e-12)
+
+
+def left_normal(center: np.ndarray, *, closed: bool) -> np.ndarray:
+    """Return the unit vector to the driver's left at each row."""
+    along = tangent(center, closed=closed)
+    return np.stack([-along[:, 1], along[:, 0]], axis=1)
+
+
+def unfold(
+    center: np.ndarray, normal: np.ndarray, wished: np.ndarray, *, closed: bool
+) -> np.ndarray:
+    """Shorten the distances along the normals where neighbouring normals would cross.
+
+    The point at distance d on row i's normal is nearer to row j than to row i when
+    d > |delta|^2 / (2 normal . delta), delta = row j - row i: the ball that touches the line at i
+    and passes through j. Beyond that the border would fold over itself.
+
+    Args:
+        center: rows [m], shape (N, 2), even spacing.
+        normal: unit vectors towards the border, shape (N, 2).
+        wished: distance to the border [m], shape (N,).
+        closed: whether the last row is followed by the first.
+    """
+    spacing = float(np.linalg.norm(center[1] - center[0]))
+    lags = min(int(FOLD_REACH * wished.max() / max(spacing, 1e-6)), (len(center) - 1) // 2)
+    limit = np.full(len(center), np.inf)
+    for lag in [*range(1, lags + 1), *range(-lags, 0)]:
+        delta = np.roll(center, -lag, axis=0) - center
+        ahead = normal[:, 0] * delta[:, 0] + normal[:, 1] * delta[:, 1]
+        square = delta[:, 0] ** 2 + delta[:, 1] ** 2
+        ball = np.where(ahead > 1e-9, square / np.maximum(2 * ahead, 1e-9), np.inf)
+        if not closed:
+            ball[-lag:] = np.inf if lag > 0 else ball[-lag:]
+            ball[:-lag] = np.inf if lag < 0 else ball[:-lag]
+        limit = np.minimum(limit, ball)
+    return np.minimum(wished, _CLIP_MARGIN * limit)
+
+
+def cast(
+    center: np.ndarray, normal: np.ndarray, border: np.ndarray, *, closed: bool, limit: float
+) -> np.ndarray:
+    """Return how far each row's normal runs until it meets a border polyline [m]; NaN if it misses.
+
+    Args:
+        center: rows [m], shape (N, 2).
+        normal: unit vectors towards the border, shape (N, 2).
+        border: polyline [m], shape (M, 2).
+        closed: whether the polyline returns to its first point.
+        limit: hits farther than this are ignored [m].
+    """
+    following = np.roll(border, -1, axis=0) if closed else border[1:]
+    begin = border[: len(following)]
+    edge = following - begin
+    hits = np.full(len(center), np.inf)
+    for rows in np.array_split(np.arange(len(center)), max(1, len(center) * len(edge) // 400_000)):
+        # center + t normal = begin + u edge, solved by Cramer's rule for every row and edge.
+        offset = begin[None] - center[rows, None]
+        ray = normal[rows, None]
+        det = ray[..., 0] * edge[None, :, 1] - ray[..., 1] * edge[None, :, 0]
+        safe = np.where(np.abs(det) < 1e-12, np.inf, det)
+        t = (offset[..., 0] * edge[None, :, 1] - offset[..., 1] * edge[None, :, 0]) / safe
+        u = (offset[..., 0] * ray[..., 1] - offset[..., 1] * ray[..., 0]) / safe
+        met = (t > 1e-6) & (t < limit) & (u >= -1e-9) & (u <= 1 + 1e-9) & np.isfinite(safe)
+        hits[rows] = np.where(met, t, np.inf).min(axis=1)
+    return np.where(np.isfinite(hits), hits, np.nan)
