@@ -23,8 +23,10 @@ GRAVITY = 9.81
 """[m/s^2]."""
 ELLIPSE_SIDES = 20
 """Sides of the polygon that stands for the friction ellipse while the line is sought."""
-FOLD = 0.7
+FOLD = 0.8
 """Largest curvature times lateral offset: beyond, lines across a bend would run backwards."""
+SMOOTH = 0.3
+"""Width of the average that takes kinks out of the centreline before lines are sought [m]."""
 STEP = 0.03
 """Wished distance between two rows of a finished line [m]."""
 
@@ -185,22 +187,29 @@ class _Road:
         step = track.length / max(8, round(track.length / spacing))
         count = round(track.length / step)
         s = np.arange(count if track.closed else count + 1) * step
-        center = _spline(track, track.center)(s)
-        slope = _spline(track, track.center)(s, 1)
-        slope /= np.linalg.norm(slope, axis=1, keepdims=True)
+        smooth = _spline(track, _smoothed(track))
+        center, slope = smooth(s), smooth(s, 1)
+        normal = np.stack([-slope[:, 1], slope[:, 0]], axis=1)
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        aside = ((_spline(track, track.center)(s) - center) * normal).sum(axis=1)
         left = _spline(track, np.linalg.norm(track.left - track.center, axis=1))(s)
         right = _spline(track, np.linalg.norm(track.right - track.center, axis=1))(s)
-        bend = _spline(track, track.curvature)(s)
-        fold = FOLD / np.maximum(np.abs(bend), 1e-9)
-        low, high = -np.maximum(right - margin, 0.0), np.maximum(left - margin, 0.0)
+        low = aside - np.maximum(right - margin, 0.0)
+        high = aside + np.maximum(left - margin, 0.0)
+        twist = smooth(s, 2)
+        own = (slope[:, 0] * twist[:, 1] - slope[:, 1] * twist[:, 0]) / np.hypot(*slope.T) ** 3
+        for bend, shift in ((own, 0.0), (_spline(track, track.curvature)(s), aside)):
+            fold = FOLD / np.maximum(np.abs(bend), 1e-9)
+            low = np.where(bend < 0, np.maximum(low, shift - fold), low)
+            high = np.where(bend > 0, np.minimum(high, shift + fold), high)
         return cls(
             s=s,
             x=center[:, 0],
             y=center[:, 1],
-            normal_x=-slope[:, 1],
-            normal_y=slope[:, 0],
-            low=np.where(bend < 0, np.maximum(low, -fold), low),
-            high=np.where(bend > 0, np.minimum(high, fold), high),
+            normal_x=normal[:, 0],
+            normal_y=normal[:, 1],
+            low=np.minimum(low, high),
+            high=np.maximum(low, high),
             closed=track.closed,
         )
 
@@ -239,22 +248,37 @@ class _Road:
 def _fastest(
     road: _Road, limits: Limits, knot_spacing: float, rounds: int, curvature_rate: float
 ) -> np.ndarray:
-    """Return the lateral offsets of the fastest line found."""
-    curves = _basis(len(road.s), road.s[1] - road.s[0], knot_spacing, road.closed)
+    """Return the lateral offsets of the fastest line found, by smooth curves, then by finer ones."""
     lateral = np.clip(np.zeros_like(road.s), road.low, road.high)
-    best, reach = _cost(road, lateral, limits), 0.5
+    for spacing in (2 * knot_spacing, knot_spacing):
+        curves = _basis(len(road.s), road.s[1] - road.s[0], spacing, road.closed)
+        lateral = _descend(road, limits, curves, lateral, rounds, curvature_rate)
+    return lateral
+
+
+def _descend(
+    road: _Road,
+    limits: Limits,
+    curves: csr_array,
+    lateral: np.ndarray,
+    rounds: int,
+    curvature_rate: float,
+) -> np.ndarray:
+    """Return the best line of several rounds; a slightly slower one may be a step to a faster."""
+    best = here = _cost(road, lateral, limits)
+    winner, reach = lateral, 0.5
     for _ in range(rounds):
         tried = _linear_round(road, lateral, limits, curves, reach, curvature_rate)
         cost = _cost(road, tried, limits) if tried is not None else np.inf
-        if tried is not None and cost < best:
-            gain, best, lateral = best - cost, cost, tried
-            if gain < 1e-4 * best and reach < 0.1:
-                break
-        else:
-            reach *= 0.4
-        if reach < 0.01:
+        if cost > here - 1e-3 * best:
+            reach *= 0.6
+        if tried is not None and cost < 1.005 * best:
+            lateral, here = tried, cost
+        if cost < best:
+            best, winner = cost, tried
+        if reach < 0.03:
             break
-    return lateral
+    return winner
 
 
 def _basis(count: int, step: float, knot_spacing: float, closed: bool) -> csr_array:
@@ -398,34 +422,60 @@ def _spline(track: Track, values: np.ndarray) -> CubicSpline:
     )
 
 
+def _smoothed(track: Track) -> np.ndarray:
+    """Return the centre points averaged over SMOOTH metres, so that no kink of theirs is driven."""
+    step = track.length / (len(track.center) - (not track.closed))
+    reach = min(int(3 * SMOOTH / step), (len(track.center) - 1) // 2)
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) * step / SMOOTH) ** 2)
+    weights /= weights.sum()
+    points = track.center
+    if track.closed:
+        padded = np.concatenate([points[-reach:], points, points[:reach]]) if reach else points
+    else:  # prolonged by reflection through its ends, which keeps a straight straight
+        before = 2 * points[0] - points[reach:0:-1]
+        after = 2 * points[-1] - points[-2 : -2 - reach : -1]
+        padded = np.concatenate([before, points, after])
+    return np.stack([np.convolve(padded[:, axis], weights, "valid") for axis in (0, 1)], axis=1)
+
+
 def _finish(track: Track, road: _Road, lateral: np.ndarray, limits: Limits) -> RacingLine:
-    """Refine a coarse line: a smooth curve through it, its curvature and its speed."""
-    knots = np.append(road.s, track.length) if road.closed else road.s
-    offsets = np.append(lateral, lateral[0]) if road.closed else lateral
-    offset = CubicSpline(knots, offsets, bc_type="periodic" if road.closed else "natural")
+    """Draw a smooth curve through a line's points and tell it in the track's own frame."""
+    points = np.stack([road.x + lateral * road.normal_x, road.y + lateral * road.normal_y], axis=1)
+    if road.closed:
+        knots, points = np.append(road.s, track.length), np.concatenate([points, points[:1]])
+    else:
+        knots = road.s
+    curve = CubicSpline(knots, points, bc_type="periodic" if road.closed else "natural")
     count = max(16, round(track.length / STEP))
     s = np.arange(count if road.closed else count + 1) * (track.length / count)
-    fine = _Road.of(track, track.length / count, 0.0)
-    bend, gap = fine.measure(offset(s))
-    x = fine.x + offset(s) * fine.normal_x
-    y = fine.y + offset(s) * fine.normal_y
-    along = np.arctan2(fine.after(y) - fine.before(y), fine.after(x) - fine.before(x))
-    # The heading that TrackSet tells: tangents at its own points, mixed linearly.
-    told = np.arctan2(*[_linear(track, track.tangent[:, axis], s) for axis in (1, 0)])
+    center = np.stack([_linear(track, track.center[:, axis], s) for axis in (0, 1)], axis=1)
+    tangent = np.stack([_linear(track, track.tangent[:, axis], s) for axis in (0, 1)], axis=1)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    place = s.copy()  # where the curve crosses the normal of the track at s
+    for _ in range(8):
+        ahead = ((curve(place) - center) * tangent).sum(axis=1)
+        place = place - ahead / np.maximum((curve(place, 1) * tangent).sum(axis=1), 0.2)
+    offset, slope, bent = curve(place) - center, curve(place, 1), curve(place, 2)
+    pace = np.hypot(slope[:, 0], slope[:, 1])
+    bend = (slope[:, 0] * bent[:, 1] - slope[:, 1] * bent[:, 0]) / pace**3
+    following = np.roll(curve(place), -1, axis=0) if road.closed else curve(place)[1:]
+    gap = np.linalg.norm(following - curve(place)[: len(following)], axis=1)
     speed = speed_profile(bend, gap, limits, road.closed)
-    chord = np.hypot(fine.after(x) - fine.before(x), fine.after(y) - fine.before(y))
+    along = (slope * tangent).sum(axis=1)
+    across = slope[:, 1] * tangent[:, 0] - slope[:, 0] * tangent[:, 1]
     return RacingLine(
         s=s,
-        lateral=offset(s),
-        heading=(along - told + np.pi) % (2 * np.pi) - np.pi,
+        lateral=offset[:, 1] * tangent[:, 0] - offset[:, 0] * tangent[:, 1],
+        heading=np.arctan2(across, along),
         curvature=bend,
         speed=speed,
-        stretch=chord / (2 * track.length / count),
+        stretch=np.append(gap, gap[-1:])[: len(s)] / (track.length / count),
         lap_time=travel_time(speed, gap),
         closed=road.closed,
     )
 
 
 def _linear(track: Track, values: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """Return values at the centre points as TrackSet mixes them."""
     knots = np.arange(len(values)) * (track.length / (len(values) - (not track.closed)))
     return np.interp(s, knots, values, period=track.length if track.closed else None)

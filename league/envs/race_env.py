@@ -154,6 +154,16 @@ class RaceEnv:
         self._tick += 1
         return Step(self._observe(), reward, terminated, truncated, verdict, terms)
 
+    def retire(self, car: int) -> None:
+        """End one car's race in all worlds: it is frozen for good, and in nobody's way."""
+        book = self._world.standing
+        penalty = book.penalty_s.clone()
+        penalty[:, car] = torch.inf
+        ghost = book.ghost.clone()
+        ghost[:, car] = True
+        standing = replace(book, penalty_s=penalty, ghost=ghost)
+        self._world = replace(self._world, standing=standing)
+
     def close(self) -> None:
         """Give back what the solver holds."""
         self._solver.close()

@@ -24,8 +24,8 @@ class Grain:
     step: float
     """One whole number's worth, in the column's unit."""
     order: int
-    """How often differences along the frames are taken: 0 keeps the numbers, 1 changes, 2 changes of
-    changes. Chosen on recorded races, whichever was smallest."""
+    """How often differences along the frames are taken: 1 keeps changes, 2 changes of changes.
+    Chosen on recorded races, whichever was smallest."""
     wraps: bool = False
     """Whether the numbers are angles, kept in 16 bits that wrap with the turn."""
 
@@ -69,7 +69,7 @@ class Columns:
     steering: np.ndarray
     """Angle of the front wheels, positive to the left [rad], (num_frames, num_cars)."""
     actions: np.ndarray
-    """What the drivers asked for in the step that led here, (num_frames, num_cars, 2); 0 at first."""
+    """What the drivers asked for in the step that led here, (num_frames, num_cars, 2)."""
     penalty_s: np.ndarray
     """Seconds of penalty still to stand [s], (num_frames, num_cars); above 0 the car is frozen."""
     ghost: np.ndarray

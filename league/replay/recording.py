@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -26,7 +27,7 @@ from league.track.course import Track, TrackSet
 PARAMETERS = ("grip", "mass", "latency_s", "steering_offset", "camera_up", "camera_pitch")
 """The fields of CarParameters, in the order they are kept."""
 JUMP = 0.5
-"""A car that moved farther than this in one step [m] was put back, not driven: never drawn between."""
+"""A car that moved farther than this in one step [m] was put back: nothing is drawn between."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +135,9 @@ def _worlds(replay: Replay, low: np.ndarray, part: np.ndarray) -> World:
         control=Control(steering=none, speed=none),
         cars=CarParameters(
             **{
-                name: torch.from_numpy(replay.parameters[:, place].copy()).expand(shape).contiguous()
+                name: torch.from_numpy(replay.parameters[:, place].copy())
+                .expand(shape)
+                .contiguous()
                 for place, name in enumerate(PARAMETERS)
             }
         ),
@@ -180,6 +183,7 @@ def _standing(replay: Replay, low: np.ndarray, motion: Motion) -> Standing:
     return Standing(
         s=place.s,
         lateral=place.lateral,
+        zero_s=none,
         distance=distance,
         best_distance=distance,
         laps=torch.from_numpy(np.rint(columns.laps[low]).astype(np.int64)),
@@ -201,6 +205,7 @@ def _standing(replay: Replay, low: np.ndarray, motion: Motion) -> Standing:
         reversed=count,
         overtakes=count,
         lead_changes=torch.zeros(len(low), dtype=torch.int64),
+        ahead=distance.unsqueeze(2) > distance.unsqueeze(1),
         leader=torch.from_numpy(replay.leader[low].copy()),
     )
 
@@ -213,17 +218,22 @@ class Recorder:
     """Keeps the steps of one race as it is told them; it looks at the race and never touches it."""
 
     def __init__(
-        self, spec: RaceSpec, tracks: TrackSet, names: tuple[str, ...] | list[str], step_hz: int = 15
+        self,
+        spec: RaceSpec,
+        tracks: TrackSet,
+        names: Sequence[str] | None = None,
+        step_hz: int = 15,
     ) -> None:
         """Make a recorder for one race.
 
         Args:
             spec: what was asked.
             tracks: the tracks the world's `track` index points into.
-            names: who drives each car, by grid slot.
+            names: who drives each car, by grid slot; by default the spec's entries.
             step_hz: control steps per second.
         """
-        self._spec, self._tracks, self._names = spec, tracks, tuple(names)
+        self._tracks = tracks
+        self._names = tuple(names or [entry.name for entry in spec.entries])
         self._step_hz = step_hz
         self._first: World | None = None
         # Tensors only, on the race's device; all arithmetic waits for `finish`.
@@ -261,24 +271,19 @@ class Recorder:
         )
         self._book.append(torch.stack((standing.penalty_s, standing.distance)))
         self._counts.append(torch.stack((standing.laps, standing.ghost.to(torch.int64))))
-        self._actions.append(actions.detach().clone())
+        self._actions.append(actions.detach().reshape(-1, NUM_ACTIONS).clone())
         if obstacles.x.shape[1]:
             self._obstacles.append(torch.stack((obstacles.x, obstacles.y, obstacles.yaw)))
 
     def finish(self, result: RaceResult) -> Replay:
         """Return the race that was recorded.
 
-        The columns are rounded here as they are on disk, so a replay never changes by being written.
+        The columns are rounded here as on disk, so a replay does not change by being written.
         """
         if self._first is None:
             raise ValueError("nothing was recorded: tell the recorder the grid with start(world)")
         world = self._first
         track = self._tracks.tracks[int(world.track[0])]
-        if not track.text:
-            raise ReplayError(
-                f"the track {track.name} carries no text, so a replay could not be read again: "
-                "load it from a file or generate it"
-            )
         columns = self._columns(world.num_cars, world.obstacles.x.shape[1])
         if not columns.all_finite():
             raise ReplayError("the race left the numbers (NaN or infinity), so it cannot be kept")

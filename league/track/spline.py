@@ -101,8 +101,8 @@ def unfold(
         square = delta[:, 0] ** 2 + delta[:, 1] ** 2
         ball = np.where(ahead > 1e-9, square / np.maximum(2 * ahead, 1e-9), np.inf)
         if not closed:
-            ball[-lag:] = np.inf if lag > 0 else ball[-lag:]
-            ball[:-lag] = np.inf if lag < 0 else ball[:-lag]
+            beyond_the_end = ball[-lag:] if lag > 0 else ball[:-lag]
+            beyond_the_end[:] = np.inf
         limit = np.minimum(limit, ball)
     return np.minimum(wished, _CLIP_MARGIN * limit)
 

@@ -1,0 +1,460 @@
+"""The command line: `league ...`; the only file that prints."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from league.errors import LeagueError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from league.race_spec import RaceResult, RaceSpec
+
+
+@dataclass
+class Race:
+    """Race drivers against each other, or one alone, and keep a replay."""
+
+    drivers: tyro.conf.Positional[tuple[str, ...]]
+    """Names of scripted drivers (see `league drivers`), in grid order."""
+    track: str = "reinvent_2018"
+    """Name of a track (see `league tracks`), or a track file."""
+    kind: Literal["auto", "time_trial", "obstacle_avoidance", "head_to_head"] = "auto"
+    """Kind of race; auto: alone a time trial, together head-to-head."""
+    laps: int = 3
+    """Laps to drive."""
+    seed: int = 0
+    """Seed of obstacles and noise."""
+    solver: Literal["bullet", "planar"] = "bullet"
+    """Physics."""
+    ranking: Literal["total", "best", "average"] = "total"
+    """Order by total time, best lap or average lap."""
+    obstacles: int = 6
+    """Boxes or bots in obstacle avoidance."""
+    bots: bool = False
+    """Slow bot cars that change lanes instead of boxes."""
+    fixed_obstacles: bool = False
+    """Obstacles evenly spaced instead of at random places."""
+    replay: str = "replays"
+    """Folder or .race file for the replay; "none" keeps none."""
+    watch: bool = False
+    """Stream the race live to the Rerun viewer."""
+    json: bool = False
+    """Print the result as JSON."""
+
+    def run(self) -> int:
+        """Run the command."""
+        return _race(self)
+
+
+@dataclass
+class ListTracks:
+    """List the tracks that ship with the league."""
+
+    json: bool = False
+    """Print JSON."""
+
+    def run(self) -> int:
+        """Run the command."""
+        from league.track import files
+
+        reports = [files.report(files.load(name)) for name in files.names()]
+        if self.json:
+            print(json.dumps(reports, indent=2))
+            return 0
+        table = _table("Tracks", "name", "title", "length", "width", "direction", "min radius")
+        for one in reports:
+            table.add_row(
+                one["name"],
+                one["title"],
+                f"{one['length']:.2f} m",
+                f"{one['width']:.3f} m",
+                one["direction"],
+                f"{one['min_radius']:.2f} m",
+            )
+        _console().print(table)
+        return 0
+
+
+@dataclass
+class ShowTrack:
+    """Draw a track to a PNG, with start line and direction."""
+
+    name: tyro.conf.Positional[str]
+    """Name of a track, or a track file."""
+    out: Path | None = None
+    """Where to write the picture; by default NAME.png here."""
+
+    def run(self) -> int:
+        """Run the command."""
+        from league.track import files, paint
+
+        track = files.load(self.name)
+        path = self.out or Path(f"{track.name}.png")
+        files.write_whole(path, paint.png(paint.poster(track)))
+        one = files.report(track)
+        print(
+            f"{one['title']}: {one['length']:.2f} m, {one['width']:.3f} m wide, "
+            f"{one['direction']}, smallest radius {one['min_radius']:.2f} m"
+        )
+        print(f"Drawn to {path}")
+        return 0
+
+
+@dataclass
+class ImportTrack:
+    """Turn a community .npy track (N x 6 waypoints) into a track file."""
+
+    file: tyro.conf.Positional[Path]
+    """The .npy file."""
+    out: Path | None = None
+    """Where to write the track; by default NAME.yaml here."""
+
+    def run(self) -> int:
+        """Run the command."""
+        from league.track import files, importer
+
+        track = importer.read_npy(self.file)
+        path = self.out or Path(f"{track.name}.yaml")
+        files.save(track, path)
+        print(f"{track.length:.2f} m, {track.direction}. Written to {path}")
+        print(f"Race on it: league race racing_line centerline --track {path}")
+        return 0
+
+
+@dataclass
+class GenerateTracks:
+    """Draw new tracks from seeds, for training."""
+
+    seed: int = 0
+    """Seed of the first track."""
+    count: int = 1
+    """How many, with seeds counting up."""
+    out: Path = Path("generated")
+    """Folder to write to."""
+    min_radius: float = 0.5
+    """Smallest radius of the centreline [m]."""
+    direction: Literal["any", "counter-clockwise", "clockwise"] = "any"
+    """Which way round."""
+
+    def run(self) -> int:
+        """Run the command."""
+        from league.track import files, generate
+
+        direction = None if self.direction == "any" else self.direction
+        for seed in range(self.seed, self.seed + self.count):
+            track = generate.generate(seed, min_radius=self.min_radius, direction=direction)
+            path = self.out / f"{track.name}.yaml"
+            files.save(track, path)
+            print(f"{path}: {track.length:.2f} m, {track.width:.2f} m wide, {track.direction}")
+        return 0
+
+
+@dataclass
+class Tracks:
+    """List, draw, import and generate tracks."""
+
+    command: (
+        Annotated[ListTracks, tyro.conf.subcommand("list")]
+        | Annotated[ShowTrack, tyro.conf.subcommand("show")]
+        | Annotated[ImportTrack, tyro.conf.subcommand("import")]
+        | Annotated[GenerateTracks, tyro.conf.subcommand("generate")]
+    ) = field(default_factory=ListTracks)
+
+    def run(self) -> int:
+        """Run the command."""
+        return self.command.run()
+
+
+@dataclass
+class Drivers:
+    """List the scripted drivers."""
+
+    def run(self) -> int:
+        """Run the command."""
+        from league.agents import roster
+
+        table = _table("Drivers", "name", "how it drives")
+        for name, description in roster.NAMES.items():
+            table.add_row(name, description)
+        _console().print(table)
+        return 0
+
+
+@dataclass
+class Verify:
+    """Run a recorded race again and say whether every step agrees."""
+
+    replay: tyro.conf.Positional[Path]
+    """The replay file."""
+
+    def run(self) -> int:
+        """Run the command."""
+        from league import race
+        from league import replay as replays
+
+        recorded = replays.read(self.replay)
+        agreement = replays.compare(recorded, race.rerun(recorded))
+        print(agreement.sentence)
+        return 0 if agreement.agrees else 1
+
+
+@dataclass
+class View:
+    """Open a replay in the Rerun viewer."""
+
+    replay: tyro.conf.Positional[Path]
+    """The replay file."""
+    web: bool = False
+    """Serve the web viewer on this machine only and print its address."""
+    rrd: Path | None = None
+    """Only write the Rerun recording to this file."""
+    cameras: bool = True
+    """Render what each car saw."""
+
+    def run(self) -> int:
+        """Run the command."""
+        return _view(self)
+
+
+@dataclass
+class Video:
+    """Render a replay to an MP4: chase camera, top view, lap counter, running order."""
+
+    replay: tyro.conf.Positional[Path]
+    """The replay file."""
+    out: tyro.conf.Positional[Path]
+    """The .mp4 file to write."""
+
+    def run(self) -> int:
+        """Run the command."""
+        from league import replay as replays
+        from league import video
+
+        with _progress() as progress:
+            task = progress.add_task("Rendering", total=1.0)
+            video.render(
+                replays.read(self.replay),
+                self.out,
+                progress=lambda part: progress.update(task, completed=part),
+            )
+        print(f"Video: {self.out}")
+        return 0
+
+
+Command = (
+    Annotated[Race, tyro.conf.subcommand("race")]
+    | Annotated[Tracks, tyro.conf.subcommand("tracks")]
+    | Annotated[Drivers, tyro.conf.subcommand("drivers")]
+    | Annotated[View, tyro.conf.subcommand("view")]
+    | Annotated[Video, tyro.conf.subcommand("video")]
+    | Annotated[Verify, tyro.conf.subcommand("verify")]
+)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; return its exit code."""
+    command = tyro.cli(
+        Command,
+        prog="league",
+        description="The open racing league for learning drivers.",
+        args=arguments,
+        config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+    )
+    try:
+        return command.run()
+    except LeagueError as error:
+        print(f"league: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("league: stopped.", file=sys.stderr)
+        return 130
+
+
+def _race(command: Race) -> int:
+    from league import race
+
+    spec = _spec(command)
+    track = _track_file(command.track)
+    quiet = command.json or not sys.stderr.isatty()
+    with _progress(disable=quiet) as progress:
+        from league.track import files
+
+        length = (track or files.load(spec.track)).length
+        bar = progress.add_task("Racing", total=spec.laps * length)
+        live = _live(command, spec, track)
+
+        def watch(world) -> None:  # noqa: ANN001
+            progress.update(bar, completed=max(float(world.standing.best_distance.max()), 0.0))
+            if live is not None:
+                live.add(world)
+
+        finished = race.run(spec, track=track, record=command.replay != "none", watch=watch)
+    path = None
+    if finished.replay is not None:
+        path = _replay_path(command.replay, spec)
+        from league import replay as replays
+
+        replays.write(finished.replay, path)
+    if command.json:
+        told = finished.result.model_dump(mode="json")
+        print(json.dumps({**told, "replay": str(path) if path else None}, indent=2))
+        return 0
+    _print_classification(finished.result)
+    if path is not None:
+        print(f"Replay: {path}   (watch it: league view {path})")
+    return 0
+
+
+def _spec(command: Race) -> RaceSpec:
+    from league.errors import ConfigError
+    from league.race_spec import Entry, RaceSpec
+
+    if not command.drivers:
+        raise ConfigError(
+            "no drivers were named: try `league race racing_line centerline`; "
+            "`league drivers` lists them all"
+        )
+    alone = "time_trial" if len(command.drivers) == 1 else "head_to_head"
+    track = _track_file(command.track)
+    from pydantic import ValidationError
+
+    try:
+        return RaceSpec(
+            track=track.name if track else command.track,
+            kind=alone if command.kind == "auto" else command.kind,
+            laps=command.laps,
+            seed=command.seed,
+            solver=command.solver,
+            ranking=command.ranking,
+            entries=tuple(Entry(name=name) for name in command.drivers),
+            obstacles=command.obstacles,
+            obstacle_kind="bot" if command.bots else "box",
+            random_obstacles=not command.fixed_obstacles,
+        )
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise ConfigError(f"{where} is {first['input']!r}: {first['msg']}") from None
+
+
+def _track_file(name: str):  # noqa: ANN202
+    """Load a track given as a file; None when it is a name."""
+    from league.track import files
+
+    return files.load(name) if name.endswith((".yaml", ".yml")) else None
+
+
+def _replay_path(wish: str, spec: RaceSpec) -> Path:
+    if wish.endswith(".race"):
+        return Path(wish)
+    names = "-".join(Path(entry.name).stem for entry in spec.entries)[:80]
+    return Path(wish) / f"{spec.track}-{names}-{spec.kind}-{spec.seed}.race"
+
+
+def _live(command: Race, spec: RaceSpec, track):  # noqa: ANN001, ANN202
+    if not command.watch:
+        return None
+    from league.rerun_view import Live
+    from league.track import files
+
+    live = Live.start(spec, track or files.load(spec.track))
+    print(f"Watching live: {live.address}", file=sys.stderr)
+    return live
+
+
+def _view(command: View) -> int:
+    import tempfile
+
+    from league import replay as replays
+    from league import rerun_view
+
+    recorded = replays.read(command.replay)
+    if command.rrd is not None:
+        rerun_view.save(recorded, command.rrd, cameras=command.cameras)
+        print(f"Recording: {command.rrd}")
+        return 0
+    with tempfile.TemporaryDirectory(prefix="league-") as folder:
+        path = Path(folder) / f"{command.replay.stem}.rrd"
+        rerun_view.save(recorded, path, cameras=command.cameras)
+        if not command.web:
+            return rerun_view.open_viewer(path)
+        from league import web_viewer
+
+        with web_viewer.serve(path) as server:
+            print(f"Open {server.url}   (Ctrl-C stops)", flush=True)
+            server.wait()
+    return 0
+
+
+def _print_classification(result: RaceResult) -> None:
+    spec = result.spec
+    title = f"{spec.kind.replace('_', ' ')} on {spec.track}, {spec.laps} laps"
+    table = _table(
+        title, "", "driver", "laps", "total", "gap", "best lap", "off-tracks", "crashes", "overtakes"
+    )
+    winner = result.order[0]
+    for car in result.order:
+        gap = car.total_s - winner.total_s
+        table.add_row(
+            str(car.place),
+            car.name,
+            str(car.laps),
+            clock(car.total_s) if car.finished else "not finished",
+            f"+{gap:.3f}" if car.finished and car is not winner else "",
+            clock(car.best_lap_s) if car.best_lap_s else "",
+            str(car.off_tracks),
+            str(car.crashes),
+            str(car.overtakes),
+        )
+    _console().print(table)
+    if len(result.order) > 1:
+        print(f"Lead changes: {result.lead_changes}")
+
+
+def clock(seconds: float) -> str:
+    """Return a time as people read it on a timing screen: m:ss.mmm."""
+    minutes, rest = divmod(round(seconds * 1000), 60_000)
+    return f"{minutes}:{rest / 1000:06.3f}"
+
+
+def _console() -> Console:
+    from rich.console import Console
+
+    return Console()
+
+
+def _table(title: str, *columns: str):  # noqa: ANN202
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", header_style="bold")
+    for number, column in enumerate(columns):
+        left = number < 2 or column in ("title", "direction", "how it drives")
+        table.add_column(column, justify="left" if left else "right")
+    return table
+
+
+def _progress(disable: bool = False):  # noqa: ANN202
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+        transient=True,
+        disable=disable,
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,292 @@
+"""The replay file: written whole or not at all, read with every size checked (docs/replay.md)."""
+
+from __future__ import annotations
+
+import os
+import struct
+import tempfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from league.errors import ReplayError, TrackError
+from league.race_spec import RaceResult
+from league.replay.columns import (
+    GRAINS,
+    NUM_ACTIONS,
+    Columns,
+    Grain,
+    from_whole,
+    to_whole,
+)
+from league.replay.recording import PARAMETERS, Replay
+from league.sim.config import MAX_CARS
+from league.track import files
+from league.track.course import Track
+
+MAGIC = b"\x89RACE\r\n\x1a"
+"""Like PNG's: a text transfer breaks the line end, `type` stops at the last byte."""
+VERSION = 1
+PREFIX = struct.Struct("<8sHHIII")
+"""Magic, version, zero, bytes of header, bytes of body, CRC-32 of header and body."""
+
+MAX_FILE = 64 * 2**20
+"""Largest file read [bytes]; the longest race allowed takes about 50 MB."""
+MAX_HEADER = 16 * 2**20
+"""Largest header, unpacked [bytes]."""
+MAX_BODY = 256 * 2**20
+"""Largest body, unpacked [bytes]; 8 cars for 10 hours take 207 MB."""
+MAX_FRAMES = 36_000 * 15 + 1
+"""Most frames: the longest race a spec may ask for, at 15 Hz."""
+MIN_BYTES_PER_FRAME = 3
+"""Every frame carries a checksum, which does not compress, so a smaller body is a bomb."""
+
+
+class _Header(BaseModel):
+    """What is not a column."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    frames: int = Field(ge=1, le=MAX_FRAMES)
+    cars: int = Field(ge=1, le=MAX_CARS)
+    obstacles: int = Field(ge=0, le=32)
+    obstacle_frames: int = Field(ge=1, le=MAX_FRAMES)
+    step_hz: int = Field(ge=1, le=1000)
+    names: tuple[str, ...] = Field(max_length=MAX_CARS)
+    track: str = Field(min_length=1, max_length=2**20)
+    result: RaceResult
+
+    def problem(self) -> str | None:
+        """Say what contradicts what, if anything."""
+        if self.obstacle_frames not in (1, self.frames):
+            return f"{self.obstacle_frames} frames of obstacles, but 1 or {self.frames} fit"
+        if not len(self.names) == len(self.result.spec.entries) == self.cars:
+            return f"{self.cars} cars, but {len(self.names)} names"
+        if sorted(car.car for car in self.result.order) != list(range(self.cars)):
+            return f"{self.cars} cars, but a classification of others"
+        if not all(0 <= event.car < self.cars for event in self.result.events):
+            return f"{self.cars} cars, but events of others"
+        return None
+
+
+def encode(replay: Replay) -> bytes:
+    """Return a replay as the bytes of its file."""
+    columns = replay.columns
+    header = _Header(
+        frames=columns.num_frames,
+        cars=columns.num_cars,
+        obstacles=columns.num_obstacles,
+        obstacle_frames=len(columns.obstacle_x),
+        step_hz=replay.step_hz,
+        names=replay.names,
+        track=files.dump(replay.track),
+        result=replay.result,
+    )
+    packed_header = zlib.compress(header.model_dump_json().encode(), 9)
+    parts = [_pack(grain, getattr(columns, grain.name)) for grain in GRAINS]
+    parts.append(replay.parameters.astype("<f4").tobytes())
+    parts.append(replay.obstacle_sizes.astype("<f4").tobytes())
+    parts.append(columns.checksum.astype("<u4").tobytes())
+    packed_body = zlib.compress(b"".join(parts), 9)
+    crc = zlib.crc32(packed_body, zlib.crc32(packed_header))
+    prefix = PREFIX.pack(MAGIC, VERSION, 0, len(packed_header), len(packed_body), crc)
+    return prefix + packed_header + packed_body
+
+
+def write(replay: Replay, path: str | os.PathLike[str]) -> Path:
+    """Write a replay to a file, whole or not at all, and return the path."""
+    content = encode(replay)
+    path = Path(path)
+    temporary: str | None = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:80]}.")
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except OSError as error:
+        if temporary is not None:
+            Path(temporary).unlink(missing_ok=True)
+        raise ReplayError(
+            f"the replay cannot be written to {path} ({error.strerror or error}): "
+            "give a place that can be written and has room"
+        ) from error
+    return path
+
+
+def read(path: str | os.PathLike[str]) -> Replay:
+    """Read a replay from a file; anything but a sound replay raises ReplayError."""
+    path = Path(path)
+    try:
+        # Looked at before it is opened: opening a pipe would wait for ever.
+        if path.exists() and not path.is_file():
+            raise ReplayError(f"{path} is not a file: give the path of a replay")
+        with path.open("rb") as file:
+            content = file.read(MAX_FILE + 1)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise ReplayError(f"{path} cannot be read ({reason}): give the path of a replay") from error
+    try:
+        return decode(content)
+    except ReplayError as error:
+        raise ReplayError(f"{path} {error}") from error
+
+
+def decode(content: bytes) -> Replay:
+    """Return the replay that these bytes are; the error's text begins with a verb."""
+    packed_header, packed_body = _split(content)
+    raw_header = _unpack(packed_header, MAX_HEADER, "header")
+    try:
+        header = _Header.model_validate_json(raw_header)
+    except ValidationError as error:
+        where = ".".join(str(part) for part in error.errors()[0]["loc"]) or "its text"
+        raise ReplayError(
+            f"has a header that does not describe a race ({where}: {error.errors()[0]['msg']}): "
+            "get the file again from where the race was run"
+        ) from error
+    problem = header.problem()
+    if problem is not None:
+        raise ReplayError(
+            f"contradicts itself ({problem}): get the file again from where the race was run"
+        )
+    size = _body_size(header)
+    if size > MAX_BODY or len(packed_body) < MIN_BYTES_PER_FRAME * header.frames:
+        raise ReplayError(
+            f"declares {header.frames} frames of {header.cars} cars in {len(packed_body)} bytes, "
+            "which no race fills: it was not written by this league"
+        )
+    body = _unpack(packed_body, size, "body")
+    if len(body) != size:
+        raise ReplayError(
+            f"holds {len(body)} bytes of columns where its header declares {size}: "
+            "get the file again from where the race was run"
+        )
+    return _assemble(header, body)
+
+
+def _split(content: bytes) -> tuple[bytes, bytes]:
+    """Check everything outside the two packed parts and return them."""
+    if len(content) > MAX_FILE:
+        raise ReplayError(
+            f"is larger than {MAX_FILE >> 20} MiB, as no replay is: give another file"
+        )
+    if not content.startswith(MAGIC):
+        if len(content) < len(MAGIC) and MAGIC.startswith(content):
+            raise ReplayError("ends after a few bytes: copy the whole file again")
+        raise ReplayError("is not a replay: give a file that `league race` wrote")
+    if len(content) < PREFIX.size:
+        raise ReplayError("ends after a few bytes: copy the whole file again")
+    _, version, zero, header_size, body_size, crc = PREFIX.unpack_from(content)
+    if version != VERSION or zero != 0:
+        raise ReplayError(
+            f"is of version {version}, and this league reads version {VERSION}: "
+            "read it with the league that wrote it"
+        )
+    whole = PREFIX.size + header_size + body_size
+    if len(content) < whole:
+        raise ReplayError(f"ends after {len(content)} of {whole} bytes: copy the whole file again")
+    if len(content) > whole:
+        raise ReplayError(
+            f"goes on for {len(content) - whole} bytes after its end: copy the file again"
+        )
+    if zlib.crc32(content[PREFIX.size :]) != crc:
+        raise ReplayError("is damaged (its checksum differs): copy the file again")
+    middle = PREFIX.size + header_size
+    return content[PREFIX.size : middle], content[middle:]
+
+
+def _unpack(packed: bytes, limit: int, what: str) -> bytes:
+    """Decompress, never holding more than one byte beyond the limit."""
+    unpacker = zlib.decompressobj()
+    try:
+        raw = unpacker.decompress(packed, limit + 1)
+    except zlib.error as error:
+        raise ReplayError(f"has a {what} that cannot be unpacked: copy the file again") from error
+    if len(raw) > limit:
+        raise ReplayError(
+            f"has a {what} of more than the {limit} bytes allowed: get the file again"
+        )
+    if not unpacker.eof or unpacker.unused_data:
+        raise ReplayError(f"has a {what} of another length than declared: copy the file again")
+    return raw
+
+
+def _rows(grain: Grain, header: _Header) -> tuple[int, ...]:
+    """Return the shape of a column."""
+    if grain.axis == "obstacles":
+        return (header.obstacle_frames, header.obstacles)
+    if grain.axis == "actions":
+        return (header.frames, header.cars, NUM_ACTIONS)
+    return (header.frames, header.cars)
+
+
+def _size(grain: Grain, header: _Header) -> int:
+    count = 1
+    for length in _rows(grain, header):
+        count *= length
+    return count * (2 if grain.wraps else 4)
+
+
+def _body_size(header: _Header) -> int:
+    columns = sum(_size(grain, header) for grain in GRAINS)
+    return columns + 4 * (header.cars * len(PARAMETERS) + 2 * header.obstacles + header.frames)
+
+
+def _pack(grain: Grain, column: np.ndarray) -> bytes:
+    """Return whole numbers' differences, cars first, the low bytes of all before the high bytes."""
+    whole = to_whole(grain, column)
+    kind = np.dtype("<i2" if grain.wraps else "<i4")
+    if whole.size and not np.iinfo(kind).min <= whole.min() <= whole.max() <= np.iinfo(kind).max:
+        raise ReplayError(f"the race's column {grain.name} is too large to be kept in {kind}")
+    steps = whole.astype(kind)
+    for _ in range(grain.order):
+        # Differences wrap around like the sums that undo them, so none can overflow.
+        steps = np.diff(steps, axis=0, prepend=np.zeros_like(steps[:1]))
+    steps = np.ascontiguousarray(np.moveaxis(steps, 0, -1), dtype=kind)
+    return steps.reshape(-1, 1).view(np.uint8).T.tobytes()
+
+
+def _unfold(grain: Grain, raw: bytes, shape: tuple[int, ...]) -> np.ndarray:
+    """Undo `_pack`."""
+    kind = np.dtype("<i2" if grain.wraps else "<i4")
+    planes = np.frombuffer(raw, dtype=np.uint8).reshape(kind.itemsize, -1)
+    steps = np.ascontiguousarray(planes.T).view(kind).reshape(*shape[1:], shape[0])
+    whole = np.moveaxis(steps, -1, 0)
+    for _ in range(grain.order):
+        whole = np.cumsum(whole, axis=0, dtype=kind)
+    return from_whole(grain, whole.astype(np.int64))
+
+
+def _assemble(header: _Header, body: bytes) -> Replay:
+    at = 0
+    kept: dict[str, np.ndarray] = {}
+    for grain in GRAINS:
+        size = _size(grain, header)
+        kept[grain.name] = _unfold(grain, body[at : at + size], _rows(grain, header))
+        at += size
+    floats = np.frombuffer(body, "<f4", header.cars * len(PARAMETERS) + 2 * header.obstacles, at)
+    checksum = np.frombuffer(body, "<u4", header.frames, at + floats.nbytes)
+    if not np.isfinite(floats).all():
+        raise ReplayError("holds parameters that are not numbers: get the file again")
+    split = header.cars * len(PARAMETERS)
+    return Replay(
+        result=header.result,
+        track=_track(header.track),
+        names=header.names,
+        step_hz=header.step_hz,
+        parameters=floats[:split].reshape(header.cars, len(PARAMETERS)).astype(np.float32),
+        obstacle_sizes=floats[split:].reshape(header.obstacles, 2).astype(np.float32),
+        columns=Columns(checksum=checksum.astype(np.uint32), **kept),
+    )
+
+
+def _track(text: str) -> Track:
+    try:
+        return files.parse(text)
+    except TrackError as error:
+        raise ReplayError(f"carries a broken track ({error}): get the file again") from error

@@ -1,0 +1,113 @@
+"""What a broadcast says of a race: who leads, by how much, what just happened, where to look from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from league.race_spec import Event
+from league.replay.recording import Replay
+
+PACK = 3.0
+"""Cars this close behind the leader [m] are kept in the chase camera's picture."""
+CHASE_SMOOTHING_S = 0.45
+"""How slowly the chase camera turns and changes its subject [s]."""
+
+
+@dataclass(frozen=True)
+class ChasePath:
+    """Where a chase camera's frame stands in each frame of a replay, (num_frames,)."""
+
+    x: np.ndarray
+    """[m]."""
+    y: np.ndarray
+    """[m]."""
+    yaw: np.ndarray
+    """Unwrapped [rad]."""
+
+
+def running_order(replay: Replay) -> np.ndarray:
+    """Return the cars by distance in each frame, the leader first, (num_frames, num_cars)."""
+    return np.argsort(-replay.columns.distance, axis=1, kind="stable")
+
+
+def gaps_m(replay: Replay) -> np.ndarray:
+    """Return how far each car is behind the leader along the track [m], (num_frames, num_cars)."""
+    distance = replay.columns.distance
+    return distance.max(axis=1, keepdims=True) - distance
+
+
+def gaps_s(replay: Replay) -> np.ndarray:
+    """Return how long ago someone was first where each car is now [s], (num_frames, num_cars)."""
+    front = np.maximum.accumulate(replay.columns.distance.max(axis=1))
+    times = replay.times_s
+    # Where the front stands still, its first arrival counts.
+    rises = np.concatenate([[True], np.diff(front) > 0])
+    first = np.interp(replay.columns.distance, front[rises], times[rises])
+    return np.maximum(times[:, None] - first, 0.0) * (gaps_m(replay) > 0)
+
+
+def speeds(replay: Replay) -> np.ndarray:
+    """Return each car's speed [m/s], (num_frames, num_cars)."""
+    return np.hypot(replay.columns.velocity_x, replay.columns.velocity_y)
+
+
+def chase_path(replay: Replay) -> ChasePath:
+    """Return where to chase from: the last of those close behind the leader, so that all are seen."""
+    columns = replay.columns
+    gap = gaps_m(replay)
+    in_pack = np.where(gap <= PACK, columns.distance, np.inf)
+    subject = in_pack.argmin(axis=1)
+    rows = np.arange(replay.num_frames)
+    heading = columns.yaw[rows, subject]
+    sigma = CHASE_SMOOTHING_S * replay.step_hz
+    return ChasePath(
+        x=gaussian_filter1d(columns.x[rows, subject], sigma / 3, mode="nearest"),
+        y=gaussian_filter1d(columns.y[rows, subject], sigma / 3, mode="nearest"),
+        yaw=gaussian_filter1d(np.unwrap(heading), sigma, mode="nearest"),
+    )
+
+
+def captions(replay: Replay) -> list[tuple[Event, str]]:
+    """Return the events worth telling, each with a sentence."""
+    told = []
+    for event in replay.result.events:
+        text = caption(replay, event)
+        if text:
+            told.append((event, text))
+    return told
+
+
+def caption(replay: Replay, event: Event) -> str:
+    """Return one event as a sentence; empty if it says nothing new."""
+    name = replay.names[event.car]
+    other = _other(replay, event)
+    value = event.value
+    penalty = f", {value:g} s penalty" if value else ""
+    if event.kind == "lap":
+        return f"{name} completes a lap" + (f" in {value:.2f} s" if value else "")
+    if event.kind == "finish":
+        return f"{name} finishes" + (f" after {value:.2f} s" if value else "")
+    sentences = {
+        "start": "The race is on",
+        "off_track": f"{name} leaves the track{penalty}",
+        "crash": f"{name} runs into {other or 'another car'}{penalty}",
+        "contact": f"{name} is hit" + (f" by {other}" if other else ""),
+        "obstacle_contact": f"{name} hits an obstacle{penalty}",
+        "wall_contact": f"{name} hits the wall{penalty}",
+        "immobilised": f"{name} is stuck{penalty}",
+        "reversed": f"{name} drives backwards{penalty}",
+        "put_back": f"{name} is back on the track",
+        "overtake": f"{name} passes {other or 'another car'}",
+        "lead_change": f"{name} takes the lead",
+        "driver_fault": f"{name} gives no valid action",
+    }
+    return sentences.get(event.kind, event.kind)
+
+
+def _other(replay: Replay, event: Event) -> str:
+    if event.other is None or event.kind == "obstacle_contact":
+        return ""
+    return replay.names[event.other] if 0 <= event.other < replay.num_cars else ""

@@ -1,0 +1,113 @@
+"""The floor of a track as textures of falling resolution, and which rows of a picture read which."""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+from weakref import WeakKeyDictionary
+
+import cv2
+import numpy as np
+
+from league.sim.camera.lens import Lens
+from league.sim.camera.scene import SUN, lit
+from league.track import paint
+from league.track.course import Track
+
+LEVELS = 5
+"""Textures of one floor; each has half the resolution of the one before."""
+
+BLUR = 1.6
+"""How many texels lie side by side in one pixel at most; more would flicker."""
+
+_FINEST = ((100, 0.02), (240, 0.01), (10**9, 0.005))
+_WALL_NORMALS = ((0.0, 1.0), (-1.0, 0.0), (0.0, -1.0), (1.0, 0.0))
+
+
+class Level(NamedTuple):
+    """One texture of the floor."""
+
+    image: np.ndarray
+    """(rows, columns) or (rows, columns, 3) uint8; rows grow with +y."""
+    origin_x: float
+    """World x of the left edge of column 0 [m]."""
+    origin_y: float
+    """World y of the lower edge of row 0 [m]."""
+    metres_per_pixel: float
+    """Size of a texel [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """A track's floor and the wall round it, ready to be drawn."""
+
+    levels: tuple[Level, ...]
+    """Textures, finest first."""
+    room: tuple[float, float, float, float]
+    """x_min, y_min, x_max, y_max of the wall [m]."""
+    walls: tuple[tuple[float, ...], ...]
+    """Colour of the wall at y_min, x_max, y_max, x_min, lit; one or three numbers each."""
+
+
+class Band(NamedTuple):
+    """Rows of a picture that read one texture."""
+
+    start: int
+    stop: int
+    level: int
+
+
+_grounds: WeakKeyDictionary[Track, dict[tuple[float, bool], Ground]] = WeakKeyDictionary()
+
+
+def finest_for(width: int) -> float:
+    """Return the size of the finest texel [m] for pictures of this width."""
+    return next(size for limit, size in _FINEST if width < limit)
+
+
+def ground_of(track: Track, metres_per_pixel: float, colour: bool) -> Ground:
+    """Return the track's floor, painted on first use and kept as long as the track is."""
+    kept = _grounds.setdefault(track, {})
+    key = (metres_per_pixel, colour)
+    if key not in kept:
+        kept[key] = _paint(track, metres_per_pixel, colour)
+    return kept[key]
+
+
+def bands(lens: Lens, height: float, pitch: float, finest: float) -> tuple[Band, ...]:
+    """Return which texture each row of a picture reads, from the top row down.
+
+    Args:
+        lens: the lens.
+        height: of the camera above the floor [m].
+        pitch: downward tilt [rad].
+        finest: size of a texel of level 0 [m].
+    """
+    levels = []
+    for row in range(lens.height):
+        wished = lens.metres_per_pixel(row, height, pitch) / BLUR / finest
+        level = math.ceil(math.log2(wished)) if 0 < wished < math.inf else LEVELS - 1
+        levels.append(min(max(level, 0), LEVELS - 1))
+    edges = [row for row in range(1, lens.height) if levels[row] != levels[row - 1]]
+    starts, stops = [0, *edges], [*edges, lens.height]
+    return tuple(Band(a, b, levels[a]) for a, b in zip(starts, stops, strict=True))
+
+
+def _paint(track: Track, metres_per_pixel: float, colour: bool) -> Ground:
+    floor = paint.floor(track, metres_per_pixel, colour=colour)
+    image = np.ascontiguousarray(floor.image)
+    # Made even for all halvings, so that every level starts at the same corner.
+    step = 2 ** (LEVELS - 1)
+    below, beside = -image.shape[0] % step, -image.shape[1] % step
+    image = cv2.copyMakeBorder(image, 0, below, 0, beside, cv2.BORDER_REPLICATE)
+    levels = []
+    for level in range(LEVELS):
+        size = metres_per_pixel * 2**level
+        levels.append(Level(image, floor.origin_x, floor.origin_y, size))
+        half = (max(image.shape[1] // 2, 1), max(image.shape[0] // 2, 1))
+        image = cv2.resize(image, half, interpolation=cv2.INTER_AREA)
+    shade, sun = lit(track.colours.wall, not colour)
+    walls = tuple(
+        tuple(a + b * max(0.0, nx * SUN[0] + ny * SUN[1]) for a, b in zip(shade, sun, strict=True))
+        for nx, ny in _WALL_NORMALS
+    )
+    return Ground(tuple(levels), track.room, walls)

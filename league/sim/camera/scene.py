@@ -1,0 +1,241 @@
+"""What stands on the floor: shapes of cars, boxes and walls, their paint, and how the sun lights it.
+
+Shapes are convex solids in their own frame: x ahead, y left, z up [m], origin on the floor below
+the middle of the body. Both renderers draw these same solids, so they can be held against each
+other. All lengths in metres, all colours sRGB 0-255.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from league.track.course import Rgb
+
+CAR_COLOURS: tuple[Rgb, ...] = (
+    (226, 52, 62),  # red
+    (38, 126, 245),  # azure
+    (255, 199, 22),  # yellow
+    (36, 190, 172),  # teal
+    (150, 92, 228),  # violet
+    (255, 126, 24),  # orange
+    (240, 241, 243),  # white
+    (240, 98, 176),  # pink
+)
+"""Body colour of each car slot; the Rerun viewer and the top view use the same."""
+
+BOT_COLOUR: Rgb = (148, 156, 166)
+BOX_COLOUR: Rgb = (188, 142, 92)
+SKY_COLOUR: Rgb = (200, 212, 222)
+RUBBER: Rgb = (26, 27, 30)
+RIM: Rgb = (140, 145, 152)
+CHASSIS: Rgb = (48, 51, 56)
+GLASS: Rgb = (34, 42, 54)
+
+WALL_HEIGHT = 1.0
+"""Height of the wall round the room [m]."""
+
+WHEEL_RADIUS = 0.036
+WHEEL_WIDTH = 0.034
+WHEEL_SIDES = 10
+WHEEL_X = 0.082
+WHEEL_Y = 0.080
+
+_SUN = (0.5, -0.1, 0.9)  # where the light comes from (facts 3.1)
+_SUN_LENGTH = math.sqrt(sum(part * part for part in _SUN))
+SUN = tuple(part / _SUN_LENGTH for part in _SUN)
+"""Unit vector towards the sun, world frame."""
+AMBIENT = 0.55
+"""Share of a colour that a face turned from the sun shows."""
+DIFFUSE = (0.47, 0.47, 0.40)
+"""What a face turned to the sun adds, for red, green and blue (a warm sun)."""
+LUMA = (0.299, 0.587, 0.114)
+
+BODY = -1
+"""Index into a model's paints that means: the colour of this very car or box."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """A convex solid with flat faces."""
+
+    vertices: np.ndarray
+    """(num_vertices, 3) float64."""
+    faces: tuple[tuple[int, ...], ...]
+    """Vertices of each face, in order round it."""
+    paints: tuple[int, ...]
+    """Paint of each face: an index into PAINTS, or BODY."""
+    pivot: tuple[float, float] | None = None
+    """Where a steered wheel turns; its vertices are then relative to this point."""
+    rounded: bool = False
+    """A wheel: its tread is one colour, so its outline can be filled in one go."""
+
+    @cached_property
+    def planes(self) -> np.ndarray:
+        """Outward unit normal and offset of each face: n . p <= d inside; (num_faces, 4)."""
+        middle = self.vertices.mean(axis=0)
+        rows = []
+        for face in self.faces:
+            a, b, c = (self.vertices[index] for index in face[:3])
+            normal = np.cross(b - a, c - b)
+            normal /= np.linalg.norm(normal)
+            if normal @ (middle - a) > 0:
+                normal = -normal
+            rows.append((*normal, normal @ a))
+        return np.array(rows)
+
+
+PAINTS: tuple[Rgb, ...] = (RUBBER, RIM, CHASSIS, GLASS)
+_RUBBER, _RIM, _CHASSIS, _GLASS = range(4)
+
+_HEXAHEDRON = (
+    (0, 1, 3, 2),  # front
+    (4, 5, 7, 6),  # back
+    (0, 1, 5, 4),  # left
+    (2, 3, 7, 6),  # right
+    (1, 3, 7, 5),  # top
+    (0, 2, 6, 4),  # bottom
+)
+
+
+def _hexahedron(planes: dict[str, tuple[float, float, float, float]], paints: tuple) -> Solid:
+    """Return the solid between six planes n . p = d; faces front, back, left, right, top, bottom."""
+    corners = [
+        [planes[name] for name in (end, side, level)]
+        for end in ("front", "back")
+        for side in ("left", "right")
+        for level in ("bottom", "top")
+    ]
+    vertices = [
+        np.linalg.solve([plane[:3] for plane in corner], [plane[3] for plane in corner])
+        for corner in corners
+    ]
+    return Solid(np.array(vertices), _HEXAHEDRON, paints)
+
+
+def _block(front: float, back: float, half_width: float, low: float, high: float, paints: tuple):
+    """Return an upright box from `back` to `front` and from `low` to `high`."""
+    return _hexahedron(
+        {
+            "front": (1, 0, 0, front),
+            "back": (1, 0, 0, back),
+            "left": (0, 1, 0, half_width),
+            "right": (0, 1, 0, -half_width),
+            "top": (0, 0, 1, high),
+            "bottom": (0, 0, 1, low),
+        },
+        paints,
+    )
+
+
+def _wheel(x: float, y: float, steered: bool) -> Solid:
+    """Return a wheel as a prism; the last two faces are its left and right caps."""
+    angles = (np.arange(WHEEL_SIDES) + 0.5) * 2 * math.pi / WHEEL_SIDES
+    ring = np.stack([np.cos(angles), 0 * angles, np.sin(angles)], axis=1) * WHEEL_RADIUS
+    ring[:, 2] += WHEEL_RADIUS
+    side = np.array([0.0, WHEEL_WIDTH / 2, 0.0])
+    vertices = np.concatenate([ring + side, ring - side])
+    centre = np.array([x, y, 0.0])
+    n = WHEEL_SIDES
+    tread = [(i, (i + 1) % n, n + (i + 1) % n, n + i) for i in range(n)]
+    caps = [tuple(range(n)), tuple(range(n, 2 * n))]
+    return Solid(
+        vertices if steered else vertices + centre,
+        (*tread, *caps),
+        (*[_RUBBER] * n, _RIM, _RIM),
+        pivot=(x, y) if steered else None,
+        rounded=True,
+    )
+
+
+DECK = 0.0745
+"""Height where the shell of a car begins, just above its wheels [m]."""
+
+_ROOF = (0.058, 0.0, 1.0, 0.1085)  # the shell's top falls towards the nose
+_PANEL = (BODY,) * 6
+
+SHELL = _hexahedron(
+    {
+        "front": (1.0, 0.0, 0.55, 0.162 + 0.55 * DECK),
+        "back": (-1.0, 0.0, 0.12, 0.162 + 0.12 * DECK),
+        "left": (0.0, 1.0, 0.14, 0.094 + 0.14 * DECK),
+        "right": (0.0, -1.0, 0.14, 0.094 + 0.14 * DECK),
+        "top": _ROOF,
+        "bottom": (0.0, 0.0, 1.0, DECK),
+    },
+    _PANEL,
+)
+"""The lower body, 0.324 m x 0.188 m."""
+
+CABIN = _hexahedron(
+    {
+        "front": (1.0, 0.0, 0.95, 0.066 + 0.95 * 0.106),
+        "back": (-1.0, 0.0, 0.45, 0.122 + 0.45 * 0.114),
+        "left": (0.0, 1.0, 0.30, 0.076 + 0.30 * 0.110),
+        "right": (0.0, -1.0, 0.30, 0.076 + 0.30 * 0.110),
+        "top": (0.0, 0.0, 1.0, 0.178),
+        "bottom": _ROOF,
+    },
+    (_GLASS, _GLASS, _GLASS, _GLASS, BODY, _GLASS),
+)
+
+_CHASSIS_BLOCK = _block(0.150, -0.150, 0.044, 0.016, DECK, (_CHASSIS,) * 6)
+_WHEELS = tuple(
+    _wheel(x, y, steered=x > 0) for x in (WHEEL_X, -WHEEL_X) for y in (WHEEL_Y, -WHEEL_Y)
+)
+_SKIRT = _block(0.120, -0.120, 0.096, 0.0, DECK, (_RUBBER,) * 6)
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A thing as one or more solids."""
+
+    solids: tuple[Solid, ...]
+    half_length: float
+    """Of the footprint, used to tell what hides what [m]."""
+    half_width: float
+    height: float
+
+
+CAR = Model((_CHASSIS_BLOCK, *_WHEELS, SHELL, CABIN), 0.162, 0.098, 0.178)
+"""Chassis, wheels (front left, front right, rear left, rear right), shell, cabin."""
+
+FAR_CAR = Model((_SKIRT, SHELL, CABIN), 0.162, 0.098, 0.178)
+"""The same where a wheel is but a few pixels: wheels and chassis are one dark block."""
+
+BOX = Model((_block(0.5, -0.5, 0.5, 0.0, 1.0, _PANEL),), 0.5, 0.5, 1.0)
+"""A box of size 1 that is stretched to its own size."""
+
+FAR_WHEEL_PIXELS = 5.0
+"""A car is drawn as FAR_CAR where a wheel's height would be fewer pixels than this."""
+
+
+def is_far(focal: float, distance: float) -> bool:
+    """Return whether a car at this distance [m] is drawn as FAR_CAR by a lens [px]."""
+    return focal * 2 * WHEEL_RADIUS < FAR_WHEEL_PIXELS * distance
+
+
+@lru_cache(maxsize=4096)
+def lit(colour: tuple[float, float, float], gray: bool) -> tuple[tuple[float, ...], ...]:
+    """Return what a colour shows in the shade, and what full sun adds; one or three numbers each."""
+    shade = tuple(AMBIENT * part for part in colour)
+    sun = tuple(gain * part for gain, part in zip(DIFFUSE, colour, strict=True))
+    if not gray:
+        return shade, sun
+    return (_luma(shade),), (_luma(sun),)
+
+
+def luma(colour: tuple[float, ...]) -> float:
+    """Return the gray value of a colour."""
+    return _luma(colour)
+
+
+def faded(colour: Rgb) -> Rgb:
+    """Return the colour of a car that stands a penalty: halfway to white."""
+    red, green, blue = ((part + 255) // 2 for part in colour)
+    return red, green, blue
+
+
+def _luma(colour: tuple[float, ...]) -> float:
+    return LUMA[0] * colour[0] + LUMA[1] * colour[1] + LUMA[2] * colour[2]

@@ -1,0 +1,104 @@
+"""A batch of worlds as plain numbers: which things stand where, and where each camera is.
+
+Plain floats, because at a hundred numbers a picture they are faster than arrays, and because a
+picture made one world at a time cannot depend on its batch.
+"""
+
+import math
+from typing import NamedTuple
+
+from torch import Tensor
+
+from league.sim.camera.lens import Pose, mounted
+from league.sim.camera.scene import BOT_COLOUR, BOX, BOX_COLOUR, CAR, CAR_COLOURS, Model, faded
+from league.sim.config import CameraConfig, SimConfig
+from league.sim.world import World
+
+_FADED = tuple(faded(colour) for colour in CAR_COLOURS)
+_UNSTRETCHED = (1.0, 1.0, 1.0)
+
+
+class Thing(NamedTuple):
+    """A car or a box as it stands in the world."""
+
+    model: Model
+    """CAR or BOX."""
+    x: float
+    """World frame [m]."""
+    y: float
+    """World frame [m]."""
+    cos: float
+    """Cosine of the yaw."""
+    sin: float
+    """Sine of the yaw."""
+    steering: float
+    """Angle of the front wheels [rad]."""
+    colour: tuple[float, float, float]
+    """Colour of the body, sRGB 0-255."""
+    scale: tuple[float, float, float]
+    """Stretch of the model ahead, to the side and upwards."""
+
+
+class Stage:
+    """Some worlds of a batch, ready to be looked at from any car."""
+
+    def __init__(self, sim: SimConfig, world: World, rows: Tensor | None = None) -> None:
+        def plain(values: Tensor) -> list:
+            return (values if rows is None else values[rows]).tolist()
+
+        motion, obstacles = world.motion, world.obstacles
+        self.track: list[int] = plain(world.track)
+        self._sim = sim
+        self._x, self._y, self._yaw = plain(motion.x), plain(motion.y), plain(motion.yaw)
+        self._steering, self._penalty = plain(motion.steering), plain(world.standing.penalty_s)
+        self._up, self._tilt = plain(world.cars.camera_up), plain(world.cars.camera_pitch)
+        self._num_cars, self._num_obstacles = world.num_cars, obstacles.x.shape[1]
+        if self._num_obstacles:
+            places = (obstacles.x, obstacles.y, obstacles.yaw)
+            sizes = (obstacles.half_length, obstacles.half_width)
+            self._obstacles = [plain(values) for values in (*places, *sizes)]
+
+    def camera(self, row: int, car: int, cfg: CameraConfig) -> Pose:
+        """Return where a car's camera is in the world at `row`."""
+        return mounted(
+            cfg,
+            self._x[row][car],
+            self._y[row][car],
+            self._yaw[row][car],
+            self._up[row][car],
+            self._tilt[row][car],
+        )
+
+    def base(self, row: int, car: int) -> tuple[float, float, float]:
+        """Return x, y, yaw of a car's base in the world at `row`."""
+        return self._x[row][car], self._y[row][car], self._yaw[row][car]
+
+    def things(self, row: int, without: int | None = None) -> list[Thing]:
+        """Return the cars, by slot, then the obstacles of the world at `row`.
+
+        Args:
+            row: of the worlds chosen.
+            without: slot of the car that looks and does not see itself.
+        """
+        found = []
+        for car in range(self._num_cars):
+            if car != without:
+                frozen = self._penalty[row][car] > 0
+                colour = (_FADED if frozen else CAR_COLOURS)[car % len(CAR_COLOURS)]
+                steering = self._steering[row][car]
+                found.append(_car(*self.base(row, car), steering, colour))
+        if self._num_obstacles:
+            bots = self._sim.obstacles.kind == "bot"
+            height = self._sim.obstacles.height
+            for x, y, yaw, along, across in zip(*(part[row] for part in self._obstacles)):
+                if bots:
+                    found.append(_car(x, y, yaw, 0.0, BOT_COLOUR))
+                else:
+                    scale = (2 * along, 2 * across, height)
+                    cos, sin = math.cos(yaw), math.sin(yaw)
+                    found.append(Thing(BOX, x, y, cos, sin, 0.0, BOX_COLOUR, scale))
+        return found
+
+
+def _car(x: float, y: float, yaw: float, steering: float, colour: tuple) -> Thing:
+    return Thing(CAR, x, y, math.cos(yaw), math.sin(yaw), steering, colour, _UNSTRETCHED)
