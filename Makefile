@@ -1,24 +1,25 @@
-# The workshop in a few words: make sync | race | test | format | check | type | bench
-PYTHON ?= python3.11
-VENV := .venv
-BIN := $(VENV)/bin
+# The workshop in a few words: make race | test | sync | format | check | type | bench | clean
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+BIN := .venv/bin
+# Torch on a few cores: waiting threads must not spin.
 export OMP_WAIT_POLICY = PASSIVE
 
-.PHONY: sync race test format check type bench clean
-
-sync: $(VENV)/.installed
-
-$(VENV)/.installed: pyproject.toml constraints.txt
-	@command -v $(PYTHON) >/dev/null || { echo "This project needs Python 3.11 (set PYTHON=/path/to/python3.11)."; exit 1; }
-	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[dev]"
-	touch $@
+.PHONY: race test sync format check type bench clean
 
 race: sync
-	$(BIN)/league race racing_line centerline --track reinvent_2018
+	$(BIN)/league race racing_line cautious centerline --track reinvent_2018
 
 test: sync
-	$(BIN)/python -m pytest -n 2
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
+
+sync: .venv/.installed
+
+.venv/.installed: pyproject.toml constraints.txt
+	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info[:2] < (3, 11))' \
+		|| { echo "Python 3.11 or newer is needed: make PYTHON=/path/to/python3.11"; exit 1; }
+	test -x $(BIN)/python || "$(PYTHON)" -m venv .venv
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[dev]"
+	touch $@
 
 format: sync
 	$(BIN)/ruff format . && $(BIN)/ruff check --fix .
@@ -33,4 +34,4 @@ bench: sync
 	$(BIN)/python -m benchmarks
 
 clean:
-	rm -rf $(VENV) dist build .pytest_cache .ruff_cache
+	rm -rf .venv dist build .pytest_cache .ruff_cache

@@ -25,7 +25,7 @@ ELLIPSE_SIDES = 20
 """Sides of the polygon that stands for the friction ellipse while the line is sought."""
 FOLD = 0.8
 """Largest curvature times lateral offset: beyond, lines across a bend would run backwards."""
-SMOOTH = 0.3
+SMOOTH = 0.4
 """Width of the average that takes kinks out of the centreline before lines are sought [m]."""
 STEP = 0.03
 """Wished distance between two rows of a finished line [m]."""

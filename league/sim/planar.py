@@ -15,7 +15,7 @@ from torch import Tensor
 from league.geometry import wrap_angle
 from league.sim.config import SimConfig
 from league.sim.solver import Outcome
-from league.sim.vehicle import Vehicle
+from league.sim.vehicle import Vehicle, asked_controls
 from league.sim.world import Contacts, Control, Motion, World
 from league.track.course import TrackSet
 
@@ -47,7 +47,7 @@ class PlanarSolver:
             ),
             walls=torch.zeros(shape, dtype=torch.bool, device=motion.x.device),
         )
-        for asked in _asked(world, control, self.cfg):
+        for asked in asked_controls(world, control, self.cfg):
             push = vehicle.push(motion, asked.steering, asked.speed)
             velocity_x = motion.velocity_x + push.force_x * speed_up
             velocity_y = motion.velocity_y + push.force_y * speed_up
@@ -73,23 +73,6 @@ class PlanarSolver:
 
     def close(self) -> None:
         """Do nothing: nothing is held outside Python."""
-
-
-def asked_controls(world: World, control: Control, cfg: SimConfig) -> list[Control]:
-    """Return what the servos are asked in each physics step: late cars still hear the last control."""
-    late = torch.round(world.cars.latency_s / cfg.physics_dt)
-    if not bool((late > 0).any()):
-        return [control] * cfg.decimation
-    return [
-        Control(
-            steering=torch.where(late > step, world.control.steering, control.steering),
-            speed=torch.where(late > step, world.control.speed, control.speed),
-        )
-        for step in range(cfg.decimation)
-    ]
-
-
-_asked = asked_controls
 
 
 def _at_rest(motion: Motion, frozen: Tensor) -> Motion:

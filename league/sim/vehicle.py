@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from league.sim.config import CarConfig
-from league.sim.world import CarParameters, Motion
+from league.sim.config import CarConfig, SimConfig
+from league.sim.world import CarParameters, Control, Motion, World
 
 GRAVITY = 9.81
 """[m/s^2]."""
@@ -164,3 +164,17 @@ def forces(
         dt: length of the physics step [s].
     """
     return Vehicle.of(cars, cfg, dt).push(motion, steering_target, speed_target)
+
+
+def asked_controls(world: World, control: Control, cfg: SimConfig) -> list[Control]:
+    """Return what the servos are asked in each physics step: late cars still hear the last control."""
+    late = torch.round(world.cars.latency_s / cfg.physics_dt)
+    if not bool((late > 0).any()):
+        return [control] * cfg.decimation
+    return [
+        Control(
+            steering=torch.where(late > step, world.control.steering, control.steering),
+            speed=torch.where(late > step, world.control.speed, control.speed),
+        )
+        for step in range(cfg.decimation)
+    ]

@@ -93,6 +93,11 @@ def read(text: str, where: str) -> TrackFile:
         raise TrackError(f"{where} is not YAML: {_yaml_reason(error)}; correct it there") from None
     except (ValueError, OverflowError, TypeError, AttributeError, RecursionError) as error:
         raise TrackError(f"{where} holds a value that cannot be read ({error}); correct it") from None
+    return checked(content, where, root)
+
+
+def checked(content: object, where: str, root: yaml.Node | None = None) -> TrackFile:
+    """Check a file's content; `root` is its YAML, to tell lines by."""
     try:
         return TrackFile.model_validate(content)
     except ValidationError as error:
@@ -149,13 +154,13 @@ def _yaml_reason(error: yaml.YAMLError) -> str:
     return f"line {mark.line + 1}, {problem}" if mark is not None else str(problem)
 
 
-def _reason(error: ValidationError, root: yaml.MappingNode, where: str) -> str:
+def _reason(error: ValidationError, root: yaml.Node | None, where: str) -> str:
     """Put the first complaint into a sentence with the line it is about."""
     first = error.errors(include_url=False, include_context=False)[0]
     place = first["loc"]
-    line = _line_of(root, place)
     given = _short(repr(first["input"]))
-    here = f"{where}, line {line}: `{_short(_path(place))}`"
+    at_line = "" if root is None else f", line {_line_of(root, place)}"
+    here = f"{where}{at_line}: `{_short(_path(place))}`"
     match first["type"]:
         case "missing":
             example = _EXAMPLES.get(str(place[-1]), "...")

@@ -152,7 +152,8 @@ def _wheel(x: float, y: float, steered: bool) -> Solid:
 DECK = 0.0745
 """Height where the shell of a car begins, just above its wheels [m]."""
 
-_ROOF = (0.058, 0.0, 1.0, 0.1085)  # the shell's top falls towards the nose
+ROOF = (0.058, 0.0, 1.0, 0.1085)
+"""Plane of the shell's top, which falls towards the nose: n . p = d."""
 _PANEL = (BODY,) * 6
 
 SHELL = _hexahedron(
@@ -161,7 +162,7 @@ SHELL = _hexahedron(
         "back": (-1.0, 0.0, 0.12, 0.162 + 0.12 * DECK),
         "left": (0.0, 1.0, 0.14, 0.094 + 0.14 * DECK),
         "right": (0.0, -1.0, 0.14, 0.094 + 0.14 * DECK),
-        "top": _ROOF,
+        "top": ROOF,
         "bottom": (0.0, 0.0, 1.0, DECK),
     },
     _PANEL,
@@ -175,7 +176,7 @@ CABIN = _hexahedron(
         "left": (0.0, 1.0, 0.30, 0.076 + 0.30 * 0.110),
         "right": (0.0, -1.0, 0.30, 0.076 + 0.30 * 0.110),
         "top": (0.0, 0.0, 1.0, 0.178),
-        "bottom": _ROOF,
+        "bottom": ROOF,
     },
     (_GLASS, _GLASS, _GLASS, _GLASS, BODY, _GLASS),
 )

@@ -1,0 +1,49 @@
+"""A scripted driver of your own, in a race against the league's.
+
+Run it: python examples/own_driver.py
+"""
+
+import torch
+from torch import Tensor
+
+from league import race
+from league.agents import roster
+from league.agents.driver import actions_from
+from league.envs.state import INDEX
+from league.race_spec import Entry, RaceSpec
+from league.sim.config import CarConfig, SensorConfig
+from league.track import files
+from league.track.course import TrackSet
+
+
+class Weaver:
+    """Follows the centreline by two gains: where am I, and where do I point."""
+
+    name = "weaver"
+    sensors = SensorConfig()  # no camera, no lidar: it reads the true state
+
+    def reset(self, rows: Tensor | None) -> None:
+        """Forget everything; this driver remembers nothing."""
+
+    def act(self, observations) -> Tensor:
+        """Return steering and speed in [-1, 1], one row for each world."""
+        state = observations["state"]
+        curvature = state[:, INDEX["curvature_0.25m"]]
+        wished = curvature - 1.5 * state[:, INDEX["lateral"]] - 2.5 * state[:, INDEX["heading_error"]]
+        steering = torch.atan(CarConfig().wheelbase * wished)
+        speed = 2.2 - 0.8 * curvature.abs().clamp(max=1.5)
+        return actions_from(steering, speed, CarConfig())
+
+
+def main() -> None:
+    """Race it."""
+    tracks = TrackSet.of(files.load("reinvent_2018"))
+    spec = RaceSpec(entries=(Entry(name="weaver"), Entry(name="centerline")), laps=2)
+    rival = roster.load("centerline", tracks, CarConfig())
+    result = race.run(spec, drivers=[Weaver(), rival]).result
+    for car in result.order:
+        print(f"{car.place}. {car.name:12s} {car.total_s:7.3f} s  best lap {car.best_lap_s:.3f} s")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,233 @@
+"""Track, cars and boxes as triangle meshes for the viewer; plain arrays, lengths in metres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from league.sim.camera.scene import BODY, PAINTS, WALL_HEIGHT, WHEEL_RADIUS, Model, Solid
+from league.track.course import Rgb, Track
+from league.track.paint import (
+    DASH_LENGTH,
+    DASH_PITCH,
+    DASH_WIDTH,
+    START_COLOURS,
+    START_DEPTH,
+    START_SQUARE,
+)
+
+LIFT = 0.003
+"""How far each layer of paint lies above the one below [m], so that they do not flicker."""
+UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles with flat shading."""
+
+    vertices: np.ndarray
+    """(num_vertices, 3) float32."""
+    triangles: np.ndarray
+    """(num_triangles, 3) uint32."""
+    normals: np.ndarray
+    """(num_vertices, 3) float32."""
+    colours: np.ndarray
+    """(num_vertices, 4) uint8 sRGB with alpha."""
+
+
+def joined(*meshes: Mesh) -> Mesh:
+    """Return several meshes as one."""
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
+    return Mesh(
+        vertices=np.concatenate([mesh.vertices for mesh in meshes]),
+        triangles=np.concatenate(
+            [mesh.triangles + start for mesh, start in zip(meshes, starts, strict=True)]
+        ).astype(np.uint32),
+        normals=np.concatenate([mesh.normals for mesh in meshes]),
+        colours=np.concatenate([mesh.colours for mesh in meshes]),
+    )
+
+
+def floor(track: Track) -> Mesh:
+    """Return the field, road, lines, dashes and start line."""
+    colours = track.colours
+    inner, outer = (-track.line_width, 0.0) if track.line_inside else (0.0, track.line_width)
+    layers = [
+        _field(track),
+        _road(track, outer, LIFT, colours.line),
+        _road(track, inner, 2 * LIFT, colours.road),
+        _dashes(track, 3 * LIFT, colours.dash),
+    ]
+    if track.closed:
+        layers.append(_start_line(track, 4 * LIFT))
+    return joined(*layers)
+
+
+def walls(track: Track, alpha: int) -> Mesh:
+    """Return the walls round the room, seen through."""
+    x_min, y_min, x_max, y_max = track.room
+    corners = np.array([[x_min, y_min], [x_max, y_min], [x_max, y_max], [x_min, y_max]])
+    quads = [
+        np.array([[*a, 0.0], [*b, 0.0], [*b, WALL_HEIGHT], [*a, WALL_HEIGHT]])
+        for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)
+    ]
+    middle = np.array([(x_min + x_max) / 2, (y_min + y_max) / 2, WALL_HEIGHT / 2])
+    return joined(*(_polygon(quad, track.colours.wall, inside=middle, alpha=alpha) for quad in quads))
+
+
+def car_body(model: Model, colour: Rgb) -> Mesh:
+    """Return all of a car that does not turn."""
+    fixed = [solid for solid in model.solids if not solid.rounded]
+    return joined(*(solid_mesh(solid, colour) for solid in fixed))
+
+
+def wheel() -> Mesh:
+    """Return one wheel about its own centre, with a spoke on its rim so that its turning is seen."""
+    sides, half_width = 16, 0.017
+    angles = (np.arange(sides) + 0.5) * 2 * np.pi / sides
+    ring = np.stack([np.cos(angles), 0 * angles, np.sin(angles)], axis=1) * WHEEL_RADIUS
+    side = np.array([0.0, half_width, 0.0])
+    centre = np.zeros(3)
+    rubber, rim = PAINTS[0], PAINTS[1]
+    tread = [
+        _polygon(np.array([a + side, b + side, b - side, a - side]), rubber, inside=centre)
+        for a, b in zip(ring, np.roll(ring, -1, axis=0), strict=True)
+    ]
+    faces = []
+    for sign in (1.0, -1.0):
+        faces.append(_polygon(ring + sign * side, rubber, inside=centre))
+        for turn in range(5):
+            spoke = _spoke(turn * 2 * np.pi / 5) + sign * (side + [0.0, 0.0008, 0.0])
+            faces.append(_polygon(spoke, rim, inside=centre))
+    return joined(*tread, *faces)
+
+
+def solid_mesh(solid: Solid, colour: Rgb, scale: tuple[float, float, float] = (1, 1, 1)) -> Mesh:
+    """Return a convex solid, faces of its own body in the given colour."""
+    vertices = solid.vertices * np.array(scale)
+    middle = vertices.mean(axis=0)
+    return joined(
+        *(
+            _polygon(
+                vertices[list(face)], colour if paint == BODY else PAINTS[paint], inside=middle
+            )
+            for face, paint in zip(solid.faces, solid.paints, strict=True)
+        )
+    )
+
+
+def _spoke(angle: float) -> np.ndarray:
+    cos, sin = np.cos(angle), np.sin(angle)
+    reach, half = 0.72 * WHEEL_RADIUS, 0.005
+    flat = np.array([[0.004, -half], [reach, -half], [reach, half], [0.004, half]])
+    x, z = flat.T
+    return np.stack([cos * x - sin * z, 0 * x, sin * x + cos * z], axis=1)
+
+
+def _polygon(corners: np.ndarray, colour: Rgb, *, inside: np.ndarray, alpha: int = 255) -> Mesh:
+    """Return a convex polygon whose normal points away from a point inside the body."""
+    normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    normal = normal / np.linalg.norm(normal)
+    if normal @ (corners[0] - inside) < 0:
+        corners, normal = corners[::-1], -normal
+    count = len(corners)
+    fan = np.array([[0, i, i + 1] for i in range(1, count - 1)])
+    return _mesh(corners, fan, np.broadcast_to(normal, corners.shape), colour, alpha)
+
+
+def _mesh(
+    vertices: np.ndarray, triangles: np.ndarray, normals: np.ndarray, colour: Rgb, alpha: int = 255
+) -> Mesh:
+    return Mesh(
+        vertices=np.ascontiguousarray(vertices, dtype=np.float32),
+        triangles=np.ascontiguousarray(triangles, dtype=np.uint32),
+        normals=np.ascontiguousarray(normals, dtype=np.float32),
+        colours=np.tile(np.array([*colour, alpha], dtype=np.uint8), (len(vertices), 1)),
+    )
+
+
+def _flat(quads: np.ndarray, height: float, colour: Rgb) -> Mesh:
+    """Return quadrilaterals on the floor, (K, 4, 2)."""
+    count = len(quads)
+    vertices = np.concatenate([quads.reshape(-1, 2), np.full((4 * count, 1), height)], axis=1)
+    triangles = (np.arange(count)[:, None, None] * 4 + [[0, 1, 2], [0, 2, 3]]).reshape(-1, 3)
+    return _mesh(vertices, triangles, np.broadcast_to(UP, vertices.shape), colour)
+
+
+def _field(track: Track) -> Mesh:
+    x_min, y_min, x_max, y_max = track.room
+    corners = np.array([[[x_min, y_min], [x_max, y_min], [x_max, y_max], [x_min, y_max]]])
+    return _flat(corners, 0.0, track.colours.field)
+
+
+def _road(track: Track, wider: float, height: float, colour: Rgb) -> Mesh:
+    """Return the road with each border moved out by `wider` [m]."""
+    sides = []
+    for border in (track.left, track.right):
+        reach = border - track.center
+        length = np.linalg.norm(reach, axis=1, keepdims=True)
+        sides.append(track.center + reach * (np.maximum(length + wider, 0.01) / length))
+    left, right = sides
+    quads = np.stack(
+        [left, right, np.roll(right, -1, axis=0), np.roll(left, -1, axis=0)], axis=1
+    )  # (N, 4, 2)
+    return _flat(quads if track.closed else quads[:-1], height, colour)
+
+
+def _place(track: Track, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return points and unit directions of the centreline at these distances."""
+    count = len(track.center)
+    at = s / float(track.segment_lengths.mean())
+    low = np.minimum(at.astype(int), count - 1)
+    high = (low + 1) % count if track.closed else np.minimum(low + 1, count - 1)
+    part = (at - low)[:, None]
+    point = track.center[low] * (1 - part) + track.center[high] * part
+    along = track.tangent[low] * (1 - part) + track.tangent[high] * part
+    return point, along / np.linalg.norm(along, axis=1, keepdims=True)
+
+
+def _dashes(track: Track, height: float, colour: Rgb) -> Mesh:
+    s = np.arange(0.0, track.length - DASH_LENGTH, DASH_PITCH) + DASH_LENGTH / 2
+    point, along = _place(track, s)
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    forward, aside = along * DASH_LENGTH / 2, across * DASH_WIDTH / 2
+    quads = np.stack(
+        [
+            point + forward + aside,
+            point - forward + aside,
+            point - forward - aside,
+            point + forward - aside,
+        ],
+        axis=1,
+    )
+    return _flat(quads, height, colour)
+
+
+def _start_line(track: Track, height: float) -> Mesh:
+    """Return the checkered strip across the road, whose front edge is the line."""
+    point, along = track.center[0], track.tangent[0]
+    across = np.array([-along[1], along[0]])
+    left = float(np.linalg.norm(track.left[0] - point))
+    right = float(np.linalg.norm(track.right[0] - point))
+    columns = max(2, round((left + right) / START_SQUARE))
+    edges = np.linspace(-right, left, columns + 1)
+    rows = np.arange(0.0, START_DEPTH + 1e-9, START_SQUARE) - START_DEPTH
+    layers = []
+    for dark, colour in enumerate(START_COLOURS):
+        quads = [
+            [
+                point + along * a + across * b
+                for a, b in (
+                    (rows[r], edges[c]),
+                    (rows[r + 1], edges[c]),
+                    (rows[r + 1], edges[c + 1]),
+                    (rows[r], edges[c + 1]),
+                )
+            ]
+            for r in range(len(rows) - 1)
+            for c in range(columns)
+            if (r + c) % 2 == dark
+        ]
+        layers.append(_flat(np.array(quads), height, colour))
+    return joined(*layers)

@@ -1,0 +1,281 @@
+"""The community's track arrays (N rows of centre, inner border, outer border) as tracks of ours."""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+import tokenize
+import warnings
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from league.errors import TrackError
+from league.track import build, check, files, schema, spline
+from league.track.course import SPACING, Track
+
+MAX_BYTES = 1_000_000
+"""Largest array file read [bytes]; the largest of the community has 20 kB."""
+
+_CENTER_ERROR = 0.004  # largest distance of a given row from the fitted centreline [m]
+_BORDER_ERROR = 0.002  # largest distance of a given row from the thinned border [m]
+_FIRST_KNOTS = 0.8  # distance of the first knots of the fit [m]
+_HEADER_FAULTS = (
+    ValueError,
+    SyntaxError,
+    TypeError,
+    KeyError,
+    EOFError,
+    OverflowError,
+    MemoryError,
+    RecursionError,
+    tokenize.TokenError,
+)
+
+
+def read_npy(path: str | os.PathLike[str], name: str | None = None) -> Track:
+    """Import a community track file; nothing in it is executed and little of it is believed.
+
+    Rows need not be perpendicular to the centreline: borders are taken as lines, and met by the
+    centreline's normals. "Inner" may lie on either side of the driver.
+
+    Args:
+        path: a .npy file, float array of shape (N, 6) [m]: centre, inner border, outer border.
+        name: name of the track; made from the file's name if not given.
+    """
+    where = os.fspath(path)
+    rows = _read_rows(where)
+    name = name or re.sub(r"\W+", "_", Path(where).stem, flags=re.ASCII).strip("_")[:64] or "track"
+    return from_rows(rows, name, where)
+
+
+def from_rows(rows: np.ndarray, name: str, where: str) -> Track:
+    """Fit a track to rows of centre, inner and outer border [m], shape (N, 6)."""
+    _check_rows(rows, where)
+    rows = rows.astype(np.float64)
+    center = _distinct(rows[:, :2])
+    gap = float(np.linalg.norm(rows[-1, :2] - rows[0, :2]))
+    steps = np.linalg.norm(np.diff(center, axis=0), axis=1)
+    if len(center) < 4:
+        raise TrackError(f"{where} has {len(center)} different centre points; a track needs 4")
+    # Files repeat row 0 at the end; a loop that does not still ends one step before its start.
+    closed = gap < 1.5 * float(np.median(steps))
+    if closed and gap < 0.3 * float(np.median(steps)):
+        center = center[:-1] if len(center) > 4 else center
+    extent = np.ptp(center, axis=0).max()
+    if extent > build.MAX_EXTENT or steps.sum() > build.MAX_LENGTH:
+        raise TrackError(
+            f"{where}: the track is {steps.sum():,.1f} m long and {extent:,.1f} m across; a track "
+            f"has at most {build.MAX_LENGTH:g} m and {build.MAX_EXTENT:g} m (the unit is metres)"
+        )
+    borders = [_border(rows[:, column : column + 2], closed, where) for column in (2, 4)]
+    left, right = borders if _inner_is_left(rows) else borders[::-1]
+    return _fit(center, left, right, closed, name, where)
+
+
+def _fit(
+    center: np.ndarray, left: np.ndarray, right: np.ndarray, closed: bool, name: str, where: str
+) -> Track:
+    points = _thinned_curve(center, closed)
+    width = _mean_width(points, left, right, closed, where)
+    file = schema.checked(
+        {
+            "name": name,
+            "title": name.replace("_", " "),
+            "direction": _direction(points, closed),
+            "width": width,
+            "line": "outside" if _line_is_outside(width) else "inside",
+            "origin": "Imported from a community track array; which side of the border the white "
+            "line lies on was guessed from the width.",
+            "points": files.rounded(points, 3),
+            "left": files.rounded(left, 3),
+            "right": files.rounded(right, 3),
+        },
+        where,
+    )
+    text = schema.write(file)
+    return build.track(file, text, where)
+
+
+def _read_rows(where: str) -> np.ndarray:
+    """Read the array after its header and size were found to be those of a track."""
+    try:
+        state = os.stat(where)
+        if not stat.S_ISREG(state.st_mode):
+            raise TrackError(f"{where} is not a file; give the path of a .npy file")
+        with open(where, "rb") as file, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # headers written by Python 2 make numpy warn
+            _check_header(file, state.st_size, where)
+            file.seek(0)
+            return np.load(file, allow_pickle=False)
+    except OSError as error:
+        raise TrackError(
+            f"cannot read {where}: {error.strerror or error}; give the path of a .npy file"
+        ) from None
+    except _HEADER_FAULTS as error:
+        reason = str(error).split("\n", maxsplit=1)[0][:100]
+        raise TrackError(
+            f"{where} is not a numpy array file ({reason}); write it with numpy.save"
+        ) from None
+
+
+def _check_header(file: BinaryIO, size: int, where: str) -> None:
+    version = np.lib.format.read_magic(file)
+    if version == (1, 0):
+        shape, _, dtype = np.lib.format.read_array_header_1_0(file)
+    elif version == (2, 0):
+        shape, _, dtype = np.lib.format.read_array_header_2_0(file)
+    else:
+        raise ValueError(f"format {version[0]}.{version[1]} is not known")
+    if dtype.kind not in "fiu" or dtype.itemsize > 16:
+        raise TrackError(f"{where} holds {dtype} values; a track array holds floating-point metres")
+    if len(shape) != 2 or shape[1] != 6:
+        raise TrackError(
+            f"{where} has the shape {shape}; a track array is (N, 6): centre, inner and outer "
+            "border, x and y each"
+        )
+    if not 4 <= shape[0] <= schema.MAX_POINTS:
+        raise TrackError(
+            f"{where} has {shape[0]:,} rows; a track array has 4 to {schema.MAX_POINTS}"
+        )
+    declared = file.tell() + shape[0] * shape[1] * dtype.itemsize
+    if size > MAX_BYTES or size != declared:
+        raise TrackError(
+            f"{where} has {size:,} bytes and its header promises {declared:,} (at most "
+            f"{MAX_BYTES:,} are read); it was cut short or is no track: save it again"
+        )
+
+
+def _check_rows(rows: np.ndarray, where: str) -> None:
+    bad = ~np.isfinite(rows) | (np.abs(np.nan_to_num(rows)) > schema.MAX_COORDINATE)
+    if bad.any():
+        row, column = (int(place[0]) for place in np.nonzero(bad))
+        raise TrackError(
+            f"{where}, row {row}, column {column} is {rows[row, column]}; give finite metres "
+            f"within {schema.MAX_COORDINATE:g} m"
+        )
+
+
+def _distinct(line: np.ndarray) -> np.ndarray:
+    """Drop rows that repeat the row before them."""
+    steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    return line[np.concatenate([[True], steps > 2e-3])]
+
+
+def _inner_is_left(rows: np.ndarray) -> bool:
+    """Tell on which side of the driver the inner border lies, by the majority of the rows."""
+    along = np.gradient(rows[:, :2], axis=0)
+    to_inner = rows[:, 2:4] - rows[:, 4:6]
+    return bool(np.median(along[:, 0] * to_inner[:, 1] - along[:, 1] * to_inner[:, 0]) > 0)
+
+
+def _border(line: np.ndarray, closed: bool, where: str) -> np.ndarray:
+    """Clean one border: no repeated rows, no small loops in tight bends, no needless points."""
+    line = _distinct(line)
+    if closed and len(line) > 1 and np.linalg.norm(line[0] - line[-1]) < 2e-3:
+        line = line[:-1]
+    if len(line) < 3:
+        raise TrackError(f"{where} has a border of {len(line)} different points; it needs 3 or more")
+    line = _without_loops(line, closed)
+    return _thinned_line(line)
+
+
+def _without_loops(line: np.ndarray, closed: bool) -> np.ndarray:
+    """Cut off the small loops that an offset line makes inside a bend tighter than its offset."""
+    for _ in range(len(line)):
+        crossing = check.first_crossing(line, closed=closed)
+        if crossing is None or len(line) < 5:
+            break
+        first, second = crossing
+        inside = second - first
+        if closed and inside > len(line) / 2:
+            kept = line[first + 1 : second + 1]
+        else:
+            kept = np.concatenate([line[: first + 1], line[second + 1 :]])
+        if len(kept) < 0.7 * len(line):
+            break  # a real crossing, which the check of the track will name
+        line = kept
+    return line
+
+
+def _thinned_line(line: np.ndarray) -> np.ndarray:
+    """Drop points of a polyline that lie on the line between their neighbours (Douglas-Peucker)."""
+    keep = np.zeros(len(line), dtype=bool)
+    keep[[0, len(line) // 2, -1]] = True
+    spans = [(0, len(line) // 2), (len(line) // 2, len(line) - 1)]
+    while spans:
+        low, high = spans.pop()
+        if high - low < 2:
+            continue
+        chord, inner = line[high] - line[low], line[low + 1 : high] - line[low]
+        part = np.clip(inner @ chord / max(float(chord @ chord), 1e-12), 0.0, 1.0)
+        off = np.linalg.norm(inner - part[:, None] * chord, axis=1)
+        if off.max() > _BORDER_ERROR:
+            worst = low + 1 + int(off.argmax())
+            keep[worst] = True
+            spans += [(low, worst), (worst, high)]
+    return line[keep]
+
+
+def _thinned_curve(center: np.ndarray, closed: bool) -> np.ndarray:
+    """Choose as few rows as let the smooth curve pass within 4 mm of all of them."""
+    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(center, axis=0), axis=1))])
+    count = max(4, round(s[-1] / _FIRST_KNOTS))
+    wanted = np.linspace(0, s[-1], count, endpoint=not closed)
+    keep = np.zeros(len(center), dtype=bool)
+    keep[np.abs(s[:, None] - wanted).argmin(axis=0)] = True
+    while not keep.all():
+        knots = np.flatnonzero(keep)
+        if len(knots) >= 4:
+            dense = spline.resample(center[knots], closed=closed, spacing=0.005)
+            off = cKDTree(dense).query(center)[0]
+            if off.max() <= _CENTER_ERROR:
+                break
+        else:
+            off = np.where(keep, 0.0, 1.0)
+        # One more knot in every gap that is off, at its worst row.
+        gap = np.searchsorted(knots, np.arange(len(center)), side="right")
+        for number in np.unique(gap[off > _CENTER_ERROR]):
+            rows = np.flatnonzero((gap == number) & ~keep)
+            if len(rows):
+                keep[rows[off[rows].argmax()]] = True
+        if len(knots) == keep.sum():
+            break
+    return center[keep]
+
+
+def _mean_width(
+    points: np.ndarray, left: np.ndarray, right: np.ndarray, closed: bool, where: str
+) -> float:
+    center = spline.resample(points, closed=closed, spacing=SPACING)
+    normal = spline.left_normal(center, closed=closed)
+    reaches = [
+        spline.cast(center, side * normal, border, closed=closed, limit=4.0)
+        for side, border in ((1, left), (-1, right))
+    ]
+    both = reaches[0] + reaches[1]
+    if np.isnan(both).mean() > 0.2:
+        raise TrackError(
+            f"{where}: the borders do not lie on both sides of the centre; columns are centre, "
+            "inner border, outer border, x and y each"
+        )
+    return round(float(np.nanmean(both)), 3)
+
+
+def _direction(points: np.ndarray, closed: bool) -> str:
+    if not closed:
+        return "open"
+    x, y = points.T
+    area = np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)
+    return "counter-clockwise" if area > 0 else "clockwise"
+
+
+def _line_is_outside(width: float) -> bool:
+    """Guess the convention from the width (facts 3.1): older hand-made tracks measure inside.
+
+    24 and 26 inches, and the 0.906 m of 2020, are the hand-made families.
+    """
+    return width < 0.70 or 0.895 < width < 0.910
