@@ -184,6 +184,7 @@ def _is_action(answer: object) -> bool:
     return (
         isinstance(answer, Tensor)
         and answer.shape == (1, 2)
+        and answer.is_floating_point()
         and bool((answer.abs() <= 1.0).all())  # False for NaN
     )
 
@@ -197,11 +198,13 @@ class _Book:
     events: list[Event] = field(default_factory=list)
     laps: list[list[float]] = field(default_factory=list)
     penalties: list[float] = field(default_factory=list)
+    at_wall: Tensor = field(init=False)
     steps: int = 0
 
     def __post_init__(self) -> None:
         self.laps = [[] for _ in range(self.num_cars)]
         self.penalties = [0.0] * self.num_cars
+        self.at_wall = torch.zeros((1, self.num_cars), dtype=torch.bool)
         self.events.append(Event(time_s=0.0, kind="start", car=0))
 
     def add(
@@ -214,7 +217,9 @@ class _Book:
         """Write down what the referee found in this step."""
         self.steps += 1
         seen, now = step.verdict, world.standing
-        flags = seen.mistake | seen.lap | seen.released | seen.was_hit | seen.wall
+        scraped = seen.wall & ~self.at_wall
+        self.at_wall = seen.wall
+        flags = seen.mistake | seen.lap | seen.released | seen.was_hit | scraped
         if not bool(flags.any() | seen.overtook.any() | seen.lead_changed.any()):
             return
         for car in range(self.num_cars):
@@ -228,7 +233,7 @@ class _Book:
                 self.add("overtake", car, other=other)
             if seen.was_hit[0, car]:
                 self.add("contact", car)
-            if seen.wall[0, car]:
+            if scraped[0, car]:
                 self.add("wall_contact", car)
         if seen.lead_changed[0]:
             self.add("lead_change", int(now.leader[0]))

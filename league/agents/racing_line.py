@@ -9,7 +9,7 @@ the answer if the exact forward-backward pass says that it is faster.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -67,17 +67,44 @@ class Limits:
     """Largest speed [m/s]."""
     curvature: float
     """Largest curvature the steering can follow [1/m]."""
+    transfer: float
+    """Share of an axle's load lost for each m/s^2 of drive or braking [s^2/m]; 0: none is."""
 
     @classmethod
-    def of(cls, car: CarConfig, share: float = 1.0) -> Limits:
-        """Return a car's limits, with only a share of grip, drive and brakes used."""
+    def of(cls, car: CarConfig, share: float = 1.0, *, load_transfer: bool = True) -> Limits:
+        """Return a car's limits, with only a share of its grip used.
+
+        With load transfer, the axle that braking or drive unloads slides first (each axle takes
+        half of either); without, the car is a point with all its grip in every direction.
+        """
+        transfer = 2 * car.mass_height / car.wheelbase / GRAVITY if load_transfer else 0.0
+        most = spare_grip(0.0, share * car.grip * GRAVITY, transfer)
         return cls(
             lateral=share * car.grip * GRAVITY,
-            acceleration=share * min(car.max_acceleration, car.grip * GRAVITY),
-            braking=share * min(car.max_braking, car.grip * GRAVITY),
+            acceleration=min(car.max_acceleration, most),
+            braking=min(car.max_braking, most),
             speed=car.max_speed,
             curvature=float(np.tan(car.max_steering)) / car.wheelbase,
+            transfer=transfer,
         )
+
+
+def spare_grip(cornering: float, lateral: float, transfer: float) -> float:
+    """Return the drive or braking that tyres can give beside cornering [m/s^2].
+
+    The axle that loses load carries (1 - t a) of its half and pushes a / 2 and y / 2 per mass:
+    a^2 + y^2 = Y^2 (1 - t a)^2, solved for a.
+
+    Args:
+        cornering: lateral acceleration y [m/s^2].
+        lateral: largest lateral acceleration Y [m/s^2].
+        transfer: share of an axle's load t lost for each m/s^2 [s^2/m].
+    """
+    left = lateral * lateral - cornering * cornering
+    if left <= 0:
+        return 0.0
+    square, half = 1 - (lateral * transfer) ** 2, lateral * lateral * transfer
+    return ((half * half + square * left) ** 0.5 - half) / square
 
 
 def optimal_line(
@@ -86,8 +113,9 @@ def optimal_line(
     margin: float,
     *,
     share: float = 1.0,
-    spacing: float = 0.12,
-    knot_spacing: float = 0.36,
+    load_transfer: bool = True,
+    spacing: float = 0.15,
+    knot_spacing: float = 0.3,
     rounds: int = 20,
     curvature_rate: float = 12.0,
 ) -> RacingLine:
@@ -98,13 +126,14 @@ def optimal_line(
         car: its grip and limits.
         margin: smallest distance from the base to a border [m]; negative values let the base
             leave the road, as the rules do while one wheel still touches it.
-        share: part of grip, drive and brakes that is used.
+        share: part of the grip that is used.
+        load_transfer: whether braking and drive unload an axle.
         spacing: distance between two points of the line while it is sought [m].
         knot_spacing: distance between the knots of the smooth curves it is made of [m].
         rounds: most rounds of linear programming.
         curvature_rate: largest change of curvature along the line [1/m per m].
     """
-    limits = Limits.of(car, share)
+    limits = Limits.of(car, share, load_transfer=load_transfer)
     road = _Road.of(track, spacing, margin)
     lateral = _fastest(road, limits, knot_spacing, rounds, curvature_rate)
     return _finish(track, road, lateral, limits)
@@ -112,12 +141,9 @@ def optimal_line(
 
 def center_line(track: Track, car: CarConfig, *, share: float, top_speed: float) -> RacingLine:
     """Return the centreline itself, with the speed a share of the car's limits allows."""
-    limits = Limits.of(car, share)
-    limits = Limits(
-        limits.lateral, limits.acceleration, limits.braking, top_speed, limits.curvature
-    )
+    limits = replace(Limits.of(car, share), speed=top_speed)
     road = _Road.of(track, 0.15, 0.0)
-    return _finish(track, road, np.zeros(len(road.x)), limits)
+    return _finish(track, road, road.aside, limits)
 
 
 def speed_profile(
@@ -143,9 +169,9 @@ def speed_profile(
     bends, gaps = bend[order].tolist(), np.roll(distance, -first).tolist()
     if closed:
         squared, bends = [*squared, squared[0]], [*bends, bends[0]]
-    _drive(squared, bends, gaps, limits.acceleration, limits.lateral)
+    _drive(squared, bends, gaps, limits.acceleration, limits)
     squared.reverse(), bends.reverse(), gaps.reverse()
-    _drive(squared, bends, gaps, limits.braking, limits.lateral)
+    _drive(squared, bends, gaps, limits.braking, limits)
     squared.reverse()
     speed = np.empty(len(top))
     speed[order] = np.sqrt(squared[: len(top)])
@@ -159,12 +185,12 @@ def travel_time(speed: np.ndarray, distance: np.ndarray) -> float:
 
 
 def _drive(
-    squared: list[float], bends: list[float], gaps: list[float], most: float, grip: float
+    squared: list[float], bends: list[float], gaps: list[float], most: float, limits: Limits
 ) -> None:
     """Lower squared speeds in place until none asks for more acceleration than there is."""
     for i, gap in enumerate(gaps):
-        spare = grip * grip - (bends[i] * squared[i]) ** 2
-        reach = squared[i] + 2 * gap * min(most, spare**0.5 if spare > 0 else 0.0)
+        spare = spare_grip(bends[i] * squared[i], limits.lateral, limits.transfer)
+        reach = squared[i] + 2 * gap * min(most, spare)
         if reach < squared[i + 1]:
             squared[i + 1] = reach
 
@@ -180,6 +206,7 @@ class _Road:
     normal_y: np.ndarray
     low: np.ndarray
     high: np.ndarray
+    aside: np.ndarray
     closed: bool
 
     @classmethod
@@ -210,6 +237,7 @@ class _Road:
             normal_y=normal[:, 1],
             low=np.minimum(low, high),
             high=np.maximum(low, high),
+            aside=aside,
             closed=track.closed,
         )
 
@@ -338,10 +366,9 @@ def _linear_round(
         (offsets, road.high - lateral),
         (-offsets, lateral - road.low),
     ]
-    for angle in np.linspace(0, 2 * np.pi, ELLIPSE_SIDES, endpoint=False):
-        cos, sin = float(np.cos(angle)), float(np.sin(angle))
-        room = limits.lateral - cos * rise - sin * bend * energy
-        parts.append((cos * along + sin * across, room))
+    for slope_a, slope_y, most in _grip_sides(limits):
+        room = most - slope_a * rise - slope_y * bend * energy
+        parts.append((slope_a * along + slope_y * across, room))
     free = np.full(curves.shape[1], 0.5)
     answer = linprog(
         _time_slopes(gap, gap_by, energy, road.closed),
@@ -361,6 +388,20 @@ def _linear_round(
         return None
     change = curves @ answer.x[: len(free)]
     return np.clip(lateral + change, road.low, road.high)
+
+
+def _grip_sides(limits: Limits) -> list[tuple[float, float, float]]:
+    """Return tangents p a + q y <= r to what the tyres can give along (a) and across (y)."""
+    sides = []
+    for angle in np.linspace(0, np.pi / 2, ELLIPSE_SIDES // 4 + 1):
+        y = limits.lateral * float(np.sin(angle))
+        a = spare_grip(y, limits.lateral, limits.transfer)
+        p = a + limits.lateral**2 * limits.transfer * (1 - limits.transfer * a)
+        norm = float(np.hypot(p, y))
+        for sign_a in (1, -1):
+            for sign_y in (1, -1):
+                sides.append((sign_a * p / norm, sign_y * y / norm, (p * a + y * y) / norm))
+    return sorted(set(sides))
 
 
 def _slopes(road: _Road, lateral: np.ndarray) -> tuple[csr_array, csr_array]:

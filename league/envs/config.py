@@ -1,6 +1,6 @@
 """Settings of the learning problem: the world, who sees what, what is rewarded, when it ends."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Literal
 
 from league.errors import ConfigError
@@ -26,6 +26,11 @@ class RewardConfig:
     contact: float = 0.0
     """For being hit by another car."""
 
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of the terms that count, in order."""
+        return tuple(item.name for item in fields(self) if getattr(self, item.name))
+
 
 @dataclass(frozen=True)
 class EnvConfig:
@@ -45,12 +50,20 @@ class EnvConfig:
     """Weights of the reward terms."""
     episode_s: float = 60.0
     """Longest episode in training [s]."""
+    restarting: tuple[int, ...] | None = None
+    """Cars that start their next episode by themselves, in training; None: all. Any other car is
+    frozen where its episode ended, in nobody's way, until its world is started anew."""
 
     def __post_init__(self) -> None:
         if len(self.sensors) not in (1, self.sim.num_cars):
             raise ConfigError(
                 f"{len(self.sensors)} sensor settings for {self.sim.num_cars} cars: "
                 "give one for all, or one for each"
+            )
+        strangers = [car for car in self.restarting or () if not 0 <= car < self.sim.num_cars]
+        if strangers:
+            raise ConfigError(
+                f"restarting names car {strangers[0]}: there are {self.sim.num_cars} cars, from 0"
             )
         if self.episode_s <= 0:
             raise ConfigError(f"episode_s is {self.episode_s}: give more than 0 seconds")

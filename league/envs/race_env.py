@@ -15,7 +15,7 @@ from league.errors import ActionError, WorldError
 from league.sim import draws, grid, obstacles, referee, solver
 from league.sim.config import SimConfig
 from league.sim.referee import Verdict
-from league.sim.world import Control, World
+from league.sim.world import Control, World, select
 from league.track.course import TrackSet
 
 Observations = tuple[Mapping[str, Tensor], ...]
@@ -102,6 +102,22 @@ class RaceEnv:
         """Time since the start of each race [s], (num_worlds,)."""
         return self._world.step.to(torch.float32) * self.cfg.sim.step_dt
 
+    @property
+    def episode_steps(self) -> Tensor:
+        """Steps since each car's episode began, int64, (num_worlds, num_cars)."""
+        return self._episode_steps
+
+    @episode_steps.setter
+    def episode_steps(self, steps: Tensor) -> None:
+        """Pretend that episodes began earlier or later, so that not all end at the same time."""
+        assert steps.shape == self._episode_steps.shape
+        self._episode_steps = steps.to(self._episode_steps)
+
+    @property
+    def longest_episode(self) -> int:
+        """Steps after which an episode is cut off in training."""
+        return round(self.cfg.episode_s * self.cfg.sim.step_hz)
+
     @torch.no_grad()
     def reset(self, seed: int | None = None, seeds: Tensor | None = None) -> Observations:
         """Start all races anew; nothing of the past remains.
@@ -114,12 +130,20 @@ class RaceEnv:
         return self._observe()
 
     @torch.no_grad()
-    def step(self, actions: Tensor) -> Step:
+    def step(
+        self, actions: Tensor, *, anew: Tensor | None = None, seeds: Tensor | None = None
+    ) -> Step:
         """Drive all cars for one control step (1/15 s).
 
         What is told is of the end of the step: physics first, then the referee, the reward of what
         really happened, then penalties or restarts, and sensors last, so that a car that was moved
         sees where it is now.
+
+        Args:
+            actions: steering and speed in [-1, 1], (num_worlds, num_cars, 2).
+            anew: worlds that are not driven on but started anew, as `reset` would, bool,
+                (num_worlds,); what else the step tells of them is of the race that was.
+            seeds: seeds of the worlds started anew (those of others are not read), (num_worlds,).
         """
         actions = self._checked(actions)
         sim, before = self.cfg.sim, self._world
@@ -137,18 +161,21 @@ class RaceEnv:
         self._check_finite(world)
 
         verdict, standing = referee.judge(self.tracks, sim, before, world, outcome.contacts)
-        world = replace(world, standing=standing)
+        world = referee.stop_bots(sim, replace(world, standing=standing), verdict)
         reward, terms = rewards.total(self.tracks, self.cfg.reward, world, verdict)
 
         if self.cfg.mode == "race":
             world = referee.penalise(self.tracks, sim, world, verdict)
+            self._sensing.refresh(verdict.crashed | verdict.released)
             terminated = ~torch.isinf(world.standing.finish_s)
             truncated = self._race_over(world) & ~terminated
         else:
             self._episode_steps = self._episode_steps + 1
             terminated = verdict.mistake | verdict.finished
-            truncated = (self._episode_steps >= self._longest_episode) & ~terminated
-            world = self._restarted(world, terminated | truncated)
+            truncated = (self._episode_steps >= self.longest_episode) & ~terminated
+            world, actions = self._restarted(world, actions, terminated | truncated)
+        if anew is not None and seeds is not None:
+            world, actions = self._started_anew(world, actions, anew, seeds)
 
         self._world, self._last_action = world, actions
         self._tick += 1
@@ -156,13 +183,9 @@ class RaceEnv:
 
     def retire(self, car: int) -> None:
         """End one car's race in all worlds: it is frozen for good, and in nobody's way."""
-        book = self._world.standing
-        penalty = book.penalty_s.clone()
-        penalty[:, car] = torch.inf
-        ghost = book.ghost.clone()
-        ghost[:, car] = True
-        standing = replace(book, penalty_s=penalty, ghost=ghost)
-        self._world = replace(self._world, standing=standing)
+        who = torch.zeros_like(self._world.standing.ghost)
+        who[:, car] = True
+        self._world = _frozen(self._world, who)
 
     def close(self) -> None:
         """Give back what the solver holds."""
@@ -170,36 +193,66 @@ class RaceEnv:
 
     def _begin(self, seed: int, seeds: Tensor | None) -> None:
         self._seed = seed
+        if seeds is not None and tuple(seeds.shape) != (self.num_worlds,):
+            raise ValueError(f"seeds have shape {tuple(seeds.shape)}: give ({self.num_worlds},)")
         if seeds is None:
             number = torch.arange(self.num_worlds, device=self.tracks.device)
             # Non-negative, so that a world's seed can be written into a spec.
             seeds = draws.bits(torch.full_like(number, seed), _WORLD_SEED, number) & (2**62 - 1)
-        sim = self.cfg.sim
-        self._world = grid.start(self.tracks, sim, seeds.to(self.tracks.device), self._track)
+        self._world = self._fresh(seeds)
         self._solver.reset()
         self._sensing.reset()
         self._tick = 0
         shape = (self.num_worlds, self.num_cars)
-        self._last_action = torch.zeros((*shape, 2), device=self.tracks.device)
-        self._last_action[..., 1] = -1.0
+        self._last_action = self._no_action()
         self._episode_steps = torch.zeros(shape, dtype=torch.int64, device=self.tracks.device)
-        self._longest_episode = round(self.cfg.episode_s * sim.step_hz)
-        self._limit_s = time_limit(self.tracks, self.cfg, self._track)
-        if self.cfg.mode == "training":
-            self._world = grid.restart_all(self.tracks, sim, self._world)
+        limit_s = time_limit(self.tracks, self.cfg, self._track)
+        # In whole steps, so that no rounding adds one: 2 s are 30 steps.
+        self._last_step = torch.ceil(limit_s * self.cfg.sim.step_hz - 1e-2).to(torch.int64)
 
-    def _restarted(self, world: World, done: Tensor) -> World:
+    def _fresh(self, seeds: Tensor) -> World:
+        """Return all worlds at their start: on the grid, or in training anywhere on the track."""
+        sim, tracks = self.cfg.sim, self.tracks
+        world = grid.start(tracks, sim, seeds.to(tracks.device), self._track)
+        return world if self.cfg.mode == "race" else grid.restart_all(tracks, sim, world)
+
+    def _no_action(self) -> Tensor:
+        """Return what is told as the last action of cars that have not acted yet."""
+        rest = torch.zeros((self.num_worlds, self.num_cars, 2), device=self.tracks.device)
+        rest[..., 1] = -1.0
+        return rest
+
+    def _restarted(self, world: World, actions: Tensor, done: Tensor) -> tuple[World, Tensor]:
+        """Start the next episode of the cars that do so by themselves, and freeze the others."""
         if not bool(done.any()):
-            return world
-        self._episode_steps = torch.where(done, 0, self._episode_steps)
-        self._sensing.refresh(done)
-        return grid.restart(self.tracks, self.cfg.sim, world, done)
+            return world, actions
+        again = done
+        if self.cfg.restarting is not None:
+            again = torch.zeros_like(done)
+            again[:, list(self.cfg.restarting)] = done[:, list(self.cfg.restarting)]
+            world = _frozen(world, done & ~again)
+        self._episode_steps = torch.where(again, 0, self._episode_steps)
+        self._sensing.refresh(again)
+        actions = torch.where(again.unsqueeze(2), self._no_action(), actions)
+        return grid.restart(self.tracks, self.cfg.sim, world, again), actions
+
+    def _started_anew(
+        self, world: World, actions: Tensor, anew: Tensor, seeds: Tensor
+    ) -> tuple[World, Tensor]:
+        if not bool(anew.any()):
+            return world, actions
+        cars = anew.unsqueeze(1).expand(self.num_worlds, self.num_cars)
+        self._episode_steps = torch.where(cars, 0, self._episode_steps)
+        self._solver.reset(anew.nonzero()[:, 0].tolist())
+        self._sensing.refresh(cars)
+        actions = torch.where(cars.unsqueeze(2), self._no_action(), actions)
+        return select(anew, self._fresh(seeds), world), actions
 
     def _observe(self) -> Observations:
         return self._sensing.observe(self._world, self._last_action, self._tick)
 
     def _race_over(self, world: World) -> Tensor:
-        over = self.time_s + self.cfg.sim.step_dt >= self._limit_s
+        over = world.step >= self._last_step
         return over.unsqueeze(1).expand(world.num_worlds, world.num_cars)
 
     def _checked(self, actions: Tensor) -> Tensor:
@@ -229,6 +282,12 @@ class RaceEnv:
                 f"car {car} of world {bad} left the numbers at step {int(world.step[bad])}: "
                 "its state is NaN or infinite; please report the seed and the settings"
             )
+
+
+def _frozen(world: World, who: Tensor) -> World:
+    book = world.standing
+    penalty = torch.where(who, torch.inf, book.penalty_s)
+    return replace(world, standing=replace(book, penalty_s=penalty, ghost=book.ghost | who))
 
 
 def decode(sim: SimConfig, actions: Tensor) -> Control:

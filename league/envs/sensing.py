@@ -34,7 +34,7 @@ class Sensing:
 
     def refresh(self, who: Tensor) -> None:
         """Have the sensors of these cars read at once, due or not; bool, (num_worlds, num_cars)."""
-        self._stale = who
+        self._stale = who if self._stale is None else self._stale | who
 
     def observe(
         self, world: World, last_action: Tensor, tick: int

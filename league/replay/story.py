@@ -1,4 +1,4 @@
-"""What a broadcast says of a race: who leads, by how much, what just happened, where to look from."""
+"""What a broadcast says of a race: who leads, by how much, what happened, where to look from."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def speeds(replay: Replay) -> np.ndarray:
 
 
 def chase_path(replay: Replay) -> ChasePath:
-    """Return where to chase from: the last of those close behind the leader, so that all are seen."""
+    """Return where to chase from: the last of those close behind the leader, to see them all."""
     columns = replay.columns
     gap = gaps_m(replay)
     in_pack = np.where(gap <= PACK, columns.distance, np.inf)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from league.sim.camera.scene import BODY, PAINTS, WALL_HEIGHT, WHEEL_RADIUS, Model, Solid
+from league.sim.camera.scene import BODY, BOX, PAINTS, WALL_HEIGHT, WHEEL_RADIUS, Model, Solid
 from league.track.course import Rgb, Track
 from league.track.paint import (
     DASH_LENGTH,
@@ -64,8 +64,8 @@ def floor(track: Track) -> Mesh:
     return joined(*layers)
 
 
-def walls(track: Track, alpha: int) -> Mesh:
-    """Return the walls round the room, seen through."""
+def walls(track: Track) -> Mesh:
+    """Return the walls round the room."""
     x_min, y_min, x_max, y_max = track.room
     corners = np.array([[x_min, y_min], [x_max, y_min], [x_max, y_max], [x_min, y_max]])
     quads = [
@@ -73,7 +73,7 @@ def walls(track: Track, alpha: int) -> Mesh:
         for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)
     ]
     middle = np.array([(x_min + x_max) / 2, (y_min + y_max) / 2, WALL_HEIGHT / 2])
-    return joined(*(_polygon(quad, track.colours.wall, inside=middle, alpha=alpha) for quad in quads))
+    return joined(*(_polygon(quad, track.colours.wall, inside=middle) for quad in quads))
 
 
 def car_body(model: Model, colour: Rgb) -> Mesh:
@@ -82,8 +82,19 @@ def car_body(model: Model, colour: Rgb) -> Mesh:
     return joined(*(solid_mesh(solid, colour) for solid in fixed))
 
 
+def shadow(model: Model) -> Mesh:
+    """Return the shade below a car, rounded, just above the road's paint."""
+    angles = np.linspace(0, 2 * np.pi, 32, endpoint=False)
+    cos, sin = np.cos(angles), np.sin(angles)
+    # A superellipse: a rectangle with soft corners.
+    x = model.half_length * 1.04 * np.sign(cos) * np.abs(cos) ** 0.5
+    y = model.half_width * 1.12 * np.sign(sin) * np.abs(sin) ** 0.5
+    corners = np.stack([x, y, np.full_like(x, 5 * LIFT)], axis=1)
+    return _polygon(corners, (6, 8, 10), inside=np.array([0.0, 0.0, -1.0]))
+
+
 def wheel() -> Mesh:
-    """Return one wheel about its own centre, with a spoke on its rim so that its turning is seen."""
+    """Return one wheel about its own centre; its rims have spokes, so that turning is seen."""
     sides, half_width = 16, 0.017
     angles = (np.arange(sides) + 0.5) * 2 * np.pi / sides
     ring = np.stack([np.cos(angles), 0 * angles, np.sin(angles)], axis=1) * WHEEL_RADIUS
@@ -98,9 +109,14 @@ def wheel() -> Mesh:
     for sign in (1.0, -1.0):
         faces.append(_polygon(ring + sign * side, rubber, inside=centre))
         for turn in range(5):
-            spoke = _spoke(turn * 2 * np.pi / 5) + sign * (side + [0.0, 0.0008, 0.0])
+            spoke = _spoke(turn * 2 * np.pi / 5) + sign * side * 1.05
             faces.append(_polygon(spoke, rim, inside=centre))
     return joined(*tread, *faces)
+
+
+def box(length: float, width: float, height: float, colour: Rgb) -> Mesh:
+    """Return an upright box that stands on the floor."""
+    return solid_mesh(BOX.solids[0], colour, (length, width, height))
 
 
 def solid_mesh(solid: Solid, colour: Rgb, scale: tuple[float, float, float] = (1, 1, 1)) -> Mesh:
@@ -125,7 +141,7 @@ def _spoke(angle: float) -> np.ndarray:
     return np.stack([cos * x - sin * z, 0 * x, sin * x + cos * z], axis=1)
 
 
-def _polygon(corners: np.ndarray, colour: Rgb, *, inside: np.ndarray, alpha: int = 255) -> Mesh:
+def _polygon(corners: np.ndarray, colour: Rgb, *, inside: np.ndarray) -> Mesh:
     """Return a convex polygon whose normal points away from a point inside the body."""
     normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
     normal = normal / np.linalg.norm(normal)
@@ -133,17 +149,15 @@ def _polygon(corners: np.ndarray, colour: Rgb, *, inside: np.ndarray, alpha: int
         corners, normal = corners[::-1], -normal
     count = len(corners)
     fan = np.array([[0, i, i + 1] for i in range(1, count - 1)])
-    return _mesh(corners, fan, np.broadcast_to(normal, corners.shape), colour, alpha)
+    return _mesh(corners, fan, np.broadcast_to(normal, corners.shape), colour)
 
 
-def _mesh(
-    vertices: np.ndarray, triangles: np.ndarray, normals: np.ndarray, colour: Rgb, alpha: int = 255
-) -> Mesh:
+def _mesh(vertices: np.ndarray, triangles: np.ndarray, normals: np.ndarray, colour: Rgb) -> Mesh:
     return Mesh(
         vertices=np.ascontiguousarray(vertices, dtype=np.float32),
         triangles=np.ascontiguousarray(triangles, dtype=np.uint32),
         normals=np.ascontiguousarray(normals, dtype=np.float32),
-        colours=np.tile(np.array([*colour, alpha], dtype=np.uint8), (len(vertices), 1)),
+        colours=np.tile(np.array([*colour, 255], dtype=np.uint8), (len(vertices), 1)),
     )
 
 
@@ -205,14 +219,14 @@ def _dashes(track: Track, height: float, colour: Rgb) -> Mesh:
 
 
 def _start_line(track: Track, height: float) -> Mesh:
-    """Return the checkered strip across the road, whose front edge is the line."""
+    """Return the checkered strip across the road."""
     point, along = track.center[0], track.tangent[0]
     across = np.array([-along[1], along[0]])
     left = float(np.linalg.norm(track.left[0] - point))
     right = float(np.linalg.norm(track.right[0] - point))
     columns = max(2, round((left + right) / START_SQUARE))
     edges = np.linspace(-right, left, columns + 1)
-    rows = np.arange(0.0, START_DEPTH + 1e-9, START_SQUARE) - START_DEPTH
+    rows = np.arange(0.0, START_DEPTH + 1e-9, START_SQUARE) - START_DEPTH / 2
     layers = []
     for dark, colour in enumerate(START_COLOURS):
         quads = [

@@ -1,13 +1,12 @@
 """BulletSolver: the same pushes on rigid bodies in PyBullet, contacts by Bullet.
 
-Each world is a simulation of its own, without gravity and without ground: cars are upright boxes that
-nothing can tip. The World's tensors are the truth: every control step starts from them.
+Each world is a simulation of its own, without gravity and without ground: cars are upright boxes
+that nothing can tip. The World's tensors are the truth: every control step starts from them.
 """
 
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import importlib
 import math
 import os
@@ -21,7 +20,7 @@ from torch import Tensor
 from league.errors import ConfigError
 from league.sim.config import SimConfig
 from league.sim.solver import Outcome
-from league.sim.vehicle import Push, Vehicle, asked_controls
+from league.sim.vehicle import Push, Vehicle, asked_controls, at_rest
 from league.sim.world import Contacts, Control, Motion, World
 from league.track.course import TrackSet
 
@@ -43,20 +42,18 @@ _MEETS = {_CAR: _CAR | _OBSTACLE | _WALL, _OBSTACLE: _CAR, _WALL: _CAR | _GHOST,
 
 
 def _load_pybullet() -> ModuleType:
-    """Import PyBullet without the line it prints from C, which would spoil a command's own output."""
-    if "pybullet" in sys.modules or os.name != "posix":
+    """Import PyBullet without the line that it writes to stderr, from C, when it is loaded."""
+    if "pybullet" in sys.modules:
+        return sys.modules["pybullet"]
+    sys.stderr.flush()
+    kept, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(null, 2)
         return importlib.import_module("pybullet")
-    libc = ctypes.CDLL(None)
-    with contextlib.ExitStack() as stack:
-        sys.stdout.flush()
-        libc.fflush(None)
-        kept, null = os.dup(1), os.open(os.devnull, os.O_WRONLY)
-        stack.callback(os.close, kept)
-        stack.callback(os.close, null)
-        os.dup2(null, 1)
-        stack.callback(os.dup2, kept, 1)
-        stack.callback(libc.fflush, None)
-        return importlib.import_module("pybullet")
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(null)
 
 
 pybullet = _load_pybullet()
@@ -73,13 +70,24 @@ class _Body:
 
 
 @dataclass(frozen=True)
+class _Plan:
+    """What a world's bodies are built from; another plan, other bodies."""
+
+    track: int
+    masses: list[float]
+    held: list[bool]
+    """Cars that stand frozen without being ghosts: nothing can push them."""
+    sizes: list[list[float]]
+    """Half length and half width of each obstacle [m]."""
+
+
+@dataclass(frozen=True)
 class _Stage:
     """One world's bodies, and what they were built from."""
 
-    plan: tuple
+    plan: _Plan
     cars: list[int]
     obstacles: list[int]
-    walls: list[int]
     ghosts: list[bool]
 
 
@@ -90,8 +98,8 @@ class BulletSolver:
         self._clients: list[int] = []
         if num_worlds > MAX_WORLDS:
             raise ConfigError(
-                f"{num_worlds} worlds are too many for the bullet solver: give at most {MAX_WORLDS}, "
-                "or choose the planar solver"
+                f"{num_worlds} worlds are too many for the bullet solver: "
+                f"give at most {MAX_WORLDS}, or choose the planar solver"
             )
         self.cfg = cfg
         self.tracks = tracks
@@ -142,44 +150,29 @@ class BulletSolver:
     def _set(self, world: World, frozen: Tensor) -> list[_Stage]:
         """Build what changed in kind, and put every body where the world says."""
         ghosts = world.standing.ghost.tolist()
-        solid = (frozen & ~world.standing.ghost).tolist()
+        held = (frozen & ~world.standing.ghost).tolist()
         mass, track = world.cars.mass.tolist(), world.track.tolist()
-        obstacles = world.obstacles
-        sizes = torch.stack((obstacles.half_length, obstacles.half_width), dim=-1).tolist()
-        moving = torch.stack(
-            (obstacles.x, obstacles.y, obstacles.yaw, obstacles.velocity_x, obstacles.velocity_y),
-            dim=-1,
-        ).tolist()
-        motion = world.motion
-        resting = torch.where(frozen, 0.0, 1.0)
-        cars = torch.stack(
-            (
-                motion.x,
-                motion.y,
-                motion.yaw,
-                motion.velocity_x * resting,
-                motion.velocity_y * resting,
-                motion.yaw_rate * resting,
-            ),
-            dim=-1,
-        ).tolist()
+        fixed, cars = world.obstacles, at_rest(world.motion, frozen)
+        sizes = _rows(fixed.half_length, fixed.half_width)
+        still = torch.zeros_like(fixed.x)
+        moving = _rows(fixed.x, fixed.y, fixed.yaw, fixed.velocity_x, fixed.velocity_y, still)
+        driven = _rows(cars.x, cars.y, cars.yaw, cars.velocity_x, cars.velocity_y, cars.yaw_rate)
         stages = []
         for index, client in enumerate(self._clients):
-            plan = (track[index], mass[index], solid[index], sizes[index])
+            plan = _Plan(track[index], mass[index], held[index], sizes[index])
             stage = self._stages[index]
             if stage is None or stage.plan != plan:
                 stage = self._build(client, plan)
             stage = _filter(client, stage, ghosts[index])
-            for body, state in zip(stage.cars, cars[index], strict=True):
-                _place(client, body, *state)
+            for body, state in zip(stage.cars, driven[index], strict=True):
+                _place(client, body, state)
             for body, state in zip(stage.obstacles, moving[index], strict=True):
-                _place(client, body, *state, 0.0)
+                _place(client, body, state)
             self._stages[index] = stage
             stages.append(stage)
         return stages
 
-    def _build(self, client: int, plan: tuple) -> _Stage:
-        track, masses, solid, sizes = plan
+    def _build(self, client: int, plan: _Plan) -> _Stage:
         pybullet.resetSimulation(physicsClientId=client)
         pybullet.setGravity(0, 0, 0, physicsClientId=client)
         pybullet.setPhysicsEngineParameter(
@@ -192,30 +185,21 @@ class BulletSolver:
             physicsClientId=client,
         )
         car = self.cfg.car
-        cars = [
-            self._box(
-                client,
-                place,
-                _Body(
-                    car.length / 2,
-                    car.width / 2,
-                    HEAVY if held else mass,
-                    HEAVY if held else mass * (car.yaw_inertia / car.mass),
-                ),
-                _CAR,
-            )
-            for place, (mass, held) in enumerate(zip(masses, solid, strict=True))
-        ]
-        obstacles = [
-            self._box(client, len(cars) + place, _Body(*size, HEAVY, HEAVY), _OBSTACLE)
-            for place, size in enumerate(sizes)
-        ]
+        cars, obstacles = [], []
+        for mass, held in zip(plan.masses, plan.held, strict=True):
+            inertia = mass * (car.yaw_inertia / car.mass)
+            weight = (HEAVY, HEAVY) if held else (mass, inertia)
+            cars.append(self._box(client, len(cars), _Body(car.length / 2, car.width / 2, *weight)))
+        for half_length, half_width in plan.sizes:
+            place = len(cars) + len(obstacles)
+            body = _Body(half_length, half_width, HEAVY, HEAVY)
+            obstacles.append(self._box(client, place, body, _OBSTACLE))
         # Bullet takes a body's new inertia into use when it moves it.
         pybullet.stepSimulation(physicsClientId=client)
-        walls = self._walls(client, self.tracks.tracks[track].room)
-        return _Stage(plan, cars, obstacles, walls, [False] * len(cars))
+        self._build_walls(client, self.tracks.tracks[plan.track].room)
+        return _Stage(plan, cars, obstacles, [False] * len(cars))
 
-    def _walls(self, client: int, room: tuple[float, float, float, float]) -> list[int]:
+    def _build_walls(self, client: int, room: tuple[float, float, float, float]) -> None:
         x_min, y_min, x_max, y_max = room
         half_x, half_y = (x_max - x_min) / 2 + 2 * HALF_WALL, (y_max - y_min) / 2
         mid_x, mid_y = (x_min + x_max) / 2, (y_min + y_max) / 2
@@ -225,14 +209,11 @@ class BulletSolver:
             (mid_x, y_max + HALF_WALL, half_x, HALF_WALL),
             (mid_x, y_min - HALF_WALL, half_x, HALF_WALL),
         )
-        walls = []
         for x, y, half_length, half_width in boxes:
             wall = self._box(client, 0, _Body(half_length, half_width, 0.0, 0.0), _WALL)
-            _place(client, wall, x, y, 0.0, 0.0, 0.0, 0.0)
-            walls.append(wall)
-        return walls
+            _place(client, wall, [x, y, 0.0, 0.0, 0.0, 0.0])
 
-    def _box(self, client: int, place: int, body: _Body, group: int) -> int:
+    def _box(self, client: int, place: int, body: _Body, group: int = _CAR) -> int:
         shape = pybullet.createCollisionShape(
             pybullet.GEOM_BOX,
             halfExtents=[body.half_length, body.half_width, HALF_HEIGHT],
@@ -265,23 +246,20 @@ class BulletSolver:
         return box
 
     def _apply(self, stages: list[_Stage], push: Push, pushed: list[list[bool]]) -> None:
-        loads = torch.stack((push.force_x, push.force_y, push.torque), dim=-1).tolist()
+        loads = _rows(push.force_x, push.force_y, push.torque)
+        frame = pybullet.WORLD_FRAME
         for client, stage, row, free in zip(self._clients, stages, loads, pushed, strict=True):
             for body, (force_x, force_y, torque), mine in zip(stage.cars, row, free, strict=True):
-                if mine:
-                    # In the link frame's origin the point of action is the centre of mass; torque
-                    # about the vertical is the same in either frame.
-                    pybullet.applyExternalForce(
-                        body,
-                        -1,
-                        [force_x, force_y, 0],
-                        pybullet.getBasePositionAndOrientation(body, physicsClientId=client)[0],
-                        pybullet.WORLD_FRAME,
-                        physicsClientId=client,
-                    )
-                    pybullet.applyExternalTorque(
-                        body, -1, [0, 0, torque], pybullet.WORLD_FRAME, physicsClientId=client
-                    )
+                if not mine:
+                    continue
+                # At the centre of mass, or the force would turn the body too.
+                centre, _ = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
+                pybullet.applyExternalForce(
+                    body, -1, [force_x, force_y, 0], centre, frame, physicsClientId=client
+                )
+                pybullet.applyExternalTorque(
+                    body, -1, [0, 0, torque], frame, physicsClientId=client
+                )
 
     def _read(self, stages: list[_Stage], steering: Tensor) -> Motion:
         rows = []
@@ -347,16 +325,9 @@ def _filter(client: int, stage: _Stage, ghosts: list[bool]) -> _Stage:
     return replace(stage, ghosts=ghosts)
 
 
-def _place(
-    client: int,
-    body: int,
-    x: float,
-    y: float,
-    yaw: float,
-    velocity_x: float,
-    velocity_y: float,
-    yaw_rate: float,
-) -> None:
+def _place(client: int, body: int, state: list[float]) -> None:
+    """Set x, y, yaw and their rates."""
+    x, y, yaw, velocity_x, velocity_y, yaw_rate = state
     pybullet.resetBasePositionAndOrientation(
         body, [x, y, 0], [0, 0, math.sin(yaw / 2), math.cos(yaw / 2)], physicsClientId=client
     )
@@ -365,15 +336,17 @@ def _place(
     )
 
 
+def _rows(*fields: Tensor) -> list[list[list[float]]]:
+    """Return (num_worlds, num_bodies) fields as nested lists, the fields innermost."""
+    return torch.stack(fields, dim=-1).tolist()
+
+
 def _hold(frozen: Tensor, before: Motion, after: Motion) -> Motion:
     """Return frozen cars where they were, at rest."""
     return replace(
-        after,
+        at_rest(after, frozen),
         x=torch.where(frozen, before.x, after.x),
         y=torch.where(frozen, before.y, after.y),
         yaw=torch.where(frozen, before.yaw, after.yaw),
-        velocity_x=torch.where(frozen, 0.0, after.velocity_x),
-        velocity_y=torch.where(frozen, 0.0, after.velocity_y),
-        yaw_rate=torch.where(frozen, 0.0, after.yaw_rate),
         steering=torch.where(frozen, before.steering, after.steering),
     )

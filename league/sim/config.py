@@ -118,6 +118,35 @@ class CameraConfig:
 
 
 @dataclass(frozen=True)
+class LookConfig:
+    """How far pictures are drawn away from the plain ones, for training; 0 draws nothing.
+
+    Light, colours and blur are drawn once for each race, noise for each picture.
+    """
+
+    light: float = 0.0
+    """Share by which a picture is brighter or darker (0.3: 70 % to 130 %)."""
+    colour: float = 0.0
+    """Share by which red, green and blue of each body, and of each colour picture, differ."""
+    noise: float = 0.0
+    """Largest standard deviation of a pixel, of 255."""
+    blur: float = 0.0
+    """Largest standard deviation of the blur [px], up to 0.8."""
+
+    def __post_init__(self) -> None:
+        limits = {"light": 0.95, "colour": 0.95, "noise": 64.0, "blur": 0.8}
+        for name, limit in limits.items():
+            value = getattr(self, name)
+            if not 0 <= value <= limit:
+                raise ConfigError(f"look {name} is {value}: give 0 to {limit}")
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether nothing is drawn."""
+        return not (self.light or self.colour or self.noise or self.blur)
+
+
+@dataclass(frozen=True)
 class LidarConfig:
     """A flat scan that looks to the rear and is blind ahead (facts section 3)."""
 

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from league.geometry import heading_of, wrap_angle
 from league.sim import draws, obstacles
-from league.sim.config import SimConfig
+from league.sim.config import CarConfig, SimConfig
 from league.sim.world import (
     CarParameters,
     Control,
@@ -19,9 +19,9 @@ from league.sim.world import (
 from league.track.course import TrackSet
 
 _GRIP, _MASS, _LATENCY, _STEERING, _CAMERA_UP, _CAMERA_PITCH = range(201, 207)
-_SPOT, _SIDE = 211, 212
-_CLEARANCE = 0.45
-_CANDIDATES = 8
+_SPOT, _SIDE, _SEED = 211, 212, 213
+_SLACK = 0.07
+_CANDIDATES, _ROOM = 8, 0.8
 
 
 def start(tracks: TrackSet, sim: SimConfig, seed: Tensor, track: Tensor) -> World:
@@ -134,21 +134,63 @@ def release(tracks: TrackSet, world: World, done: Tensor) -> World:
     return replace(moved, standing=replace(book, put_back=book.put_back & ~done))
 
 
-def clear_of_others(world: World) -> Tensor:
-    """Return which cars have no solid car or obstacle within a car's length, (num_worlds, cars)."""
-    cars, things = world.motion, world.obstacles
-    near = torch.zeros_like(world.standing.ghost)
+def put_behind(
+    tracks: TrackSet, sim: SimConfig, world: World, who: Tensor, car: Tensor, obstacle: Tensor
+) -> World:
+    """Put crashed cars 1 m behind what they hit, on the other lane; never forward (facts 5.2).
+
+    Args:
+        tracks: the courses.
+        sim: settings.
+        world: the races.
+        who: which cars, bool, (num_worlds, num_cars).
+        car: the car each one hit, or -1.
+        obstacle: the obstacle each one hit, or -1.
+    """
+    book, things = world.standing, world.obstacles
+    target = torch.gather(book.s, 1, torch.clamp(car, min=0))
+    side = torch.gather(book.lateral, 1, torch.clamp(car, min=0))
+    if sim.num_obstacles:
+        thing, hit = torch.clamp(obstacle, min=0), obstacle >= 0
+        target = torch.where(hit, torch.gather(things.s, 1, thing), target)
+        side = torch.where(hit, torch.gather(things.lateral, 1, thing), side)
+    shift = tracks.signed_gap(world.track, target, book.s) - sim.rules.put_back_behind
+    shift = torch.clamp(shift, max=0.0)
+    # On an open track the start is as far back as one can go.
+    closed = tracks.closed[world.track].unsqueeze(1)
+    shift = torch.where(closed, shift, torch.maximum(shift, -book.s))
+    _, _, frame = tracks.at(world.track, book.s + shift)
+    lateral = torch.where(side > 0, -frame.right / 2, frame.left / 2)
+    return move(tracks, world, who, shift, lateral)
+
+
+def clear_of_others(car: CarConfig, world: World, solid: Tensor, wanting: Tensor) -> Tensor:
+    """Return which ghosts could become solid without touching anything, bool, (num_worlds, cars).
+
+    Of two ghosts that want to on one spot, the one ahead goes first and the other waits.
+
+    Args:
+        car: what all cars share.
+        world: the races.
+        solid: which cars are there to be touched, bool, (num_worlds, num_cars).
+        wanting: which ghosts want to become solid, bool, (num_worlds, num_cars).
+    """
+    body, things, distance = world.motion, world.obstacles, world.standing.distance
+    half = 0.5 * (car.length**2 + car.width**2) ** 0.5
+    near = torch.zeros_like(wanting)
+    slot = torch.arange(world.num_cars, device=wanting.device)
     for other in range(world.num_cars):
-        gap = _squared_gap(
-            cars.x, cars.y, cars.x[:, other : other + 1], cars.y[:, other : other + 1]
-        )
-        close = gap < _CLEARANCE**2
-        close[:, other] = False
-        near = near | (close & ~world.standing.ghost[:, other : other + 1])
+        part = slice(other, other + 1)
+        gap = _squared_gap(body.x, body.y, body.x[:, part], body.y[:, part])
+        rival = distance[:, part]
+        first = (rival > distance) | ((rival == distance) & (slot > other))
+        there = (solid[:, part] & (slot != other)) | (wanting[:, part] & first)
+        near = near | ((gap < (2 * half + _SLACK) ** 2) & there)
     for thing in range(things.x.shape[1]):
         part = slice(thing, thing + 1)
-        gap = _squared_gap(cars.x, cars.y, things.x[:, part], things.y[:, part])
-        reach = things.half_length[:, part] + 0.5 * _CLEARANCE
+        gap = _squared_gap(body.x, body.y, things.x[:, part], things.y[:, part])
+        size, width = things.half_length[:, part], things.half_width[:, part]
+        reach = torch.sqrt(size * size + width * width) + (half + _SLACK)
         near = near | (gap < reach * reach)
     return ~near
 
@@ -157,56 +199,74 @@ def restart(tracks: TrackSet, sim: SimConfig, world: World, who: Tensor) -> Worl
     """Start a new episode for some cars, on a free stretch anywhere on the track, at rest.
 
     Eight places are drawn; the first that is 0.8 m clear of all else is taken, or the clearest.
-    Their book begins anew there: a lap is complete where the episode began.
+    Their book begins anew there: a lap is complete where the episode began. Obstacles at random
+    places are placed anew.
     """
-    length = tracks.length[world.track].unsqueeze(1)
+    world = _new_obstacles(tracks, sim, world, who)
     number = torch.arange(world.num_cars, device=who.device).expand(who.shape)
     seed, step = world.seed.unsqueeze(1), world.step.unsqueeze(1)
-    spot, room = torch.zeros_like(world.standing.s), torch.full_like(world.standing.s, -1.0)
-    for attempt in range(_CANDIDATES):
-        candidate = draws.uniform(seed, _SPOT, step, number, attempt) * length
-        clearance = _clearance(tracks, world, candidate)
-        better = (room < 0.8) & (clearance > room)
-        spot = torch.where(better, candidate, spot)
-        room = torch.where(better, clearance, room)
+    spot = _free_spots(tracks, world, who)
     _, _, frame = tracks.at(world.track, spot)
     across = draws.uniform(seed, _SIDE, step, number) - 0.5
     lateral = across * torch.minimum(frame.left, frame.right)
     motion, s = _at_rest(tracks, world.track, spot, lateral)
     closed = tracks.closed[world.track].unsqueeze(1)
     zero_s = torch.where(closed, s, torch.zeros_like(s))
-    fresh = replace(_blank_standing(sim, s, lateral, s - zero_s), zero_s=zero_s)
     now = (world.step.to(torch.float32) * sim.step_dt).unsqueeze(1).expand(who.shape).contiguous()
-    fresh = replace(fresh, lap_start_s=now, ahead=world.standing.ahead)
+    fresh = _blank_standing(sim, s, lateral, s - zero_s)
+    standing = select(who, replace(fresh, zero_s=zero_s, lap_start_s=now), world.standing)
     return replace(
         world,
         motion=select(who, motion, world.motion),
         control=select(who, Control(torch.zeros_like(s), torch.zeros_like(s)), world.control),
         cars=select(who, parameters(sim, world.seed, step.expand(who.shape)), world.cars),
-        standing=select(who, fresh, world.standing),
+        standing=replace(standing, ahead=_ahead_on_road(tracks, world, standing, who)),
     )
 
 
 def restart_all(tracks: TrackSet, sim: SimConfig, world: World) -> World:
-    """Start every car's first episode, one after the other, so that each finds a free stretch."""
+    """Start every car's first episode."""
+    return restart(tracks, sim, world, torch.ones_like(world.standing.ghost))
+
+
+def _new_obstacles(tracks: TrackSet, sim: SimConfig, world: World, who: Tensor) -> World:
+    """Give worlds whose only car starts anew another seed, and with it other obstacles."""
+    if sim.num_obstacles == 0 or not sim.obstacles.random_places:
+        return world
+    anew = who.all(dim=1) & (world.step > 0)
+    seed = torch.where(anew, draws.bits(world.seed, _SEED, world.step) & (2**62 - 1), world.seed)
+    placed = obstacles.place(tracks, sim, seed, world.track)
+    return replace(world, seed=seed, obstacles=select(anew, placed, world.obstacles))
+
+
+def _free_spots(tracks: TrackSet, world: World, who: Tensor) -> Tensor:
+    """Draw s of a free stretch for each car; those that start together keep clear of each other."""
+    book, things = world.standing, world.obstacles
+    number = torch.arange(world.num_cars, device=who.device)
+    attempt = torch.arange(_CANDIDATES, device=who.device)
+    seed, step = world.seed.reshape(-1, 1, 1), world.step.reshape(-1, 1, 1)
+    share = draws.uniform(seed, _SPOT, step, number.unsqueeze(1), attempt)
+    drawn = share * tracks.length[world.track].reshape(-1, 1, 1)  # (num_worlds, cars, candidates)
+    taken = list(book.s.unbind(dim=1)) + list(things.s.unbind(dim=1))
     for car in range(world.num_cars):
-        who = torch.zeros_like(world.standing.ghost)
-        who[:, car] = True
-        world = restart(tracks, sim, world, who)
-    return world
+        candidate = drawn[:, car].contiguous()
+        room = torch.full_like(candidate, 1e9)
+        for other, s in enumerate(taken):
+            if other != car:
+                gap = tracks.signed_gap(world.track, s.unsqueeze(1), candidate)
+                room = torch.minimum(room, gap.abs())
+        # The first that is clear enough, or else the clearest.
+        merit = torch.where(room >= _ROOM, 1e9 - attempt * 1e6, room)
+        spot = torch.gather(candidate, 1, merit.argmax(dim=1, keepdim=True))[:, 0]
+        taken[car] = torch.where(who[:, car], spot, taken[car])
+    return torch.stack(taken[: world.num_cars], dim=1)
 
 
-def _clearance(tracks: TrackSet, world: World, s: Tensor) -> Tensor:
-    """Return the distance along the track to the nearest other car or obstacle [m]."""
-    nearest = torch.full_like(s, 1e9)
-    for other in range(world.num_cars):
-        gap = tracks.signed_gap(world.track, world.standing.s[:, other : other + 1], s).abs()
-        gap[:, other] = 1e9
-        nearest = torch.minimum(nearest, gap)
-    for thing in range(world.obstacles.s.shape[1]):
-        gap = tracks.signed_gap(world.track, world.obstacles.s[:, thing : thing + 1], s).abs()
-        nearest = torch.minimum(nearest, gap)
-    return nearest
+def _ahead_on_road(tracks: TrackSet, world: World, standing: Standing, who: Tensor) -> Tensor:
+    """Return who is ahead of whom, seen on the road where one of the two has started anew."""
+    gap = tracks.signed_gap(world.track, standing.s.unsqueeze(2), standing.s.unsqueeze(1))
+    anew = who.unsqueeze(2) | who.unsqueeze(1)
+    return torch.where(anew, gap > 0, standing.ahead)
 
 
 def _squared_gap(x: Tensor, y: Tensor, other_x: Tensor, other_y: Tensor) -> Tensor:

@@ -55,12 +55,14 @@ def aimed(tracks: TrackSet, sim: SimConfig, world: World) -> tuple[Obstacles, Ob
         return now, now
     dt = sim.step_dt
     speed = torch.where(now.stopped_s > 0, 0.0, sim.obstacles.speed).to(now.s.dtype)
+    # Counted in whole steps, so that no rounding adds or drops one.
+    steps_left = torch.clamp(torch.round(now.stopped_s * sim.step_hz) - 1.0, min=0.0)
     s = now.s + speed * dt
     lateral, slope = _lane_path(tracks, sim, world, s)
     following = _posed(
         tracks,
         world.track,
-        replace(now, s=s, lateral=lateral, stopped_s=torch.clamp(now.stopped_s - dt, min=0.0)),
+        replace(now, s=s, lateral=lateral, stopped_s=steps_left / sim.step_hz),
         slope,
     )
     velocity_x, velocity_y = (following.x - now.x) / dt, (following.y - now.y) / dt
@@ -119,6 +121,7 @@ def _lane_path(tracks: TrackSet, sim: SimConfig, world: World, s: Tensor) -> tup
     start = _places(cfg, world.seed, number, tracks.length[world.track].unsqueeze(1))
     # Lanes change every 3 to 5 s of driving, over one metre, along a cubic (facts 5.1).
     stretch = (3.0 + 2.0 * draws.uniform(seed, _PERIOD, number)) * cfg.speed
+    stretch = torch.clamp(stretch, min=_LANE_CHANGE_DISTANCE)  # one change ends before the next
     driven = s - start
     change = torch.floor(driven / stretch)
     parity = torch.remainder(change, 2.0)

@@ -16,11 +16,12 @@ from torch import Tensor
 from league.geometry import rotate
 from league.sim import grid
 from league.sim.config import CarConfig, SimConfig
-from league.sim.world import Contacts, Obstacles, Standing, World
+from league.sim.world import Contacts, Standing, World
 from league.track.course import Projection, TrackSet
 
 NOBODY = -1
 _OPEN_TRACK_MARGIN = 0.3
+_PASS = 1.0
 
 
 @dataclass(frozen=True)
@@ -75,21 +76,32 @@ def judge(
         contacts: what touched what during the step.
     """
     old, rules = before.standing, sim.rules
+    frozen = old.penalty_s > 0
     place = tracks.project(after.track, after.motion.x, after.motion.y, old.s)
     advance = tracks.signed_gap(after.track, place.s, old.s)
     distance = _unwrapped(tracks, after, place, old.distance + advance)
-    racing = (old.penalty_s <= 0) & torch.isinf(old.finish_s)
-    released = (old.penalty_s > 0) & (old.penalty_s <= 1.5 * sim.step_dt)
-    penalty = torch.where(released, 0.0, torch.clamp(old.penalty_s - sim.step_dt, min=0.0))
+    if bool(frozen.any()):
+        # Who stands still keeps its place: off the inside of a hairpin the search would creep on.
+        place = replace(
+            place,
+            s=torch.where(frozen, old.s, place.s),
+            lateral=torch.where(frozen, old.lateral, place.lateral),
+        )
+        advance = torch.where(frozen, 0.0, advance)
+        distance = torch.where(frozen, old.distance, distance)
+    racing = ~frozen & torch.isinf(old.finish_s)
+    # Counted in whole steps, so that no rounding adds or drops one.
+    steps_left = torch.clamp(torch.round(old.penalty_s * sim.step_hz) - 1.0, min=0.0)
+    released = frozen & (steps_left == 0)
 
     off_track = racing & ~_any_wheel_on_road(tracks, sim.car, after, place)
-    fault = _blame(tracks, before, after, place, contacts)
+    fault = _blame(tracks, sim, before, after, place, contacts)
     crashed = racing & fault.to_blame
     still_steps, immobilised = _stillness(sim, before, after, racing)
     backward_steps = torch.where(racing & (advance < 0), old.backward_steps + 1, 0)
     backwards = backward_steps >= rules.patience_steps
     laps = _lap_times(tracks, sim, before, old, distance, racing)
-    ahead, overtook, leader = _order(sim, old, distance, racing)
+    ahead, overtook, leader = _order(tracks, sim, after, laps.standing, place.s, distance, racing)
 
     verdict = Verdict(
         advance=advance,
@@ -112,7 +124,7 @@ def judge(
         s=place.s,
         lateral=place.lateral,
         distance=distance,
-        penalty_s=penalty,
+        penalty_s=steps_left / sim.step_hz,
         still_steps=still_steps,
         backward_steps=torch.where(backwards, 0, backward_steps),
         touching_cars=contacts.cars,
@@ -135,12 +147,15 @@ def penalise(tracks: TrackSet, sim: SimConfig, world: World, verdict: Verdict) -
 
     After a crash the car is moved first, 1 m behind what it hit and to the other lane, then frozen.
     Off the track, backwards or immobilised: frozen where it stands, then put on the nearer lane.
-    Frozen cars are ghosts, and stay so until nothing is near; so are cars that have finished.
+    Frozen cars are ghosts, and stay so until nothing is near; so are cars that have finished. On an
+    occupied spot a car thus drives on as a ghost until it is clear of whoever is there.
     """
     rules = sim.rules
     world = grid.release(tracks, world, verdict.released)
     if bool(verdict.crashed.any()):
-        world = _move_behind(tracks, sim, world, verdict)
+        world = grid.put_behind(
+            tracks, sim, world, verdict.crashed, verdict.crashed_car, verdict.crashed_obstacle
+        )
     penalty = world.standing.penalty_s
     for who, seconds in (
         (verdict.immobilised, rules.immobilised_penalty_s),
@@ -152,19 +167,43 @@ def penalise(tracks: TrackSet, sim: SimConfig, world: World, verdict: Verdict) -
         penalty = torch.where(who, max(seconds, sim.step_dt), penalty)
     book = world.standing
     over = ~torch.isinf(book.finish_s)
-    waiting = book.ghost & ~grid.clear_of_others(world)
+    ghost = (penalty > 0) | over
+    wanting = book.ghost & ~ghost
+    if bool(wanting.any()):
+        solid = ~book.ghost & ~ghost
+        ghost = ghost | (wanting & ~grid.clear_of_others(sim.car, world, solid, wanting))
     book = replace(
         book,
         penalty_s=penalty,
         put_back=torch.where(verdict.mistake, ~verdict.crashed, book.put_back),
-        ghost=(penalty > 0) | waiting | over,
+        ghost=ghost,
     )
-    return replace(world, standing=book, obstacles=_stop_bots(sim, world, verdict))
+    return replace(world, standing=book)
+
+
+def stop_bots(sim: SimConfig, world: World, verdict: Verdict) -> World:
+    """Have all bot cars stand for a while after one ran into a car ahead of it (facts 5.1)."""
+    if sim.num_obstacles == 0 or sim.obstacles.kind == "box":
+        return world
+    touched = world.standing.touching_obstacles & ~verdict.crashed.unsqueeze(2)
+    hit = touched.flatten(1).any(dim=1, keepdim=True)
+    things = world.obstacles
+    stopped_s = torch.where(hit, sim.rules.bot_stop_s, things.stopped_s)
+    return replace(world, obstacles=replace(things, stopped_s=stopped_s))
 
 
 def places(standing: Standing) -> Tensor:
-    """Return each car's place from 0: by finish, then by who is ahead; (num_worlds, num_cars)."""
-    return standing.ahead.shape[-1] - 1 - _count(standing.ahead)
+    """Return each car's place from 0: by finish, then by who is ahead; (num_worlds, num_cars).
+
+    Of three cars side by side each may still be ahead of the next, in a ring; distance unties them.
+    """
+    beaten, distance = _count(standing.ahead), standing.distance
+    slot = torch.arange(beaten.shape[1], device=beaten.device)
+    more = beaten.unsqueeze(1) > beaten.unsqueeze(2)  # [w, i, j]: j beats more cars than i
+    equal = beaten.unsqueeze(1) == beaten.unsqueeze(2)
+    further = distance.unsqueeze(1) > distance.unsqueeze(2)
+    level = (distance.unsqueeze(1) == distance.unsqueeze(2)) & (slot < slot.unsqueeze(1))
+    return _count(more | (equal & (further | level)))
 
 
 def lap_length(tracks: TrackSet, track: Tensor) -> Tensor:
@@ -202,7 +241,7 @@ def _any_wheel_on_road(tracks: TrackSet, car: CarConfig, world: World, place: Pr
     if not bool(doubtful.any()):
         return surely
     on = wheels_on_road(tracks, car, world, place.s)
-    return surely | (on[..., 0] | on[..., 1] | on[..., 2] | on[..., 3])
+    return surely | on[..., 0] | on[..., 1] | on[..., 2] | on[..., 3]
 
 
 def _unwrapped(tracks: TrackSet, world: World, place: Projection, rough: Tensor) -> Tensor:
@@ -223,30 +262,38 @@ class _Fault:
 
 
 def _blame(
-    tracks: TrackSet, before: World, after: World, place: Projection, contacts: Contacts
+    tracks: TrackSet,
+    sim: SimConfig,
+    before: World,
+    after: World,
+    place: Projection,
+    contacts: Contacts,
 ) -> _Fault:
     """Judge contacts: of two cars the rear one along the track is to blame.
 
-    Contact with an obstacle is the car's own fault, but for a bot car that ran into it from behind.
+    Contact with a box is the car's own fault; with a bot car it is if the bot was ahead. Of several
+    that were hit at once, the rearmost is named.
     """
-    count = after.num_cars
-    to_blame, was_hit = torch.zeros_like(contacts.walls), torch.zeros_like(contacts.walls)
+    was_hit = torch.zeros_like(contacts.walls)
     nobody = torch.full_like(place.s, NOBODY, dtype=torch.int64)
     car, thing = nobody, nobody
-    new_cars = contacts.cars & ~before.standing.touching_cars
-    for other in range(count) if bool(contacts.cars.any()) else ():
-        gap = tracks.signed_gap(after.track, place.s[:, other : other + 1], place.s)
-        fault = contacts.cars[:, :, other] & (gap > 0)
-        to_blame = to_blame | fault
-        car = torch.where(fault & (car == NOBODY), other, car)
-        was_hit = was_hit | (new_cars[:, :, other] & (gap < 0))
-    for index in range(contacts.obstacles.shape[2]) if bool(contacts.obstacles.any()) else ():
-        gap = tracks.signed_gap(after.track, after.obstacles.s[:, index : index + 1], place.s)
-        moving = (before.obstacles.velocity_x != 0) | (before.obstacles.velocity_y != 0)
-        own_fault = (gap > 0) | ~moving[:, index : index + 1]
-        fault = contacts.obstacles[:, :, index] & own_fault
-        to_blame = to_blame | fault
-        thing = torch.where(fault & (thing == NOBODY), index, thing)
+    if bool(contacts.cars.any()):
+        new_cars = contacts.cars & ~before.standing.touching_cars
+        nearest = torch.full_like(place.s, torch.inf)
+        for other in range(after.num_cars):
+            gap = tracks.signed_gap(after.track, place.s[:, other : other + 1], place.s)
+            fault = contacts.cars[:, :, other] & (gap > 0) & (gap < nearest)
+            car, nearest = torch.where(fault, other, car), torch.where(fault, gap, nearest)
+            was_hit = was_hit | (new_cars[:, :, other] & (gap < 0))
+    if bool(contacts.obstacles.any()):
+        always = sim.obstacles.kind == "box"
+        nearest = torch.full_like(place.s, torch.inf)
+        for index in range(contacts.obstacles.shape[2]):
+            gap = tracks.signed_gap(after.track, after.obstacles.s[:, index : index + 1], place.s)
+            fault = contacts.obstacles[:, :, index] & (gap < nearest)
+            fault = fault if always else fault & (gap > 0)
+            thing, nearest = torch.where(fault, index, thing), torch.where(fault, gap, nearest)
+    to_blame = (car != NOBODY) | (thing != NOBODY)
     return _Fault(to_blame=to_blame, was_hit=was_hit, car=car, obstacle=thing)
 
 
@@ -270,7 +317,10 @@ class _Laps:
 def _lap_times(
     tracks: TrackSet, sim: SimConfig, before: World, old: Standing, distance: Tensor, racing: Tensor
 ) -> _Laps:
-    """Count laps, forward only; the time of crossing is interpolated within the step."""
+    """Count laps, forward only; the time of crossing is interpolated within the step.
+
+    An open track is driven once, however many laps were asked.
+    """
     length = lap_length(tracks, before.track)
     target = (old.laps + 1).to(distance.dtype) * length
     lap = racing & (distance >= target) & (old.best_distance < target)
@@ -280,7 +330,8 @@ def _lap_times(
     crossing = step_s + part * sim.step_dt
     lap_s = crossing - old.lap_start_s
     laps = old.laps + lap
-    finished = lap & (laps >= sim.rules.laps)
+    enough = torch.where(tracks.closed[before.track], sim.rules.laps, 1).unsqueeze(1)
+    finished = lap & (laps >= enough)
     standing = replace(
         old,
         best_distance=torch.maximum(old.best_distance, distance),
@@ -294,53 +345,48 @@ def _lap_times(
 
 
 def _order(
-    sim: SimConfig, old: Standing, distance: Tensor, racing: Tensor
+    tracks: TrackSet,
+    sim: SimConfig,
+    after: World,
+    book: Standing,
+    s: Tensor,
+    distance: Tensor,
+    racing: Tensor,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Return who is ahead of whom, who passed whom on the road, and the leader."""
+    """Return who is ahead of whom, who passed whom on the road, and the leader.
+
+    Args:
+        tracks: the courses.
+        sim: settings.
+        after: the worlds after physics.
+        book: the old book with the laps and finishes of this step.
+        s: place of each car along the track [m].
+        distance: driven by each car [m].
+        racing: who was neither frozen nor home before the step.
+    """
     if distance.shape[1] == 1:
-        return old.ahead, torch.zeros_like(old.ahead), old.leader
+        return book.ahead, torch.zeros_like(book.ahead), book.leader
     lead = distance.unsqueeze(2) - distance.unsqueeze(1)  # (num_worlds, num_cars, num_cars)
+    one_race = book.zero_s.unsqueeze(2) == book.zero_s.unsqueeze(1)
+    if not bool(one_race.all()):
+        # Episodes that began at different places are compared by who is ahead on the road.
+        on_road = tracks.signed_gap(after.track, s.unsqueeze(2), s.unsqueeze(1))
+        lead = torch.where(one_race, lead, on_road)
     margin = sim.rules.overtake_margin
+    ahead = (lead > margin) | (book.ahead & (lead >= -margin))
+    finish, rival = book.finish_s.unsqueeze(2), book.finish_s.unsqueeze(1)
+    home = ~(torch.isinf(finish) & torch.isinf(rival))
+    # Whoever is home first is ahead for good, whatever it does on its cooling lap.
+    ahead = torch.where(home, (finish < rival) | ((finish == rival) & book.ahead), ahead)
     both = racing.unsqueeze(2) & racing.unsqueeze(1)
-    settled = ~torch.isinf(old.finish_s)
-    fixed = settled.unsqueeze(2) | settled.unsqueeze(1)
-    # Whoever has finished keeps its place, whatever it does on its cooling lap.
-    ahead = torch.where(fixed, old.ahead, (lead > margin) | (old.ahead & (lead >= -margin)))
-    overtook = ahead & ~old.ahead & both
-    beaten = _count(ahead)
-    leader = beaten.argmax(dim=1)
+    # Half a lap apart, ahead turns to behind without a pass.
+    overtook = ahead & ~book.ahead & both & (lead < _PASS)
+    # Of cars side by side nobody may be ahead of all: then the leader stays.
+    first = _count(ahead) == distance.shape[1] - 1
+    leader = torch.where(first.any(dim=1), first.to(torch.int64).argmax(dim=1), book.leader)
     return ahead, overtook, leader
 
 
 def _count(pairs: Tensor) -> Tensor:
     """Count True along the last axis; integers, so the order of adding does not matter."""
     return pairs.to(torch.int64).sum(dim=-1)
-
-
-def _move_behind(tracks: TrackSet, sim: SimConfig, world: World, verdict: Verdict) -> World:
-    """Move crashed cars 1 m behind what they hit, to the other lane; never forward."""
-    book, behind = world.standing, sim.rules.put_back_behind
-    car = torch.clamp(verdict.crashed_car, min=0)
-    target, side = torch.gather(book.s, 1, car), torch.gather(book.lateral, 1, car)
-    if sim.num_obstacles:
-        thing = torch.clamp(verdict.crashed_obstacle, min=0)
-        box = verdict.crashed_obstacle != NOBODY
-        target = torch.where(box, torch.gather(world.obstacles.s, 1, thing), target)
-        side = torch.where(box, torch.gather(world.obstacles.lateral, 1, thing), side)
-    shift = tracks.signed_gap(world.track, target, book.s) - behind
-    shift = torch.clamp(shift, max=0.0)
-    # On an open track the start is as far back as one can go.
-    closed = tracks.closed[world.track].unsqueeze(1)
-    shift = torch.where(closed, shift, torch.maximum(shift, -book.s))
-    _, _, frame = tracks.at(world.track, book.s + shift)
-    lateral = torch.where(side > 0, -frame.right / 2, frame.left / 2)
-    return grid.move(tracks, world, verdict.crashed, shift, lateral)
-
-
-def _stop_bots(sim: SimConfig, world: World, verdict: Verdict) -> Obstacles:
-    things = world.obstacles
-    if sim.num_obstacles == 0 or sim.obstacles.kind == "box":
-        return things
-    touched = world.standing.touching_obstacles & ~verdict.crashed.unsqueeze(2)
-    hit = touched.flatten(1).any(dim=1, keepdim=True)
-    return replace(things, stopped_s=torch.where(hit, sim.rules.bot_stop_s, things.stopped_s))

@@ -1,18 +1,18 @@
-"""How a car drives: servos, steering and tyres turned into a planar push; one model for both solvers.
+"""How a car drives: servos, steering and tyres turned into a planar push; one model, both solvers.
 
-Single-track model with the centre of mass midway between the axles and four driven wheels. Each axle
-pushes along its wheels with half of the drive, and across them with a brush tyre (E. Fiala, 1954; H.
-Pacejka, Tire and Vehicle Dynamics, section 3.2) whose grip is what the drive leaves of the friction
-circle. docs/physics.md holds the equations.
+Single-track model with the centre of mass midway between the axles and four driven wheels. Each
+axle pushes along its wheels with half of the drive, and across them with a brush tyre (E. Fiala,
+1954; H. Pacejka, Tire and Vehicle Dynamics, chapter 3) whose grip is what the drive leaves of the
+friction circle.
 
-No force may do more in one physics step than stop the motion it opposes: each is held to CAP =
-min(mass, inertia / b^2) / 2 / dt times its speed. The four directions together then take energy out of
-the car at every speed, down to rest, whatever the step (docs/physics.md has the proof).
+No force may do more in one physics step than stop the motion it opposes: each is held to `cap` =
+min(mass, inertia / b^2) / (2 dt) times its speed. The four directions together then only ever take
+energy out of the car, at every speed, down to rest. docs/physics.md has equations and proof.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -167,7 +167,7 @@ def forces(
 
 
 def asked_controls(world: World, control: Control, cfg: SimConfig) -> list[Control]:
-    """Return what the servos are asked in each physics step: late cars still hear the last control."""
+    """Return what the servos hear in each physics step: late cars, first, the last control."""
     late = torch.round(world.cars.latency_s / cfg.physics_dt)
     if not bool((late > 0).any()):
         return [control] * cfg.decimation
@@ -178,3 +178,13 @@ def asked_controls(world: World, control: Control, cfg: SimConfig) -> list[Contr
         )
         for step in range(cfg.decimation)
     ]
+
+
+def at_rest(motion: Motion, frozen: Tensor) -> Motion:
+    """Return the motion with these cars standing still."""
+    return replace(
+        motion,
+        velocity_x=torch.where(frozen, 0.0, motion.velocity_x),
+        velocity_y=torch.where(frozen, 0.0, motion.velocity_y),
+        yaw_rate=torch.where(frozen, 0.0, motion.yaw_rate),
+    )

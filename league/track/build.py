@@ -121,11 +121,11 @@ def _reaches(
         )
     left = _reach(center, normal, np.array(file.left), "left", file, where)
     right = _reach(center, -normal, np.array(file.right), "right", file, where)
-    mean = float((left + right).mean())
-    if abs(mean - file.width) > 0.1 * file.width:
+    usual = float(np.median(left + right))
+    if abs(usual - file.width) > 0.1 * file.width:
         raise TrackError(
-            f"{where}: width is {file.width:g} but the borders lie {mean:.3f} m apart; "
-            f"write `width: {mean:.3f}`"
+            f"{where}: width is {file.width:g} but the borders lie {usual:.3f} m apart; "
+            f"write `width: {usual:.3f}`"
         )
     return left, right
 

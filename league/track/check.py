@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from league.errors import TrackError
 from league.track.course import Track
 
 MIN_RADIUS = 0.2
 """Smallest radius of a centreline [m], smoothed over 0.3 m; the car itself turns in 0.284 m."""
-MIN_REACH = 0.15
+MIN_REACH = 0.14
 """Least room between the centreline and a border [m]; half a car is 0.1 m wide."""
 
 
@@ -99,9 +99,10 @@ def _near_pairs(
     begin: np.ndarray, end: np.ndarray, begin_2: np.ndarray, end_2: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return rows of segments whose middles are near enough for them to meet."""
-    longest = np.linalg.norm(end - begin, axis=1).max(), np.linalg.norm(end_2 - begin_2, axis=1).max()
-    radius = (longest[0] + longest[1]) / 2 * (1 + 1e-9) + 1e-12
-    tree, tree_2 = cKDTree((begin + end) / 2), cKDTree((begin_2 + end_2) / 2)
+    longest = np.linalg.norm(end - begin, axis=1).max()
+    longest_2 = np.linalg.norm(end_2 - begin_2, axis=1).max()
+    radius = float(longest + longest_2) / 2 * (1 + 1e-9) + 1e-12
+    tree, tree_2 = KDTree((begin + end) / 2), KDTree((begin_2 + end_2) / 2)
     near = tree.sparse_distance_matrix(tree_2, radius, output_type="ndarray")
     return near["i"], near["j"]
 

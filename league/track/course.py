@@ -7,7 +7,7 @@ Frames: world x, y [m]; s [m] runs along the centreline in driving order from th
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -75,8 +75,8 @@ class Track:
 
     @cached_property
     def width(self) -> float:
-        """Mean distance between the borders [m]."""
-        return float(np.linalg.norm(self.left - self.right, axis=1).mean())
+        """Usual distance between the borders [m]: the median, for bends may clip one."""
+        return float(np.median(np.linalg.norm(self.left - self.right, axis=1)))
 
     @cached_property
     def tangent(self) -> np.ndarray:
@@ -147,20 +147,12 @@ class TrackSet:
     """Several tracks as padded tables; `index` arguments say which track each world races on."""
 
     tracks: tuple[Track, ...]
-    x: Tensor
-    """Centreline x [m], shape (num_tracks, num_points), padded with the last point."""
-    y: Tensor
-    """Centreline y [m]."""
-    cos: Tensor
-    """Cosine of the heading at each point."""
-    sin: Tensor
-    """Sine of the heading at each point."""
-    curvature: Tensor
-    """Signed curvature [1/m]."""
-    left: Tensor
-    """Distance to the left border [m]."""
-    right: Tensor
-    """Distance to the right border [m]."""
+    rows: Tensor
+    """For each centre point its x, y [m], cosine and sine of the heading, curvature [1/m], distance to
+    the left and right border [m], and then the same of the next point less this one's; shape
+    (num_tracks * num_points, 14): one look-up brings all that is needed to interpolate."""
+    num_points: int
+    """Rows of each track, padded."""
     count: Tensor
     """Number of points of each track, int64, shape (num_tracks,)."""
     length: Tensor
@@ -179,24 +171,15 @@ class TrackSet:
         """Pad the tracks into one set of tables on a device."""
         if not tracks:
             raise ValueError("a TrackSet needs at least one track")
-        size = max(len(track.center) for track in tracks)
-
-        def table(columns: list[np.ndarray]) -> Tensor:
-            padded = [np.pad(c, (0, size - len(c)), mode="edge") for c in columns]
-            return torch.tensor(np.stack(padded), dtype=torch.float32, device=device)
+        num_points = max(len(track.center) for track in tracks)
 
         def vector(values: list, dtype: torch.dtype = torch.float32) -> Tensor:
             return torch.tensor(values, dtype=dtype, device=device)
 
         return cls(
             tracks=tuple(tracks),
-            x=table([t.center[:, 0] for t in tracks]),
-            y=table([t.center[:, 1] for t in tracks]),
-            cos=table([t.tangent[:, 0] for t in tracks]),
-            sin=table([t.tangent[:, 1] for t in tracks]),
-            curvature=table([t.curvature for t in tracks]),
-            left=table([np.linalg.norm(t.left - t.center, axis=1) for t in tracks]),
-            right=table([np.linalg.norm(t.right - t.center, axis=1) for t in tracks]),
+            rows=torch.cat([_rows(track, num_points) for track in tracks]).to(device),
+            num_points=num_points,
             count=vector([len(t.center) for t in tracks], torch.int64),
             length=vector([t.length for t in tracks]),
             spacing=vector([float(t.segment_lengths.mean()) for t in tracks]),
@@ -208,7 +191,12 @@ class TrackSet:
     @property
     def device(self) -> torch.device:
         """Where the tables lie."""
-        return self.x.device
+        return self.rows.device
+
+    @cached_property
+    def all_closed(self) -> bool:
+        """Whether every track is a loop."""
+        return bool(self.closed.all())
 
     def at(self, index: Tensor, s: Tensor) -> tuple[Tensor, Tensor, Projection]:
         """Return centreline x, y and the track's frame at distance s.
@@ -218,18 +206,17 @@ class TrackSet:
             s: any distance [m], wrapped on closed tracks, held at the ends of open ones; shape
                 (num_worlds, ...).
         """
-        near = _Cell.find(self, index, s)
-        x, y = near.mix(self.x), near.mix(self.y)
-        cos, sin = near.mix(self.cos), near.mix(self.sin)
+        s, columns = self._mixed(index, s)
+        x, y, cos, sin, curvature, left, right = columns
         norm = torch.sqrt(cos * cos + sin * sin)
         frame = Projection(
-            s=near.s,
-            lateral=torch.zeros_like(near.s),
+            s=s,
+            lateral=torch.zeros_like(s),
             cos=cos / norm,
             sin=sin / norm,
-            curvature=near.mix(self.curvature),
-            left=near.mix(self.left),
-            right=near.mix(self.right),
+            curvature=curvature,
+            left=left,
+            right=right,
         )
         return x, y, frame
 
@@ -247,23 +234,16 @@ class TrackSet:
         """
         s = near_s
         for _ in range(3):
-            cx, cy, frame = self.at(index, s)
-            along = (x - cx) * frame.cos + (y - cy) * frame.sin
-            across = (y - cy) * frame.cos - (x - cx) * frame.sin
-            # d(along)/ds = 1 - curvature * across; held positive inside tight turns.
-            step = along / torch.clamp(1 - frame.curvature * across, min=0.3)
+            s, (cx, cy, cos, sin, curvature, _, _) = self._mixed(index, s)
+            dx, dy = x - cx, y - cy
+            along = dx * cos + dy * sin
+            across = dy * cos - dx * sin
+            # d(along)/ds = 1 - curvature * across; held positive inside tight turns. That cos and
+            # sin are a little short of unit length between two points only shortens the step.
+            step = along / torch.clamp(1 - curvature * across, min=0.3)
             s = s + torch.clamp(step, -0.5, 0.5)
         cx, cy, frame = self.at(index, s)
-        lateral = (y - cy) * frame.cos - (x - cx) * frame.sin
-        return Projection(
-            s=frame.s,
-            lateral=lateral,
-            cos=frame.cos,
-            sin=frame.sin,
-            curvature=frame.curvature,
-            left=frame.left,
-            right=frame.right,
-        )
+        return replace(frame, lateral=(y - cy) * frame.cos - (x - cx) * frame.sin)
 
     def locate(self, index: Tensor, x: Tensor, y: Tensor) -> Projection:
         """Project points of which nothing is known: the nearest centre point, then `project`.
@@ -271,11 +251,12 @@ class TrackSet:
         Costs a pass over the whole table for each point; for placing, not for stepping.
         """
         flat = (x.shape[0], -1, 1)
-        table_x = self.x[index].unsqueeze(1)  # (num_worlds, 1, num_points)
-        table_y = self.y[index].unsqueeze(1)
+        points = self.rows.reshape(-1, self.num_points, 14)[index]
+        table_x = points[..., 0].unsqueeze(1)  # (num_worlds, 1, num_points)
+        table_y = points[..., 1].unsqueeze(1)
         squared = (x.reshape(flat) - table_x) ** 2 + (y.reshape(flat) - table_y) ** 2
         nearest = squared.argmin(dim=-1).reshape(x.shape)
-        return self.project(index, x, y, nearest * _like(self.spacing[index], x))
+        return self.project(index, x, y, nearest * self._of(self.spacing, index, x))
 
     def signed_gap(self, index: Tensor, ahead: Tensor, behind: Tensor) -> Tensor:
         """Return how far `ahead` lies in front of `behind` along the track [m].
@@ -283,40 +264,58 @@ class TrackSet:
         On closed tracks the shorter way round is taken, in [-length / 2, length / 2).
         """
         gap = ahead - behind
-        length = _like(self.length[index], gap)
-        wrapped = torch.remainder(gap + length / 2, length) - length / 2
-        return torch.where(_like(self.closed[index], gap), wrapped, gap)
+        length = self._of(self.length, index, gap)
+        wrapped = torch.remainder(gap + length * 0.5, length) - length * 0.5
+        if self.all_closed:
+            return wrapped
+        return torch.where(self._of(self.closed, index, gap), wrapped, gap)
 
-
-@dataclass(frozen=True)
-class _Cell:
-    """Two neighbouring rows of the tables and the place between them."""
-
-    s: Tensor
-    low: Tensor
-    high: Tensor
-    part: Tensor
-
-    @classmethod
-    def find(cls, tracks: TrackSet, index: Tensor, s: Tensor) -> _Cell:
-        length, spacing = _like(tracks.length[index], s), _like(tracks.spacing[index], s)
-        count, closed = _like(tracks.count[index], s), _like(tracks.closed[index], s)
-        on_loop = torch.remainder(s, length)
+    def _mixed(self, index: Tensor, s: Tensor) -> tuple[Tensor, tuple[Tensor, ...]]:
+        """Return s wrapped, and the seven columns of the table interpolated there."""
+        length = self._of(self.length, index, s)
         # Rounding can make the remainder of a small negative number equal to the length.
-        on_loop = torch.where(on_loop >= length, torch.zeros_like(on_loop), on_loop)
-        on_line = torch.minimum(torch.clamp(s, min=0.0), length)
-        s = torch.where(closed, on_loop, on_line)
-        place = s / spacing
-        low = torch.minimum(place.to(torch.int64), count - 1)
-        following = low + 1
-        wrapped = torch.where(following >= count, torch.zeros_like(low), following)
-        high = torch.where(closed, wrapped, torch.minimum(following, count - 1))
-        row = _like(index, s) * tracks.x.shape[1]
-        return cls(s=s, low=row + low, high=row + high, part=torch.clamp(place - low, 0.0, 1.0))
+        wrapped = torch.remainder(s, length)
+        wrapped = torch.where(wrapped >= length, 0.0, wrapped)
+        if not self.all_closed:
+            held = torch.minimum(torch.clamp(s, min=0.0), length)
+            wrapped = torch.where(self._of(self.closed, index, s), wrapped, held)
+        place = wrapped / self._of(self.spacing, index, s)
+        low = torch.minimum(place.to(torch.int64), self._of(self.count, index, s) - 1)
+        part = torch.clamp(place - low, 0.0, 1.0)
+        row = (low + self._of(self._first_row, index, s)).reshape(-1)
+        found = self.rows.index_select(0, row).t().contiguous()  # (14, points)
+        mixed = found[:7] + found[7:] * part.reshape(-1)
+        return wrapped, mixed.reshape(7, *s.shape).unbind(0)
 
-    def mix(self, table: Tensor) -> Tensor:
-        low = torch.take(table, self.low)
-        return low + (torch.take(table, self.high) - low) * self.part
+    @cached_property
+    def _first_row(self) -> Tensor:
+        return torch.arange(len(self.tracks), device=self.device) * self.num_points
+
+    def _of(self, per_track: Tensor, index: Tensor, points: Tensor) -> Tensor:
+        """Return each world's track's value, with as many trailing axes as the points have."""
+        if len(self.tracks) == 1:
+            return per_track  # of shape (1,): it broadcasts, to the same bits
+        return _like(per_track.index_select(0, index), points)
+
+
+def _rows(track: Track, num_points: int) -> Tensor:
+    """Return the table of one track, padded to some number of points; see TrackSet.rows."""
+    columns = np.concatenate(
+        [
+            track.center,
+            track.tangent,
+            track.curvature[:, None],
+            np.linalg.norm(track.left - track.center, axis=1)[:, None],
+            np.linalg.norm(track.right - track.center, axis=1)[:, None],
+        ],
+        axis=1,
+    )
+    following = (
+        np.roll(columns, -1, axis=0) if track.closed else np.vstack([columns[1:], columns[-1:]])
+    )
+    table = np.concatenate([columns, following - columns], axis=1)
+    padded = np.pad(table, ((0, num_points - len(table)), (0, 0)), mode="edge")
+    return torch.tensor(padded, dtype=torch.float32)
 
 
 def _like(per_world: Tensor, points: Tensor) -> Tensor:

@@ -97,35 +97,48 @@ def save(track: Track | str, path: str | os.PathLike[str]) -> None:
     """Write a track or its YAML text to a file, whole or not at all."""
     text = dump(track) if isinstance(track, Track) else track
     parse(text, "the track to be saved")
+    write_whole(path, text.encode())
+
+
+def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
+    """Write a file so that at no time a part of it can be seen; folders are made as needed."""
     target = Path(path)
     temporary = None
     try:
+        target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(
-            "w", encoding="utf-8", dir=target.parent, prefix=f".{target.name}.", delete=False
+            dir=target.parent, prefix=f".{target.name[:100]}.", delete=False
         ) as file:
             temporary = file.name
-            file.write(text)
+            file.write(content)
             file.flush()
             os.fsync(file.fileno())
+        os.chmod(temporary, 0o666 & ~_umask())  # temporary files are made for their owner alone
         os.replace(temporary, target)
     except OSError as error:
         if temporary is not None:
             Path(temporary).unlink(missing_ok=True)
         raise TrackError(
-            f"cannot write {target}: {error.strerror}; give a path in a folder that exists and "
-            "can be written"
+            f"cannot write {target}: {error.strerror or error}; give the path of a file in a "
+            "folder that can be written"
         ) from None
 
 
+def _umask() -> int:
+    mask = os.umask(0o022)
+    os.umask(mask)
+    return mask
+
+
 def report(track: Track) -> dict[str, str | float | int]:
-    """Return the figures of a track for a listing; lengths in metres."""
+    """Return the figures of a track for a listing; lengths in metres, a straight's radius inf."""
     return {
         "name": track.name,
         "title": track.title,
         "length": round(track.length, 2),
         "width": round(track.width, 3),
         "direction": track.direction,
-        "min_radius": round(track.min_radius, 2),
+        "min_radius": round(track.min_radius, 2) if track.min_radius < 1000 else float("inf"),
         "points": len(track.center),
     }
 

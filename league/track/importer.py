@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from league.errors import TrackError
 from league.track import build, check, files, schema, spline
@@ -80,7 +80,7 @@ def _fit(
     center: np.ndarray, left: np.ndarray, right: np.ndarray, closed: bool, name: str, where: str
 ) -> Track:
     points = _thinned_curve(center, closed)
-    width = _mean_width(points, left, right, closed, where)
+    width = _usual_width(points, left, right, closed, where)
     file = schema.checked(
         {
             "name": name,
@@ -178,7 +178,7 @@ def _border(line: np.ndarray, closed: bool, where: str) -> np.ndarray:
     if closed and len(line) > 1 and np.linalg.norm(line[0] - line[-1]) < 2e-3:
         line = line[:-1]
     if len(line) < 3:
-        raise TrackError(f"{where} has a border of {len(line)} different points; it needs 3 or more")
+        raise TrackError(f"{where} has a border of {len(line)} different points; give 3 or more")
     line = _without_loops(line, closed)
     return _thinned_line(line)
 
@@ -231,7 +231,7 @@ def _thinned_curve(center: np.ndarray, closed: bool) -> np.ndarray:
         knots = np.flatnonzero(keep)
         if len(knots) >= 4:
             dense = spline.resample(center[knots], closed=closed, spacing=0.005)
-            off = cKDTree(dense).query(center)[0]
+            off = KDTree(dense).query(center)[0]
             if off.max() <= _CENTER_ERROR:
                 break
         else:
@@ -247,7 +247,7 @@ def _thinned_curve(center: np.ndarray, closed: bool) -> np.ndarray:
     return center[keep]
 
 
-def _mean_width(
+def _usual_width(
     points: np.ndarray, left: np.ndarray, right: np.ndarray, closed: bool, where: str
 ) -> float:
     center = spline.resample(points, closed=closed, spacing=SPACING)
@@ -262,7 +262,7 @@ def _mean_width(
             f"{where}: the borders do not lie on both sides of the centre; columns are centre, "
             "inner border, outer border, x and y each"
         )
-    return round(float(np.nanmean(both)), 3)
+    return round(float(np.nanmedian(both)), 3)
 
 
 def _direction(points: np.ndarray, closed: bool) -> str:

@@ -53,7 +53,7 @@ class TrackFile(_Strict):
     title: Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")]
     """What a person calls it."""
     direction: Literal["counter-clockwise", "clockwise", "open"]
-    """Which way round it is driven: the order of the points says the same. `open` does not return."""
+    """Which way round it is driven, as the order of the points says; `open` does not return."""
     width: Annotated[Number, Field(ge=0.3, le=4.0)]
     """Distance between the borders [m]."""
     line: Literal["inside", "outside"]
@@ -92,7 +92,9 @@ def read(text: str, where: str) -> TrackFile:
     except yaml.YAMLError as error:
         raise TrackError(f"{where} is not YAML: {_yaml_reason(error)}; correct it there") from None
     except (ValueError, OverflowError, TypeError, AttributeError, RecursionError) as error:
-        raise TrackError(f"{where} holds a value that cannot be read ({error}); correct it") from None
+        raise TrackError(
+            f"{where} holds a value that cannot be read ({error}); correct it"
+        ) from None
     return checked(content, where, root)
 
 
@@ -163,11 +165,11 @@ def _reason(error: ValidationError, root: yaml.Node | None, where: str) -> str:
     here = f"{where}{at_line}: `{_short(_path(place))}`"
     match first["type"]:
         case "missing":
-            example = _EXAMPLES.get(str(place[-1]), "...")
-            return f"{where} lacks the field `{place[-1]}`; add a line such as `{place[-1]}: {example}`"
+            example = f"{place[-1]}: {_EXAMPLES.get(str(place[-1]), '...')}"
+            return f"{where} lacks the field `{place[-1]}`; add a line such as `{example}`"
         case "extra_forbidden":
-            known = ", ".join(TrackFile.model_fields if len(place) == 1 else ColoursFile.model_fields)
-            return f"{here} is no field of a track file; the fields are {known}"
+            model = TrackFile if len(place) == 1 else ColoursFile
+            return f"{here} is no field here; the fields are {', '.join(model.model_fields)}"
         case "too_short" | "too_long":
             return f"{here} is {given}: {_LENGTHS.get(_family(place), first['msg'])}"
         case _:
@@ -214,9 +216,9 @@ def _family(place: tuple[int | str, ...]) -> str:
 
 def _path(place: tuple[int | str, ...]) -> str:
     """Write a place as a person would: points[3][0]."""
-    text = str(place[0])
-    for part in place[1:]:
-        text += f"[{part}]" if isinstance(part, int) else f".{part}"
+    text = ""
+    for part in place:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else str(part)
     return text
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 
 import av
 import cv2
 import numpy as np
+from av.video.reformatter import ColorRange, Colorspace
 
 
 @dataclass(frozen=True)
@@ -24,50 +24,63 @@ class Coding:
     """Longest time between two key frames [s]: what a viewer decodes at most when it seeks."""
 
 
-def encode(
-    pictures: Iterable[np.ndarray], target: str | io.BytesIO, fps: int, coding: Coding | None = None
-) -> int:
-    """Write pictures to an MP4 and return how many they were.
+class Mp4:
+    """A video under way: add pictures, then close it, best in a with block."""
 
-    Args:
-        pictures: RGB uint8, (height, width, 3), all of one size with even sides.
-        target: a path, or memory.
-        fps: pictures per second.
-        coding: how to compress.
-    """
-    coding = coding or Coding()
-    count = 0
-    # In a file the index stands in front, so that a player can begin before it has the whole.
-    options = {"movflags": "+faststart"} if isinstance(target, str) else {}
-    with av.open(target, "w", format="mp4", options=options) as container:
-        stream = None
-        for picture in pictures:
-            if stream is None:
-                stream = _stream(container, picture, fps, coding)
-            planes = cv2.cvtColor(picture, cv2.COLOR_RGB2YUV_I420)
-            frame = av.VideoFrame.from_ndarray(planes, format="yuv420p")
-            frame.pts = count
-            for packet in stream.encode(frame):
-                container.mux(packet)
-            count += 1
-        if stream is None:
-            raise ValueError("a video needs at least one picture")
-        for packet in stream.encode():
-            container.mux(packet)
-    return count
+    def __init__(self, target: str | io.BytesIO, fps: int, coding: Coding | None = None) -> None:
+        """Open a video.
 
+        Args:
+            target: a path, or memory.
+            fps: pictures per second.
+            coding: how to compress.
+        """
+        self._fps, self._coding = fps, coding or Coding()
+        # In a file the index stands in front, so that a player can begin before it has the whole.
+        options = {"movflags": "+faststart"} if isinstance(target, str) else {}
+        self._container = av.open(target, "w", format="mp4", options=options)
+        self._stream: av.VideoStream | None = None
+        self.count = 0
 
-def _stream(container, picture: np.ndarray, fps: int, coding: Coding) -> av.VideoStream:  # noqa: ANN001
-    height, width = picture.shape[:2]
-    if height % 2 or width % 2:
-        raise ValueError(f"a video's sides must be even, not {width}x{height}")
-    stream = container.add_stream("libx264", rate=fps)
-    stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
-    stream.time_base = stream.codec_context.time_base = Fraction(1, fps)
-    stream.codec_context.gop_size = max(1, round(fps * coding.keyframe_s))
-    stream.codec_context.max_b_frames = 0
-    # cv2's planes are BT.601 at studio range; untagged, players would guess by the size.
-    stream.codec_context.colorspace = av.video.reformatter.Colorspace.ITU601
-    stream.codec_context.color_range = av.video.reformatter.ColorRange.MPEG
-    stream.options = {"crf": str(coding.crf), "preset": coding.preset, "bf": "0"}
-    return stream
+    def __enter__(self) -> Mp4:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def add(self, picture: np.ndarray) -> None:
+        """Append a picture: RGB uint8, (height, width, 3), all of one size with even sides."""
+        if self._stream is None:
+            self._stream = self._begin(picture.shape[1], picture.shape[0])
+        planes = np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2YUV_I420), dtype=np.uint8)
+        frame = av.VideoFrame.from_ndarray(planes, format="yuv420p")
+        frame.pts = self.count
+        for packet in self._stream.encode(frame):
+            self._container.mux(packet)
+        self.count += 1
+
+    def close(self) -> None:
+        """Write what is still held and the index."""
+        try:
+            if self._stream is not None:
+                for packet in self._stream.encode():
+                    self._container.mux(packet)
+        finally:
+            self._container.close()
+
+    def _begin(self, width: int, height: int) -> av.VideoStream:
+        if height % 2 or width % 2:
+            raise ValueError(f"a video's sides must be even, not {width}x{height}")
+        stream = self._container.add_stream("libx264", rate=self._fps)
+        context = stream.codec_context
+        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+        stream.time_base = context.time_base = Fraction(1, self._fps)
+        context.gop_size = max(1, round(self._fps * self._coding.keyframe_s))
+        context.max_b_frames = 0
+        # One thread a video: several videos are made side by side, and the bytes stay the same.
+        context.thread_count = 1
+        # OpenCV's planes are BT.601 at studio range; untagged, players would guess by the size.
+        context.colorspace = Colorspace.ITU601
+        context.color_range = ColorRange.MPEG
+        stream.options = {"crf": str(self._coding.crf), "preset": self._coding.preset, "bf": "0"}
+        return stream

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -9,7 +10,7 @@ import cv2
 import numpy as np
 
 from league.sim.camera.lens import Lens
-from league.sim.camera.scene import SUN, lit
+from league.sim.camera.scene import SUN, Colour, in_light, lit
 from league.track import paint
 from league.track.course import Track
 
@@ -19,7 +20,10 @@ LEVELS = 5
 BLUR = 1.6
 """How many texels lie side by side in one pixel at most; more would flicker."""
 
-_FINEST = ((100, 0.02), (240, 0.01), (10**9, 0.005))
+MAX_TEXELS = 6_000_000
+"""Largest texture; the floor of a larger room is painted coarser."""
+
+_FINEST = ((40, 0.02), (240, 0.01), (10**9, 0.005))
 _WALL_NORMALS = ((0.0, 1.0), (-1.0, 0.0), (0.0, -1.0), (1.0, 0.0))
 
 
@@ -44,8 +48,8 @@ class Ground:
     """Textures, finest first."""
     room: tuple[float, float, float, float]
     """x_min, y_min, x_max, y_max of the wall [m]."""
-    walls: tuple[tuple[float, ...], ...]
-    """Colour of the wall at y_min, x_max, y_max, x_min, lit; one or three numbers each."""
+    walls: tuple[Colour, ...]
+    """Lit colour of the wall at y_min, x_max, y_max, x_min."""
 
 
 class Band(NamedTuple):
@@ -56,12 +60,23 @@ class Band(NamedTuple):
     level: int
 
 
+class Floor(NamedTuple):
+    """A floor as one camera reads it."""
+
+    ground: Ground
+    bands: tuple[Band, ...]
+
+
 _grounds: WeakKeyDictionary[Track, dict[tuple[float, bool], Ground]] = WeakKeyDictionary()
 
 
-def finest_for(width: int) -> float:
+def finest_for(track: Track, width: int) -> float:
     """Return the size of the finest texel [m] for pictures of this width."""
-    return next(size for limit, size in _FINEST if width < limit)
+    x_min, y_min, x_max, y_max = track.room
+    size = next(size for limit, size in _FINEST if width < limit)
+    while (x_max - x_min) * (y_max - y_min) > MAX_TEXELS * size**2:
+        size *= 2
+    return size
 
 
 def ground_of(track: Track, metres_per_pixel: float, colour: bool) -> Ground:
@@ -73,6 +88,13 @@ def ground_of(track: Track, metres_per_pixel: float, colour: bool) -> Ground:
     return kept[key]
 
 
+def floor_of(track: Track, lens: Lens, height: float, pitch: float, colour: bool) -> Floor:
+    """Return a track's floor for a camera at about this height [m] and downward tilt [rad]."""
+    finest = finest_for(track, lens.width)
+    return Floor(ground_of(track, finest, colour), bands(lens, height, pitch, finest))
+
+
+@lru_cache(maxsize=256)
 def bands(lens: Lens, height: float, pitch: float, finest: float) -> tuple[Band, ...]:
     """Return which texture each row of a picture reads, from the top row down.
 
@@ -89,7 +111,17 @@ def bands(lens: Lens, height: float, pitch: float, finest: float) -> tuple[Band,
         levels.append(min(max(level, 0), LEVELS - 1))
     edges = [row for row in range(1, lens.height) if levels[row] != levels[row - 1]]
     starts, stops = [0, *edges], [*edges, lens.height]
-    return tuple(Band(a, b, levels[a]) for a, b in zip(starts, stops, strict=True))
+    found = [Band(a, b, levels[a]) for a, b in zip(starts, stops, strict=True)]
+    horizon = int(min(max(lens.horizon(pitch), 0), lens.height))
+    limit = max(2, lens.height // 40)
+    while len(found) > limit:
+        seen = [min(band.stop - horizon, band.stop - band.start) for band in found]
+        thin = seen.index(min(seen[:-1]))
+        # A thin band joins the one below and reads what the taller of the two reads.
+        one, below = found[thin], found[thin + 1]
+        level = one.level if seen[thin] > seen[thin + 1] else below.level
+        found[thin : thin + 2] = [Band(one.start, below.stop, level)]
+    return tuple(found)
 
 
 def _paint(track: Track, metres_per_pixel: float, colour: bool) -> Ground:
@@ -105,9 +137,6 @@ def _paint(track: Track, metres_per_pixel: float, colour: bool) -> Ground:
         levels.append(Level(image, floor.origin_x, floor.origin_y, size))
         half = (max(image.shape[1] // 2, 1), max(image.shape[0] // 2, 1))
         image = cv2.resize(image, half, interpolation=cv2.INTER_AREA)
-    shade, sun = lit(track.colours.wall, not colour)
-    walls = tuple(
-        tuple(a + b * max(0.0, nx * SUN[0] + ny * SUN[1]) for a, b in zip(shade, sun, strict=True))
-        for nx, ny in _WALL_NORMALS
-    )
+    light = lit(track.colours.wall, not colour)
+    walls = tuple(in_light(light, nx * SUN[0] + ny * SUN[1]) for nx, ny in _WALL_NORMALS)
     return Ground(tuple(levels), track.room, walls)

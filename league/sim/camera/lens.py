@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 from league.sim.config import CameraConfig
 
-
 MIN_HEIGHT = 0.01
 """No camera sinks lower than this above the floor [m]."""
 

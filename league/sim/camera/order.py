@@ -1,5 +1,6 @@
 """What hides what: the order in which things, and the parts of one car, are painted."""
 
+import math
 from typing import NamedTuple
 
 from league.sim.camera.scene import DECK, ROOF, WHEEL_WIDTH, WHEEL_Y
@@ -22,12 +23,51 @@ class Footprint(NamedTuple):
     """[m]."""
 
 
-def compare(one: Footprint, other: Footprint) -> int:
-    """Return -1 if `one` must be painted before `other`, 1 if after, 0 if they overlap.
+def far_to_near(feet: list[Footprint]) -> list[int]:
+    """Return the order in which things must be painted, as indices.
 
-    Two rectangles that do not overlap are parted by a side of one of them; the one on the camera's
-    side of it is painted later.
+    Things are taken by distance, farthest first, unless one left over lies behind the next: two
+    rectangles that do not overlap are parted by a side of one of them, and the one on the camera's
+    side of it is the nearer one.
     """
+    left = sorted(range(len(feet)), key=lambda one: -(feet[one].x ** 2 + feet[one].y ** 2))
+    if len(left) < 2:
+        return left
+    reach = [_bearings(foot) for foot in feet]
+    order = []
+    while left:
+        free = (
+            one
+            for one in left
+            if not any(
+                other != one
+                and reach[other][0] < reach[one][1]
+                and reach[one][0] < reach[other][1]
+                and _compare(feet[other], feet[one]) < 0
+                for other in left
+            )
+        )
+        order.append(next(free, left[0]))
+        left.remove(order[-1])
+    return order
+
+
+def _bearings(foot: Footprint) -> tuple[float, float]:
+    """Return the least and the greatest y / x of a rectangle; all, if it is not wholly ahead."""
+    ahead_x, ahead_y = foot.cos * foot.half_length, foot.sin * foot.half_length
+    left_x, left_y = -foot.sin * foot.half_width, foot.cos * foot.half_width
+    if foot.x - abs(ahead_x) - abs(left_x) < 0.1:
+        return -math.inf, math.inf
+    slopes = [
+        (foot.y + a * ahead_y + b * left_y) / (foot.x + a * ahead_x + b * left_x)
+        for a, b in ((1, 1), (1, -1), (-1, 1), (-1, -1))
+    ]
+    spare = 0.05 / foot.x  # the eyes sit beside the middle
+    return min(slopes) - spare, max(slopes) + spare
+
+
+def _compare(one: Footprint, other: Footprint) -> int:
+    """Return -1 if `one` must be painted before `other`, 1 if after, 0 if they overlap."""
     side = _parted(one, other)
     return side if side else -_parted(other, one)
 
@@ -84,9 +124,7 @@ def far_car_order(x: float, z: float) -> tuple[int, ...]:
     return _stacked((0,), 1, 2, x, z)
 
 
-def _stacked(
-    lower: tuple[int, ...], shell: int, cabin: int, x: float, z: float
-) -> tuple[int, ...]:
+def _stacked(lower: tuple[int, ...], shell: int, cabin: int, x: float, z: float) -> tuple[int, ...]:
     above_roof = ROOF[0] * x + ROOF[2] * z > ROOF[3]
     upper = (shell, cabin) if above_roof else (cabin, shell)
     return (*lower, *upper) if z > DECK else (*upper, *lower)

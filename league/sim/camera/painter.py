@@ -6,37 +6,19 @@ go to OpenCV in 1/16 pixel.
 """
 
 import math
-from functools import cmp_to_key
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from league.sim.camera.ground import Band, Ground
+from league.sim.camera.figures import NEAR, SHIFT, UNIT, Figures, cut
+from league.sim.camera.ground import Floor, Ground
 from league.sim.camera.lens import Lens, Pose
-from league.sim.camera.order import Footprint, compare, part_order
-from league.sim.camera.scene import (
-    BOX,
-    FAR_CAR,
-    RIM,
-    RUBBER,
-    SKY_COLOUR,
-    SUN,
-    WALL_HEIGHT,
-    is_far,
-    lit,
-    luma,
-)
-from league.sim.camera.shapes import SHAPES, Block, Shape, Wheel
+from league.sim.camera.order import Footprint, far_to_near
+from league.sim.camera.scene import SKY_COLOUR, WALL_HEIGHT, luma
 from league.sim.camera.stage import Thing
 
-NEAR = 0.02
-"""Nothing nearer than this is seen [m]."""
-
-_SHIFT = 4
-_UNIT = 1 << _SHIFT
 _WARP = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-_SUN_X, _SUN_Y, _SUN_Z = SUN
 
 
 class _Seen(NamedTuple):
@@ -51,37 +33,40 @@ class Painter:
 
     Args:
         lens: the lens.
-        bands: which texture each row of floor reads.
         gray: gray pictures instead of RGB.
     """
 
-    def __init__(self, lens: Lens, bands: tuple[Band, ...], gray: bool) -> None:
-        self._lens, self._bands, self._gray = lens, bands, gray
-        self._scale = _UNIT * lens.focal
-        self._cx, self._cy = _UNIT * lens.cx, _UNIT * lens.cy
+    def __init__(self, lens: Lens, gray: bool) -> None:
+        self._lens = lens
+        self._scale = UNIT * lens.focal
+        self._cx, self._cy = UNIT * lens.cx, UNIT * lens.cy
         # Half the picture's width over the focal length: X <= slope * Z is in view.
         self._slope = lens.width / 2 / lens.focal
         self._secant = math.sqrt(1 + self._slope**2)
         self._widest = max(abs(eye) for eye in lens.eyes)
         self._sky = luma(SKY_COLOUR) if gray else SKY_COLOUR
-        self._rubber = (luma(RUBBER),) if gray else RUBBER
+        self._figures = Figures(lens, gray)
 
-    def paint(self, pictures: np.ndarray, pose: Pose, ground: Ground, things: list[Thing]) -> None:
-        """Draw over `pictures`, (num_eyes, height, width) or (num_eyes, height, width, 3)."""
+    def paint(self, pictures: np.ndarray, pose: Pose, floor: Floor, things: list[Thing]) -> None:
+        """Draw over all of some pictures.
+
+        Args:
+            pictures: (num_eyes, height, width) or (num_eyes, height, width, 3), uint8.
+            pose: the camera.
+            floor: the track's floor and which texture each row reads.
+            things: what stands in the room.
+        """
+        ground = floor.ground
         images = list(pictures)
         corners = self._corners(pose, ground)
         top = self._first_floor_row(pose, max(corner[0] for corner in corners))
         if top > 0:
             pictures[:, :top] = self._sky
-        self._floor(images, pose, ground, top)
+        self._floor(images, pose, floor, top)
         self._walls(images, pose, ground, corners)
         seen = self._in_view(pose, things)
-        if len(seen) > 1:
-            # Far to near; the sort is by distance where the footprints leave it open.
-            seen.sort(key=lambda one: -(one.foot.x**2 + one.foot.y**2))
-            seen.sort(key=cmp_to_key(lambda one, other: compare(one.foot, other.foot)))
-        for one in seen:
-            self._thing(images, pose, one)
+        for index in far_to_near([one.foot for one in seen]):
+            self._figures.draw(images, pose, seen[index].thing, seen[index].foot)
 
     # The floor -----------------------------------------------------------------------------
 
@@ -106,7 +91,7 @@ class Painter:
         row = lens.cy + lens.focal * (pose.z * cos - farthest * sin) / depth
         return min(max(int(row), 0), lens.height)
 
-    def _floor(self, images: list[np.ndarray], pose: Pose, ground: Ground, top: int) -> None:
+    def _floor(self, images: list[np.ndarray], pose: Pose, floor: Floor, top: int) -> None:
         """Warp the floor into the rows from `top` down.
 
         With w = focal * sin(pitch) + (row - cy) * cos(pitch), pixel (u, row) sees the floor at
@@ -115,11 +100,11 @@ class Painter:
         lens = self._lens
         px, py, height, cos, sin, pitch_cos, pitch_sin = pose
         ahead_row, left_column = -height * pitch_sin, -height
-        for band in self._bands:
+        for band in floor.bands:
             start = max(band.start, top)
             if start >= band.stop:
                 continue
-            level = ground.levels[band.level]
+            level = floor.ground.levels[band.level]
             row = start - lens.cy
             w = lens.focal * pitch_sin + row * pitch_cos
             ahead = height * (lens.focal * pitch_cos - row * pitch_sin)
@@ -154,49 +139,40 @@ class Painter:
 
     # The walls -----------------------------------------------------------------------------
 
-    def _walls(
-        self, images: list[np.ndarray], pose: Pose, ground: Ground, corners: list
-    ) -> None:
-        cos, sin = pose.pitch_cos, pose.pitch_sin
-        drop, low = pose.z * sin, pose.z * cos
-        rise, lift = WALL_HEIGHT * sin, WALL_HEIGHT * cos
-        # X, Y, Z of each corner's foot and of its top.
-        feet = [(-left, low - ahead * sin, ahead * cos + drop) for ahead, left in corners]
-        tops = [(x, y - lift, z - rise) for x, y, z in feet]
-        slope, spare = self._slope, self._widest
+    def _walls(self, images: list[np.ndarray], pose: Pose, ground: Ground, corners: list) -> None:
+        # The sides of the view, as upright planes that hold all that is seen from the floor up.
+        # Walls are cut there to keep their pixels few: OpenCV walks along every edge, seen or not.
+        slope = self._slope * pose.pitch_cos
+        spare = self._slope * pose.z * pose.pitch_sin + self._widest + 1e-3
+        sides = [(slope * ahead + spare, left) for ahead, left in corners]
         points, sizes, colours = [], [], []
         for near in range(4):
-            far = (near + 1) % 4
-            wall = [feet[near], feet[far], tops[far], tops[near]]
-            if all(z < NEAR for _, _, z in wall):
-                continue
-            if all(x - spare > slope * z for x, _, z in wall):
-                continue
-            if all(-x - spare > slope * z for x, _, z in wall):
-                continue
-            if any(z < NEAR for _, _, z in wall):
-                wall = clip(wall, NEAR)
-            points += wall
-            sizes.append(len(wall))
-            colours.append(ground.walls[near])
+            ends = _inside(corners[near], corners[near - 3], sides[near], sides[near - 3])
+            if ends is not None:
+                wall = _upright(pose, *ends)
+                points += wall
+                sizes.append(len(wall))
+                colours.append(ground.walls[near])
         if not points:
             return
         fills = self._project(points)
         start = 0
         for size, colour in zip(sizes, colours, strict=True):
-            for image, fill in zip(images, fills, strict=True):
-                cv2.fillConvexPoly(image, fill[start : start + size], colour, 8, _SHIFT)
-            start += size
+            if size:
+                stop = start + size
+                for image, fill in zip(images, fills, strict=True):
+                    cv2.fillConvexPoly(image, fill[start:stop], colour, 8, SHIFT)
+                start = stop
 
     def _project(self, points: list[tuple[float, float, float]]) -> np.ndarray:
         """Return camera points as (num_eyes, num_points, 2) in units of 1/16 pixel."""
         scale, cx, cy = self._scale, self._cx, self._cy
-        rows = []
-        for x, y, z in points:
-            part = scale / z
-            down = cy + y * part
-            rows.append([(cx + (x + eye) * part, down) for eye in self._lens.eyes])
-        return np.rint(np.array(rows).swapaxes(0, 1)).astype(np.int32, order="C")
+        flat = []
+        for eye in self._lens.eyes:
+            for x, y, z in points:
+                part = scale / z
+                flat += (cx + (x + eye) * part, cy + y * part)
+        return np.rint(np.array(flat)).astype(np.int32).reshape(-1, len(points), 2)
 
     # Things --------------------------------------------------------------------------------
 
@@ -207,34 +183,65 @@ class Painter:
             dx, dy = thing.x - px, thing.y - py
             x, y = cos * dx + sin * dy, cos * dy - sin * dx
             along, across, _ = thing.scale
-            half_length, half_width = thing.model.half_length * along, thing.model.half_width * across
+            half_length, half_width = (
+                thing.model.half_length * along,
+                thing.model.half_width * across,
+            )
             reach = half_length + half_width
             depth = x * pitch_cos + height * pitch_sin
             if depth + reach < NEAR:
                 continue
             if abs(y) - self._widest - reach * self._secant > self._slope * depth:
                 continue
-            turn_cos, turn_sin = thing.cos * cos + thing.sin * sin, thing.sin * cos - thing.cos * sin
+            turn_cos, turn_sin = (
+                thing.cos * cos + thing.sin * sin,
+                thing.sin * cos - thing.cos * sin,
+            )
             foot = Footprint(x, y, turn_cos, turn_sin, half_length, half_width)
             seen.append(_Seen(thing, foot))
         return seen
 
-    def _thing(self, images: list[np.ndarray], pose: Pose, seen: _Seen) -> None:
-        thing, foot = seen
-        model = thing.model
-        if model is not BOX and is_far(self._lens.focal, math.sqrt(foot.x**2 + foot.y**2)):
-            model = FAR_CAR
-        shape = SHAPES[model]
-        points = shape.basis @ self._matrix(pose, seen)  # (num_vertices, 2 * num_eyes + 1)
-        depth = points[:, -1:]
-        eyes = self._eyes(pose, seen)
-        visible = (shape.planes @ eyes > 0).T.tolist()  # [eye][quad]
-        shade, light = lit(thing.colour, self._gray)
-        brush = _Brush(self, thing, shape, shade, light)
-        if depth.min() < NEAR:
-            self._thing_cut(images, points, seen, shape, eyes, visible, brush)
-            return
-        rounded = np.rint(points[:, :-1] / depth).astype(np.int32)
-        fills = rounded.reshape(len(points), -1, 2).swapaxes(0, 1)
-        fills = np.ascontiguousarray(fills)  # (num_eyes, num_vertices, 2)
-        quads = fills.take(shape.quads, axis=1)  # (num_eyes, num_quads, 4, 2)
+
+def _inside(one: tuple, other: tuple, side_one: tuple, side_other: tuple) -> tuple | None:
+    """Return the part of a segment of the floor that lies inside both sides of the view, or None.
+
+    Args:
+        one: an end: ahead, left.
+        other: the other end.
+        side_one: how far the view reaches to either side there, and how far left it is.
+        side_other: the same of the other end.
+    """
+    reach, left = side_one
+    far_reach, far_left = side_other
+    start, stop = 0.0, 1.0
+    for before, after in ((reach - left, far_reach - far_left), (reach + left, far_reach + far_left)):
+        if before < 0:
+            if after < 0:
+                return None
+            start = max(start, before / (before - after))
+        elif after < 0:
+            stop = min(stop, before / (before - after))
+    if start >= stop:
+        return None
+    dx, dy = other[0] - one[0], other[1] - one[1]
+    return (
+        (one[0] + start * dx, one[1] + start * dy),
+        (one[0] + stop * dx, one[1] + stop * dy),
+    )
+
+
+def _upright(pose: Pose, one: tuple, other: tuple) -> list:
+    """Return the wall between two places of the floor as X, Y, Z of the camera's frame."""
+    cos, sin, height = pose.pitch_cos, pose.pitch_sin, pose.z
+    ahead, left = one
+    far_ahead, far_left = other
+    top, rise = (height - WALL_HEIGHT) * cos, (height - WALL_HEIGHT) * sin
+    low, fall = height * cos, height * sin
+    y, z, far_y, far_z = -ahead * sin, ahead * cos, -far_ahead * sin, far_ahead * cos
+    wall = [
+        (-left, low + y, fall + z),
+        (-far_left, low + far_y, fall + far_z),
+        (-far_left, top + far_y, rise + far_z),
+        (-left, top + y, rise + z),
+    ]
+    return wall if min(z, far_z) + min(fall, rise) >= NEAR else cut(wall)

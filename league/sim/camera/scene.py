@@ -8,10 +8,14 @@ other. All lengths in metres, all colours sRGB 0-255.
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 
 from league.track.course import Rgb
+
+Colour = float | tuple[float, float, float]
+"""What a pixel is filled with: a gray value, or red, green and blue."""
 
 CAR_COLOURS: tuple[Rgb, ...] = (
     (226, 52, 62),  # red
@@ -46,14 +50,14 @@ _SUN = (0.5, -0.1, 0.9)  # where the light comes from (facts 3.1)
 _SUN_LENGTH = math.sqrt(sum(part * part for part in _SUN))
 SUN = tuple(part / _SUN_LENGTH for part in _SUN)
 """Unit vector towards the sun, world frame."""
-AMBIENT = 0.55
+AMBIENT = 0.74
 """Share of a colour that a face turned from the sun shows."""
-DIFFUSE = (0.47, 0.47, 0.40)
+DIFFUSE = (0.31, 0.31, 0.26)
 """What a face turned to the sun adds, for red, green and blue (a warm sun)."""
 LUMA = (0.299, 0.587, 0.114)
 
-BODY = -1
-"""Index into a model's paints that means: the colour of this very car or box."""
+BODY, HIDDEN = -1, -2
+"""A face with the colour of this very car or box; a face that no camera can see."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +69,7 @@ class Solid:
     faces: tuple[tuple[int, ...], ...]
     """Vertices of each face, in order round it."""
     paints: tuple[int, ...]
-    """Paint of each face: an index into PAINTS, or BODY."""
+    """Paint of each face: an index into PAINTS, BODY or HIDDEN."""
     pivot: tuple[float, float] | None = None
     """Where a steered wheel turns; its vertices are then relative to this point."""
     rounded: bool = False
@@ -87,6 +91,7 @@ class Solid:
 
 
 PAINTS: tuple[Rgb, ...] = (RUBBER, RIM, CHASSIS, GLASS)
+"""Colours that all cars share."""
 _RUBBER, _RIM, _CHASSIS, _GLASS = range(4)
 
 _HEXAHEDRON = (
@@ -178,14 +183,14 @@ CABIN = _hexahedron(
         "top": (0.0, 0.0, 1.0, 0.178),
         "bottom": ROOF,
     },
-    (_GLASS, _GLASS, _GLASS, _GLASS, BODY, _GLASS),
+    (_GLASS, _GLASS, _GLASS, _GLASS, BODY, HIDDEN),
 )
 
-_CHASSIS_BLOCK = _block(0.150, -0.150, 0.044, 0.016, DECK, (_CHASSIS,) * 6)
+_CHASSIS_BLOCK = _block(0.150, -0.150, 0.044, 0.016, DECK, (*[_CHASSIS] * 4, HIDDEN, _CHASSIS))
 _WHEELS = tuple(
     _wheel(x, y, steered=x > 0) for x in (WHEEL_X, -WHEEL_X) for y in (WHEEL_Y, -WHEEL_Y)
 )
-_SKIRT = _block(0.120, -0.120, 0.096, 0.0, DECK, (_RUBBER,) * 6)
+_SKIRT = _block(0.120, -0.120, 0.094, 0.0, DECK, (*[_RUBBER] * 4, HIDDEN, HIDDEN))
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,38 +210,44 @@ CAR = Model((_CHASSIS_BLOCK, *_WHEELS, SHELL, CABIN), 0.162, 0.098, 0.178)
 FAR_CAR = Model((_SKIRT, SHELL, CABIN), 0.162, 0.098, 0.178)
 """The same where a wheel is but a few pixels: wheels and chassis are one dark block."""
 
-BOX = Model((_block(0.5, -0.5, 0.5, 0.0, 1.0, _PANEL),), 0.5, 0.5, 1.0)
+BOX = Model((_block(0.5, -0.5, 0.5, 0.0, 1.0, (*[BODY] * 5, HIDDEN)),), 0.5, 0.5, 1.0)
 """A box of size 1 that is stretched to its own size."""
 
 FAR_WHEEL_PIXELS = 5.0
 """A car is drawn as FAR_CAR where a wheel's height would be fewer pixels than this."""
 
 
-def is_far(focal: float, distance: float) -> bool:
-    """Return whether a car at this distance [m] is drawn as FAR_CAR by a lens [px]."""
+def is_far(focal: float, distance: Any) -> Any:
+    """Return whether a car at this distance [m], float or Tensor, is drawn as FAR_CAR."""
     return focal * 2 * WHEEL_RADIUS < FAR_WHEEL_PIXELS * distance
 
 
 @lru_cache(maxsize=4096)
-def lit(colour: tuple[float, float, float], gray: bool) -> tuple[tuple[float, ...], ...]:
-    """Return what a colour shows in the shade, and what full sun adds; one or three numbers each."""
-    shade = tuple(AMBIENT * part for part in colour)
-    sun = tuple(gain * part for gain, part in zip(DIFFUSE, colour, strict=True))
-    if not gray:
-        return shade, sun
-    return (_luma(shade),), (_luma(sun),)
+def lit(colour: tuple[float, float, float], gray: bool) -> tuple[Colour, Colour]:
+    """Return what a colour shows in the shade, and what full sun adds to it."""
+    red, green, blue = colour
+    shade = (AMBIENT * red, AMBIENT * green, AMBIENT * blue)
+    sun = (DIFFUSE[0] * red, DIFFUSE[1] * green, DIFFUSE[2] * blue)
+    return (luma(shade), luma(sun)) if gray else (shade, sun)
 
 
-def luma(colour: tuple[float, ...]) -> float:
+def in_light(light: tuple[Colour, Colour], facing: float) -> Colour:
+    """Return the colour of a face whose normal makes an angle of this cosine with the sun."""
+    shade, sun = light
+    if facing <= 0:
+        return shade
+    if isinstance(shade, tuple) and isinstance(sun, tuple):
+        red, green, blue = shade
+        return (red + facing * sun[0], green + facing * sun[1], blue + facing * sun[2])
+    return shade + facing * sun  # type: ignore[operator]
+
+
+def luma(colour: tuple[float, float, float]) -> float:
     """Return the gray value of a colour."""
-    return _luma(colour)
+    return LUMA[0] * colour[0] + LUMA[1] * colour[1] + LUMA[2] * colour[2]
 
 
 def faded(colour: Rgb) -> Rgb:
     """Return the colour of a car that stands a penalty: halfway to white."""
     red, green, blue = ((part + 255) // 2 for part in colour)
     return red, green, blue
-
-
-def _luma(colour: tuple[float, ...]) -> float:
-    return LUMA[0] * colour[0] + LUMA[1] * colour[1] + LUMA[2] * colour[2]

@@ -1,18 +1,19 @@
 """Models of the scene compiled into the arrays that the OpenCV painter projects."""
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from league.sim.camera.scene import BODY, BOX, CAR, FAR_CAR, PAINTS, Model, Solid
+from league.sim.camera.scene import BODY, BOX, CAR, FAR_CAR, HIDDEN, PAINTS, Model, Solid
 
 
 class Block(NamedTuple):
     """A solid with few faces, each filled on its own."""
 
-    faces: tuple[int, ...]
-    """Rows of the shape's quads."""
+    quads: tuple[int, ...]
+    """Rows of the shape's quads that are its faces."""
 
 
 class Wheel(NamedTuple):
@@ -30,6 +31,16 @@ class Wheel(NamedTuple):
     """Whether it turns with the steering."""
     half_width: float
     """[m]."""
+    faces: tuple[tuple[int, ...], ...]
+    """Vertices of each face: tread, left cap, right cap."""
+
+    def side_of(self, eye: tuple[float, ...], steering: float) -> int:
+        """Return 1 if an eye in the car's frame sees the left cap, -1 the right one, 0 neither."""
+        across = eye[1] - self.pivot[1]
+        if self.steered:
+            ahead = eye[0] - self.pivot[0]
+            across = math.cos(steering) * across - math.sin(steering) * ahead
+        return (across > self.half_width) - (across < -self.half_width)
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +48,10 @@ class Shape:
     """One model, ready to be projected."""
 
     basis: np.ndarray
-    """(num_vertices, 6): x, y, z, 1, and x, y from the pivot of what is steered."""
+    """(num_vertices, 4): x, y, z, 1; where something is steered (num_vertices, 6): the place of its
+    pivot instead, then x, y from there."""
+    steered: bool
+    """Whether some of it turns with the steering."""
     quads: np.ndarray
     """(num_quads, 4) int: vertices of the blocks' faces."""
     planes: np.ndarray
@@ -58,19 +72,27 @@ def _compile(model: Model) -> Shape:
         if solid.rounded:
             parts.append(_wheel(solid, first))
             continue
-        parts.append(Block(tuple(range(len(quads), len(quads) + len(solid.faces)))))
-        quads += [[first + index for index in face] for face in solid.faces]
-        planes.append(solid.planes * (1, 1, 1, -1))
-        paints += [None if paint == BODY else PAINTS[paint] for paint in solid.paints]
+        shown = [number for number, paint in enumerate(solid.paints) if paint != HIDDEN]
+        parts.append(Block(tuple(range(len(quads), len(quads) + len(shown)))))
+        quads += [[first + index for index in solid.faces[number]] for number in shown]
+        planes.append(solid.planes[shown] * (1, 1, 1, -1))
+        paints += [_paint(solid.paints[number]) for number in shown]
     stacked = np.concatenate(planes)
+    columns = np.concatenate(basis)
+    steered = bool(columns[:, 4:].any())
     return Shape(
-        basis=np.concatenate(basis),
+        basis=np.ascontiguousarray(columns if steered else columns[:, :4]),
+        steered=steered,
         quads=np.array(quads),
         planes=np.ascontiguousarray(stacked),
         normals=tuple((a, b, c) for a, b, c, _ in stacked.tolist()),
         paints=tuple(paints),
         parts=tuple(parts),
     )
+
+
+def _paint(paint: int) -> tuple[float, float, float] | None:
+    return None if paint == BODY else PAINTS[paint]
 
 
 def _columns(solid: Solid) -> np.ndarray:
@@ -94,6 +116,7 @@ def _wheel(solid: Solid, first: int) -> Wheel:
         (float(middle[0]), float(middle[1])),
         solid.pivot is not None,
         half,
+        tuple(tuple(first + index for index in face) for face in solid.faces),
     )
 
 

@@ -10,6 +10,7 @@ from typing import NamedTuple
 from torch import Tensor
 
 from league.sim.camera.lens import Pose, mounted
+from league.sim.camera.looks import Look
 from league.sim.camera.scene import BOT_COLOUR, BOX, BOX_COLOUR, CAR, CAR_COLOURS, Model, faded
 from league.sim.config import CameraConfig, SimConfig
 from league.sim.world import World
@@ -42,13 +43,16 @@ class Thing(NamedTuple):
 class Stage:
     """Some worlds of a batch, ready to be looked at from any car."""
 
-    def __init__(self, sim: SimConfig, world: World, rows: Tensor | None = None) -> None:
+    def __init__(
+        self, sim: SimConfig, world: World, rows: Tensor | None = None, look: Look | None = None
+    ) -> None:
         def plain(values: Tensor) -> list:
             return (values if rows is None else values[rows]).tolist()
 
         motion, obstacles = world.motion, world.obstacles
         self.track: list[int] = plain(world.track)
         self._sim = sim
+        self._tints = None if look is None else look.tint.tolist()
         self._x, self._y, self._yaw = plain(motion.x), plain(motion.y), plain(motion.yaw)
         self._steering, self._penalty = plain(motion.steering), plain(world.standing.penalty_s)
         self._up, self._tilt = plain(world.cars.camera_up), plain(world.cars.camera_pitch)
@@ -90,14 +94,26 @@ class Stage:
         if self._num_obstacles:
             bots = self._sim.obstacles.kind == "bot"
             height = self._sim.obstacles.height
-            for x, y, yaw, along, across in zip(*(part[row] for part in self._obstacles)):
+            for x, y, yaw, along, across in zip(
+                *(part[row] for part in self._obstacles), strict=True
+            ):
                 if bots:
                     found.append(_car(x, y, yaw, 0.0, BOT_COLOUR))
                 else:
                     scale = (2 * along, 2 * across, height)
                     cos, sin = math.cos(yaw), math.sin(yaw)
                     found.append(Thing(BOX, x, y, cos, sin, 0.0, BOX_COLOUR, scale))
+        if self._tints is not None:
+            tints = [tint for slot, tint in enumerate(self._tints[row]) if slot != without]
+            found = [_tinted(thing, tint) for thing, tint in zip(found, tints, strict=True)]
         return found
+
+
+def _tinted(thing: Thing, tint: list[float]) -> Thing:
+    red, green, blue = (
+        min(part * gain, 255.0) for part, gain in zip(thing.colour, tint, strict=True)
+    )
+    return thing._replace(colour=(red, green, blue))
 
 
 def _car(x: float, y: float, yaw: float, steering: float, colour: tuple) -> Thing:

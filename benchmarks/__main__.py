@@ -1,0 +1,10 @@
+"""Run all benchmarks, or those named: python -m benchmarks [cameras solvers ...]."""
+
+import importlib
+import sys
+
+NAMES = ("cameras", "worlds", "solvers", "lap_bound", "drivers", "races", "replays")
+
+if __name__ == "__main__":
+    for name in sys.argv[1:] or NAMES:
+        importlib.import_module(f"benchmarks.{name}").main()

@@ -1,0 +1,89 @@
+"""How fast whole races run: with stereo cameras, in both solvers, and as a user starts them."""
+
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import torch
+
+from benchmarks.report import figure, heading, machine, seconds
+from league import race
+from league.agents import roster
+from league.envs.config import EnvConfig
+from league.envs.race_env import RaceEnv
+from league.race_spec import Entry, RaceSpec
+from league.sim.config import CameraConfig, SensorConfig, SimConfig
+from league.track import files
+from league.track.course import TrackSet
+
+
+def stereo_rate(solver: str, num_worlds: int, width: int, height: int, steps: int) -> float:
+    """Return simulated car-seconds per wall second of two-car races with stereo cameras."""
+    tracks = TrackSet.of(files.load("reinvent_2018"))
+    sim = SimConfig(kind="head_to_head", num_cars=2)
+    camera = CameraConfig(width=width, height=height)
+    cfg = EnvConfig(sim=sim, solver=solver, sensors=(SensorConfig(camera=camera),))
+    env = RaceEnv(tracks, cfg, num_worlds=num_worlds)
+    drivers = [roster.load(name, tracks, sim.car) for name in ("racing_line", "centerline")]
+    told = env.reset(seed=1)
+
+    def drive() -> None:
+        nonlocal told
+        for _ in range(steps):
+            actions = torch.stack([d.act(o) for d, o in zip(drivers, told, strict=True)], dim=1)
+            told = env.step(actions).observations
+
+    taken = seconds(drive, repeats=3)
+    picture = told[0]["stereo"].float()
+    assert picture.std() > 5, "the picture is blank"
+    assert float(env.world.standing.distance.min()) > 1.0, "the cars did not drive"
+    env.close()
+    return num_worlds * 2 * steps / 15 / taken
+
+
+def three_laps(folder: Path) -> float:
+    """Return how much faster than real time a three-lap race in Bullet with replay runs."""
+    from league import replay
+
+    spec = RaceSpec(entries=(Entry(name="racing_line"), Entry(name="centerline")), laps=3)
+    race.run(spec)
+    start = time.perf_counter()
+    finished = race.run(spec)
+    replay.write(finished.replay, folder / "three-laps.race")
+    taken = time.perf_counter() - start
+    assert all(car.finished for car in finished.result.order), "somebody did not finish"
+    return finished.result.race_s / taken
+
+
+def main() -> None:
+    """Print the figures."""
+    heading("Races")
+    print(machine())
+    torch.set_num_threads(1)
+    unit = "car-s per wall s"
+    figure(
+        "Bullet, 1 world, two cars, stereo 160x120",
+        stereo_rate("bullet", 1, 160, 120, 60),
+        unit,
+        16,
+    )
+    figure(
+        "planar, 64 worlds, two cars, stereo 64x48",
+        stereo_rate("planar", 64, 64, 48, 15),
+        unit,
+        200,
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        figure("three laps in Bullet with replay", three_laps(Path(folder)), "x real time", 8)
+    help_s = seconds(
+        lambda: subprocess.run(
+            [sys.executable, "-m", "league.cli", "--help"], check=True, capture_output=True
+        )
+    )
+    figure("league --help", help_s, "s", 0.3, most=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,59 @@
+"""What every benchmark prints alike: the machine, a heading, a figure beside its goal."""
+
+import os
+import platform
+import statistics
+import time
+from collections.abc import Callable
+
+
+def heading(title: str) -> None:
+    """Print a benchmark's title."""
+    print(f"\n## {title}\n", flush=True)
+
+
+def figure(
+    name: str, value: float, unit: str, goal: float | None = None, *, most: bool = False
+) -> bool:
+    """Print one figure beside its goal; return whether the goal is met.
+
+    Args:
+        name: what was measured.
+        value: the figure.
+        unit: its unit.
+        goal: what was aimed at, if anything.
+        most: True when the goal is an upper bound.
+    """
+    met = goal is None or (value <= goal if most else value >= goal)
+    aim = "" if goal is None else f"  goal {'<=' if most else '>='} {goal:g}"
+    verdict = "" if goal is None else ("  met" if met else "  NOT MET")
+    print(f"{name:62s} {value:12,.4g} {unit:18s}{aim}{verdict}", flush=True)
+    return met
+
+
+def machine() -> str:
+    """Describe the machine in one line."""
+    import torch
+
+    model = platform.processor() or platform.machine()
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as lines:
+            names = [line.split(":", 1)[1].strip() for line in lines if "model name" in line]
+        model = names[0] if names else model
+    except OSError:
+        pass
+    return (
+        f"{os.cpu_count()} cores of {model}, Python {platform.python_version()}, "
+        f"torch {torch.__version__}"
+    )
+
+
+def seconds(action: Callable[[], object], repeats: int = 5) -> float:
+    """Return the median wall time of an action [s], after one call to warm up."""
+    action()
+    taken = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        action()
+        taken.append(time.perf_counter() - start)
+    return statistics.median(taken)

@@ -1,0 +1,70 @@
+"""A name or a path -> a Driver."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from league.agents.driver import Driver
+from league.agents.scripted import CenterlineDriver, LineDriver, Style
+from league.agents.traffic import Manners
+from league.errors import PolicyError, nearest_names
+from league.sim.config import CarConfig
+from league.track.course import Track, TrackSet
+
+NAMES: dict[str, str] = {
+    "blocker": "drives the racing line a little slower and moves in front of the car behind it",
+    "cautious": "drives at three quarters of the pace, keeps its distance, goes round what stands",
+    "centerline": "the honest beginner: follows the centreline, slow in bends, brakes behind others",
+    "racing_line": "the bar to beat: the fastest line at the limit of grip, passes where it can",
+}
+"""Scripted drivers and what each does."""
+
+_BUILD: dict[str, Callable[[Track, CarConfig], Driver]] = {
+    "blocker": lambda track, car: LineDriver(
+        "blocker", track, car, Style(pace=0.85, grip=0.9, margin=0.08, blocks=True)
+    ),
+    "cautious": lambda track, car: LineDriver(
+        "cautious",
+        track,
+        car,
+        Style(
+            pace=0.75,
+            grip=0.85,
+            margin=0.12,
+            manners=Manners(
+                clearance=0.1, edge=0.04, approach=1.8, braking=2.0, gap=0.3, freer_side=True
+            ),
+        ),
+    ),
+    "centerline": lambda track, car: CenterlineDriver("centerline", track, car),
+    "racing_line": lambda track, car: LineDriver("racing_line", track, car, Style()),
+}
+
+
+def load(name_or_path: str, tracks: TrackSet, car: CarConfig) -> Driver:
+    """Build a driver for the track that all its rows race on.
+
+    Args:
+        name_or_path: name of a scripted driver.
+        tracks: the set; a scripted driver needs it to hold one track.
+        car: the car it will drive.
+
+    Raises:
+        PolicyError: the name is unknown, or the driver cannot drive this set.
+    """
+    if name_or_path.endswith(".pt"):
+        raise PolicyError(
+            f"{name_or_path!r} is a checkpoint, which this version cannot load yet (checkpoints come "
+            f"with `league train`); give a scripted driver: {', '.join(NAMES)}"
+        )
+    if name_or_path not in NAMES:
+        raise PolicyError(
+            f"there is no driver {name_or_path!r}; nearest: "
+            f"{nearest_names(name_or_path, list(NAMES))}"
+        )
+    if len(tracks.tracks) != 1:
+        raise PolicyError(
+            f"{name_or_path!r} was asked to drive {len(tracks.tracks)} tracks at once: scripted "
+            "drivers are built for one; give a set of one track"
+        )
+    return _BUILD[name_or_path](tracks.tracks[0], car)

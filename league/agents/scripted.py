@@ -1,0 +1,217 @@
+"""Drivers without a network; they read the truth (the `state` group) and never learn."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from league.agents.driver import actions_from
+from league.agents.path import NODE_GAP, NODES, Horizon, Path, Place, read_nodes
+from league.agents.racing_line import Limits, center_line, optimal_line
+from league.agents.steering import STEP_DT, STEPS, Errors, PreviewSteering
+from league.agents.traffic import Manners, Others, largest_speed, plan
+from league.envs.state import INDEX, NEIGHBOURS
+from league.geometry import unrotate
+from league.sim.config import CarConfig, SensorConfig
+from league.track.course import Track
+
+GRAVITY = 9.81
+"""[m/s^2]."""
+_SMOOTHINGS = 2
+_SERVO = 0.6
+"""Part of a speed error that the servo makes good within a control step."""
+
+
+@dataclass(frozen=True)
+class Style:
+    """What makes one line follower differ from another."""
+
+    pace: float = 1.0
+    """Part of the line's speed that is driven."""
+    grip: float = 0.95
+    """Part of the tyres' grip that is used on the line and beside it."""
+    margin: float = 0.0
+    """Smallest distance from the line to a border [m]."""
+    manners: Manners = field(default_factory=Manners)
+    """How it treats others."""
+    blocks: bool = False
+    """Whether it moves in front of the car behind."""
+
+
+class LineDriver:
+    """Follows the fastest line by preview steering, goes round others, brakes where it cannot."""
+
+    def __init__(self, name: str, track: Track, car: CarConfig, style: Style) -> None:
+        """Seek the line of a track and build the tables."""
+        self.name, self.sensors = name, SensorConfig()
+        line = optimal_line(track, car, style.margin, share=style.grip)
+        self._car, self._style = car, style
+        self._path = Path.of(line, track)
+        self._steering = PreviewSteering.of(car)
+        self._transfer = Limits.of(car).transfer
+        self._grip = style.grip * car.grip * GRAVITY
+        self._target = torch.zeros(0)
+        self._shift = torch.zeros(0)
+
+    def reset(self, rows: Tensor | None) -> None:
+        """Forget the last steering target and how far beside the line the car was."""
+        if rows is None:
+            self._target, self._shift = torch.zeros(0), torch.zeros(0)
+        elif len(self._target):
+            self._target[rows], self._shift[rows] = 0.0, 0.0
+
+    def act(self, observations: Mapping[str, Tensor]) -> Tensor:
+        """Return actions from the `state` group."""
+        state = observations["state"]
+        if len(self._target) != len(state):
+            self._target = torch.zeros_like(state[:, 0])
+            self._shift = torch.zeros_like(state[:, 0])
+        place = self._path.beside(state[:, INDEX["s"]].contiguous())
+        road = self._path.ahead_of(place)
+        speed = torch.clamp(state[:, INDEX["speed_ahead"]], min=0.0)
+        shift, limit = self._around(state, road, speed)
+        bends = road.curvature + _second(shift)
+        steering = self._steer(state, place, shift, bends, speed)
+        asked = self._drive(road, bends, speed, limit)
+        self._target = torch.where(state[:, INDEX["frozen"]] > 0, 0.0, steering)
+        self._shift = read_nodes(shift, (speed * STEP_DT).unsqueeze(1))[:, 0]
+        return actions_from(self._target, asked, self._car)
+
+    def _around(self, state: Tensor, road: Horizon, speed: Tensor) -> tuple[Tensor, Tensor]:
+        """Return how far beside the line to drive at each node, and the largest speed now."""
+        others = Others.told(state)
+        wished = _mirrored(state, road, self._style.manners) if self._style.blocks else road.lateral
+        lateral = state[:, INDEX["lateral"]].contiguous()
+        planned = plan(others, road, wished, lateral, speed, self._style.manners)
+        shift = planned.lateral - road.lateral
+        # From where the last step left it, a shift grows no faster than a car can follow.
+        ahead = torch.arange(NODES, dtype=torch.float32, device=state.device) * NODE_GAP
+        most = 0.02 + 0.15 * ahead + 0.15 * ahead * ahead
+        held = self._shift.unsqueeze(1)
+        shift = torch.minimum(torch.maximum(shift, held - most), held + most)
+        for _ in range(_SMOOTHINGS):
+            inner = (shift[:, :-2] + 2.0 * shift[:, 1:-1] + shift[:, 2:]) / 4.0
+            shift = torch.cat([shift[:, :1], inner, shift[:, -1:]], dim=1)
+        return shift, planned.speed
+
+    def _steer(
+        self, state: Tensor, place: Place, shift: Tensor, bends: Tensor, speed: Tensor
+    ) -> Tensor:
+        """Return the steering target [rad]."""
+        aside = state[:, INDEX["lateral"]] - place.lateral - shift[:, 0]
+        turned = (shift[:, 1] - shift[:, 0]) / NODE_GAP
+        heading = state[:, INDEX["heading_error"]] - place.heading - torch.atan(turned)
+        steps = torch.arange(STEPS, dtype=torch.float32, device=state.device) + 0.5
+        ahead = torch.clamp(speed, min=0.3).unsqueeze(1) * (steps * STEP_DT)
+        errors = Errors(
+            lateral=torch.clamp(aside, -0.15, 0.15),
+            heading=torch.clamp(heading, -0.6, 0.6),
+            speed=speed,
+            speed_left=state[:, INDEX["speed_left"]],
+            yaw_rate=state[:, INDEX["yaw_rate"]],
+            steering=self._target,
+        )
+        target = self._steering.target(errors, read_nodes(bends, ahead))
+        # More than this slides the front tyres and turns no tighter.
+        car = self._car
+        tightest = car.grip * GRAVITY / torch.clamp(speed, min=0.5) ** 2
+        most = torch.clamp(torch.atan(car.wheelbase * tightest) + 0.12, max=car.max_steering)
+        return torch.minimum(torch.maximum(target, -most), most)
+
+    def _drive(self, road: Horizon, bends: Tensor, speed: Tensor, limit: Tensor) -> Tensor:
+        """Return the speed to ask for [m/s]."""
+        car, pace = self._car, self._style.pace
+        corner = torch.sqrt(self._grip / torch.clamp(bends.abs(), min=1e-3))
+        allowed = pace * torch.minimum(road.speed, corner)
+        squared = list((allowed * allowed).unbind(dim=1))
+        for node in reversed(range(NODES - 1)):
+            most = squared[node + 1] + 2.0 * 0.8 * car.max_braking * NODE_GAP
+            squared[node] = torch.minimum(squared[node], most)
+        allowed = torch.sqrt(torch.stack(squared, dim=1))
+        soon = read_nodes(allowed, (speed * (STEP_DT + car.latency_s)).unsqueeze(1))[:, 0]
+        target = torch.minimum(soon, limit)
+        # Drive and brakes take grip that a bend needs: leave it its share.
+        bend = torch.maximum(bends[:, 0].abs(), bends[:, 1].abs())
+        spare = self._spare(speed * speed * bend)
+        faster = speed + torch.clamp(spare, max=car.max_acceleration) * STEP_DT
+        slower = speed - torch.clamp(spare, max=car.max_braking) * STEP_DT
+        target = torch.maximum(torch.minimum(target, faster), slower)
+        return speed + (target - speed) / _SERVO
+
+
+    def _spare(self, cornering: Tensor) -> Tensor:
+        """Return `spare_grip` of a batch [m/s^2]."""
+        most, t = self._car.grip * GRAVITY, self._transfer
+        left = torch.clamp(most * most - cornering * cornering, min=0.05 * most * most)
+        square, half = 1.0 - (most * t) ** 2, most * most * t
+        return (torch.sqrt(half * half + square * left) - half) / square
+
+
+class CenterlineDriver:
+    """The honest beginner: chases a point of the centreline, slow in bends, brakes behind others."""
+
+    def __init__(self, name: str, track: Track, car: CarConfig) -> None:
+        """Build the speed that suits the bends."""
+        self.name, self.sensors = name, SensorConfig()
+        self._car = car
+        self._path = Path.of(center_line(track, car, share=0.35, top_speed=2.0), track)
+
+    def reset(self, rows: Tensor | None) -> None:
+        """Forget nothing: it remembers nothing."""
+
+    def act(self, observations: Mapping[str, Tensor]) -> Tensor:
+        """Return actions from the `state` group."""
+        state, car = observations["state"], self._car
+        speed = torch.clamp(state[:, INDEX["speed_ahead"]], min=0.0)
+        road = self._path.ahead_of(self._path.beside(state[:, INDEX["s"]].contiguous()))
+        # Pure pursuit: the circle through the car, along its yaw, to a point of the line ahead.
+        x, y = _point_ahead(state, road.curvature, 0.35 + 0.15 * speed)
+        curvature = 2.0 * y / torch.clamp(x * x + y * y, min=0.01)
+        lateral = state[:, INDEX["lateral"]].contiguous()
+        own = torch.clamp(speed, min=1.0)
+        limit = largest_speed(Others.told(state), road.lateral, lateral, own, Manners())
+        soon = read_nodes(road.speed, (speed * 2.0 * STEP_DT).unsqueeze(1))[:, 0]
+        asked = torch.minimum(soon, limit)
+        return actions_from(torch.atan(car.wheelbase * curvature), asked, car)
+
+
+def _second(values: Tensor) -> Tensor:
+    """Return second differences over distance; the ends take their neighbours'."""
+    inner = (values[:, :-2] - 2.0 * values[:, 1:-1] + values[:, 2:]) / NODE_GAP**2
+    return torch.cat([inner[:, :1], inner, inner[:, -1:]], dim=1)
+
+
+def _mirrored(state: Tensor, road: Horizon, manners: Manners) -> Tensor:
+    """Return the line moved in front of the nearest car that comes up from behind."""
+    wished, found = road.lateral, torch.zeros_like(state[:, 0])
+    for rank in range(NEIGHBOURS):
+        gap = state[:, INDEX[f"car_{rank}_gap"]]
+        free = state[:, INDEX[f"car_{rank}_frozen"]] < 0.5
+        there = (state[:, INDEX[f"car_{rank}_present"]] > 0.5) & free
+        # Full weight from half a metre to a metre and a half behind, fading out at two and a half.
+        weight = torch.clamp(2.5 + gap, 0.0, 1.0) * torch.clamp((-0.4 - gap) / 0.2, 0.0, 1.0)
+        weight = torch.where(there & (found < 0.5), weight, 0.0)
+        place = state[:, INDEX[f"car_{rank}_lateral"]].unsqueeze(1)
+        place = torch.minimum(torch.maximum(place, 0.1 - road.right), road.left - 0.1)
+        wished = wished + (place - wished) * weight.unsqueeze(1)
+        found = torch.maximum(found, weight)
+    return wished
+
+
+def _point_ahead(state: Tensor, curvature: Tensor, reach: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the centreline's point `reach` metres on, in the car's frame [m]."""
+    along = torch.zeros_like(reach)
+    across = -state[:, INDEX["lateral"]]
+    turned, x, y = torch.zeros_like(reach), torch.zeros_like(reach), torch.zeros_like(reach)
+    for node in range(6):
+        weight = torch.clamp(1.0 - (reach / NODE_GAP - node).abs(), 0.0, 1.0)
+        x, y = x + weight * along, y + weight * across
+        middle = turned + 0.5 * NODE_GAP * curvature[:, node]
+        along = along + NODE_GAP * torch.cos(middle)
+        across = across + NODE_GAP * torch.sin(middle)
+        turned = turned + NODE_GAP * curvature[:, node]
+    error = state[:, INDEX["heading_error"]].contiguous()
+    return unrotate(x, y, torch.cos(error), torch.sin(error))

@@ -1,0 +1,202 @@
+"""How a scripted driver gets past others: which side, how far aside, and when to brake instead."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from league.agents.path import Horizon, read_nodes
+from league.envs.state import INDEX, NEAR_OBSTACLES, NEIGHBOURS
+
+CAR_REACH = 0.40
+"""Two cars whose bases are nearer than this along the track may touch [m]."""
+BOX_REACH = 0.42
+"""As CAR_REACH, for a car and a box [m]."""
+CAR_WIDTHS = 0.196
+"""Half of a car's width and half of another's [m]."""
+BOX_WIDTHS = 0.248
+"""Half of a car's width and half of a box's [m]."""
+
+
+@dataclass(frozen=True)
+class Manners:
+    """How a driver treats others."""
+
+    clearance: float = 0.06
+    """Air left between two bodies side by side [m]."""
+    edge: float = 0.02
+    """Smallest distance from the base to a border while going round something [m]."""
+    approach: float = 1.6
+    """Driving distance over which a car moves aside before a standing thing [m]."""
+    braking: float = 3.0
+    """Deceleration counted on when something is in the way [m/s^2]."""
+    gap: float = 0.1
+    """Air left when stuck behind something [m]."""
+    freer_side: bool = False
+    """Take the side with more room, instead of the shorter way from the line."""
+
+
+@dataclass(frozen=True, eq=False)
+class Others:
+    """Cars and obstacles near each car, (num_rows, things)."""
+
+    gap: Tensor
+    """Ahead along the track [m]."""
+    lateral: Tensor
+    """To the left of the centreline [m]."""
+    speed: Tensor
+    """Along the track [m/s]."""
+    present: Tensor
+    """Bool."""
+    reach: Tensor
+    """Distance along the track within which bodies may touch [m], (things,)."""
+    widths: Tensor
+    """Distance across the track within which bodies touch [m], (things,)."""
+
+    @classmethod
+    def told(cls, state: Tensor) -> Others:
+        """Read them from the `state` group."""
+
+        def column(of_car: str, of_obstacle: str | None) -> Tensor:
+            cars = [state[:, INDEX[f"car_{k}_{of_car}"]] for k in range(NEIGHBOURS)]
+            things = [
+                state[:, INDEX[f"obstacle_{k}_{of_obstacle}"]]
+                if of_obstacle
+                else torch.zeros_like(cars[0])
+                for k in range(NEAR_OBSTACLES)
+            ]
+            return torch.stack(cars + things, dim=1)
+
+        return cls(
+            gap=column("gap", "gap"),
+            lateral=column("lateral", "lateral"),
+            speed=torch.clamp(column("speed", None), min=0.0),
+            present=column("present", "present") > 0.5,
+            reach=state.new_tensor([CAR_REACH] * NEIGHBOURS + [BOX_REACH] * NEAR_OBSTACLES),
+            widths=state.new_tensor([CAR_WIDTHS] * NEIGHBOURS + [BOX_WIDTHS] * NEAR_OBSTACLES),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What the others make of the line ahead."""
+
+    lateral: Tensor
+    """Where to drive, left of the centreline [m], (num_rows, NODES)."""
+    speed: Tensor
+    """Largest speed now, because of what is in the way [m/s], (num_rows,)."""
+
+
+def plan(
+    others: Others,
+    road: Horizon,
+    wished: Tensor,
+    lateral: Tensor,
+    speed: Tensor,
+    manners: Manners,
+) -> Plan:
+    """Move the wished places aside where another body will be, and brake where that fails.
+
+    A moving car is met where both will be: at node distance d it is `gap - d (1 - its speed / own)`
+    ahead, so that a car of nearly our own speed is passed over a long stretch.
+
+    Args:
+        others: who is near.
+        road: the line ahead.
+        wished: where to drive without them, left of the centreline [m], (num_rows, NODES).
+        lateral: where the car is [m], (num_rows,).
+        speed: its speed ahead [m/s], (num_rows,).
+        manners: distances to keep.
+    """
+    low, high = manners.edge - road.right, road.left - manners.edge
+    low, high = torch.minimum(low, high), torch.maximum(low, high)
+    own = torch.clamp(speed, min=1.0)
+    target = wished
+    # Far ones first, so that the nearest has the last word; slots of the state are by nearness.
+    for thing in reversed(range(others.gap.shape[1])):
+        closing = torch.clamp(1.0 - others.speed[:, thing] / own, min=0.08)
+        apart = others.widths[thing] + manners.clearance
+        weight = _weight(others, thing, road, closing, manners)
+        aside = _aside(others, thing, road, wished, lateral, closing, apart, low, high, manners)
+        target = target + (aside - target) * weight
+    target = torch.minimum(torch.maximum(target, low), high)
+    return Plan(target, largest_speed(others, target, lateral, own, manners))
+
+
+def _weight(
+    others: Others, thing: int, road: Horizon, closing: Tensor, manners: Manners
+) -> Tensor:
+    """Return how much a thing counts at each node, 0 to 1, smooth; (num_rows, NODES)."""
+    closing = closing.unsqueeze(1)
+    apart = others.gap[:, thing : thing + 1] - road.ahead * closing
+    outside = torch.clamp(apart.abs() - others.reach[thing], min=0.0)
+    # Behind it (apart < 0) the way back may be shorter than the way out.
+    ramp = torch.where(apart > 0, manners.approach * closing, 0.8 * manners.approach * closing)
+    near = torch.clamp(1.0 - outside / torch.clamp(ramp, min=0.25), 0.0, 1.0)
+    smooth = near * near * (3.0 - 2.0 * near)
+    return torch.where(others.present[:, thing : thing + 1], smooth, 0.0)
+
+
+def _aside(
+    others: Others,
+    thing: int,
+    road: Horizon,
+    wished: Tensor,
+    lateral: Tensor,
+    closing: Tensor,
+    apart: Tensor,
+    low: Tensor,
+    high: Tensor,
+    manners: Manners,
+) -> Tensor:
+    """Return the wished places pushed clear of a thing, on the better side; (num_rows, NODES)."""
+    place = others.lateral[:, thing : thing + 1]
+    gap = others.gap[:, thing : thing + 1]
+    meeting = torch.clamp(gap / closing.unsqueeze(1), min=0.0)
+    room_left = read_nodes(high, meeting) - (place + apart)
+    room_right = (place - apart) - read_nodes(low, meeting)
+    # Beside it, or nearly, the side is the one the car is on.
+    here = torch.where(gap < 1.2, lateral.unsqueeze(1), read_nodes(wished, meeting))
+    if manners.freer_side:
+        here = torch.where(gap < 0.8, here, 0.0)
+        better_left = torch.where(gap < 0.8, here - place, room_left - room_right) >= 0
+    else:
+        better_left = here >= place
+    fits_left, fits_right = room_left >= 0, room_right >= 0
+    go_left = torch.where(fits_left == fits_right, better_left, fits_left)
+    beside = gap.abs() < others.reach[thing]
+    go_left = torch.where(beside, lateral.unsqueeze(1) >= place, go_left)
+    pushed_left = torch.maximum(wished, place + apart)
+    pushed_right = torch.minimum(wished, place - apart)
+    return torch.where(go_left, pushed_left, pushed_right)
+
+
+def largest_speed(
+    others: Others, target: Tensor, lateral: Tensor, own: Tensor, manners: Manners
+) -> Tensor:
+    """Return the speed from which the car can still stop closing in on what is in its way [m/s].
+
+    Args:
+        others: who is near.
+        target: where the car will drive, left of the centreline [m], (num_rows, NODES).
+        lateral: where it is [m], (num_rows,).
+        own: its speed, at least 1 [m/s], (num_rows,).
+        manners: distances to keep.
+    """
+    closing = torch.clamp(1.0 - others.speed / own.unsqueeze(1), min=0.08)
+    before = torch.clamp(others.gap - others.reach, min=0.0)
+    meeting = before / closing
+    off_plan = (lateral - target[:, 0]).unsqueeze(1) / (1.0 + (meeting / 0.5) ** 2)
+    apart = (read_nodes(target, meeting) + off_plan - others.lateral).abs()
+    in_way = others.present & (others.gap > 0.1) & (apart < others.widths + 0.02)
+    free = torch.clamp(before - manners.gap, min=0.0)
+    limit = torch.sqrt(others.speed**2 + 2.0 * manners.braking * free)
+    # Nothing left: fall behind a little.
+    limit = torch.where(free > 0, limit, 0.7 * others.speed)
+    limit = torch.where(in_way, limit, 99.0)
+    least = limit[:, 0]
+    for column in limit.unbind(dim=1)[1:]:
+        least = torch.minimum(least, column)
+    return least

@@ -1,0 +1,98 @@
+"""The drivers of the cars that nobody learns in; doors are given them, or their names."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+from torch import Tensor
+
+from league.errors import ConfigError
+from league.sim.config import CarConfig, SensorConfig
+from league.track.course import TrackSet
+
+ROSTER = "league.agents.roster:load"
+"""Who turns a name into a driver, as "module:function": named by a string and not imported, because
+drivers stand a floor above the doors."""
+
+
+class Opponent(Protocol):
+    """What a driver must be able to do; `league.agents.driver.Driver` is the same."""
+
+    name: str
+    sensors: SensorConfig
+
+    def reset(self, rows: Tensor | None) -> None:
+        """Forget all about some worlds; None forgets everything."""
+        ...
+
+    def act(self, observations: Mapping[str, Tensor]) -> Tensor:
+        """Return actions in [-1, 1], (num_worlds, 2)."""
+        ...
+
+
+def named(
+    drivers: Sequence[Opponent | str], tracks: TrackSet, car: CarConfig
+) -> tuple[Opponent, ...]:
+    """Return drivers, those given by name fetched from the roster.
+
+    Raises:
+        PolicyError: the roster knows no such name.
+        ConfigError: something is neither a name nor a driver.
+    """
+    if isinstance(drivers, str):
+        drivers = (drivers,)
+    found = []
+    for driver in drivers:
+        if isinstance(driver, str):
+            module, _, function = ROSTER.partition(":")
+            driver = getattr(importlib.import_module(module), function)(driver, tracks, car)
+        elif not (hasattr(driver, "act") and hasattr(driver, "reset")):
+            raise ConfigError(
+                f"an opponent is {driver!r}: give a driver's name, or an object with name, "
+                "sensors, reset(rows) and act(observations)"
+            )
+        found.append(driver)
+    return tuple(found)
+
+
+class Opponents:
+    """Drivers by their cars; asked for actions, and told when a car starts anew."""
+
+    def __init__(self, drivers: Mapping[int, Opponent]) -> None:
+        """Seat the drivers, each in a car of its own."""
+        if len({id(driver) for driver in drivers.values()}) < len(drivers):
+            raise ConfigError(
+                "one driver object is given for two cars, whose memories would mix: "
+                "give one object for each car"
+            )
+        self._drivers = dict(drivers)
+
+    @property
+    def cars(self) -> tuple[int, ...]:
+        """Cars that are driven."""
+        return tuple(self._drivers)
+
+    def seat(self, car: int, driver: Opponent) -> None:
+        """Have another driver take over a car, with no memory of what was."""
+        driver.reset(None)
+        self._drivers[car] = driver
+
+    def reset(self) -> None:
+        """Have all forget everything."""
+        for driver in self._drivers.values():
+            driver.reset(None)
+
+    def forget(self, anew: Tensor) -> None:
+        """Have drivers forget the worlds where their car starts anew; bool, (worlds, cars)."""
+        for car, driver in self._drivers.items():
+            if bool(anew[:, car].any()):
+                driver.reset(anew[:, car].nonzero()[:, 0])
+
+    def act(self, actions: Tensor, observations: Sequence[Mapping[str, Tensor]]) -> Tensor:
+        """Return the actions with those of the driven cars filled in; (worlds, cars, 2)."""
+        filled = actions.clone()
+        for car, driver in self._drivers.items():
+            filled[:, car] = driver.act(observations[car])
+        return filled

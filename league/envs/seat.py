@@ -1,0 +1,104 @@
+"""One learner's seat in a batch of races, the other cars driven by given drivers."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from typing import Unpack
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from league.envs import problem
+from league.envs.opponents import Opponent, Opponents, named
+from league.envs.problem import Settings
+from league.envs.race_env import RaceEnv, Step
+from league.errors import ConfigError
+from league.sim.config import SensorConfig
+from league.track.course import Track, TrackSet
+
+DEFAULT_OPPONENTS = ("centerline",)
+"""Who drives against the learner unless told otherwise."""
+
+
+class Seat:
+    """A batch of races in which car `car` learns; Gymnasium's doors drive it."""
+
+    def __init__(
+        self,
+        track: str | os.PathLike[str] | Track | TrackSet,
+        *,
+        num_worlds: int = 1,
+        car: int = 0,
+        opponents: Sequence[Opponent | str] | None = None,
+        **settings: Unpack[Settings],
+    ) -> None:
+        """Build the races and seat the drivers.
+
+        Args:
+            track: see league.envs.problem.course.
+            num_worlds: races in the batch.
+            car: grid slot of the learner.
+            opponents: drivers of the other slots in order, or their names; only in head_to_head.
+            settings: see league.envs.problem.Settings; training is the default mode here.
+        """
+        tracks = problem.course(track)
+        racing = settings.get("kind") == "head_to_head"
+        if opponents is None:
+            opponents = DEFAULT_OPPONENTS if racing else ()
+        settings.setdefault("mode", "training")
+        sim = settings.get("sim")
+        drivers = named(opponents, tracks, sim.car if sim else problem.SimConfig().car)
+        if drivers and not racing:
+            raise ConfigError(
+                f"{len(drivers)} opponents are given for a {settings.get('kind', 'time_trial')} "
+                "race, which is driven alone: give none, or choose head_to_head"
+            )
+        if not 0 <= car <= len(drivers):
+            raise ConfigError(f"car is {car}: the field has {len(drivers) + 1} cars, from 0")
+        others = [slot for slot in range(len(drivers) + 1) if slot != car]
+        carried: dict[int, SensorConfig] = {
+            slot: driver.sensors for slot, driver in zip(others, drivers, strict=True)
+        }
+        carried[car] = problem.carried(settings.pop("sensors", problem.BOTH))  # type: ignore
+        cfg = problem.configure(
+            **settings,
+            sensors=tuple(carried[slot] for slot in sorted(carried)),
+            num_cars=len(carried),
+            restarting=tuple(others),
+        )
+        self.env, self.car = RaceEnv(tracks, cfg, num_worlds=num_worlds), car
+        self.sensors = cfg.sensors_of(car)
+        self._opponents = Opponents(dict(zip(others, drivers, strict=True)))
+
+    def reset(self, seeds: list[int]) -> Mapping[str, Tensor]:
+        """Start all races; return what the learner is told."""
+        self._opponents.reset()
+        self._told = self.env.reset(seeds=torch.tensor(seeds))
+        return self._told[self.car]
+
+    def step(
+        self, actions: np.ndarray, anew: np.ndarray | None = None, seeds: list[int] | None = None
+    ) -> Step:
+        """Drive the learner by its actions and the others by their drivers.
+
+        Args:
+            actions: of the learner, (num_worlds, 2).
+            anew: worlds to start anew instead, bool, (num_worlds,).
+            seeds: their seeds.
+        """
+        env = self.env
+        driven = env.last_action.clone()
+        driven[:, self.car] = torch.from_numpy(actions).to(driven)
+        driven = self._opponents.act(driven, self._told)
+        fresh = None if anew is None else torch.from_numpy(anew).to(driven.device)
+        step = env.step(driven, anew=fresh, seeds=None if seeds is None else torch.tensor(seeds))
+        self._told = step.observations
+        restarted = torch.zeros_like(step.terminated)
+        if env.cfg.mode == "training":
+            restarted = step.terminated | step.truncated
+        if fresh is not None:
+            restarted = restarted | fresh.unsqueeze(1)
+        self._opponents.forget(restarted)
+        return step

@@ -1,0 +1,108 @@
+"""Door 2: one learner as a Gymnasium Env; the other cars are driven by given drivers."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any, Unpack
+
+import gymnasium
+import numpy as np
+
+from league.envs import actions, infos, seeds, spaces
+from league.envs.opponents import Opponent
+from league.envs.pictures import Pictures
+from league.envs.problem import Settings
+from league.envs.race_env import Step
+from league.envs.seat import Seat
+from league.errors import ActionError
+from league.track.course import Track
+
+Told = dict[str, np.ndarray]
+
+
+class SingleEnv(gymnasium.Env[Told, np.ndarray]):
+    """One race, or in training one episode of the learner in it.
+
+    Observations are dicts of the groups its car carries (docs/observations.md), actions are
+    float32 [steering, speed] in [-1, 1].
+    """
+
+    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 15}  # noqa: RUF012
+
+    def __init__(
+        self,
+        track: str | os.PathLike[str] | Track = "reinvent_2018",
+        *,
+        car: int = 0,
+        opponents: Sequence[Opponent | str] | None = None,
+        privileged: bool = False,
+        render_mode: str | None = None,
+        view: str = "chase",
+        **settings: Unpack[Settings],
+    ) -> None:
+        """Set up the race.
+
+        Args:
+            track: name of a track, path of its .yaml file, or a Track.
+            car: grid slot of the learner, 0 in front.
+            opponents: names or drivers of the other slots, in head_to_head; one by default.
+            privileged: whether the learner is told the truth too, as group `state`.
+            render_mode: rgb_array for pictures, human for the live viewer, or None.
+            view: what is seen in pictures: chase, from behind the learner, or top.
+            settings: the rest, see league.envs.problem.Settings; training is the default mode and
+                planar the default solver here.
+
+        Raises:
+            LeagueError: an unknown track or name, or settings that contradict each other.
+        """
+        self._seat = Seat(track, car=car, opponents=opponents, **settings)
+        self.render_mode = render_mode
+        self._pictures = Pictures(self._seat.env, render_mode, view, car)
+        self.observation_space = spaces.observation(self._seat.sensors, privileged)
+        self.action_space = spaces.action()
+        self._over = True
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Told, dict[str, Any]]:
+        """Start a new race or episode; nothing of the past remains.
+
+        Args:
+            seed: decides all that is drawn; None goes on to another race.
+            options: not used.
+        """
+        super().reset(seed=None if seed is None else seeds.checked(seed))
+        groups = self._seat.reset([seeds.drawn(self.np_random)])
+        self._over = False
+        self._pictures.started()
+        return spaces.told(groups, self.observation_space), self._info(None)
+
+    def step(self, action: np.ndarray) -> tuple[Told, float, bool, bool, dict[str, Any]]:
+        """Drive for 1/15 s.
+
+        Raises:
+            ActionError: the action is not two numbers in [-1, 1], or the race is over.
+        """
+        if self._over:
+            raise ActionError("step was called on a race that is over or not begun: call reset")
+        drive = actions.checked(action, "the learner")
+        step = self._seat.step(drive[np.newaxis])
+        self._pictures.stepped()
+        car = self._seat.car
+        terminated, truncated = bool(step.terminated[0, car]), bool(step.truncated[0, car])
+        self._over = terminated or truncated
+        told = spaces.told(step.observations[car], self.observation_space)
+        return told, float(step.rewards[0, car]), terminated, truncated, self._info(step)
+
+    def render(self) -> np.ndarray | None:
+        """Return a picture, uint8 (height, width, 3), or show the race in the live viewer."""
+        return self._pictures.render()
+
+    def close(self) -> None:
+        """Give back the physics engine and the viewer; may be called twice."""
+        self._pictures.close()
+        self._seat.env.close()
+
+    def _info(self, step: Step | None) -> dict[str, Any]:
+        return infos.of_world(infos.of_car(self._seat.env, self._seat.car, step), 0)

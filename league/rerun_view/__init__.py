@@ -1,0 +1,6 @@
+"""A replay in the Rerun viewer; nothing outside this room imports rerun."""
+
+from league.rerun_view.live import Live, has_display, open_viewer
+from league.rerun_view.record import build, save
+
+__all__ = ["Live", "build", "has_display", "open_viewer", "save"]

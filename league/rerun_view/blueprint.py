@@ -1,0 +1,139 @@
+"""How the viewer opens: like a broadcast, the chase large, the cars' eyes and charts beside it."""
+
+from __future__ import annotations
+
+import rerun.blueprint as rrb
+
+from league.rerun_view import paths
+
+TRAIL_S = 2.5
+"""How much of its path each car trails [s]."""
+BACKGROUND = (18, 22, 28)
+CHASE_EYE = (-1.55, 0.0, 0.78)
+"""Where the chase camera sits in the chase frame [m]."""
+CHASE_TARGET = (1.35, 0.0, 0.05)
+"""What it looks at, in the chase frame [m]."""
+
+
+def broadcast(
+    num_cars: int,
+    names: tuple[str, ...],
+    room: tuple[float, float, float, float],
+    *,
+    cameras: bool = True,
+    live: bool = False,
+) -> rrb.Blueprint:
+    """Return the layout.
+
+    Args:
+        num_cars: cars in the race.
+        names: who drives each.
+        room: x_min, y_min, x_max, y_max of the room [m].
+        cameras: whether the recording holds the cars' eyes.
+        live: follow the newest step instead of playing from the start.
+    """
+    scenes = rrb.Tabs(
+        _chase(num_cars),
+        _overview(num_cars, room),
+        active_tab=0,
+        name="Race",
+    )
+    left: list = [scenes]
+    if cameras:
+        left.append(_eyes(num_cars, names))
+    charts = rrb.Vertical(
+        rrb.TextDocumentView(origin=paths.TITLE, name="Classification"),
+        _chart(paths.PLOT_SPEED, "Speed [m/s]"),
+        _chart(paths.PLOT_GAP, "Behind the leader [m]"),
+        _chart(paths.PLOT_STEERING, "Steering [deg]"),
+        rrb.TextLogView(
+            origin=paths.EVENTS,
+            name="Events",
+            columns=rrb.TextLogColumns(text_log_columns=["Body"]),
+        ),
+        row_shares=[1.5, 1, 1, 1, 1.2],
+    )
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(*left, row_shares=[2.6, 1.0] if cameras else [1.0]),
+            charts,
+            column_shares=[2.3, 1.0],
+        ),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TopPanel(state="hidden"),
+        rrb.TimePanel(
+            state="collapsed",
+            timeline=paths.TIMELINE,
+            play_state="following" if live else "playing",
+            loop_mode=None if live else "all",
+        ),
+    )
+
+
+def _chase(num_cars: int) -> rrb.Spatial3DView:
+    return rrb.Spatial3DView(
+        origin=paths.CHASE,
+        contents=_scene_contents(num_cars),
+        name="Chase",
+        background=BACKGROUND,
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(
+            position=CHASE_EYE, look_target=CHASE_TARGET, eye_up=(0.0, 0.0, 1.0)
+        ),
+        overrides=_trail_overrides(num_cars),
+    )
+
+
+def _overview(num_cars: int, room: tuple[float, float, float, float]) -> rrb.Spatial3DView:
+    x_min, y_min, x_max, y_max = room
+    middle = ((x_min + x_max) / 2, (y_min + y_max) / 2)
+    reach = max(x_max - x_min, (y_max - y_min) * 1.6)
+    return rrb.Spatial3DView(
+        origin=paths.WORLD,
+        contents=_scene_contents(num_cars),
+        name="Whole track",
+        background=BACKGROUND,
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(
+            position=(middle[0], y_min - 0.45 * reach, 0.72 * reach),
+            look_target=(*middle, 0.0),
+            eye_up=(0.0, 0.0, 1.0),
+        ),
+        overrides=_trail_overrides(num_cars),
+    )
+
+
+def _scene_contents(num_cars: int) -> list[str]:
+    # The eyes' pictures would hang in front of the cars in 3D; they have views of their own.
+    hidden = [f"- /{paths.eyes(slot)}/**" for slot in range(num_cars)]
+    return [f"+ /{paths.WORLD}/**", *hidden]
+
+
+def _trail_overrides(num_cars: int) -> dict:
+    window = rrb.VisibleTimeRanges(
+        timeline=paths.TIMELINE,
+        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-TRAIL_S),
+        end=rrb.TimeRangeBoundary.cursor_relative(),
+    )
+    return {paths.trail(slot): window for slot in range(num_cars)}
+
+
+def _eyes(num_cars: int, names: tuple[str, ...]) -> rrb.Container:
+    pairs = [
+        rrb.Horizontal(
+            *(
+                rrb.Spatial2DView(origin=paths.eye(slot, side), name=f"{names[slot]}: {side} eye")
+                for side in paths.EYES
+            ),
+            name=names[slot],
+        )
+        for slot in range(num_cars)
+    ]
+    if num_cars <= 2:
+        return rrb.Horizontal(*pairs)
+    return rrb.Tabs(*pairs, name="Eyes")
+
+
+def _chart(origin: str, name: str) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=rrb.PlotLegend(visible=False))

@@ -1,0 +1,288 @@
+"""Live: a race streamed to the viewer while it is run."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+import uuid
+from collections.abc import Sequence
+
+import numpy as np
+import rerun as rr
+
+from league import web_viewer
+from league.errors import ReplayError
+from league.race_spec import RaceSpec
+from league.replay.recording import JUMP
+from league.replay.story import PACK
+from league.rerun_view import blueprint, paths, poses, record, shapes
+from league.sim.camera.scene import BOT_COLOUR, BOX_COLOUR, CAR, CAR_COLOURS, WHEEL_RADIUS
+from league.sim.config import ObstacleConfig
+from league.sim.world import World
+from league.track.course import Track
+
+CHASE_SHARE = 0.12
+"""How much of the way to its subject the live chase camera goes in one step."""
+
+
+def has_display() -> bool:
+    """Whether a window can be opened here."""
+    if sys.platform in ("darwin", "win32"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def open_viewer(rrd_path: str | os.PathLike[str]) -> int:
+    """Open a recording in the native viewer and return its exit code when it is closed."""
+    if not has_display():
+        raise ReplayError(
+            "there is no display for the viewer's window: use --web for a browser, or --rrd FILE"
+        )
+    command = [str(web_viewer.rerun_program()), "--bind", web_viewer.HOST]
+    command += ["--port", str(web_viewer.free_port()), str(rrd_path)]
+    return subprocess.call(command)
+
+
+class Live:
+    """Streams one race; told the world after each step, it never touches it."""
+
+    def __init__(
+        self,
+        spec: RaceSpec,
+        track: Track,
+        recording: rr.RecordingStream,
+        *,
+        names: Sequence[str] | None = None,
+        speed: float = 0.0,
+        step_hz: int = 15,
+    ) -> None:
+        """Send what never changes; `start` also opens a viewer.
+
+        Args:
+            spec: what was asked.
+            track: the course.
+            recording: where to send.
+            names: who drives each car; by default the spec's entries.
+            speed: race seconds per second at most; 0 as fast as the race runs.
+            step_hz: control steps per second.
+        """
+        self._spec, self._recording = spec, recording
+        self._names = tuple(names or [entry.name for entry in spec.entries])
+        self._speed, self._step_hz = speed, step_hz
+        self._begin_s: float | None = None
+        self._spin = np.zeros(len(self._names))
+        self._chase: np.ndarray | None = None
+        self._before: np.ndarray | None = None
+        self._laps = np.zeros(len(self._names), dtype=np.int64)
+        self._child: subprocess.Popen | None = None
+        self._home: tempfile.TemporaryDirectory | None = None
+        self._server: web_viewer.Server | None = None
+        self.address = ""
+        """Where it can be watched."""
+        record.send_scene(recording, track, self._names)
+        recording.log(
+            paths.TITLE,
+            rr.TextDocument(_headline(spec, track), media_type=rr.MediaType.MARKDOWN),
+            static=True,
+        )
+
+    @classmethod
+    def start(
+        cls,
+        spec: RaceSpec,
+        track: Track,
+        *,
+        names: Sequence[str] | None = None,
+        speed: float = 1.0,
+        window: bool | None = None,
+    ) -> Live:
+        """Open a viewer, in a window or else on a local web page, and stream to it.
+
+        Args:
+            spec: what was asked.
+            track: the course.
+            names: who drives each car; by default the spec's entries.
+            speed: race seconds per second at most; 0 as fast as the race runs.
+            window: the native viewer rather than a web page; by default where there is a display.
+        """
+        window = has_display() if window is None else window
+        port = web_viewer.free_port()
+        url = f"rerun+http://{web_viewer.HOST}:{port}/proxy"
+        home = tempfile.TemporaryDirectory(prefix="league-", ignore_cleanup_errors=True)
+        command = [str(web_viewer.rerun_program()), "--bind", web_viewer.HOST, "--port", str(port)]
+        child = subprocess.Popen(
+            command if window else [*command, "--serve-grpc"],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env=None if window else web_viewer.quiet_environment(home.name),
+            start_new_session=window,  # the window stays when the race is over
+        )
+        try:
+            web_viewer.wait_until_open(port, child)
+            recording = rr.RecordingStream(paths.APPLICATION, recording_id=str(uuid.uuid4()))
+            layout = blueprint.broadcast(
+                len(spec.entries),
+                tuple(names or [entry.name for entry in spec.entries]),
+                track.room,
+                cameras=False,
+                live=True,
+            )
+            recording.connect_grpc(url, default_blueprint=layout)
+            live = cls(spec, track, recording, names=names, speed=speed)
+            live._home = home
+            if window:
+                live.address = url
+            else:
+                live._child = child
+                live._server = web_viewer.serve_stream(url, port)
+                live.address = live._server.url
+        except BaseException:
+            child.kill()
+            child.wait()
+            raise
+        return live
+
+    def add(self, world: World) -> None:
+        """Send the world after one step, and wait while the race is ahead of the clock."""
+        step = int(world.step[0])
+        self._recording.set_time(paths.TIMELINE, duration=step / self._step_hz)
+        motion, standing = world.motion, world.standing
+        x, y, yaw, velocity_x, velocity_y, steering = (
+            column[0].cpu().numpy().astype(np.float64)
+            for column in (
+                motion.x,
+                motion.y,
+                motion.yaw,
+                motion.velocity_x,
+                motion.velocity_y,
+                motion.steering,
+            )
+        )
+        distance = standing.distance[0].cpu().numpy()
+        speed = np.hypot(velocity_x, velocity_y)
+        self._spin += speed / self._step_hz / WHEEL_RADIUS
+        here = poses.places(x, y)
+        for slot in range(len(self._names)):
+            self._send_car(slot, here[slot], yaw[slot], steering[slot])
+        gap = distance.max() - distance
+        for path, values in (
+            (paths.PLOT_SPEED, speed),
+            (paths.PLOT_GAP, gap),
+            (paths.PLOT_STEERING, np.degrees(steering)),
+        ):
+            self._recording.log(path, rr.Scalars(values))
+        self._send_obstacles(world)
+        self._send_laps(standing.laps[0].cpu().numpy())
+        self._follow(here, yaw, gap)
+        self._before = here
+        self._pace(step)
+
+    def _send_car(self, slot: int, place: np.ndarray, yaw: float, steering: float) -> None:
+        send = self._recording.log
+        turn = rr.Quaternion(xyzw=poses.about_z(np.array(yaw)))
+        send(paths.car(slot), rr.Transform3D(translation=place, quaternion=turn))
+        for which, centre in zip(paths.WHEELS, poses.WHEEL_PLACES, strict=True):
+            angle = steering if "front" in which else 0.0
+            turn = poses.steered_and_spun(np.array(angle), self._spin[slot])
+            send(
+                paths.wheel(slot, which),
+                rr.Transform3D(translation=centre, quaternion=rr.Quaternion(xyzw=turn)),
+            )
+        before = place if self._before is None else self._before[slot]
+        if np.linalg.norm(place - before) < JUMP:
+            strip = np.stack([before, place]) + record.TRAIL_LIFT
+            send(
+                paths.trail(slot), rr.LineStrips3D([strip], colors=[CAR_COLOURS[slot]], radii=0.006)
+            )
+
+    def _send_obstacles(self, world: World) -> None:
+        obstacles = world.obstacles
+        moving = self._spec.obstacle_kind == "bot"
+        if self._begin_s is not None and not moving:
+            return
+        for index in range(obstacles.x.shape[1]):
+            path = paths.obstacle(index)
+            if self._begin_s is None:
+                length = 2 * float(obstacles.half_length[0, index])
+                width = 2 * float(obstacles.half_width[0, index])
+                mesh = (
+                    shapes.car_body(CAR, BOT_COLOUR)
+                    if moving
+                    else shapes.box(length, width, ObstacleConfig().height, BOX_COLOUR)
+                )
+                record.log_mesh(self._recording, path, mesh)
+            turn = poses.about_z(obstacles.yaw[0, index].cpu().numpy())
+            place = (float(obstacles.x[0, index]), float(obstacles.y[0, index]), 0.0)
+            self._recording.log(
+                path, rr.Transform3D(translation=place, quaternion=rr.Quaternion(xyzw=turn))
+            )
+
+    def _send_laps(self, laps: np.ndarray) -> None:
+        for slot in np.flatnonzero(laps > self._laps):
+            text = f"{self._names[slot]} completes lap {laps[slot]}"
+            self._recording.log(paths.EVENTS, rr.TextLog(text, color=CAR_COLOURS[slot]))
+        self._laps = laps.copy()
+
+    def _follow(self, here: np.ndarray, yaw: np.ndarray, gap: np.ndarray) -> None:
+        subject = int(np.where(gap <= PACK, gap, -1.0).argmax())
+        wish = np.array([here[subject, 0], here[subject, 1], yaw[subject]])
+        if self._chase is None:
+            self._chase = wish
+        turn = (wish[2] - self._chase[2] + np.pi) % (2 * np.pi) - np.pi
+        # Position follows faster than heading: a late camera would lose the car.
+        self._chase = self._chase + np.array(
+            [*(wish[:2] - self._chase[:2]) * 3 * CHASE_SHARE, turn * CHASE_SHARE]
+        )
+        self._recording.log(
+            paths.CHASE,
+            rr.Transform3D(
+                translation=(self._chase[0], self._chase[1], 0.0),
+                quaternion=rr.Quaternion(xyzw=poses.about_z(self._chase[2])),
+            ),
+        )
+
+    def _pace(self, step: int) -> None:
+        now = time.monotonic()
+        if self._begin_s is None:
+            self._begin_s = now
+        if self._speed > 0:
+            time.sleep(max(0.0, self._begin_s + step / self._step_hz / self._speed - now))
+
+    def wait(self) -> None:
+        """Wait until the watcher has seen enough: until Ctrl-C, where a web page is served."""
+        self._recording.flush()
+        if self._server is not None:
+            self._server.wait()
+
+    def close(self) -> None:
+        """Send what is left and stop serving; a window stays open."""
+        self._recording.flush()
+        self._recording.disconnect()
+        if self._server is not None:
+            self._server.close()
+            self._server = None
+        if self._child is not None:
+            self._child.kill()
+            self._child.wait()
+            self._child = None
+        if self._home is not None:
+            self._home.cleanup()
+
+    def __enter__(self) -> Live:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _headline(spec: RaceSpec, track: Track) -> str:
+    drivers = "\n".join(
+        f"{place}. {record.plain(entry.name)}" for place, entry in enumerate(spec.entries, 1)
+    )
+    return (
+        f"# {track.title}\n\n**{spec.kind.replace('_', ' ')}**, {spec.laps} laps, live\n\n{drivers}"
+    )

@@ -1,0 +1,152 @@
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from league.track import files
+from league.track.course import TrackSet
+
+from . import shapes
+
+
+def _index(tracks: int = 1, worlds: int = 1) -> torch.Tensor:
+    return torch.arange(worlds) % tracks
+
+
+def test_circle_has_the_length_radius_and_direction_of_a_circle():
+    track = shapes.circle(radius=2.0, width=0.8)
+    assert track.length == pytest.approx(4 * math.pi, rel=1e-3)
+    assert track.min_radius == pytest.approx(2.0, rel=0.02)
+    assert track.direction == "counter-clockwise"
+    np.testing.assert_allclose(np.linalg.norm(track.left, axis=1), 1.6, atol=2e-3)
+    np.testing.assert_allclose(np.linalg.norm(track.right, axis=1), 2.4, atol=2e-3)
+    # The outer border reaches 2.4 m, and the wall stands 0.84 m further out.
+    np.testing.assert_allclose(track.room, (-3.24, -3.24, 3.24, 3.24), atol=5e-3)
+
+
+def test_a_bend_to_the_right_has_negative_curvature():
+    points = shapes.circle_points()[::-1]
+    track = files.parse(shapes.text(points, direction="clockwise"))
+    assert track.direction == "clockwise"
+    np.testing.assert_allclose(track.curvature, -0.5, rtol=0.05)
+    assert TrackSet.of(track).inner.tolist() == [-1.0]
+
+
+def test_at_gives_the_hand_worked_place_and_heading_on_a_circle():
+    tracks = TrackSet.of(shapes.circle())
+    quarter = torch.tensor([[tracks.tracks[0].length / 4]])
+    x, y, frame = tracks.at(_index(), quarter)
+    assert (x.item(), y.item()) == pytest.approx((0.0, 2.0), abs=2e-3)
+    assert (frame.cos.item(), frame.sin.item()) == pytest.approx((-1.0, 0.0), abs=2e-3)
+    assert frame.left.item() == pytest.approx(0.4, abs=1e-3)
+
+
+@pytest.mark.parametrize("name", ["reinvent_2018", "needle_pass", "thread_lane", "long_meadow"])
+def test_projecting_a_point_beside_the_track_gives_back_its_s_and_lateral(name):
+    track = files.load(name)
+    tracks = TrackSet.of(track)
+    s = torch.linspace(0, 0.999 * track.length, 400).unsqueeze(0)
+    for side in (-0.6, 0.0, 0.6):
+        x, y, frame = tracks.at(_index(), s)
+        lateral = side * torch.minimum(frame.left, frame.right)
+        found = tracks.project(
+            _index(), x - lateral * frame.sin, y + lateral * frame.cos, (s + 0.2).contiguous()
+        )
+        assert tracks.signed_gap(_index(), found.s, s).abs().max() < 0.02
+        assert (found.lateral - lateral).abs().max() < 0.01
+
+
+def test_s_wraps_at_the_start_line_of_a_loop():
+    tracks = TrackSet.of(shapes.circle())
+    length = tracks.tracks[0].length
+    x, y = torch.tensor([[2.0]]), torch.tensor([[-0.1]])  # 0.1 m before the line
+    found = tracks.project(_index(), x, y, torch.tensor([[0.05]]))
+    assert found.s.item() == pytest.approx(length - 0.1, abs=5e-3)
+    again = tracks.project(_index(), x, -y, found.s + 0.15)  # and 0.1 m beyond
+    assert again.s.item() == pytest.approx(0.1, abs=5e-3)
+    assert tracks.signed_gap(_index(), again.s, found.s).item() == pytest.approx(0.2, abs=5e-3)
+
+
+def test_s_stays_below_the_length_just_before_the_line():
+    tracks = TrackSet.of(files.load("reinvent_2018"))
+    s = torch.tensor([[-1e-9, -1e-7, -1e-3, 0.0, tracks.length.item()]])
+    _, _, frame = tracks.at(_index(), s)
+    assert (frame.s >= 0).all() and (frame.s < tracks.length).all()
+
+
+def test_an_open_track_holds_s_at_its_ends():
+    tracks = TrackSet.of(shapes.straight(6.0))
+    x = torch.tensor([[-0.4, 3.0, 6.4]])
+    y = torch.tensor([[0.1, 0.1, 0.1]])
+    found = tracks.project(_index(), x, y, torch.tensor([[0.0, 3.2, 5.9]]))
+    assert found.s[0].tolist() == pytest.approx([0.0, 3.0, 6.0], abs=1e-3)
+    assert found.lateral[0].tolist() == pytest.approx([0.1] * 3, abs=1e-4)
+    gap = tracks.signed_gap(_index(), torch.tensor([[0.5]]), torch.tensor([[5.5]]))
+    assert gap.item() == pytest.approx(-5.0)  # no shorter way round
+
+
+def test_a_car_on_the_inside_of_a_hairpin_is_found_where_it_is():
+    points = shapes.stadium_points(straight=4.0, radius=0.4)
+    track = files.parse(shapes.text(points, width=0.61))
+    tracks = TrackSet.of(track)
+    # Round the middle of the eastern half circle at (2, 0.4), 0.15 m from it: 0.25 m to the left.
+    angle = torch.linspace(-1.3, 1.3, 9)
+    x, y = (2 + 0.15 * torch.cos(angle)).unsqueeze(0), (0.4 + 0.15 * torch.sin(angle)).unsqueeze(0)
+    near = (2 + 0.4 * (angle + math.pi / 2)).unsqueeze(0)
+    found = tracks.project(_index(), x, y, near + 0.1)
+    assert (found.lateral - 0.25).abs().max() < 0.02
+    assert (found.s - near).abs().max() < 0.06
+    assert (found.lateral < found.left).all()
+
+
+def test_a_point_between_two_stretches_stays_on_the_stretch_it_came_from():
+    points = shapes.stadium_points(straight=6.0, radius=0.5)
+    tracks = TrackSet.of(files.parse(shapes.text(points, width=0.61)))
+    length = tracks.tracks[0].length
+    x, y = torch.tensor([[0.0, 0.0]]), torch.tensor([[0.6, 0.6]])
+    # The upper straight (y = 1) is nearer, but the first point was last seen on the lower one.
+    found = tracks.project(_index(), x, y, torch.tensor([[0.1, length / 2 - 0.1]]))
+    assert found.lateral[0].tolist() == pytest.approx([0.6, 0.4], abs=5e-3)
+    assert found.s[0, 1].item() == pytest.approx(length / 2, abs=0.01)
+    located = tracks.locate(_index(), x[:, :1], y[:, :1])
+    assert located.lateral.item() == pytest.approx(0.4, abs=5e-3)
+
+
+def test_a_world_of_a_batch_equals_that_world_alone():
+    chosen = [files.load(name) for name in ("reinvent_2018", "needle_pass", "broad_street")]
+    tracks = TrackSet.of(*chosen, shapes.straight())
+    worlds = 37
+    generator = torch.Generator().manual_seed(3)
+    index = _index(4, worlds)
+    s = torch.rand(worlds, 3, generator=generator) * 5
+    x, y, _ = tracks.at(index, s)
+    x = x + torch.rand(worlds, 3, generator=generator) * 0.3
+    together = tracks.project(index, x, y, s)
+    placed = tracks.locate(index, x, y)
+    for world in range(worlds):
+        row = slice(world, world + 1)
+        alone = tracks.project(index[row], x[row], y[row], s[row])
+        own = TrackSet.of(tracks.tracks[int(index[world])])
+        single = own.project(_index(), x[row], y[row], s[row])
+        for name in ("s", "lateral", "cos", "sin", "curvature", "left", "right"):
+            assert torch.equal(getattr(alone, name)[0], getattr(together, name)[world])
+            assert torch.equal(getattr(single, name)[0], getattr(together, name)[world])
+        assert torch.equal(tracks.locate(index[row], x[row], y[row]).s[0], placed.s[world])
+
+
+def test_mirroring_a_track_mirrors_what_is_found_on_it():
+    points = np.array(shapes.circle_points()) * (1.5, 1.0)
+    track = files.parse(shapes.text(points.tolist()))
+    mirrored = files.parse(shapes.text((points * (1, -1)).tolist(), direction="clockwise"))
+    s = torch.linspace(0, 12, 50).unsqueeze(0)
+    x, y, _ = TrackSet.of(track).at(_index(), s)
+    found = TrackSet.of(track).project(_index(), x + 0.1, y + 0.05, s)
+    other = TrackSet.of(mirrored).project(_index(), x + 0.1, -(y + 0.05), s)
+    assert (found.s - other.s).abs().max() < 1e-4
+    assert (found.lateral + other.lateral).abs().max() < 1e-5
+
+
+def test_a_track_set_without_tracks_is_refused():
+    with pytest.raises(ValueError, match="at least one"):
+        TrackSet.of()
