@@ -398,7 +398,7 @@ def _print_classification(result: RaceResult) -> None:
     spec = result.spec
     title = f"{spec.kind.replace('_', ' ')} on {spec.track}, {spec.laps} laps"
     table = _table(
-        title, "", "driver", "laps", "total", "gap", "best lap", "off-tracks", "crashes", "overtakes"
+        title, "", "driver", "laps", "total", "gap", "best lap", "off", "crash", "passed"
     )
     winner = result.order[0]
     for car in result.order:
@@ -432,12 +432,20 @@ def _console() -> Console:
 
 
 def _table(title: str, *columns: str):  # noqa: ANN202
+    from rich import box
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left", header_style="bold")
+    table = Table(
+        title=title,
+        title_justify="left",
+        title_style="bold",
+        header_style="dim",
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+    )
     for number, column in enumerate(columns):
         left = number < 2 or column in ("title", "direction", "how it drives")
-        table.add_column(column, justify="left" if left else "right")
+        table.add_column(column, justify="left" if left else "right", no_wrap=True)
     return table
 
 

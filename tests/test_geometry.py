@@ -10,14 +10,22 @@ from league import geometry
 
 @pytest.mark.parametrize(
     ("angle", "wrapped"),
-    [(0.0, 0.0), (math.pi, -math.pi), (-math.pi, -math.pi), (3.5, 3.5 - 2 * math.pi), (7.0, 0.7168)],
+    [
+        (0.0, 0.0),
+        (math.pi, -math.pi),
+        (-math.pi, -math.pi),
+        (3.5, 3.5 - 2 * math.pi),
+        (7.0, 0.7168),
+    ],
 )
 def test_angles_are_wrapped_to_half_a_turn_either_way(angle, wrapped):
     assert float(geometry.wrap_angle(torch.tensor([angle]))) == pytest.approx(wrapped, abs=1e-4)
 
 
 def test_rotating_by_a_quarter_turn_sends_ahead_to_left():
-    x, y = geometry.rotate(torch.tensor(1.0), torch.tensor(0.0), torch.tensor(0.0), torch.tensor(1.0))
+    x, y = geometry.rotate(
+        torch.tensor(1.0), torch.tensor(0.0), torch.tensor(0.0), torch.tensor(1.0)
+    )
     assert (float(x), float(y)) == (0.0, 1.0)
 
 

@@ -102,6 +102,4 @@ def _stranger(name: object, racing: list[str], known: list[str]) -> str:
     if not known:
         return f"there is an action for {reprlib.repr(name)} before the first reset: call reset"
     near = nearest_names(name, known) if isinstance(name, str) else ", ".join(known)
-    return (
-        f"there is an action for {reprlib.repr(name)}, who is not in this race: the agents are {near}"
-    )
+    return f"there is an action for {reprlib.repr(name)}, who is no agent here: there are {near}"

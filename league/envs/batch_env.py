@@ -13,12 +13,13 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from league.envs import actions as door_actions
-from league.envs import infos, seeds, spaces
+from league.envs import infos, problem, seeds, spaces
 from league.envs.opponents import Opponent
 from league.envs.problem import Settings
 from league.envs.race_env import Step
 from league.envs.seat import Seat
 from league.errors import ActionError, ConfigError
+from league.sim.config import RaceKind
 from league.track.course import Track, TrackSet
 
 Told = dict[str, np.ndarray]
@@ -41,7 +42,9 @@ class BatchEnv(VectorEnv[Told, np.ndarray, np.ndarray]):
         self,
         num_envs: int = 1,
         track: str | os.PathLike[str] | Track | TrackSet = "reinvent_2018",
+        kind: RaceKind = "time_trial",
         *,
+        sensors: problem.Carried = problem.BOTH,
         car: int = 0,
         opponents: Sequence[Opponent | str] | None = None,
         privileged: bool = False,
@@ -54,6 +57,8 @@ class BatchEnv(VectorEnv[Told, np.ndarray, np.ndarray]):
         Args:
             num_envs: races.
             track: as in SingleEnv, or a TrackSet, whose tracks the races take in turn.
+            kind: as in SingleEnv.
+            sensors: as in SingleEnv.
             car: grid slot of the learner.
             opponents: one driver for each other slot serves all races.
             privileged: whether the learner is told the truth too.
@@ -70,7 +75,9 @@ class BatchEnv(VectorEnv[Told, np.ndarray, np.ndarray]):
             raise ConfigError(f"num_envs is {num_envs!r}: give a whole number, 1 or more")
         if max_episode_steps is not None:
             settings.setdefault("max_steps", max_episode_steps)
-        self._seat = Seat(track, num_worlds=num_envs, car=car, opponents=opponents, **settings)
+        self._seat = Seat(
+            track, kind, sensors, num_worlds=num_envs, car=car, opponents=opponents, **settings
+        )
         self.num_envs = num_envs
         self.single_observation_space = spaces.observation(self._seat.sensors, privileged)
         self.single_action_space = spaces.action()

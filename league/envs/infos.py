@@ -1,4 +1,4 @@
-"""What the doors tell beside observations and rewards: laps, place, penalties, what the referee saw."""
+"""What the doors tell beside observations and rewards: laps, place, penalties, the verdict."""
 
 from __future__ import annotations
 

@@ -25,6 +25,7 @@ def parallel_env(
     kind: problem.RaceKind = "head_to_head",
     num_cars: int | None = None,
     *,
+    sensors: problem.Sensors = problem.BOTH,
     privileged: bool = False,
     render_mode: str | None = None,
     view: str = "chase",
@@ -36,6 +37,8 @@ def parallel_env(
         track: name of a track, path of its .yaml file, or a Track.
         kind: time_trial, obstacle_avoidance or head_to_head.
         num_cars: agents; by default 2 in a head_to_head race, else 1.
+        sensors: what the cars carry: names (stereo, lidar), CameraConfig or LidarConfig objects;
+            the same for all, or a dict by agent.
         privileged: whether the agents are told the truth too, as group `state`.
         render_mode: rgb_array for pictures, human for the live viewer, or None.
         view: what is seen in pictures: chase, from behind the leader, or top.
@@ -45,12 +48,14 @@ def parallel_env(
         LeagueError: an unknown track or name, or settings that contradict each other.
     """
     settings.setdefault("solver", "bullet")
-    cfg = problem.configure(**{"restarting": (), **settings}, kind=kind, num_cars=num_cars)
+    cfg = problem.configure(
+        kind=kind, num_cars=num_cars, sensors=sensors, restarting=(), **settings
+    )
     env = RaceEnv(problem.course(track), cfg)
     return MultiEnv(env, privileged=privileged, render_mode=render_mode, view=view)
 
 
-class MultiEnv(ParallelEnv[str, Told, np.ndarray]):
+class MultiEnv(ParallelEnv[str, Any, np.ndarray]):
     """One race; an agent whose race or episode has ended leaves, until the next reset.
 
     Observations are dicts of the groups its car carries (docs/observations.md), actions are
@@ -78,20 +83,21 @@ class MultiEnv(ParallelEnv[str, Told, np.ndarray]):
         self._seeds = seeds.Seeds()
         self.possible_agents = [f"car_{car}" for car in range(env.num_cars)]
         self.agents: list[str] = []
-        self.observation_spaces = {
+        self._told_spaces = {
             agent: spaces.observation(env.cfg.sensors_of(car), privileged)
             for car, agent in enumerate(self.possible_agents)
         }
-        self.action_spaces = {agent: spaces.action() for agent in self.possible_agents}
+        self._action_spaces = {agent: spaces.action() for agent in self.possible_agents}
+        self.observation_spaces, self.action_spaces = {**self._told_spaces}, {**self._action_spaces}
         self._was_reset = False
 
     def observation_space(self, agent: str) -> Dict:
         """Return the space of what an agent is told; always the same object."""
-        return self.observation_spaces[agent]
+        return self._told_spaces[agent]
 
     def action_space(self, agent: str) -> Box:
         """Return the space of an agent's actions; always the same object."""
-        return self.action_spaces[agent]
+        return self._action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
@@ -107,7 +113,9 @@ class MultiEnv(ParallelEnv[str, Told, np.ndarray]):
         self._pictures.started()
         return self._observations(told), self._infos(None)
 
-    def step(self, actions: dict[str, np.ndarray]) -> tuple[
+    def step(
+        self, actions: dict[str, np.ndarray]
+    ) -> tuple[
         dict[str, Told],
         dict[str, float],
         dict[str, bool],
@@ -165,7 +173,7 @@ class MultiEnv(ParallelEnv[str, Told, np.ndarray]):
 
     def _observations(self, told: Observations) -> dict[str, Told]:
         return {
-            agent: spaces.told(told[self._car(agent)], self.observation_spaces[agent])
+            agent: spaces.told(told[self._car(agent)], self._told_spaces[agent])
             for agent in self.agents
         }
 

@@ -72,12 +72,19 @@ def state(tracks: TrackSet, sim: SimConfig, world: World, car: int) -> Tensor:
     return torch.stack(columns, dim=1)
 
 
-def due(rate_hz: float, step_hz: int, tick: int) -> bool:
-    """Return whether a sensor of this rate has something new at this control step."""
-    if rate_hz >= step_hz:
-        return True
-    # The first step at or after each multiple of the sensor's period.
-    return int(tick * rate_hz / step_hz + 1e-9) != int((tick - 1) * rate_hz / step_hz + 1e-9)
+def due(rate_hz: float, step_hz: int, step: Tensor) -> Tensor:
+    """Return whether a sensor of this rate has something new at these control steps, bool.
+
+    Args:
+        rate_hz: readings per second asked for.
+        step_hz: control steps per second.
+        step: control steps since the start of each race, int64, (num_worlds,).
+    """
+    share = min(rate_hz / step_hz, 1.0)
+    # The first step at or after each multiple of the sensor's period, and the start.
+    count = torch.floor(step.to(torch.float64) * share + 1e-9)
+    before = torch.floor((step - 1).to(torch.float64) * share + 1e-9)
+    return (count != before) | (step == 0)
 
 
 def effective_rate_hz(rate_hz: float, step_hz: int) -> float:

@@ -8,6 +8,7 @@ from typing import Protocol
 
 from torch import Tensor
 
+from league.envs.config import EnvConfig
 from league.errors import ConfigError
 from league.sim.config import CarConfig, SensorConfig
 from league.track.course import TrackSet
@@ -55,6 +56,28 @@ def named(
             )
         found.append(driver)
     return tuple(found)
+
+
+def check_field(
+    cfg: EnvConfig, learners: Sequence[int], drivers: Mapping[int, Opponent | str]
+) -> None:
+    """Refuse a field in which not every car has one who drives it, or rows that are not alike."""
+    if cfg.mode != "training" or cfg.restarting is not None:
+        raise ConfigError(
+            f"mode is {cfg.mode!r}, restarting is {cfg.restarting}: rows have episodes of "
+            "their own, give mode 'training' and restarting None"
+        )
+    field = list(range(cfg.sim.num_cars))
+    if not learners or sorted([*learners, *drivers]) != field:
+        raise ConfigError(
+            f"learners are {sorted(learners)} and opponents {sorted(drivers)}: each of the "
+            f"{len(field)} cars, {field}, must be one or the other, and one must learn"
+        )
+    if len({cfg.sensors_of(car) for car in learners}) > 1:
+        raise ConfigError(
+            "the learners carry different sensors, but rows are one batch: "
+            "give them the same, or train them apart"
+        )
 
 
 class Opponents:

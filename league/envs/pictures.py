@@ -16,6 +16,8 @@ from league.sim.world import World
 
 MODES = ("rgb_array", "human")
 VIEWS = ("chase", "top")
+SIZE = (640, 360)
+"""Width and height of pictures."""
 VIEWER = "league.rerun_view:Live"
 """Who shows a race live, as "module:class": named by a string and not imported, because the viewer
 stands a floor above the doors."""
@@ -72,9 +74,9 @@ class Pictures:
 
         env, world = self._env, self._env.world
         if self._view == "top":
-            return view.top_view(env.tracks, env.cfg.sim, world)
+            return view.top_view(env.tracks, env.cfg.sim, world, 0, *SIZE)
         car = int(world.standing.leader[0]) if self._car is None else self._car
-        return view.chase_view(env.tracks, env.cfg.sim, world, car)
+        return view.chase_view(env.tracks, env.cfg.sim, world, 0, car, *SIZE)
 
     def close(self) -> None:
         """Close the viewer, if it was opened."""

@@ -1,10 +1,10 @@
-"""From the plain words that a door is given to what a RaceEnv needs: a TrackSet and an EnvConfig."""
+"""From the plain words that a door is given to what a RaceEnv needs: TrackSet and EnvConfig."""
 
 from __future__ import annotations
 
 import os
 import reprlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Literal, TypedDict, get_args
 
@@ -24,10 +24,10 @@ from league.track.course import Track, TrackSet
 Mode = Literal["race", "training"]
 Sensor = str | CameraConfig | LidarConfig
 """A sensor by its name, "stereo" or "lidar", or by its settings."""
-Carried = SensorConfig | Sensor | Iterable[Sensor] | None
+Carried = SensorConfig | Sensor | Sequence[Sensor] | None
 """What one car carries; own motion is always told."""
-Sensors = Carried | Mapping[str, Carried] | tuple[SensorConfig, ...]
-"""The same for all cars, or for each by name (car_0, ...) or in order."""
+Sensors = Carried | Mapping[str, Carried] | Sequence[SensorConfig]
+"""The same for all cars, or for each by its name (car_0, ...) or in order."""
 
 BOTH: tuple[Sensor, ...] = ("stereo", "lidar")
 """What a car of the league carries, unless told otherwise."""
@@ -35,14 +35,10 @@ _NAMED = {"stereo": CameraConfig, "lidar": LidarConfig, "motion": None}
 
 
 class Settings(TypedDict, total=False):
-    """What the doors' callers may ask for, besides the track; all have defaults."""
+    """What the doors' callers may ask for besides track, kind and sensors; all have defaults."""
 
-    kind: RaceKind
-    """Alone, with obstacles, or against other cars."""
     solver: SolverName
     """Physics: bullet, rigid bodies, or planar, for training at scale."""
-    sensors: Sensors
-    """What the cars carry."""
     laps: int
     """Laps of a race, or of an episode in training."""
     max_steps: int | None
@@ -75,8 +71,8 @@ def configure(
     *,
     kind: RaceKind = "time_trial",
     num_cars: int | None = None,
-    solver: SolverName = "planar",
     sensors: Sensors = BOTH,
+    solver: SolverName = "planar",
     laps: int = 3,
     max_steps: int | None = None,
     reward: RewardConfig | None = None,
@@ -88,10 +84,10 @@ def configure(
     """Return the settings of a RaceEnv; what is named here wins over `sim`.
 
     Args:
-        kind: see Settings, as for all others that are not listed here.
+        kind: alone, with obstacles, or against other cars.
         num_cars: cars in a world; None: 2 in a head_to_head race, else 1.
-        solver: see Settings.
-        sensors: see Settings.
+        sensors: what the cars carry.
+        solver: see Settings, as for the rest.
         laps: see Settings.
         max_steps: see Settings.
         reward: see Settings.
@@ -139,7 +135,7 @@ def carried(sensors: Carried) -> SensorConfig:
         return SensorConfig()
     if isinstance(sensors, str | CameraConfig | LidarConfig):
         sensors = (sensors,)
-    if not isinstance(sensors, Iterable):
+    if not isinstance(sensors, Sequence):
         raise ConfigError(_no_sensor(sensors))
     camera = lidar = None
     for sensor in sensors:
@@ -158,15 +154,17 @@ def carried(sensors: Carried) -> SensorConfig:
 def _of_cars(sensors: Sensors, num_cars: int) -> tuple[SensorConfig, ...]:
     if isinstance(sensors, Mapping):
         names = [f"car_{car}" for car in range(num_cars)]
-        if sorted(sensors) != names:
+        if sorted(map(str, sensors)) != names:
             raise ConfigError(
                 f"sensors are given for {', '.join(map(str, sensors)) or 'nobody'}: "
                 f"give them for {', '.join(names)}"
             )
-        return tuple(carried(sensors[name]) for name in names)
-    if isinstance(sensors, tuple | list) and any(isinstance(s, SensorConfig) for s in sensors):
-        return tuple(carried(each) for each in sensors)
-    return (carried(sensors),)
+        return tuple(carried(each) for _, each in sorted(sensors.items()))
+    if isinstance(sensors, list | tuple):
+        each_car = [one for one in sensors if isinstance(one, SensorConfig)]
+        if each_car and len(each_car) == len(sensors):
+            return tuple(each_car)
+    return (carried(sensors),)  # type: ignore
 
 
 def _no_sensor(given: object) -> str:

@@ -178,7 +178,6 @@ class RaceEnv:
             world, actions = self._started_anew(world, actions, anew, seeds)
 
         self._world, self._last_action = world, actions
-        self._tick += 1
         return Step(self._observe(), reward, terminated, truncated, verdict, terms)
 
     def retire(self, car: int) -> None:
@@ -202,7 +201,6 @@ class RaceEnv:
         self._world = self._fresh(seeds)
         self._solver.reset()
         self._sensing.reset()
-        self._tick = 0
         shape = (self.num_worlds, self.num_cars)
         self._last_action = self._no_action()
         self._episode_steps = torch.zeros(shape, dtype=torch.int64, device=self.tracks.device)
@@ -249,7 +247,7 @@ class RaceEnv:
         return select(anew, self._fresh(seeds), world), actions
 
     def _observe(self) -> Observations:
-        return self._sensing.observe(self._world, self._last_action, self._tick)
+        return self._sensing.observe(self._world, self._last_action)
 
     def _race_over(self, world: World) -> Tensor:
         over = world.step >= self._last_step

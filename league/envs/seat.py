@@ -15,7 +15,7 @@ from league.envs.opponents import Opponent, Opponents, named
 from league.envs.problem import Settings
 from league.envs.race_env import RaceEnv, Step
 from league.errors import ConfigError
-from league.sim.config import SensorConfig
+from league.sim.config import RaceKind, SensorConfig, SimConfig
 from league.track.course import Track, TrackSet
 
 DEFAULT_OPPONENTS = ("centerline",)
@@ -28,6 +28,8 @@ class Seat:
     def __init__(
         self,
         track: str | os.PathLike[str] | Track | TrackSet,
+        kind: RaceKind,
+        sensors: problem.Carried,
         *,
         num_worlds: int = 1,
         car: int = 0,
@@ -38,22 +40,24 @@ class Seat:
 
         Args:
             track: see league.envs.problem.course.
+            kind: alone, with obstacles, or against other cars.
+            sensors: what the learner carries.
             num_worlds: races in the batch.
             car: grid slot of the learner.
             opponents: drivers of the other slots in order, or their names; only in head_to_head.
             settings: see league.envs.problem.Settings; training is the default mode here.
         """
         tracks = problem.course(track)
-        racing = settings.get("kind") == "head_to_head"
+        racing = kind == "head_to_head"
         if opponents is None:
             opponents = DEFAULT_OPPONENTS if racing else ()
         settings.setdefault("mode", "training")
         sim = settings.get("sim")
-        drivers = named(opponents, tracks, sim.car if sim else problem.SimConfig().car)
+        drivers = named(opponents, tracks, (sim or SimConfig()).car)
         if drivers and not racing:
             raise ConfigError(
-                f"{len(drivers)} opponents are given for a {settings.get('kind', 'time_trial')} "
-                "race, which is driven alone: give none, or choose head_to_head"
+                f"{len(drivers)} opponents are given for a {kind} race, which is driven alone: "
+                "give none, or choose head_to_head"
             )
         if not 0 <= car <= len(drivers):
             raise ConfigError(f"car is {car}: the field has {len(drivers) + 1} cars, from 0")
@@ -61,12 +65,13 @@ class Seat:
         carried: dict[int, SensorConfig] = {
             slot: driver.sensors for slot, driver in zip(others, drivers, strict=True)
         }
-        carried[car] = problem.carried(settings.pop("sensors", problem.BOTH))  # type: ignore
+        carried[car] = problem.carried(sensors)
         cfg = problem.configure(
-            **settings,
+            kind=kind,
             sensors=tuple(carried[slot] for slot in sorted(carried)),
             num_cars=len(carried),
             restarting=tuple(others),
+            **settings,
         )
         self.env, self.car = RaceEnv(tracks, cfg, num_worlds=num_worlds), car
         self.sensors = cfg.sensors_of(car)

@@ -36,19 +36,24 @@ class Sensing:
         """Have the sensors of these cars read at once, due or not; bool, (num_worlds, num_cars)."""
         self._stale = who if self._stale is None else self._stale | who
 
-    def observe(
-        self, world: World, last_action: Tensor, tick: int
-    ) -> tuple[Mapping[str, Tensor], ...]:
-        """Return each car's groups; a reading that is not due is the last one."""
+    def observe(self, world: World, last_action: Tensor) -> tuple[Mapping[str, Tensor], ...]:
+        """Return each car's groups; a reading that is not due is the last one.
+
+        Sensors run on each race's own clock, so that a race in a batch is told what it would be
+        told alone.
+        """
         step_hz = self._cfg.sim.step_hz
         told = []
         for car, sensors in enumerate(self._sensors):
             held = self._held[car]
             for name, (rate_hz, read) in sensors.items():
-                if name not in held or observations.due(rate_hz, step_hz, tick):
+                new = observations.due(rate_hz, step_hz, world.step)
+                if self._stale is not None:
+                    new = new | self._stale[:, car]
+                if name not in held or bool(new.all()):
                     held[name] = read(world, None)
-                elif self._stale is not None and bool(self._stale[:, car].any()):
-                    rows = self._stale[:, car].nonzero()[:, 0]
+                elif bool(new.any()):
+                    rows = new.nonzero()[:, 0]
                     fresh = held[name].clone()
                     fresh[rows] = read(world, rows)
                     held[name] = fresh

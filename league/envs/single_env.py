@@ -9,19 +9,20 @@ from typing import Any, Unpack
 import gymnasium
 import numpy as np
 
-from league.envs import actions, infos, seeds, spaces
+from league.envs import actions, infos, problem, seeds, spaces
 from league.envs.opponents import Opponent
 from league.envs.pictures import Pictures
 from league.envs.problem import Settings
 from league.envs.race_env import Step
 from league.envs.seat import Seat
 from league.errors import ActionError
+from league.sim.config import RaceKind
 from league.track.course import Track
 
 Told = dict[str, np.ndarray]
 
 
-class SingleEnv(gymnasium.Env[Told, np.ndarray]):
+class SingleEnv(gymnasium.Env[Any, np.ndarray]):
     """One race, or in training one episode of the learner in it.
 
     Observations are dicts of the groups its car carries (docs/observations.md), actions are
@@ -33,7 +34,9 @@ class SingleEnv(gymnasium.Env[Told, np.ndarray]):
     def __init__(
         self,
         track: str | os.PathLike[str] | Track = "reinvent_2018",
+        kind: RaceKind = "time_trial",
         *,
+        sensors: problem.Carried = problem.BOTH,
         car: int = 0,
         opponents: Sequence[Opponent | str] | None = None,
         privileged: bool = False,
@@ -45,6 +48,9 @@ class SingleEnv(gymnasium.Env[Told, np.ndarray]):
 
         Args:
             track: name of a track, path of its .yaml file, or a Track.
+            kind: time_trial, obstacle_avoidance or head_to_head.
+            sensors: what the learner carries: names out of stereo and lidar, or CameraConfig and
+                LidarConfig.
             car: grid slot of the learner, 0 in front.
             opponents: names or drivers of the other slots, in head_to_head; one by default.
             privileged: whether the learner is told the truth too, as group `state`.
@@ -56,10 +62,10 @@ class SingleEnv(gymnasium.Env[Told, np.ndarray]):
         Raises:
             LeagueError: an unknown track or name, or settings that contradict each other.
         """
-        self._seat = Seat(track, car=car, opponents=opponents, **settings)
+        self._seat = Seat(track, kind, sensors, car=car, opponents=opponents, **settings)
         self.render_mode = render_mode
         self._pictures = Pictures(self._seat.env, render_mode, view, car)
-        self.observation_space = spaces.observation(self._seat.sensors, privileged)
+        self._space = self.observation_space = spaces.observation(self._seat.sensors, privileged)
         self.action_space = spaces.action()
         self._over = True
 
@@ -76,7 +82,7 @@ class SingleEnv(gymnasium.Env[Told, np.ndarray]):
         groups = self._seat.reset([seeds.drawn(self.np_random)])
         self._over = False
         self._pictures.started()
-        return spaces.told(groups, self.observation_space), self._info(None)
+        return spaces.told(groups, self._space), self._info(None)
 
     def step(self, action: np.ndarray) -> tuple[Told, float, bool, bool, dict[str, Any]]:
         """Drive for 1/15 s.
@@ -92,7 +98,7 @@ class SingleEnv(gymnasium.Env[Told, np.ndarray]):
         car = self._seat.car
         terminated, truncated = bool(step.terminated[0, car]), bool(step.truncated[0, car])
         self._over = terminated or truncated
-        told = spaces.told(step.observations[car], self.observation_space)
+        told = spaces.told(step.observations[car], self._space)
         return told, float(step.rewards[0, car]), terminated, truncated, self._info(step)
 
     def render(self) -> np.ndarray | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from gymnasium.spaces import Box, Dict
+from gymnasium.spaces import Box, Dict, Space
 from torch import Tensor
 
 from league.envs import actions, observations, state
@@ -29,7 +29,7 @@ def observation(sensors: SensorConfig, privileged: bool) -> Dict:
         sensors: what the car carries.
         privileged: whether it is told the truth too.
     """
-    groups: dict[str, Box] = {}
+    groups: dict[str, Space] = {}
     if sensors.camera is not None:
         groups["stereo"] = Box(0, 255, sensors.camera.shape, np.uint8)
     if sensors.lidar is not None:

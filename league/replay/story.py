@@ -12,6 +12,8 @@ from league.replay.recording import Replay
 
 PACK = 3.0
 """Cars this close behind the leader [m] are kept in the chase camera's picture."""
+AFTER_FINISH_S = 2.0
+"""How long a car that has finished is still followed [s]."""
 CHASE_SMOOTHING_S = 0.45
 """How slowly the chase camera turns and changes its subject [s]."""
 
@@ -57,9 +59,9 @@ def speeds(replay: Replay) -> np.ndarray:
 def chase_path(replay: Replay) -> ChasePath:
     """Return where to chase from: the last of those close behind the leader, to see them all."""
     columns = replay.columns
-    gap = gaps_m(replay)
-    in_pack = np.where(gap <= PACK, columns.distance, np.inf)
-    subject = in_pack.argmin(axis=1)
+    distance = np.where(_watched(replay), columns.distance, -np.inf)
+    gap = distance.max(axis=1, keepdims=True) - distance
+    subject = np.where(gap <= PACK, columns.distance, np.inf).argmin(axis=1)
     rows = np.arange(replay.num_frames)
     heading = columns.yaw[rows, subject]
     sigma = CHASE_SMOOTHING_S * replay.step_hz
@@ -68,6 +70,18 @@ def chase_path(replay: Replay) -> ChasePath:
         y=gaussian_filter1d(columns.y[rows, subject], sigma / 3, mode="nearest"),
         yaw=gaussian_filter1d(np.unwrap(heading), sigma, mode="nearest"),
     )
+
+
+def _watched(replay: Replay) -> np.ndarray:
+    """Return who is worth following: all who race; the winner when nobody does any more."""
+    until = np.full(replay.num_cars, np.inf)
+    for car in replay.result.order:
+        if car.finished:
+            until[car.car] = car.total_s + AFTER_FINISH_S
+    watched = replay.times_s[:, None] <= until
+    nobody = ~watched.any(axis=1)
+    watched[nobody, replay.result.order[0].car] = True
+    return watched
 
 
 def captions(replay: Replay) -> list[tuple[Event, str]]:

@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 import rerun as rr
-import torch
 
 from league.errors import ReplayError
 from league.replay import Replay, story
 from league.replay.recording import JUMP
 from league.rerun_view import blueprint, paths, poses, shapes
 from league.rerun_view.shapes import Mesh
+from league.sim import lidar
 from league.sim.camera.scene import BOT_COLOUR, BOX_COLOUR, CAR, CAR_COLOURS
 from league.sim.config import CameraConfig, LidarConfig, ObstacleConfig, SimConfig
 from league.track.course import Track
@@ -29,6 +29,7 @@ EYE_CAMERA = CameraConfig(width=320, height=240, colour=True)
 EYE_CODING = Coding(crf=29, preset="ultrafast", keyframe_s=2.0)
 BATCH = 16
 """Frames rendered at a time; few, so that they stay in the cache."""
+LIDAR_BATCH = 1024
 LIDAR_EVERY = 2
 """One scan for so many frames (7.5 Hz of 15; the sensor's own clock is 10 Hz)."""
 WALL_OPACITY = 0.3
@@ -307,18 +308,15 @@ def plain(name: str) -> str:
 
 
 def _send_lidar(recording: rr.RecordingStream, replay: Replay) -> None:
-    from league.sim import lidar
-
     cfg = LidarConfig(noise=0.0)
     sim = _sim(replay)
     times = replay.times_s[::LIDAR_EVERY]
-    angles = lidar.angles(cfg).numpy()
+    angles = np.array(lidar.beam_angles(cfg), dtype=np.float32)
     for slot in range(replay.num_cars):
         ranges = []
-        for start in range(0, len(times), BATCH):
-            world = replay.at(times[start : start + BATCH])
-            with torch.inference_mode():
-                ranges.append(lidar.scan(replay.tracks, sim, world, slot, cfg).numpy())
+        for start in range(0, len(times), LIDAR_BATCH):
+            world = replay.at(times[start : start + LIDAR_BATCH])
+            ranges.append(lidar.scan(replay.tracks, sim, cfg, world, slot).numpy())
         found = np.concatenate(ranges)  # (num_scans, beams)
         hit = found < cfg.max_range
         points = np.stack(

@@ -30,8 +30,8 @@ FASTEST_MEND = 0.005
 """Largest mend of a physics step [m]."""
 SWEEPS = 2
 """Times friction and pressure answer each other when a pair is worked."""
-PASSES = 2
-"""Times every round is worked in a physics step."""
+REPEATS = 2
+"""Further times that pairs are worked which share a car with another touching pair."""
 
 
 @dataclass(frozen=True)
@@ -166,9 +166,12 @@ class Resolver:
                 )
                 batches.append(_Batch(table[:, low:high], one, two, still, self._contact.friction))
             low = high
-        for _ in range(PASSES):
-            for batch in batches:
-                batch.push(velocity)
+        for batch in batches:
+            batch.push(velocity)
+        shared = self._shared(rows, state.shape[1]) if len(batches) > 1 else []
+        for _ in range(REPEATS if shared else 0):
+            for batch, again in zip(batches, shared, strict=True):
+                batch.push(velocity, again)
         for batch in batches:
             batch.mend(shift)
         return Parted(*velocity.unbind(), *shift.unbind())

@@ -53,7 +53,7 @@ def find_rounds(world: World, frozen: Tensor, cfg: SimConfig, tracks: TrackSet) 
     return rounds + _wall_rounds(world, reach, frozen, tracks)
 
 
-def _schedule(num_cars: int) -> list[list[tuple[int, int]]]:
+def schedule(num_cars: int) -> list[list[tuple[int, int]]]:
     """Pair all cars in rounds without a car twice (circle method of round-robin tournaments)."""
     seats = list(range(num_cars + num_cars % 2))
     rounds = []
@@ -67,8 +67,8 @@ def _schedule(num_cars: int) -> list[list[tuple[int, int]]]:
 def _car_rounds(motion: Motion, reach: Tensor, ghost: Tensor, frozen: Tensor) -> list[Round]:
     num_cars = motion.x.shape[1]
     device = motion.x.device
-    schedule = _schedule(num_cars)
-    pairs = torch.tensor([p for part in schedule for p in part], device=device).T.contiguous()
+    parts = schedule(num_cars)
+    pairs = torch.tensor([p for part in parts for p in part], device=device).T.contiguous()
     one, two = pairs.unbind()
     dx = motion.x.index_select(1, two) - motion.x.index_select(1, one)
     dy = motion.y.index_select(1, two) - motion.y.index_select(1, one)
@@ -80,7 +80,7 @@ def _car_rounds(motion: Motion, reach: Tensor, ghost: Tensor, frozen: Tensor) ->
     helds = frozen.index_select(1, one) & frozen.index_select(1, two)
     near = near & ~ghosts & ~helds
     rounds, start = [], 0
-    for part in schedule:
+    for part in parts:
         row, column = near[:, start : start + len(part)].nonzero().unbind(1)
         if row.numel():
             first = row * num_cars + one[start + column]

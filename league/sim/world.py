@@ -211,7 +211,7 @@ def select(mask: Tensor, new: Record, old: Record) -> Record:
     return replace(old, **chosen)
 
 
-def row(record: Record, index: int | slice) -> Record:
+def row(record: Record, index: int | slice | Tensor) -> Record:
     """Return some worlds of a record (an int keeps the batch axis)."""
     part = slice(index, index + 1) if isinstance(index, int) else index
     taken = {

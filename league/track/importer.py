@@ -71,6 +71,13 @@ def from_rows(rows: np.ndarray, name: str, where: str) -> Track:
             f"{where}: the track is {steps.sum():,.1f} m long and {extent:,.1f} m across; a track "
             f"has at most {build.MAX_LENGTH:g} m and {build.MAX_EXTENT:g} m (the unit is metres)"
         )
+    twice = KDTree(center).query_pairs(1e-3)
+    if twice:
+        row = center[min(twice)[0]]
+        raise TrackError(
+            f"{where} comes twice to the place ({row[0]:.3f}, {row[1]:.3f}) m; rows must be in "
+            "driving order, once round"
+        )
     borders = [_border(rows[:, column : column + 2], closed, where) for column in (2, 4)]
     left, right = borders if _inner_is_left(rows) else borders[::-1]
     return _fit(center, left, right, closed, name, where)

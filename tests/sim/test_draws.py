@@ -31,7 +31,10 @@ def test_normal_numbers_have_mean_0_and_variance_1():
 
 def test_draws_of_neighbouring_seeds_and_counters_are_not_correlated():
     one = draws.normal(torch.arange(50_000), 1, 5).double()
-    for other in (draws.normal(torch.arange(50_000), 1, 6), draws.normal(torch.arange(50_000) + 1, 1, 5)):
+    for other in (
+        draws.normal(torch.arange(50_000), 1, 6),
+        draws.normal(torch.arange(50_000) + 1, 1, 5),
+    ):
         assert abs(float((one * other.double()).mean())) < 0.02
 
 

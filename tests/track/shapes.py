@@ -33,7 +33,7 @@ def circle(radius: float = 2.0, width: float = 0.8) -> Track:
 
 
 def stadium_points(straight: float = 4.0, radius: float = 0.6) -> list[list[float]]:
-    """Two straights joined by half circles; starts in the middle of the lower straight, eastward."""
+    """Two straights joined by half circles; starts on the lower straight, eastward."""
     x = straight / 2
     bend = np.linspace(-math.pi / 2, math.pi / 2, 9)
     east = np.stack([x + radius * np.cos(bend), radius + radius * np.sin(bend)], axis=1)

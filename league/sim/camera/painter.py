@@ -214,7 +214,10 @@ def _inside(one: tuple, other: tuple, side_one: tuple, side_other: tuple) -> tup
     reach, left = side_one
     far_reach, far_left = side_other
     start, stop = 0.0, 1.0
-    for before, after in ((reach - left, far_reach - far_left), (reach + left, far_reach + far_left)):
+    for before, after in (
+        (reach - left, far_reach - far_left),
+        (reach + left, far_reach + far_left),
+    ):
         if before < 0:
             if after < 0:
                 return None

@@ -141,7 +141,9 @@ class RayRenderer:
                 distance = torch.sqrt(body.x * body.x + body.y * body.y)
                 is_far = scene.is_far(self._lens.focal, distance)
                 for model, mask in ((scene.CAR, ~is_far), (scene.FAR_CAR, is_far)):
-                    depth, pictures = self._meet(rays, replace(body, model=model), mask, depth, pictures)
+                    depth, pictures = self._meet(
+                        rays, replace(body, model=model), mask, depth, pictures
+                    )
             else:
                 mask = torch.ones_like(body.x, dtype=torch.bool)
                 depth, pictures = self._meet(rays, body, mask, depth, pictures)

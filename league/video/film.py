@@ -1,0 +1,182 @@
+"""A replay as a film: the chase camera, with the broadcast's graphics over it."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from av.error import FFmpegError
+from torch import Tensor
+
+from league.errors import ReplayError
+from league.replay import Replay, story
+from league.sim.camera.cv import CvRenderer
+from league.sim.config import CameraConfig, ObstacleConfig, SimConfig
+from league.sim.world import World
+from league.video.hud import Hud
+from league.video.mp4 import Coding, Mp4
+
+SIZE = (1280, 720)
+FPS = 30
+HOLD_S = 3.0
+"""How long the last picture stays, with the classification [s]."""
+BEHIND, ABOVE, TILT = 1.12, 0.56, 0.27
+"""Where the chase camera is: behind its frame [m], above the floor [m], tilted down [rad]."""
+VIEW = 1.15
+"""Its horizontal field of view [rad]."""
+WALL_GAP = 0.06
+"""How near to the wall it goes [m]."""
+BATCH = 8
+CODING = Coding(crf=21, preset="veryfast")
+
+
+class Film:
+    """Pictures of one replay at any moment."""
+
+    def __init__(self, replay: Replay, size: tuple[int, int] = SIZE) -> None:
+        """Prepare the camera and the graphics.
+
+        Args:
+            replay: the race.
+            size: width and height [px], both even.
+        """
+        width, height = size
+        if width % 2 or height % 2 or not (320 <= width <= 1920 and 180 <= height <= 1080):
+            raise ReplayError(
+                f"a video of {width}x{height} cannot be made: give even sides from 320x180 to "
+                "1920x1080"
+            )
+        self._replay = replay
+        camera = CameraConfig(
+            width=width,
+            height=height,
+            colour=True,
+            eyes="mono",
+            field_of_view=VIEW,
+            forward=0.0,
+            up=ABOVE,
+            pitch=TILT,
+        )
+        self._renderer = CvRenderer(replay.tracks, _settings(replay), camera)
+        self._hud = Hud(replay, width, height)
+        self._path = story.chase_path(replay)
+
+    def pictures(self, times_s: np.ndarray) -> list[np.ndarray]:
+        """Return the pictures of these moments, RGB uint8, (height, width, 3) each."""
+        world = self._replay.at(times_s)
+        x, y, yaw = self._eye(np.clip(times_s, 0.0, self._replay.duration_s))
+        seen = self._renderer.render(_with_eye(world, x, y, yaw), self._replay.num_cars)
+        taken = []
+        for row, time_s in enumerate(times_s):
+            picture = np.ascontiguousarray(seen[row].numpy().transpose(1, 2, 0))
+            self._hud.draw(picture, world, row, float(time_s))
+            taken.append(picture)
+        return taken
+
+    def _eye(self, times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the chase camera's place and heading, kept inside the walls."""
+        at = self._replay.times_s
+        path = self._path
+        yaw = np.interp(times_s, at, path.yaw)
+        x = np.interp(times_s, at, path.x) - BEHIND * np.cos(yaw)
+        y = np.interp(times_s, at, path.y) - BEHIND * np.sin(yaw)
+        x_min, y_min, x_max, y_max = self._replay.track.room
+        x = np.clip(x, x_min + WALL_GAP, x_max - WALL_GAP)
+        y = np.clip(y, y_min + WALL_GAP, y_max - WALL_GAP)
+        return x, y, yaw
+
+
+def render(
+    replay: Replay,
+    path_mp4: str | os.PathLike[str],
+    *,
+    size: tuple[int, int] = SIZE,
+    fps: int = FPS,
+    progress: Callable[[float], None] | None = None,
+) -> Path:
+    """Render a replay to an MP4, whole or not at all, and return its path.
+
+    Args:
+        replay: the race.
+        path_mp4: the file to write.
+        size: width and height [px], both even.
+        fps: pictures per second; between two steps the cars are drawn on straight lines.
+        progress: told the share that is done, 0 to 1.
+    """
+    if not 1 <= fps <= 120:
+        raise ReplayError(f"a video at {fps} pictures per second cannot be made: give 1 to 120")
+    film = Film(replay, size)
+    path = Path(path_mp4)
+    count = round((replay.duration_s + HOLD_S) * fps) + 1
+    temporary: str | None = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:80]}.")
+        os.close(handle)
+        with Mp4(temporary, fps, CODING) as video:
+            for start in range(0, count, BATCH):
+                times_s = np.arange(start, min(start + BATCH, count)) / fps
+                for picture in film.pictures(times_s):
+                    video.add(picture)
+                if progress is not None:
+                    progress(min(1.0, (start + BATCH) / count))
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except (OSError, FFmpegError) as error:
+        raise ReplayError(
+            f"the video cannot be written to {path} ({error.strerror or error}): "
+            "give a place that can be written and has room"
+        ) from error
+    finally:
+        if temporary is not None:
+            Path(temporary).unlink(missing_ok=True)
+    return path
+
+
+def still(replay: Replay, time_s: float, *, size: tuple[int, int] = SIZE) -> np.ndarray:
+    """Return the picture of one moment, RGB uint8, (height, width, 3)."""
+    return Film(replay, size).pictures(np.array([time_s]))[0]
+
+
+def _settings(replay: Replay) -> SimConfig:
+    spec = replay.spec
+    count = replay.columns.num_obstacles if spec.kind == "obstacle_avoidance" else 6
+    return SimConfig(
+        kind=spec.kind,
+        num_cars=replay.num_cars,
+        obstacles=ObstacleConfig(count=count, kind=spec.obstacle_kind),
+    )
+
+
+def _with_eye(world: World, x: np.ndarray, y: np.ndarray, yaw: np.ndarray) -> World:
+    """Return the worlds with one car more, unseen, that carries the chase camera.
+
+    So the film is drawn by the very renderer that draws what the cars see.
+    """
+
+    def longer(column: Tensor, last: np.ndarray | float) -> Tensor:
+        end = torch.as_tensor(np.broadcast_to(last, (len(column),)).copy(), dtype=column.dtype)
+        return torch.cat([column, end.unsqueeze(1)], dim=1)
+
+    motion, cars, standing = world.motion, world.cars, world.standing
+    return replace(
+        world,
+        motion=replace(
+            motion,
+            x=longer(motion.x, x),
+            y=longer(motion.y, y),
+            yaw=longer(motion.yaw, yaw),
+            steering=longer(motion.steering, 0.0),
+        ),
+        cars=replace(
+            cars,
+            camera_up=longer(cars.camera_up, 0.0),
+            camera_pitch=longer(cars.camera_pitch, 0.0),
+        ),
+        standing=replace(standing, penalty_s=longer(standing.penalty_s, 0.0)),
+    )

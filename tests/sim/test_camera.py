@@ -1,0 +1,209 @@
+"""What cars see: the geometry of the pictures, worked by hand."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from looking import FOCAL, random_scenes, room, settings, world
+
+from league.sim.camera.cv import CvRenderer
+from league.sim.camera.lens import Lens
+from league.sim.camera.ray import RayRenderer
+from league.sim.config import CameraConfig
+from league.sim.world import row
+from league.track.course import TrackSet
+
+RENDERERS = [CvRenderer, RayRenderer]
+FAR_AWAY = (-5.0, -5.0, 0.0)
+
+
+def pictures(renderer, now, tracks=None, **camera) -> np.ndarray:
+    made = renderer(tracks or room(), settings(now.num_cars), CameraConfig(**camera))
+    return made.render(now, 0).numpy()
+
+
+def find_shift(left: np.ndarray, right: np.ndarray, guess: float) -> float:
+    """Return by how many pixels `right` lies to the left of `left`, to a twentieth of a pixel."""
+    columns = np.arange(len(left))
+    inner = slice(20, -20)
+    shifts = np.arange(guess - 3, guess + 3, 0.05)
+    errors = [
+        np.square(np.interp(columns + shift, columns, left) - right)[inner].sum()
+        for shift in shifts
+    ]
+    return float(shifts[int(np.argmin(errors))])
+
+
+def test_lens_has_the_focal_length_and_horizon_of_the_original():
+    lens = Lens.of(CameraConfig())
+    # 80 / tan(32.37 deg) = 126.19 px; 59.5 - 126.19 * tan(15 deg) = 25.69
+    assert lens.focal == pytest.approx(126.19, abs=0.01)
+    assert lens.horizon(math.radians(15)) == pytest.approx(25.69, abs=0.01)
+
+
+def test_ground_row_is_the_hand_worked_one():
+    # 1 m ahead of a camera 0.13 m up: depth 1 * 0.9659 + 0.13 * 0.2588 = 0.9996, below the axis
+    # 0.13 * 0.9659 - 1 * 0.2588 = -0.1333; 59.5 + 126.19 * -0.1333 / 0.9996 = 42.68
+    assert Lens.of(CameraConfig()).ground_row(1.0, 0.13, math.radians(15)) == pytest.approx(
+        42.68, abs=0.02
+    )
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_foot_of_a_box_straight_ahead_is_at_the_hand_worked_row(renderer):
+    # The camera is 0.145 m ahead of the base; the near face 1 m farther: row 42.68.
+    box = (0.145 + 1 + 0.15, 0, 0, 0.15, 0.2)
+    empty = pictures(renderer, world(room(), [(0, 0, 0)]), eyes="mono")[0, 0]
+    filled = pictures(renderer, world(room(), [(0, 0, 0)], [box]), eyes="mono")[0, 0]
+    changed = np.nonzero((empty != filled)[:, 70:90].any(axis=1))[0]
+    assert abs(changed.max() + 0.5 - 42.68) <= 1.0
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_foot_of_the_wall_is_at_the_hand_worked_row(renderer):
+    # Wall at x = 6, camera at 0.145: 5.855 m ahead. Depth 5.6891, below the axis 0.1256 - 1.5154
+    # = -1.3898: row 59.5 - 126.19 * 0.2443 = 28.67.
+    now = world(room(half=6.0), [(0, 0, 0), FAR_AWAY])
+    image = pictures(renderer, now, eyes="mono")[0, 0]
+    wall = int(image[20, 80])
+    differs = np.nonzero(np.abs(image[20:, 80].astype(int) - wall) > 15)[0]
+    assert abs(20 + differs[0] - 0.5 - 28.67) <= 1.0
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+@pytest.mark.parametrize("ahead", [0.5, 0.9, 1.6])
+def test_disparity_on_a_car_ahead_is_focal_times_baseline_over_depth(renderer, ahead):
+    # Back of the shell: 0.162 m behind the base at z = 0.0745, hardly leaning above.
+    distance = 0.145 + ahead + 0.162
+    now = world(room(), [(0, 0, 0), (distance, 0.02, 0)])
+    left, right = pictures(renderer, now)[0].astype(float)
+    height = 0.085
+    depth = (ahead + 0.001) * math.cos(math.radians(15)) + (0.13 - height) * math.sin(
+        math.radians(15)
+    )
+    below = (0.13 - height) * math.cos(math.radians(15)) - ahead * math.sin(math.radians(15))
+    line = round(59.5 + FOCAL * below / depth)
+    expected = FOCAL * 0.060 / depth
+
+    def middle(image: np.ndarray) -> float:
+        body = np.nonzero(np.abs(image[line] - image[line, 80]) < 4)[0]
+        run = body[np.abs(body - 80) < 40]
+        return (run.min() + run.max()) / 2
+
+    assert abs(middle(left) - middle(right) - expected) <= 0.5
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+@pytest.mark.parametrize("line", [45, 70, 100])
+def test_disparity_on_the_road_is_focal_times_baseline_over_depth(renderer, line):
+    tracks = room()
+    now = world(tracks, [(0, -4.76, 0.2), FAR_AWAY])  # on the ring's centreline
+    left, right = pictures(renderer, now, tracks)[0].astype(float)
+    # Depth of the floor in a row: focal * height / (focal * sin + (row - cy) * cos).
+    pitch = math.radians(15)
+    depth = FOCAL * 0.13 / (FOCAL * math.sin(pitch) + (line - 59.5) * math.cos(pitch))
+    expected = FOCAL * 0.060 / depth
+    assert abs(find_shift(left[line], right[line], expected) - expected) <= 0.5
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_a_car_does_not_see_itself(renderer):
+    seen = pictures(renderer, world(room(), [(0, 0, 0), FAR_AWAY]))
+    alone = pictures(renderer, world(room(), [(0, 0, 0)]))
+    assert np.array_equal(seen, alone)
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_a_car_ahead_is_seen_in_its_colour_by_both_eyes(renderer):
+    now = world(room(), [(0, 0, 0), (0.8, 0, 0)])
+    image = pictures(renderer, now, colour=True)[0]
+    for eye in (image[:3], image[3:]):
+        red, green, blue = eye[:, 35, 80].astype(int)  # car 1 is azure
+        assert blue > green > red and blue > 150
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_a_frozen_car_is_lighter(renderer):
+    cars = [(0, 0, 0), (0.8, 0, 0)]
+    plain = pictures(renderer, world(room(), cars))[0, 0, 35, 80]
+    frozen = pictures(renderer, world(room(), cars, penalty=[0.0, 2.0]))[0, 0, 35, 80]
+    assert frozen > plain + 30
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_front_wheels_turn_with_the_steering(renderer):
+    cars = [(0, 0, 0), (0.75, 0.25, 1.2)]
+    straight = pictures(renderer, world(room(), cars), width=320, height=240)
+    turned = pictures(renderer, world(room(), cars, steering=0.5), width=320, height=240)
+    changed = np.abs(straight.astype(int) - turned).max(axis=(0, 1)) > 8
+    assert 20 < changed.sum() < 3000
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+@pytest.mark.parametrize(
+    "camera", [{"eyes": "left"}, {"eyes": "mono"}, {"eyes": "stereo"}, {"colour": True}]
+)
+def test_shape_is_the_one_the_configuration_tells(renderer, camera):
+    cfg = CameraConfig(width=32, height=24, **camera)
+    image = pictures(renderer, world(room(), [(0, 0, 0)]), width=32, height=24, **camera)
+    assert image.shape == (1, *cfg.shape) and image.dtype == np.uint8
+
+
+def test_left_eye_alone_is_the_left_eye_of_the_pair():
+    now = world(room(), [(0, 0, 0), (0.8, 0.1, 0.4)])
+    pair = pictures(CvRenderer, now)
+    assert np.array_equal(pictures(CvRenderer, now, eyes="left")[:, 0], pair[:, 0])
+
+
+def test_colour_picture_turned_gray_is_the_gray_picture():
+    now = world(room(), [(0, 0, 0), (0.8, 0.1, 0.4)])
+    red, green, blue = pictures(CvRenderer, now, colour=True, eyes="mono")[0].astype(float)
+    gray = pictures(CvRenderer, now, eyes="mono")[0, 0]
+    assert np.abs(0.299 * red + 0.587 * green + 0.114 * blue - gray).max() < 2.5
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_a_world_looks_the_same_alone_and_in_a_batch(renderer):
+    tracks = room(half=3.0)
+    now = random_scenes(tracks, 4, seed=5)
+    made = renderer(tracks, settings(3), CameraConfig(width=64, height=48))
+    together = made.render(now, 1)
+    for index in range(4):
+        assert torch.equal(made.render(row(now, index), 1)[0], together[index])
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_rows_choose_worlds(renderer):
+    tracks = room(half=3.0)
+    now = random_scenes(tracks, 4, seed=6)
+    made = renderer(tracks, settings(3), CameraConfig(width=64, height=48))
+    chosen = made.render(now, 0, torch.tensor([3, 1]))
+    assert torch.equal(chosen, made.render(now, 0)[[3, 1]])
+    assert made.render(now, 0, torch.tensor([], dtype=torch.int64)).shape == (0, 2, 48, 64)
+
+
+def test_worlds_of_a_batch_may_be_on_different_tracks():
+    small, large = room(half=3.0).tracks[0], room(half=6.0).tracks[0]
+    tracks = TrackSet.of(small, large)
+    now = world(tracks, [[(0, 0, 0)], [(0, 0, 0)]])
+    now = replace(now, track=torch.tensor([0, 1]))
+    for renderer in RENDERERS:
+        both = renderer(tracks, settings(1), CameraConfig()).render(now, 0)
+        for index, track in enumerate((small, large)):
+            alone = renderer(TrackSet.of(track), settings(1), CameraConfig())
+            single = replace(row(now, index), track=torch.tensor([0]))
+            assert torch.equal(alone.render(single, 0)[0], both[index])
+
+
+def test_camera_parameters_of_a_car_move_its_horizon():
+    now = world(room(half=3.0), [(0, 0, 0)])
+    tilted = replace(now, cars=replace(now.cars, camera_pitch=torch.tensor([[0.05]])))
+
+    def foot_of_wall(which) -> int:
+        column = pictures(CvRenderer, which, room(half=3.0))[0, 0, :, 80].astype(int)
+        return int(np.abs(np.diff(column))[5:60].argmax())
+
+    # 0.05 rad is 126.19 * 0.05 = 6.3 px in the middle of the picture, a little more above it.
+    assert 5 <= foot_of_wall(now) - foot_of_wall(tilted) <= 8

@@ -1,0 +1,127 @@
+import math
+
+import open_floor
+import pytest
+import torch
+
+from league.sim import near
+from league.sim.config import ContactConfig
+from league.sim.manifold import Pose, find_manifold
+
+
+def pose(x, y, yaw, half_length=0.162, half_width=0.098):
+    one = torch.ones(1)
+    return Pose(
+        one * x, one * y, one * math.cos(yaw), one * math.sin(yaw), one * half_length,
+        one * half_width,
+    )  # fmt: skip
+
+
+def test_boxes_nose_to_tail_touch_at_both_corners():
+    m = find_manifold(pose(0, 0, 0), pose(0.334, 0, 0))
+    assert (m.normal_x.item(), m.normal_y.item()) == (1.0, 0.0)
+    # 0.334 - 2 * 0.162 = 0.010 apart, all across the width.
+    assert m.gap.flatten().tolist() == pytest.approx([0.010, 0.010], abs=1e-6)
+    assert m.first_x.flatten().tolist() == pytest.approx([0.167, 0.167], abs=1e-6)
+    assert m.first_y.flatten().tolist() == pytest.approx([-0.098, 0.098], abs=1e-6)
+    assert m.second_x.flatten().tolist() == pytest.approx([-0.167, -0.167], abs=1e-6)
+    assert m.exists.all()
+
+
+def test_shifted_boxes_side_by_side_touch_where_they_overlap():
+    m = find_manifold(pose(0, 0, 0), pose(0.1, -0.19, 0))
+    assert (m.normal_x.item(), m.normal_y.item()) == (0.0, -1.0)
+    assert m.gap.flatten().tolist() == pytest.approx([-0.006, -0.006], abs=1e-6)
+    # The faces share x from 0.1 - 0.162 to 0.162.
+    assert sorted(m.first_x.flatten().tolist()) == pytest.approx([-0.062, 0.162], abs=1e-6)
+
+
+def test_corner_into_a_side_is_one_deep_point():
+    reach = math.hypot(0.162, 0.098)
+    corner = math.atan2(0.098, 0.162)
+    # The second box stands on its corner, 0.002 m inside the first one's left side.
+    m = find_manifold(pose(0, 0, 0), pose(0, 0.098 + reach - 0.002, -math.pi / 2 - corner))
+    assert m.normal_y.item() == pytest.approx(1.0)
+    shallow, deep = sorted(m.gap.flatten().tolist(), reverse=True)
+    assert deep == pytest.approx(-0.002, abs=1e-5)
+    assert shallow > 0.05
+
+
+def test_boxes_past_each_others_corner_have_no_contact():
+    m = find_manifold(pose(0, 0, 0), pose(0.33, 0.2, 0))
+    assert not m.exists.any()
+
+
+def test_manifold_turns_with_the_pair():
+    turn = 1.1
+    c, s = math.cos(turn), math.sin(turn)
+    flat = find_manifold(pose(0, 0, 0.2), pose(0.25, 0.12, 0.9))
+    turned = find_manifold(
+        pose(0, 0, 0.2 + turn), pose(c * 0.25 - s * 0.12, s * 0.25 + c * 0.12, 0.9 + turn)
+    )
+    torch.testing.assert_close(turned.gap, flat.gap, atol=1e-6, rtol=0)
+    expected = c * flat.normal_x - s * flat.normal_y
+    torch.testing.assert_close(turned.normal_x, expected, atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize("num_cars", [2, 3, 5, 8])
+def test_schedule_pairs_everyone_once_and_nobody_twice_in_a_round(num_cars):
+    schedule = near.schedule(num_cars)
+    for part in schedule:
+        seats = [car for pair in part for car in pair]
+        assert len(seats) == len(set(seats))
+    pairs = sorted(pair for part in schedule for pair in part)
+    assert pairs == [(a, b) for a in range(num_cars) for b in range(a + 1, num_cars)]
+
+
+def crash(friction, restitution, steps=16, **motion):
+    """Let two cars without grip meet; return their motion after some physics steps."""
+    contact = ContactConfig(friction, restitution)
+    sim = open_floor.settings(2, contact=contact, step_hz=120, decimation=1)
+    now = open_floor.slippery(open_floor.world(sim, **motion))
+    asked = open_floor.control(now, [0.0], [0.0])
+    return open_floor.drive(open_floor.make("planar", sim), now, asked, steps)[-1].motion
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
+def test_restitution_is_the_share_of_speed_that_comes_back(restitution):
+    last = crash(0.0, restitution, x=[0.0, 0.4], velocity_x=[1.0, -1.0])
+    assert last.velocity_x.tolist()[0] == pytest.approx([-restitution, restitution], abs=1e-3)
+
+
+def test_friction_takes_at_most_its_share_of_the_impulse():
+    motion = {"y": [0.0, 0.2], "velocity_y": [0.5, -0.5], "velocity_x": [2.0, 0.0]}
+    last = crash(0.1, 0.0, steps=1, **motion)
+    # Each car's sideways 0.5 m/s is stopped, so 0.1 * 0.5 m/s of speed goes over along the flank.
+    assert last.velocity_y.tolist()[0] == pytest.approx([0.0, 0.0], abs=1e-4)
+    assert last.velocity_x.tolist()[0] == pytest.approx([1.95, 0.05], abs=1e-4)
+    # It acts 0.1 m off the middle (midway between the flanks): 8.2 * 0.05 * 0.1 / 0.085 rad/s.
+    assert last.yaw_rate.tolist()[0] == pytest.approx([0.4824, 0.4824], rel=1e-3)
+
+
+def test_friction_stops_sliding_when_it_can():
+    motion = {"y": [0.0, 0.2], "velocity_y": [0.5, -0.5], "velocity_x": [0.1, 0.0]}
+    last = crash(0.3, 0.0, steps=1, **motion)
+    # The flanks no longer slide on each other where they touch.
+    slide = last.velocity_x - torch.tensor([[0.1, -0.1]]) * last.yaw_rate
+    assert slide[0, 0].item() == pytest.approx(slide[0, 1].item(), abs=1e-4)
+
+
+def test_elastic_crash_keeps_the_energy():
+    last = crash(0.0, 1.0, x=[0.0, 0.42], y=[0.0, 0.06], yaw=[0.0, 0.5], velocity_x=[1.0, -1.0])
+    energy = 0.5 * 8.2 * (last.velocity_x**2 + last.velocity_y**2) + 0.5 * 0.085 * last.yaw_rate**2
+    assert energy.sum().item() == pytest.approx(8.2, rel=1e-3)
+    assert last.yaw_rate.abs().max() > 0.5
+
+
+def test_boxes_put_into_each_other_come_apart_without_speed():
+    last = crash(0.3, 0.15, y=[0.0, 0.15])
+    # 0.046 m of overlap, mended by 20 % of what is left, 5 mm at most, in each of 16 steps.
+    assert last.y[0, 1].item() - last.y[0, 0].item() > 0.19
+    assert not last.velocity_y.any()
+
+
+def test_far_cars_are_no_pairs():
+    sim = open_floor.settings(3)
+    now = open_floor.world(sim, x=[0.0, 1.5, 3.0])
+    assert near.find_rounds(now, now.standing.ghost, sim, open_floor.floor()) == []
