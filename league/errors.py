@@ -35,3 +35,11 @@ def nearest_names(given: str, known: list[str], limit: int = 3) -> str:
 
     close = difflib.get_close_matches(given, known, n=limit, cutoff=0.4)
     return ", ".join(close or sorted(known))
+
+
+def brief(given: object) -> str:
+    """Return what was given as it fits into one line of an error message."""
+    import reprlib
+
+    line = " ".join(reprlib.repr(given).split())
+    return line if len(line) <= 80 else f"{line[:77]}..."

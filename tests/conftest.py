@@ -57,7 +57,7 @@ def make_square(*, side: float = 3.0, corner: float = 0.8, width: float = 0.8) -
     quarter = np.linspace(0.0, math.pi / 2, 60, endpoint=False)
     arc = corner * np.stack([np.sin(quarter), 1 - np.cos(quarter)], axis=1)
     line = np.stack([np.linspace(0.0, side, 80, endpoint=False), np.zeros(80)], axis=1)
-    leg = np.concatenate([line, arc + [side, 0.0]])
+    leg = np.concatenate([line, arc + np.array([side, 0.0])])
     legs, corner_at = [], np.zeros(2)
     for number in range(4):
         cos, sin = round(math.cos(number * math.pi / 2)), round(math.sin(number * math.pi / 2))

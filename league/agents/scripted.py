@@ -21,6 +21,7 @@ from league.track.course import Track
 GRAVITY = 9.81
 """[m/s^2]."""
 _SMOOTHINGS = 2
+_GROW, _FADE = 0.5, 0.25
 _SERVO = 0.6
 """Part of a speed error that the servo makes good within a control step."""
 
@@ -73,11 +74,14 @@ class LineDriver:
         road = self._path.ahead_of(place)
         speed = torch.clamp(state[:, INDEX["speed_ahead"]], min=0.0)
         shift, limit = self._around(state, road, speed)
-        bends = road.curvature + _second(shift)
-        steering = self._steer(state, place, shift, bends, speed)
+        # A path beside a bent line is longer or shorter than it, and bent less or more.
+        longer = torch.clamp(1.0 - road.curvature * shift, 0.4, 2.5)
+        bends = (road.curvature + _second(shift) / longer) / longer
+        pace = speed / longer[:, 0]
+        steering = self._steer(state, place, shift, bends, speed, pace)
         asked = self._drive(road, bends, speed, limit)
         self._target = torch.where(state[:, INDEX["frozen"]] > 0, 0.0, steering)
-        self._shift = read_nodes(shift, (speed * STEP_DT).unsqueeze(1))[:, 0]
+        self._shift = read_nodes(shift, (pace * STEP_DT).unsqueeze(1))[:, 0]
         return actions_from(self._target, asked, self._car)
 
     def _around(self, state: Tensor, road: Horizon, speed: Tensor) -> tuple[Tensor, Tensor]:
@@ -87,28 +91,37 @@ class LineDriver:
         lateral = state[:, INDEX["lateral"]].contiguous()
         planned = plan(others, road, wished, lateral, speed, self._style.manners)
         shift = planned.lateral - road.lateral
-        # From where the last step left it, a shift grows no faster than a car can follow.
+        # From where the last step left it, a shift grows no faster than a car can follow, and fades
+        # more slowly, because what was passed is no longer told.
         ahead = torch.arange(NODES, dtype=torch.float32, device=state.device) * NODE_GAP
-        most = 0.02 + 0.15 * ahead + 0.15 * ahead * ahead
         held = self._shift.unsqueeze(1)
-        shift = torch.minimum(torch.maximum(shift, held - most), held + most)
+        grow, fade = 0.03 + _GROW * ahead, 0.02 + _FADE * ahead
+        down = torch.where((held > 0) & (shift >= 0), fade, grow)
+        up = torch.where((held < 0) & (shift <= 0), fade, grow)
+        shift = torch.minimum(torch.maximum(shift, held - down), held + up)
         for _ in range(_SMOOTHINGS):
             inner = (shift[:, :-2] + 2.0 * shift[:, 1:-1] + shift[:, 2:]) / 4.0
             shift = torch.cat([shift[:, :1], inner, shift[:, -1:]], dim=1)
         return shift, planned.speed
 
     def _steer(
-        self, state: Tensor, place: Place, shift: Tensor, bends: Tensor, speed: Tensor
+        self,
+        state: Tensor,
+        place: Place,
+        shift: Tensor,
+        bends: Tensor,
+        speed: Tensor,
+        pace: Tensor,
     ) -> Tensor:
-        """Return the steering target [rad]."""
+        """Return the steering target [rad]; pace is the speed counted along the line [m/s]."""
         aside = state[:, INDEX["lateral"]] - place.lateral - shift[:, 0]
-        turned = (shift[:, 1] - shift[:, 0]) / NODE_GAP
+        turned = (shift[:, 1] - shift[:, 0]) / NODE_GAP * pace / torch.clamp(speed, min=1e-3)
         heading = state[:, INDEX["heading_error"]] - place.heading - torch.atan(turned)
         steps = torch.arange(STEPS, dtype=torch.float32, device=state.device) + 0.5
-        ahead = torch.clamp(speed, min=0.3).unsqueeze(1) * (steps * STEP_DT)
+        ahead = torch.clamp(pace, min=0.3).unsqueeze(1) * (steps * STEP_DT)
         errors = Errors(
-            lateral=torch.clamp(aside, -0.15, 0.15),
-            heading=torch.clamp(heading, -0.6, 0.6),
+            lateral=torch.clamp(aside, -0.2, 0.2),
+            heading=torch.clamp(heading, -0.8, 0.8),
             speed=speed,
             speed_left=state[:, INDEX["speed_left"]],
             yaw_rate=state[:, INDEX["yaw_rate"]],

@@ -19,6 +19,9 @@ CAR_WIDTHS = 0.196
 BOX_WIDTHS = 0.248
 """Half of a car's width and half of a box's [m]."""
 
+CORNERS = 0.035
+"""Half of the squared half lengths of a car and a box, together [m^2]."""
+
 
 @dataclass(frozen=True)
 class Manners:
@@ -30,6 +33,8 @@ class Manners:
     """Smallest distance from the base to a border while going round something [m]."""
     approach: float = 1.6
     """Driving distance over which a car moves aside before a standing thing [m]."""
+    lead: float = 0.3
+    """Driving distance over which it then stays aside before coming up to it [m]."""
     braking: float = 3.0
     """Deceleration counted on when something is in the way [m/s^2]."""
     gap: float = 0.1
@@ -113,11 +118,13 @@ def plan(
     low, high = manners.edge - road.right, road.left - manners.edge
     low, high = torch.minimum(low, high), torch.maximum(low, high)
     own = torch.clamp(speed, min=1.0)
+    # In a bend the corners of two long bodies stand out towards each other.
+    corners = CORNERS * road.curvature.abs()
     target = wished
     # Far ones first, so that the nearest has the last word; slots of the state are by nearness.
     for thing in reversed(range(others.gap.shape[1])):
         closing = torch.clamp(1.0 - others.speed[:, thing] / own, min=0.08)
-        apart = others.widths[thing] + manners.clearance
+        apart = others.widths[thing] + manners.clearance + corners
         weight = _weight(others, thing, road, closing, manners)
         aside = _aside(others, thing, road, wished, lateral, closing, apart, low, high, manners)
         target = target + (aside - target) * weight
@@ -131,8 +138,9 @@ def _weight(
     """Return how much a thing counts at each node, 0 to 1, smooth; (num_rows, NODES)."""
     closing = closing.unsqueeze(1)
     apart = others.gap[:, thing : thing + 1] - road.ahead * closing
-    outside = torch.clamp(apart.abs() - others.reach[thing], min=0.0)
     # Behind it (apart < 0) the way back may be shorter than the way out.
+    lead = torch.where(apart > 0, manners.lead * closing, 0.0)
+    outside = torch.clamp(apart.abs() - others.reach[thing] - lead, min=0.0)
     ramp = torch.where(apart > 0, manners.approach * closing, 0.8 * manners.approach * closing)
     near = torch.clamp(1.0 - outside / torch.clamp(ramp, min=0.25), 0.0, 1.0)
     smooth = near * near * (3.0 - 2.0 * near)
@@ -155,8 +163,9 @@ def _aside(
     place = others.lateral[:, thing : thing + 1]
     gap = others.gap[:, thing : thing + 1]
     meeting = torch.clamp(gap / closing.unsqueeze(1), min=0.0)
-    room_left = read_nodes(high, meeting) - (place + apart)
-    room_right = (place - apart) - read_nodes(low, meeting)
+    needed = read_nodes(apart, meeting)
+    room_left = read_nodes(high, meeting) - (place + needed)
+    room_right = (place - needed) - read_nodes(low, meeting)
     # Beside it, or nearly, the side is the one the car is on.
     here = torch.where(gap < 1.2, lateral.unsqueeze(1), read_nodes(wished, meeting))
     if manners.freer_side:

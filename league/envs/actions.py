@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import reprlib
 from collections.abc import Iterable, Mapping
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from league.errors import ActionError, nearest_names
+from league.errors import ActionError, brief, nearest_names
 
 SIZE = 2
 """Numbers in one action: steering (1 is full left) and speed (1 is the largest command)."""
@@ -37,7 +36,7 @@ def checked(action: object, whose: str, rows: int | None = None) -> np.ndarray:
         rounded = numbers.astype(np.float32)
     if not bool((np.abs(rounded) <= 1.0).all()):  # False for NaN
         raise ActionError(
-            f"the action of {whose} is {reprlib.repr(numbers.tolist())}: "
+            f"the action of {whose} is {brief(numbers.tolist())}: "
             "steering and speed must be numbers from -1 to 1"
         )
     return rounded
@@ -59,7 +58,7 @@ def of_agents(
     racing, known = list(racing), list(known)
     if not isinstance(actions, Mapping):
         raise ActionError(
-            f"actions are {reprlib.repr(actions)}: give a dict with one action for each agent, "
+            f"actions are {brief(actions)}: give a dict with one action for each agent, "
             f"{{'car_0': [steering, speed], ...}}"
         )
     for name in actions:
@@ -90,7 +89,7 @@ def _numbers(action: object, whose: str, shape: tuple[int, ...]) -> np.ndarray:
 
 def _no_numbers(action: object, whose: str, shape: tuple[int, ...]) -> str:
     return (
-        f"the action of {whose} is {reprlib.repr(action)}: expected real numbers from -1 to 1 "
+        f"the action of {whose} is {brief(action)}: expected real numbers from -1 to 1 "
         f"of shape {shape}, [steering, speed]"
     )
 
@@ -100,6 +99,6 @@ def _stranger(name: object, racing: list[str], known: list[str]) -> str:
         left = f"only {', '.join(racing)} still race" if racing else "the race is over: call reset"
         return f"there is an action for {name}, whose race has ended: {left}"
     if not known:
-        return f"there is an action for {reprlib.repr(name)} before the first reset: call reset"
+        return f"there is an action for {brief(name)} before the first reset: call reset"
     near = nearest_names(name, known) if isinstance(name, str) else ", ".join(known)
-    return f"there is an action for {reprlib.repr(name)}, who is no agent here: there are {near}"
+    return f"there is an action for {brief(name)}, who is no agent here: there are {near}"

@@ -66,7 +66,9 @@ class EnvConfig:
                 f"restarting names car {strangers[0]}: there are {self.sim.num_cars} cars, from 0"
             )
         if not 0 < self.episode_s <= 1e6:  # False for NaN
-            raise ConfigError(f"episode_s is {self.episode_s}: give more than 0 seconds, at most 1e6")
+            raise ConfigError(
+                f"episode_s is {self.episode_s}: give more than 0 seconds, at most 1e6"
+            )
 
     def sensors_of(self, car: int) -> SensorConfig:
         """Return what one car carries."""

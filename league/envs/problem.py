@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Literal, TypedDict, get_args
 
 from league.envs.config import EnvConfig, RewardConfig
-from league.errors import ConfigError, TrackError, nearest_names
+from league.errors import ConfigError, TrackError, brief, nearest_names
 from league.sim.config import (
     CameraConfig,
     LidarConfig,
@@ -62,8 +61,7 @@ def course(track: str | os.PathLike[str] | Track | TrackSet) -> TrackSet:
     if isinstance(track, str | os.PathLike):
         return TrackSet.of(files.load(track))
     raise TrackError(
-        f"track is {reprlib.repr(track)}: give the name of a track, the path of a .yaml file, "
-        "or a Track"
+        f"track is {brief(track)}: give the name of a track, the path of a .yaml file, or a Track"
     )
 
 
@@ -170,16 +168,16 @@ def _of_cars(sensors: Sensors, num_cars: int) -> tuple[SensorConfig, ...]:
 def _no_sensor(given: object) -> str:
     near = nearest_names(given, list(_NAMED)) if isinstance(given, str) else ", ".join(_NAMED)
     return (
-        f"there is no sensor {reprlib.repr(given)}; nearest: {near}; "
+        f"there is no sensor {brief(given)}; nearest: {near}; "
         "or give a CameraConfig or a LidarConfig"
     )
 
 
 def _known(what: str, given: object, known: tuple[str, ...]) -> None:
     if given not in known:
-        raise ConfigError(f"{what} is {reprlib.repr(given)}: choose one of {', '.join(known)}")
+        raise ConfigError(f"{what} is {brief(given)}: choose one of {', '.join(known)}")
 
 
 def _whole(what: str, given: object, least: int) -> None:
     if not isinstance(given, int) or isinstance(given, bool) or given < least:
-        raise ConfigError(f"{what} is {reprlib.repr(given)}: give a whole number, {least} or more")
+        raise ConfigError(f"{what} is {brief(given)}: give a whole number, {least} or more")

@@ -82,8 +82,7 @@ class Sensing:
             settings, sim, tracks = carried.lidar, self._cfg.sim, self._tracks
 
             def scan(world: World, rows: Tensor | None) -> Tensor:
-                ranges = lidar.scan(tracks, sim, settings, world, car)
-                return ranges if rows is None else ranges[rows]
+                return lidar.scan(tracks, sim, settings, world, car, rows)
 
             sensors["lidar"] = (settings.rate_hz, scan)
         return sensors

@@ -86,16 +86,19 @@ def _watched(replay: Replay) -> np.ndarray:
 
 def captions(replay: Replay) -> list[tuple[Event, str]]:
     """Return the events worth telling, each with a sentence."""
-    told = []
-    for event in replay.result.events:
-        text = caption(replay, event)
-        if text:
-            told.append((event, text))
-    return told
+    events = replay.result.events
+    # What a sentence about another car at the same moment says already is not said twice.
+    said = {(e.time_s, "contact", e.other) for e in events if e.kind == "crash"}
+    said |= {(e.time_s, "lead_change", e.car) for e in events if e.kind == "overtake"}
+    return [
+        (event, caption(replay, event))
+        for event in events
+        if (event.time_s, event.kind, event.car) not in said
+    ]
 
 
 def caption(replay: Replay, event: Event) -> str:
-    """Return one event as a sentence; empty if it says nothing new."""
+    """Return one event as a sentence."""
     name = replay.names[event.car]
     other = _other(replay, event)
     value = event.value

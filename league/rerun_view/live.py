@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import subprocess
 import sys
@@ -24,7 +25,7 @@ from league.sim.config import ObstacleConfig
 from league.sim.world import World
 from league.track.course import Track
 
-CHASE_SHARE = 0.12
+CHASE_SHARE = 0.18
 """How much of the way to its subject the live chase camera goes in one step."""
 
 
@@ -134,6 +135,7 @@ class Live:
             recording.connect_grpc(url, default_blueprint=layout)
             live = cls(spec, track, recording, names=names, speed=speed)
             live._home = home
+            atexit.register(live.close)  # no server outlives the race that it shows
             if window:
                 live.address = url
             else:
@@ -260,6 +262,7 @@ class Live:
 
     def close(self) -> None:
         """Send what is left and stop serving; a window stays open."""
+        atexit.unregister(self.close)
         self._recording.flush()
         self._recording.disconnect()
         if self._server is not None:

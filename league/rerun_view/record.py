@@ -34,6 +34,8 @@ LIDAR_EVERY = 2
 """One scan for so many frames (7.5 Hz of 15; the sensor's own clock is 10 Hz)."""
 WALL_OPACITY = 0.3
 SHADOW_OPACITY = 0.45
+FROZEN_OPACITY = 0.35
+NEUTRAL = (225, 230, 235)
 TRAIL_LIFT = np.array([0.0, 0.0, 0.016])
 """How high a trail lies above the floor [m]."""
 TAG_HEIGHT = 0.3
@@ -141,7 +143,9 @@ def send_scene(recording: rr.RecordingStream, track: Track, names: tuple[str, ..
         )
 
 
-def log_mesh(recording: rr.RecordingStream, path: str, mesh: Mesh, opacity: float = 1.0) -> None:
+def log_mesh(
+    recording: rr.RecordingStream, path: str, mesh: Mesh, opacity: float | None = None
+) -> None:
     """Send a mesh that never changes its shape."""
     recording.log(
         path,
@@ -151,7 +155,7 @@ def log_mesh(recording: rr.RecordingStream, path: str, mesh: Mesh, opacity: floa
             vertex_normals=mesh.normals,
             vertex_colors=mesh.colours,
             # Colours of vertices have no transparency of their own in the viewer.
-            albedo_factor=(1.0, 1.0, 1.0, opacity),
+            albedo_factor=None if opacity is None else (1.0, 1.0, 1.0, opacity),
         ),
         static=True,
     )
@@ -224,6 +228,7 @@ def _send_motion(recording: rr.RecordingStream, replay: Replay) -> None:
                 ),
             )
         _send_trail(recording, replay, slot, places)
+        _send_fading(recording, replay, slot)
     path = story.chase_path(replay)
     recording.send_columns(
         paths.CHASE,
@@ -231,6 +236,19 @@ def _send_motion(recording: rr.RecordingStream, replay: Replay) -> None:
         rr.Transform3D.columns(
             translation=poses.places(path.x, path.y), quaternion=poses.about_z(path.yaw)
         ),
+    )
+
+
+def _send_fading(recording: rr.RecordingStream, replay: Replay, slot: int) -> None:
+    """Send when a car turns to glass because it stands a penalty, and back."""
+    frozen = replay.columns.penalty_s[:, slot] > 0
+    changes = np.flatnonzero(np.diff(frozen, prepend=~frozen[:1]))
+    opacity = np.where(frozen[changes], FROZEN_OPACITY, 1.0)
+    factors = np.stack([np.ones_like(opacity)] * 3 + [opacity], axis=1)
+    recording.send_columns(
+        paths.body(slot),
+        [rr.TimeColumn(paths.TIMELINE, duration=replay.times_s[changes])],
+        rr.Mesh3D.columns(albedo_factor=np.round(255 * factors).astype(np.uint8)),
     )
 
 
@@ -276,7 +294,9 @@ def _send_events(recording: rr.RecordingStream, replay: Replay) -> None:
         rr.TextLog.columns(
             text=[text for _, text in told],
             level=[EVENT_LEVELS.get(event.kind, "INFO") for event, _ in told],
-            color=[CAR_COLOURS[event.car] for event, _ in told],
+            color=[
+                NEUTRAL if event.kind == "start" else CAR_COLOURS[event.car] for event, _ in told
+            ],
         ),
     )
 
@@ -329,7 +349,7 @@ def _send_lidar(recording: rr.RecordingStream, replay: Replay) -> None:
         )[hit]
         recording.log(
             paths.lidar(slot),
-            rr.Points3D.from_fields(colors=[_bright(CAR_COLOURS[slot])], radii=[0.014]),
+            rr.Points3D.from_fields(colors=[_bright(CAR_COLOURS[slot])], radii=[0.009]),
             static=True,
         )
         recording.send_columns(

@@ -10,6 +10,7 @@ Vectors over pairs have shape (num_pairs,); those over both contact points (2, n
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
@@ -98,6 +99,9 @@ class Resolver:
         self._touched = torch.zeros_like(self._first, dtype=torch.bool)
         sizes = torch.tensor([part.first.numel() for part in rounds], device=self._first.device)
         self._ends = sizes.cumsum(0)
+        # Which rows of impulses act along the same direction: both normals, and the tangent.
+        self._linear = torch.zeros((3, 3, 1), dtype=table.dtype, device=table.device)
+        self._linear[:2, :2] = self._linear[2, 2] = 1.0
 
     def part(self, motion: Motion) -> Parted | None:
         """Return what contacts change in a physics step; None when nothing touches.
@@ -152,29 +156,46 @@ class Resolver:
         a, b = self._first_box, self._second_box
         masses = torch.stack((a.inverse_mass, a.inverse_inertia, b.inverse_mass, b.inverse_inertia))
         table = torch.cat((normal, arms, masses, m.gap, goal)).index_select(1, rows)
-        low = 0
         velocity, shift = state[3:].clone(), torch.zeros_like(state[:2])
-        batches = []
-        for index, high in enumerate(torch.searchsorted(rows, self._ends).tolist()):
-            if high > low:
-                mine = rows[low:high]
-                one = self._first.index_select(0, mine)
-                moving = self._rounds[index].second is not None
-                two = self._second.index_select(0, mine) if moving else None
-                still = (
-                    None if moving else self._fixed[3:].index_select(1, mine - self._second.numel())
-                )
-                batches.append(_Batch(table[:, low:high], one, two, still, self._contact.friction))
-            low = high
+        batches = list(self._batches(rows, table))
         for batch in batches:
             batch.push(velocity)
-        shared = self._shared(rows, state.shape[1]) if len(batches) > 1 else []
-        for _ in range(REPEATS if shared else 0):
-            for batch, again in zip(batches, shared, strict=True):
-                batch.push(velocity, again)
+        if len(batches) > 1:
+            _repeat(batches, velocity)
         for batch in batches:
             batch.mend(shift)
         return Parted(*velocity.unbind(), *shift.unbind())
+
+    def _batches(self, rows: Tensor, table: Tensor) -> Iterator[_Batch]:
+        """Cut the pairs in these rows into their rounds."""
+        low = 0
+        for part, high in zip(
+            self._rounds, torch.searchsorted(rows, self._ends).tolist(), strict=True
+        ):
+            mine, numbers = rows[low:high], table[:, low:high]
+            if high > low:
+                one, two, still = self._first.index_select(0, mine), None, None
+                if part.second is None:
+                    still = self._fixed[3:].index_select(1, mine - self._second.numel())
+                else:
+                    two = self._second.index_select(0, mine)
+                yield _Batch(numbers, one, two, still, self._linear, self._contact.friction)
+            low = high
+
+
+def _repeat(batches: list[_Batch], velocity: Tensor) -> None:
+    """Work the pairs again whose cars touch more than one body.
+
+    Which they are does not depend on other worlds, so neither do their bits.
+    """
+    count = torch.zeros_like(velocity[0], dtype=torch.int64)
+    for batch in batches:
+        batch.count(count)
+    again = [batch.is_shared(count) for batch in batches]
+    if any(bool(pairs.any()) for pairs in again):
+        for _ in range(REPEATS):
+            for batch, pairs in zip(batches, again, strict=True):
+                batch.push(velocity, pairs)
 
 
 class _Batch:
@@ -185,7 +206,13 @@ class _Batch:
     """
 
     def __init__(
-        self, table: Tensor, one: Tensor, two: Tensor | None, still: Tensor | None, friction: float
+        self,
+        table: Tensor,
+        one: Tensor,
+        two: Tensor | None,
+        still: Tensor | None,
+        linear: Tensor,
+        friction: float,
     ) -> None:
         self._normal = (n_x, n_y) = table[:2].unbind()
         self._masses, self._gap = table[10:14].unbind(), table[14:16]
@@ -199,8 +226,6 @@ class _Batch:
         mass_a, inertia_a, mass_b, inertia_b = self._masses
         self._shared_a, self._shared_b = self._turn_a * inertia_a, self._turn_b * inertia_b
         # How an impulse along one row changes the speed along another: (3, 3, num_pairs).
-        linear = torch.zeros((3, 3, 1), dtype=table.dtype, device=table.device)
-        linear[:2, :2] = linear[2, 2] = 1.0
         response = (
             linear * (mass_a + mass_b)
             + self._turn_a.unsqueeze(1) * self._shared_a
@@ -215,11 +240,22 @@ class _Batch:
             self._two_points, self._det, 1.0
         )
         self._tangent_responses = f, f - c * c / a, f - e * e / d, both
-        nothing = torch.zeros_like(a)
-        self._impulse = (nothing, nothing, nothing)
+        self._none = torch.zeros_like(a)
+        self._impulse = (self._none, self._none, self._none)
 
-    def push(self, velocity: Tensor) -> None:
-        """Exchange impulses, changing `velocity` (3, num_cars) of the cars in place."""
+    def count(self, seats: Tensor) -> None:
+        """Count these pairs at their cars, changing `seats` (num_cars,) in place."""
+        for car in (self._one, self._two):
+            if car is not None:
+                seats.index_add_(0, car, torch.ones_like(car))
+
+    def is_shared(self, seats: Tensor) -> Tensor:
+        """Return the pairs with a car that is counted more than once."""
+        shared = seats.index_select(0, self._one) > 1
+        return shared if self._two is None else shared | (seats.index_select(0, self._two) > 1)
+
+    def push(self, velocity: Tensor, only: Tensor | None = None) -> None:
+        """Exchange impulses (of some pairs), changing `velocity` (3, num_cars) in place."""
         n_x, n_y = self._normal
         a = velocity.index_select(1, self._one)
         b = velocity.index_select(1, self._two) if self._two is not None else self._still
@@ -229,20 +265,21 @@ class _Batch:
         along, across = x * n_x + y * n_y, y * n_x - x * n_y
         speed = torch.stack((along, along, across)) + self._turn_b * b_w - self._turn_a * a_w
         before = self._impulse
-        self._impulse = self._solve(speed, *before)
-        first, second, across = (
-            now - then for now, then in zip(self._impulse, before, strict=True)
-        )
+        after = self._solve(speed, *before)
+        if only is not None:
+            after = tuple(torch.where(only, x, y) for x, y in zip(after, before, strict=True))
+        first, second, across = (x - y for x, y in zip(after, before, strict=True))
+        self._impulse = after
         along = first + second
         x, y = along * n_x - across * n_y, along * n_y + across * n_x
         mass_a, _, mass_b, _ = self._masses
         turn_1, turn_2, turn_3 = self._shared_a.unbind()
-        turned = a_w - (turn_1 * first + turn_2 * second + turn_3 * across)
-        velocity[:, self._one] = torch.stack((a_x - x * mass_a, a_y - y * mass_a, turned))
+        turned = turn_1 * first + turn_2 * second + turn_3 * across
+        velocity.index_add_(1, self._one, -torch.stack((x * mass_a, y * mass_a, turned)))
         if self._two is not None:
             turn_1, turn_2, turn_3 = self._shared_b.unbind()
-            turned = b_w + (turn_1 * first + turn_2 * second + turn_3 * across)
-            velocity[:, self._two] = torch.stack((b_x + x * mass_b, b_y + y * mass_b, turned))
+            turned = turn_1 * first + turn_2 * second + turn_3 * across
+            velocity.index_add_(1, self._two, torch.stack((x * mass_b, y * mass_b, turned)))
 
     def mend(self, shift: Tensor) -> None:
         """Move boxes that overlap apart, by their masses, changing `shift` (2, num_cars)."""
@@ -250,9 +287,9 @@ class _Batch:
         amount = torch.clamp(depth * MENDED, 0.0, FASTEST_MEND)
         mass_a, _, mass_b, _ = self._masses
         move = torch.stack(self._normal) * (amount / (mass_a + mass_b))
-        shift[:, self._one] -= move * mass_a
+        shift.index_add_(1, self._one, -move * mass_a)
         if self._two is not None:
-            shift[:, self._two] += move * mass_b
+            shift.index_add_(1, self._two, move * mass_b)
 
     def _tangent(self, x: Tensor, y: Tensor) -> Tensor:
         """Return the tangent's lever at the nearer point, (1, num_pairs)."""
@@ -272,7 +309,7 @@ class _Batch:
         first, second = self._press(lack_1 + c * across, lack_2 + e * across)
         for _ in range(SWEEPS):
             none, one, other, both = self._tangent_responses
-            press_1, press_2 = first > 0, second > 0
+            press_1, press_2 = first > self._none, second > self._none
             response = torch.where(
                 press_1, torch.where(press_2, both, one), torch.where(press_2, other, none)
             )
@@ -289,11 +326,12 @@ class _Batch:
             (b * lack_2 - d * lack_1) / self._det,
             (b * lack_1 - a * lack_2) / self._det,
         )
-        both = self._two_points & (both_1 >= 0) & (both_2 >= 0)
+        none = self._none
+        both = self._two_points & (both_1 >= none) & (both_2 >= none)
         only_1, only_2 = torch.clamp_min(-lack_1 / a, 0.0), torch.clamp_min(-lack_2 / d, 0.0)
-        enough = b * only_1 + lack_2 >= 0
-        first = torch.where(both, both_1, torch.where(enough, only_1, 0.0))
-        second = torch.where(both, both_2, torch.where(enough, 0.0, only_2))
+        enough = b * only_1 + lack_2 >= none
+        first = torch.where(both, both_1, torch.where(enough, only_1, none))
+        second = torch.where(both, both_2, torch.where(enough, none, only_2))
         return first, second
 
 

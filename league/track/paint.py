@@ -173,7 +173,7 @@ def _unclipped(track: Track, reach: np.ndarray, side: float) -> np.ndarray:
     mode = "wrap" if track.closed else "nearest"
     around = ndimage.grey_closing(reach, size=min(window, len(reach)), mode=mode)
     bend = ndimage.maximum_filter(side * track.curvature, size=window, mode=mode)
-    return np.where(bend * around > 0.8, around, reach)
+    return np.where(bend * around > 0.5, around, reach)
 
 
 def _pairs(line: np.ndarray, closed: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -32,7 +32,7 @@ VIEW = 1.15
 WALL_GAP = 0.06
 """How near to the wall it goes [m]."""
 BATCH = 8
-CODING = Coding(crf=21, preset="veryfast")
+CODING = Coding(crf=25, preset="veryfast")
 
 
 class Film:

@@ -85,8 +85,8 @@ def test_followers_of_the_centre_finish_their_laps(race_env, solver, num_worlds)
     told = drive(env, 130)
     assert bool(told.terminated.all())
     assert env.world.standing.laps.tolist() == [[1]] * num_worlds
-    # 12 m at 1.5 m/s and a little to get there.
-    assert 8.0 < float(env.world.standing.finish_s[0, 0]) < 8.6
+    # 12 m at 1.5 m/s, a little to get there, and a little less on the inside.
+    assert 7.7 < float(env.world.standing.finish_s[0, 0]) < 8.5
     again = drive(env, 5)
     assert bool(again.terminated.all())
     assert not bool(again.truncated.any())
@@ -237,18 +237,18 @@ def test_lap_in_training_is_complete_where_the_episode_began(race_env):
     env.reset(seed=4)
     began = float(env.world.standing.s)
     assert began > 1.0
-    for step in range(1, 200):
-        told = drive(env, 1)
-        if bool(told.verdict.finished):
-            break
-    assert 12 / 1.5 * 15 < step < 12 / 1.5 * 15 + 12
+    steps, told = 1, drive(env, 1)
+    while not bool(told.verdict.finished) and steps < 200:
+        steps, told = steps + 1, drive(env, 1)
+    assert float(env.world.standing.distance) == 0.0  # a new episode
+    assert abs(steps - 12 / 1.5 * 15) < 12
     assert bool(told.terminated)
 
 
 # What is shared, and what is not.
 
 
-def trajectory(env: RaceEnv, steps: int = 45) -> list:
+def trajectory(env: RaceEnv, steps: int = 35) -> list:
     """Return all that is told and all that is, step by step."""
     seen = []
     for step in range(steps):
@@ -311,7 +311,7 @@ def test_two_environments_do_not_know_of_each_other(race_env, solver):
 
 
 @pytest.mark.parametrize("solver", ["planar", "bullet"])
-@pytest.mark.parametrize("case", list(CASES))
+@pytest.mark.parametrize("case", ["race", "training", "bots"])
 def test_after_a_reset_nothing_of_the_past_remains(race_env, case, solver):
     settings = {**CASES[case], "solver": solver, "sensors": (SMALL,)}
     fresh, used = race_env(**settings), race_env(**settings)

@@ -1,5 +1,6 @@
 """Boxes and bot cars: where they stand and how they drive."""
 
+import itertools
 from dataclasses import replace
 
 import pytest
@@ -51,7 +52,7 @@ def test_obstacles_stand_where_they_are_told(ring):
 
 
 def test_box_stands_on_its_place_along_the_track():
-    tracks, world = placed(avoiding(count=1, places=((0.25, 1.0),)))
+    _, world = placed(avoiding(count=1, places=((0.25, 1.0),)))
     things = world.obstacles
     # A quarter round the ring of radius 1.91 m: heading +y, the lane 0.2 m nearer to the middle.
     assert float(things.x) == pytest.approx(1.9099 - 0.2, abs=1e-3)
@@ -136,7 +137,7 @@ def test_stopped_bot_stands_for_exactly_two_seconds():
     tracks, world = placed(sim)
     world = replace(world, obstacles=replace(world.obstacles, stopped_s=torch.tensor([[2.0]])))
     seen = drive(tracks, sim, world, 32)
-    moved = [float(b.s) > float(a.s) for a, b in zip(seen, seen[1:], strict=False)]
+    moved = [float(b.s) > float(a.s) for a, b in itertools.pairwise(seen)]
     assert moved == [False] * 30 + [True] * 2
 
 
@@ -152,5 +153,5 @@ def test_bots_drive_past_the_start_line_and_on():
 
 def test_obstacles_of_an_open_track_stand_on_it():
     _, world = placed(avoiding(count=6), TrackSet.of(make_straight()), num_worlds=20)
-    assert 0.5 < float(world.obstacles.x.min())
+    assert float(world.obstacles.x.min()) > 0.5
     assert float(world.obstacles.x.max()) <= 9.0001

@@ -292,3 +292,21 @@ def test_a_report_tells_the_figures_of_a_track():
         "points": 354,
     }
     assert files.report(shapes.straight())["min_radius"] == float("inf")
+
+
+def test_the_list_of_tracks_for_people_is_up_to_date():
+    readme = (files.folder() / "README.md").read_text()
+    for name in files.names():
+        track = files.load(name)
+        row = next(line for line in readme.splitlines() if line.startswith(f"| `{name}`"))
+        for figure in (track.title, f"{track.length:.2f} m", f"{track.width:.3f} m"):
+            assert figure in row
+        assert f"| {track.direction} | {track.min_radius:.2f} m |" in row
+
+
+def test_in_a_wheel_the_tracks_lie_inside_the_package(tmp_path, monkeypatch):
+    (tmp_path / "league" / "_tracks").mkdir(parents=True)
+    files.save(GOOD, tmp_path / "league" / "_tracks" / "test_track.yaml")
+    monkeypatch.setattr(files, "_PACKAGE", tmp_path / "league")
+    assert files.names() == ["test_track"]
+    assert files.load("test_track").title == "A Test Track"

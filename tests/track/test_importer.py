@@ -63,6 +63,7 @@ def _distance_to_line(points: np.ndarray, line: np.ndarray) -> np.ndarray:
 def test_the_known_figures_of_community_tracks_come_out():
     spain = importer.read_npy(SHARED / "Spain_track.npy")
     assert spain.direction == "clockwise" and spain.length == pytest.approx(60.0, abs=0.1)
+    assert not spain.line_inside
     straight = importer.read_npy(SHARED / "Straight_track.npy")
     assert straight.direction == "open" and straight.length == pytest.approx(5.71, abs=0.01)
     bowtie = importer.read_npy(SHARED / "Bowtie_track.npy")

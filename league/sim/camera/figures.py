@@ -2,29 +2,26 @@
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from league.sim.camera.lens import Lens, Pose
-from league.sim.camera.order import Footprint, car_order, far_car_order
+from league.sim.camera.order import Footprint
 from league.sim.camera.scene import (
-    BOX,
     CAR,
     FAR_CAR,
     RIM,
     RUBBER,
     SUN,
     Colour,
-    Model,
     in_light,
     is_far,
     lit,
     luma,
 )
-from league.sim.camera.shapes import SHAPES, Block, Shape, Wheel
+from league.sim.camera.shapes import SHAPES, Shape, Wheel
 from league.sim.camera.stage import Thing
 
 NEAR = 0.02
@@ -42,14 +39,15 @@ class _Figure(NamedTuple):
     """A thing about to be filled."""
 
     thing: Thing
-    model: Model
     shape: Shape
+    points: np.ndarray
+    """(2 * num_eyes + 1, num_vertices): u * Z and v * Z of each eye in 1/16 pixel, and Z."""
     eyes: list[tuple[float, ...]]
     """Each eye in the model's frame: x, y, z, 1."""
     visible: list[list[bool]]
     """Which quads each eye sees."""
-    colours: list[Colour]
-    """Lit colour of each quad seen."""
+    colours: list[Colour | None]
+    """Lit colour of each quad, found when it is first filled."""
 
 
 class Figures:
@@ -59,8 +57,6 @@ class Figures:
         self._lens, self._gray = lens, gray
         self._scale = UNIT * lens.focal
         self._cx, self._cy = UNIT * lens.cx, UNIT * lens.cy
-        self._stereo = len(lens.eyes) == 2
-        self._shifts = np.array([self._scale * eye for eye in lens.eyes])
         self._rubber: Colour = luma(RUBBER) if gray else RUBBER
 
     def draw(self, images: list[np.ndarray], pose: Pose, thing: Thing, foot: Footprint) -> None:
@@ -76,18 +72,17 @@ class Figures:
         if model is CAR and is_far(self._lens.focal, math.hypot(foot.x, foot.y)):
             model = FAR_CAR
         shape = SHAPES[model]
-        points = shape.basis @ self._matrix(pose, thing, foot, shape.steered)
+        points = self._matrix(pose, thing, foot, shape.steered) @ shape.basis
         eyes = self._eyes(pose, thing, foot)
-        visible = (shape.planes @ np.array(eyes).T > 0).T.tolist()
-        colours = self._colours(shape, thing)
-        figure = _Figure(thing, model, shape, eyes, visible, colours)
-        if foot.x * pose.pitch_cos > REACH + NEAR or points[:, -1].min() >= NEAR:
-            self._fill(images, points, figure)
+        visible = (np.array(eyes) @ shape.planes > 0).tolist()
+        figure = _Figure(thing, shape, points, eyes, visible, [None] * len(shape.normals))
+        if foot.x * pose.pitch_cos > REACH + NEAR or points[-1].min() >= NEAR:
+            self._fill(images, figure)
         else:
-            self._fill_cut(images, points, figure)
+            self._fill_cut(images, figure)
 
     def _matrix(self, pose: Pose, thing: Thing, foot: Footprint, steered: bool) -> np.ndarray:
-        """Return what maps a shape's basis to u * Z, v * Z for each eye, and Z; (4 or 6, n)."""
+        """Return what maps a shape's basis to u * Z, v * Z for each eye, and Z; (n, 4 or 6)."""
         scale, cx, cy = self._scale, self._cx, self._cy
         pitch_cos, pitch_sin = pose.pitch_cos, pose.pitch_sin
         # Depth Z = ahead * pitch_cos - up * pitch_sin; downward, Y = -ahead * pitch_sin - up *
@@ -106,15 +101,15 @@ class Figures:
             wheel_cos = foot.cos * steer_cos - foot.sin * steer_sin
             wheel_sin = foot.sin * steer_cos + foot.cos * steer_sin
             ways += ((wheel_cos, wheel_sin, 0.0), (-wheel_sin, wheel_cos, 0.0))
+        across_rows = [u_ahead * a + u_up * up - scale * left for a, left, up in ways]
+        down_row = [v_ahead * a + v_up * up for a, _, up in ways]
         flat = []
-        for ahead, left, up in ways:
-            u = u_ahead * ahead + u_up * up - scale * left
-            v = v_ahead * ahead + v_up * up
-            flat += (u, v, u, v) if self._stereo else (u, v)
-            flat.append(ahead * pitch_cos - up * pitch_sin)
-        matrix = np.array(flat).reshape(len(ways), -1)
-        matrix[3, :-1:2] += self._shifts
-        return matrix
+        for eye in self._lens.eyes:
+            flat += across_rows
+            flat[3 - len(ways)] += scale * eye  # the column of the model's own place
+            flat += down_row
+        flat += [a * pitch_cos - up * pitch_sin for a, _, up in ways]
+        return np.array(flat).reshape(-1, len(ways))
 
     def _eyes(self, pose: Pose, thing: Thing, foot: Footprint) -> list[tuple[float, ...]]:
         """Return each eye in the frame of the unstretched model, as (x, y, z, 1)."""
@@ -126,55 +121,58 @@ class Figures:
             found.append((ahead, (foot.cos * dy - foot.sin * dx) / across, pose.z / upward, 1.0))
         return found
 
-    def _colours(self, shape: Shape, thing: Thing) -> list[Colour]:
-        """Return the lit colour of each quad."""
-        sun_x = SUN[0] * thing.cos + SUN[1] * thing.sin
-        sun_y = SUN[1] * thing.cos - SUN[0] * thing.sin
-        sun_z = SUN[2]
-        lights = _lights(shape, thing.colour, self._gray)
-        return [
-            in_light(light, nx * sun_x + ny * sun_y + nz * sun_z)
-            for light, (nx, ny, nz) in zip(lights, shape.normals, strict=True)
-        ]
+    def _colour(self, figure: _Figure, face: int) -> Colour:
+        """Return the lit colour of a quad."""
+        known = figure.colours[face]
+        if known is None:
+            thing = figure.thing
+            nx, ny, nz = figure.shape.normals[face]
+            along, across = nx * thing.cos - ny * thing.sin, nx * thing.sin + ny * thing.cos
+            light = lit(figure.shape.paints[face] or thing.colour, self._gray)
+            known = in_light(light, SUN[0] * along + SUN[1] * across + SUN[2] * nz)
+            figure.colours[face] = known
+        return known
 
-    def _fill(self, images: list[np.ndarray], points: np.ndarray, figure: _Figure) -> None:
+    def _fill(self, images: list[np.ndarray], figure: _Figure) -> None:
         """Fill a thing that lies before the camera as a whole."""
-        fixed = np.rint(points[:, :-1] / points[:, -1:]).astype(np.int32)
-        # (num_vertices, num_eyes, 2) -> (num_eyes, num_vertices, 2)
-        fixed = np.ascontiguousarray(fixed.reshape(len(fixed), -1, 2).swapaxes(0, 1))
-        quads = fixed.take(figure.shape.quads, axis=1)  # (num_eyes, num_quads, 4, 2)
-        parts, colours = figure.shape.parts, figure.colours
+        shape, points = figure.shape, figure.points
+        fixed = np.rint(points[:-1] / points[-1]).astype(np.int32)
+        quads = fixed.take(shape.corners(len(images)))  # (num_eyes, num_quads, 4, 2)
+        rings = None
+        fill, colours = cv2.fillConvexPoly, figure.colours
         for index, (image, eye) in enumerate(zip(images, figure.eyes, strict=True)):
             shown, faces = figure.visible[index], quads[index]
-            for number in _order(figure.model, eye):
-                part = parts[number]
-                if isinstance(part, Block):
-                    for face in part.quads:
-                        if shown[face]:
-                            cv2.fillConvexPoly(image, faces[face], colours[face], 8, SHIFT)
+            for part in shape.far_to_near(eye):
+                if isinstance(part, int):
+                    if shown[part]:
+                        fill(
+                            image,
+                            faces[part],
+                            colours[part] or self._colour(figure, part),
+                            8,
+                            SHIFT,
+                        )
                     continue
-                rings = fixed[index, part.start : part.stop]
-                cv2.fillConvexPoly(image, cv2.convexHull(rings), self._rubber, 8, SHIFT)
+                if rings is None:
+                    rings = fixed.take(shape.rings(len(images)))  # (num_eyes, wheels, ring, 2)
+                ring = rings[index, part.number]
+                fill(image, cv2.convexHull(ring), self._rubber, 8, SHIFT)
                 side = part.side_of(eye, figure.thing.steering)
                 if side:
-                    half = len(rings) // 2
-                    cap = rings[:half] if side > 0 else rings[half:]
-                    rim = self._rim(part, figure.thing, side)
-                    cv2.fillConvexPoly(image, cap, rim, 8, SHIFT)
+                    half = len(ring) // 2
+                    cap = ring[:half] if side > 0 else ring[half:]
+                    fill(image, cap, self._rim(part, figure.thing, side), 8, SHIFT)
 
-    def _fill_cut(self, images: list[np.ndarray], points: np.ndarray, figure: _Figure) -> None:
+    def _fill_cut(self, images: list[np.ndarray], figure: _Figure) -> None:
         """Fill a thing of which a part lies behind the camera: cut each face, then fill it."""
-        rows = points.tolist()
+        rows = figure.points.T.tolist()
         shape = figure.shape
         for index, (image, eye) in enumerate(zip(images, figure.eyes, strict=True)):
-            for number in _order(figure.model, eye):
-                part = shape.parts[number]
-                if isinstance(part, Block):
-                    for face in part.quads:
-                        if figure.visible[index][face]:
-                            corners = [rows[vertex] for vertex in shape.quads[face]]
-                            polygon = _pixels(cut(corners), index)
-                            _fill_polygon(image, polygon, figure.colours[face])
+            for part in shape.far_to_near(eye):
+                if isinstance(part, int):
+                    if figure.visible[index][part]:
+                        corners = cut([rows[vertex] for vertex in shape.quads[part]])
+                        _fill_polygon(image, _pixels(corners, index), self._colour(figure, part))
                     continue
                 cuts = [cut([rows[vertex] for vertex in face]) for face in part.faces]
                 outline = _pixels([point for polygon in cuts for point in polygon], index)
@@ -193,12 +191,6 @@ class Figures:
         wheel_sin = thing.sin * cos + thing.cos * sin
         facing = side * (SUN[1] * wheel_cos - SUN[0] * wheel_sin)
         return in_light(lit(RIM, self._gray), facing)
-
-
-@lru_cache(maxsize=4096)
-def _lights(shape: Shape, colour: tuple, gray: bool) -> list[tuple[Colour, Colour]]:
-    """Return what each quad shows in the shade, and what full sun adds to it."""
-    return [lit(colour if paint is None else paint, gray) for paint in shape.paints]
 
 
 def cut(polygon: Sequence[Sequence[float]], near: float = NEAR) -> list[list[float]]:
@@ -225,11 +217,3 @@ def _pixels(points: list[list[float]], eye: int) -> np.ndarray:
 def _fill_polygon(image: np.ndarray, points: np.ndarray, colour: Colour) -> None:
     if len(points) >= 3:
         cv2.fillConvexPoly(image, points, colour, 8, SHIFT)
-
-
-def _order(model: Model, eye: tuple[float, ...]) -> tuple[int, ...]:
-    if model is BOX:
-        return (0,)
-    if model is FAR_CAR:
-        return far_car_order(eye[0], eye[2])
-    return car_order(eye[0], eye[1], eye[2])

@@ -104,8 +104,9 @@ _SIDE = WHEEL_Y - WHEEL_WIDTH
 """A plane between the wheels of one side and the chassis [m]."""
 
 
-def car_order(x: float, y: float, z: float) -> tuple[int, ...]:
-    """Return the solids of scene.CAR, far to near, for an eye at x, y, z in the car's frame."""
+def car_order(eye: tuple[float, ...]) -> tuple[int, ...]:
+    """Return the solids of scene.CAR, far to near, for an eye in the car's frame."""
+    x, y, z = eye[:3]
     if x < 0:
         left, right = (_FRONT_LEFT, _REAR_LEFT), (_FRONT_RIGHT, _REAR_RIGHT)
     else:
@@ -119,9 +120,9 @@ def car_order(x: float, y: float, z: float) -> tuple[int, ...]:
     return _stacked(lower, _SHELL, _CABIN, x, z)
 
 
-def far_car_order(x: float, z: float) -> tuple[int, ...]:
-    """Return the solids of scene.FAR_CAR, far to near, for an eye at x, z in the car's frame."""
-    return _stacked((0,), 1, 2, x, z)
+def far_car_order(eye: tuple[float, ...]) -> tuple[int, ...]:
+    """Return the solids of scene.FAR_CAR, far to near, for an eye in the car's frame."""
+    return _stacked((0,), 1, 2, eye[0], eye[2])
 
 
 def _stacked(lower: tuple[int, ...], shell: int, cabin: int, x: float, z: float) -> tuple[int, ...]:

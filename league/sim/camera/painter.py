@@ -97,45 +97,34 @@ class Painter:
         With w = focal * sin(pitch) + (row - cy) * cos(pitch), pixel (u, row) sees the floor at
         height * (focal * cos - (row - cy) * sin) / w ahead and eye - height * (u - cx) / w left.
         """
-        lens = self._lens
+        lens, bands, levels = self._lens, floor.bands, floor.ground.levels
         px, py, height, cos, sin, pitch_cos, pitch_sin = pose
-        ahead_row, left_column = -height * pitch_sin, -height
-        for band in floor.bands:
-            start = max(band.start, top)
-            if start >= band.stop:
+        flat, jobs = [], []
+        for start, stop, number in bands:
+            start = max(start, top)
+            if start >= stop:
                 continue
-            level = floor.ground.levels[band.level]
-            row = start - lens.cy
+            texture, origin_x, origin_y, size = levels[number]
+            row, texel = start - lens.cy, 1.0 / size
             w = lens.focal * pitch_sin + row * pitch_cos
             ahead = height * (lens.focal * pitch_cos - row * pitch_sin)
-            texel = 1.0 / level.metres_per_pixel
             # Texel (0, 0) has its centre half a texel from the image's corner.
-            x = (px - level.origin_x) * texel - 0.5
-            y = (py - level.origin_y) * texel - 0.5
-            size = (lens.width, band.stop - start)
+            x, y = (px - origin_x) * texel - 0.5, (py - origin_y) * texel - 0.5
+            texel_cos, texel_sin = texel * cos, texel * sin
+            down_x = x * pitch_cos - texel_cos * height * pitch_sin
+            down_y = y * pitch_cos - texel_sin * height * pitch_sin
+            x, y = x * w + texel_cos * ahead, y * w + texel_sin * ahead
+            across_x, across_y = texel_sin * height, -texel_cos * height
             for image, eye in zip(images, lens.eyes, strict=True):
                 left_row, left = eye * pitch_cos, eye * w + height * lens.cx
-                to_texture = (
-                    (
-                        -sin * left_column * texel,
-                        x * pitch_cos + (cos * ahead_row - sin * left_row) * texel,
-                        x * w + (cos * ahead - sin * left) * texel,
-                    ),
-                    (
-                        cos * left_column * texel,
-                        y * pitch_cos + (sin * ahead_row + cos * left_row) * texel,
-                        y * w + (sin * ahead + cos * left) * texel,
-                    ),
-                    (0.0, pitch_cos, w),
-                )
-                cv2.warpPerspective(
-                    level.image,
-                    np.array(to_texture),
-                    size,
-                    image[start : band.stop],
-                    _WARP,
-                    cv2.BORDER_REPLICATE,
-                )
+                flat += (across_x, down_x - texel_sin * left_row, x - texel_sin * left)
+                flat += (across_y, down_y + texel_cos * left_row, y + texel_cos * left)
+                flat += (0.0, pitch_cos, w)
+                jobs.append((texture, image[start:stop], (lens.width, stop - start)))
+        for matrix, (texture, rows, size) in zip(
+            np.array(flat).reshape(-1, 3, 3), jobs, strict=True
+        ):
+            cv2.warpPerspective(texture, matrix, size, rows, _WARP, cv2.BORDER_REPLICATE)
 
     # The walls -----------------------------------------------------------------------------
 

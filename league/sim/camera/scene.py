@@ -186,7 +186,7 @@ CABIN = _hexahedron(
     (_GLASS, _GLASS, _GLASS, _GLASS, BODY, HIDDEN),
 )
 
-_CHASSIS_BLOCK = _block(0.150, -0.150, 0.044, 0.016, DECK, (*[_CHASSIS] * 4, HIDDEN, _CHASSIS))
+_CHASSIS_BLOCK = _block(0.140, -0.128, 0.044, 0.020, DECK, (*[_CHASSIS] * 4, HIDDEN, _CHASSIS))
 _WHEELS = tuple(
     _wheel(x, y, steered=x > 0) for x in (WHEEL_X, -WHEEL_X) for y in (WHEEL_Y, -WHEEL_Y)
 )
@@ -213,7 +213,7 @@ FAR_CAR = Model((_SKIRT, SHELL, CABIN), 0.162, 0.098, 0.178)
 BOX = Model((_block(0.5, -0.5, 0.5, 0.0, 1.0, (*[BODY] * 5, HIDDEN)),), 0.5, 0.5, 1.0)
 """A box of size 1 that is stretched to its own size."""
 
-FAR_WHEEL_PIXELS = 5.0
+FAR_WHEEL_PIXELS = 6.0
 """A car is drawn as FAR_CAR where a wheel's height would be fewer pixels than this."""
 
 

@@ -1,30 +1,24 @@
 """Models of the scene compiled into the arrays that the OpenCV painter projects."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
+from league.sim.camera.order import car_order, far_car_order
 from league.sim.camera.scene import BODY, BOX, CAR, FAR_CAR, HIDDEN, PAINTS, Model, Solid
-
-
-class Block(NamedTuple):
-    """A solid with few faces, each filled on its own."""
-
-    quads: tuple[int, ...]
-    """Rows of the shape's quads that are its faces."""
 
 
 class Wheel(NamedTuple):
     """A wheel, filled as one outline and then the cap that is seen."""
 
-    start: int
-    """First vertex of the left ring."""
-    middle: int
-    """First vertex of the right ring."""
-    stop: int
-    """Behind the last vertex."""
+    number: int
+    """Which of the shape's wheels."""
+    vertices: range
+    """Rows of the shape's basis: the left ring, then the right one."""
     pivot: tuple[float, float]
     """Its middle in the plane [m]."""
     steered: bool
@@ -43,51 +37,86 @@ class Wheel(NamedTuple):
         return (across > self.half_width) - (across < -self.half_width)
 
 
+Part = int | Wheel
+"""What is filled at a time: a row of the quads, or a wheel."""
+
+
 @dataclass(frozen=True, eq=False)
 class Shape:
     """One model, ready to be projected."""
 
     basis: np.ndarray
-    """(num_vertices, 4): x, y, z, 1; where something is steered (num_vertices, 6): the place of its
+    """(4, num_vertices): x, y, z, 1; where something is steered (6, num_vertices): the place of its
     pivot instead, then x, y from there."""
     steered: bool
     """Whether some of it turns with the steering."""
     quads: np.ndarray
-    """(num_quads, 4) int: vertices of the blocks' faces."""
+    """(num_quads, 4) int: vertices of the faces of all but wheels."""
     planes: np.ndarray
-    """(num_quads, 4): outward normal and minus offset, to be multiplied with (x, y, z, 1)."""
+    """(4, num_quads): outward normal and minus offset, to be multiplied with (x, y, z, 1)."""
     normals: tuple[tuple[float, float, float], ...]
     """The same normals as plain numbers."""
     paints: tuple[tuple[float, float, float] | None, ...]
     """Colour of each quad; None for the body's."""
-    parts: tuple[Block | Wheel, ...]
-    """One for each solid of the model, in its order."""
+    solids: tuple[tuple[Part, ...], ...]
+    """Parts of each solid of the model."""
+    order: Callable[[tuple[float, ...]], tuple[int, ...]]
+    """Gives the solids far to near for an eye in the model's frame."""
+
+    def far_to_near(self, eye: tuple[float, ...]) -> tuple[Part, ...]:
+        """Return the parts far to near for an eye in the model's frame."""
+        return _joined(self, self.order(eye))
+
+    @cache  # noqa: B019 - the shapes below live as long as the program
+    def corners(self, num_eyes: int) -> np.ndarray:
+        """Return where the quads' u and v lie in (2 * num_eyes, num_vertices) numbers.
+
+        Shape (num_eyes, num_quads, 4, 2).
+        """
+        return self._places(self.quads, num_eyes)
+
+    @cache  # noqa: B019
+    def rings(self, num_eyes: int) -> np.ndarray:
+        """Return the same for the wheels; (num_eyes, num_wheels, ring, 2)."""
+        wheels = [part for parts in self.solids for part in parts if isinstance(part, Wheel)]
+        return self._places(np.array([list(wheel.vertices) for wheel in wheels]), num_eyes)
+
+    def _places(self, vertices: np.ndarray, num_eyes: int) -> np.ndarray:
+        rows = np.arange(2 * num_eyes).reshape(num_eyes, 1, 1, 2)
+        return rows * self.basis.shape[1] + vertices[None, :, :, None]
 
 
-def _compile(model: Model) -> Shape:
-    basis, quads, planes, paints, parts = [], [], [], [], []
+@cache
+def _joined(shape: Shape, order: tuple[int, ...]) -> tuple[Part, ...]:
+    return tuple(part for solid in order for part in shape.solids[solid])
+
+
+def _compile(model: Model, order: Callable[[tuple[float, ...]], tuple[int, ...]]) -> Shape:
+    basis, quads, planes, paints, solids = [], [], [], [], []
+    wheels = 0
     for solid in model.solids:
         first = sum(map(len, basis))
         basis.append(_columns(solid))
         if solid.rounded:
-            parts.append(_wheel(solid, first))
+            solids.append((_wheel(solid, first, wheels),))
+            wheels += 1
             continue
         shown = [number for number, paint in enumerate(solid.paints) if paint != HIDDEN]
-        parts.append(Block(tuple(range(len(quads), len(quads) + len(shown)))))
+        solids.append(tuple(range(len(quads), len(quads) + len(shown))))
         quads += [[first + index for index in solid.faces[number]] for number in shown]
         planes.append(solid.planes[shown] * (1, 1, 1, -1))
         paints += [_paint(solid.paints[number]) for number in shown]
-    stacked = np.concatenate(planes)
-    columns = np.concatenate(basis)
+    columns, stacked = np.concatenate(basis), np.concatenate(planes)
     steered = bool(columns[:, 4:].any())
     return Shape(
-        basis=np.ascontiguousarray(columns if steered else columns[:, :4]),
+        basis=np.ascontiguousarray((columns if steered else columns[:, :4]).T),
         steered=steered,
         quads=np.array(quads),
-        planes=np.ascontiguousarray(stacked),
+        planes=np.ascontiguousarray(stacked.T),
         normals=tuple((a, b, c) for a, b, c, _ in stacked.tolist()),
         paints=tuple(paints),
-        parts=tuple(parts),
+        solids=tuple(solids),
+        order=order,
     )
 
 
@@ -105,20 +134,21 @@ def _columns(solid: Solid) -> np.ndarray:
     return columns
 
 
-def _wheel(solid: Solid, first: int) -> Wheel:
+def _wheel(solid: Solid, first: int, number: int) -> Wheel:
     middle = solid.vertices[:, :2].mean(axis=0) + (solid.pivot or (0.0, 0.0))
-    half = float(np.ptp(solid.vertices[:, 1])) / 2
-    count = len(solid.vertices)
     return Wheel(
-        first,
-        first + count // 2,
-        first + count,
-        (float(middle[0]), float(middle[1])),
-        solid.pivot is not None,
-        half,
-        tuple(tuple(first + index for index in face) for face in solid.faces),
+        number=number,
+        vertices=range(first, first + len(solid.vertices)),
+        pivot=(float(middle[0]), float(middle[1])),
+        steered=solid.pivot is not None,
+        half_width=float(np.ptp(solid.vertices[:, 1])) / 2,
+        faces=tuple(tuple(first + index for index in face) for face in solid.faces),
     )
 
 
-SHAPES: dict[Model, Shape] = {model: _compile(model) for model in (CAR, FAR_CAR, BOX)}
+SHAPES: dict[Model, Shape] = {
+    CAR: _compile(CAR, car_order),
+    FAR_CAR: _compile(FAR_CAR, far_car_order),
+    BOX: _compile(BOX, lambda eye: (0,)),
+}
 """Every model there is."""

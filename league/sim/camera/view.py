@@ -9,7 +9,7 @@ from league.errors import ConfigError
 from league.sim.camera.ground import Ground, finest_for, floor_of, ground_of
 from league.sim.camera.lens import Lens, Pose
 from league.sim.camera.painter import Painter
-from league.sim.camera.scene import BOX, GLASS, WALL_HEIGHT
+from league.sim.camera.scene import BOX, GLASS
 from league.sim.camera.stage import Stage, Thing
 from league.sim.config import SimConfig
 from league.sim.world import World
@@ -93,13 +93,17 @@ def _check_size(width: int, height: int) -> None:
 
 
 def _behind(x: float, y: float, yaw: float, room: tuple[float, float, float, float]) -> Pose:
-    """Return the chase camera's place, held inside the room's walls."""
+    """Return the chase camera's place: held inside the walls, and always turned to the car."""
     cos, sin = math.cos(yaw), math.sin(yaw)
     spare = 0.08
     behind_x = min(max(x - cos * CHASE_BEHIND, room[0] + spare), room[2] - spare)
     behind_y = min(max(y - sin * CHASE_BEHIND, room[1] + spare), room[3] - spare)
-    pitch_cos, pitch_sin = math.cos(CHASE_PITCH), math.sin(CHASE_PITCH)
-    return Pose(behind_x, behind_y, min(CHASE_UP, WALL_HEIGHT), cos, sin, pitch_cos, pitch_sin)
+    away = max(math.hypot(x - behind_x, y - behind_y), 1e-6)
+    if away > 0.2:
+        cos, sin = (x - behind_x) / away, (y - behind_y) / away
+    # The nearer it has to be, the more it looks down, and the car keeps its row of the picture.
+    pitch = CHASE_PITCH + math.atan(CHASE_UP / away) - math.atan(CHASE_UP / CHASE_BEHIND)
+    return Pose(behind_x, behind_y, CHASE_UP, cos, sin, math.cos(pitch), math.sin(pitch))
 
 
 class _Plan:

@@ -1,0 +1,303 @@
+"""How fast and how right the pictures are: pairs per second, against PyBullet's renderer, against rays."""
+
+import math
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pybullet
+import torch
+
+from benchmarks.report import figure, heading, machine
+from league.sim import grid
+from league.sim.camera import scene
+from league.sim.camera.cv import CvRenderer
+from league.sim.camera.ray import RayRenderer
+from league.sim.config import CameraConfig, SimConfig
+from league.sim.world import Obstacles, World, row
+from league.track import files, paint
+from league.track.course import TrackSet
+
+SCENES = 200
+EDGE = 12
+"""A pixel is away from edges if the 3 x 3 pixels round it, in the ray's picture, spread by less."""
+
+
+def fastest(action: Callable[[], object], number: int, repeats: int = 7) -> float:
+    """Return the least wall time of one call [s]: what the machine does when nobody else asks."""
+    action()
+    best = math.inf
+    for _ in range(repeats):
+        start = time.perf_counter()
+        for _ in range(number):
+            action()
+        best = min(best, (time.perf_counter() - start) / number)
+    return best
+
+
+def one_ahead(tracks: TrackSet, num_worlds: int) -> tuple[SimConfig, World]:
+    """Return worlds with a car to look from and one in its view, 0.6 to 2 m ahead, all over."""
+    sim = SimConfig(kind="head_to_head", num_cars=2)
+    blank = torch.zeros(num_worlds, dtype=torch.int64)
+    world = grid.start(tracks, sim, torch.arange(num_worlds), blank)
+    draw = np.random.default_rng(3)
+    length = tracks.tracks[0].length
+    s = torch.tensor(draw.uniform(0, length, (num_worlds, 1)), dtype=torch.float32)
+    gap = torch.tensor(draw.uniform(0.6, 2.0, (num_worlds, 1)), dtype=torch.float32)
+    x, y, frame = tracks.at(world.track, torch.cat([s, s + gap], dim=1))
+    yaw = torch.atan2(frame.sin, frame.cos)
+    # The one looks at the other, as if turning in behind it.
+    yaw[:, 0] = torch.atan2(y[:, 1] - y[:, 0], x[:, 1] - x[:, 0]) + 0.1
+    steering = torch.full_like(yaw, 0.2)
+    return sim, replace(world, motion=replace(world.motion, x=x, y=y, yaw=yaw, steering=steering))
+
+
+def behind(world: World) -> World:
+    """Return the worlds with the second car far behind the first."""
+    motion = world.motion
+    x, y = motion.x.clone(), motion.y.clone()
+    x[:, 1] = x[:, 0] - 100 * torch.cos(motion.yaw[:, 0])
+    y[:, 1] = y[:, 0] - 100 * torch.sin(motion.yaw[:, 0])
+    return replace(world, motion=replace(motion, x=x, y=y))
+
+
+def check_car_is_seen(seen: torch.Tensor, alone: torch.Tensor) -> None:
+    """Stop unless every picture has contrast and shows the car."""
+    changed = ((seen.int() - alone.int()).abs() > 5).flatten(1).sum(dim=1)
+    assert int(changed.min()) > 20, "a picture does not show its car"
+    assert float(seen.float().flatten(1).std(dim=1).min()) > 10, "a picture is blank"
+
+
+def random_scenes(tracks: TrackSet, number: int) -> tuple[SimConfig, World]:
+    """Return worlds with three cars and two boxes near each other, none overlapping."""
+    draw = np.random.default_rng(0)
+    track = tracks.tracks[0]
+    x_min, y_min, x_max, y_max = track.room
+    cars, boxes = [], []
+    for _ in range(number):
+        point = draw.integers(len(track.center))
+        heading_here = math.atan2(track.tangent[point, 1], track.tangent[point, 0])
+        x, y = track.center[point] + draw.uniform(-0.3, 0.3, 2)
+        me = (x, y, heading_here + draw.normal(0, 0.3))
+        others: list = []
+        while len(others) < 4:
+            far, turn = draw.uniform(0.2, 3.0), me[2] + draw.uniform(-1.2, 1.2)
+            x, y = me[0] + far * math.cos(turn), me[1] + far * math.sin(turn)
+            inside = x_min + 0.3 < x < x_max - 0.3 and y_min + 0.3 < y < y_max - 0.3
+            if inside and all(math.dist((x, y), one[:2]) > 0.45 for one in (me, *others)):
+                others.append((x, y, draw.uniform(-math.pi, math.pi)))
+        cars.append([me, *others[:2]])
+        boxes.append([(*place, 0.15, 0.2) for place in others[2:]])
+    sim = SimConfig(kind="head_to_head", num_cars=3)
+    blank = torch.zeros(number, dtype=torch.int64)
+    world = grid.start(tracks, sim, torch.arange(number), blank)
+    x, y, yaw = torch.tensor(np.array(cars), dtype=torch.float32).unbind(2)
+    stood = torch.tensor(np.array(boxes), dtype=torch.float32)
+    body = dict.fromkeys(Obstacles.__dataclass_fields__, torch.zeros(stood.shape[:2]))
+    names = ("x", "y", "yaw", "half_length", "half_width")
+    body |= {name: stood[..., k] for k, name in enumerate(names)}
+    steering = torch.tensor(draw.uniform(-0.5, 0.5, (number, 3)), dtype=torch.float32)
+    motion = replace(world.motion, x=x, y=y, yaw=yaw, steering=steering)
+    return sim, replace(world, motion=motion, obstacles=Obstacles(**body))
+
+
+def speed(tracks: TrackSet) -> None:
+    """Print pairs per second, one world a call and 64 worlds a call."""
+    for width, height, goal in ((160, 120, 3_000), (64, 48, 12_000)):
+        camera = CameraConfig(width=width, height=height)
+        for num_worlds in (1, 64):
+            sim, world = one_ahead(tracks, 64)
+            renderer = CvRenderer(tracks, sim, camera)
+            seen, alone = renderer.render(world, 0), renderer.render(behind(world), 0)
+            check_car_is_seen(seen, alone)
+            if num_worlds == 64:
+                taken = fastest(lambda: renderer.render(world, 0), 4)  # noqa: B023
+            else:
+                # One world a call, each of the 64 in turn.
+                singles = [row(world, index) for index in range(64)]
+                taken = fastest(lambda: [renderer.render(one, 0) for one in singles], 4)  # noqa: B023
+            name = f"stereo {width}x{height}, a car in view, {num_worlds} world(s) a call"
+            figure(name, 64 / taken, "pairs/s", goal)
+
+
+class TinyScene:
+    """The same scene in PyBullet: floor with its texture, four walls, one car of the same boxes."""
+
+    def __init__(self, tracks: TrackSet, world: World, camera: CameraConfig) -> None:
+        self._camera = camera
+        self._client = pybullet.connect(pybullet.DIRECT)
+        track = tracks.tracks[int(world.track[0])]
+        x_min, y_min, x_max, y_max = track.room
+        middle = ((x_min + x_max) / 2, (y_min + y_max) / 2)
+        half = ((x_max - x_min) / 2, (y_max - y_min) / 2)
+        self._floor(track, middle, half)
+        thick, high = 0.02, scene.WALL_HEIGHT / 2
+        for sign in (-1, 1):
+            x, y = middle[0] + sign * (half[0] + thick), middle[1] + sign * (half[1] + thick)
+            self._box((x, middle[1], high), (thick, half[1], high), track.colours.wall)
+            self._box((middle[0], y, high), (half[0], thick, high), track.colours.wall)
+        x, y, yaw = (float(part[0, 1]) for part in _places(world))
+        turn = (0, 0, math.sin(yaw / 2), math.cos(yaw / 2))
+        for solid in scene.CAR.solids:
+            points = solid.vertices + (*(solid.pivot or (0, 0)), 0)
+            low, top = points.min(axis=0), points.max(axis=0)
+            centre = (low + top) / 2
+            place = (
+                x + math.cos(yaw) * centre[0] - math.sin(yaw) * centre[1],
+                y + math.sin(yaw) * centre[0] + math.cos(yaw) * centre[1],
+                centre[2],
+            )
+            paint_number = solid.paints[0]
+            colour = scene.PAINTS[paint_number] if paint_number >= 0 else scene.CAR_COLOURS[1]
+            self._box(place, (top - low) / 2, colour, turn)
+        self._eyes(world)
+
+    def _floor(self, track, middle: tuple, half: tuple) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            floor = paint.floor(track, 0.01, colour=True).image
+            picture = str(Path(folder) / "floor.png")
+            cv2.imwrite(picture, floor[..., ::-1])
+            mesh = {
+                "vertices": [(-half[0], -half[1], 0), (half[0], -half[1], 0), (half[0], half[1], 0),
+                             (-half[0], half[1], 0)],
+                "indices": [0, 1, 2, 0, 2, 3],
+                "uvs": [(0, 1), (1, 1), (1, 0), (0, 0)],
+                "normals": [(0, 0, 1)] * 4,
+            }  # fmt: skip
+            shape = pybullet.createVisualShape(
+                pybullet.GEOM_MESH, **mesh, physicsClientId=self._client
+            )
+            body = pybullet.createMultiBody(
+                baseVisualShapeIndex=shape,
+                basePosition=(*middle, 0),
+                physicsClientId=self._client,
+            )
+            texture = pybullet.loadTexture(picture, physicsClientId=self._client)
+            pybullet.changeVisualShape(
+                body, -1, textureUniqueId=texture, physicsClientId=self._client
+            )
+
+    def _box(self, place: tuple, half: tuple, colour: tuple, turn: tuple = (0, 0, 0, 1)) -> None:
+        shape = pybullet.createVisualShape(
+            pybullet.GEOM_BOX,
+            halfExtents=list(half),
+            rgbaColor=[*(part / 255 for part in colour), 1],
+            physicsClientId=self._client,
+        )
+        pybullet.createMultiBody(
+            baseVisualShapeIndex=shape,
+            basePosition=place,
+            baseOrientation=turn,
+            physicsClientId=self._client,
+        )
+
+    def _eyes(self, world: World) -> None:
+        cfg = self._camera
+        x, y, yaw = (float(part[0, 0]) for part in _places(world))
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        self._views = []
+        for eye in (cfg.baseline / 2, -cfg.baseline / 2):
+            place = (x + cos * cfg.forward - sin * eye, y + sin * cfg.forward + cos * eye, cfg.up)
+            flat, down = math.cos(cfg.pitch), -math.sin(cfg.pitch)
+            target = (place[0] + cos * flat, place[1] + sin * flat, place[2] + down)
+            self._views.append(pybullet.computeViewMatrix(place, target, (0, 0, 1)))
+        high = 2 * math.atan(math.tan(cfg.field_of_view / 2) * cfg.height / cfg.width)
+        aspect = cfg.width / cfg.height
+        self._lens = pybullet.computeProjectionMatrixFOV(math.degrees(high), aspect, 0.02, 300)
+
+    def pair(self) -> list[np.ndarray]:
+        """Return both eyes' pictures as RGB."""
+        found = []
+        for view in self._views:
+            _, _, image, _, _ = pybullet.getCameraImage(
+                self._camera.width,
+                self._camera.height,
+                view,
+                self._lens,
+                shadow=0,
+                flags=pybullet.ER_NO_SEGMENTATION_MASK,
+                renderer=pybullet.ER_TINY_RENDERER,
+                physicsClientId=self._client,
+            )
+            shape = (self._camera.height, self._camera.width, 4)
+            found.append(np.asarray(image, np.uint8).reshape(shape)[..., :3])
+        return found
+
+    def close(self) -> None:
+        """Give PyBullet's client back."""
+        pybullet.disconnect(self._client)
+
+
+def against_bullet(tracks: TrackSet, folder: Path | None = None) -> None:
+    """Print how much faster a pair is than two pictures of PyBullet's software renderer."""
+    camera = CameraConfig()
+    sim, worlds = one_ahead(tracks, 8)
+    world = row(worlds, 0)
+    renderer = CvRenderer(tracks, sim, camera)
+    check_car_is_seen(renderer.render(world, 0), renderer.render(behind(world), 0))
+    tiny, tiny_empty = (TinyScene(tracks, one, camera) for one in (world, behind(world)))
+    theirs, bare = (np.stack(one.pair()) for one in (tiny, tiny_empty))
+    assert theirs.std() > 10 and (np.abs(theirs.astype(int) - bare) > 5).sum() > 60
+    ours = renderer.render(world, 0)[0].numpy()
+    gray = theirs @ np.array(scene.LUMA)
+    alike = np.corrcoef(ours.reshape(-1), gray.reshape(-1))[0, 1]
+    assert alike > 0.6, f"the two do not show the same scene: correlation {alike:.2f}"
+    if folder is not None:
+        pictures = np.concatenate([np.concatenate(part, axis=1) for part in (ours, gray)])
+        cv2.imwrite(str(folder / "cameras.png"), pictures.astype(np.uint8))
+    # Turn and turn about, so that both meet the same load of the machine.
+    slow, fast = math.inf, math.inf
+    for _ in range(5):
+        slow = min(slow, fastest(tiny.pair, 2, 1))
+        fast = min(fast, fastest(lambda: renderer.render(world, 0), 100, 1))
+    figure("one pair 160x120, PyBullet's software renderer", 1e3 * slow, "ms")
+    figure("one pair 160x120, ours, one world a call", 1e3 * fast, "ms")
+    figure("ours is faster by", slow / fast, "times", 100)
+    figure("likeness of the two pictures (correlation)", alike, "")
+    for one in (tiny, tiny_empty):
+        one.close()
+
+
+def agreement(tracks: TrackSet) -> None:
+    """Print how far the painted pictures are from the cast ones."""
+    sim, world = random_scenes(tracks, SCENES)
+    for width, height in ((160, 120), (64, 48)):
+        camera = CameraConfig(width=width, height=height)
+        painted = CvRenderer(tracks, sim, camera).render(world, 0).numpy()
+        cast = RayRenderer(tracks, sim, camera).render(world, 0).numpy()
+        square = np.ones((3, 3), np.uint8)
+        flat = cast.reshape(-1, height, width)
+        spread = [cv2.dilate(image, square) - cv2.erode(image, square) for image in flat]
+        away = (np.stack(spread) < EDGE).reshape(cast.shape)
+        off = np.abs(painted.astype(int) - cast)
+        size = f"{width}x{height}"
+        figure(f"painted - cast, {SCENES} scenes {size}", off[away].mean(), "of 255", 2, most=True)
+        worst = max(one[where].mean() for one, where in zip(off, away, strict=True))
+        figure(f"  the worst scene of them, {size}", worst, "of 255", 2, most=True)
+        figure(f"  with edges, {size}", off.mean(), "of 255")
+        figure(f"  share of pixels away from edges, {size}", 100 * away.mean(), "%")
+
+
+def _places(world: World) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    return world.motion.x, world.motion.y, world.motion.yaw
+
+
+def main(folder: Path | None = None) -> None:
+    """Print all figures of the cameras; with a folder, leave the two renderers' pictures there."""
+    heading("Cameras")
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    print(machine(), "one thread")
+    tracks = TrackSet.of(files.load("reinvent_2018"))
+    speed(tracks)
+    against_bullet(tracks, folder)
+    agreement(tracks)
+    torch.set_num_threads(threads)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,85 @@
+"""The built-in reward terms, each by hand."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from conftest import go_to, put_cars, touch
+
+from league.envs import rewards
+from league.envs.config import RewardConfig
+from league.sim import referee
+from league.sim.config import RaceRules, SimConfig
+
+TWO = SimConfig(kind="head_to_head", num_cars=2, rules=RaceRules(laps=1))
+NOTHING = RewardConfig(progress=0.0, off_track=0.0, crash=0.0)
+
+
+def told(tracks, cfg, start, end, pairs=(), num_worlds=1):
+    before = put_cars(tracks, TWO, start, num_worlds=num_worlds)
+    after = go_to(tracks, before, end)
+    verdict, standing = referee.judge(tracks, TWO, before, after, touch(after, *pairs))
+    return rewards.total(tracks, cfg, replace(after, standing=standing), verdict)
+
+
+@pytest.mark.parametrize("num_worlds", [1, 3])
+def test_progress_is_metres_along_the_track_with_sign(ring, num_worlds):
+    total, terms = told(
+        ring(),
+        replace(NOTHING, progress=2.0),
+        [(11.9, 0.1), (5.0, 0.1)],
+        [(12.1, 0.1), (4.9, 0.1)],
+        num_worlds=num_worlds,
+    )
+    assert total.shape == (num_worlds, 2)
+    assert total[-1].tolist() == pytest.approx([0.4, -0.2], abs=1e-3)
+    assert terms.keys() == {"progress"}
+
+
+@pytest.mark.parametrize(
+    ("lateral", "reward"),
+    [(0.07, 1.0), (-0.07, 1.0), (0.09, 0.5), (0.19, 0.5), (0.21, 0.1), (0.41, 0.001)],
+)
+def test_centerline_pays_by_the_three_bands(ring, lateral, reward):
+    # Bands end at 10, 25 and 50 % of the 0.8 m.
+    end = [(3.1, lateral), (5.1, 0.0)]
+    total, _ = told(ring(), replace(NOTHING, centerline=1.0), [(3.0, lateral), (5.0, 0.0)], end)
+    assert total[0].tolist() == pytest.approx([reward, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("name", "start", "end", "pairs", "wanted"),
+    [
+        ("lap", [(11.9, 0.1), (5.0, 0.1)], [(12.1, 0.1), (5.1, 0.1)], (), [1, 0]),
+        ("off_track", [(3.0, 0.4), (5.0, 0.1)], [(3.1, 0.5), (5.1, 0.1)], (), [1, 0]),
+        ("crash", [(3.0, 0.1), (3.3, 0.1)], [(3.1, 0.1), (3.4, 0.1)], ((0, 1),), [1, 0]),
+        ("contact", [(3.0, 0.1), (3.3, 0.1)], [(3.1, 0.1), (3.4, 0.1)], ((0, 1),), [0, 1]),
+        ("overtake", [(3.0, 0.2), (3.1, -0.2)], [(3.3, 0.2), (3.1, -0.2)], (), [1, -1]),
+    ],
+)
+def test_event_pays_its_weight_to_whom_it_happened(ring, name, start, end, pairs, wanted):
+    total, terms = told(ring(), replace(NOTHING, **{name: -3.0}), start, end, pairs)
+    assert total[0].tolist() == [-3.0 * one for one in wanted]
+    assert list(terms) == [name]
+
+
+def test_total_is_the_sum_of_what_is_logged(ring):
+    cfg = RewardConfig(1.0, 0.5, 2.0, 3.0, -4.0, -5.0, -6.0)
+    start, end = [(11.9, 0.1), (12.1, 0.1)], [(12.05, 0.1), (12.3, 0.1)]
+    total, terms = told(ring(), cfg, start, end, ((0, 1),))
+    assert terms.keys() == {
+        "progress",
+        "centerline",
+        "lap",
+        "overtake",
+        "off_track",
+        "crash",
+        "contact",
+    }
+    assert torch.equal(total, sum(terms.values(), torch.zeros_like(total)))
+
+
+def test_reward_of_nothing_is_zero(ring):
+    total, terms = told(ring(), NOTHING, [(1.0, 0.1), (2.0, 0.1)], [(1.1, 0.1), (2.1, 0.1)])
+    assert terms == {}
+    assert total.tolist() == [[0.0, 0.0]]
