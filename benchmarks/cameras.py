@@ -27,15 +27,14 @@ EDGE = 12
 """A pixel is away from edges if the 3 x 3 pixels round it, in the ray's picture, spread by less."""
 
 
-def fastest(action: Callable[[], object], number: int, repeats: int = 7) -> float:
-    """Return the least wall time of one call [s]: what the machine does when nobody else asks."""
+def fastest(action: Callable[[], object], repeats: int = 40) -> float:
+    """Return the least wall time of an action [s]: what the machine does when nobody else asks."""
     action()
     best = math.inf
     for _ in range(repeats):
         start = time.perf_counter()
-        for _ in range(number):
-            action()
-        best = min(best, (time.perf_counter() - start) / number)
+        action()
+        best = min(best, time.perf_counter() - start)
     return best
 
 
@@ -115,11 +114,11 @@ def speed(tracks: TrackSet) -> None:
             seen, alone = renderer.render(world, 0), renderer.render(behind(world), 0)
             check_car_is_seen(seen, alone)
             if num_worlds == 64:
-                taken = fastest(lambda: renderer.render(world, 0), 4)  # noqa: B023
+                taken = fastest(lambda: renderer.render(world, 0))  # noqa: B023
             else:
                 # One world a call, each of the 64 in turn.
                 singles = [row(world, index) for index in range(64)]
-                taken = fastest(lambda: [renderer.render(one, 0) for one in singles], 4)  # noqa: B023
+                taken = fastest(lambda: [renderer.render(one, 0) for one in singles])  # noqa: B023
             name = f"stereo {width}x{height}, a car in view, {num_worlds} world(s) a call"
             figure(name, 64 / taken, "pairs/s", goal)
 
@@ -249,11 +248,11 @@ def against_bullet(tracks: TrackSet, folder: Path | None = None) -> None:
     if folder is not None:
         pictures = np.concatenate([np.concatenate(part, axis=1) for part in (ours, gray)])
         cv2.imwrite(str(folder / "cameras.png"), pictures.astype(np.uint8))
-    # Turn and turn about, so that both meet the same load of the machine.
+    # Turn and turn about, in blocks of about the same time, so that both meet the same load.
     slow, fast = math.inf, math.inf
-    for _ in range(5):
-        slow = min(slow, fastest(tiny.pair, 2, 1))
-        fast = min(fast, fastest(lambda: renderer.render(world, 0), 100, 1))
+    for _ in range(15):
+        slow = min(slow, fastest(tiny.pair, 2))
+        fast = min(fast, fastest(lambda: [renderer.render(world, 0) for _ in range(100)], 2) / 100)
     figure("one pair 160x120, PyBullet's software renderer", 1e3 * slow, "ms")
     figure("one pair 160x120, ours, one world a call", 1e3 * fast, "ms")
     figure("ours is faster by", slow / fast, "times", 100)

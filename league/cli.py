@@ -315,7 +315,7 @@ def _race(command: Race) -> int:
 
 def _spec(command: Race) -> RaceSpec:
     from league.errors import ConfigError
-    from league.race_spec import Entry, RaceSpec
+    from league.race_spec import checked
 
     if not command.drivers:
         raise ConfigError(
@@ -324,25 +324,20 @@ def _spec(command: Race) -> RaceSpec:
         )
     alone = "time_trial" if len(command.drivers) == 1 else "head_to_head"
     track = _track_file(command.track)
-    from pydantic import ValidationError
-
-    try:
-        return RaceSpec(
-            track=track.name if track else command.track,
-            kind=alone if command.kind == "auto" else command.kind,
-            laps=command.laps,
-            seed=command.seed,
-            solver=command.solver,
-            ranking=command.ranking,
-            entries=tuple(Entry(name=name) for name in command.drivers),
-            obstacles=command.obstacles,
-            obstacle_kind="bot" if command.bots else "box",
-            random_obstacles=not command.fixed_obstacles,
-        )
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise ConfigError(f"{where} is {first['input']!r}: {first['msg']}") from None
+    return checked(
+        {
+            "track": track.name if track else command.track,
+            "kind": alone if command.kind == "auto" else command.kind,
+            "laps": command.laps,
+            "seed": command.seed,
+            "solver": command.solver,
+            "ranking": command.ranking,
+            "entries": [{"name": name} for name in command.drivers],
+            "obstacles": command.obstacles,
+            "obstacle_kind": "bot" if command.bots else "box",
+            "random_obstacles": not command.fixed_obstacles,
+        }
+    )
 
 
 def _track_file(name: str):  # noqa: ANN202

@@ -1,14 +1,18 @@
 """The data of a race: what was asked (RaceSpec), what happened (Event), how it ended (RaceResult).
 
-They cross files and the command line, so they are pydantic models: checked, and refused with a reason.
+They cross files and the command line, so they are pydantic models: checked, and refused with a
+reason.
 """
 
 from __future__ import annotations
 
-from typing import Literal
+import reprlib
+from collections.abc import Mapping
+from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from league.errors import ConfigError
 from league.sim.config import RaceKind, SolverName
 
 EventKind = Literal[
@@ -71,6 +75,24 @@ class RaceSpec(_Data):
     """Seconds frozen after a contact to blame for."""
     max_time_s: float = Field(default=0.0, ge=0, le=36_000)
     """The race is stopped after this time [s]; 0 chooses by length."""
+
+
+def checked(settings: Mapping[str, Any]) -> RaceSpec:
+    """Build a spec from settings of unknown origin; ConfigError says what is wrong with them."""
+    try:
+        return RaceSpec.model_validate(dict(settings))
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+    where = ".".join(str(part)[:40] for part in first["loc"]) or "the spec"
+    reason = first["msg"].replace("\n", " ")
+    raise ConfigError(f"{where} is {_briefly(first['input'])}: {reason[:200]}")
+
+
+def _briefly(given: object) -> str:
+    short = reprlib.Repr()
+    short.maxdict = short.maxlist = short.maxtuple = 1
+    short.maxstring = short.maxother = short.maxlong = 60
+    return short.repr(given).replace("\n", " ")
 
 
 class Event(_Data):

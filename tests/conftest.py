@@ -153,10 +153,12 @@ def touch(
     return Contacts(cars=cars, obstacles=things, walls=torch.zeros(shape, dtype=torch.bool))
 
 
-def follow_center(observations: dict[str, torch.Tensor], speed: float = 1.5) -> torch.Tensor:
-    """Return actions that follow the centreline: a driver for tests."""
+def follow_center(
+    observations: dict[str, torch.Tensor], speed: float = 1.5, lateral: float = 0.0
+) -> torch.Tensor:
+    """Return actions that follow the centreline, or a line beside it: a driver for tests."""
     state = observations["state"]
-    error = 1.5 * state[:, INDEX["lateral"]] + 2.5 * state[:, INDEX["heading_error"]]
+    error = 1.5 * (state[:, INDEX["lateral"]] - lateral) + 2.5 * state[:, INDEX["heading_error"]]
     steering = torch.atan(0.164 * (state[:, INDEX["curvature_0.25m"]] - error)) / 0.5236
     share = torch.full_like(steering, (speed - 0.1) / 3.9 * 2 - 1)
     return torch.stack([steering.clamp(-1, 1), share], dim=1)

@@ -1,4 +1,4 @@
-"""The house keeps its plan: an arrow never points up, nothing goes in a circle, heavy neighbours stay."""
+"""The house keeps its plan: no arrow points up, no circle, heavy neighbours in their own rooms."""
 
 import ast
 import json
@@ -132,19 +132,18 @@ def test_heavy_neighbour_is_met_only_in_its_own_rooms(neighbour):
     assert {name for name in met if not f"{name}.".startswith(tuple(f"{o}." for o in own))} == set()
 
 
-@pytest.mark.parametrize("call", ["import league", "import league.envs", "league --help"])
-def test_first_steps_load_none_of_the_heavy_neighbours(call):
-    program = "import league.envs" if call == "import league.envs" else "import league"
-    if call == "league --help":
-        program = "import contextlib, io, league.cli as c\n"
-        program += (
-            "with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):\n"
-        )
-        program += " c.main(['--help'])"
+HELP = """
+import contextlib, io, league.cli
+with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
+    league.cli.main(["--help"])
+"""
+
+
+@pytest.mark.parametrize("program", ["import league", HELP], ids=["import", "help"])
+def test_first_steps_load_none_of_the_heavy_neighbours(program):
     program += "\nimport json, sys; print(json.dumps(sorted(sys.modules)))"
-    ran = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
+    command = [sys.executable, "-c", program]
+    ran = subprocess.run(command, capture_output=True, text=True, check=True)
     assert set(json.loads(ran.stdout)) & set(LOADED_LATE) == set()
 
 

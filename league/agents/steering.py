@@ -26,6 +26,8 @@ STEPS = 14
 """Control steps of curvature that are looked ahead."""
 SLOWEST, SPEED_STEP = 0.3, 0.1
 """Speeds of the gain tables [m/s]: from SLOWEST on, SPEED_STEP apart."""
+FAST = 3.5
+"""Speed from which on the price of steering changes is whole [m/s]."""
 STIFFNESS_SHARE = 0.5
 """Tyres near their limit give less for more slip: part of the stiffness counted on."""
 
@@ -105,7 +107,8 @@ def _gains(car: CarConfig, speed: float, weights: Weights) -> np.ndarray:
     course = np.array([[0.0, 1.0, 1.0 / speed, 0.0, 0.0]])
     q = weights.course * course.T @ course
     q[0, 0] += weights.lateral
-    r = np.array([[weights.change]])
+    # Turning takes more steering at low speed: let it cost less there.
+    r = np.array([[weights.change * min(1.0, speed / FAST) ** 2]])
     p = q.copy()
     for _ in range(400):  # Riccati recursion: plain, and the same bits every time
         gain = np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)

@@ -59,5 +59,5 @@ def told(groups: Mapping[str, Tensor], space: Dict) -> dict[str, np.ndarray]:
 
 
 def _lidar(lidar: LidarConfig) -> Box:
-    farthest = lidar.max_range if lidar.form == "ranges" else 1.0
-    return Box(0.0, farthest, (lidar.size,), np.float32)
+    nearest, farthest = (lidar.min_range, lidar.max_range) if lidar.form == "ranges" else (0, 1)
+    return Box(nearest, farthest, (lidar.size,), np.float32)

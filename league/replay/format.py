@@ -21,7 +21,7 @@ from league.replay.columns import (
     from_whole,
     to_whole,
 )
-from league.replay.recording import PARAMETERS, Replay
+from league.replay.replay import PARAMETERS, Replay
 from league.sim.config import MAX_CARS
 from league.track import files
 from league.track.course import Track
@@ -175,6 +175,8 @@ def _split(content: bytes) -> tuple[bytes, bytes]:
         raise ReplayError(
             f"is larger than {MAX_FILE >> 20} MiB, as no replay is: give another file"
         )
+    if not content:
+        raise ReplayError("is empty: copy the whole file again")
     if not content.startswith(MAGIC):
         if len(content) < len(MAGIC) and MAGIC.startswith(content):
             raise ReplayError("ends after a few bytes: copy the whole file again")

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from league.race_spec import Event
-from league.replay.recording import Replay
+from league.replay.replay import Replay
 
 PACK = 3.0
 """Cars this close behind the leader [m] are kept in the chase camera's picture."""

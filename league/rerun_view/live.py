@@ -17,7 +17,7 @@ import rerun as rr
 from league import web_viewer
 from league.errors import ReplayError
 from league.race_spec import RaceSpec
-from league.replay.recording import JUMP
+from league.replay.replay import JUMP
 from league.replay.story import PACK
 from league.rerun_view import blueprint, paths, poses, record, shapes
 from league.sim.camera.scene import BOT_COLOUR, BOX_COLOUR, CAR, CAR_COLOURS, WHEEL_RADIUS

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import io
 import math
 import os
 import tempfile
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -15,23 +13,14 @@ import rerun as rr
 
 from league.errors import ReplayError
 from league.replay import Replay, story
-from league.replay.recording import JUMP
+from league.replay.replay import JUMP
 from league.rerun_view import blueprint, paths, poses, shapes
+from league.rerun_view.senses import EYE_CAMERA, send_eyes, send_lidar, times_of
 from league.rerun_view.shapes import Mesh
-from league.sim import lidar
 from league.sim.camera.scene import BOT_COLOUR, BOX_COLOUR, CAR, CAR_COLOURS
-from league.sim.config import CameraConfig, LidarConfig, ObstacleConfig, SimConfig
+from league.sim.config import ObstacleConfig
 from league.track.course import Track
-from league.video.mp4 import Coding, Mp4
 
-EYE_CAMERA = CameraConfig(width=320, height=240, colour=True)
-"""How the cars' eyes are shown, whatever their drivers were given."""
-EYE_CODING = Coding(crf=29, preset="ultrafast", keyframe_s=2.0)
-BATCH = 16
-"""Frames rendered at a time; few, so that they stay in the cache."""
-LIDAR_BATCH = 1024
-LIDAR_EVERY = 2
-"""One scan for so many frames (7.5 Hz of 15; the sensor's own clock is 10 Hz)."""
 WALL_OPACITY = 0.3
 SHADOW_OPACITY = 0.45
 FROZEN_OPACITY = 0.35
@@ -71,10 +60,10 @@ def build(
         static=True,
     )
     told("lidar")
-    _send_lidar(recording, replay)
+    send_lidar(recording, replay)
     if cameras:
         told("cameras")
-        _send_eyes(recording, replay)
+        send_eyes(recording, replay)
 
 
 def save(
@@ -197,16 +186,12 @@ def send_obstacles(recording: rr.RecordingStream, replay: Replay) -> None:
             recording.log(path, rr.Transform3D(translation=places[0], quaternion=turn), static=True)
         else:
             recording.send_columns(
-                path, _times(replay), rr.Transform3D.columns(translation=places, quaternion=turns)
+                path, times_of(replay), rr.Transform3D.columns(translation=places, quaternion=turns)
             )
 
 
-def _times(replay: Replay, every: int = 1) -> list[rr.TimeColumn]:
-    return [rr.TimeColumn(paths.TIMELINE, duration=replay.times_s[::every])]
-
-
 def _send_motion(recording: rr.RecordingStream, replay: Replay) -> None:
-    columns, times = replay.columns, _times(replay)
+    columns, times = replay.columns, times_of(replay)
     spin = poses.wheel_spin(replay)
     for slot in range(replay.num_cars):
         places = poses.places(columns.x[:, slot], columns.y[:, slot])
@@ -267,7 +252,7 @@ def _send_trail(
         static=True,
     )
     recording.send_columns(
-        paths.trail(slot), _times(replay), rr.LineStrips3D.columns(strips=list(strips))
+        paths.trail(slot), times_of(replay), rr.LineStrips3D.columns(strips=list(strips))
     )
 
 
@@ -280,7 +265,7 @@ def _send_charts(recording: rr.RecordingStream, replay: Replay) -> None:
     for path, values in charts.items():
         batch = rr.Scalars.columns(scalars=values.astype(np.float32).reshape(-1))
         recording.send_columns(
-            path, _times(replay), batch.partition([replay.num_cars] * replay.num_frames)
+            path, times_of(replay), batch.partition([replay.num_cars] * replay.num_frames)
         )
 
 
@@ -325,85 +310,3 @@ def classification(replay: Replay) -> str:
 def plain(name: str) -> str:
     """Return a name that cannot break the table."""
     return "".join("\\" + letter if letter in "\\|*_`[]<>#" else letter for letter in name)
-
-
-def _send_lidar(recording: rr.RecordingStream, replay: Replay) -> None:
-    cfg = LidarConfig(noise=0.0)
-    sim = _sim(replay)
-    times = replay.times_s[::LIDAR_EVERY]
-    angles = np.array(lidar.beam_angles(cfg), dtype=np.float32)
-    for slot in range(replay.num_cars):
-        ranges = []
-        for start in range(0, len(times), LIDAR_BATCH):
-            world = replay.at(times[start : start + LIDAR_BATCH])
-            ranges.append(lidar.scan(replay.tracks, sim, cfg, world, slot).numpy())
-        found = np.concatenate(ranges)  # (num_scans, beams)
-        hit = found < cfg.max_range
-        points = np.stack(
-            [
-                cfg.forward + found * np.cos(angles),
-                found * np.sin(angles),
-                np.full_like(found, cfg.up),
-            ],
-            axis=-1,
-        )[hit]
-        recording.log(
-            paths.lidar(slot),
-            rr.Points3D.from_fields(colors=[_bright(CAR_COLOURS[slot])], radii=[0.009]),
-            static=True,
-        )
-        recording.send_columns(
-            paths.lidar(slot),
-            _times(replay, LIDAR_EVERY),
-            rr.Points3D.columns(positions=points.astype(np.float32)).partition(hit.sum(axis=1)),
-        )
-
-
-def _bright(colour: tuple[int, int, int]) -> tuple[int, ...]:
-    return tuple((part + 255) // 2 for part in colour)
-
-
-def _sim(replay: Replay) -> SimConfig:
-    spec = replay.spec
-    return SimConfig(
-        kind=spec.kind,
-        num_cars=replay.num_cars,
-        obstacles=ObstacleConfig(
-            count=replay.columns.num_obstacles if spec.kind == "obstacle_avoidance" else 6,
-            kind=spec.obstacle_kind,
-        ),
-    )
-
-
-def _send_eyes(recording: rr.RecordingStream, replay: Replay) -> None:
-    with ThreadPoolExecutor(max_workers=2) as pool:
-        films = list(pool.map(lambda slot: _film(replay, slot), range(replay.num_cars)))
-    for slot, pair in enumerate(films):
-        for side, content in zip(paths.EYES, pair, strict=True):
-            video = rr.AssetVideo(contents=content, media_type="video/mp4")
-            recording.log(paths.eye(slot, side), video, static=True)
-            stamps = video.read_frame_timestamps_nanos()
-            recording.send_columns(
-                paths.eye(slot, side),
-                _times(replay),
-                rr.VideoFrameReference.columns_nanos(stamps),
-            )
-
-
-def _film(replay: Replay, slot: int) -> tuple[bytes, bytes]:
-    """Return what a car's left and right eye saw, as two MP4 files."""
-    from league.sim.camera.cv import CvRenderer
-
-    renderer = CvRenderer(replay.tracks, _sim(replay), EYE_CAMERA)
-    films = (io.BytesIO(), io.BytesIO())
-    with (
-        Mp4(films[0], replay.step_hz, EYE_CODING) as left,
-        Mp4(films[1], replay.step_hz, EYE_CODING) as right,
-    ):
-        for start in range(0, replay.num_frames, BATCH):
-            world = replay.at(replay.times_s[start : start + BATCH])
-            pictures = renderer.render(world, slot).numpy().transpose(0, 2, 3, 1)
-            for picture in pictures:  # (height, width, 6)
-                left.add(np.ascontiguousarray(picture[..., :3]))
-                right.add(np.ascontiguousarray(picture[..., 3:]))
-    return films[0].getvalue(), films[1].getvalue()

@@ -96,8 +96,8 @@ class Vehicle:
         """Return what acts on the cars for one physics step."""
         cfg, arm = self.cfg, self.cfg.wheelbase / 2
         steering = self._steer(motion.steering, steering_target)
-        cos, sin = torch.cos(motion.yaw), torch.sin(motion.yaw)
-        cos_wheel, sin_wheel = torch.cos(steering), torch.sin(steering)
+        angles = torch.stack((motion.yaw, steering))
+        (cos, cos_wheel), (sin, sin_wheel) = torch.cos(angles).unbind(), torch.sin(angles).unbind()
         ahead = cos * motion.velocity_x + sin * motion.velocity_y
         left = cos * motion.velocity_y - sin * motion.velocity_x
         swing = motion.yaw_rate * arm
@@ -135,12 +135,14 @@ class Vehicle:
         # Brakes act against rolling ahead only, and at most stop it.
         stop = torch.clamp_min(rolling, 0.0) * self.cap
         drive = torch.maximum(drive, -torch.minimum(most, stop))
-        lateral_grip = torch.sqrt(grip * grip - drive * drive)
+        # What the drive leaves of the friction circle; rsqrt, unlike sqrt, wakes no second thread.
+        rest = grip * grip - drive * drive
+        ease = torch.rsqrt(rest)
         # Brush tyre: F = grip (3 z - 3 z |z| + z^3), z = stiffness load slip / (3 grip), |z| <= 1.
         slip = sliding / torch.clamp_min(rolling.abs(), SLIP_FLOOR)
-        z = torch.clamp(slip * grip * self.slope / lateral_grip, -1.0, 1.0)
+        z = torch.clamp(slip * grip * self.slope * ease, -1.0, 1.0)
         size = z.abs()
-        force = lateral_grip * z * (size * (size - 3.0) + 3.0)
+        force = rest * ease * z * (size * (size - 3.0) + 3.0)
         most = sliding.abs() * self.cap
         return drive, torch.clamp(-force, -most, most)
 

@@ -1,8 +1,8 @@
-"""Track, one fixed course, and TrackSet, many of them as padded tables that a batch of worlds reads.
+"""Track, one fixed course, and TrackSet, many of them as padded tables for a batch of worlds.
 
-Frames: world x, y [m]; s [m] runs along the centreline in driving order from the start line; lateral
-[m] is positive to the driver's left. The centreline is resampled at a uniform spacing of about
-5 cm, so a point's neighbours are found by dividing s.
+Frames: world x, y [m]; s [m] runs along the centreline in driving order from the start line;
+lateral [m] is positive to the driver's left. The centreline is resampled at a uniform spacing of
+about 5 cm, so a point's neighbours are found by dividing s.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class Track:
     title: str
     """What a person calls it."""
     center: np.ndarray
-    """Centreline [m], shape (N, 2) float64, uniform spacing, driving order, row 0 on the start line.
-    A closed track does not repeat row 0."""
+    """Centreline [m], shape (N, 2) float64, uniform spacing, driving order, row 0 on the start
+    line. A closed track does not repeat row 0."""
     left: np.ndarray
     """Border on the driver's left [m], shape (N, 2): where the centreline's normal meets it."""
     right: np.ndarray
@@ -148,8 +148,8 @@ class TrackSet:
 
     tracks: tuple[Track, ...]
     rows: Tensor
-    """For each centre point its x, y [m], cosine and sine of the heading, curvature [1/m], distance to
-    the left and right border [m], and then the same of the next point less this one's; shape
+    """For each centre point its x, y [m], cosine and sine of the heading, curvature [1/m], distance
+    to the left and right border [m], and then the same of the next point less this one's; shape
     (num_tracks * num_points, 14): one look-up brings all that is needed to interpolate."""
     num_points: int
     """Rows of each track, padded."""

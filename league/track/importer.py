@@ -237,8 +237,7 @@ def _thinned_curve(center: np.ndarray, closed: bool) -> np.ndarray:
     while not keep.all():
         knots = np.flatnonzero(keep)
         if len(knots) >= 4:
-            dense = spline.resample(center[knots], closed=closed, spacing=0.005)
-            off = KDTree(dense).query(center)[0]
+            off = _off_curve(center, center[knots], closed)
             if off.max() <= _CENTER_ERROR:
                 break
         else:
@@ -252,6 +251,14 @@ def _thinned_curve(center: np.ndarray, closed: bool) -> np.ndarray:
         if len(knots) == keep.sum():
             break
     return center[keep]
+
+
+def _off_curve(rows: np.ndarray, knots: np.ndarray, closed: bool) -> np.ndarray:
+    """Return each row's distance from the smooth curve through the knots [m]."""
+    curve = spline.resample(knots, closed=closed, spacing=0.02)
+    nearest = KDTree(curve).query(rows)[1]
+    normal = spline.left_normal(curve, closed=closed)[nearest]
+    return np.abs(((rows - curve[nearest]) * normal).sum(axis=1))
 
 
 def _usual_width(

@@ -209,9 +209,10 @@ _LENGTHS = {
 
 
 def _family(place: tuple[int | str, ...]) -> str:
-    if place[0] == "start" or (len(place) > 1 and isinstance(place[1], int)):
+    first, *rest = place
+    if first == "start" or (rest and isinstance(rest[0], int)):
         return "point"
-    return str(place[0])
+    return str(first)
 
 
 def _path(place: tuple[int | str, ...]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from torch import Tensor
 from league.errors import ReplayError
 from league.replay import Replay, story
 from league.sim.camera.cv import CvRenderer
-from league.sim.config import CameraConfig, ObstacleConfig, SimConfig
+from league.sim.config import CameraConfig
 from league.sim.world import World
 from league.video.hud import Hud
 from league.video.mp4 import Coding, Mp4
@@ -62,7 +63,7 @@ class Film:
             up=ABOVE,
             pitch=TILT,
         )
-        self._renderer = CvRenderer(replay.tracks, _settings(replay), camera)
+        self._renderer = CvRenderer(replay.tracks, replay.sim, camera)
         self._hud = Hud(replay, width, height)
         self._path = story.chase_path(replay)
 
@@ -118,13 +119,16 @@ def render(
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:80]}.")
         os.close(handle)
-        with Mp4(temporary, fps, CODING) as video:
+        # While one batch is compressed, the next is drawn.
+        with Mp4(temporary, fps, CODING) as video, ThreadPoolExecutor(max_workers=1) as pool:
+            written = pool.submit(video.add_all, [])
             for start in range(0, count, BATCH):
-                times_s = np.arange(start, min(start + BATCH, count)) / fps
-                for picture in film.pictures(times_s):
-                    video.add(picture)
+                pictures = film.pictures(np.arange(start, min(start + BATCH, count)) / fps)
+                written.result()
+                written = pool.submit(video.add_all, pictures)
                 if progress is not None:
                     progress(min(1.0, (start + BATCH) / count))
+            written.result()
         os.chmod(temporary, 0o644)
         os.replace(temporary, path)
     except (OSError, FFmpegError) as error:
@@ -141,16 +145,6 @@ def render(
 def still(replay: Replay, time_s: float, *, size: tuple[int, int] = SIZE) -> np.ndarray:
     """Return the picture of one moment, RGB uint8, (height, width, 3)."""
     return Film(replay, size).pictures(np.array([time_s]))[0]
-
-
-def _settings(replay: Replay) -> SimConfig:
-    spec = replay.spec
-    count = replay.columns.num_obstacles if spec.kind == "obstacle_avoidance" else 6
-    return SimConfig(
-        kind=spec.kind,
-        num_cars=replay.num_cars,
-        obstacles=ObstacleConfig(count=count, kind=spec.obstacle_kind),
-    )
 
 
 def _with_eye(world: World, x: np.ndarray, y: np.ndarray, yaw: np.ndarray) -> World:

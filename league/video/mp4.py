@@ -59,6 +59,11 @@ class Mp4:
             self._container.mux(packet)
         self.count += 1
 
+    def add_all(self, pictures: list[np.ndarray]) -> None:
+        """Append pictures in their order."""
+        for picture in pictures:
+            self.add(picture)
+
     def close(self) -> None:
         """Write what is still held and the index."""
         try:

@@ -226,7 +226,7 @@ class RestartsAll(RacingVecEnv):
     """Restarts every row when one has ended."""
 
     def step(self, actions):
-        obs, rewards, dones, extras = super().step(actions)
+        _, rewards, dones, extras = super().step(actions)
         if dones.any():
             self.race_env.reset(seed=1)
             self._told = self.race_env.step(self.race_env.last_action).observations

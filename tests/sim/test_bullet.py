@@ -64,6 +64,20 @@ def test_nothing_of_the_past_remains_after_a_reset():
         assert_same_bits(one.contacts, two.contacts)
 
 
+def test_reset_in_the_middle_of_a_contact_is_as_good_as_a_new_solver():
+    sim = open_floor.settings(2)
+    now = open_floor.world(sim, y=[0.0, 0.2], velocity_x=[2.0, 2.0])
+    asked = open_floor.control(now, [0.2, -0.25], [2.0, 2.5])
+    physics = open_floor.make("bullet", sim)
+    outcomes = open_floor.drive(physics, now, asked, 10)
+    assert outcomes[-1].contacts.cars.any()
+    rubbing = replace(now, motion=outcomes[-1].motion)
+    physics.reset([0])
+    got = open_floor.drive(physics, rubbing, asked, 3)[-1].motion
+    expected = open_floor.drive(open_floor.make("bullet", sim), rubbing, asked, 3)[-1].motion
+    assert_same_bits(got, expected)
+
+
 def test_reset_of_one_world_leaves_the_others_alone():
     sim, now, asked = crashing(2)
     physics, untouched = open_floor.make("bullet", sim, 2), open_floor.make("bullet", sim, 2)

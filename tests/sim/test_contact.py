@@ -121,6 +121,13 @@ def test_boxes_put_into_each_other_come_apart_without_speed():
     assert not last.velocity_y.any()
 
 
+def test_car_pressed_against_a_wall_by_another_stands():
+    wall = open_floor.WALL - 0.162
+    last = crash(0.0, 0.0, steps=1, x=[wall - 0.3255, wall - 0.0005], velocity_x=[1.0, 0.2])
+    # The pair is worked three times, the wall after it each time: 0.6, 0.3, 0.15 m/s are left.
+    assert last.velocity_x.tolist()[0] == pytest.approx([0.15, 0.0], abs=1e-3)
+
+
 def test_far_cars_are_no_pairs():
     sim = open_floor.settings(3)
     now = open_floor.world(sim, x=[0.0, 1.5, 3.0])

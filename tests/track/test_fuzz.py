@@ -8,7 +8,7 @@ from league.track import check, files, importer
 from league.track.course import Track
 
 TEXTS = 5000
-ARRAYS = 1500
+ARRAYS = 1000
 
 _WORDS = (
     *("nan", ".nan", ".inf", "-.inf", "1e400", "0", "-1", "1e-9", "99999", "true", "null", "~", ""),

@@ -21,8 +21,10 @@ def test_generated_tracks_are_sound_and_as_asked():
 
 
 def test_stretches_of_a_generated_track_keep_clear_of_each_other():
-    for track in _drawn(30):
-        pairs = KDTree(track.center).query_pairs(track.width + 0.05, output_type="ndarray")
+    # Overlaps are rare enough that seeds matter: without the check, seed 70 comes too near.
+    for seed in range(60, 80):
+        track = generate.generate(seed, width=(1.0, 1.1))
+        pairs = KDTree(track.center).query_pairs(track.width + 0.08, output_type="ndarray")
         apart = pairs[:, 1] - pairs[:, 0]
         apart = np.minimum(apart, len(track.center) - apart) * 0.05
         # Points of two roads nearer than a width belong to one bend.

@@ -16,8 +16,8 @@ from league.sim.camera.scene import (
     RUBBER,
     SUN,
     Colour,
+    far_from,
     in_light,
-    is_far,
     lit,
     luma,
 )
@@ -48,6 +48,8 @@ class _Figure(NamedTuple):
     """Which quads each eye sees."""
     colours: list[Colour | None]
     """Lit colour of each quad, found when it is first filled."""
+    rims: dict[tuple[bool, int], Colour]
+    """Lit colour of the wheels' caps, by whether they are steered and by side."""
 
 
 class Figures:
@@ -55,6 +57,7 @@ class Figures:
 
     def __init__(self, lens: Lens, gray: bool) -> None:
         self._lens, self._gray = lens, gray
+        self._far = far_from(lens.focal)
         self._scale = UNIT * lens.focal
         self._cx, self._cy = UNIT * lens.cx, UNIT * lens.cy
         self._rubber: Colour = luma(RUBBER) if gray else RUBBER
@@ -69,13 +72,13 @@ class Figures:
             foot: where it stands, as the camera sees it.
         """
         model = thing.model
-        if model is CAR and is_far(self._lens.focal, math.hypot(foot.x, foot.y)):
+        if model is CAR and math.hypot(foot.x, foot.y) > self._far:
             model = FAR_CAR
         shape = SHAPES[model]
         points = self._matrix(pose, thing, foot, shape.steered) @ shape.basis
         eyes = self._eyes(pose, thing, foot)
         visible = (np.array(eyes) @ shape.planes > 0).tolist()
-        figure = _Figure(thing, shape, points, eyes, visible, [None] * len(shape.normals))
+        figure = _Figure(thing, shape, points, eyes, visible, [None] * len(shape.normals), {})
         if foot.x * pose.pitch_cos > REACH + NEAR or points[-1].min() >= NEAR:
             self._fill(images, figure)
         else:
@@ -161,7 +164,7 @@ class Figures:
                 if side:
                     half = len(ring) // 2
                     cap = ring[:half] if side > 0 else ring[half:]
-                    fill(image, cap, self._rim(part, figure.thing, side), 8, SHIFT)
+                    fill(image, cap, self._rim(figure, part, side), 8, SHIFT)
 
     def _fill_cut(self, images: list[np.ndarray], figure: _Figure) -> None:
         """Fill a thing of which a part lies behind the camera: cut each face, then fill it."""
@@ -180,17 +183,22 @@ class Figures:
                     _fill_polygon(image, cv2.convexHull(outline), self._rubber)
                 side = part.side_of(eye, figure.thing.steering)
                 if side:
-                    rim = self._rim(part, figure.thing, side)
+                    rim = self._rim(figure, part, side)
                     _fill_polygon(image, _pixels(cuts[-2 if side > 0 else -1], index), rim)
 
-    def _rim(self, wheel: Wheel, thing: Thing, side: int) -> Colour:
-        steering = thing.steering if wheel.steered else 0.0
-        # The wheel's left is (-sin, cos) of its heading.
-        cos, sin = math.cos(steering), math.sin(steering)
-        wheel_cos = thing.cos * cos - thing.sin * sin
-        wheel_sin = thing.sin * cos + thing.cos * sin
-        facing = side * (SUN[1] * wheel_cos - SUN[0] * wheel_sin)
-        return in_light(lit(RIM, self._gray), facing)
+    def _rim(self, figure: _Figure, wheel: Wheel, side: int) -> Colour:
+        known = figure.rims.get((wheel.steered, side))
+        if known is None:
+            thing = figure.thing
+            steering = thing.steering if wheel.steered else 0.0
+            # The wheel's left is (-sin, cos) of its heading.
+            cos, sin = math.cos(steering), math.sin(steering)
+            wheel_cos = thing.cos * cos - thing.sin * sin
+            wheel_sin = thing.sin * cos + thing.cos * sin
+            facing = side * (SUN[1] * wheel_cos - SUN[0] * wheel_sin)
+            known = in_light(lit(RIM, self._gray), facing)
+            figure.rims[wheel.steered, side] = known
+        return known
 
 
 def cut(polygon: Sequence[Sequence[float]], near: float = NEAR) -> list[list[float]]:

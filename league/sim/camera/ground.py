@@ -1,4 +1,4 @@
-"""The floor of a track as textures of falling resolution, and which rows of a picture read which."""
+"""The floor of a track as textures of falling resolution, and which rows of a picture read them."""
 
 import math
 from dataclasses import dataclass
@@ -113,7 +113,7 @@ def bands(lens: Lens, height: float, pitch: float, finest: float) -> tuple[Band,
     starts, stops = [0, *edges], [*edges, lens.height]
     found = [Band(a, b, levels[a]) for a, b in zip(starts, stops, strict=True)]
     horizon = int(min(max(lens.horizon(pitch), 0), lens.height))
-    limit = max(2, lens.height // 40)
+    limit = max(2, lens.height // 80)
     while len(found) > limit:
         seen = [min(band.stop - horizon, band.stop - band.start) for band in found]
         thin = seen.index(min(seen[:-1]))
@@ -127,14 +127,17 @@ def bands(lens: Lens, height: float, pitch: float, finest: float) -> tuple[Band,
 def _paint(track: Track, metres_per_pixel: float, colour: bool) -> Ground:
     floor = paint.floor(track, metres_per_pixel, colour=colour)
     image = np.ascontiguousarray(floor.image)
-    # Made even for all halvings, so that every level starts at the same corner.
-    step = 2 ** (LEVELS - 1)
-    below, beside = -image.shape[0] % step, -image.shape[1] % step
-    image = cv2.copyMakeBorder(image, 0, below, 0, beside, cv2.BORDER_REPLICATE)
+    # A rim of the floor's own colours, so that no texel mixes with what lies outside; and a size
+    # that halves evenly, so that every level starts at the same corner.
+    rim = 2**LEVELS
+    above, beside = rim + -image.shape[0] % rim, rim + -image.shape[1] % rim
+    image = cv2.copyMakeBorder(image, rim, above, rim, beside, cv2.BORDER_REPLICATE)
+    origin_x = floor.origin_x - rim * metres_per_pixel
+    origin_y = floor.origin_y - rim * metres_per_pixel
     levels = []
     for level in range(LEVELS):
         size = metres_per_pixel * 2**level
-        levels.append(Level(image, floor.origin_x, floor.origin_y, size))
+        levels.append(Level(image, origin_x, origin_y, size))
         half = (max(image.shape[1] // 2, 1), max(image.shape[0] // 2, 1))
         image = cv2.resize(image, half, interpolation=cv2.INTER_AREA)
     light = lit(track.colours.wall, not colour)

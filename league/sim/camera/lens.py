@@ -6,6 +6,7 @@ seen in one pixel row lie at the same depth. Pixel (0, 0) has its centre at (0, 
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 from league.sim.config import CameraConfig
@@ -35,12 +36,12 @@ class Lens:
         focal = cfg.width / 2 / math.tan(cfg.field_of_view / 2)
         return cls(cfg.width, cfg.height, focal, eyes)
 
-    @property
+    @cached_property
     def cx(self) -> float:
         """Column of the optical axis [px]."""
         return (self.width - 1) / 2
 
-    @property
+    @cached_property
     def cy(self) -> float:
         """Row of the optical axis [px]."""
         return (self.height - 1) / 2

@@ -65,7 +65,8 @@ class Painter:
         self._floor(images, pose, floor, top)
         self._walls(images, pose, ground, corners)
         seen = self._in_view(pose, things)
-        for index in far_to_near([one.foot for one in seen]):
+        order = far_to_near([one.foot for one in seen]) if len(seen) > 1 else range(len(seen))
+        for index in order:
             self._figures.draw(images, pose, seen[index].thing, seen[index].foot)
 
     # The floor -----------------------------------------------------------------------------
@@ -124,7 +125,7 @@ class Painter:
         for matrix, (texture, rows, size) in zip(
             np.array(flat).reshape(-1, 3, 3), jobs, strict=True
         ):
-            cv2.warpPerspective(texture, matrix, size, rows, _WARP, cv2.BORDER_REPLICATE)
+            cv2.warpPerspective(texture, matrix, size, rows, _WARP)
 
     # The walls -----------------------------------------------------------------------------
 
@@ -156,10 +157,10 @@ class Painter:
     def _project(self, points: list[tuple[float, float, float]]) -> np.ndarray:
         """Return camera points as (num_eyes, num_points, 2) in units of 1/16 pixel."""
         scale, cx, cy = self._scale, self._cx, self._cy
+        seen = [(x, scale / z, y) for x, y, z in points]
         flat = []
         for eye in self._lens.eyes:
-            for x, y, z in points:
-                part = scale / z
+            for x, part, y in seen:
                 flat += (cx + (x + eye) * part, cy + y * part)
         return np.rint(np.array(flat)).astype(np.int32).reshape(-1, len(points), 2)
 

@@ -27,7 +27,10 @@ _PIXELS_AT_ONCE = {"cpu": 1 << 20, "cuda": 1 << 25}
 
 @dataclass(frozen=True)
 class _Rays:
-    """Where each pixel looks from and to, in the frame of the camera's yaw; depth grows by 1 with t."""
+    """Where each pixel looks from and to, in the frame of the camera's yaw; z [m] is up.
+
+    Ways are as long as the depth grows by 1.
+    """
 
     x: Tensor
     y: Tensor
@@ -139,7 +142,7 @@ class RayRenderer:
             body = self._body(poses, slot)
             if body.model is scene.CAR:
                 distance = torch.sqrt(body.x * body.x + body.y * body.y)
-                is_far = scene.is_far(self._lens.focal, distance)
+                is_far = distance > scene.far_from(self._lens.focal)
                 for model, mask in ((scene.CAR, ~is_far), (scene.FAR_CAR, is_far)):
                     depth, pictures = self._meet(
                         rays, replace(body, model=model), mask, depth, pictures

@@ -1,4 +1,4 @@
-"""What stands on the floor: shapes of cars, boxes and walls, their paint, and how the sun lights it.
+"""What stands on the floor: shapes of cars, boxes and walls, their paint, and how the sun shines.
 
 Shapes are convex solids in their own frame: x ahead, y left, z up [m], origin on the floor below
 the middle of the body. Both renderers draw these same solids, so they can be held against each
@@ -8,7 +8,6 @@ other. All lengths in metres, all colours sRGB 0-255.
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -105,7 +104,7 @@ _HEXAHEDRON = (
 
 
 def _hexahedron(planes: dict[str, tuple[float, float, float, float]], paints: tuple) -> Solid:
-    """Return the solid between six planes n . p = d; faces front, back, left, right, top, bottom."""
+    """Return the solid between six planes n . p = d; faces in the order of _HEXAHEDRON."""
     corners = [
         [planes[name] for name in (end, side, level)]
         for end in ("front", "back")
@@ -119,7 +118,9 @@ def _hexahedron(planes: dict[str, tuple[float, float, float, float]], paints: tu
     return Solid(np.array(vertices), _HEXAHEDRON, paints)
 
 
-def _block(front: float, back: float, half_width: float, low: float, high: float, paints: tuple):
+def _block(
+    front: float, back: float, half_width: float, low: float, high: float, paints: tuple
+) -> Solid:
     """Return an upright box from `back` to `front` and from `low` to `high`."""
     return _hexahedron(
         {
@@ -213,13 +214,13 @@ FAR_CAR = Model((_SKIRT, SHELL, CABIN), 0.162, 0.098, 0.178)
 BOX = Model((_block(0.5, -0.5, 0.5, 0.0, 1.0, (*[BODY] * 5, HIDDEN)),), 0.5, 0.5, 1.0)
 """A box of size 1 that is stretched to its own size."""
 
-FAR_WHEEL_PIXELS = 6.0
+FAR_WHEEL_PIXELS = 9.0
 """A car is drawn as FAR_CAR where a wheel's height would be fewer pixels than this."""
 
 
-def is_far(focal: float, distance: Any) -> Any:
-    """Return whether a car at this distance [m], float or Tensor, is drawn as FAR_CAR."""
-    return focal * 2 * WHEEL_RADIUS < FAR_WHEEL_PIXELS * distance
+def far_from(focal: float) -> float:
+    """Return the distance [m] from which on a lens with this focal length [px] sees FAR_CAR."""
+    return focal * 2 * WHEEL_RADIUS / FAR_WHEEL_PIXELS
 
 
 @lru_cache(maxsize=4096)

@@ -1,0 +1,166 @@
+"""The command line as a user meets it: tables, exit codes, and one sentence for each mistake."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from league import cli
+
+SHORT = ["--laps", "1", "--solver", "planar", "--replay", "none"]
+
+
+@pytest.fixture
+def league(monkeypatch, tmp_path, capsys):
+    """Return a call of the command line in an empty folder: exit code, what it said, complaints."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "120")
+
+    def call(*arguments: str) -> tuple[int, str, str]:
+        try:
+            code = cli.main(list(arguments))
+        except SystemExit as stop:
+            code = int(stop.code or 0)
+        said = capsys.readouterr()
+        return code, said.out, said.err
+
+    return call
+
+
+def is_one_sentence(complaint: str) -> bool:
+    return (
+        complaint.startswith("league: ")
+        and complaint.count("\n") == 1
+        and complaint.endswith("\n")
+        and "Traceback" not in complaint
+        and len(complaint) < 400
+    )
+
+
+def test_race_prints_a_classification_and_succeeds(league):
+    code, out, err = league("race", "centerline", "centerline", *SHORT)
+    assert (code, err) == (0, "")
+    first, second = [line for line in out.splitlines() if "centerline" in line]
+    assert re.search(r"\b1 .*centerline.*\b0:\d\d\.\d{3}", first)
+    assert re.search(r"\b2 .*centerline.*\+\d+\.\d{3}", second)
+    assert "Lead changes: 0" in out
+
+
+def test_classification_is_readable_where_the_width_is_not_known():
+    # As in a log of CI: no terminal, 80 columns. Names and times must not be cut off.
+    command = [sys.executable, "-m", "league.cli", "race", "racing_line", "cautious", *SHORT]
+    settings = {key: value for key, value in os.environ.items() if key not in ("COLUMNS", "LINES")}
+    ran = subprocess.run(
+        command, capture_output=True, text=True, env=settings, cwd=Path(__file__).parents[1]
+    )
+    assert ran.returncode == 0
+    assert "racing_line" in ran.stdout
+    assert len(re.findall(r"\d:\d\d\.\d{3}", ran.stdout)) >= 4
+    assert "…" not in ran.stdout
+
+
+def test_json_of_a_race_is_its_result(league):
+    code, out, err = league("race", "centerline", *SHORT, "--json")
+    told = json.loads(out)
+    assert (code, err) == (0, "")
+    assert told["spec"]["kind"] == "time_trial"
+    assert told["order"][0]["name"] == "centerline"
+    assert told["order"][0]["finished"] is True
+    assert told["replay"] is None
+    assert {event["kind"] for event in told["events"]} >= {"start", "lap", "finish"}
+
+
+def test_race_leaves_a_replay_and_says_where(league, tmp_path):
+    code, out, _ = league("race", "centerline", "--laps", "1", "--solver", "planar")
+    assert code == 0
+    (left,) = (tmp_path / "replays").iterdir()
+    assert f"Replay: {left.relative_to(tmp_path)}" in out
+    code, out, _ = league("verify", str(left))
+    assert code == 0
+
+
+def test_tracks_and_drivers_are_listed(league):
+    code, out, _ = league("tracks")
+    assert code == 0
+    assert "reinvent_2018" in out
+    assert "17.71 m" in out
+    code, out, _ = league("tracks", "list", "--json")
+    assert code == 0
+    assert len(json.loads(out)) >= 12
+    code, out, _ = league("drivers")
+    assert code == 0
+    for name in ("centerline", "racing_line", "blocker", "cautious"):
+        assert name in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["race", "racing_lin"], "racing_line"),
+        (["race", "nobody"], "racing_line"),
+        (["race", "centerline", "--track", "reinvent_2081"], "reinvent_2018"),
+        (["race", "centerline", "--track", "nowhere.yaml"], "nowhere.yaml"),
+        (["race"], "league drivers"),
+        (["race", "centerline", "--kind", "head_to_head"], "2 to 8"),
+        (["race", "centerline", "cautious", "--kind", "time_trial"], "driven alone"),
+        (["race", "centerline", "blocker", "--kind", "obstacle_avoidance"], "driven alone"),
+        (["race", *["centerline"] * 9], "at most 8"),
+        (["race", "centerline", "--laps", "0"], "laps"),
+        (["race", "centerline", "--laps", "-3"], "laps"),
+        (["race", "centerline", "--laps", "100000"], "laps"),
+        (["race", "centerline", "--seed", "-1"], "seed"),
+        (["race", "centerline", "--seed", str(2**63)], "seed"),
+        (["race", "centerline", "--kind", "obstacle_avoidance", "--obstacles", "99"], "obstacles"),
+        (["race", ""], "name"),
+        (["race", "x" * 300], "name"),
+        (["tracks", "show", "peanutt"], "peanut"),
+        (["tracks", "import", "missing.npy"], "missing.npy"),
+        (["verify", "missing.race"], "missing.race"),
+        (["view", "missing.race", "--rrd", "out.rrd"], "missing.race"),
+    ],
+)
+def test_mistake_is_answered_in_one_sentence_and_code_2(league, tmp_path, arguments, named):
+    code, out, err = league(*arguments)
+    assert code == 2
+    assert out == ""
+    assert is_one_sentence(err), err
+    assert named in err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["race", "centerline", "--laps", "two"], ["race", "--solver", "mujoco"], ["fly"], []],
+)
+def test_words_the_command_line_does_not_know_are_refused_without_a_traceback(league, arguments):
+    code, out, err = league(*arguments)
+    assert code == 2
+    assert "Traceback" not in out + err
+
+
+@pytest.mark.parametrize("wish", ["file/replays", "file/one.race", "folder.race"])
+def test_replay_that_cannot_be_written_is_one_sentence_and_nothing_is_left(league, tmp_path, wish):
+    (tmp_path / "file").write_text("in the way")
+    (tmp_path / "folder.race").mkdir()
+    code, _, err = league("race", "centerline", *SHORT[:-1], wish)
+    assert code == 2
+    assert is_one_sentence(err), err
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["file", "folder.race"]
+
+
+def test_help_names_every_command(league):
+    code, out, _ = league("--help")
+    assert code == 0
+    for command in ("race", "tracks", "drivers", "view", "video", "verify"):
+        assert command in out
+
+
+def test_times_are_told_as_on_a_timing_screen():
+    assert cli.clock(0.0) == "0:00.000"
+    assert cli.clock(9.0666) == "0:09.067"
+    assert cli.clock(75.5) == "1:15.500"
+    assert cli.clock(59.9996) == "1:00.000"

@@ -1,0 +1,243 @@
+"""One race, from its spec to the classification."""
+
+import math
+from dataclasses import dataclass, field
+
+import pytest
+import torch
+from conftest import follow_center, make_ring, make_square, make_straight
+
+from league import race
+from league.errors import ConfigError, LeagueError
+from league.race_spec import CarResult, Entry, RaceResult, RaceSpec
+from league.sim.config import SensorConfig
+
+
+@dataclass
+class Follower:
+    """Follows the centreline at a speed; from some step on its answers are something else."""
+
+    name: str = "follower"
+    speed: float = 1.5
+    lateral: float = 0.0
+    answers: list = field(default_factory=list)
+    sensors: SensorConfig = field(default_factory=SensorConfig)
+    steps: int = 0
+
+    def reset(self, rows):
+        self.steps = 0
+
+    def act(self, observations):
+        self.steps += 1
+        if self.steps <= len(self.answers) and self.answers[self.steps - 1] is not None:
+            return self.answers[self.steps - 1]
+        return follow_center(observations, self.speed, self.lateral)
+
+
+def raced(*drivers, track=None, **settings) -> RaceResult:
+    entries = tuple(Entry(name=driver.name) for driver in drivers)
+    kind = "time_trial" if len(drivers) == 1 else "head_to_head"
+    spec = RaceSpec(**{"entries": entries, "kind": kind, "laps": 1, "solver": "planar"} | settings)
+    return race.run(spec, track=track or make_ring(), drivers=drivers, record=False).result
+
+
+def beside() -> tuple[Follower, Follower]:
+    """Return a slow driver and a fast one that passes it on the other lane."""
+    return Follower("slow", 1.5, lateral=-0.2), Follower("fast", 2.0, lateral=0.2)
+
+
+def kinds(result: RaceResult) -> list[str]:
+    return [event.kind for event in result.events]
+
+
+@pytest.mark.parametrize("solver", ["planar", "bullet"])
+def test_faster_driver_wins(solver):
+    result = raced(*beside(), solver=solver, laps=2)
+    first, second = result.order
+    assert (first.name, first.place, second.place) == ("fast", 1, 2)
+    assert first.finished
+    assert second.finished
+    assert len(first.lap_times_s) == first.laps == 2
+    assert math.fsum(first.lap_times_s) == pytest.approx(first.total_s, abs=1e-3)
+    assert first.best_lap_s == min(first.lap_times_s)
+    assert result.race_s == pytest.approx(result.steps / 15, abs=1e-4)
+    assert result.race_s - 1 / 15 <= second.total_s <= result.race_s
+    assert first.overtakes == 1
+    assert result.lead_changes == 1
+
+
+def test_events_tell_the_race_in_the_order_of_time():
+    result = raced(*beside(), laps=2)
+    times = [event.time_s for event in result.events]
+    assert times == sorted(times)
+    assert kinds(result)[0] == "start"
+    assert kinds(result).count("lap") == 4
+    assert kinds(result).count("finish") == 2
+    overtakes = [event for event in result.events if event.kind == "overtake"]
+    assert [(event.car, event.other) for event in overtakes] == [(1, 0)]
+    lead = next(event for event in result.events if event.kind == "lead_change")
+    assert lead.car == 1
+    for event in result.events:
+        if event.kind == "lap":
+            assert event.value in result.order[0 if event.car == 1 else 1].lap_times_s
+
+
+def test_car_off_the_track_loses_its_penalty_and_is_put_back():
+    straight_on = [torch.tensor([[0.0, 0.0]])] * 30
+    result = raced(Follower(answers=straight_on))
+    car = result.order[0]
+    assert (car.off_tracks, car.penalty_s) == (1, 2.0)
+    off, back = (
+        next(e for e in result.events if e.kind == kind) for kind in ("off_track", "put_back")
+    )
+    assert back.time_s - off.time_s == pytest.approx(2.0, abs=1e-3)
+    clean = raced(Follower()).order[0]
+    assert car.total_s > clean.total_s + 2.0
+
+
+def test_penalties_are_as_long_as_the_spec_says():
+    straight_on = [torch.tensor([[0.0, 0.0]])] * 30
+    result = raced(Follower(answers=straight_on), off_track_penalty_s=3.0)
+    assert result.order[0].penalty_s == 3.0
+    off, back = (
+        next(e for e in result.events if e.kind == kind) for kind in ("off_track", "put_back")
+    )
+    assert back.time_s - off.time_s == pytest.approx(3.0, abs=1e-3)
+
+
+def test_contacts_given_are_contacts_taken():
+    drivers = [Follower("a", 0.8), Follower("b", 1.5), Follower("c", 2.5)]
+    result = raced(*drivers, crash_penalty_s=1.0)
+    crashes = sum(kind == "crash" for kind in kinds(result))
+    assert crashes > 0
+    assert sum(car.crashes for car in result.order) == crashes
+    taken = sum(car.contacts_taken for car in result.order)
+    assert taken == kinds(result).count("contact")
+    assert 0 < taken <= crashes
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        None.__class__,
+        torch.tensor([[float("nan"), 0.0]]),
+        torch.tensor([[2.0, 0.0]]),
+        torch.zeros(2),
+        torch.zeros(1, 2, dtype=torch.bool),
+        torch.zeros(1, 2, dtype=torch.complex64),
+        "left",
+    ],
+    ids=["nothing", "nan", "range", "shape", "bool", "complex", "text"],
+)
+def test_answer_that_is_no_action_is_replaced_by_the_last_one_and_told(answer):
+    result = raced(Follower(answers=[None] * 10 + [answer] * 5))
+    assert kinds(result).count("driver_fault") == 5
+    assert result.order[0].finished
+
+
+def test_driver_that_keeps_failing_is_retired_and_the_others_race_on():
+    result = raced(Follower("broken", answers=["no"] * 100), Follower("fine"))
+    assert [car.name for car in result.order] == ["fine", "broken"]
+    assert result.order[0].finished
+    assert not result.order[1].finished
+    assert kinds(result).count("driver_fault") == race.FAULTS_TO_END
+
+
+def test_race_ends_when_all_drivers_are_retired():
+    result = raced(Follower(answers=["no"] * 100))
+    assert result.steps == race.FAULTS_TO_END
+    assert not result.order[0].finished
+
+
+def test_race_is_stopped_after_its_time_and_ranked_by_distance():
+    result = raced(Follower("slow", 0.5), Follower("fast", 2.0), laps=50, max_time_s=12.0)
+    assert result.steps == 180
+    assert [car.finished for car in result.order] == [False, False]
+    assert result.order[0].distance > result.order[1].distance
+    assert result.order[0].total_s == 12.0
+
+
+def test_open_track_is_raced_to_its_end():
+    result = raced(Follower("a"), Follower("b", 1.0), track=make_straight(), laps=3)
+    assert [car.laps for car in result.order] == [1, 1]
+    assert all(car.finished for car in result.order)
+
+
+@pytest.mark.parametrize("kind", ["box", "bot"])
+def test_obstacles_are_raced_round_or_run_into_and_the_race_goes_on(kind):
+    result = raced(
+        Follower(),
+        kind="obstacle_avoidance",
+        obstacles=3,
+        obstacle_kind=kind,
+        track=make_square(),
+        max_time_s=30.0,
+    )
+    hits = [event for event in result.events if event.kind == "obstacle_contact"]
+    assert len(hits) == result.order[0].crashes
+    assert all(event.other in (0, 1, 2) for event in hits)
+
+
+@pytest.mark.parametrize(
+    ("kind", "drivers", "said"),
+    [
+        ("head_to_head", 1, "name 2 to 8"),
+        ("time_trial", 2, "driven alone"),
+        ("obstacle_avoidance", 3, "driven alone"),
+    ],
+)
+def test_wrong_number_of_drivers_is_refused_with_a_way_out(kind, drivers, said):
+    entries = tuple(Entry(name="centerline") for _ in range(drivers))
+    with pytest.raises(ConfigError, match=said):
+        race.run(RaceSpec(kind=kind, entries=entries), track=make_ring())
+
+
+def test_drivers_and_entries_must_be_as_many():
+    spec = RaceSpec(kind="time_trial", entries=(Entry(name="a"),))
+    with pytest.raises(ConfigError, match="2 drivers for 1"):
+        race.run(spec, track=make_ring(), drivers=[Follower(), Follower()])
+
+
+@pytest.mark.parametrize("name", ["centerlin", "../../etc/passwd", "nobody.pt"])
+def test_unknown_driver_is_an_error_a_user_can_read(name):
+    spec = RaceSpec(kind="time_trial", entries=(Entry(name=name),))
+    with pytest.raises(LeagueError):
+        race.run(spec, track=make_ring())
+
+
+# The classification by hand.
+
+
+def result_of(**car) -> CarResult:
+    settings = {
+        "car": 0, "name": "x", "place": 1, "finished": True, "laps": 3, "total_s": 30.0,
+        "lap_times_s": (10.0, 10.0, 10.0), "distance": 36.0, "off_tracks": 0, "crashes": 0,
+        "contacts_taken": 0, "immobilised": 0, "reversed": 0, "penalty_s": 0.0, "overtakes": 0,
+    }  # fmt: skip
+    return CarResult(**settings | car)
+
+
+A = result_of(car=0, total_s=31.0, lap_times_s=(8.0, 11.0, 12.0))
+B = result_of(car=1, total_s=30.0, lap_times_s=(10.0, 10.0, 10.0))
+SLOW = result_of(
+    car=2, finished=False, laps=2, total_s=40.0, lap_times_s=(7.0, 33.0), distance=30.0
+)
+STUCK = result_of(car=3, finished=False, laps=0, total_s=40.0, lap_times_s=(), distance=9.0)
+
+
+@pytest.mark.parametrize(
+    ("ranking", "order"),
+    [("total", [1, 0, 2, 3]), ("best", [2, 0, 1, 3]), ("average", [1, 0, 2, 3])],
+)
+def test_ranking_by_total_best_or_average(ranking, order):
+    spec = RaceSpec(ranking=ranking, entries=(Entry(name="x"),))
+    placed = sorted([STUCK, SLOW, A, B], key=lambda car: race._merit(spec, car))
+    assert [car.car for car in placed] == order
+
+
+def test_equal_times_are_told_apart_by_mistakes_then_by_the_grid():
+    spec = RaceSpec(entries=(Entry(name="x"),))
+    clean = result_of(car=2)
+    careless, lucky = result_of(car=0, off_tracks=1), result_of(car=1)
+    placed = sorted([clean, careless, lucky], key=lambda car: race._merit(spec, car))
+    assert [car.car for car in placed] == [1, 2, 0]

@@ -1,0 +1,243 @@
+import socket
+import threading
+import urllib.error
+import urllib.request
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rerun as rr
+from recorded import by_hand, moved, raced
+from rerun.chunk import RrdReader
+
+from league import rerun_view, web_viewer
+from league.errors import ReplayError
+from league.rerun_view import paths, poses, record, shapes
+from league.sim.camera.scene import CAR
+from league.track import files
+
+
+def rows_of(path: Path) -> dict[str, int]:
+    """Return how many rows of changing data each entity of a recording has."""
+    rows: dict[str, int] = {}
+    for chunk in RrdReader(path).stream().to_chunks():
+        if not chunk.is_static:
+            assert paths.TIMELINE in chunk.timeline_names
+            name = chunk.entity_path.lstrip("/")
+            rows[name] = rows.get(name, 0) + chunk.num_rows
+    return rows
+
+
+def listening(port: int) -> list[str]:
+    """Return the local addresses, in hex, that listen on a port."""
+    found = []
+    for table in ("/proc/net/tcp", "/proc/net/tcp6"):
+        for line in Path(table).read_text().splitlines()[1:]:
+            words = line.split()
+            address, at = words[1].split(":")
+            if words[3] == "0A" and int(at, 16) == port:
+                found.append(address)
+    return found
+
+
+def get(url: str, **headers: str):
+    request = urllib.request.Request(url, headers=headers)
+    opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+    return opener.open(request, timeout=20)
+
+
+def test_a_recording_holds_every_car_on_one_timeline(tmp_path):
+    made = raced()
+    path = rerun_view.save(made, tmp_path / "a.rrd", cameras=False)
+    rows = rows_of(path)
+    frames = made.num_frames
+    for slot in range(2):
+        assert rows[paths.car(slot)] == frames
+        assert rows[paths.trail(slot)] == frames
+        assert rows[paths.lidar(slot)] == (frames + 1) // 2
+        for which in paths.WHEELS:
+            assert rows[paths.wheel(slot, which)] == frames
+    for chart in (paths.PLOT_SPEED, paths.PLOT_GAP, paths.PLOT_STEERING, paths.CHASE):
+        assert rows[chart] == frames
+    assert rows[paths.EVENTS] >= 2
+    assert [file.name for file in tmp_path.iterdir()] == ["a.rrd"]
+    reader = RrdReader(path)
+    assert len(reader.recordings()) == len(reader.blueprints()) == 1
+
+
+def test_the_eyes_are_films_with_a_picture_for_each_frame(tmp_path):
+    made = by_hand(9, lambda w, n: moved(w, x=[3.0 + 0.1 * n, 2.0]))
+    path = rerun_view.save(made, tmp_path / "a.rrd")
+    rows = rows_of(path)
+    for slot in range(2):
+        for side in paths.EYES:
+            assert rows[paths.eye(slot, side)] == 9
+
+
+def test_obstacles_that_stand_are_told_once(tmp_path):
+    made = by_hand(4, cars=1)
+    assert made.columns.num_obstacles == 3
+    rows = rows_of(rerun_view.save(made, tmp_path / "a.rrd", cameras=False))
+    assert not [name for name in rows if name.startswith(paths.OBSTACLES)]
+
+
+def test_a_recording_that_cannot_be_written_leaves_nothing(tmp_path):
+    (tmp_path / "taken").mkdir()
+    with pytest.raises(ReplayError, match="cannot be written"):
+        rerun_view.save(by_hand(2), tmp_path / "taken", cameras=False)
+    assert [file.name for file in tmp_path.iterdir()] == ["taken"]
+
+
+def test_names_cannot_break_the_classification():
+    made = raced()
+    order = tuple(car.model_copy(update={"name": "a|b\n# c"}) for car in made.result.order)
+    from dataclasses import replace
+
+    told = record.classification(
+        replace(made, result=made.result.model_copy(update={"order": order}))
+    )
+    rows = [line for line in told.splitlines() if line.startswith("| **")]
+    assert len(rows) == 2
+    assert all("a\\|b \\# c" in row for row in rows)
+
+
+# Shapes and poses.
+
+
+def test_the_road_is_as_large_as_its_length_times_its_width():
+    track = files.load("reinvent_2018")
+    mesh = shapes.floor(track)
+    colour = np.array([*track.colours.road, 255])
+    road = mesh.triangles[(mesh.colours[mesh.triangles[:, 0]] == colour).all(axis=1)]
+    a, b, c = (mesh.vertices[road[:, corner], :2] for corner in range(3))
+    area = np.abs(np.cross(b - a, c - a)).sum() / 2 if False else _area(a, b, c)
+    # Lines of 76 mm inside the border on both sides leave 0.762 - 0.152 m of road.
+    assert area == pytest.approx(track.length * (0.762 - 2 * 0.076), rel=0.02)
+
+
+def _area(a, b, c):
+    u, v = b - a, c - a
+    return np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum() / 2
+
+
+def test_normals_of_a_car_point_outward():
+    mesh = shapes.car_body(CAR, (200, 0, 0))
+    top = mesh.vertices[:, 2] > 0.177
+    assert mesh.normals[top & (np.abs(mesh.normals[:, 2]) > 0.9), 2].min() > 0.9
+    assert np.linalg.norm(mesh.normals, axis=1) == pytest.approx(1.0)
+    assert mesh.triangles.max() < len(mesh.vertices)
+
+
+def test_wheels_roll_as_far_as_the_car_drives():
+    # 1.5 m/s for 10 steps of 1/15 s is 1 m; over a radius of 36 mm that is 27.8 rad.
+    made = by_hand(11, lambda w, _: moved(w, velocity_x=[1.5, 0.0], yaw=[0.0, 0.0]))
+    assert poses.wheel_spin(made)[-1] == pytest.approx([1 / 0.036, 0.0])
+
+
+def test_a_wheel_is_turned_then_rolled_about_its_own_axle():
+    x, y, z, w = poses.steered_and_spun(np.array(np.pi / 2), np.array(np.pi / 2))
+    # Its axle (y in its own frame) points along -x after a quarter turn to the left.
+    turned = np.array([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)])
+    assert turned == pytest.approx([-1.0, 0.0, 0.0], abs=1e-12)
+
+
+# Serving.
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    path = tmp_path_factory.mktemp("served") / "a.rrd"
+    rerun_view.save(by_hand(3), path, cameras=False)
+    with web_viewer.serve(path) as running:
+        yield running
+
+
+def test_the_viewer_and_the_race_come_from_one_origin(server):
+    page = get(server.origin + "/").read().decode()
+    assert "re_viewer.js" in page
+    assert get(server.origin + "/race.rrd").read()[:4] == b"RRF2"
+    wasm = get(server.origin + "/re_viewer_bg.wasm").read()
+    assert wasm[:4] == b"\0asm"
+    assert server.url.startswith(f"http://127.0.0.1:{server.port}/?url=http%3A%2F%2F127.0.0.1")
+
+
+def test_the_page_may_fetch_nothing_from_elsewhere(server):
+    answer = get(server.origin + "/")
+    policy = answer.headers["Content-Security-Policy"]
+    assert "default-src 'self'" in policy
+    assert "http" not in policy
+    head = answer.read().decode().split("</head>")[0]
+    assert "https://" not in head
+
+
+def test_only_this_machine_can_connect(server):
+    assert listening(server.port) == ["0100007F"]
+
+
+def test_other_paths_and_other_names_are_refused(server):
+    for path in ("/../../etc/passwd", "/race.rrd/..", "/league"):
+        with pytest.raises(urllib.error.HTTPError, match="404"):
+            get(server.origin + path)
+    with pytest.raises(urllib.error.HTTPError, match="403"):
+        get(server.origin + "/race.rrd", Host="evil.example")
+
+
+def test_a_missing_recording_and_a_taken_port_are_one_sentence(tmp_path, server):
+    with pytest.raises(ReplayError, match="no recording"):
+        web_viewer.serve(tmp_path / "none.rrd")
+    path = rerun_view.save(by_hand(2), tmp_path / "a.rrd", cameras=False)
+    with pytest.raises(ReplayError, match="listened on"):
+        web_viewer.serve(path, port=server.port)
+
+
+def test_a_closed_server_is_gone(tmp_path):
+    path = rerun_view.save(by_hand(2), tmp_path / "a.rrd", cameras=False)
+    running = web_viewer.serve(path)
+    threading.Timer(0.2, running.close).start()
+    running.wait()
+    assert listening(running.port) == []
+
+
+def test_without_a_display_no_window_is_tried(monkeypatch, tmp_path):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setattr("sys.platform", "linux")
+    with pytest.raises(ReplayError, match="--web"):
+        rerun_view.open_viewer(tmp_path / "a.rrd")
+
+
+# Live.
+
+
+def test_a_live_race_sends_each_step_and_touches_nothing(tmp_path):
+    made = by_hand(6, lambda w, n: moved(w, x=[3.0 + 0.1 * n, 2.0]))
+    recording = rr.RecordingStream("test")
+    recording.save(tmp_path / "live.rrd")
+    live = rerun_view.Live(made.spec, made.track, recording)
+    from league.sim.world import row
+
+    worlds = made.worlds()
+    for number in range(6):
+        live.add(row(worlds, number))
+    live.close()
+    rows = rows_of(tmp_path / "live.rrd")
+    assert rows[paths.car(0)] == rows[paths.CHASE] == rows[paths.PLOT_GAP] == 6
+
+
+def test_a_live_race_is_served_to_this_machine_only():
+    made = by_hand(2)
+    with rerun_view.Live.start(made.spec, made.track, window=False, speed=0.0) as live:
+        live.add(made.at(np.array([0.0])))
+        ports = [int(part.split("/")[0]) for part in _ports(live.address)]
+        assert len(ports) == 2
+        for port in ports:
+            assert listening(port) == ["0100007F"]
+    for port in ports:
+        with pytest.raises(OSError):
+            socket.create_connection(("127.0.0.1", port), timeout=2).close()
+
+
+def _ports(address: str) -> list[str]:
+    from urllib.parse import unquote
+
+    return [part.split("&")[0] for part in unquote(address).split("127.0.0.1:")[1:]]

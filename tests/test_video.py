@@ -1,0 +1,139 @@
+import av
+import numpy as np
+import pytest
+import torch
+from recorded import by_hand, moved
+
+from league import video
+from league.errors import ReplayError
+from league.sim.camera.scene import CAR_COLOURS
+from league.video import canvas
+from league.video.hud import clock
+from league.video.mp4 import Coding, Mp4
+from league.video.topview import TopView
+
+
+def driving(frames: int = 8):
+    """Return a race of two cars along the start straight (it runs along +x near y = 0.68)."""
+    return by_hand(
+        frames,
+        lambda w, n: moved(
+            w, x=[3.6 + 0.1 * n, 3.0 + 0.1 * n], y=[0.75, 0.6], yaw=[0.0, 0.0]
+        ),
+    )
+
+
+def near(picture: np.ndarray, colour: tuple[int, int, int], slack: int = 40) -> np.ndarray:
+    return (np.abs(picture.astype(int) - colour) <= slack).all(axis=2)
+
+
+def test_a_still_shows_the_cars_the_order_and_the_track_from_above():
+    picture = video.still(driving(), 0.3)
+    assert picture.shape == (720, 1280, 3)
+    assert picture.dtype == np.uint8
+    for colour in CAR_COLOURS[:2]:
+        assert near(picture, colour)[:, 330:900].sum() > 300, "the car on the road"
+        assert near(picture, colour)[90:180, 24:70].sum() > 200, "its place in the running order"
+        assert near(picture, colour)[470:, 920:].sum() > 15, "the car on the map"
+
+
+def test_the_cars_move_from_picture_to_picture_between_two_steps():
+    made = driving()
+    first, between = video.still(made, 2 / 15), video.still(made, 2.5 / 15)
+    changed = (first != between).any(axis=2)[200:600, 330:900]
+    assert changed.sum() > 2000
+
+
+def test_a_video_has_all_its_pictures_and_plays_in_browsers(tmp_path):
+    parts = []
+    path = video.render(
+        driving(), tmp_path / "race.mp4", size=(320, 180), fps=30, progress=parts.append
+    )
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        assert (stream.codec_context.name, stream.codec_context.pix_fmt) == ("h264", "yuv420p")
+        assert (stream.width, stream.height, stream.average_rate) == (320, 180, 30)
+        shown = [frame.pts * frame.time_base for frame in container.decode(stream)]
+    # 7 steps of 1/15 s, then 3 s of classification, first and last picture included.
+    assert len(shown) == round((7 / 15 + 3) * 30) + 1
+    assert np.diff(np.array(shown, dtype=float)) == pytest.approx(1 / 30)
+    assert parts == sorted(parts)
+    assert parts[-1] == 1.0
+    assert [file.name for file in tmp_path.iterdir()] == ["race.mp4"]
+    # The index stands before the pictures, so a browser can begin at once.
+    content = path.read_bytes()
+    assert content.index(b"moov") < content.index(b"mdat")
+
+
+def test_a_video_that_cannot_be_written_leaves_nothing(tmp_path):
+    (tmp_path / "taken").mkdir()
+    with pytest.raises(ReplayError, match="cannot be written"):
+        video.render(driving(2), tmp_path / "taken", size=(320, 180), fps=2)
+    assert [file.name for file in tmp_path.iterdir()] == ["taken"]
+
+
+@pytest.mark.parametrize("size", [(321, 180), (100, 100), (5000, 3000)])
+def test_a_size_that_cannot_be_made_is_refused(tmp_path, size):
+    with pytest.raises(ReplayError, match="even sides"):
+        video.render(driving(2), tmp_path / "a.mp4", size=size)
+
+
+def test_colours_survive_the_coding(tmp_path):
+    path = str(tmp_path / "a.mp4")
+    picture = np.full((64, 64, 3), (226, 52, 62), np.uint8)
+    with Mp4(path, 15, Coding(crf=10)) as made:
+        for _ in range(3):
+            made.add(picture)
+    with av.open(path) as container:
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    assert len(frames) == 3
+    assert np.abs(frames[1].astype(int) - picture).max() <= 6
+
+
+def test_key_frames_come_often_and_no_picture_waits_for_a_later_one(tmp_path):
+    path = str(tmp_path / "a.mp4")
+    noise = np.random.default_rng(1)
+    with Mp4(path, 15, Coding(keyframe_s=1.0)) as made:
+        for _ in range(40):
+            made.add(noise.integers(0, 255, (48, 64, 3), dtype=np.uint8))
+    with av.open(path) as container:
+        packets = [p for p in container.demux(video=0) if p.pts is not None]
+    keys = [number for number, packet in enumerate(packets) if packet.is_keyframe]
+    assert keys[0] == 0
+    assert max(np.diff([*keys, 40])) <= 15
+    assert all(packet.pts == packet.dts for packet in packets)
+
+
+@pytest.mark.parametrize("cars", [1, 2])
+def test_the_map_puts_a_car_where_it_is(cars):
+    made = by_hand(1, lambda w, _: moved(w, x=[5.0] * cars, y=[0.7] * cars), cars)
+    top = TopView(made, 330, 230)
+    picture = top.draw(made, made.worlds(), 0)
+    assert picture.shape[:2] == top.size[::-1]
+    y, x = np.nonzero(near(picture, CAR_COLOURS[0], 20))
+    outline = np.concatenate([made.track.left, made.track.right])
+    low, high = outline.min(axis=0) - 0.35, outline.max(axis=0) + 0.35
+    scale = picture.shape[1] / (high - low)[0]
+    assert x.mean() == pytest.approx((5.0 - low[0]) * scale, abs=2)
+    assert y.mean() == pytest.approx((high[1] - 0.7) * scale, abs=2)
+
+
+def test_graphics_beyond_the_edge_are_cut_off():
+    picture = np.zeros((40, 60, 3), np.uint8)
+    canvas.put_panel(picture, -10, -10, 300, 300, radius=4, colour=(255, 255, 255), opacity=1.0)
+    canvas.put_text(picture, "far outside", 500, 500, 20)
+    canvas.put_text(picture, "", 5, 5, 20)
+    assert (picture == 255).all()
+
+
+@pytest.mark.parametrize(
+    ("seconds", "told"), [(0, "0:00.00"), (5.256, "0:05.26"), (61.5, "1:01.50"), (59.999, "1:00.00")]
+)
+def test_times_read_like_on_a_timing_screen(seconds, told):
+    assert clock(seconds) == told
+
+
+def test_torch_threads_are_left_alone():
+    before = torch.get_num_threads()
+    video.still(driving(2), 0.0, size=(320, 180))
+    assert torch.get_num_threads() == before
