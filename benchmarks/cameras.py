@@ -1,4 +1,4 @@
-"""How fast and how right the pictures are: pairs per second, against PyBullet's renderer, against rays."""
+"""How fast and how right pictures are: pairs per second, against PyBullet, against rays."""
 
 import math
 import tempfile
@@ -124,7 +124,7 @@ def speed(tracks: TrackSet) -> None:
 
 
 class TinyScene:
-    """The same scene in PyBullet: floor with its texture, four walls, one car of the same boxes."""
+    """The same scene in PyBullet: floor with its texture, four walls, a car of the same solids."""
 
     def __init__(self, tracks: TrackSet, world: World, camera: CameraConfig) -> None:
         self._camera = camera
@@ -142,17 +142,7 @@ class TinyScene:
         x, y, yaw = (float(part[0, 1]) for part in _places(world))
         turn = (0, 0, math.sin(yaw / 2), math.cos(yaw / 2))
         for solid in scene.CAR.solids:
-            points = solid.vertices + (*(solid.pivot or (0, 0)), 0)
-            low, top = points.min(axis=0), points.max(axis=0)
-            centre = (low + top) / 2
-            place = (
-                x + math.cos(yaw) * centre[0] - math.sin(yaw) * centre[1],
-                y + math.sin(yaw) * centre[0] + math.cos(yaw) * centre[1],
-                centre[2],
-            )
-            paint_number = solid.paints[0]
-            colour = scene.PAINTS[paint_number] if paint_number >= 0 else scene.CAR_COLOURS[1]
-            self._box(place, (top - low) / 2, colour, turn)
+            self._solid(solid, (x, y, 0), turn)
         self._eyes(world)
 
     def _floor(self, track, middle: tuple, half: tuple) -> None:
@@ -180,7 +170,37 @@ class TinyScene:
                 body, -1, textureUniqueId=texture, physicsClientId=self._client
             )
 
-    def _box(self, place: tuple, half: tuple, colour: tuple, turn: tuple = (0, 0, 0, 1)) -> None:
+    def _solid(self, solid: scene.Solid, place: tuple, turn: tuple) -> None:
+        """Put up one solid of a car as a mesh, each face with its own corners and normal."""
+        points = solid.vertices + np.array([*(solid.pivot or (0.0, 0.0)), 0.0])
+        corners, normals, indices = [], [], []
+        for face, plane in zip(solid.faces, solid.planes, strict=True):
+            first, ring = len(corners), points[list(face)]
+            if np.cross(ring[1] - ring[0], ring[2] - ring[1]) @ plane[:3] < 0:
+                ring = ring[::-1]
+            corners += ring.tolist()
+            normals += [plane[:3].tolist()] * len(ring)
+            for index in range(1, len(ring) - 1):
+                indices += [first, first + index, first + index + 1]
+        number = solid.paints[0]
+        colour = scene.PAINTS[number] if number >= 0 else scene.CAR_COLOURS[1]
+        shape = pybullet.createVisualShape(
+            pybullet.GEOM_MESH,
+            vertices=corners,
+            indices=indices,
+            normals=normals,
+            uvs=[(0.0, 0.0)] * len(corners),
+            rgbaColor=[*(part / 255 for part in colour), 1],
+            physicsClientId=self._client,
+        )
+        pybullet.createMultiBody(
+            baseVisualShapeIndex=shape,
+            basePosition=place,
+            baseOrientation=turn,
+            physicsClientId=self._client,
+        )
+
+    def _box(self, place: tuple, half: tuple, colour: tuple) -> None:
         shape = pybullet.createVisualShape(
             pybullet.GEOM_BOX,
             halfExtents=list(half),
@@ -190,7 +210,6 @@ class TinyScene:
         pybullet.createMultiBody(
             baseVisualShapeIndex=shape,
             basePosition=place,
-            baseOrientation=turn,
             physicsClientId=self._client,
         )
 

@@ -29,7 +29,8 @@ class Weaver:
         """Return steering and speed in [-1, 1], one row for each world."""
         state = observations["state"]
         curvature = state[:, INDEX["curvature_0.25m"]]
-        wished = curvature - 1.5 * state[:, INDEX["lateral"]] - 2.5 * state[:, INDEX["heading_error"]]
+        lateral, heading_error = state[:, INDEX["lateral"]], state[:, INDEX["heading_error"]]
+        wished = curvature - 1.5 * lateral - 2.5 * heading_error
         steering = torch.atan(CarConfig().wheelbase * wished)
         speed = 2.2 - 0.8 * curvature.abs().clamp(max=1.5)
         return actions_from(steering, speed, CarConfig())

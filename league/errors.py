@@ -1,4 +1,4 @@
-"""Every error a user can meet; each message says what was given, what was expected, how to mend it."""
+"""Every error a user can meet; its message says what was given, expected, and how to mend it."""
 
 
 class LeagueError(Exception):
@@ -14,7 +14,7 @@ class ConfigError(LeagueError):
 
 
 class ActionError(LeagueError):
-    """An action a car cannot take: NaN, out of range, of the wrong shape or for an unknown agent."""
+    """An action no car can take: NaN, out of range, of the wrong shape, for an unknown agent."""
 
 
 class PolicyError(LeagueError):

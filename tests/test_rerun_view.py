@@ -2,7 +2,9 @@ import socket
 import threading
 import urllib.error
 import urllib.request
+from dataclasses import replace
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from league import rerun_view, web_viewer
 from league.errors import ReplayError
 from league.rerun_view import paths, poses, record, shapes
 from league.sim.camera.scene import CAR
+from league.sim.world import row
 from league.track import files
 
 
@@ -91,11 +94,8 @@ def test_a_recording_that_cannot_be_written_leaves_nothing(tmp_path):
 def test_names_cannot_break_the_classification():
     made = raced()
     order = tuple(car.model_copy(update={"name": "a|b\n# c"}) for car in made.result.order)
-    from dataclasses import replace
-
-    told = record.classification(
-        replace(made, result=made.result.model_copy(update={"order": order}))
-    )
+    result = made.result.model_copy(update={"order": order})
+    told = record.classification(replace(made, result=result))
     rows = [line for line in told.splitlines() if line.startswith("| **")]
     assert len(rows) == 2
     assert all("a\\|b \\# c" in row for row in rows)
@@ -110,14 +110,10 @@ def test_the_road_is_as_large_as_its_length_times_its_width():
     colour = np.array([*track.colours.road, 255])
     road = mesh.triangles[(mesh.colours[mesh.triangles[:, 0]] == colour).all(axis=1)]
     a, b, c = (mesh.vertices[road[:, corner], :2] for corner in range(3))
-    area = np.abs(np.cross(b - a, c - a)).sum() / 2 if False else _area(a, b, c)
+    u, v = b - a, c - a
+    area = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum() / 2
     # Lines of 76 mm inside the border on both sides leave 0.762 - 0.152 m of road.
     assert area == pytest.approx(track.length * (0.762 - 2 * 0.076), rel=0.02)
-
-
-def _area(a, b, c):
-    u, v = b - a, c - a
-    return np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum() / 2
 
 
 def test_normals_of_a_car_point_outward():
@@ -214,8 +210,6 @@ def test_a_live_race_sends_each_step_and_touches_nothing(tmp_path):
     recording = rr.RecordingStream("test")
     recording.save(tmp_path / "live.rrd")
     live = rerun_view.Live(made.spec, made.track, recording)
-    from league.sim.world import row
-
     worlds = made.worlds()
     for number in range(6):
         live.add(row(worlds, number))
@@ -238,6 +232,4 @@ def test_a_live_race_is_served_to_this_machine_only():
 
 
 def _ports(address: str) -> list[str]:
-    from urllib.parse import unquote
-
     return [part.split("&")[0] for part in unquote(address).split("127.0.0.1:")[1:]]

@@ -17,9 +17,7 @@ def driving(frames: int = 8):
     """Return a race of two cars along the start straight (it runs along +x near y = 0.68)."""
     return by_hand(
         frames,
-        lambda w, n: moved(
-            w, x=[3.6 + 0.1 * n, 3.0 + 0.1 * n], y=[0.75, 0.6], yaw=[0.0, 0.0]
-        ),
+        lambda w, n: moved(w, x=[3.6 + 0.1 * n, 3.0 + 0.1 * n], y=[0.75, 0.6], yaw=[0.0, 0.0]),
     )
 
 
@@ -127,7 +125,8 @@ def test_graphics_beyond_the_edge_are_cut_off():
 
 
 @pytest.mark.parametrize(
-    ("seconds", "told"), [(0, "0:00.00"), (5.256, "0:05.26"), (61.5, "1:01.50"), (59.999, "1:00.00")]
+    ("seconds", "told"),
+    [(0, "0:00.00"), (5.256, "0:05.26"), (61.5, "1:01.50"), (59.999, "1:00.00")],
 )
 def test_times_read_like_on_a_timing_screen(seconds, told):
     assert clock(seconds) == told

@@ -22,6 +22,9 @@ BOX_WIDTHS = 0.248
 CORNERS = 0.035
 """Half of the squared half lengths of a car and a box, together [m^2]."""
 
+MOST_ROOM = 0.4
+"""More room than this beside a body counts no more [m]."""
+
 
 @dataclass(frozen=True)
 class Manners:
@@ -29,6 +32,8 @@ class Manners:
 
     clearance: float = 0.06
     """Air left between two bodies side by side [m]."""
+    share: float = 0.25
+    """Part of the room left beyond the clearance that is also kept."""
     edge: float = 0.02
     """Smallest distance from the base to a border while going round something [m]."""
     approach: float = 1.6
@@ -177,8 +182,10 @@ def _aside(
     go_left = torch.where(fits_left == fits_right, better_left, fits_left)
     beside = gap.abs() < others.reach[thing]
     go_left = torch.where(beside, lateral.unsqueeze(1) >= place, go_left)
-    pushed_left = torch.maximum(wished, place + apart)
-    pushed_right = torch.minimum(wished, place - apart)
+    extra_left = manners.share * torch.clamp(room_left, 0.0, MOST_ROOM)
+    extra_right = manners.share * torch.clamp(room_right, 0.0, MOST_ROOM)
+    pushed_left = torch.maximum(wished, place + apart + extra_left)
+    pushed_right = torch.minimum(wished, place - apart - extra_right)
     return torch.where(go_left, pushed_left, pushed_right)
 
 

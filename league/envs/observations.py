@@ -65,8 +65,7 @@ def state(tracks: TrackSet, sim: SimConfig, world: World, car: int) -> Tensor:
         _of(book.distance, car) / lap_length(tracks, world.track)[:, 0],
     ]
     offsets = s.new_tensor(LOOKAHEADS)
-    _, _, further = tracks.at(world.track, s.unsqueeze(1) + offsets)
-    columns += further.curvature.unbind(dim=1)
+    columns += tracks.curvature_at(world.track, s.unsqueeze(1) + offsets).unbind(dim=1)
     columns += _neighbours(tracks, world, car)
     columns += _obstacles(tracks, world, s)
     return torch.stack(columns, dim=1)

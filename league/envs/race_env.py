@@ -11,7 +11,7 @@ from torch import Tensor
 from league.envs import rewards
 from league.envs.config import EnvConfig
 from league.envs.sensing import Sensing
-from league.errors import ActionError, WorldError
+from league.errors import ActionError, ConfigError, WorldError
 from league.sim import draws, grid, obstacles, referee, solver
 from league.sim.config import SimConfig
 from league.sim.referee import Verdict
@@ -80,6 +80,7 @@ class RaceEnv:
             self._track = track_index.to(tracks.device)
         self._solver = solver.make(cfg.solver, cfg.sim, tracks, num_worlds)
         self._sensing = Sensing(tracks, cfg)
+        self._closed = False
         self._begin(seed, None)
 
     @property
@@ -126,6 +127,7 @@ class RaceEnv:
             seed: makes the worlds' own seeds; None goes on to fresh ones.
             seeds: or each world's seed itself, int64, (num_worlds,).
         """
+        self._check_open()
         self._begin(self._seed + 1 if seed is None else seed, seeds)
         return self._observe()
 
@@ -145,6 +147,7 @@ class RaceEnv:
                 (num_worlds,); what else the step tells of them is of the race that was.
             seeds: seeds of the worlds started anew (those of others are not read), (num_worlds,).
         """
+        self._check_open()
         actions = self._checked(actions)
         sim, before = self.cfg.sim, self._world
 
@@ -187,7 +190,8 @@ class RaceEnv:
         self._world = _frozen(self._world, who)
 
     def close(self) -> None:
-        """Give back what the solver holds."""
+        """Give back what the solver holds; nothing can be driven afterwards."""
+        self._closed = True
         self._solver.close()
 
     def _begin(self, seed: int, seeds: Tensor | None) -> None:
@@ -269,6 +273,10 @@ class RaceEnv:
                 "steering and speed must be numbers from -1 to 1"
             )
         return actions
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise ConfigError("the environment was closed: make a new one")
 
     def _check_finite(self, world: World) -> None:
         body = world.motion

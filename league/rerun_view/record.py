@@ -309,4 +309,5 @@ def classification(replay: Replay) -> str:
 
 def plain(name: str) -> str:
     """Return a name that cannot break the table."""
-    return "".join("\\" + letter if letter in "\\|*_`[]<>#" else letter for letter in name)
+    one_line = "".join(letter if letter.isprintable() else " " for letter in name)
+    return "".join("\\" + letter if letter in "\\|*_`[]<>#" else letter for letter in one_line)

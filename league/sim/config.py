@@ -102,7 +102,7 @@ class CameraConfig:
                 "give 8 to 1920 pixels across and 8 to 1080 down"
             )
         if not 0 < self.rate_hz <= 1000:
-            raise ConfigError(f"camera rate_hz is {self.rate_hz}: give more than 0 and at most 1000")
+            raise ConfigError(f"camera rate_hz is {self.rate_hz}: give 0 (not itself) to 1000")
         if not 0.1 <= self.field_of_view <= 2.6:
             raise ConfigError(f"field_of_view is {self.field_of_view} rad: give 0.1 to 2.6")
 

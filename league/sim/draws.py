@@ -1,4 +1,4 @@
-"""Random numbers that depend on a seed and a name, never on the order or the batch they are drawn in.
+"""Random numbers that depend on a seed and a name, never on their order or their batch.
 
 A counter-based generator (splitmix64, Steele, Lea and Flood, OOPSLA 2014): the same world draws the
 same numbers alone, in a batch, on any device, and whatever else was drawn before.

@@ -14,6 +14,8 @@ from league.sim.world import (
     Motion,
     Standing,
     World,
+    put,
+    row,
     select,
 )
 from league.track.course import TrackSet
@@ -202,6 +204,14 @@ def restart(tracks: TrackSet, sim: SimConfig, world: World, who: Tensor) -> Worl
     Their book begins anew there: a lap is complete where the episode began. Obstacles at random
     places are placed anew.
     """
+    rows = who.any(dim=1).nonzero()[:, 0]
+    if len(rows) < world.num_worlds:
+        part = _restart(tracks, sim, row(world, rows), who[rows])
+        return put(part, rows, world)
+    return _restart(tracks, sim, world, who)
+
+
+def _restart(tracks: TrackSet, sim: SimConfig, world: World, who: Tensor) -> World:
     world = _new_obstacles(tracks, sim, world, who)
     number = torch.arange(world.num_cars, device=who.device).expand(who.shape)
     seed, step = world.seed.unsqueeze(1), world.step.unsqueeze(1)

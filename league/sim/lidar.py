@@ -1,7 +1,7 @@
 """The rear lidar of a car: a flat scan that meets walls, cars and boxes, by exact geometry.
 
-The lidar looks to the rear. Beam 0 points half_angle clockwise from the rear, which for 150 deg is 30
-deg to the left of straight ahead; beams then follow counter-clockwise: left side, rear, right
+The lidar looks to the rear. Beam 0 points half_angle clockwise from the rear, which for 150 deg is
+30 deg to the left of straight ahead; beams then follow counter-clockwise: left side, rear, right
 side, and the last one points 30 deg to the right of straight ahead. The wedge ahead is blind.
 """
 

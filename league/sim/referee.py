@@ -151,7 +151,11 @@ def penalise(tracks: TrackSet, sim: SimConfig, world: World, verdict: Verdict) -
     occupied spot a car thus drives on as a ghost until it is clear of whoever is there.
     """
     rules = sim.rules
-    world = grid.release(tracks, world, verdict.released)
+    changing = verdict.mistake | verdict.released | verdict.finished | world.standing.ghost
+    if not bool(changing.any()):
+        return world  # nobody is, was or becomes a ghost
+    if bool(verdict.released.any()):
+        world = grid.release(tracks, world, verdict.released)
     if bool(verdict.crashed.any()):
         world = grid.put_behind(
             tracks, sim, world, verdict.crashed, verdict.crashed_car, verdict.crashed_obstacle
@@ -208,9 +212,10 @@ def places(standing: Standing) -> Tensor:
 
 def lap_length(tracks: TrackSet, track: Tensor) -> Tensor:
     """Return what counts as a lap [m], (num_worlds, 1): the loop, or an open track but its end."""
-    length = tracks.length[track]
-    usable = torch.where(tracks.closed[track], length, length - _OPEN_TRACK_MARGIN)
-    return usable.unsqueeze(1)
+    length = tracks.length.index_select(0, track)
+    if not tracks.all_closed:
+        length = torch.where(tracks.closed[track], length, length - _OPEN_TRACK_MARGIN)
+    return length.unsqueeze(1)
 
 
 def wheel_positions(car: CarConfig, world: World) -> tuple[Tensor, Tensor]:
@@ -238,18 +243,24 @@ def _any_wheel_on_road(tracks: TrackSet, car: CarConfig, world: World, place: Pr
     if bool(surely.all()):
         return surely
     doubtful = ~surely & (place.lateral.abs() < torch.maximum(place.left, place.right) + reach)
-    if not bool(doubtful.any()):
-        return surely
-    on = wheels_on_road(tracks, car, world, place.s)
-    return surely | on[..., 0] | on[..., 1] | on[..., 2] | on[..., 3]
+    # Only these few are looked at: of each, four wheels on the track of its world.
+    which = doubtful.nonzero(as_tuple=True)
+    x, y = wheel_positions(car, world)
+    near_s = place.s[which].unsqueeze(1).expand(-1, 4).contiguous()
+    wheel = tracks.project(world.track[which[0]], x[which], y[which], near_s)
+    on = (wheel.lateral <= wheel.left) & (wheel.lateral >= -wheel.right)
+    found = surely.clone()
+    found[which] = on[:, 0] | on[:, 1] | on[:, 2] | on[:, 3]
+    return found
 
 
 def _unwrapped(tracks: TrackSet, world: World, place: Projection, rough: Tensor) -> Tensor:
     """Return the distance driven as whole laps plus the place on this one, so no error adds up."""
-    length = tracks.length[world.track].unsqueeze(1)
+    length = tracks.length.index_select(0, world.track).unsqueeze(1)
     on_lap = place.s - world.standing.zero_s
     turns = torch.round((rough - on_lap) / length)
-    turns = torch.where(tracks.closed[world.track].unsqueeze(1), turns, 0.0)
+    if not tracks.all_closed:
+        turns = torch.where(tracks.closed[world.track].unsqueeze(1), turns, 0.0)
     return turns * length + on_lap
 
 
@@ -324,6 +335,9 @@ def _lap_times(
     length = lap_length(tracks, before.track)
     target = (old.laps + 1).to(distance.dtype) * length
     lap = racing & (distance >= target) & (old.best_distance < target)
+    best_distance = torch.maximum(old.best_distance, distance)
+    if not bool(lap.any()):
+        return _Laps(standing=replace(old, best_distance=best_distance), lap=lap, finished=lap)
     step_s = before.step.to(distance.dtype).unsqueeze(1) * sim.step_dt
     travelled = torch.clamp(distance - old.distance, min=1e-9)
     part = torch.clamp((target - old.distance) / travelled, 0.0, 1.0)
@@ -334,7 +348,7 @@ def _lap_times(
     finished = lap & (laps >= enough)
     standing = replace(
         old,
-        best_distance=torch.maximum(old.best_distance, distance),
+        best_distance=best_distance,
         laps=laps,
         lap_start_s=torch.where(lap, crossing, old.lap_start_s),
         last_lap_s=torch.where(lap, lap_s, old.last_lap_s),
@@ -374,10 +388,13 @@ def _order(
         lead = torch.where(one_race, lead, on_road)
     margin = sim.rules.overtake_margin
     ahead = (lead > margin) | (book.ahead & (lead >= -margin))
-    finish, rival = book.finish_s.unsqueeze(2), book.finish_s.unsqueeze(1)
-    home = ~(torch.isinf(finish) & torch.isinf(rival))
-    # Whoever is home first is ahead for good, whatever it does on its cooling lap.
-    ahead = torch.where(home, (finish < rival) | ((finish == rival) & book.ahead), ahead)
+    under_way = torch.isinf(book.finish_s)
+    if not bool(under_way.all()):
+        # Whoever is home first is ahead for good, whatever it does on its cooling lap.
+        finish, rival = book.finish_s.unsqueeze(2), book.finish_s.unsqueeze(1)
+        home_first = (finish < rival) | ((finish == rival) & book.ahead)
+        both_out = under_way.unsqueeze(2) & under_way.unsqueeze(1)
+        ahead = torch.where(both_out, ahead, home_first)
     both = racing.unsqueeze(2) & racing.unsqueeze(1)
     # Half a lap apart, ahead turns to behind without a pass.
     overtook = ahead & ~book.ahead & both & (lead < _PASS)

@@ -1,4 +1,4 @@
-"""What a solver is: one control step of physics for a batch of worlds; two exist, planar and bullet."""
+"""What a solver is: one control step of physics for a batch of worlds; there are two."""
 
 from dataclasses import dataclass
 from typing import Protocol

@@ -1,7 +1,7 @@
 """World: all that changes in a batch of races, as frozen tensors; and what drivers ask, Control.
 
-Every field leads with num_worlds; fields of cars have shape (num_worlds, num_cars). World frame: x, y
-[m], yaw [rad] counter-clockwise from +x. Body frame: x ahead, y left.
+Every field leads with num_worlds; fields of cars have shape (num_worlds, num_cars). World frame:
+x, y [m], yaw [rad] counter-clockwise from +x. Body frame: x ahead, y left.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -122,7 +122,7 @@ class Standing:
     touching_cars: Tensor
     """Which cars touched in the last step, bool, (num_worlds, num_cars, num_cars), symmetric."""
     touching_obstacles: Tensor
-    """Which obstacles were touched in the last step, bool, (num_worlds, num_cars, num_obstacles)."""
+    """Which obstacles were touched in the last step, bool, (num_worlds, cars, num_obstacles)."""
     off_tracks: Tensor
     """How often all four wheels left the road, int64."""
     crashes: Tensor
@@ -138,8 +138,8 @@ class Standing:
     lead_changes: Tensor
     """How often another car took the lead, int64, (num_worlds,)."""
     ahead: Tensor
-    """Who is ahead of whom, bool, (num_worlds, num_cars, num_cars): [w, i, j] is True when i leads j.
-    A pair changes only when the pass is clear, so that two cars side by side do not flicker."""
+    """Who is ahead of whom, bool, (num_worlds, num_cars, num_cars): [w, i, j], i leads j. A pair
+    changes only when the pass is clear, so that two cars side by side do not flicker."""
     leader: Tensor
     """Index of the leading car, int64, (num_worlds,)."""
 
@@ -220,3 +220,19 @@ def row(record: Record, index: int | slice | Tensor) -> Record:
         for value in [getattr(record, item.name)]
     }
     return replace(record, **taken)
+
+
+def put(part: Record, rows: Tensor, record: Record) -> Record:
+    """Return the record with some of its worlds replaced.
+
+    Args:
+        part: the new worlds, in the order of `rows`.
+        rows: which worlds they are, int64, (num_rows,).
+        record: the record they belong to.
+    """
+    changed = {
+        item.name: old.index_copy(0, rows, new) if isinstance(old, Tensor) else put(new, rows, old)
+        for item in fields(record)
+        for old, new in [(getattr(record, item.name), getattr(part, item.name))]
+    }
+    return replace(record, **changed)

@@ -113,9 +113,7 @@ class Chromium:
     def click(self, x: float, y: float) -> None:
         """Click at a point of the page."""
         for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
-            self._ask(
-                "Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1
-            )
+            self._ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
     def _ask(self, method: str, **params: object) -> dict:
         self._count += 1

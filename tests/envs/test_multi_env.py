@@ -318,3 +318,15 @@ def test_the_live_viewer_is_told_of_every_race_on_one_clock(monkeypatch):
     env.close()
     env.close()
     assert told == [0, 1, 2, 3, 4, 5, -1]
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_closed_environment_says_so(solver):
+    env = parallel_env(sensors=(), solver=solver)
+    env.reset(seed=0)
+    env.close()
+    env.close()
+    with pytest.raises(ConfigError, match="was closed: make a new one"):
+        env.step(straight_on(env))
+    with pytest.raises(ConfigError, match="was closed: make a new one"):
+        env.reset()

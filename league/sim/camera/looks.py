@@ -73,8 +73,7 @@ def develop(picture: np.ndarray, look: Look, row: int) -> None:
             cv2.sepFilter2D(eye, -1, kernel, kernel, eye, borderType=cv2.BORDER_REPLICATE)
     if any(part != 1 for part in gain):
         flat = picture.reshape(-1, 1, picture.shape[-1]) if len(gain) == 3 else picture.reshape(-1)
-        scalar = (*gain, 0.0) if len(gain) == 3 else (gain[0], 0.0, 0.0, 0.0)
-        cv2.multiply(flat, scalar, flat)
+        cv2.multiply(flat, np.array([*gain, 0.0, 0.0, 0.0][:4]), flat)
     if sigma > 0:
         flat = picture.reshape(-1)
         place = int(look.place[row])
