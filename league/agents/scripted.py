@@ -34,6 +34,8 @@ class Style:
     """Part of the line's speed that is driven."""
     grip: float = 0.95
     """Part of the tyres' grip that is used on the line and beside it."""
+    reserve: float = 0.4
+    """Part of that grip kept in hand while driving beside the line."""
     margin: float = 0.0
     """Smallest distance from the line to a border [m]."""
     manners: Manners = field(default_factory=Manners)
@@ -79,7 +81,7 @@ class LineDriver:
         bends = (road.curvature + _second(shift) / longer) / longer
         pace = speed / longer[:, 0]
         steering = self._steer(state, place, shift, bends, speed, pace)
-        asked = self._drive(road, bends, speed, limit)
+        asked = self._drive(road, shift, bends, speed, limit)
         self._target = torch.where(state[:, INDEX["frozen"]] > 0, 0.0, steering)
         self._shift = read_nodes(shift, (pace * STEP_DT).unsqueeze(1))[:, 0]
         return actions_from(self._target, asked, self._car)
@@ -134,11 +136,17 @@ class LineDriver:
         most = torch.clamp(torch.atan(car.wheelbase * tightest) + 0.12, max=car.max_steering)
         return torch.minimum(torch.maximum(target, -most), most)
 
-    def _drive(self, road: Horizon, bends: Tensor, speed: Tensor, limit: Tensor) -> Tensor:
+    def _drive(
+        self, road: Horizon, shift: Tensor, bends: Tensor, speed: Tensor, limit: Tensor
+    ) -> Tensor:
         """Return the speed to ask for [m/s]."""
         car, pace = self._car, self._style.pace
-        corner = torch.sqrt(self._grip / torch.clamp(bends.abs(), min=1e-3))
-        allowed = pace * torch.minimum(road.speed, corner)
+        # Beside the line the plan changes at every step: keep grip and speed in hand.
+        beside = torch.clamp(shift.abs() / 0.1, max=1.0)
+        grip = self._grip * (1.0 - self._style.reserve * beside)
+        corner = torch.sqrt(grip / torch.clamp(bends.abs(), min=1e-3))
+        line = road.speed * torch.sqrt(1.0 - self._style.reserve * beside)
+        allowed = pace * torch.minimum(line, corner)
         squared = list((allowed * allowed).unbind(dim=1))
         for node in reversed(range(NODES - 1)):
             most = squared[node + 1] + 2.0 * 0.8 * car.max_braking * NODE_GAP

@@ -36,11 +36,11 @@ STIFFNESS_SHARE = 0.5
 class Weights:
     """What the steering is asked to keep small."""
 
-    lateral: float = 60.0
+    lateral: float = 30.0
     """Price of lateral error squared [1/m^2]."""
     course: float = 4.0
     """Price of the velocity's angle to the line squared [1/rad^2]."""
-    change: float = 8.0
+    change: float = 3.0
     """Price of a change of the steering target from step to step squared [1/rad^2]."""
 
 

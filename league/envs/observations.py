@@ -21,54 +21,69 @@ from league.track.course import TrackSet
 MOTION_FIELDS = ("speed", "yaw_rate", "steering", "last_steering", "last_speed")
 MOTION_SCALE = (4.0, 8.0, 0.5236)
 """Speed [m/s], yaw rate [rad/s] and steering [rad] that are told as 1."""
+_PASSED = -0.35
 
 
 def motion(world: World, last_action: Tensor, car: int) -> Tensor:
     """Return own speed, yaw rate and steering, scaled, and the last action; (num_worlds, 5)."""
-    yaw = world.motion.yaw[:, car].contiguous()
-    ahead, _ = unrotate(
-        world.motion.velocity_x[:, car].contiguous(),
-        world.motion.velocity_y[:, car].contiguous(),
-        torch.cos(yaw),
-        torch.sin(yaw),
+    return motions(world, last_action)[car]
+
+
+def motions(world: World, last_action: Tensor) -> tuple[Tensor, ...]:
+    """Return the `motion` group of every car, each float32 (num_worlds, 5)."""
+    body = world.motion
+    ahead, _ = unrotate(body.velocity_x, body.velocity_y, torch.cos(body.yaw), torch.sin(body.yaw))
+    told = torch.stack(
+        [
+            ahead / MOTION_SCALE[0],
+            body.yaw_rate / MOTION_SCALE[1],
+            body.steering / MOTION_SCALE[2],
+            last_action[..., 0],
+            last_action[..., 1],
+        ],
+        dim=2,
     )
-    columns = [
-        ahead / MOTION_SCALE[0],
-        world.motion.yaw_rate[:, car] / MOTION_SCALE[1],
-        world.motion.steering[:, car] / MOTION_SCALE[2],
-        last_action[:, car, 0],
-        last_action[:, car, 1],
-    ]
-    return torch.stack(columns, dim=1)
+    return _by_car(told)
 
 
 def state(tracks: TrackSet, sim: SimConfig, world: World, car: int) -> Tensor:
     """Return the `state` group of one car, float32 (num_worlds, SIZE); layout: envs/state.py."""
+    return states(tracks, sim, world)[car]
+
+
+def states(tracks: TrackSet, sim: SimConfig, world: World) -> tuple[Tensor, ...]:
+    """Return the `state` group of every car, each float32 (num_worlds, SIZE)."""
     book, body = world.standing, world.motion
-    s, lateral = _of(book.s, car), _of(book.lateral, car)
-    yaw = _of(body.yaw, car)
+    s = book.s
     _, _, frame = tracks.at(world.track, s)
     ahead, left = unrotate(
-        _of(body.velocity_x, car), _of(body.velocity_y, car), torch.cos(yaw), torch.sin(yaw)
+        body.velocity_x, body.velocity_y, torch.cos(body.yaw), torch.sin(body.yaw)
     )
+    frozen = (book.penalty_s > 0).to(s.dtype)
     columns = [
         s,
-        lateral,
-        wrap_angle(yaw - heading_of(frame.cos, frame.sin)),
+        book.lateral,
+        wrap_angle(body.yaw - heading_of(frame.cos, frame.sin)),
         ahead,
         left,
-        _of(body.yaw_rate, car),
-        _of(body.steering, car),
+        body.yaw_rate,
+        body.steering,
         frame.left,
         frame.right,
-        (_of(book.penalty_s, car) > 0).to(s.dtype),
-        _of(book.distance, car) / lap_length(tracks, world.track)[:, 0],
+        frozen,
+        book.distance / lap_length(tracks, world.track),
     ]
-    offsets = s.new_tensor(LOOKAHEADS)
-    columns += tracks.curvature_at(world.track, s.unsqueeze(1) + offsets).unbind(dim=1)
-    columns += _neighbours(tracks, world, car)
-    columns += _obstacles(tracks, world, s)
-    return torch.stack(columns, dim=1)
+    further = s.unsqueeze(2) + s.new_tensor(LOOKAHEADS)
+    columns += tracks.curvature_at(world.track, further).unbind(dim=2)
+    along = body.velocity_x * frame.cos + body.velocity_y * frame.sin
+    columns += _neighbours(tracks, world, along, frozen)
+    columns += _obstacles(tracks, world)
+    return _by_car(torch.stack(columns, dim=2))
+
+
+def _by_car(told: Tensor) -> tuple[Tensor, ...]:
+    """Return each car's part of a group (num_worlds, num_cars, size), with memory of its own."""
+    return tuple(part.contiguous() for part in told.unbind(dim=1))
 
 
 def due(rate_hz: float, step_hz: int, step: Tensor) -> Tensor:
@@ -91,63 +106,59 @@ def effective_rate_hz(rate_hz: float, step_hz: int) -> float:
     return min(rate_hz, float(step_hz))
 
 
-def _of(field: Tensor, car: int) -> Tensor:
-    return field[:, car].contiguous()
+def _neighbours(tracks: TrackSet, world: World, along: Tensor, frozen: Tensor) -> list[Tensor]:
+    """Return present, gap, lateral, speed, frozen of the nearest other cars along the track.
 
-
-def _neighbours(tracks: TrackSet, world: World, car: int) -> list[Tensor]:
-    """Return present, gap, lateral, speed, frozen of the nearest other cars along the track."""
-    others = [index for index in range(world.num_cars) if index != car]
-    blank = torch.zeros(world.num_worlds, device=world.seed.device)
+    Args:
+        tracks: the courses.
+        world: the races.
+        along: speed of each car along the track [m/s], (num_worlds, num_cars).
+        frozen: 1 where a car stands a penalty, (num_worlds, num_cars).
+    """
+    book = world.standing
+    blank = torch.zeros_like(book.s)
     absent = [blank, blank + ABSENT_GAP, blank, blank, blank]
-    if not others:
+    others = min(world.num_cars - 1, NEIGHBOURS)
+    if others == 0:
         return absent * NEIGHBOURS
-    book, body = world.standing, world.motion
-    s = book.s[:, others].contiguous()
-    gap = tracks.signed_gap(world.track, s, book.s[:, car : car + 1])
-    _, _, frame = tracks.at(world.track, s)
-    speed = body.velocity_x[:, others] * frame.cos + body.velocity_y[:, others] * frame.sin
-    nearest = torch.sort(gap.abs(), dim=1, stable=True).indices[:, :NEIGHBOURS]
-    table = [
-        torch.ones_like(gap),
-        gap,
-        book.lateral[:, others],
-        speed,
-        (book.penalty_s[:, others] > 0).to(gap.dtype),
+    # [w, i, j]: how far car j lies ahead of car i.
+    gap = tracks.signed_gap(world.track, book.s.unsqueeze(1), book.s.unsqueeze(2))
+    itself = torch.eye(world.num_cars, dtype=torch.bool, device=gap.device)
+    far = torch.where(itself, torch.inf, gap.abs())
+    nearest = torch.sort(far, dim=2, stable=True).indices[..., :others]
+    told = [
+        torch.ones_like(nearest, dtype=gap.dtype),
+        torch.gather(gap, 2, nearest),
+        *(
+            torch.gather(field.unsqueeze(1).expand(gap.shape), 2, nearest)
+            for field in (book.lateral, along, frozen)
+        ),
     ]
-    columns: list[Tensor] = []
-    for rank in range(NEIGHBOURS):
-        if rank < len(others):
-            pick = nearest[:, rank : rank + 1]
-            columns += [torch.gather(column, 1, pick)[:, 0] for column in table]
-        else:
-            columns += absent
-    return columns
+    columns = [column[..., rank] for rank in range(others) for column in told]
+    return columns + absent * (NEIGHBOURS - others)
 
 
-def _obstacles(tracks: TrackSet, world: World, s: Tensor) -> list[Tensor]:
-    """Return present, gap, lateral of the next obstacles ahead."""
-    things = world.obstacles
+def _obstacles(tracks: TrackSet, world: World) -> list[Tensor]:
+    """Return present, gap, lateral of the next obstacles ahead of each car."""
+    things, s = world.obstacles, world.standing.s
     blank = torch.zeros_like(s)
     absent = [blank, blank + ABSENT_GAP, blank]
-    count = things.s.shape[1]
+    count = min(things.s.shape[1], NEAR_OBSTACLES)
     if count == 0:
         return absent * NEAR_OBSTACLES
-    gap = tracks.signed_gap(world.track, things.s, s.unsqueeze(1))
+    # [w, i, k]: how far obstacle k lies ahead of car i.
+    gap = tracks.signed_gap(world.track, things.s.unsqueeze(1), s.unsqueeze(2))
     # An obstacle beside the car still counts as ahead until its rear has been passed.
-    passed = gap < -0.35
-    order = torch.sort(torch.where(passed, gap + 1e6, gap), dim=1, stable=True).indices
-    columns: list[Tensor] = []
-    for rank in range(NEAR_OBSTACLES):
-        if rank >= count:
-            columns += absent
-            continue
-        pick = order[:, rank : rank + 1]
-        near_gap = torch.gather(gap, 1, pick)[:, 0]
-        there = near_gap >= -0.35
-        columns += [
-            there.to(s.dtype),
-            torch.where(there, near_gap, ABSENT_GAP),
-            torch.where(there, torch.gather(things.lateral, 1, pick)[:, 0], 0.0),
-        ]
-    return columns
+    passed = gap < _PASSED
+    order = torch.sort(torch.where(passed, gap + 1e6, gap), dim=2, stable=True).indices
+    pick = order[..., :count]
+    near_gap = torch.gather(gap, 2, pick)
+    near_lateral = torch.gather(things.lateral.unsqueeze(1).expand(gap.shape), 2, pick)
+    there = near_gap >= _PASSED
+    told = [
+        there.to(s.dtype),
+        torch.where(there, near_gap, ABSENT_GAP),
+        torch.where(there, near_lateral, 0.0),
+    ]
+    columns = [column[..., rank] for rank in range(count) for column in told]
+    return columns + absent * (NEAR_OBSTACLES - count)

@@ -43,6 +43,8 @@ class Sensing:
         told alone.
         """
         step_hz = self._cfg.sim.step_hz
+        motions = observations.motions(world, last_action)
+        states = observations.states(self._tracks, self._cfg.sim, world)
         told = []
         for car, sensors in enumerate(self._sensors):
             held = self._held[car]
@@ -57,13 +59,7 @@ class Sensing:
                     fresh = held[name].clone()
                     fresh[rows] = read(world, rows)
                     held[name] = fresh
-            told.append(
-                {
-                    **held,
-                    "motion": observations.motion(world, last_action, car),
-                    "state": observations.state(self._tracks, self._cfg.sim, world, car),
-                }
-            )
+            told.append({**held, "motion": motions[car], "state": states[car]})
         self._stale = None
         return tuple(told)
 

@@ -80,6 +80,7 @@ def judge(
     place = tracks.project(after.track, after.motion.x, after.motion.y, old.s)
     advance = tracks.signed_gap(after.track, place.s, old.s)
     distance = _unwrapped(tracks, after, place, old.distance + advance)
+    penalty_s, released = old.penalty_s, frozen
     if bool(frozen.any()):
         # Who stands still keeps its place: off the inside of a hairpin the search would creep on.
         place = replace(
@@ -89,10 +90,10 @@ def judge(
         )
         advance = torch.where(frozen, 0.0, advance)
         distance = torch.where(frozen, old.distance, distance)
+        # Counted in whole steps, so that no rounding adds or drops one.
+        steps_left = torch.clamp(torch.round(old.penalty_s * sim.step_hz) - 1.0, min=0.0)
+        penalty_s, released = steps_left / sim.step_hz, frozen & (steps_left == 0)
     racing = ~frozen & torch.isinf(old.finish_s)
-    # Counted in whole steps, so that no rounding adds or drops one.
-    steps_left = torch.clamp(torch.round(old.penalty_s * sim.step_hz) - 1.0, min=0.0)
-    released = frozen & (steps_left == 0)
 
     off_track = racing & ~_any_wheel_on_road(tracks, sim.car, after, place)
     fault = _blame(tracks, sim, before, after, place, contacts)
@@ -124,7 +125,7 @@ def judge(
         s=place.s,
         lateral=place.lateral,
         distance=distance,
-        penalty_s=steps_left / sim.step_hz,
+        penalty_s=penalty_s,
         still_steps=still_steps,
         backward_steps=torch.where(backwards, 0, backward_steps),
         touching_cars=contacts.cars,

@@ -202,16 +202,16 @@ class Model:
     half_length: float
     """Of the footprint, used to tell what hides what [m]."""
     half_width: float
-    height: float
+    """[m]."""
 
 
-CAR = Model((_CHASSIS_BLOCK, *_WHEELS, SHELL, CABIN), 0.162, 0.098, 0.178)
+CAR = Model((_CHASSIS_BLOCK, *_WHEELS, SHELL, CABIN), 0.162, 0.098)
 """Chassis, wheels (front left, front right, rear left, rear right), shell, cabin."""
 
-FAR_CAR = Model((_SKIRT, SHELL, CABIN), 0.162, 0.098, 0.178)
+FAR_CAR = Model((_SKIRT, SHELL, CABIN), 0.162, 0.098)
 """The same where a wheel is but a few pixels: wheels and chassis are one dark block."""
 
-BOX = Model((_block(0.5, -0.5, 0.5, 0.0, 1.0, (*[BODY] * 5, HIDDEN)),), 0.5, 0.5, 1.0)
+BOX = Model((_block(0.5, -0.5, 0.5, 0.0, 1.0, (*[BODY] * 5, HIDDEN)),), 0.5, 0.5)
 """A box of size 1 that is stretched to its own size."""
 
 FAR_WHEEL_PIXELS = 9.0
