@@ -245,6 +245,7 @@ class Server:
 
     def __init__(self, server: _HttpServer, query: str) -> None:
         self._server, self._query = server, query
+        self._closed = threading.Event()
         self._thread = threading.Thread(target=server.serve_forever, args=(0.1,), daemon=True)
         self._thread.start()
 
@@ -273,16 +274,19 @@ class Server:
     def wait(self) -> None:
         """Wait until the server is closed; Ctrl-C closes it."""
         try:
-            while self._thread.is_alive():
-                self._thread.join(0.5)
+            while not self._closed.wait(0.5):
+                pass
         except KeyboardInterrupt:
             self.close()
 
     def close(self) -> None:
         """Stop serving."""
+        if self._closed.is_set():
+            return
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
+        self._closed.set()
 
 
 def serve(rrd_path: str | os.PathLike[str], port: int = 0) -> Server:

@@ -34,7 +34,7 @@ class Style:
     """Part of the line's speed that is driven."""
     grip: float = 0.95
     """Part of the tyres' grip that is used on the line and beside it."""
-    reserve: float = 0.4
+    reserve: float = 0.5
     """Part of that grip kept in hand while driving beside the line."""
     margin: float = 0.0
     """Smallest distance from the line to a border [m]."""

@@ -32,11 +32,11 @@ class Manners:
 
     clearance: float = 0.06
     """Air left between two bodies side by side [m]."""
-    share: float = 0.25
+    share: float = 0.5
     """Part of the room left beyond the clearance that is also kept."""
     edge: float = 0.02
     """Smallest distance from the base to a border while going round something [m]."""
-    approach: float = 1.6
+    approach: float = 2.0
     """Driving distance over which a car moves aside before a standing thing [m]."""
     lead: float = 0.3
     """Driving distance over which it then stays aside before coming up to it [m]."""

@@ -76,16 +76,18 @@ def true_ranges(
     cos, sin = cos.unsqueeze(1), sin.unsqueeze(1)
     dx, dy = cos * beam_cos - sin * beam_sin, sin * beam_cos + cos * beam_sin
     ranges = _to_wall(tracks.room[world.track], x.unsqueeze(1), y.unsqueeze(1), dx, dy)
-    ways = (x, y, dx, dy)
-    half = torch.full_like(x, sim.car.length / 2), torch.full_like(x, sim.car.width / 2)
-    for other in range(world.num_cars):
-        if other != car:
-            place = motion.x[:, other], motion.y[:, other], motion.yaw[:, other]
-            ranges = torch.minimum(ranges, _to_box(*ways, *place, *half))
-    for index in range(obstacles.x.shape[1]):
-        place = obstacles.x[:, index], obstacles.y[:, index], obstacles.yaw[:, index]
-        size = obstacles.half_length[:, index], obstacles.half_width[:, index]
-        ranges = torch.minimum(ranges, _to_box(*ways, *place, *size))
+    others = [slot for slot in range(world.num_cars) if slot != car]
+    if others or obstacles.x.shape[1]:
+        half_length = torch.full_like(motion.x[:, others], sim.car.length / 2)
+        half_width = torch.full_like(half_length, sim.car.width / 2)
+        boxes = (
+            torch.cat([motion.x[:, others], obstacles.x], dim=1),
+            torch.cat([motion.y[:, others], obstacles.y], dim=1),
+            torch.cat([motion.yaw[:, others], obstacles.yaw], dim=1),
+            torch.cat([half_length, obstacles.half_length], dim=1),
+            torch.cat([half_width, obstacles.half_width], dim=1),
+        )
+        ranges = torch.minimum(ranges, _to_boxes(x, y, dx, dy, *boxes).amin(dim=1))
     return ranges
 
 
@@ -110,7 +112,7 @@ def _to_wall(room: Tensor, x: Tensor, y: Tensor, dx: Tensor, dy: Tensor) -> Tens
     return torch.minimum(to_x, to_y)
 
 
-def _to_box(
+def _to_boxes(
     x: Tensor,
     y: Tensor,
     dx: Tensor,
@@ -121,18 +123,31 @@ def _to_box(
     half_length: Tensor,
     half_width: Tensor,
 ) -> Tensor:
-    """Return how far each beam goes to a rectangle; 0 from inside, very far if it passes by.
+    """Return how far each beam goes to each rectangle; 0 from inside, very far if it passes by.
 
     Slab test (Kay and Kajiya, 1986): a beam is inside where it is between both pairs of sides.
+
+    Args:
+        x: where the lidars are, (num_worlds,), with y.
+        y: see x.
+        dx: where the beams go, (num_worlds, beams), with dy.
+        dy: see dx.
+        box_x: middles of the rectangles, (num_worlds, num_boxes), with all that follow.
+        box_y: see box_x.
+        yaw: headings of the rectangles [rad].
+        half_length: half of their sizes [m].
+        half_width: see half_length.
+
+    Returns:
+        Distances [m], (num_worlds, num_boxes, beams).
     """
-    yaw = yaw.contiguous()
     cos, sin = torch.cos(yaw), torch.sin(yaw)
-    away_x, away_y = x - box_x, y - box_y
-    along = (cos * away_x + sin * away_y).unsqueeze(1)
-    across = (cos * away_y - sin * away_x).unsqueeze(1)
-    cos, sin = cos.unsqueeze(1), sin.unsqueeze(1)
+    away_x, away_y = x.unsqueeze(1) - box_x, y.unsqueeze(1) - box_y
+    along = (cos * away_x + sin * away_y).unsqueeze(2)
+    across = (cos * away_y - sin * away_x).unsqueeze(2)
+    cos, sin, dx, dy = cos.unsqueeze(2), sin.unsqueeze(2), dx.unsqueeze(1), dy.unsqueeze(1)
     go_along, go_across = _not_zero(cos * dx + sin * dy), _not_zero(cos * dy - sin * dx)
-    half_length, half_width = half_length.unsqueeze(1), half_width.unsqueeze(1)
+    half_length, half_width = half_length.unsqueeze(2), half_width.unsqueeze(2)
     front, back = (half_length - along) / go_along, (-half_length - along) / go_along
     left, right = (half_width - across) / go_across, (-half_width - across) / go_across
     enter = torch.maximum(torch.minimum(front, back), torch.minimum(left, right))

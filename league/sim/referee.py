@@ -230,13 +230,6 @@ def wheel_positions(car: CarConfig, world: World) -> tuple[Tensor, Tensor]:
     return world.motion.x.unsqueeze(-1) + dx, world.motion.y.unsqueeze(-1) + dy
 
 
-def wheels_on_road(tracks: TrackSet, car: CarConfig, world: World, near_s: Tensor) -> Tensor:
-    """Return which wheel centres are within the borders, bool, (num_worlds, num_cars, 4)."""
-    x, y = wheel_positions(car, world)
-    wheel = tracks.project(world.track, x, y, near_s.unsqueeze(-1).expand(x.shape).contiguous())
-    return (wheel.lateral <= wheel.left) & (wheel.lateral >= -wheel.right)
-
-
 def _any_wheel_on_road(tracks: TrackSet, car: CarConfig, world: World, place: Projection) -> Tensor:
     # A wheel is at most this far from the base: nearer to the middle than that, one is surely on.
     reach = 0.5 * (car.wheelbase**2 + car.wheel_track**2) ** 0.5

@@ -96,7 +96,15 @@ class Chromium:
 
     def picture(self) -> np.ndarray:
         """Return what the page shows now, RGB uint8, (height, width, 3)."""
-        shot = self._ask("Page.captureScreenshot", format="png")
+        shot = None
+        while shot is None:
+            try:
+                shot = self._ask("Page.captureScreenshot", format="png")
+            except RuntimeError as error:
+                # Between two pages there is nothing to take a picture of.
+                if "active page" not in str(error):
+                    raise
+                time.sleep(0.2)
         encoded = np.frombuffer(base64.b64decode(shot["data"]), np.uint8)
         return cv2.imdecode(encoded, cv2.IMREAD_COLOR)[..., ::-1]
 

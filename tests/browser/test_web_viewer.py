@@ -68,9 +68,10 @@ def test_the_browser_shows_the_race_and_asks_nobody_else(tmp_path):
         web_viewer.serve(path) as server,
         chromium.Chromium(WIDTH, HEIGHT) as browser,
     ):
-        # First the viewer without a race: it is up when the picture is no longer one flat colour.
-        browser.open(f"{server.origin}/?{web_viewer.OPTIONS}")
-        empty = wait_for(browser, lambda picture: picture.std() > 15)
+        # First the viewer without a race: light, so that it is told from the dark loading page.
+        browser.open(f"{server.origin}/?renderer=webgl&persist=0&theme=light")
+        empty = wait_for(browser, lambda picture: picture.mean() > 60)
+        assert empty.mean() > 60, "the viewer did not start"
         assert not shows_the_race(empty)
         browser.open(server.url)
         picture = wait_for(browser, shows_the_race)

@@ -1,0 +1,39 @@
+"""How small replays are, and how soon they can be watched."""
+
+import tempfile
+import time
+from pathlib import Path
+
+from benchmarks.report import figure, heading, machine, seconds
+from league import race, replay, rerun_view
+from league.race_spec import Entry, RaceSpec
+
+
+def main() -> None:
+    """Print the figures for a race of two cars of about a minute."""
+    heading("Replays of a two-car race")
+    print(machine())
+    spec = RaceSpec(entries=(Entry(name="cautious"), Entry(name="centerline")), laps=6)
+    finished = race.run(spec)
+    assert finished.replay is not None
+    minutes = finished.result.race_s / 60
+    with tempfile.TemporaryDirectory() as name:
+        path = Path(name) / "minute.race"
+        replay.write(finished.replay, path)
+        read = replay.read(path)
+        assert replay.compare(finished.replay, read).agrees, "what was read is not what was written"
+        figure("file of record", path.stat().st_size / 1000 / minutes, "kB/min", 60, most=True)
+        figure("reading it", 1000 * seconds(lambda: replay.read(path)), "ms")
+        for cameras, goal in ((False, None), (True, 5.0)):
+            recording = Path(name) / "minute.rrd"
+            start = time.perf_counter()
+            rerun_view.save(read, recording, cameras=cameras)
+            taken = (time.perf_counter() - start) / minutes
+            what = "with stereo" if cameras else "without cameras"
+            figure(f"Rerun recording, {what}", taken, "s per minute", goal, most=True)
+            size = recording.stat().st_size / 1e6 / minutes
+            figure(f"its size, {what}", size, "MB/min")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,20 @@
+"""The examples run as they stand; those of the doors are run by the doors' own tests."""
+
+import runpy
+from pathlib import Path
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+def test_own_driver_finishes_its_race_against_the_leagues(capsys):
+    runpy.run_path(str(EXAMPLES / "own_driver.py"), run_name="__main__")
+    told = capsys.readouterr().out.splitlines()
+    assert len(told) == 2
+    assert {line.split()[1] for line in told} == {"weaver", "centerline"}
+    assert all("best lap" in line for line in told)
+
+
+def test_every_example_is_run_by_a_test():
+    tests = "\n".join(path.read_text() for path in Path(__file__).parent.rglob("test_*.py"))
+    forgotten = [path.stem for path in EXAMPLES.glob("*.py") if path.stem not in tests]
+    assert not forgotten
