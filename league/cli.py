@@ -72,12 +72,12 @@ class ListTracks:
         table = _table("Tracks", "name", "title", "length", "width", "direction", "min radius")
         for one in reports:
             table.add_row(
-                one["name"],
-                one["title"],
-                f"{one['length']:.2f} m",
-                f"{one['width']:.3f} m",
-                one["direction"],
-                f"{one['min_radius']:.2f} m",
+                str(one["name"]),
+                str(one["title"]),
+                f"{one['length']} m",
+                f"{one['width']} m",
+                str(one["direction"]),
+                f"{one['min_radius']} m",
             )
         _console().print(table)
         return 0

@@ -147,6 +147,7 @@ def test_a_missing_step_is_a_difference():
     told_of = replay.compare(by_hand(6), by_hand(4))
     assert told_of.first_difference == 4
     assert told_of.steps == 6
+    assert told_of.sentence == "The races differ from step 4 on, of 5 steps."
 
 
 def test_another_result_does_not_agree():

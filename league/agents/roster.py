@@ -31,6 +31,7 @@ _BUILD: dict[str, Callable[[Track, CarConfig], Driver]] = {
             pace=0.75,
             grip=0.85,
             margin=0.12,
+            reserve=0.25,
             manners=Manners(
                 clearance=0.1, edge=0.04, approach=2.6, braking=2.0, gap=0.3, freer_side=True
             ),

@@ -20,7 +20,7 @@ from league.track.course import Track
 
 GRAVITY = 9.81
 """[m/s^2]."""
-_SMOOTHINGS = 2
+_SMOOTHINGS = 1
 _GROW, _FADE = 0.5, 0.25
 _SERVO = 0.6
 """Part of a speed error that the servo makes good within a control step."""
@@ -76,12 +76,10 @@ class LineDriver:
         road = self._path.ahead_of(place)
         speed = torch.clamp(state[:, INDEX["speed_ahead"]], min=0.0)
         shift, limit = self._around(state, road, speed)
-        # A path beside a bent line is longer or shorter than it, and bent less or more.
-        longer = torch.clamp(1.0 - road.curvature * shift, 0.4, 2.5)
-        bends = (road.curvature + _second(shift) / longer) / longer
-        pace = speed / longer[:, 0]
-        steering = self._steer(state, place, shift, bends, speed, pace)
-        asked = self._drive(road, shift, bends, speed, limit)
+        beside = _Beside.of(road, shift)
+        pace = speed / beside.longer[:, 0]
+        steering = self._steer(state, place, shift, beside, speed, pace)
+        asked = self._drive(road, shift, beside.bends, speed, limit)
         self._target = torch.where(state[:, INDEX["frozen"]] > 0, 0.0, steering)
         self._shift = read_nodes(shift, (pace * STEP_DT).unsqueeze(1))[:, 0]
         return actions_from(self._target, asked, self._car)
@@ -111,14 +109,13 @@ class LineDriver:
         state: Tensor,
         place: Place,
         shift: Tensor,
-        bends: Tensor,
+        beside: _Beside,
         speed: Tensor,
         pace: Tensor,
     ) -> Tensor:
         """Return the steering target [rad]; pace is the speed counted along the line [m/s]."""
         aside = state[:, INDEX["lateral"]] - place.lateral - shift[:, 0]
-        turned = (shift[:, 1] - shift[:, 0]) / NODE_GAP * pace / torch.clamp(speed, min=1e-3)
-        heading = state[:, INDEX["heading_error"]] - place.heading - torch.atan(turned)
+        heading = state[:, INDEX["heading_error"]] - place.heading - beside.turned
         steps = torch.arange(STEPS, dtype=torch.float32, device=state.device) + 0.5
         ahead = torch.clamp(pace, min=0.3).unsqueeze(1) * (steps * STEP_DT)
         errors = Errors(
@@ -129,7 +126,7 @@ class LineDriver:
             yaw_rate=state[:, INDEX["yaw_rate"]],
             steering=self._target,
         )
-        target = self._steering.target(errors, read_nodes(bends, ahead))
+        target = self._steering.target(errors, read_nodes(beside.bends, ahead))
         # More than this slides the front tyres and turns no tighter.
         car = self._car
         tightest = car.grip * GRAVITY / torch.clamp(speed, min=0.5) ** 2
@@ -199,10 +196,41 @@ class CenterlineDriver:
         return actions_from(torch.atan(car.wheelbase * curvature), asked, car)
 
 
-def _second(values: Tensor) -> Tensor:
-    """Return second differences over distance; the ends take their neighbours'."""
-    inner = (values[:, :-2] - 2.0 * values[:, 1:-1] + values[:, 2:]) / NODE_GAP**2
-    return torch.cat([inner[:, :1], inner, inner[:, -1:]], dim=1)
+@dataclass(frozen=True, eq=False)
+class _Beside:
+    """The shape of a path that lies beside a line."""
+
+    bends: Tensor
+    """Its curvature at each node [1/m], (num_rows, NODES)."""
+    longer: Tensor
+    """Its metres for each metre of line, (num_rows, NODES)."""
+    turned: Tensor
+    """Its direction at the car minus the line's [rad], (num_rows,)."""
+
+    @classmethod
+    def of(cls, road: Horizon, shift: Tensor) -> _Beside:
+        """Bend the line by a shift to its left.
+
+        With curvature k, shift n and f = 1 - k n, all by distance along the line, the path's
+        curvature is (f (k f + n'') + n' (k' n + 2 k n')) / (f^2 + n'^2)^(3/2).
+        """
+        k, n = road.curvature, shift
+        slope, twist = _first(n), _first(k)
+        second = (n[:, :-2] - 2.0 * n[:, 1:-1] + n[:, 2:]) / NODE_GAP**2
+        second = torch.cat([second[:, :1], second, second[:, -1:]], dim=1)
+        f = torch.clamp(1.0 - k * n, 0.4, 2.5)
+        longer = torch.sqrt(f * f + slope * slope)
+        bends = f * (k * f + second) + slope * (twist * n + 2.0 * k * slope)
+        bends = bends / (longer * longer * longer)
+        return cls(bends, longer, torch.atan(slope[:, 0] / f[:, 0]))
+
+
+def _first(values: Tensor) -> Tensor:
+    """Return slopes over distance, of second order at the start too: the line bends fast."""
+    inner = (values[:, 2:] - values[:, :-2]) / (2 * NODE_GAP)
+    start = (4.0 * values[:, 1:2] - 3.0 * values[:, :1] - values[:, 2:3]) / (2 * NODE_GAP)
+    end = (values[:, -1:] - values[:, -2:-1]) / NODE_GAP
+    return torch.cat([start, inner, end], dim=1)
 
 
 def _mirrored(state: Tensor, road: Horizon, manners: Manners) -> Tensor:

@@ -12,6 +12,7 @@ from league.errors import ConfigError, TrackError, brief, nearest_names
 from league.sim.config import (
     CameraConfig,
     LidarConfig,
+    LookConfig,
     RaceKind,
     SensorConfig,
     SimConfig,
@@ -50,6 +51,8 @@ class Settings(TypedDict, total=False):
     """All other settings of the world: car, rules, obstacles, contacts, randomisation."""
     camera_path: Literal["cv", "ray"]
     """OpenCV on the CPU, or torch ray casting."""
+    looks: LookConfig | None
+    """Light, colour, noise and blur drawn for each race; None: the plain picture."""
 
 
 def course(track: str | os.PathLike[str] | Track | TrackSet) -> TrackSet:
@@ -77,6 +80,7 @@ def configure(
     mode: Mode = "race",
     sim: SimConfig | None = None,
     camera_path: Literal["cv", "ray"] = "cv",
+    looks: LookConfig | None = None,
     restarting: tuple[int, ...] | None = None,
 ) -> EnvConfig:
     """Return the settings of a RaceEnv; what is named here wins over `sim`.
@@ -92,6 +96,7 @@ def configure(
         mode: see Settings.
         sim: see Settings.
         camera_path: see Settings.
+        looks: see Settings.
         restarting: cars that start their next episode by themselves, in training.
 
     Raises:
@@ -118,6 +123,7 @@ def configure(
         solver=solver,
         sensors=_of_cars(sensors, num_cars),
         camera_path=camera_path,
+        looks=looks,
         mode=mode,
         reward=reward or RewardConfig(),
         episode_s=longest_s,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Protocol
 
 from torch import Tensor
 
@@ -11,6 +12,15 @@ from league.envs.config import EnvConfig
 from league.sim.config import CameraConfig
 from league.sim.world import World
 from league.track.course import TrackSet
+
+
+class Renderer(Protocol):
+    """Draws what one car sees; two exist, cv and ray."""
+
+    def render(self, world: World, car: int, rows: Tensor | None = None) -> Tensor:
+        """Return uint8 pictures of some worlds, (num_rows, channels, height, width)."""
+        ...
+
 
 Reading = Callable[[World, Tensor | None], Tensor]
 
@@ -21,7 +31,7 @@ class Sensing:
     def __init__(self, tracks: TrackSet, cfg: EnvConfig) -> None:
         """Build the sensors that the cars carry; cars with equal cameras share a renderer."""
         self._tracks, self._cfg = tracks, cfg
-        self._renderers: dict[CameraConfig, object] = {}
+        self._renderers: dict[CameraConfig, Renderer] = {}
         self._sensors: list[dict[str, tuple[float, Reading]]] = [
             self._sensors_of(car) for car in range(cfg.sim.num_cars)
         ]
@@ -83,11 +93,12 @@ class Sensing:
             sensors["lidar"] = (settings.rate_hz, scan)
         return sensors
 
-    def _renderer(self, camera: CameraConfig):  # noqa: ANN202
+    def _renderer(self, camera: CameraConfig) -> Renderer:
         if camera not in self._renderers:
             if self._cfg.camera_path == "ray":
-                from league.sim.camera.ray import RayRenderer as Renderer
+                from league.sim.camera.ray import RayRenderer as Chosen
             else:
-                from league.sim.camera.cv import CvRenderer as Renderer
-            self._renderers[camera] = Renderer(self._tracks, self._cfg.sim, camera)
+                from league.sim.camera.cv import CvRenderer as Chosen
+            made = Chosen(self._tracks, self._cfg.sim, camera, self._cfg.looks)
+            self._renderers[camera] = made
         return self._renderers[camera]

@@ -240,6 +240,16 @@ class Agreement:
         """Whether everything is the same."""
         return self.first_difference is None and self.same_result
 
+    @property
+    def sentence(self) -> str:
+        """What was found, for people."""
+        if self.first_difference is not None:
+            when = "the start" if self.first_difference == 0 else f"step {self.first_difference}"
+            return f"The races differ from {when} on, of {self.steps - 1} steps."
+        if not self.same_result:
+            return f"All {self.steps - 1} steps agree, but the results differ."
+        return f"All {self.steps - 1} steps agree to the last bit, and so does the result."
+
 
 def compare(replay: Replay, other: Replay) -> Agreement:
     """Compare two replays step by step by the checksums of their exact states."""

@@ -286,6 +286,5 @@ def _headline(spec: RaceSpec, track: Track) -> str:
     drivers = "\n".join(
         f"{place}. {record.plain(entry.name)}" for place, entry in enumerate(spec.entries, 1)
     )
-    return (
-        f"# {track.title}\n\n**{spec.kind.replace('_', ' ')}**, {spec.laps} laps, live\n\n{drivers}"
-    )
+    kind = spec.kind.replace("_", " ")
+    return f"# {track.title}\n\n**{kind}**, {record.laps(spec.laps)}, live\n\n{drivers}"

@@ -292,19 +292,24 @@ def classification(replay: Replay) -> str:
     kind = spec.kind.replace("_", " ")
     lines = [
         f"# {replay.track.title}",
-        f"**{kind}**, {spec.laps} laps, {spec.solver}, seed {spec.seed}",
+        f"**{kind}**, {laps(spec.laps)}, {spec.solver}, seed {spec.seed}",
         "",
         "| | driver | total | best lap | penalties |",
         "|---:|:---|---:|---:|---:|",
     ]
     for car in result.order:
-        total = f"{car.total_s:.2f} s" if car.finished else f"{car.laps} laps"
+        total = f"{car.total_s:.2f} s" if car.finished else laps(car.laps)
         best = f"{car.best_lap_s:.2f} s" if car.best_lap_s is not None else ""
         penalty = f"{car.penalty_s:g} s" if car.penalty_s else ""
         lines.append(f"| **{car.place}** | {plain(car.name)} | {total} | {best} | {penalty} |")
     if result.lead_changes:
         lines += ["", f"{result.lead_changes} changes of the lead"]
     return "\n".join(lines)
+
+
+def laps(count: int) -> str:
+    """Return a number of laps in words."""
+    return f"{count} lap" if count == 1 else f"{count} laps"
 
 
 def plain(name: str) -> str:

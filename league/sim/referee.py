@@ -363,14 +363,8 @@ def _order(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Return who is ahead of whom, who passed whom on the road, and the leader.
 
-    Args:
-        tracks: the courses.
-        sim: settings.
-        after: the worlds after physics.
-        book: the old book with the laps and finishes of this step.
-        s: place of each car along the track [m].
-        distance: driven by each car [m].
-        racing: who was neither frozen nor home before the step.
+    `book` is the old one with the laps and finishes of this step; `racing` says who was neither
+    frozen nor home before it.
     """
     if distance.shape[1] == 1:
         return book.ahead, torch.zeros_like(book.ahead), book.leader

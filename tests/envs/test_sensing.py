@@ -7,7 +7,14 @@ from conftest import assert_same, follow_center, make_ring
 from league.envs import observations
 from league.envs.race_env import RaceEnv
 from league.errors import ConfigError
-from league.sim.config import CameraConfig, LidarConfig, ObstacleConfig, SensorConfig, SimConfig
+from league.sim.config import (
+    CameraConfig,
+    LidarConfig,
+    LookConfig,
+    ObstacleConfig,
+    SensorConfig,
+    SimConfig,
+)
 from league.track.course import TrackSet
 
 TWO = SimConfig(kind="head_to_head", num_cars=2)
@@ -161,3 +168,12 @@ def test_race_on_many_tracks_shows_each_world_its_own(race_env):
 def test_cameras_out_of_range_are_refused(settings):
     with pytest.raises(ConfigError):
         CameraConfig(**settings)
+
+
+def test_looks_change_the_picture_and_differ_from_race_to_race(race_env):
+    plain = race_env(sensors=(carried(),)).reset(seed=1)[0]["stereo"]
+    env = race_env(sensors=(carried(),), looks=LookConfig(light=0.5, noise=5.0))
+    first = env.reset(seed=1)[0]["stereo"]
+    assert not torch.equal(first, plain)
+    assert not torch.equal(env.reset(seed=2)[0]["stereo"], first)
+    assert torch.equal(env.reset(seed=1)[0]["stereo"], first)
