@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from league.race_spec import RaceResult, RaceSpec
+    from league.rerun_view import Live
+    from league.sim.world import World
+    from league.track.course import Track
 
 
 @dataclass
@@ -280,36 +283,38 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _race(command: Race) -> int:
     from league import race
+    from league.track import files
 
     spec = _spec(command)
-    track = _track_file(command.track)
+    track = _track_file(command.track) or files.load(spec.track)
+    keep = command.replay != "none"
+    path = _replay_path(command.replay, spec) if keep else None
+    live = _live(spec, track) if command.watch else None
     quiet = command.json or not sys.stderr.isatty()
     with _progress(disable=quiet) as progress:
-        from league.track import files
+        bar = progress.add_task("Racing", total=spec.laps * track.length)
 
-        length = (track or files.load(spec.track)).length
-        bar = progress.add_task("Racing", total=spec.laps * length)
-        live = _live(command, spec, track)
-
-        def watch(world) -> None:  # noqa: ANN001
+        def watch(world: World) -> None:
             progress.update(bar, completed=max(float(world.standing.best_distance.max()), 0.0))
             if live is not None:
                 live.add(world)
 
-        finished = race.run(spec, track=track, record=command.replay != "none", watch=watch)
-    path = None
-    if finished.replay is not None:
-        path = _replay_path(command.replay, spec)
+        finished = race.run(spec, track=track, record=keep, watch=watch)
+    if finished.replay is not None and path is not None:
         from league import replay as replays
 
         replays.write(finished.replay, path)
     if command.json:
         told = finished.result.model_dump(mode="json")
         print(json.dumps({**told, "replay": str(path) if path else None}, indent=2))
-        return 0
-    _print_classification(finished.result)
-    if path is not None:
-        print(f"Replay: {path}   (watch it: league view {path})")
+    else:
+        _print_classification(finished.result)
+        if path is not None:
+            print(f"Replay: {path}   (watch it: league view {path})")
+    if live is not None:
+        sys.stdout.flush()
+        live.wait()
+        live.close()
     return 0
 
 
@@ -340,7 +345,7 @@ def _spec(command: Race) -> RaceSpec:
     )
 
 
-def _track_file(name: str):  # noqa: ANN202
+def _track_file(name: str) -> Track | None:
     """Load a track given as a file; None when it is a name."""
     from league.track import files
 
@@ -354,14 +359,11 @@ def _replay_path(wish: str, spec: RaceSpec) -> Path:
     return Path(wish) / f"{spec.track}-{names}-{spec.kind}-{spec.seed}.race"
 
 
-def _live(command: Race, spec: RaceSpec, track):  # noqa: ANN001, ANN202
-    if not command.watch:
-        return None
+def _live(spec: RaceSpec, track: Track) -> Live:
     from league.rerun_view import Live
-    from league.track import files
 
-    live = Live.start(spec, track or files.load(spec.track))
-    print(f"Watching live: {live.address}", file=sys.stderr)
+    live = Live.start(spec, track)
+    print(f"Watching live: {live.address}   (Ctrl-C stops)", file=sys.stderr, flush=True)
     return live
 
 

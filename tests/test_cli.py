@@ -52,7 +52,7 @@ def test_race_prints_a_classification_and_succeeds(league):
 
 def test_classification_is_readable_where_the_width_is_not_known():
     # As in a log of CI: no terminal, 80 columns. Names and times must not be cut off.
-    command = [sys.executable, "-m", "league.cli", "race", "racing_line", "cautious", *SHORT]
+    command = [sys.executable, "-m", "league.cli", "race", "racing_line", "centerline", *SHORT]
     settings = {key: value for key, value in os.environ.items() if key not in ("COLUMNS", "LINES")}
     ran = subprocess.run(
         command, capture_output=True, text=True, env=settings, cwd=Path(__file__).parents[1]

@@ -47,7 +47,7 @@ def digest(spec, drivers):
 jobs = []
 for solver in ("planar", "bullet"):
     fast = {"solver": solver, "max_time_s": 5.0, "seed": 3}
-    two = tuple(Entry(name=name) for name in ("racing_line", "blocker"))
+    two = tuple(Entry(name=name) for name in ("centerline", "cautious"))
     one = (Entry(name="seeing"),)
     pair = (Entry(name="seeing"), Entry(name="seeing"))
     jobs += [
@@ -94,7 +94,7 @@ def watched(spec: RaceSpec, *, record: bool):
 
 @pytest.mark.parametrize("solver", ["planar", "bullet"])
 def test_keeping_a_record_changes_nothing(solver):
-    entries = tuple(Entry(name=name) for name in ("racing_line", "cautious"))
+    entries = tuple(Entry(name=name) for name in ("centerline", "cautious"))
     spec = RaceSpec(entries=entries, solver=solver, max_time_s=4.0)
     result, worlds = watched(spec, record=True)
     other, others = watched(spec, record=False)

@@ -38,9 +38,9 @@ class Weights:
 
     lateral: float = 30.0
     """Price of lateral error squared [1/m^2]."""
-    course: float = 4.0
+    course: float = 8.0
     """Price of the velocity's angle to the line squared [1/rad^2]."""
-    change: float = 3.0
+    change: float = 5.0
     """Price of a change of the steering target from step to step squared [1/rad^2]."""
 
 

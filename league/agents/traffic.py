@@ -133,7 +133,9 @@ def plan(
         weight = _weight(others, thing, road, closing, manners)
         aside = _aside(others, thing, road, wished, lateral, closing, apart, low, high, manners)
         target = target + (aside - target) * weight
-    target = torch.minimum(torch.maximum(target, low), high)
+    # The line itself may run nearer to a border.
+    target = torch.maximum(target, torch.minimum(low, road.lateral))
+    target = torch.minimum(target, torch.maximum(high, road.lateral))
     return Plan(target, largest_speed(others, target, lateral, own, manners))
 
 

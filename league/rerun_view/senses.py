@@ -14,9 +14,9 @@ from league.sim import lidar
 from league.sim.camera.cv import CvRenderer
 from league.sim.camera.scene import CAR_COLOURS
 from league.sim.config import CameraConfig, LidarConfig
-from league.video.mp4 import Coding, Mp4
+from league.video.mp4 import Coding, Mp4, interleaved
 
-EYE_CAMERA = CameraConfig(width=320, height=240, colour=True)
+EYE_CAMERA = CameraConfig(width=288, height=216, colour=True)
 """How the cars' eyes are shown, whatever their drivers were given."""
 EYE_CODING = Coding(crf=29, preset="ultrafast", keyframe_s=2.0)
 BATCH = 16
@@ -93,8 +93,8 @@ def _film(replay: Replay, slot: int) -> tuple[bytes, bytes]:
     ):
         for start in range(0, replay.num_frames, BATCH):
             world = replay.at(replay.times_s[start : start + BATCH])
-            pictures = renderer.render(world, slot).numpy().transpose(0, 2, 3, 1)
-            for picture in pictures:  # (height, width, 6)
-                left.add(np.ascontiguousarray(picture[..., :3]))
-                right.add(np.ascontiguousarray(picture[..., 3:]))
+            pictures = renderer.render(world, slot).numpy()
+            for planes in pictures:  # (6, height, width)
+                left.add(interleaved(planes[:3]))
+                right.add(interleaved(planes[3:]))
     return films[0].getvalue(), films[1].getvalue()

@@ -20,7 +20,7 @@ from league.sim.camera.cv import CvRenderer
 from league.sim.config import CameraConfig
 from league.sim.world import World
 from league.video.hud import Hud
-from league.video.mp4 import Coding, Mp4
+from league.video.mp4 import Coding, Mp4, interleaved
 
 SIZE = (1280, 720)
 FPS = 30
@@ -74,7 +74,7 @@ class Film:
         seen = self._renderer.render(_with_eye(world, x, y, yaw), self._replay.num_cars)
         taken = []
         for row, time_s in enumerate(times_s):
-            picture = np.ascontiguousarray(seen[row].numpy().transpose(1, 2, 0))
+            picture = interleaved(seen[row].numpy())
             self._hud.draw(picture, world, row, float(time_s))
             taken.append(picture)
         return taken

@@ -24,6 +24,11 @@ class Coding:
     """Longest time between two key frames [s]: what a viewer decodes at most when it seeks."""
 
 
+def interleaved(planes: np.ndarray) -> np.ndarray:
+    """Return a picture of three planes, (3, height, width), as (height, width, 3)."""
+    return cv2.merge(list(planes))
+
+
 class Mp4:
     """A video under way: add pictures, then close it, best in a with block."""
 

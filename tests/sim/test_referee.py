@@ -123,7 +123,7 @@ def test_frozen_car_beyond_the_middle_of_a_hairpin_keeps_its_place():
     # A ring of 0.477 m radius: from beyond its middle the nearest point of the road is elsewhere.
     tracks = TrackSet.of(make_ring(points=60, width=0.6))
     before = put_cars(tracks, ALONE, [(1.0, 0.3)])
-    _, world = raced(tracks, ALONE, before, [(1.0, 0.6)])
+    _, world = raced(tracks, ALONE, before, [(1.1, 0.6)])
     kept = world.standing
     assert float(kept.penalty_s) == 2.0
     for _ in range(29):
