@@ -7,7 +7,7 @@ export OMP_WAIT_POLICY = PASSIVE
 .PHONY: race test sync format check type bench clean
 
 race: sync
-	$(BIN)/league race racing_line cautious centerline --track reinvent_2018
+	$(BIN)/league race blocker racing_line centerline cautious --track reinvent_2018
 
 test: sync
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile

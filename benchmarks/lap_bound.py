@@ -1,4 +1,4 @@
-"""The quasi-steady-state bound of a flying lap on every shipped track: `python -m benchmarks.lap_bound`.
+"""The quasi-steady-state bound of a flying lap on every shipped track.
 
 The car is a point with all its grip in every direction (a friction circle of CarConfig.grip, cut by
 max_acceleration and max_braking), at most max_speed, on a line no tighter than the steering allows,

@@ -1,4 +1,4 @@
-"""A racing line as tables that a batch of cars reads: by place on the track, and ahead along the line."""
+"""A racing line as tables that a batch of cars reads: beside each car, and ahead along the line."""
 
 from __future__ import annotations
 
@@ -78,7 +78,8 @@ class Path:
         rooms = [
             np.interp(
                 s,
-                np.arange(len(border) + track.closed) * (track.length / (len(border) - (not track.closed))),
+                np.arange(len(border) + track.closed)
+                * (track.length / (len(border) - (not track.closed))),
                 np.append(border, border[0]) if track.closed else border,
             )
             for border in (

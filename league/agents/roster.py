@@ -14,7 +14,7 @@ from league.track.course import Track, TrackSet
 NAMES: dict[str, str] = {
     "blocker": "drives the racing line a little slower and moves in front of the car behind it",
     "cautious": "drives at three quarters of the pace, keeps its distance, goes round what stands",
-    "centerline": "the honest beginner: follows the centreline, slow in bends, brakes behind others",
+    "centerline": "the honest beginner: follows the centreline, slow in bends, waits behind cars",
     "racing_line": "the bar to beat: the fastest line at the limit of grip, passes where it can",
 }
 """Scripted drivers and what each does."""
@@ -55,8 +55,8 @@ def load(name_or_path: str, tracks: TrackSet, car: CarConfig) -> Driver:
     """
     if name_or_path.endswith(".pt"):
         raise PolicyError(
-            f"{name_or_path!r} is a checkpoint, which this version cannot load yet (checkpoints come "
-            f"with `league train`); give a scripted driver: {', '.join(NAMES)}"
+            f"{name_or_path!r} is a checkpoint, which this version cannot load yet (checkpoints "
+            f"come with `league train`); give a scripted driver: {', '.join(NAMES)}"
         )
     if name_or_path not in NAMES:
         raise PolicyError(

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import torch
 from torch import Tensor
 
 from league.agents.driver import actions_from
+from league.agents.pace import GRAVITY, Limits
 from league.agents.path import NODE_GAP, NODES, Horizon, Path, Place, read_nodes
-from league.agents.racing_line import Limits, center_line, optimal_line
+from league.agents.racing_line import RacingLine, center_line, optimal_line
 from league.agents.steering import STEP_DT, STEPS, Errors, PreviewSteering
 from league.agents.traffic import Manners, Others, largest_speed, plan
 from league.envs.state import INDEX, NEIGHBOURS
@@ -18,9 +20,9 @@ from league.geometry import unrotate
 from league.sim.config import CarConfig, SensorConfig
 from league.track.course import Track
 
-GRAVITY = 9.81
-"""[m/s^2]."""
 _SMOOTHINGS = 1
+_SLOWLY = Manners(clearance=0.08, edge=0.05, approach=1.5, lead=0.4, braking=1.5, gap=0.3)
+_CAREFUL, _CAREFUL_STEPS = 1.0, 45.0
 _GROW, _FADE = 0.5, 0.25
 _SERVO = 0.6
 """Part of a speed error that the servo makes good within a control step."""
@@ -44,13 +46,19 @@ class Style:
     """Whether it moves in front of the car behind."""
 
 
+@lru_cache(maxsize=8)
+def _line(track: Track, car: CarConfig, margin: float, grip: float) -> RacingLine:
+    """Seek a line once for all cars of a race that want the same."""
+    return optimal_line(track, car, margin, share=grip)
+
+
 class LineDriver:
     """Follows the fastest line by preview steering, goes round others, brakes where it cannot."""
 
     def __init__(self, name: str, track: Track, car: CarConfig, style: Style) -> None:
         """Seek the line of a track and build the tables."""
         self.name, self.sensors = name, SensorConfig()
-        line = optimal_line(track, car, style.margin, share=style.grip)
+        line = _line(track, car, style.margin, style.grip)
         self._car, self._style = car, style
         self._path = Path.of(line, track)
         self._steering = PreviewSteering.of(car)
@@ -58,20 +66,24 @@ class LineDriver:
         self._grip = style.grip * car.grip * GRAVITY
         self._target = torch.zeros(0)
         self._shift = torch.zeros(0)
+        self._care = torch.zeros(0)
 
     def reset(self, rows: Tensor | None) -> None:
-        """Forget the last steering target and how far beside the line the car was."""
+        """Forget the last steering target, the shift beside the line and the last penalty."""
         if rows is None:
-            self._target, self._shift = torch.zeros(0), torch.zeros(0)
+            self._target = self._shift = self._care = torch.zeros(0)
         elif len(self._target):
-            self._target[rows], self._shift[rows] = 0.0, 0.0
+            # Copies: what inference mode made cannot be written to outside of it.
+            kept = [memory.clone() for memory in (self._target, self._shift, self._care)]
+            for memory in kept:
+                memory[rows] = 0.0
+            self._target, self._shift, self._care = kept
 
     def act(self, observations: Mapping[str, Tensor]) -> Tensor:
         """Return actions from the `state` group."""
         state = observations["state"]
         if len(self._target) != len(state):
-            self._target = torch.zeros_like(state[:, 0])
-            self._shift = torch.zeros_like(state[:, 0])
+            self._target = self._shift = self._care = torch.zeros_like(state[:, 0])
         place = self._path.beside(state[:, INDEX["s"]].contiguous())
         road = self._path.ahead_of(place)
         speed = torch.clamp(state[:, INDEX["speed_ahead"]], min=0.0)
@@ -80,7 +92,9 @@ class LineDriver:
         pace = speed / beside.longer[:, 0]
         steering = self._steer(state, place, shift, beside, speed, pace)
         asked = self._drive(road, shift, beside.bends, speed, limit)
-        self._target = torch.where(state[:, INDEX["frozen"]] > 0, 0.0, steering)
+        frozen = state[:, INDEX["frozen"]] > 0
+        self._target = torch.where(frozen, 0.0, steering)
+        self._care = torch.where(frozen, _CAREFUL_STEPS, torch.clamp(self._care - 1.0, min=0.0))
         self._shift = read_nodes(shift, (pace * STEP_DT).unsqueeze(1))[:, 0]
         return actions_from(self._target, asked, self._car)
 
@@ -91,6 +105,12 @@ class LineDriver:
         lateral = state[:, INDEX["lateral"]].contiguous()
         planned = plan(others, road, wished, lateral, speed, self._style.manners)
         shift = planned.lateral - road.lateral
+        limit = planned.speed
+        # Whoever has just stood a penalty passes the next body slowly.
+        near = (others.present & (others.gap > -0.4) & (others.gap < 1.5)).to(speed.dtype)
+        careful = self._care > 0
+        for column in near.unbind(dim=1):
+            limit = torch.where(careful & (column > 0), torch.clamp(limit, max=_CAREFUL), limit)
         # From where the last step left it, a shift grows no faster than a car can follow, and fades
         # more slowly, because what was passed is no longer told.
         ahead = torch.arange(NODES, dtype=torch.float32, device=state.device) * NODE_GAP
@@ -102,7 +122,7 @@ class LineDriver:
         for _ in range(_SMOOTHINGS):
             inner = (shift[:, :-2] + 2.0 * shift[:, 1:-1] + shift[:, 2:]) / 4.0
             shift = torch.cat([shift[:, :1], inner, shift[:, -1:]], dim=1)
-        return shift, planned.speed
+        return shift, limit
 
     def _steer(
         self,
@@ -159,7 +179,6 @@ class LineDriver:
         target = torch.maximum(torch.minimum(target, faster), slower)
         return speed + (target - speed) / _SERVO
 
-
     def _spare(self, cornering: Tensor) -> Tensor:
         """Return `spare_grip` of a batch [m/s^2]."""
         most, t = self._car.grip * GRAVITY, self._transfer
@@ -169,7 +188,7 @@ class LineDriver:
 
 
 class CenterlineDriver:
-    """The honest beginner: chases a point of the centreline, slow in bends, brakes behind others."""
+    """The honest beginner: chases a point of the centreline, goes round boxes, waits for cars."""
 
     def __init__(self, name: str, track: Track, car: CarConfig) -> None:
         """Build the speed that suits the bends."""
@@ -185,14 +204,19 @@ class CenterlineDriver:
         state, car = observations["state"], self._car
         speed = torch.clamp(state[:, INDEX["speed_ahead"]], min=0.0)
         road = self._path.ahead_of(self._path.beside(state[:, INDEX["s"]].contiguous()))
-        # Pure pursuit: the circle through the car, along its yaw, to a point of the line ahead.
-        x, y = _point_ahead(state, road.curvature, 0.35 + 0.15 * speed)
-        curvature = 2.0 * y / torch.clamp(x * x + y * y, min=0.01)
         lateral = state[:, INDEX["lateral"]].contiguous()
+        others = Others.told(state)
+        # Round what stands for good; behind a car it waits, even a standing one.
+        boxes = replace(others, present=others.present & others.is_box)
+        aside = plan(boxes, road, road.lateral, lateral, speed, _SLOWLY).lateral
+        # Pure pursuit: the circle through the car, along its yaw, to a point of the path ahead.
+        x, y = _point_ahead(state, road, aside, 0.35 + 0.15 * speed)
+        curvature = 2.0 * y / torch.clamp(x * x + y * y, min=0.01)
         own = torch.clamp(speed, min=1.0)
-        limit = largest_speed(Others.told(state), road.lateral, lateral, own, Manners())
+        limit = largest_speed(others, aside, lateral, own, _SLOWLY)
+        slow = torch.where((aside - road.lateral)[:, 2].abs() > 0.02, 1.2, self._car.max_speed)
         soon = read_nodes(road.speed, (speed * 2.0 * STEP_DT).unsqueeze(1))[:, 0]
-        asked = torch.minimum(soon, limit)
+        asked = torch.minimum(torch.minimum(soon, limit), slow)
         return actions_from(torch.atan(car.wheelbase * curvature), asked, car)
 
 
@@ -250,17 +274,20 @@ def _mirrored(state: Tensor, road: Horizon, manners: Manners) -> Tensor:
     return wished
 
 
-def _point_ahead(state: Tensor, curvature: Tensor, reach: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the centreline's point `reach` metres on, in the car's frame [m]."""
-    along = torch.zeros_like(reach)
-    across = -state[:, INDEX["lateral"]]
-    turned, x, y = torch.zeros_like(reach), torch.zeros_like(reach), torch.zeros_like(reach)
+def _point_ahead(
+    state: Tensor, road: Horizon, aside: Tensor, reach: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return the point `aside` of the centreline, `reach` metres on, in the car's frame [m]."""
+    zero = torch.zeros_like(reach)
+    along, across, turned, x, y = zero, -state[:, INDEX["lateral"]], zero, zero, zero
     for node in range(6):
         weight = torch.clamp(1.0 - (reach / NODE_GAP - node).abs(), 0.0, 1.0)
-        x, y = x + weight * along, y + weight * across
-        middle = turned + 0.5 * NODE_GAP * curvature[:, node]
+        x = x + weight * (along - aside[:, node] * torch.sin(turned))
+        y = y + weight * (across + aside[:, node] * torch.cos(turned))
+        turn = NODE_GAP * road.curvature[:, node]
+        middle = turned + 0.5 * turn
         along = along + NODE_GAP * torch.cos(middle)
         across = across + NODE_GAP * torch.sin(middle)
-        turned = turned + NODE_GAP * curvature[:, node]
+        turned = turned + turn
     error = state[:, INDEX["heading_error"]].contiguous()
     return unrotate(x, y, torch.cos(error), torch.sin(error))

@@ -62,6 +62,8 @@ class Others:
     """Bool."""
     reach: Tensor
     """Distance along the track within which bodies may touch [m], (things,)."""
+    is_box: Tensor
+    """Bool, (things,)."""
     widths: Tensor
     """Distance across the track within which bodies touch [m], (things,)."""
 
@@ -85,6 +87,7 @@ class Others:
             speed=torch.clamp(column("speed", None), min=0.0),
             present=column("present", "present") > 0.5,
             reach=state.new_tensor([CAR_REACH] * NEIGHBOURS + [BOX_REACH] * NEAR_OBSTACLES),
+            is_box=state.new_tensor([0.0] * NEIGHBOURS + [1.0] * NEAR_OBSTACLES) > 0.5,
             widths=state.new_tensor([CAR_WIDTHS] * NEIGHBOURS + [BOX_WIDTHS] * NEAR_OBSTACLES),
         )
 
@@ -139,9 +142,7 @@ def plan(
     return Plan(target, largest_speed(others, target, lateral, own, manners))
 
 
-def _weight(
-    others: Others, thing: int, road: Horizon, closing: Tensor, manners: Manners
-) -> Tensor:
+def _weight(others: Others, thing: int, road: Horizon, closing: Tensor, manners: Manners) -> Tensor:
     """Return how much a thing counts at each node, 0 to 1, smooth; (num_rows, NODES)."""
     closing = closing.unsqueeze(1)
     apart = others.gap[:, thing : thing + 1] - road.ahead * closing

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import contextlib
 import os
 import subprocess
 import sys
@@ -120,7 +121,8 @@ class Live:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             env=None if window else web_viewer.quiet_environment(home.name),
-            start_new_session=window,  # the window stays when the race is over
+            # Ctrl-C is for us alone, and a window stays when the race is over.
+            start_new_session=True,
         )
         try:
             web_viewer.wait_until_open(port, child)
@@ -263,8 +265,9 @@ class Live:
     def close(self) -> None:
         """Send what is left and stop serving; a window stays open."""
         atexit.unregister(self.close)
-        self._recording.flush()
-        self._recording.disconnect()
+        with contextlib.suppress(RuntimeError):  # the viewer may have been closed before us
+            self._recording.flush()
+            self._recording.disconnect()
         if self._server is not None:
             self._server.close()
             self._server = None
