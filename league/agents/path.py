@@ -45,6 +45,14 @@ class Horizon:
     """Distance from the centreline to the left border [m]."""
     right: Tensor
     """Distance from the centreline to the right border [m]."""
+    x: Tensor
+    """World frame [m]."""
+    y: Tensor
+    """World frame [m]."""
+    normal_x: Tensor
+    """The TRACK's normal to the left, along which lateral places are told."""
+    normal_y: Tensor
+    """The same."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,44 +67,44 @@ class Path:
     by_s: Tensor
     """Columns distance, lateral, heading; a closed one repeats its first row at the end."""
     by_distance: Tensor
-    """Columns s minus its even share, lateral, curvature, speed, left, right."""
+    """Columns s minus its even share, then those of a Horizon after `ahead`."""
 
     @classmethod
     def of(cls, line: RacingLine, track: Track) -> Path:
         """Build the tables of a line on its track."""
         step = track.length / (len(line.s) if line.closed else len(line.s) - 1)
-        pieces = line.stretch * step
-        run = np.concatenate([[0.0], np.cumsum(pieces)])
+        run = np.concatenate([[0.0], np.cumsum(line.stretch * step)])
         run = run if line.closed else run[:-1]
         s = np.arange(len(run)) * step
 
         def whole(values: np.ndarray) -> np.ndarray:
             return np.append(values, values[0]) if line.closed else values
 
-        total = float(run[-1])
+        def of_track(values: np.ndarray) -> np.ndarray:
+            given = np.arange(len(values) + track.closed)
+            spacing = track.length / (len(given) - 1)
+            return np.interp(s, given * spacing, whole(values))
+
+        lateral, total = whole(line.lateral), float(run[-1])
         even = np.linspace(0.0, total, len(run))
-        rooms = [
-            np.interp(
-                s,
-                np.arange(len(border) + track.closed)
-                * (track.length / (len(border) - (not track.closed))),
-                np.append(border, border[0]) if track.closed else border,
-            )
-            for border in (
-                np.linalg.norm(track.left - track.center, axis=1),
-                np.linalg.norm(track.right - track.center, axis=1),
-            )
-        ]
+        tangent_x, tangent_y = (of_track(track.tangent[:, axis]) for axis in (0, 1))
+        size = np.hypot(tangent_x, tangent_y)
+        normal_x, normal_y = -tangent_y / size, tangent_x / size
         columns = [
             s,
-            whole(line.lateral),
+            lateral,
             whole(line.curvature),
             whole(line.speed),
-            *rooms,
+            of_track(np.linalg.norm(track.left - track.center, axis=1)),
+            of_track(np.linalg.norm(track.right - track.center, axis=1)),
+            of_track(track.center[:, 0]) + lateral * normal_x,
+            of_track(track.center[:, 1]) + lateral * normal_y,
+            normal_x,
+            normal_y,
         ]
         ahead = [np.interp(even, run, column) for column in columns]
         ahead[0] = ahead[0] - even * (track.length / total)
-        beside = [run, whole(line.lateral), whole(line.heading)]
+        beside = [run, lateral, whole(line.heading)]
         return cls(
             closed=line.closed,
             length=track.length,
@@ -114,11 +122,9 @@ class Path:
         """Return the line ahead of these places."""
         steps = torch.arange(NODES, dtype=torch.float32, device=place.distance.device) * NODE_GAP
         distance = place.distance.unsqueeze(1) + steps
-        uneven, lateral, curvature, speed, left, right = self._read(
-            self.by_distance, distance, self.total
-        )
+        uneven, *others = self._read(self.by_distance, distance, self.total)
         ahead = uneven - uneven[:, :1] + steps * (self.length / self.total)
-        return Horizon(ahead, lateral, curvature, speed, left, right)
+        return Horizon(ahead, *others)
 
     def _read(self, table: Tensor, where: Tensor, end: float) -> tuple[Tensor, ...]:
         """Mix the two rows next to each place; loops wrap, open lines hold their ends."""

@@ -16,7 +16,7 @@ from league.agents.racing_line import RacingLine, center_line, optimal_line
 from league.agents.steering import STEP_DT, STEPS, Errors, PreviewSteering
 from league.agents.traffic import Manners, Others, largest_speed, plan
 from league.envs.state import INDEX, NEIGHBOURS
-from league.geometry import unrotate
+from league.geometry import heading_of, unrotate
 from league.sim.config import CarConfig, SensorConfig
 from league.track.course import Track
 
@@ -89,7 +89,7 @@ class LineDriver:
         speed = torch.clamp(state[:, INDEX["speed_ahead"]], min=0.0)
         shift, limit = self._around(state, road, speed)
         beside = _Beside.of(road, shift)
-        pace = speed / beside.longer[:, 0]
+        pace = speed / beside.longer
         steering = self._steer(state, place, shift, beside, speed, pace)
         asked = self._drive(road, shift, beside.bends, speed, limit)
         frozen = state[:, INDEX["frozen"]] > 0
@@ -227,34 +227,38 @@ class _Beside:
     bends: Tensor
     """Its curvature at each node [1/m], (num_rows, NODES)."""
     longer: Tensor
-    """Its metres for each metre of line, (num_rows, NODES)."""
+    """Its metres for each metre of line at the car, (num_rows,)."""
     turned: Tensor
     """Its direction at the car minus the line's [rad], (num_rows,)."""
 
     @classmethod
     def of(cls, road: Horizon, shift: Tensor) -> _Beside:
-        """Bend the line by a shift to its left.
+        """Move the line's nodes along the track's normals.
 
-        With curvature k, shift n and f = 1 - k n, all by distance along the line, the path's
-        curvature is (f (k f + n'') + n' (k' n + 2 k n')) / (f^2 + n'^2)^(3/2).
+        Coarse nodes tell a curve's bends badly, but the same coarse measure of both curves tells
+        their difference well; it is added to the line's own, so no shift changes nothing.
         """
-        k, n = road.curvature, shift
-        slope, twist = _first(n), _first(k)
-        second = (n[:, :-2] - 2.0 * n[:, 1:-1] + n[:, 2:]) / NODE_GAP**2
-        second = torch.cat([second[:, :1], second, second[:, -1:]], dim=1)
-        f = torch.clamp(1.0 - k * n, 0.4, 2.5)
-        longer = torch.sqrt(f * f + slope * slope)
-        bends = f * (k * f + second) + slope * (twist * n + 2.0 * k * slope)
-        bends = bends / (longer * longer * longer)
-        return cls(bends, longer, torch.atan(slope[:, 0] / f[:, 0]))
+        x, y = road.x + shift * road.normal_x, road.y + shift * road.normal_y
+        extra = _bends(x, y) - _bends(road.x, road.y)
+        extra = torch.cat([extra[:, :1], extra, extra[:, -1:]], dim=1)
+        (ax, ay), (bx, by) = (_start(road.x), _start(road.y)), (_start(x), _start(y))
+        along, across = ax * bx + ay * by, ax * by - ay * bx
+        longer = torch.sqrt((bx * bx + by * by) / (ax * ax + ay * ay))
+        return cls(road.curvature + extra, torch.clamp(longer, 0.4, 2.5), heading_of(along, across))
 
 
-def _first(values: Tensor) -> Tensor:
-    """Return slopes over distance, of second order at the start too: the line bends fast."""
-    inner = (values[:, 2:] - values[:, :-2]) / (2 * NODE_GAP)
-    start = (4.0 * values[:, 1:2] - 3.0 * values[:, :1] - values[:, 2:3]) / (2 * NODE_GAP)
-    end = (values[:, -1:] - values[:, -2:-1]) / NODE_GAP
-    return torch.cat([start, inner, end], dim=1)
+def _bends(x: Tensor, y: Tensor) -> Tensor:
+    """Return the curvature of the circle through each three nodes [1/m], (num_rows, NODES - 2)."""
+    ax, ay = x[:, 2:] - x[:, 1:-1], y[:, 2:] - y[:, 1:-1]
+    bx, by = x[:, 1:-1] - x[:, :-2], y[:, 1:-1] - y[:, :-2]
+    cx, cy = ax + bx, ay + by
+    sides = (ax * ax + ay * ay) * (bx * bx + by * by) * (cx * cx + cy * cy)
+    return 2.0 * (bx * ay - by * ax) / torch.sqrt(torch.clamp(sides, min=1e-9))
+
+
+def _start(values: Tensor) -> Tensor:
+    """Return the slope at the first node, of second order, times two node gaps."""
+    return 4.0 * values[:, 1] - 3.0 * values[:, 0] - values[:, 2]
 
 
 def _mirrored(state: Tensor, road: Horizon, manners: Manners) -> Tensor:

@@ -134,6 +134,8 @@ def plan(
         closing = torch.clamp(1.0 - others.speed[:, thing] / own, min=0.08)
         apart = others.widths[thing] + manners.clearance + corners
         weight = _weight(others, thing, road, closing, manners)
+        if not bool((weight > 0).any()):
+            continue  # nothing to add for any row, to the same bits
         aside = _aside(others, thing, road, wished, lateral, closing, apart, low, high, manners)
         target = target + (aside - target) * weight
     # The line itself may run nearer to a border.

@@ -76,16 +76,21 @@ def parameters(sim: SimConfig, seed: Tensor, episode: Tensor) -> CarParameters:
     car, spread = sim.car, sim.spread
     number = torch.arange(episode.shape[1], device=seed.device).expand(episode.shape)
 
-    def centred(purpose: int) -> Tensor:
-        return 2.0 * draws.uniform(seed.unsqueeze(1), purpose, number, episode) - 1.0
+    none = torch.zeros(episode.shape, device=seed.device)
 
+    def drawn(purpose: int, reach: float) -> Tensor:
+        if reach == 0:
+            return none
+        return reach * (2.0 * draws.uniform(seed.unsqueeze(1), purpose, number, episode) - 1.0)
+
+    half = spread.latency_s / 2
     return CarParameters(
-        grip=car.grip * (1.0 + spread.grip * centred(_GRIP)),
-        mass=car.mass * (1.0 + spread.mass * centred(_MASS)),
-        latency_s=car.latency_s + spread.latency_s * 0.5 * (1.0 + centred(_LATENCY)),
-        steering_offset=spread.steering_offset * centred(_STEERING),
-        camera_up=spread.camera_position * centred(_CAMERA_UP),
-        camera_pitch=spread.camera_angle * centred(_CAMERA_PITCH),
+        grip=car.grip * (1.0 + drawn(_GRIP, spread.grip)),
+        mass=car.mass * (1.0 + drawn(_MASS, spread.mass)),
+        latency_s=car.latency_s + half + drawn(_LATENCY, half),
+        steering_offset=drawn(_STEERING, spread.steering_offset),
+        camera_up=drawn(_CAMERA_UP, spread.camera_position),
+        camera_pitch=drawn(_CAMERA_PITCH, spread.camera_angle),
     )
 
 
