@@ -393,7 +393,8 @@ def _view(command: View) -> int:
 
 def _print_classification(result: RaceResult) -> None:
     spec = result.spec
-    title = f"{spec.kind.replace('_', ' ')} on {spec.track}, {spec.laps} laps"
+    laps = "1 lap" if spec.laps == 1 else f"{spec.laps} laps"
+    title = f"{spec.kind.replace('_', ' ')} on {spec.track}, {laps}"
     table = _table(
         title, "", "driver", "laps", "total", "gap", "best lap", "off", "crash", "passed"
     )

@@ -1,4 +1,4 @@
-"""What a user installs: the wheel holds the code and all tracks, and nothing is fetched to run it."""
+"""What a user installs: the wheel holds the code and all tracks; nothing is fetched to run it."""
 
 import subprocess
 import sys

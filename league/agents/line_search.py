@@ -234,9 +234,10 @@ def _linear_round(
         ),
         method="highs",
     )
-    if not answer.success or answer.x is None:
+    found = answer.x
+    if not answer.success or found is None:
         return None
-    change = curves @ answer.x[: len(free)]
+    change = curves @ found[: len(free)]
     return np.clip(lateral + change, road.low, road.high)
 
 

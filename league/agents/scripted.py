@@ -20,7 +20,7 @@ from league.geometry import heading_of, unrotate
 from league.sim.config import CarConfig, SensorConfig
 from league.track.course import Track
 
-_SMOOTHINGS = 1
+_SMOOTHINGS = 2
 _SLOWLY = Manners(clearance=0.08, edge=0.05, approach=1.5, lead=0.4, braking=1.5, gap=0.3)
 _CAREFUL, _CAREFUL_STEPS = 1.0, 45.0
 _GROW, _FADE = 0.5, 0.25
@@ -257,8 +257,11 @@ def _bends(x: Tensor, y: Tensor) -> Tensor:
 
 
 def _start(values: Tensor) -> Tensor:
-    """Return the slope at the first node, of second order, times two node gaps."""
-    return 4.0 * values[:, 1] - 3.0 * values[:, 0] - values[:, 2]
+    """Return the slope at the first node in node gaps, half way from first to second order.
+
+    First order lags where a line bends fast; second order overshoots where a shift has a kink.
+    """
+    return 1.5 * values[:, 1] - 1.25 * values[:, 0] - 0.25 * values[:, 2]
 
 
 def _mirrored(state: Tensor, road: Horizon, manners: Manners) -> Tensor:

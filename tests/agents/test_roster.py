@@ -1,0 +1,52 @@
+"""Names become drivers; what is no name becomes one sentence."""
+
+import pytest
+import torch
+
+from league.agents import roster
+from league.agents.driver import actions_from
+from league.envs.race_env import decode
+from league.errors import PolicyError
+from league.sim.config import CarConfig, SensorConfig, SimConfig
+from league.track import files
+from league.track.course import TrackSet
+
+
+def one_track() -> TrackSet:
+    return TrackSet.of(files.load("harbour_oval"))
+
+
+@pytest.mark.parametrize("name", roster.NAMES)
+def test_every_name_gives_a_driver_without_sensors(name):
+    driver = roster.load(name, one_track(), CarConfig())
+    assert driver.name == name
+    assert driver.sensors == SensorConfig()
+
+
+def test_an_unknown_driver_is_told_with_the_nearest_names():
+    with pytest.raises(PolicyError, match=r"'racing_lime'.*racing_line"):
+        roster.load("racing_lime", one_track(), CarConfig())
+
+
+def test_a_checkpoint_says_where_checkpoints_come_from():
+    with pytest.raises(PolicyError, match="league train"):
+        roster.load("runs/best.pt", one_track(), CarConfig())
+
+
+def test_two_tracks_at_once_are_refused():
+    both = TrackSet.of(files.load("harbour_oval"), files.load("peanut"))
+    with pytest.raises(PolicyError, match="2 tracks"):
+        roster.load("cautious", both, CarConfig())
+
+
+def test_actions_are_the_inverse_of_what_the_environment_decodes():
+    car = CarConfig()
+    steering, speed = torch.tensor([0.0, 0.3, -0.5]), torch.tensor([0.1, 2.0, 4.0])
+    control = decode(SimConfig(car=car), actions_from(steering, speed, car))
+    torch.testing.assert_close(control.steering, steering)
+    torch.testing.assert_close(control.speed, speed)
+
+
+def test_what_cannot_be_asked_is_clipped():
+    action = actions_from(torch.tensor([2.0, -2.0]), torch.tensor([9.0, -1.0]), CarConfig())
+    assert action.tolist() == [[1.0, 1.0], [-1.0, -1.0]]

@@ -1,0 +1,174 @@
+"""Scripted drivers drive: laps, speed, boxes, traffic, memory and batches."""
+
+from functools import lru_cache
+from pathlib import Path
+
+import pytest
+import torch
+
+from benchmarks.lap_bound import lap_bound
+from league.agents import roster
+from league.envs.config import EnvConfig
+from league.envs.race_env import RaceEnv
+from league.sim.config import CarConfig, ObstacleConfig, RaceRules, SimConfig
+from league.sim.world import Standing
+from league.track import files, importer
+from league.track.course import Track, TrackSet
+
+SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "tracks"
+CAR = CarConfig()
+
+
+def drive(track: Track, names: list[str], sim: SimConfig, *, num_worlds: int = 1) -> Standing:
+    """Race drivers until all have finished or time is up; return the referee's book."""
+    tracks = TrackSet.of(track)
+    drivers = [roster.load(name, tracks, CAR) for name in names]
+    env = RaceEnv(tracks, EnvConfig(sim=sim), num_worlds=num_worlds)
+    told = env.reset(seed=3)
+    for _ in range(round(15 * (20 + sim.rules.laps * track.length / 0.8))):
+        acts = [driver.act(mine) for driver, mine in zip(drivers, told, strict=True)]
+        step = env.step(torch.stack(acts, dim=1))
+        told = step.observations
+        if bool(step.terminated.all()):
+            break
+    assert bool(step.terminated.all()), "somebody did not finish"
+    return env.world.standing
+
+
+def alone(track: Track, name: str, laps: int) -> Standing:
+    return drive(track, [name], SimConfig(rules=RaceRules(laps=laps)))
+
+
+def mistakes(book: Standing) -> int:
+    counts = (book.off_tracks, book.crashes, book.immobilised, book.reversed)
+    return sum(int(count.sum()) for count in counts)
+
+
+@lru_cache(maxsize=1)
+def reinvent() -> Track:
+    return files.load("reinvent_2018")
+
+
+def test_racing_line_laps_within_a_tenth_of_the_bound_from_a_standing_start():
+    book = alone(reinvent(), "racing_line", laps=3)
+    assert mistakes(book) == 0
+    assert float(book.best_lap_s) <= 1.10 * lap_bound(reinvent(), CAR)
+
+
+@pytest.mark.parametrize("name", files.names())
+def test_racing_line_stays_on_every_shipped_track(name):
+    assert mistakes(alone(files.load(name), "racing_line", laps=2)) == 0
+
+
+@pytest.mark.parametrize("name", ["needle_pass", "thread_lane", "broad_street"])
+@pytest.mark.parametrize("driver", ["centerline", "cautious", "blocker"])
+def test_slower_drivers_get_round_hairpins_narrow_roads_and_clockwise_ones(name, driver):
+    assert mistakes(alone(files.load(name), driver, laps=1)) == 0
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="../shared/tracks is not here")
+@pytest.mark.parametrize("path", sorted(SHARED.glob("*.npy")), ids=lambda path: path.stem)
+def test_community_tracks_are_driven_round(path):
+    track = importer.read_npy(path)
+    assert mistakes(alone(track, "centerline", laps=1)) == 0
+    assert mistakes(alone(track, "racing_line", laps=1)) == 0
+
+
+def test_drivers_have_the_pace_their_names_promise():
+    pace = {name: float(alone(reinvent(), name, laps=2).best_lap_s) for name in roster.NAMES}
+    assert pace["racing_line"] < pace["blocker"] < pace["cautious"] < pace["centerline"]
+
+
+@pytest.mark.parametrize("name", ["cautious", "centerline"])
+def test_boxes_are_passed_without_contact(name):
+    sim = SimConfig(kind="obstacle_avoidance", rules=RaceRules(laps=1))
+    assert mistakes(drive(reinvent(), [name], sim, num_worlds=16)) == 0
+
+
+def test_racing_line_passes_most_fields_of_boxes():
+    sim = SimConfig(
+        kind="obstacle_avoidance",
+        obstacles=ObstacleConfig(count=4),
+        rules=RaceRules(laps=1),
+    )
+    book = drive(reinvent(), ["racing_line"], sim, num_worlds=16)
+    assert int((book.crashes > 0).sum()) <= 2
+
+
+@pytest.mark.parametrize("slow", ["centerline", "cautious"])
+def test_racing_line_overtakes_a_slower_car_without_ramming_it(slow):
+    sim = SimConfig(kind="head_to_head", num_cars=2, rules=RaceRules(laps=3))
+    book = drive(files.load("broad_street"), [slow, "racing_line"], sim)
+    assert int(book.crashes.sum()) == 0
+    assert int(book.overtakes[0, 1]) >= 1
+    assert float(book.finish_s[0, 1]) < float(book.finish_s[0, 0])
+
+
+def test_six_cars_race_without_a_pile_of_crashes():
+    names = ["centerline", "blocker", "cautious", "racing_line", "centerline", "racing_line"]
+    sim = SimConfig(kind="head_to_head", num_cars=6, rules=RaceRules(laps=2))
+    assert int(drive(reinvent(), names, sim).crashes.sum()) <= 2
+
+
+def states(count: int) -> torch.Tensor:
+    """Cars of one track in all sorts of places, with others and boxes about."""
+    from league.envs.state import FIELDS, INDEX
+
+    generator = torch.Generator().manual_seed(5)
+    made = torch.rand(count, len(FIELDS), generator=generator) - 0.5
+    made[:, INDEX["s"]] = torch.rand(count, generator=generator) * reinvent().length
+    made[:, INDEX["speed_ahead"]] = torch.rand(count, generator=generator) * 4
+    for field in FIELDS:
+        if field.endswith("_gap"):
+            made[:, INDEX[field]] *= 6
+        if field.endswith("present"):
+            made[:, INDEX[field]] = (made[:, INDEX[field]] > 0).float()
+        if field.endswith("frozen"):
+            made[:, INDEX[field]] = 0.0
+    return made
+
+
+@pytest.mark.parametrize("name", roster.NAMES)
+def test_a_row_in_a_batch_is_driven_as_alone(name):
+    tracks, batch = TrackSet.of(reinvent()), states(37)
+    together = roster.load(name, tracks, CAR)
+    actions = [together.act({"state": batch}) for _ in range(2)]
+    for row in (0, 7, 36):
+        single = roster.load(name, tracks, CAR)
+        for action in actions:
+            assert torch.equal(single.act({"state": batch[row : row + 1]})[0], action[row])
+
+
+@pytest.mark.parametrize("name", roster.NAMES)
+def test_after_a_reset_nothing_of_the_past_remains(name):
+    tracks, batch = TrackSet.of(reinvent()), states(5)
+    driver = roster.load(name, tracks, CAR)
+    fresh = driver.act({"state": batch})
+    driver.act({"state": batch.flip(0)})
+    driver.reset(None)
+    assert torch.equal(driver.act({"state": batch}), fresh)
+    driver.act({"state": batch.flip(0)})
+    driver.reset(torch.tensor([1, 3]))
+    again = driver.act({"state": batch})
+    assert torch.equal(again[[1, 3]], fresh[[1, 3]])
+
+
+@pytest.mark.parametrize("name", roster.NAMES)
+def test_actions_are_always_in_range(name):
+    actions = roster.load(name, TrackSet.of(reinvent()), CAR).act({"state": states(64)})
+    assert actions.shape == (64, 2) and actions.dtype == torch.float32
+    assert bool((actions.abs() <= 1).all())
+
+
+def test_the_blocker_moves_in_front_of_the_car_behind():
+    from league.envs.state import INDEX
+
+    tracks = TrackSet.of(reinvent())
+    state = torch.zeros(2, len(INDEX))
+    state[:, INDEX["speed_ahead"]] = 2.0
+    state[:, INDEX["car_0_present"]] = 1.0
+    state[:, INDEX["car_0_gap"]] = -1.0
+    state[:, INDEX["car_0_speed"]] = 2.5
+    state[:, INDEX["car_0_lateral"]] = torch.tensor([0.25, -0.25])
+    left, right = roster.load("blocker", tracks, CAR).act({"state": state})[:, 0].tolist()
+    assert left > right
