@@ -144,6 +144,10 @@ class GenerateTracks:
     """Folder to write to."""
     min_radius: float = 0.5
     """Smallest radius of the centreline [m]."""
+    width: tuple[float, float] = (0.6, 1.1)
+    """Smallest and largest width of the road [m]; equal for exactly that one."""
+    length: tuple[float, float] = (15.0, 40.0)
+    """Smallest and largest length [m]."""
     direction: Literal["any", "counter-clockwise", "clockwise"] = "any"
     """Which way round."""
 
@@ -153,7 +157,13 @@ class GenerateTracks:
 
         direction = None if self.direction == "any" else self.direction
         for seed in range(self.seed, self.seed + self.count):
-            track = generate.generate(seed, min_radius=self.min_radius, direction=direction)
+            track = generate.generate(
+                seed,
+                min_radius=self.min_radius,
+                width=self.width,
+                length=self.length,
+                direction=direction,
+            )
             path = self.out / f"{track.name}.yaml"
             files.save(track, path)
             print(f"{path}: {track.length:.2f} m, {track.width:.2f} m wide, {track.direction}")
