@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from benchmarks.report import figure, heading, machine
-from league.sim import grid, solver
+from league.sim import grid, solvers
 from league.sim.config import SimConfig, SolverName
 from league.sim.world import Control, Motion, World
 from league.track.course import Track, TrackSet
@@ -52,7 +52,7 @@ class Drive:
 
 def drive(name: SolverName, sim: SimConfig, world: World, controls: list[Control]) -> Drive:
     """Apply the controls one after another."""
-    physics = solver.make(name, sim, open_floor(), world.num_worlds)
+    physics = solvers.make(name, sim, open_floor(), world.num_worlds)
     touched = torch.zeros(world.num_worlds, dtype=torch.bool)
     slip = torch.zeros_like(world.motion.x)
     for control in controls:
@@ -173,7 +173,7 @@ def stepping(name: SolverName, num_worlds: int, num_cars: int, *, close: bool = 
     world = standing(sim, tracks, num_worlds, y=y, velocity_x=speed)
     towards = torch.where(torch.arange(num_cars) % 2 == 0, 0.1, -0.1) * torch.ones_like(y)
     control = Control(towards if close else torch.zeros_like(y), speed)
-    physics = solver.make(name, sim, tracks, num_worlds)
+    physics = solvers.make(name, sim, tracks, num_worlds)
     with torch.inference_mode():
         for _ in range(3):
             world = replace(world, motion=physics.step(world, control).motion)

@@ -12,7 +12,7 @@ from league.envs import rewards
 from league.envs.config import EnvConfig
 from league.envs.sensing import Sensing
 from league.errors import ActionError, ConfigError, WorldError
-from league.sim import draws, grid, obstacles, referee, solver
+from league.sim import draws, grid, obstacles, referee, solvers
 from league.sim.config import SimConfig
 from league.sim.referee import Verdict
 from league.sim.world import Control, World, select
@@ -78,7 +78,7 @@ class RaceEnv:
         self._track = torch.arange(num_worlds, device=tracks.device) % len(tracks.tracks)
         if track_index is not None:
             self._track = track_index.to(tracks.device)
-        self._solver = solver.make(cfg.solver, cfg.sim, tracks, num_worlds)
+        self._solver = solvers.make(cfg.solver, cfg.sim, tracks, num_worlds)
         self._sensing = Sensing(tracks, cfg)
         self._closed = False
         self._begin(seed, None)

@@ -3,9 +3,7 @@
 from dataclasses import dataclass
 from typing import Protocol
 
-from league.sim.config import SimConfig, SolverName
 from league.sim.world import Contacts, Control, Motion, World
-from league.track.course import TrackSet
 
 
 @dataclass(frozen=True)
@@ -38,14 +36,3 @@ class Solver(Protocol):
     def close(self) -> None:
         """Give back what the solver holds outside Python."""
         ...
-
-
-def make(name: SolverName, cfg: SimConfig, tracks: TrackSet, num_worlds: int) -> Solver:
-    """Build the solver of this name."""
-    if name == "planar":
-        from league.sim.planar import PlanarSolver
-
-        return PlanarSolver(cfg, tracks)
-    from league.sim.bullet import BulletSolver
-
-    return BulletSolver(cfg, tracks, num_worlds)

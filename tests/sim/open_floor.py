@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from league.sim import grid, solver
+from league.sim import grid, solvers
 from league.sim.config import SimConfig
 from league.sim.world import Control, Obstacles, World
 from league.track.course import Track, TrackSet
@@ -79,4 +79,4 @@ def drive(physics, now: World, asked: Control, steps: int) -> list:
 
 
 def make(name, sim: SimConfig, num_worlds: int = 1):
-    return solver.make(name, sim, floor(), num_worlds)
+    return solvers.make(name, sim, floor(), num_worlds)
