@@ -38,6 +38,8 @@ class Manners:
     """Smallest distance from the base to a border while going round something [m]."""
     approach: float = 2.0
     """Driving distance over which a car moves aside before a standing thing [m]."""
+    leave: float = 1.6
+    """Driving distance over which it comes back behind it [m]."""
     lead: float = 0.3
     """Driving distance over which it then stays aside before coming up to it [m]."""
     braking: float = 3.0
@@ -151,7 +153,7 @@ def _weight(others: Others, thing: int, road: Horizon, closing: Tensor, manners:
     # Behind it (apart < 0) the way back may be shorter than the way out.
     lead = torch.where(apart > 0, manners.lead * closing, 0.0)
     outside = torch.clamp(apart.abs() - others.reach[thing] - lead, min=0.0)
-    ramp = torch.where(apart > 0, manners.approach * closing, 0.8 * manners.approach * closing)
+    ramp = torch.where(apart > 0, manners.approach * closing, manners.leave * closing)
     near = torch.clamp(1.0 - outside / torch.clamp(ramp, min=0.25), 0.0, 1.0)
     smooth = near * near * (3.0 - 2.0 * near)
     return torch.where(others.present[:, thing : thing + 1], smooth, 0.0)
