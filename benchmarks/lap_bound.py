@@ -11,6 +11,7 @@ as good as the search, which agrees with itself to about 0.3 % when its grid is 
 
 from __future__ import annotations
 
+from benchmarks.report import heading
 from league.agents.racing_line import optimal_line
 from league.sim.config import CarConfig
 from league.track.course import Track
@@ -42,6 +43,7 @@ def main() -> None:
     from league.track import files
 
     car = CarConfig()
+    heading("Quasi-steady-state bound of a flying lap")
     print(f"{'track':16} {'length':>8} {'bound':>8} {'mean speed':>10}")
     for name in files.names():
         track = files.load(name)

@@ -219,7 +219,9 @@ def _linear_round(
     for slope_a, slope_y, most in _grip_sides(limits):
         room = most - slope_a * rise - slope_y * bend * energy
         parts.append((slope_a * along + slope_y * across, room))
-    free = np.full(curves.shape[1], 0.5)
+    shape = curves.shape
+    assert shape is not None  # the sparse arrays' type hints say it may be
+    free = np.full(shape[1], 0.5)
     answer = linprog(
         _time_slopes(gap, gap_by, energy, road.closed),
         A_ub=vstack([rows for rows, _ in parts], format="csc"),
@@ -235,7 +237,7 @@ def _linear_round(
         method="highs",
     )
     found = answer.x
-    if not answer.success or found is None:
+    if found is None or not answer.success:
         return None
     change = curves @ found[: len(free)]
     return np.clip(lateral + change, road.low, road.high)

@@ -23,7 +23,7 @@ from league.track.course import Track
 _SMOOTHINGS = 2
 _SLOWLY = Manners(clearance=0.08, edge=0.05, approach=1.5, lead=0.4, braking=1.5, gap=0.3)
 _CAREFUL, _CAREFUL_STEPS = 1.0, 45.0
-_GROW, _FADE = 0.5, 0.25
+_GROW, _FADE = 0.5, 0.35
 _SERVO = 0.6
 """Part of a speed error that the servo makes good within a control step."""
 

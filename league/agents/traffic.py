@@ -34,11 +34,11 @@ class Manners:
     """Air left between two bodies side by side [m]."""
     share: float = 0.5
     """Part of the room left beyond the clearance that is also kept."""
-    edge: float = 0.02
+    edge: float = 0.03
     """Smallest distance from the base to a border while going round something [m]."""
-    approach: float = 2.0
+    approach: float = 2.6
     """Driving distance over which a car moves aside before a standing thing [m]."""
-    leave: float = 1.6
+    leave: float = 0.7
     """Driving distance over which it comes back behind it [m]."""
     lead: float = 0.3
     """Driving distance over which it then stays aside before coming up to it [m]."""

@@ -5,19 +5,22 @@ impulses are solved together and exactly (the block solver of E. Catto's Box2D),
 Only pairs that touch cost anything: a pair that does not touch would have received an impulse of
 exactly zero, so skipping it changes no bit.
 
-Vectors over pairs have shape (num_pairs,); those over both contact points (2, num_pairs).
+Vectors over pairs have shape (num_pairs,); those over both contact points (2, num_pairs). Bodies
+are the cars of all pairs, each once, followed by the obstacle or wall of each pair that has one.
+Arrays are numpy's on the CPU and torch's elsewhere (see the room `manifold`); in a round no body
+occurs twice, so `array[:, bodies] += change` misses nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from league.sim.config import SimConfig
-from league.sim.manifold import Manifold, Pose, find_manifold
+from league.sim.manifold import Array, Manifold, Pose, find_manifold, module_of, rows
 from league.sim.near import Round
 from league.sim.world import Contacts, Motion, World
 
@@ -39,30 +42,14 @@ REPEATS = 2
 class Boxes:
     """What stays the same of a batch of boxes over a control step."""
 
-    half_length: Tensor
+    half_length: Array
     """[m]."""
-    half_width: Tensor
+    half_width: Array
     """[m]."""
-    inverse_mass: Tensor
+    inverse_mass: Array
     """[1/kg]; 0 for what cannot be pushed."""
-    inverse_inertia: Tensor
+    inverse_inertia: Array
     """[1/(kg m^2)]; 0 for what cannot be pushed."""
-
-
-@dataclass(frozen=True)
-class Parted:
-    """What contacts change in a physics step, flattened cars, (num_worlds * num_cars,)."""
-
-    velocity_x: Tensor
-    """New velocity [m/s]."""
-    velocity_y: Tensor
-    """New velocity [m/s]."""
-    yaw_rate: Tensor
-    """New yaw rate [rad/s]."""
-    shift_x: Tensor
-    """Move that mends overlap [m]."""
-    shift_y: Tensor
-    """Move that mends overlap [m]."""
 
 
 class Resolver:
@@ -79,123 +66,146 @@ class Resolver:
         self._rounds = rounds
         self._contact = cfg.contact
         self._dt = cfg.physics_dt
-        self._first = torch.cat([part.first for part in rounds])
+        firsts = [_array(part.first) for part in rounds]
         # Rounds between cars come before those against fixed bodies.
-        moving = [part.second for part in rounds if part.second is not None]
-        fixed = [part.fixed for part in rounds if part.fixed is not None]
-        self._second = torch.cat(moving) if moving else self._first[:0]
-        table = torch.stack(
-            (cars.half_length, cars.half_width, cars.inverse_mass, cars.inverse_inertia)
-        )
-        bodies = torch.cat(fixed, dim=1) if fixed else table.new_zeros((7, 0))
-        self._fixed = torch.cat((bodies[:5], torch.zeros_like(bodies[:1])))
-        self._drift = torch.zeros_like(self._fixed)
-        self._drift[:2] = bodies[3:5] * self._dt
-        sides = torch.cat((bodies[5:], torch.zeros_like(bodies[5:])))
-        self._first_box = Boxes(*table.index_select(1, self._first).unbind())
-        self._second_box = Boxes(
-            *torch.cat((table.index_select(1, self._second), sides), dim=1).unbind()
-        )
-        self._touched = torch.zeros_like(self._first, dtype=torch.bool)
-        sizes = torch.tensor([part.first.numel() for part in rounds], device=self._first.device)
-        self._ends = sizes.cumsum(0)
+        seconds = [_array(part.second) for part in rounds if part.second is not None]
+        fixed = [_array(part.fixed) for part in rounds if part.fixed is not None]
+        xp = module_of(firsts[0])
+        self._near, seats = xp.unique(xp.concat(firsts + seconds), return_inverse=True)
+        self._ends = np.cumsum([len(first) for first in firsts])
+        num_pairs = int(self._ends[-1])
+        boxes = rows(
+            tuple(
+                _array(field)[self._near]
+                for field in (
+                    cars.half_length, cars.half_width, cars.inverse_mass, cars.inverse_inertia
+                )
+            )
+        )  # fmt: skip
+        bodies = xp.concat(fixed, 1) if fixed else xp.zeros_like(boxes[:1, :0])
+        num_fixed = bodies.shape[1]
+        self._num_bodies = len(self._near) + num_fixed
+        self._first, self._second = seats[:num_pairs], seats[num_pairs:]
+        if fixed:
+            # A fixed body sits behind the cars, has no inverse mass and turns as it did.
+            numbers = xp.zeros_like(bodies[0], dtype=seats.dtype) + len(self._near)
+            self._second = xp.concat(
+                (self._second, numbers + xp.cumsum(xp.ones_like(numbers), 0) - 1)
+            )
+            boxes = xp.concat((boxes, xp.concat((bodies[5:], xp.zeros_like(bodies[5:])))), 1)
+            x, y, yaw, velocity_x, velocity_y = bodies[:5]
+            bodies = rows((x, y, *_turned(yaw), velocity_x, velocity_y, xp.zeros_like(x)))
+            self._drift = bodies[4:6] * self._dt
+        self._fixed = bodies
+        self._first_box = Boxes(*boxes[:, self._first])
+        self._second_box = Boxes(*boxes[:, self._second])
+        self._masses = xp.concat((boxes[2:, self._first], boxes[2:, self._second]))
+        self._touched = xp.zeros_like(self._first, dtype=bool if xp is np else torch.bool)
         # Which rows of impulses act along the same direction: both normals, and the tangent.
-        self._linear = torch.zeros((3, 3, 1), dtype=table.dtype, device=table.device)
-        self._linear[:2, :2] = self._linear[2, 2] = 1.0
+        linear = torch.zeros((3, 3, 1), dtype=cars.half_length.dtype)
+        linear[:2, :2] = linear[2, 2] = 1.0
+        self._linear = _array(linear.to(cars.half_length.device))
 
-    def part(self, motion: Motion) -> Parted | None:
-        """Return what contacts change in a physics step; None when nothing touches.
+    def part(self, before: Motion, motion: Motion) -> None:
+        """Change how the cars that touch move in a physics step, and mend their overlap.
 
         Args:
-            motion: positions before, velocities after the step's forces.
+            before: the motion before the step.
+            motion: the motion after a step without contacts; changed in place.
         """
-        state = torch.stack(
-            (
-                motion.x,
-                motion.y,
-                motion.yaw,
-                motion.velocity_x,
-                motion.velocity_y,
-                motion.yaw_rate,
-            )
-        ).reshape(6, -1)
-        first = state.index_select(1, self._first)
-        second = torch.cat((state.index_select(1, self._second), self._fixed), dim=1)
-        self._fixed = self._fixed + self._drift
-        manifold = find_manifold(_pose(first, self._first_box), _pose(second, self._second_box))
-        goal, hit = self._goals(manifold, first, second)
-        deepest = torch.minimum(*manifold.gap.unbind())
-        self._touched |= hit | (manifold.exists & (deepest <= 0))
-        act = hit | (manifold.exists & (deepest < -SLOP))
-        if not bool(act.any()):
-            return None
-        return self._work(state, act.nonzero().squeeze(1), manifold, goal)
+        # The point of a face that faces nothing may divide by zero; `exists` discards it.
+        with np.errstate(all="ignore"):
+            place, bodies = self._bodies(before, motion)
+            first, second = bodies[:, self._first], bodies[:, self._second]
+            manifold = find_manifold(_pose(first, self._first_box), _pose(second, self._second_box))
+            goal, hit = self._goals(manifold, first, second)
+            deepest = module_of(goal).minimum(*manifold.gap)
+            self._touched |= hit | (manifold.exists & (deepest <= 0))
+            act = hit | (manifold.exists & (deepest < -SLOP))
+            if bool(act.any()):
+                shift = self._work(bodies[4:], act, manifold, goal)
+                self._move(place, bodies[4:], shift, motion)
 
     def contacts(self, world: World) -> Contacts:
         """Return what has touched what so far."""
-        return _contacts(world, self._rounds, self._touched)
+        return _contacts(world, self._rounds, torch.as_tensor(self._touched))
 
-    def _goals(self, m: Manifold, first: Tensor, second: Tensor) -> tuple[Tensor, Tensor]:
+    def _bodies(self, before: Motion, motion: Motion) -> tuple[Array, Array]:
+        """Return where cars are, x, y, yaw (3, num_near); and all bodies, (7, num_bodies).
+
+        A body's rows are x, y, cos, sin of its heading, velocities and yaw rate.
+        """
+        x, y, yaw, *velocity = (
+            _array(field).take(self._near)
+            for field in (
+                before.x, before.y, before.yaw,
+                motion.velocity_x, motion.velocity_y, motion.yaw_rate,
+            )
+        )  # fmt: skip
+        bodies = rows((x, y, *_turned(yaw), *velocity))
+        if self._fixed.shape[1]:
+            bodies = module_of(bodies).concat((bodies, self._fixed), 1)
+            self._fixed[:2] += self._drift
+        return rows((x, y, yaw)), bodies
+
+    def _move(self, place: Array, velocity: Array, shift: Array, motion: Motion) -> None:
+        """Put the cars' new velocities, and where they lead, into `motion`."""
+        velocity = velocity[:, : len(self._near)]
+        place = (place + shift[:, : len(self._near)]) + velocity * self._dt
+        fields = (motion.x, motion.y, motion.yaw)
+        fields += (motion.velocity_x, motion.velocity_y, motion.yaw_rate)
+        for field, new in zip(fields, (*place, *velocity), strict=True):
+            _put(field, self._near, new)
+
+    def _goals(self, m: Manifold, first: Array, second: Array) -> tuple[Array, Array]:
         """Return the least speed of parting asked at each point [m/s], and which pairs lack it."""
-        _, _, _, a_vx, a_vy, a_w = first.unbind()
-        _, _, _, b_vx, b_vy, b_w = second.unbind()
+        xp = module_of(m.gap)
+        a_vx, a_vy, a_w = first[4:]
+        b_vx, b_vy, b_w = second[4:]
         speed_x = b_vx - b_w * m.second_y - (a_vx - a_w * m.first_y)
         speed_y = b_vy + b_w * m.second_x - (a_vy + a_w * m.first_x)
         parting = speed_x * m.normal_x + speed_y * m.normal_y
         # Bodies that would meet within this step bounce now; slow ones just close the gap.
         bounce = (parting < -RESTITUTION_FROM) & (m.gap + parting * self._dt < 0)
-        closing = torch.clamp_min(m.gap, 0.0) * (-1.0 / self._dt)
-        goal = torch.where(bounce, parting * -self._contact.restitution, closing)
-        low, high = (parting < goal).unbind()
+        closing = xp.maximum(m.gap, xp.zeros_like(m.gap)) * (-1.0 / self._dt)
+        goal = xp.where(bounce, parting * -self._contact.restitution, closing)
+        low, high = parting < goal
         return goal, m.exists & (low | high)
 
-    def _work(self, state: Tensor, rows: Tensor, m: Manifold, goal: Tensor) -> Parted:
-        """Work the pairs in these rows, round by round."""
-        normal = torch.stack((m.normal_x, m.normal_y))
-        arms = torch.cat((m.first_x, m.first_y, m.second_x, m.second_y))
-        a, b = self._first_box, self._second_box
-        masses = torch.stack((a.inverse_mass, a.inverse_inertia, b.inverse_mass, b.inverse_inertia))
-        table = torch.cat((normal, arms, masses, m.gap, goal)).index_select(1, rows)
-        velocity, shift = state[3:].clone(), torch.zeros_like(state[:2])
-        batches = list(self._batches(rows, table))
+    def _work(self, velocity: Array, act: Array, m: Manifold, goal: Array) -> Array:
+        """Work the pairs that act, changing `velocity` (3, num_bodies).
+
+        Returns how far overlap moves them: x, y and yaw, (3, num_bodies).
+        """
+        xp = module_of(velocity)
+        (mine,) = xp.where(act)
+        table = xp.concat(
+            (
+                m.normal_x[None], m.normal_y[None], m.first_x, m.first_y, m.second_x, m.second_y,
+                self._masses, m.gap, goal,
+            )
+        )[:, mine]  # fmt: skip
+        one, two = self._first[mine], self._second[mine]
+        ends = np.searchsorted(np.asarray(mine.tolist()), self._ends).tolist()
+        cuts = [slice(*cut) for cut in zip([0, *ends], ends, strict=False) if cut[1] > cut[0]]
+        batches = [
+            _Batch(table[:, cut], one[cut], two[cut], self._linear, self._contact.friction)
+            for cut in cuts
+        ]
         for batch in batches:
             batch.push(velocity)
         if len(batches) > 1:
-            _repeat(batches, velocity)
+            # Pairs whose cars touch more than one body are worked again. Which they are does not
+            # depend on other worlds, so neither do their bits.
+            count = xp.bincount(xp.concat((one, two)), minlength=self._num_bodies)
+            again = (count[one] > 1) | (count[two] > 1)
+            for _ in range(REPEATS if bool(again.any()) else 0):
+                for batch, cut in zip(batches, cuts, strict=True):
+                    batch.push(velocity, again[cut])
+        shift = xp.zeros_like(velocity)
         for batch in batches:
             batch.mend(shift)
-        return Parted(*velocity.unbind(), *shift.unbind())
-
-    def _batches(self, rows: Tensor, table: Tensor) -> Iterator[_Batch]:
-        """Cut the pairs in these rows into their rounds."""
-        low = 0
-        for part, high in zip(
-            self._rounds, torch.searchsorted(rows, self._ends).tolist(), strict=True
-        ):
-            mine, numbers = rows[low:high], table[:, low:high]
-            if high > low:
-                one, two, still = self._first.index_select(0, mine), None, None
-                if part.second is None:
-                    still = self._fixed[3:].index_select(1, mine - self._second.numel())
-                else:
-                    two = self._second.index_select(0, mine)
-                yield _Batch(numbers, one, two, still, self._linear, self._contact.friction)
-            low = high
-
-
-def _repeat(batches: list[_Batch], velocity: Tensor) -> None:
-    """Work the pairs again whose cars touch more than one body.
-
-    Which they are does not depend on other worlds, so neither do their bits.
-    """
-    count = torch.zeros_like(velocity[0], dtype=torch.int64)
-    for batch in batches:
-        batch.count(count)
-    again = [batch.is_shared(count) for batch in batches]
-    if any(bool(pairs.any()) for pairs in again):
-        for _ in range(REPEATS):
-            for batch, pairs in zip(batches, again, strict=True):
-                batch.push(velocity, pairs)
+        return shift
 
 
 class _Batch:
@@ -206,21 +216,15 @@ class _Batch:
     """
 
     def __init__(
-        self,
-        table: Tensor,
-        one: Tensor,
-        two: Tensor | None,
-        still: Tensor | None,
-        linear: Tensor,
-        friction: float,
+        self, table: Array, one: Array, two: Array, linear: Array, friction: float
     ) -> None:
-        self._normal = (n_x, n_y) = table[:2].unbind()
-        self._masses, self._gap = table[10:14].unbind(), table[14:16]
-        self._goal = table[16:18].unbind()
-        self._one, self._two, self._still, self._friction = one, two, still, friction
-        first_x, first_y, second_x, second_y = table[2:10].unflatten(0, (4, 2)).unbind()
-        self._turn_a = torch.cat((first_x * n_y - first_y * n_x, self._tangent(first_x, first_y)))
-        self._turn_b = torch.cat(
+        self._xp = xp = module_of(table)
+        self._normal = n_x, n_y = tuple(table[:2])
+        self._masses, self._gap, self._goal = tuple(table[10:14]), table[14:16], table[16:18]
+        self._one, self._two, self._friction = one, two, friction
+        first_x, first_y, second_x, second_y = table[2:10].reshape(4, 2, -1)
+        self._turn_a = xp.concat((first_x * n_y - first_y * n_x, self._tangent(first_x, first_y)))
+        self._turn_b = xp.concat(
             (second_x * n_y - second_y * n_x, self._tangent(second_x, second_y))
         )
         mass_a, inertia_a, mass_b, inertia_b = self._masses
@@ -228,116 +232,131 @@ class _Batch:
         # How an impulse along one row changes the speed along another: (3, 3, num_pairs).
         response = (
             linear * (mass_a + mass_b)
-            + self._turn_a.unsqueeze(1) * self._shared_a
-            + self._turn_b.unsqueeze(1) * self._shared_b
+            + self._turn_a[:, None] * self._shared_a
+            + self._turn_b[:, None] * self._shared_b
         )
-        self._response = (a, b, c), (_, d, e), (_, _, f) = [row.unbind() for row in response]
+        (a, b, c), (_, d, e), (_, _, f) = response
+        # Its halves may differ in the last bit; the upper one counts.
+        self._response = response[0], rows((b, d, e)), response[:, 2]
+        self._a, self._d, self._mutual, self._minus_own = a, d, b, -rows((a, d))
         self._det = a * d - b * b
         # Two points that almost coincide cannot share the load.
         self._two_points = self._det > 1e-3 * a * d
         # The tangent's response while neither, the first, the second or both points press.
-        both = f - (c * c * d - 2 * b * c * e + e * e * a) / torch.where(
+        both = f - (c * c * d - 2 * b * c * e + e * e * a) / xp.where(
             self._two_points, self._det, 1.0
         )
         self._tangent_responses = f, f - c * c / a, f - e * e / d, both
-        self._none = torch.zeros_like(a)
-        self._impulse = (self._none, self._none, self._none)
+        self._nones = xp.zeros_like(self._gap)
+        self._none = self._nones[0]
+        self._impulse = None
 
-    def count(self, seats: Tensor) -> None:
-        """Count these pairs at their cars, changing `seats` (num_cars,) in place."""
-        for car in (self._one, self._two):
-            if car is not None:
-                seats.index_add_(0, car, torch.ones_like(car))
-
-    def is_shared(self, seats: Tensor) -> Tensor:
-        """Return the pairs with a car that is counted more than once."""
-        shared = seats.index_select(0, self._one) > 1
-        return shared if self._two is None else shared | (seats.index_select(0, self._two) > 1)
-
-    def push(self, velocity: Tensor, only: Tensor | None = None) -> None:
-        """Exchange impulses (of some pairs), changing `velocity` (3, num_cars) in place."""
+    def push(self, velocity: Array, only: Array | None = None) -> None:
+        """Exchange impulses, changing `velocity` (3, num_bodies); later of some pairs only."""
         n_x, n_y = self._normal
-        a = velocity.index_select(1, self._one)
-        b = velocity.index_select(1, self._two) if self._two is not None else self._still
-        assert b is not None
-        (a_x, a_y, a_w), (b_x, b_y, b_w) = a.unbind(), b.unbind()
+        a_x, a_y, a_w = velocity[:, self._one]
+        b_x, b_y, b_w = velocity[:, self._two]
         x, y = b_x - a_x, b_y - a_y
         along, across = x * n_x + y * n_y, y * n_x - x * n_y
-        speed = torch.stack((along, along, across)) + self._turn_b * b_w - self._turn_a * a_w
+        speed = rows((along, along, across)) + self._turn_b * b_w - self._turn_a * a_w
         before = self._impulse
-        after = self._solve(speed, *before)
-        if only is not None:
-            after = tuple(torch.where(only, x, y) for x, y in zip(after, before, strict=True))
-        first, second, across = (x - y for x, y in zip(after, before, strict=True))
-        self._impulse = after
+        if before is None:
+            first, second, across = self._impulse = self._solve(speed, self._none)
+        else:
+            of_1, of_2, of_3 = self._response
+            first, second, across = before
+            free = speed - (of_1 * first + of_2 * second + of_3 * across)
+            solved = self._solve(free, across)
+            after = tuple(self._xp.where(only, x, y) for x, y in zip(solved, before, strict=True))
+            first, second, across = (x - y for x, y in zip(after, before, strict=True))
+            self._impulse = after
         along = first + second
         x, y = along * n_x - across * n_y, along * n_y + across * n_x
         mass_a, _, mass_b, _ = self._masses
-        turn_1, turn_2, turn_3 = self._shared_a.unbind()
+        turn_1, turn_2, turn_3 = self._shared_a
         turned = turn_1 * first + turn_2 * second + turn_3 * across
-        velocity.index_add_(1, self._one, -torch.stack((x * mass_a, y * mass_a, turned)))
-        if self._two is not None:
-            turn_1, turn_2, turn_3 = self._shared_b.unbind()
-            turned = turn_1 * first + turn_2 * second + turn_3 * across
-            velocity.index_add_(1, self._two, torch.stack((x * mass_b, y * mass_b, turned)))
+        velocity[:, self._one] -= rows((x * mass_a, y * mass_a, turned))
+        turn_1, turn_2, turn_3 = self._shared_b
+        turned = turn_1 * first + turn_2 * second + turn_3 * across
+        velocity[:, self._two] += rows((x * mass_b, y * mass_b, turned))
 
-    def mend(self, shift: Tensor) -> None:
-        """Move boxes that overlap apart, by their masses, changing `shift` (2, num_cars)."""
-        depth = -torch.minimum(*self._gap.unbind()) - SLOP
-        amount = torch.clamp(depth * MENDED, 0.0, FASTEST_MEND)
+    def mend(self, shift: Array) -> None:
+        """Move boxes that overlap apart, by their masses, changing `shift` (3, num_bodies)."""
+        depth = -self._xp.minimum(*self._gap) - SLOP
+        amount = self._xp.clip(depth * MENDED, 0.0, FASTEST_MEND)
         mass_a, _, mass_b, _ = self._masses
-        move = torch.stack(self._normal) * (amount / (mass_a + mass_b))
-        shift.index_add_(1, self._one, -move * mass_a)
-        if self._two is not None:
-            shift.index_add_(1, self._two, move * mass_b)
+        move = rows(self._normal) * (amount / (mass_a + mass_b))
+        shift[:2, self._one] -= move * mass_a
+        shift[:2, self._two] += move * mass_b
 
-    def _tangent(self, x: Tensor, y: Tensor) -> Tensor:
+    def _tangent(self, x: Array, y: Array) -> Array:
         """Return the tangent's lever at the nearer point, (1, num_pairs)."""
         n_x, n_y = self._normal
         lever = x * n_x + y * n_y
-        return torch.where(self._gap[0] <= self._gap[1], lever[0], lever[1]).unsqueeze(0)
+        return self._xp.where(self._gap[0] <= self._gap[1], lever[0], lever[1])[None]
 
-    def _solve(
-        self, speed: Tensor, first: Tensor, second: Tensor, across: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the impulses that part the pair, given those already at work in `speed`."""
-        (a, b, c), (_, d, e), (_, _, f) = self._response
-        free_1, free_2, free_3 = speed.unbind()
-        lack_1 = free_1 - (a * first + b * second + c * across) - self._goal[0]
-        lack_2 = free_2 - (b * first + d * second + e * across) - self._goal[1]
-        slip = free_3 - (c * first + e * second + f * across)
-        first, second = self._press(lack_1 + c * across, lack_2 + e * across)
+    def _solve(self, free: Array, across: Array) -> tuple[Array, Array, Array]:
+        """Return the impulses that part the pair.
+
+        Args:
+            free: speeds of parting had no impulse been exchanged [m/s], (3, num_pairs).
+            across: the first guess of the impulse along the tangent.
+        """
+        xp = self._xp
+        by_tangent = self._response[2][:2]
+        c, e, f = self._response[2]
+        lack, slip = free[:2] - self._goal, free[2]
+        first, second = self._press(lack + by_tangent * across)
         for _ in range(SWEEPS):
             none, one, other, both = self._tangent_responses
             press_1, press_2 = first > self._none, second > self._none
-            response = torch.where(
-                press_1, torch.where(press_2, both, one), torch.where(press_2, other, none)
+            response = xp.where(
+                press_1, xp.where(press_2, both, one), xp.where(press_2, other, none)
             )
             most = (first + second) * self._friction
             now = slip + c * first + e * second + f * across
-            across = torch.clamp(across - now / response, -most, most)
-            first, second = self._press(lack_1 + c * across, lack_2 + e * across)
+            across = xp.minimum(xp.maximum(across - now / response, -most), most)
+            first, second = self._press(lack + by_tangent * across)
         return first, second, across
 
-    def _press(self, lack_1: Tensor, lack_2: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the two normal impulses: neither pulls, and no point is left short of its goal."""
-        (a, b, _), (_, d, _), _ = self._response
-        both_1, both_2 = (
-            (b * lack_2 - d * lack_1) / self._det,
-            (b * lack_1 - a * lack_2) / self._det,
-        )
-        none = self._none
+    def _press(self, lack: Array) -> tuple[Array, Array]:
+        """Return the two normal impulses: neither pulls, and no point is left short of its goal.
+
+        Args:
+            lack: how much speed of parting each point lacks [m/s], (2, num_pairs).
+        """
+        xp, none, b = self._xp, self._none, self._mutual
+        lack_1, lack_2 = lack
+        both_1 = (b * lack_2 - self._d * lack_1) / self._det
+        both_2 = (b * lack_1 - self._a * lack_2) / self._det
         both = self._two_points & (both_1 >= none) & (both_2 >= none)
-        only_1, only_2 = torch.clamp_min(-lack_1 / a, 0.0), torch.clamp_min(-lack_2 / d, 0.0)
+        only_1, only_2 = xp.maximum(lack / self._minus_own, self._nones)
         enough = b * only_1 + lack_2 >= none
-        first = torch.where(both, both_1, torch.where(enough, only_1, none))
-        second = torch.where(both, both_2, torch.where(enough, none, only_2))
+        first = xp.where(both, both_1, xp.where(enough, only_1, none))
+        second = xp.where(both, both_2, xp.where(enough, none, only_2))
         return first, second
 
 
-def _pose(state: Tensor, box: Boxes) -> Pose:
-    x, y, yaw, *_ = state.unbind()
-    return Pose(x, y, torch.cos(yaw), torch.sin(yaw), box.half_length, box.half_width)
+def _array(tensor: Tensor) -> Array:
+    """Return the tensor itself or, on the CPU, numpy's view of it."""
+    return tensor.detach().numpy() if tensor.device.type == "cpu" else tensor
+
+
+def _put(tensor: Tensor, places: Array, values: Array) -> None:
+    """Change elements of the tensor, counted as if it had a single axis, in place."""
+    array = _array(tensor)
+    (array.put if isinstance(array, np.ndarray) else array.put_)(places, values)
+
+
+def _turned(yaw: Array) -> tuple[Array, Array]:
+    """Return cosine and sine; torch's, since numpy's may depend on an element's place."""
+    turn = torch.as_tensor(yaw)
+    return _array(torch.cos(turn)), _array(torch.sin(turn))
+
+
+def _pose(state: Array, box: Boxes) -> Pose:
+    x, y, cos, sin, *_ = state
+    return Pose(x, y, cos, sin, box.half_length, box.half_width)
 
 
 def no_contacts(world: World) -> Contacts:
@@ -357,6 +376,8 @@ def _contacts(world: World, rounds: list[Round], touched: Tensor) -> Contacts:
     for part in rounds:
         mine = touched[start : start + part.first.numel()]
         start += part.first.numel()
+        if not bool(mine.any()):
+            continue
         first = part.first[mine]
         row, car = first // num_cars, first % num_cars
         if part.second is not None:

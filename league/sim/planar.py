@@ -86,27 +86,18 @@ class PlanarSolver:
         dt = self.cfg.physics_dt
         push = vehicle.push(motion, asked.steering, asked.speed)
         speed_up, turn_up = eases[0] * dt, eases[1] * dt
-        motion = replace(
-            motion,
-            velocity_x=motion.velocity_x + push.force_x * speed_up,
-            velocity_y=motion.velocity_y + push.force_y * speed_up,
-            yaw_rate=motion.yaw_rate + push.torque * turn_up,
+        velocity_x = motion.velocity_x + push.force_x * speed_up
+        velocity_y = motion.velocity_y + push.force_y * speed_up
+        yaw_rate = motion.yaw_rate + push.torque * turn_up
+        after = Motion(
+            x=motion.x + velocity_x * dt,
+            y=motion.y + velocity_y * dt,
+            yaw=motion.yaw + yaw_rate * dt,
+            velocity_x=velocity_x,
+            velocity_y=velocity_y,
+            yaw_rate=yaw_rate,
             steering=push.steering,
         )
-        x, y = motion.x, motion.y
-        parted = resolver.part(motion) if resolver else None
-        if parted is not None:
-            shape = x.shape
-            motion = replace(
-                motion,
-                velocity_x=parted.velocity_x.reshape(shape),
-                velocity_y=parted.velocity_y.reshape(shape),
-                yaw_rate=parted.yaw_rate.reshape(shape),
-            )
-            x, y = x + parted.shift_x.reshape(shape), y + parted.shift_y.reshape(shape)
-        return replace(
-            motion,
-            x=x + motion.velocity_x * dt,
-            y=y + motion.velocity_y * dt,
-            yaw=motion.yaw + motion.yaw_rate * dt,
-        )
+        if resolver:
+            resolver.part(motion, after)
+        return after
