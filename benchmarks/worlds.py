@@ -59,16 +59,20 @@ def rate(num_worlds: int, num_cars: int) -> float:
 def main() -> None:
     """Print the table."""
     heading("Planar worlds without cameras")
-    print(machine(), f"threads {torch.get_num_threads()}")
-    figure("4,096 worlds x 2 cars", rate(4096, 2), "car-steps/s", 500_000)
-    print("\n| worlds | cars | car-steps/s | us per car-step |\n|--:|--:|--:|--:|")
-    for worlds, cars in [(w, 2) for w in (1, 4, 16, 64, 256, 1024, 4096, 16384)] + [
-        (1024, 1),
-        (1024, 4),
-        (1024, 8),
-    ]:
+    print(machine())
+    print("One torch thread: below some 30,000 cars a second one costs more than it brings.\n")
+    torch.set_num_threads(1)
+    figure("4,096 worlds x 2 cars, on one core", rate(4096, 2), "car-steps/s", 500_000)
+    print("\n| worlds | cars | car-steps/s | us per car-step | ms per step |")
+    print("|--:|--:|--:|--:|--:|")
+    sizes = [(worlds, 2) for worlds in (1, 4, 16, 64, 256, 1024, 4096, 16384)]
+    for worlds, cars in [*sizes, (1024, 1), (1024, 4), (1024, 8)]:
         steps = rate(worlds, cars)
-        print(f"| {worlds:,} | {cars} | {steps:,.0f} | {1e6 / steps:.2f} |", flush=True)
+        step_ms = 1000 * worlds * cars / steps
+        print(
+            f"| {worlds:,} | {cars} | {steps:,.0f} | {1e6 / steps:.2f} | {step_ms:.2f} |",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":
