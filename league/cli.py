@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from league.errors import LeagueError
+from league.errors import LeagueError, TrackError
+from league.whole_file import replacing
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -102,7 +103,8 @@ class ShowTrack:
 
         track = files.load(self.name)
         path = self.out or Path(f"{track.name}.png")
-        files.write_whole(path, paint.png(paint.poster(track)))
+        with replacing(path, "the picture", TrackError) as file:
+            file.write_bytes(paint.png(paint.poster(track)))
         one = files.report(track)
         print(
             f"{one['title']}: {one['length']:.2f} m, {one['width']:.3f} m wide, "

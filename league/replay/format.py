@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import struct
-import tempfile
 import zlib
 from pathlib import Path
 
@@ -25,6 +24,7 @@ from league.replay.replay import PARAMETERS, Replay
 from league.sim.config import MAX_CARS
 from league.track import files
 from league.track.course import Track
+from league.whole_file import replacing
 
 MAGIC = b"\x89RACE\r\n\x1a"
 """Like PNG's: a text transfer breaks the line end, `type` stops at the last byte."""
@@ -98,25 +98,9 @@ def encode(replay: Replay) -> bytes:
 def write(replay: Replay, path: str | os.PathLike[str]) -> Path:
     """Write a replay to a file, whole or not at all, and return the path."""
     content = encode(replay)
-    path = Path(path)
-    temporary: str | None = None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:80]}.")
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except OSError as error:
-        if temporary is not None:
-            Path(temporary).unlink(missing_ok=True)
-        raise ReplayError(
-            f"the replay cannot be written to {path} ({error.strerror or error}): "
-            "give a place that can be written and has room"
-        ) from error
-    return path
+    with replacing(path, "the replay", ReplayError) as file:
+        file.write_bytes(content)
+    return Path(path)
 
 
 def read(path: str | os.PathLike[str]) -> Replay:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from league.rerun_view.shapes import Mesh
 from league.sim.camera.scene import BOT_COLOUR, BOX_COLOUR, CAR, CAR_COLOURS
 from league.sim.config import ObstacleConfig
 from league.track.course import Track
+from league.whole_file import replacing
 
 WALL_OPACITY = 0.3
 SHADOW_OPACITY = 0.45
@@ -74,30 +74,14 @@ def save(
     progress: Callable[[str], None] | None = None,
 ) -> Path:
     """Write a replay as a .rrd file, whole or not at all, and return its path."""
-    path = Path(path)
     recording = rr.RecordingStream(paths.APPLICATION, recording_id=_identity(replay))
-    temporary: str | None = None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:80]}.")
-        os.close(handle)
-        layout = blueprint.broadcast(
-            replay.num_cars, replay.names, replay.track.room, cameras=cameras
-        )
-        recording.save(temporary, default_blueprint=layout)
+    layout = blueprint.broadcast(replay.num_cars, replay.names, replay.track.room, cameras=cameras)
+    with replacing(path, "the recording", ReplayError) as file:
+        recording.save(file, default_blueprint=layout)
         build(replay, recording, cameras=cameras, progress=progress)
         recording.flush()
         recording.disconnect()
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except OSError as error:
-        if temporary is not None:
-            Path(temporary).unlink(missing_ok=True)
-        raise ReplayError(
-            f"the recording cannot be written to {path} ({error.strerror or error}): "
-            "give a place that can be written and has room"
-        ) from error
-    return path
+    return Path(path)
 
 
 def _identity(replay: Replay) -> str:

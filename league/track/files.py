@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import stat
-import tempfile
 from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 from league.errors import TrackError, nearest_names
 from league.track import build, schema
 from league.track.course import Colours, Track
+from league.whole_file import replacing
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 
@@ -97,37 +97,8 @@ def save(track: Track | str, path: str | os.PathLike[str]) -> None:
     """Write a track or its YAML text to a file, whole or not at all."""
     text = dump(track) if isinstance(track, Track) else track
     parse(text, "the track to be saved")
-    write_whole(path, text.encode())
-
-
-def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
-    """Write a file so that at no time a part of it can be seen; folders are made as needed."""
-    target = Path(path)
-    temporary = None
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(
-            dir=target.parent, prefix=f".{target.name[:100]}.", delete=False
-        ) as file:
-            temporary = file.name
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(temporary, 0o666 & ~_umask())  # temporary files are made for their owner alone
-        os.replace(temporary, target)
-    except OSError as error:
-        if temporary is not None:
-            Path(temporary).unlink(missing_ok=True)
-        raise TrackError(
-            f"cannot write {target}: {error.strerror or error}; give the path of a file in a "
-            "folder that can be written"
-        ) from None
-
-
-def _umask() -> int:
-    mask = os.umask(0o022)
-    os.umask(mask)
-    return mask
+    with replacing(path, "the track", TrackError) as file:
+        file.write_bytes(text.encode())
 
 
 def report(track: Track) -> dict[str, str | float | int]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -21,6 +20,7 @@ from league.sim.config import CameraConfig
 from league.sim.world import World
 from league.video.hud import Hud
 from league.video.mp4 import Coding, Mp4, interleaved
+from league.whole_file import replacing
 
 SIZE = (1280, 720)
 FPS = 30
@@ -112,34 +112,22 @@ def render(
     if not 1 <= fps <= 120:
         raise ReplayError(f"a video at {fps} pictures per second cannot be made: give 1 to 120")
     film = Film(replay, size)
-    path = Path(path_mp4)
     count = round((replay.duration_s + HOLD_S) * fps) + 1
-    temporary: str | None = None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:80]}.")
-        os.close(handle)
+    with (
+        replacing(path_mp4, "the video", ReplayError, also=(FFmpegError,)) as file,
+        Mp4(str(file), fps, CODING) as video,
         # While one batch is compressed, the next is drawn.
-        with Mp4(temporary, fps, CODING) as video, ThreadPoolExecutor(max_workers=1) as pool:
-            written = pool.submit(video.add_all, [])
-            for start in range(0, count, BATCH):
-                pictures = film.pictures(np.arange(start, min(start + BATCH, count)) / fps)
-                written.result()
-                written = pool.submit(video.add_all, pictures)
-                if progress is not None:
-                    progress(min(1.0, (start + BATCH) / count))
+        ThreadPoolExecutor(max_workers=1) as pool,
+    ):
+        written = pool.submit(video.add_all, [])
+        for start in range(0, count, BATCH):
+            pictures = film.pictures(np.arange(start, min(start + BATCH, count)) / fps)
             written.result()
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except (OSError, FFmpegError) as error:
-        raise ReplayError(
-            f"the video cannot be written to {path} ({error.strerror or error}): "
-            "give a place that can be written and has room"
-        ) from error
-    finally:
-        if temporary is not None:
-            Path(temporary).unlink(missing_ok=True)
-    return path
+            written = pool.submit(video.add_all, pictures)
+            if progress is not None:
+                progress(min(1.0, (start + BATCH) / count))
+        written.result()
+    return Path(path_mp4)
 
 
 def still(replay: Replay, time_s: float, *, size: tuple[int, int] = SIZE) -> np.ndarray:

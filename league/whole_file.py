@@ -1,0 +1,59 @@
+"""Files that are written whole or not at all: nobody ever sees a part of one."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from league.errors import LeagueError
+
+
+@contextmanager
+def replacing(
+    path: str | os.PathLike[str],
+    what: str,
+    error: type[LeagueError],
+    *,
+    also: tuple[type[Exception], ...] = (),
+) -> Iterator[Path]:
+    """Give a new file to write beside `path`; it takes that name when all has gone well.
+
+    Folders are made as needed. When anything goes wrong, what was there before stays.
+
+    Args:
+        path: where the file is to be.
+        what: what is written, for the error's sentence.
+        error: raised when the file system, or a library that writes, refuses.
+        also: such errors of libraries, beside OSError.
+    """
+    path = Path(path)
+    temporary: Path | None = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:80]}.")
+        os.close(handle)
+        temporary = Path(name)
+        yield temporary
+        with temporary.open("rb") as written:
+            os.fsync(written.fileno())
+        # Temporary files are made for their owner alone.
+        temporary.chmod(0o666 & ~_umask())
+        temporary.replace(path)
+    except (OSError, *also) as refusal:
+        reason = getattr(refusal, "strerror", None) or refusal
+        raise error(
+            f"{what} cannot be written to {path} ({reason}): "
+            "give a place that can be written and has room"
+        ) from refusal
+    finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+
+
+def _umask() -> int:
+    mask = os.umask(0o022)
+    os.umask(mask)
+    return mask
