@@ -87,7 +87,8 @@ class Others:
             gap=column("gap", "gap"),
             lateral=column("lateral", "lateral"),
             speed=torch.clamp(column("speed", None), min=0.0),
-            present=column("present", "present") > 0.5,
+            # Whoever stands a penalty is a ghost: one drives through it.
+            present=(column("present", "present") > 0.5) & (column("frozen", None) < 0.5),
             reach=state.new_tensor([CAR_REACH] * NEIGHBOURS + [BOX_REACH] * NEAR_OBSTACLES),
             is_box=state.new_tensor([0.0] * NEIGHBOURS + [1.0] * NEAR_OBSTACLES) > 0.5,
             widths=state.new_tensor([CAR_WIDTHS] * NEIGHBOURS + [BOX_WIDTHS] * NEAR_OBSTACLES),

@@ -10,6 +10,7 @@ from benchmarks.lap_bound import lap_bound
 from league.agents import roster
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
+from league.envs.state import FIELDS, INDEX, SIZE
 from league.sim.config import CarConfig, ObstacleConfig, RaceRules, SimConfig
 from league.sim.world import Standing
 from league.track import files, importer
@@ -112,8 +113,6 @@ def test_six_cars_race_without_a_pile_of_crashes():
 
 def states(count: int) -> torch.Tensor:
     """Cars of one track in all sorts of places, with others and boxes about."""
-    from league.envs.state import FIELDS, INDEX
-
     generator = torch.Generator().manual_seed(5)
     made = torch.rand(count, len(FIELDS), generator=generator) - 0.5
     made[:, INDEX["s"]] = torch.rand(count, generator=generator) * reinvent().length
@@ -172,3 +171,20 @@ def test_the_blocker_moves_in_front_of_the_car_behind():
     state[:, INDEX["car_0_lateral"]] = torch.tensor([0.25, -0.25])
     left, right = roster.load("blocker", tracks, CAR).act({"state": state})[:, 0].tolist()
     assert left > right
+
+
+@pytest.mark.parametrize("name", ["racing_line", "cautious", "centerline"])
+def test_a_car_that_stands_a_penalty_is_driven_through_as_if_it_were_not_there(name):
+    tracks = TrackSet.of(files.load("reinvent_2018"))
+    clear, frozen, solid = torch.zeros((3, 1, SIZE)).unbind()
+    for state in (clear, frozen, solid):
+        state[:, INDEX["s"]], state[:, INDEX["speed_ahead"]] = 3.0, 2.0
+        state[:, INDEX["left"]] = state[:, INDEX["right"]] = 0.381
+    for state in (frozen, solid):
+        state[:, INDEX["car_0_present"]], state[:, INDEX["car_0_gap"]] = 1.0, 0.8
+    frozen[:, INDEX["car_0_frozen"]] = 1.0
+    acts = [
+        roster.load(name, tracks, CAR).act({"state": state}) for state in (clear, frozen, solid)
+    ]
+    assert torch.equal(acts[0], acts[1])
+    assert not torch.equal(acts[0], acts[2])
