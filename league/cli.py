@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from league.errors import LeagueError, TrackError
+from league.errors import ConfigError, LeagueError, TrackError
 from league.whole_file import replacing
 
 if TYPE_CHECKING:
@@ -302,8 +302,13 @@ def _race(command: Race) -> int:
     from league import race
     from league.track import files
 
-    spec = _spec(command)
-    track = _track_file(command.track) or files.load(spec.track)
+    if not command.drivers:
+        raise ConfigError(
+            "no drivers were named: try `league race racing_line centerline`; "
+            "`league drivers` lists them all"
+        )
+    track = files.load(command.track)
+    spec = _spec(command, track.name)
     keep = command.replay != "none"
     path = _replay_path(command.replay, spec) if keep else None
     live = _live(spec, track) if command.watch else None
@@ -335,20 +340,13 @@ def _race(command: Race) -> int:
     return 0
 
 
-def _spec(command: Race) -> RaceSpec:
-    from league.errors import ConfigError
+def _spec(command: Race, track: str) -> RaceSpec:
     from league.race_spec import checked
 
-    if not command.drivers:
-        raise ConfigError(
-            "no drivers were named: try `league race racing_line centerline`; "
-            "`league drivers` lists them all"
-        )
     alone = "time_trial" if len(command.drivers) == 1 else "head_to_head"
-    track = _track_file(command.track)
     return checked(
         {
-            "track": track.name if track else command.track,
+            "track": track,
             "kind": alone if command.kind == "auto" else command.kind,
             "laps": command.laps,
             "seed": command.seed,
@@ -360,13 +358,6 @@ def _spec(command: Race) -> RaceSpec:
             "random_obstacles": not command.fixed_obstacles,
         }
     )
-
-
-def _track_file(name: str) -> Track | None:
-    """Load a track given as a file; None when it is a name."""
-    from league.track import files
-
-    return files.load(name) if name.endswith((".yaml", ".yml")) else None
 
 
 def _replay_path(wish: str, spec: RaceSpec) -> Path:
