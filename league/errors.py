@@ -25,6 +25,14 @@ class ReplayError(LeagueError):
     """A replay file that is truncated, foreign or of another version."""
 
 
+class StoreError(LeagueError):
+    """A league's database that cannot be opened, read or written, or a request it refuses."""
+
+
+class RewardError(LeagueError):
+    """A reward function that cannot be run, or that answered with no reward."""
+
+
 class WorldError(LeagueError):
     """A world that left the numbers: NaN or infinity in a car's state."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -12,9 +13,9 @@ from torch import Tensor
 from league.agents.driver import Driver
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv, Step
-from league.errors import ConfigError
-from league.race_spec import CarResult, Event, EventKind, RaceResult, RaceSpec
-from league.sim.config import ObstacleConfig, RaceRules, SimConfig
+from league.errors import ConfigError, PolicyError
+from league.race_spec import CarResult, Entry, Event, EventKind, RaceResult, RaceSpec
+from league.sim.config import CarConfig, ObstacleConfig, RaceRules, SimConfig
 from league.sim.referee import NOBODY
 from league.sim.world import World
 from league.track.course import Track, TrackSet
@@ -84,13 +85,12 @@ def run(
     Raises:
         LeagueError: unknown drivers or track, or settings that contradict each other.
     """
-    from league.agents import roster
     from league.track import files
 
     sim = sim_config(spec)
     tracks = TrackSet.of(track or files.load(spec.track))
     if drivers is None:
-        drivers = [roster.load(entry.name, tracks, sim.car) for entry in spec.entries]
+        drivers = [_loaded(entry, tracks, sim.car) for entry in spec.entries]
     if len(drivers) != len(spec.entries):
         raise ConfigError(f"{len(drivers)} drivers for {len(spec.entries)} entries: give as many")
     cfg = EnvConfig(sim=sim, solver=spec.solver, sensors=tuple(d.sensors for d in drivers))
@@ -173,11 +173,53 @@ class _Race:
         return actions
 
 
-def rerun(replay: Replay) -> Replay:
-    """Run a recorded race again, with the drivers its spec names, and return the new recording."""
-    again = run(replay.spec, track=replay.track)
+def rerun(replay: Replay, checkpoints: Sequence[str | os.PathLike[str]] = ()) -> Replay:
+    """Run a recorded race again, with the drivers its spec names, and return the new recording.
+
+    Args:
+        replay: the recorded race.
+        checkpoints: files among which the policies are found by their digests; those that are not
+            among them are looked for where they were when the race was driven.
+
+    Raises:
+        PolicyError: a policy's file is gone, or holds another policy now.
+    """
+    from league.agents import checkpoint
+
+    tracks, car = TrackSet.of(replay.track), sim_config(replay.spec).car
+    given = {checkpoint.digest(path): os.fspath(path) for path in checkpoints}
+    drivers = [
+        _loaded(entry.model_copy(update={"path": given.get(entry.digest, entry.path)}), tracks, car)
+        for entry in replay.spec.entries
+    ]
+    again = run(replay.spec, track=replay.track, drivers=drivers)
     assert again.replay is not None
     return again.replay
+
+
+def _loaded(entry: Entry, tracks: TrackSet, car: CarConfig) -> Driver:
+    """Load the driver of an entry, and make sure that a policy is still the same one."""
+    from league.agents import roster
+
+    whose = f"{entry.name!r} is the policy {entry.digest[:12]}"
+    if entry.digest and not entry.path:
+        raise PolicyError(f"{whose}, but no file is named that holds it: give its checkpoint")
+    try:
+        driver = roster.load(entry.path or entry.name, tracks, car)
+    except PolicyError as error:
+        if not entry.digest:
+            raise
+        raise PolicyError(
+            f"{whose}, which cannot be had any more: {error}; name the file that holds it now, "
+            "as in `league verify REPLAY --policies FILE.pt`"
+        ) from error
+    found = getattr(driver, "digest", "")
+    if entry.digest and found != entry.digest:
+        raise PolicyError(
+            f"{whose}, but {entry.path} holds {found[:12]} now: give the file it was then, "
+            "as in `league verify REPLAY --policies FILE.pt`"
+        )
+    return driver
 
 
 def _is_action(answer: object) -> bool:

@@ -44,6 +44,8 @@ class Entry(_Data):
     """Name of a scripted driver, or the label of a checkpoint."""
     digest: str = Field(default="", max_length=64)
     """SHA-256 of the checkpoint; empty for scripted drivers."""
+    path: str = Field(default="", max_length=1000, pattern=r"^(|.*\.pt)$")
+    """Where the checkpoint was when the race was asked for; empty for scripted drivers."""
 
 
 class RaceSpec(_Data):

@@ -228,3 +228,22 @@ def assert_same(one: object, other: object, where: str = "") -> None:
     else:
         for name in one.__dataclass_fields__:  # pyright: ignore[reportAttributeAccessIssue]
             assert_same(getattr(one, name), getattr(other, name), f"{where}.{name}")
+
+
+@pytest.fixture
+def league(monkeypatch, tmp_path, capsys) -> Callable[..., tuple[int, str, str]]:
+    """Return a call of the command line in an empty folder: exit code, what it said, complaints."""
+    from league import cli
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "120")
+
+    def call(*arguments: str) -> tuple[int, str, str]:
+        try:
+            code = cli.main(list(arguments))
+        except SystemExit as stop:
+            code = int(stop.code or 0)
+        said = capsys.readouterr()
+        return code, said.out, said.err
+
+    return call

@@ -9,26 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from league import cli
+from league.cli import tables
 
 SHORT = ["--laps", "1", "--solver", "planar", "--replay", "none"]
-
-
-@pytest.fixture
-def league(monkeypatch, tmp_path, capsys):
-    """Return a call of the command line in an empty folder: exit code, what it said, complaints."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "120")
-
-    def call(*arguments: str) -> tuple[int, str, str]:
-        try:
-            code = cli.main(list(arguments))
-        except SystemExit as stop:
-            code = int(stop.code or 0)
-        said = capsys.readouterr()
-        return code, said.out, said.err
-
-    return call
 
 
 def is_one_sentence(complaint: str) -> bool:
@@ -155,12 +138,24 @@ def test_replay_that_cannot_be_written_is_one_sentence_and_nothing_is_left(leagu
 def test_help_names_every_command(league):
     code, out, _ = league("--help")
     assert code == 0
-    for command in ("race", "tracks", "drivers", "view", "video", "verify"):
+    for command in (
+        *("race", "tracks", "drivers", "view", "video", "verify"),
+        *("evaluate", "card", "export", "reward"),
+    ):
         assert command in out
 
 
+def test_reader_who_has_had_enough_of_the_help_gets_no_traceback():
+    command = f"{sys.executable} -m league.cli race --help | head -1"
+    ran = subprocess.run(
+        command, shell=True, capture_output=True, text=True, cwd=Path(__file__).parents[1]
+    )
+    assert "usage" in ran.stdout
+    assert "Traceback" not in ran.stderr
+
+
 def test_times_are_told_as_on_a_timing_screen():
-    assert cli.clock(0.0) == "0:00.000"
-    assert cli.clock(9.0666) == "0:09.067"
-    assert cli.clock(75.5) == "1:15.500"
-    assert cli.clock(59.9996) == "1:00.000"
+    assert tables.clock(0.0) == "0:00.000"
+    assert tables.clock(9.0666) == "0:09.067"
+    assert tables.clock(75.5) == "1:15.500"
+    assert tables.clock(59.9996) == "1:00.000"

@@ -16,6 +16,7 @@ FLOORS = {
     "race_spec": 4, "envs": 4, "replay": 4,
     "agents": 5, "rerun_view": 5, "video": 5, "web_viewer": 5,
     "race": 6,
+    "evaluation": 6.5,
     "matchmaking": 7,
     "web": 8,
     "cli": 9, "__main__": 9,
@@ -29,6 +30,10 @@ HEAVY = {
     "gymnasium": ("envs",),
     "av": ("video",),
     "sqlite3": ("matchmaking.store",),
+    "sqlalchemy": ("matchmaking.store",),
+    "alembic": ("matchmaking.store",),
+    "psycopg": ("matchmaking.store",),
+    "fsspec": ("matchmaking.blobs",),
 }
 LOADED_LATE = (
     "torch",

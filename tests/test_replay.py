@@ -9,7 +9,7 @@ import pytest
 import torch
 from recorded import by_hand, finish, first_world, moved, raced, told
 
-from league import race, replay
+from league import __version__, race, replay
 from league.errors import LeagueError, ReplayError
 from league.replay import format as file_format
 from league.replay import story
@@ -364,3 +364,13 @@ def _mutated(content: bytes, draw: random.Random) -> bytes:
         else:
             changed[at:at] = draw.randbytes(draw.randrange(1, 9))
     return bytes(changed)
+
+
+def test_replay_tells_the_version_of_its_league_and_older_ones_told_none():
+    recorded = by_hand(3)
+    assert recorded.league_version == decode(encode(recorded)).league_version == __version__
+    header, body = parts_of(encode(recorded))
+    assert f'"league":"{__version__}",'.encode() in header
+    older = sealed(header.replace(f'"league":"{__version__}",'.encode(), b""), body)
+    assert decode(older).league_version == ""
+    assert_equal_columns(decode(older), recorded)

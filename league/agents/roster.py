@@ -43,25 +43,23 @@ _BUILD: dict[str, Callable[[Track, CarConfig], Driver]] = {
 
 
 def load(name_or_path: str, tracks: TrackSet, car: CarConfig) -> Driver:
-    """Build a driver for the track that all its rows race on.
+    """Build a driver for the tracks that its rows race on.
 
     Args:
-        name_or_path: name of a scripted driver.
+        name_or_path: name of a scripted driver, or a checkpoint, which ends in .pt.
         tracks: the set; a scripted driver needs it to hold one track.
         car: the car it will drive.
 
     Raises:
-        PolicyError: the name is unknown, or the driver cannot drive this set.
+        PolicyError: the name is unknown, the checkpoint not sound, or the driver cannot drive
+            this set.
     """
     if name_or_path.endswith(".pt"):
-        raise PolicyError(
-            f"{name_or_path!r} is a checkpoint, which this version cannot load yet (checkpoints "
-            f"come with `league train`); give a scripted driver: {', '.join(NAMES)}"
-        )
+        return policy(name_or_path, tracks, car)
     if name_or_path not in NAMES:
         raise PolicyError(
             f"there is no driver {name_or_path!r}; nearest: "
-            f"{nearest_names(name_or_path, list(NAMES))}"
+            f"{nearest_names(name_or_path, list(NAMES))}; or give a checkpoint, FILE.pt"
         )
     if len(tracks.tracks) != 1:
         raise PolicyError(
@@ -69,3 +67,21 @@ def load(name_or_path: str, tracks: TrackSet, car: CarConfig) -> Driver:
             "drivers are built for one; give a set of one track"
         )
     return _BUILD[name_or_path](tracks.tracks[0], car)
+
+
+def policy(path: str, tracks: TrackSet, car: CarConfig, *, exact: bool = True) -> Driver:
+    """Build the driver of a checkpoint; it drives any set of tracks.
+
+    Args:
+        path: the checkpoint.
+        tracks: the set, which says on what device to decide.
+        car: the car it will drive.
+        exact: whether a row gets the same bits alone and in a batch.
+
+    Raises:
+        PolicyError: the file is not a sound checkpoint.
+    """
+    from league.agents import checkpoint
+    from league.agents.policy import Policy
+
+    return Policy(checkpoint.load(path), car, exact=exact, device=tracks.device)

@@ -14,7 +14,7 @@ from gymnasium.vector.utils import batch_space
 
 from league.envs import actions as door_actions
 from league.envs import infos, problem, seeds, spaces
-from league.envs.opponents import Opponent
+from league.envs.driver import Driver
 from league.envs.problem import Settings
 from league.envs.race_env import Step
 from league.envs.seat import Seat
@@ -46,7 +46,7 @@ class BatchEnv(VectorEnv[Told, np.ndarray, np.ndarray]):
         *,
         sensors: problem.Carried = problem.BOTH,
         car: int = 0,
-        opponents: Sequence[Opponent | str] | None = None,
+        opponents: Sequence[Driver | str] | None = None,
         privileged: bool = False,
         render_mode: str | None = None,
         max_episode_steps: int | None = None,

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping, Sequence
-from typing import Protocol
 
 from torch import Tensor
 
 from league.envs.config import EnvConfig
+from league.envs.driver import Driver
 from league.errors import ConfigError
-from league.sim.config import CarConfig, SensorConfig
+from league.sim.config import CarConfig
 from league.track.course import TrackSet
 
 ROSTER = "league.agents.roster:load"
@@ -18,24 +18,7 @@ ROSTER = "league.agents.roster:load"
 drivers stand a floor above the doors."""
 
 
-class Opponent(Protocol):
-    """What a driver must be able to do; `league.agents.driver.Driver` is the same."""
-
-    name: str
-    sensors: SensorConfig
-
-    def reset(self, rows: Tensor | None) -> None:
-        """Forget all about some worlds; None forgets everything."""
-        ...
-
-    def act(self, observations: Mapping[str, Tensor]) -> Tensor:
-        """Return actions in [-1, 1], (num_worlds, 2)."""
-        ...
-
-
-def named(
-    drivers: Sequence[Opponent | str], tracks: TrackSet, car: CarConfig
-) -> tuple[Opponent, ...]:
+def named(drivers: Sequence[Driver | str], tracks: TrackSet, car: CarConfig) -> tuple[Driver, ...]:
     """Return drivers, those given by name fetched from the roster.
 
     Raises:
@@ -59,7 +42,7 @@ def named(
 
 
 def check_field(
-    cfg: EnvConfig, learners: Sequence[int], drivers: Mapping[int, Opponent | str]
+    cfg: EnvConfig, learners: Sequence[int], drivers: Mapping[int, Driver | str]
 ) -> None:
     """Refuse a field in which not every car has one who drives it, or rows that are not alike."""
     if cfg.mode != "training" or cfg.restarting is not None:
@@ -83,7 +66,7 @@ def check_field(
 class Opponents:
     """Drivers by their cars; asked for actions, and told when a car starts anew."""
 
-    def __init__(self, drivers: Mapping[int, Opponent]) -> None:
+    def __init__(self, drivers: Mapping[int, Driver]) -> None:
         """Seat the drivers, each in a car of its own."""
         if len({id(driver) for driver in drivers.values()}) < len(drivers):
             raise ConfigError(
@@ -97,7 +80,7 @@ class Opponents:
         """Cars that are driven."""
         return tuple(self._drivers)
 
-    def seat(self, car: int, driver: Opponent) -> None:
+    def seat(self, car: int, driver: Driver) -> None:
         """Have another driver take over a car, with no memory of what was."""
         driver.reset(None)
         self._drivers[car] = driver

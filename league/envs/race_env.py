@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from league.envs import rewards
 from league.envs.config import EnvConfig
+from league.envs.rewards import BuiltIn, Reward
 from league.envs.sensing import Sensing
 from league.errors import ActionError, ConfigError, WorldError
 from league.sim import draws, grid, obstacles, referee, solvers
@@ -62,6 +62,7 @@ class RaceEnv:
         num_worlds: int = 1,
         seed: int = 0,
         track_index: Tensor | None = None,
+        reward: Reward | None = None,
     ) -> None:
         """Build the worlds and put them on the grid.
 
@@ -71,6 +72,7 @@ class RaceEnv:
             num_worlds: races in the batch.
             seed: makes the worlds' own seeds, unless `reset` is given some.
             track_index: track of each world, (num_worlds,); by default they take turns.
+            reward: what pays; None: the built-in terms by the weights of `cfg.reward`.
         """
         if num_worlds < 1:
             raise ValueError(f"num_worlds is {num_worlds}: give at least 1")
@@ -80,6 +82,7 @@ class RaceEnv:
             self._track = track_index.to(tracks.device)
         self._solver = solvers.make(cfg.solver, cfg.sim, tracks, num_worlds)
         self._sensing = Sensing(tracks, cfg)
+        self._reward = reward or BuiltIn(cfg.reward)
         self._closed = False
         self._begin(seed, None)
 
@@ -87,6 +90,11 @@ class RaceEnv:
     def world(self) -> World:
         """The worlds now."""
         return self._world
+
+    @property
+    def reward(self) -> Reward:
+        """What pays the cars."""
+        return self._reward
 
     @property
     def num_cars(self) -> int:
@@ -165,7 +173,7 @@ class RaceEnv:
 
         verdict, standing = referee.judge(self.tracks, sim, before, world, outcome.contacts)
         world = referee.stop_bots(sim, replace(world, standing=standing), verdict)
-        reward, terms = rewards.total(self.tracks, self.cfg.reward, world, verdict)
+        reward, terms = self._reward(self.tracks, before, world, actions, verdict)
 
         if self.cfg.mode == "race":
             world = referee.penalise(self.tracks, sim, world, verdict)
@@ -208,6 +216,8 @@ class RaceEnv:
         shape = (self.num_worlds, self.num_cars)
         self._last_action = self._no_action()
         self._episode_steps = torch.zeros(shape, dtype=torch.int64, device=self.tracks.device)
+        all_cars = torch.ones(shape, dtype=torch.bool, device=self.tracks.device)
+        self._reward.restart(self._world, all_cars)
         limit_s = time_limit(self.tracks, self.cfg, self._track)
         # In whole steps, so that no rounding adds one: 2 s are 30 steps.
         self._last_step = torch.ceil(limit_s * self.cfg.sim.step_hz - 1e-2).to(torch.int64)
@@ -236,7 +246,9 @@ class RaceEnv:
         self._episode_steps = torch.where(again, 0, self._episode_steps)
         self._sensing.refresh(again)
         actions = torch.where(again.unsqueeze(2), self._no_action(), actions)
-        return grid.restart(self.tracks, self.cfg.sim, world, again), actions
+        world = grid.restart(self.tracks, self.cfg.sim, world, again)
+        self._reward.restart(world, again)
+        return world, actions
 
     def _started_anew(
         self, world: World, actions: Tensor, anew: Tensor, seeds: Tensor
@@ -248,7 +260,9 @@ class RaceEnv:
         self._solver.reset(anew.nonzero()[:, 0].tolist())
         self._sensing.refresh(cars)
         actions = torch.where(cars.unsqueeze(2), self._no_action(), actions)
-        return select(anew, self._fresh(seeds), world), actions
+        world = select(anew, self._fresh(seeds), world)
+        self._reward.restart(world, cars)
+        return world, actions
 
     def _observe(self) -> Observations:
         return self._sensing.observe(self._world, self._last_action)

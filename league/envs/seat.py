@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 
 from league.envs import problem
-from league.envs.opponents import Opponent, Opponents, named
+from league.envs.driver import Driver
+from league.envs.opponents import Opponents, named
 from league.envs.problem import Settings
 from league.envs.race_env import RaceEnv, Step
 from league.errors import ConfigError
@@ -33,7 +34,7 @@ class Seat:
         *,
         num_worlds: int = 1,
         car: int = 0,
-        opponents: Sequence[Opponent | str] | None = None,
+        opponents: Sequence[Driver | str] | None = None,
         **settings: Unpack[Settings],
     ) -> None:
         """Build the races and seat the drivers.

@@ -10,7 +10,7 @@ import gymnasium
 import numpy as np
 
 from league.envs import actions, infos, problem, seeds, spaces
-from league.envs.opponents import Opponent
+from league.envs.driver import Driver
 from league.envs.pictures import Pictures
 from league.envs.problem import Settings
 from league.envs.race_env import Step
@@ -38,7 +38,7 @@ class SingleEnv(gymnasium.Env[Any, np.ndarray]):
         *,
         sensors: problem.Carried = problem.BOTH,
         car: int = 0,
-        opponents: Sequence[Opponent | str] | None = None,
+        opponents: Sequence[Driver | str] | None = None,
         privileged: bool = False,
         render_mode: str | None = None,
         view: str = "chase",

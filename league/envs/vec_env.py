@@ -10,10 +10,13 @@ from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 from torch import Tensor
 
+from league.envs.action_space import ActionSpace, to_actions
 from league.envs.actions import SIZE
 from league.envs.config import EnvConfig
-from league.envs.opponents import Opponent, Opponents, check_field, named
+from league.envs.driver import Driver
+from league.envs.opponents import Opponents, check_field, named
 from league.envs.race_env import Observations, RaceEnv, Step
+from league.envs.rewards import Reward
 from league.errors import ActionError, ConfigError
 from league.sim.config import SensorConfig
 from league.track.course import TrackSet
@@ -37,7 +40,10 @@ class RacingVecEnv(VecEnv):
         *,
         num_worlds: int,
         learners: Sequence[int] = (0,),
-        opponents: Mapping[int, Opponent | str] | None = None,
+        opponents: Mapping[int, Driver | str] | None = None,
+        action_space: ActionSpace | None = None,
+        reward: Reward | None = None,
+        as_bytes: bool = False,
         seed: int = 0,
     ) -> None:
         """Build the worlds, seat the drivers and reset, once.
@@ -48,6 +54,10 @@ class RacingVecEnv(VecEnv):
             num_worlds: races in the batch.
             learners: cars that learn, all with the same sensors.
             opponents: driver, or its name, of each other car.
+            action_space: what the rows' actions mean; None: steering and speed in [-1, 1].
+            reward: what pays; None: the built-in terms of the settings.
+            as_bytes: whether pictures stay bytes, a quarter of the memory, for networks that scale
+                them by themselves.
             seed: makes the worlds' seeds.
 
         Raises:
@@ -65,14 +75,22 @@ class RacingVecEnv(VecEnv):
             for car in range(cfg.sim.num_cars)
         ]
         self.cfg: EnvConfig = replace(cfg, sensors=tuple(carried))  # type: ignore
-        self._env = RaceEnv(tracks, self.cfg, num_worlds=num_worlds, seed=seed)
+        self._env = RaceEnv(tracks, self.cfg, num_worlds=num_worlds, seed=seed, reward=reward)
+        self._as_bytes = as_bytes
         self._columns = torch.tensor(self.learners, device=tracks.device)
         self.num_envs = num_worlds * len(self.learners)
-        self.num_actions = SIZE
+        self.action_space = action_space
+        self.num_actions = SIZE if action_space is None else action_space.size
         self.max_episode_length = self._env.longest_episode
         self.device = tracks.device
+        self.reset(seed)
+
+    def reset(self, seed: int) -> TensorDict:
+        """Start all rows anew, with nothing left of the past; return what they are told."""
         self._opponents.reset()
         self._told = self._env.reset(seed=seed)
+        self._driven = torch.zeros(self.num_envs, device=self.device)
+        return self.get_observations()
 
     @property
     def race_env(self) -> RaceEnv:
@@ -99,20 +117,25 @@ class RacingVecEnv(VecEnv):
         """Drive for 1/15 s; actions beyond [-1, 1] are cut off there.
 
         Args:
-            actions: steering and speed, (num_envs, 2).
+            actions: steering and speed, or what the action space takes, (num_envs, num_actions).
 
         Returns:
             Observations after restarts, rewards (num_envs,), dones (num_envs,) int64, and extras:
-            `time_outs`, rows cut off by the time limit alone, and `log`, means over the rows.
+            `time_outs`, rows cut off by the time limit alone; `log`, means over the rows; and
+            `driven`, laps that each row has driven in its episode, before any restart.
 
         Raises:
             ActionError: actions of the wrong shape, or NaN.
         """
-        if tuple(actions.shape) != (self.num_envs, SIZE):
+        expected = (self.num_envs, self.num_actions)
+        if tuple(actions.shape) != expected:
             raise ActionError(
-                f"actions have shape {tuple(actions.shape)}: expected ({self.num_envs}, {SIZE}), "
-                "(rows, [steering, speed])"
+                f"actions have shape {tuple(actions.shape)}: expected {expected}, (rows, actions)"
             )
+        if self.action_space is not None:
+            if not bool(torch.isfinite(actions).all()):
+                raise ActionError("an action is NaN or infinite: give finite numbers")
+            actions = to_actions(self.action_space, actions, self.cfg.sim.car)
         driven = self._env.last_action.clone()
         driven[:, self._columns] = (
             actions.clamp(-1.0, 1.0).to(driven).reshape(-1, len(self.learners), SIZE)
@@ -121,10 +144,16 @@ class RacingVecEnv(VecEnv):
         self._opponents.forget(step.terminated | step.truncated)
         self._told = step.observations
         dones = self._rows(step.terminated | step.truncated).to(torch.int64)
-        extras = {"time_outs": self._rows(step.truncated), "log": self._log(step)}
+        driven = self._driven + self._rows(step.verdict.advance) / self._lap_lengths
+        self._driven = torch.where(dones > 0, 0.0, driven)
+        extras = {
+            "time_outs": self._rows(step.truncated),
+            "log": self._log(step),
+            "driven": driven,
+        }
         return self._observations(self._told), self._rows(step.rewards), dones, extras
 
-    def seat(self, car: int, driver: Opponent) -> None:
+    def seat(self, car: int, driver: Driver) -> None:
         """Have another driver take over an opponent's car, with no memory of what was.
 
         Raises:
@@ -146,18 +175,24 @@ class RacingVecEnv(VecEnv):
     def _rows(self, values: Tensor) -> Tensor:
         return values[:, self._columns].reshape(self.num_envs, *values.shape[2:])
 
+    @property
+    def _lap_lengths(self) -> Tensor:
+        """Length of the lap each row drives [m], (num_envs,)."""
+        lengths = self._env.tracks.length[self._env.world.track]
+        return lengths.repeat_interleave(len(self.learners))
+
     def _observations(self, told: Observations) -> TensorDict:
         groups = {
-            name: _scaled(
-                torch.stack([told[car][name] for car in self.learners], dim=1).flatten(0, 1)
-            )
+            name: torch.stack([told[car][name] for car in self.learners], dim=1).flatten(0, 1)
             for name in told[self.learners[0]]
         }
+        if not self._as_bytes:
+            groups = {name: _scaled(group) for name, group in groups.items()}
         return TensorDict(groups, batch_size=[self.num_envs], device=self.device)
 
     def _log(self, step: Step) -> dict[str, Tensor]:
         seen = step.verdict
-        log = {f"/reward/{name}": self._mean(step.log[name]) for name in self._env.cfg.reward.terms}
+        log = {f"/reward/{name}": self._mean(step.log[name]) for name in self._env.reward.terms}
         log |= {f"/mistake/{name}": self._mean(getattr(seen, name)) for name in MISTAKES}
         log["/drive/speed"] = self._mean(seen.advance) * self._env.cfg.sim.step_hz
         log["/drive/laps"] = self._mean(seen.lap)

@@ -56,6 +56,7 @@ class _Header(BaseModel):
     step_hz: int = Field(ge=1, le=1000)
     names: tuple[str, ...] = Field(max_length=MAX_CARS)
     track: str = Field(min_length=1, max_length=2**20)
+    league: str = Field(default="", max_length=40)
     result: RaceResult
 
     def problem(self) -> str | None:
@@ -82,6 +83,7 @@ def encode(replay: Replay) -> bytes:
         step_hz=replay.step_hz,
         names=replay.names,
         track=files.dump(replay.track),
+        league=replay.league_version,
         result=replay.result,
     )
     packed_header = zlib.compress(header.model_dump_json().encode(), 9)
@@ -268,6 +270,7 @@ def _assemble(header: _Header, body: bytes) -> Replay:
         parameters=floats[:split].reshape(header.cars, len(PARAMETERS)).astype(np.float32),
         obstacle_sizes=floats[split:].reshape(header.obstacles, 2).astype(np.float32),
         columns=Columns(checksum=checksum.astype(np.uint32), **kept),
+        league_version=header.league,
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from league import __version__
 from league.errors import ReplayError
 from league.race_spec import RaceResult, RaceSpec
 from league.replay.columns import NUM_ACTIONS, Columns
@@ -104,6 +105,7 @@ class Recorder:
                 axis=1,
             ).astype(np.float32),
             columns=columns.rounded(),
+            league_version=__version__,
         )
 
     def _columns(self, num_cars: int, num_obstacles: int) -> Columns:

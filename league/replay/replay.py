@@ -46,6 +46,8 @@ class Replay:
     """Half length and half width of each obstacle [m], (num_obstacles, 2) float32."""
     columns: Columns
     """All steps."""
+    league_version: str = ""
+    """Version of the league that drove the race; empty if it was not kept yet."""
 
     @property
     def spec(self) -> RaceSpec:

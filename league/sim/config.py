@@ -14,6 +14,11 @@ SolverName = Literal["planar", "bullet"]
 MAX_CARS = 8
 
 
+def _check_range(name: str, value: float, low: float, high: float) -> None:
+    if not low <= value <= high:  # False for NaN
+        raise ConfigError(f"{name} is {value}: give {low:g} to {high:g}")
+
+
 @dataclass(frozen=True)
 class CarConfig:
     """One car's body, drive, steering and tyres."""
@@ -244,6 +249,14 @@ class ObstacleConfig:
             raise ConfigError(
                 f"{len(self.places)} places for {self.count} obstacles: give one place for each"
             )
+        for name, low, high in (
+            ("min_distance", 0.0, 100.0),
+            ("speed", 0.0, 12.0),
+            ("length", 0.01, 2.0),
+            ("width", 0.01, 2.0),
+            ("height", 0.01, 2.0),
+        ):
+            _check_range(f"obstacle {name}", getattr(self, name), low, high)
 
 
 @dataclass(frozen=True)
@@ -284,6 +297,17 @@ class RaceRules:
             value = getattr(self, f"{name}_penalty_s")
             if not 0 <= value <= 600:
                 raise ConfigError(f"{name}_penalty_s is {value}: give 0 to 600 seconds")
+        for name, low, high in (
+            ("patience_steps", 1, 10_000),
+            ("still_distance", 0.0, 1.0),
+            # Cars stand in two lanes, so two in one lane are two gaps apart.
+            ("grid_gap", 0.2, 10.0),
+            ("overtake_margin", 0.0, 10.0),
+            ("bot_stop_s", 0.0, 600.0),
+            ("put_back_behind", 0.0, 10.0),
+            ("max_time_s", 0.0, 1e6),
+        ):
+            _check_range(name, getattr(self, name), low, high)
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ def test_an_unknown_driver_is_told_with_the_nearest_names():
         roster.load("racing_lime", one_track(), CarConfig())
 
 
-def test_a_checkpoint_says_where_checkpoints_come_from():
+def test_a_missing_checkpoint_says_where_checkpoints_come_from():
     with pytest.raises(PolicyError, match="league train"):
         roster.load("runs/best.pt", one_track(), CarConfig())
 

@@ -6,10 +6,9 @@ import torch
 from torch import Tensor
 
 from league.sim.camera import looks as looks_room
-from league.sim.camera.ground import Floor, floor_of
-from league.sim.camera.lens import Lens
+from league.sim.camera.ground import Floor
 from league.sim.camera.painter import Painter
-from league.sim.camera.stage import Stage
+from league.sim.camera.setting import Setting
 from league.sim.config import CameraConfig, LookConfig, SimConfig
 from league.sim.world import World
 from league.track.course import TrackSet
@@ -32,10 +31,8 @@ class CvRenderer:
         camera: CameraConfig,
         looks: LookConfig | None = None,
     ) -> None:
-        self._tracks, self._sim, self._camera = tracks, sim, camera
-        self._lens = Lens.of(camera)
-        self._painter = Painter(self._lens, gray=not camera.colour)
-        self._looks = None if looks is None or looks.is_plain else looks
+        self._setting = Setting.of(tracks, sim, camera, looks)
+        self._painter = Painter(self._setting.lens, gray=not camera.colour)
         self._floors: dict[int, Floor] = {}
         # OpenCV's own threads cost more than they bring at these sizes.
         cv2.setNumThreads(1)
@@ -51,11 +48,8 @@ class CvRenderer:
             car: slot of the car that looks.
             rows: worlds to render, int64; None for all.
         """
-        cfg, painter = self._camera, self._painter
-        look = None
-        if self._looks is not None:
-            look = looks_room.draw(self._looks, world, rows, car, cfg.colour)
-        stage = Stage(self._sim, world, rows, look)
+        cfg, painter = self._setting.camera, self._painter
+        stage, look = self._setting.stage(world, rows, car)
         shape = (len(stage.track), cfg.num_eyes, cfg.height, cfg.width)
         pictures = np.empty((*shape, 3) if cfg.colour else shape, np.uint8)
         for row, track in enumerate(stage.track):
@@ -73,7 +67,5 @@ class CvRenderer:
     def _floor(self, track: int) -> Floor:
         floor = self._floors.get(track)
         if floor is None:
-            cfg = self._camera
-            floor = floor_of(self._tracks.tracks[track], self._lens, cfg.up, cfg.pitch, cfg.colour)
-            self._floors[track] = floor
+            floor = self._floors[track] = self._setting.floor(track)
         return floor

@@ -14,8 +14,8 @@ from torch import Tensor
 from league.sim.camera import looks as look_room
 from league.sim.camera import scene
 from league.sim.camera.figures import NEAR
-from league.sim.camera.ground import Floor, floor_of
-from league.sim.camera.lens import Lens
+from league.sim.camera.ground import Floor
+from league.sim.camera.setting import Setting
 from league.sim.camera.stage import Stage, Thing
 from league.sim.config import CameraConfig, LookConfig, SimConfig
 from league.sim.world import World
@@ -103,10 +103,8 @@ class RayRenderer:
         camera: CameraConfig,
         looks: LookConfig | None = None,
     ) -> None:
-        self._tracks, self._sim, self._camera = tracks, sim, camera
-        self._looks = None if looks is None or looks.is_plain else looks
+        self._setting = Setting.of(tracks, sim, camera, looks)
         self._device = tracks.device
-        self._lens = Lens.of(camera)
         self._floors: dict[int, tuple[Floor, list[Tensor]]] = {}
 
     def render(self, world: World, car: int, rows: Tensor | None = None) -> Tensor:
@@ -120,11 +118,8 @@ class RayRenderer:
             car: slot of the car that looks.
             rows: worlds to render, int64; None for all.
         """
-        cfg = self._camera
-        look = None
-        if self._looks is not None:
-            look = look_room.draw(self._looks, world, rows, car, cfg.colour)
-        stage = Stage(self._sim, world, rows, look)
+        cfg = self._setting.camera
+        stage, look = self._setting.stage(world, rows, car)
         pixels = cfg.num_eyes * cfg.height * cfg.width
         size = max(1, _PIXELS_AT_ONCE.get(self._device.type, 1 << 20) // pixels)
         found = torch.zeros((len(stage.track), *cfg.shape), dtype=torch.uint8, device=self._device)
@@ -134,7 +129,7 @@ class RayRenderer:
         return found
 
     def _render(self, stage: Stage, car: int, rows: range, look: look_room.Look | None) -> Tensor:
-        cfg = self._camera
+        cfg = self._setting.camera
         poses = self._tensor([stage.camera(row, car, cfg) for row in rows])
         rays = self._rays(poses)
         depth, pictures = self._room([stage.track[row] for row in rows], poses, rays)
@@ -142,7 +137,7 @@ class RayRenderer:
             body = self._body(poses, slot)
             if body.model is scene.CAR:
                 distance = torch.sqrt(body.x * body.x + body.y * body.y)
-                is_far = distance > scene.far_from(self._lens.focal)
+                is_far = distance > scene.far_from(self._setting.lens.focal)
                 for model, mask in ((scene.CAR, ~is_far), (scene.FAR_CAR, is_far)):
                     depth, pictures = self._meet(
                         rays, replace(body, model=model), mask, depth, pictures
@@ -162,7 +157,7 @@ class RayRenderer:
     # The room ------------------------------------------------------------------------------
 
     def _rays(self, poses: Tensor) -> _Rays:
-        lens = self._lens
+        lens = self._setting.lens
         height, pitch_cos, pitch_sin = (poses[:, index].reshape(-1, 1, 1, 1) for index in (2, 5, 6))
         across = (torch.arange(lens.width, device=self._device) - lens.cx) / lens.focal
         down = (torch.arange(lens.height, device=self._device) - lens.cy) / lens.focal
@@ -185,7 +180,7 @@ class RayRenderer:
         inside = rays.turned(-(cos * x + sin * y), sin * x - cos * y, cos, -sin)
         index = torch.tensor(tracks, device=self._device)
         x_min, y_min, x_max, y_max = (
-            part.reshape(-1, 1, 1, 1) for part in self._tracks.room[index].unbind(1)
+            part.reshape(-1, 1, 1, 1) for part in self._setting.tracks.room[index].unbind(1)
         )
         far = torch.full_like(inside.x, _FAR)
         to_x = torch.where(inside.ahead > 0, x_max - inside.x, x_min - inside.x) / inside.ahead
@@ -202,9 +197,9 @@ class RayRenderer:
         on_x = torch.where(inside.ahead > 0, 1, 3)
         side = torch.where(to_x < to_y, on_x, torch.where(inside.left > 0, 2, 0))
         side = torch.where(is_wall, side, 4)
-        channels = 3 if self._camera.colour else 1
+        channels = 3 if self._setting.camera.colour else 1
         pictures = torch.empty((*far.shape, channels), device=self._device)
-        sky = scene.SKY_COLOUR if self._camera.colour else scene.luma(scene.SKY_COLOUR)
+        sky = scene.SKY_COLOUR if self._setting.camera.colour else scene.luma(scene.SKY_COLOUR)
         for track in sorted(set(tracks)):
             here = (index == track).nonzero()[:, 0]
             floor, textures = self._floor(track)
@@ -216,9 +211,8 @@ class RayRenderer:
 
     def _floor(self, track: int) -> tuple[Floor, list[Tensor]]:
         if track not in self._floors:
-            cfg = self._camera
-            floor = floor_of(self._tracks.tracks[track], self._lens, cfg.up, cfg.pitch, cfg.colour)
-            channels = 3 if cfg.colour else 1
+            floor = self._setting.floor(track)
+            channels = 3 if self._setting.camera.colour else 1
             textures = [
                 torch.from_numpy(level.image).to(self._device).reshape(-1, channels)
                 for level in floor.ground.levels
@@ -305,7 +299,7 @@ class RayRenderer:
                 facing = torch.clamp(nx * sun_x + ny * sun_y + nz * scene.SUN[2], min=0)
                 sun = self._tensor(scene.DIFFUSE) * facing.unsqueeze(1)
                 base = base * (scene.AMBIENT + sun)
-            if not self._camera.colour:
+            if not self._setting.camera.colour:
                 red, green, blue = base.unbind(1)
                 parts = scene.LUMA
                 base = (parts[0] * red + parts[1] * green + parts[2] * blue).unsqueeze(1)

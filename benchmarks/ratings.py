@@ -1,0 +1,107 @@
+"""How fast a league is rated, how true its ratings are, and how soon newcomers are placed."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.report import figure, heading, machine, seconds
+from league.matchmaking.intransitivity import goodness_of_fit
+from league.matchmaking.ratings import RatingSettings, Results, fit
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "matchmaking"))
+
+RACES = 1_000_000
+"""Races of the league whose refit is timed."""
+
+
+def league_of(entries: int, cars: int = 2) -> tuple[Results, np.ndarray]:
+    """Return a million races of a field, and its strengths."""
+    from fields import raced
+
+    generator = np.random.default_rng(0)
+    strengths = generator.normal(0, 200, entries)
+    heats = RACES // 2
+    one = generator.integers(0, entries, heats)
+    # Offsets that differ within a heat: nobody stands in it twice.
+    steps = np.sort(generator.integers(0, entries - cars, (heats, cars - 1)), axis=1)
+    grids = np.concatenate([np.zeros((heats, 1), int), 1 + steps + np.arange(cars - 1)], axis=1)
+    return raced(generator, strengths, (one[:, None] + grids) % entries, front=150), strengths
+
+
+def speed() -> None:
+    """Print what a refit costs."""
+    heading("Refit of a league")
+    for entries, goal in ((100, None), (1000, 1.0), (5000, 2.0)):
+        results, strengths = league_of(entries)
+        taken = seconds(lambda results=results: fit(results, anchor=0), repeats=3)
+        figure(f"{entries:,} entries, {RACES:,} duels", taken, "s", goal, most=True)
+        told = fit(results)
+        miss = (told.elo - told.elo.mean()) - (strengths - strengths.mean())
+        inside = np.abs(miss) <= 1.96 * told.sd
+        assert abs(inside.mean() - 0.95) < 0.08, "the intervals are not honest"
+    results, _ = league_of(1000)
+    taken = seconds(lambda: goodness_of_fit(results, fit(results)), repeats=1)
+    figure("1,000 entries, refit and test of fit", taken, "s")
+
+
+def truth() -> None:
+    """Print how far ratings are from known strengths."""
+    from fields import NOISE, covered, misses, raced, random_grids
+
+    heading("Simulated fields: 16 entries, spread 200 Elo, 100 starts each")
+    equal = "gauss, variance of gumbel"
+    NOISE[equal] = lambda generator, shape: generator.normal(0, np.pi / np.sqrt(6), shape)
+    for cars, noise, front, goal, least in (
+        (2, "gumbel", 0, 45, 0.92), (2, "gumbel", 200, None, 0.92), (2, "gumbel", 300, None, 0.92),
+        (4, "gumbel", 0, 32, 0.90), (4, "gauss", 0, 32, 0.90), (4, equal, 0, 32, 0.90),
+        (8, "gumbel", 0, None, 0.90), (8, "gauss", 0, None, 0.90),
+    ):  # fmt: skip
+        generator, squares, inside = np.random.default_rng(1), [], []
+        for _ in range(150):
+            strengths = generator.normal(0, 200, 16)
+            grids = random_grids(generator, 16, cars, 800 // cars)
+            told = fit(raced(generator, strengths, grids, noise=noise, front=front))
+            squares.append((misses(told, strengths) ** 2).mean())
+            inside.append(covered(told, strengths).mean())
+        name = f"{cars} cars, {noise}, front slot worth {front}"
+        figure(f"{name}: miss", float(np.sqrt(np.mean(squares))), "Elo", goal, most=True)
+        figure(f"{name}: coverage", float(np.mean(inside)), "", least)
+
+
+def iterated() -> None:
+    """Print how near the large fields' estimated variances are to exact ones."""
+    results, _ = league_of(1000)
+    some = Results(results.heats[:40_000], results.entries[:40_000], results.places[:40_000])
+    exact, near = fit(some), fit(some, RatingSettings(dense_most=10))
+    figure("estimated over exact sd, scatter", 100 * float((near.sd / exact.sd).std()), "%")
+
+
+def seasons() -> None:
+    """Print what the matchmaker makes of its heats."""
+    from test_pairing import dense_field, newcomer_races
+
+    heading("Matchmaking")
+    races = [newcomer_races(100 + seed)[0] for seed in range(30)]
+    figure("newcomer to sd 50 against 20 rated: median", np.median(races), "duels", 54, most=True)
+    figure("the slowest tenth of them", float(np.percentile(races, 90)), "duels")
+    told = [dense_field(seed) for seed in range(40)]
+    miss = float(np.sqrt(np.mean([square for square, _ in told])))
+    figure("dense field (sd 120), 40 races each: miss", miss, "Elo", 55, most=True)
+    figure("its coverage", float(np.mean([inside for _, inside in told])), "", 0.92)
+
+
+def main() -> None:
+    """Print the figures."""
+    heading("Ratings")
+    print(machine())
+    speed()
+    iterated()
+    truth()
+    seasons()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,72 @@
+"""What a reward function costs beside its own code: params made, handed out, answers checked."""
+
+import tempfile
+from pathlib import Path
+
+import torch
+
+from benchmarks.report import figure, heading, machine, seconds
+from league.envs.config import EnvConfig
+from league.envs.deepracer import user_reward
+from league.envs.race_env import RaceEnv
+from league.sim.config import RaceKind, SimConfig
+from league.track import files
+from league.track.course import TrackSet
+
+CALLS = 100
+GOAL_US = 25.0
+
+
+class _Kept:
+    """A reward that remembers what it was called with, to call it again."""
+
+    terms = ()
+
+    def __init__(self):
+        self.told = None
+
+    def restart(self, world, who):
+        pass
+
+    def __call__(self, *told):
+        self.told = told
+        return torch.zeros_like(told[-1].advance), {}
+
+
+def overhead_us(kind: RaceKind, num_worlds: int, path: Path) -> float:
+    """Return the time of a call of a trivial function, in a batch of one row for each world."""
+    sim = SimConfig(kind=kind, num_cars=2 if kind == "head_to_head" else 1)
+    kept = _Kept()
+    tracks = TrackSet.of(files.load("reinvent_2018"))
+    cfg = EnvConfig(sim=sim, mode="training")
+    env = RaceEnv(tracks, cfg, num_worlds=num_worlds, seed=1, reward=kept)
+    for _ in range(10):
+        env.step(torch.zeros(num_worlds, sim.num_cars, 2))
+    reward = user_reward(path, num_worlds, (0,), sim=sim)
+    reward.restart(env.world, torch.ones(num_worlds, sim.num_cars, dtype=torch.bool))
+
+    def call() -> None:
+        for _ in range(CALLS):
+            reward(*kept.told)
+
+    with torch.inference_mode():
+        return 1e6 * seconds(call, repeats=7) / CALLS / num_worlds
+
+
+def main() -> None:
+    """Print the figures."""
+    heading("Reward functions: our overhead for each call")
+    print(machine())
+    torch.set_num_threads(1)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "trivial.py"
+        path.write_text("def reward_function(params):\n    return 1.0\n", encoding="utf-8")
+        for kind in ("time_trial", "obstacle_avoidance", "head_to_head"):
+            for num_worlds in (64, 1):
+                rows = f"{num_worlds} row{'s' if num_worlds > 1 else ''}"
+                taken = overhead_us(kind, num_worlds, path)
+                figure(f"{kind}, {rows}", taken, "us/call", GOAL_US, most=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,159 @@
+"""How fast a league's database is: heats through the queue, and a million races for the rating.
+
+Every transaction is on the disk when it returns (SQLite: WAL and synchronous=FULL). A call claims
+or completes a block of heats in one transaction, as workers do; blocks of one are shown beside it.
+"""
+
+import random
+import tempfile
+import time
+from pathlib import Path
+
+from benchmarks.report import figure, heading, machine, seconds
+from league.matchmaking import keys, store
+from league.matchmaking.keys import Ruleset, mirrored
+from league.matchmaking.store import database, history, schema
+
+RULES = Ruleset()
+RESULT = {"order": [{"car": car, "laps_s": [11.25, 11.5, 11.75]} for car in (0, 1)], "steps": 540}
+
+
+def founded(url: str, entries: int) -> store.Store:
+    """Return a new league with some entries."""
+    league = store.create(url, ruleset=RULES)
+    for number in range(entries):
+        league.submit(f"e{number}", f"o{number}", weights=str(number).encode())
+    return league
+
+
+def queue_rate(league: store.Store, block: int, count: int, draw: int) -> float:
+    """Return heats claimed and completed per second, two races and two results each."""
+    ids = [entry.id for entry in league.entries()]
+    tracks = (RULES.tracks[0],) * 2
+    league.plan([mirrored(RULES.hash, tracks, (ids[0], ids[1]), draw + n) for n in range(count)])
+    done, start = 0, time.perf_counter()
+    while claims := league.claim("bench", block):
+        outcomes = [
+            store.Outcome(
+                claim.heat.key,
+                tuple(store.RaceOutcome((1, 2), {**RESULT, "seed": seed}) for seed in claim.seeds),
+            )
+            for claim in claims
+        ]
+        done += len(league.complete("bench", outcomes).accepted)
+    assert done == count, "heats were lost"
+    return done / (time.perf_counter() - start)
+
+
+def sync_s(folder: Path) -> float:
+    """Return how long the disk takes to make 4 kB durable [s]: what a transaction cannot beat."""
+    import os
+
+    with (folder / "probe").open("wb") as probe:
+
+        def once() -> None:
+            probe.write(b"x" * 4096)
+            probe.flush()
+            os.fsync(probe.fileno())
+
+        return seconds(once, repeats=50)
+
+
+def fill(url: str, entries: int, heats: int) -> None:
+    """Write many finished heats at once, past the queue."""
+    there, dice = database.Database(url), random.Random(3)
+    numbers = range(1, entries + 1)
+    with there.writing() as connection:
+        for start in range(0, heats, 50_000):
+            block = range(start + 1, min(start + 50_000, heats) + 1)
+            rows = [_heat(number) for number in block]
+            connection.execute(schema.heats.insert(), rows)
+            grids = [(number, dice.sample(numbers, 2)) for number in block]
+            races = [
+                {
+                    "heat": number,
+                    "half": half,
+                    "ruleset": 1,
+                    "rated": True,
+                    "cars": 2,
+                    "packed": history.packed(number, half, grid[:: 1 - 2 * half], (1, 2)),
+                }
+                for number, grid in grids
+                for half in (0, 1)
+            ]
+            connection.execute(schema.races.insert(), races)
+    there.close()
+
+
+def _heat(number: int) -> dict[str, object]:
+    return {
+        "key": keys.digest(str(number).encode()),
+        "ruleset": 1,
+        "purpose": "rated",
+        "priority": 2,
+        "halves": "[]",
+        "draw": 0,
+        "state": "done",
+        "attempts": 1,
+        "traceback": "",
+        "created_s": 0.0,
+    }
+
+
+def measure(url: str, name: str, goal: float | None) -> None:
+    """Print the figures of one database."""
+    with founded(url, 2) as league:
+        queue_rate(league, 64, 640, 0)  # the first transactions make files and caches
+        rate = queue_rate(league, 64, 6400, 10_000)
+        figure(f"{name}: claim and complete, blocks of 64, one writer", rate, "heats/s", goal)
+        rate = queue_rate(league, 8, 1600, 20_000)
+        figure(f"{name}: the same, blocks of 8", rate, "heats/s")
+        rate = queue_rate(league, 1, 300, 30_000)
+        figure(f"{name}: the same, one by one", rate, "heats/s")
+
+
+def million(url: str, name: str) -> None:
+    """Print how long a million races take to read."""
+    with founded(url, 1000) as league:
+        fill(url, 1000, 500_000)
+        assert league.races().entries.shape == (1_000_000, 2), "races were lost"
+        taken = seconds(league.races, repeats=5)
+        figure(f"{name}: 1,000,000 races read for the rating", taken, "s", 1.0, most=True)
+        last = league.races().last - 1000
+        taken = seconds(lambda: league.races(since=last), repeats=5)
+        figure(f"{name}: the newest 1,000 of them", 1e3 * taken, "ms")
+
+
+def main() -> None:
+    """Print the figures."""
+    heading("The league's database")
+    print(machine())
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
+        figure("the disk: 4 kB made durable", 1e3 * sync_s(place), "ms")
+        measure(f"sqlite:///{place / 'queue.db'}", "SQLite", 1000)
+        million(f"sqlite:///{place / 'million.db'}", "SQLite")
+        size = (place / "million.db").stat().st_size
+        figure("SQLite: file of 500,000 heats and their races", size / 1e6, "MB")
+    _postgres()
+
+
+def _postgres() -> None:
+    import sys
+
+    sys.path.append(str(Path(__file__).parents[1] / "tests" / "matchmaking"))
+    try:
+        import postgres  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        print("PostgreSQL: not measured, psycopg is not installed")
+        return
+    if postgres.binaries() is None:
+        print("PostgreSQL: not measured, it is not installed")
+        return
+    with postgres.server(durable=True) as server:
+        measure(server.database(), "PostgreSQL", None)
+        million(server.database(), "PostgreSQL")
+
+
+if __name__ == "__main__":
+    main()

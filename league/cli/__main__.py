@@ -1,0 +1,7 @@
+"""`python -m league.cli`."""
+
+import sys
+
+from league.cli import main
+
+sys.exit(main())

@@ -1,0 +1,241 @@
+"""`league evaluate`: laps from the start line as the table people know from the console."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import tyro
+
+from league.cli import tables
+from league.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from league.envs.action_space import ActionSpace
+    from league.envs.rewards import Reward
+    from league.evaluation import Evaluation, Trace
+    from league.sim.config import ObstacleConfig
+
+
+@dataclass
+class Evaluate:
+    """Drive laps from the start line and print trial, time, % completed, off-tracks, crashes."""
+
+    driver: tyro.conf.Positional[str]
+    """A checkpoint (FILE.pt), or the name of a scripted driver (see `league drivers`)."""
+    track: tuple[str, ...] = ("reinvent_2018",)
+    """Names of tracks (see `league tracks`), or track files; one table for each."""
+    kind: Literal["time_trial", "obstacle_avoidance"] = "time_trial"
+    """Kind of race."""
+    laps: int = 3
+    """Laps of each run."""
+    trials: int = 1
+    """Runs, with seeds counting up."""
+    episode: bool = False
+    """End a lap at the first mistake, as training does, instead of a penalty."""
+    seed: int = 0
+    """Seed of obstacles and noise of the first run."""
+    solver: Literal["bullet", "planar"] = "bullet"
+    """Physics."""
+    obstacles: int = 6
+    """Boxes or bots in obstacle avoidance."""
+    bots: bool = False
+    """Slow bot cars that change lanes instead of boxes."""
+    fixed_obstacles: bool = False
+    """Obstacles evenly spaced instead of at random places."""
+    opponents: tuple[str, ...] = ()
+    """Drivers or checkpoints to race against; they start behind."""
+    trace: Path | None = None
+    """Write every step to this CSV, with the 19 columns that community log tools read."""
+    reward: str = "progress"
+    """What the trace's reward column holds: a built-in reward, or a reward file (FILE.py)."""
+    replay: str = "none"
+    """Folder or .race file for a replay of the first run; "none" keeps none."""
+    json: bool = False
+    """Print JSON."""
+
+    def run(self) -> int:
+        """Run the command."""
+        return _evaluate(self)
+
+
+def _evaluate(command: Evaluate) -> int:
+    _check(command)
+    found = []
+    for track in command.track:
+        one, trace = _one(command, track)
+        found.append(one)
+        if not command.json:
+            print_table(one)
+        if trace is not None and command.trace is not None:
+            path = trace.write(command.trace)
+            if not command.json:
+                print(f"Trace: {path}")
+        if command.replay != "none":
+            _keep_replay(command, track)
+    if command.json:
+        told = [{**one.model_dump(mode="json"), "summary": one.summary} for one in found]
+        print(json.dumps(told if len(told) > 1 else told[0], indent=2))
+    return 0
+
+
+def _check(command: Evaluate) -> None:
+    """Refuse wishes that contradict each other before anything is driven."""
+    several = len(command.track) > 1
+    if not command.track:
+        raise ConfigError("no track was named: give --track NAME, `league tracks` lists them")
+    if command.trace is not None and several:
+        raise ConfigError(
+            f"--trace {command.trace} was asked for {len(command.track)} tracks: a trace holds one "
+            "track, give one"
+        )
+    if command.replay.endswith(".race") and several:
+        raise ConfigError(
+            f"--replay {command.replay} was asked for {len(command.track)} tracks: "
+            "give a folder, or one track"
+        )
+    if command.replay != "none" and command.episode:
+        raise ConfigError(
+            "--replay keeps a race, and with --episode there is none: leave one of the two away"
+        )
+    if command.reward != "progress" and command.trace is None:
+        raise ConfigError(
+            f"--reward {command.reward} fills a column of the trace, and none was asked for: "
+            "give --trace FILE.csv as well"
+        )
+    if command.opponents and command.kind != "time_trial":
+        raise ConfigError(
+            f"--opponents were named for {command.kind}, which is driven alone: "
+            "leave --kind away for a head-to-head race"
+        )
+
+
+def _one(command: Evaluate, track: str) -> tuple[Evaluation, Trace | None]:
+    from league.agents import roster
+    from league.cli.race import labels
+    from league.evaluation import Trace, evaluate
+    from league.sim.config import SimConfig
+    from league.track import files
+    from league.track.course import TrackSet
+
+    course = files.load(track)
+    tracks, car = TrackSet.of(course), SimConfig().car
+    driver = roster.load(command.driver, tracks, car)
+    opponents = [roster.load(name, tracks, car) for name in command.opponents]
+    trace = None
+    if command.trace is not None:
+        space: ActionSpace | None = getattr(getattr(driver, "card", None), "space", None)
+        trace = Trace(space, started_s=time.time())
+    done = evaluate(
+        driver,
+        course,
+        laps=command.laps,
+        trials=command.trials,
+        kind=command.kind,
+        mode="episode" if command.episode else "race",
+        seed=command.seed,
+        solver=command.solver,
+        obstacles=_obstacles(command),
+        opponents=opponents,
+        reward=None if trace is None else _reward(command.reward),
+        watch=None if trace is None else trace.add,
+    )
+    return done.model_copy(update={"driver": labels([command.driver])[0]}), trace
+
+
+def _obstacles(command: Evaluate) -> ObstacleConfig:
+    from league.sim.config import ObstacleConfig
+
+    return ObstacleConfig(
+        count=command.obstacles,
+        kind="bot" if command.bots else "box",
+        random_places=not command.fixed_obstacles,
+    )
+
+
+def _reward(wish: str) -> Callable[[int], Reward]:
+    """Return what makes the reward of so many worlds, in which car 0 is paid."""
+    if wish.endswith(".py"):
+        from league.envs.deepracer import user_reward
+
+        return lambda num_worlds: user_reward(wish, num_worlds, (0,))
+    from league.envs import rewards
+
+    weights = rewards.preset(wish)
+    return lambda num_worlds: rewards.BuiltIn(weights)
+
+
+def _keep_replay(command: Evaluate, track: str) -> None:
+    """Drive the first run once more, as a race that is recorded: the same race to the bit."""
+    from league import race
+    from league import replay as replays
+    from league.cli.race import entries, replay_path
+    from league.race_spec import checked
+    from league.track import files
+
+    course = files.load(track)
+    spec = checked(
+        {
+            "track": course.name,
+            "kind": "head_to_head" if command.opponents else command.kind,
+            "laps": command.laps,
+            "seed": command.seed,
+            "solver": command.solver,
+            "entries": entries([command.driver, *command.opponents]),
+            "obstacles": command.obstacles,
+            "obstacle_kind": "bot" if command.bots else "box",
+            "random_obstacles": not command.fixed_obstacles,
+        }
+    )
+    recorded = race.run(spec, track=course).replay
+    assert recorded is not None
+    path = replays.write(recorded, replay_path(command.replay, spec))
+    if not command.json:
+        print(f"Replay: {path}   (watch it: league view {path})")
+
+
+def print_table(done: Evaluation) -> None:
+    """Print the console's table of trials and a line that sums it up."""
+    title = f"{done.driver}: {done.kind.replace('_', ' ')} on {done.track}"
+    table = tables.table(
+        title, "trial", "status", "time", "% completed", "off-tracks", "crashes", "penalty"
+    )
+    for one in done.trials:
+        table.add_row(
+            str(one.trial),
+            one.status.replace("_", " "),
+            tables.clock(one.time_s),
+            f"{one.completion:.1f}",
+            str(one.off_tracks),
+            str(one.crashes),
+            f"{one.penalty_s:g} s" if one.penalty_s else "",
+        )
+    tables.console().print(table)
+    print(summary(done))
+
+
+def summary(done: Evaluation) -> str:
+    """Return the line below the table."""
+    parts = [f"{done.complete_laps} of {done.asked} laps complete, {done.clean_laps} clean"]
+    if not done.all_complete:
+        parts.append(f"{done.completion:.1f} % completed")
+    for name, seconds in (
+        ("best", done.best_lap_s),
+        ("mean", done.mean_lap_s),
+        ("best flying", done.best_flying_s),
+        ("total", done.total_s),
+    ):
+        if seconds is not None:
+            parts.append(f"{name} {tables.clock(seconds)}")
+    if done.places:
+        won = sum(place == 1 for place in done.places)
+        parts.append(f"{won} of {len(done.places)} races won")
+    return " · ".join(parts)
+
+
+COMMANDS = {"evaluate": Evaluate}

@@ -1,0 +1,54 @@
+"""The command line's door: finds the command, runs it, and turns errors into one sentence."""
+
+from __future__ import annotations
+
+import os
+import sys
+from functools import reduce
+from operator import or_
+from typing import Annotated, Any
+
+import tyro
+
+from league.cli import checkpoints, drivers, evaluate, race, replays, rewards, tracks
+from league.errors import LeagueError
+
+ROOMS = (race, evaluate, rewards, checkpoints, tracks, drivers, replays)
+"""Where the commands are, in the order of the help; each room's `COMMANDS` names its own."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; return its exit code."""
+    try:
+        return _parsed(arguments).run()
+    except LeagueError as error:
+        print(f"league: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("league: stopped.", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # Whoever read our output has had enough (`league ... | head`); nothing more can be told.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def _parsed(arguments: list[str] | None) -> Any:  # noqa: ANN401
+    """Return the command that was asked for, with its settings."""
+    return tyro.cli(
+        _command(),
+        prog="league",
+        description="The open racing league for learning drivers.",
+        args=arguments,
+        config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+    )
+
+
+def _command() -> Any:  # noqa: ANN401
+    """Return the union of all commands, as the parser wants it."""
+    named = [
+        Annotated[command, tyro.conf.subcommand(name)]
+        for room in ROOMS
+        for name, command in room.COMMANDS.items()
+    ]
+    return reduce(or_, named)

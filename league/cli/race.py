@@ -1,0 +1,192 @@
+"""`league race`: one race, its classification and its replay."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import tyro
+
+from league.cli import tables
+from league.errors import ConfigError
+
+if TYPE_CHECKING:
+    from league.race_spec import RaceResult, RaceSpec
+    from league.rerun_view import Live
+    from league.sim.world import World
+    from league.track.course import Track
+
+
+@dataclass
+class Race:
+    """Race drivers against each other, or one alone, and keep a replay."""
+
+    drivers: tyro.conf.Positional[tuple[str, ...]]
+    """Names of scripted drivers (see `league drivers`) or checkpoints (FILE.pt), in grid order."""
+    track: str = "reinvent_2018"
+    """Name of a track (see `league tracks`), or a track file."""
+    kind: Literal["auto", "time_trial", "obstacle_avoidance", "head_to_head"] = "auto"
+    """Kind of race; auto: alone a time trial, together head-to-head."""
+    laps: int = 3
+    """Laps to drive."""
+    seed: int = 0
+    """Seed of obstacles and noise."""
+    solver: Literal["bullet", "planar"] = "bullet"
+    """Physics."""
+    ranking: Literal["total", "best", "average"] = "total"
+    """Order by total time, best lap or average lap."""
+    obstacles: int = 6
+    """Boxes or bots in obstacle avoidance."""
+    bots: bool = False
+    """Slow bot cars that change lanes instead of boxes."""
+    fixed_obstacles: bool = False
+    """Obstacles evenly spaced instead of at random places."""
+    replay: str = "replays"
+    """Folder or .race file for the replay; "none" keeps none."""
+    watch: bool = False
+    """Stream the race live to the Rerun viewer."""
+    json: bool = False
+    """Print the result as JSON."""
+
+    def run(self) -> int:
+        """Run the command."""
+        return _race(self)
+
+
+def _race(command: Race) -> int:
+    from league import race
+    from league.track import files
+
+    if not command.drivers:
+        raise ConfigError(
+            "no drivers were named: try `league race racing_line centerline`; "
+            "`league drivers` lists them all"
+        )
+    track = files.load(command.track)
+    spec = _spec(command, track.name)
+    keep = command.replay != "none"
+    path = replay_path(command.replay, spec) if keep else None
+    live = _live(spec, track) if command.watch else None
+    quiet = command.json or not sys.stderr.isatty()
+    with tables.progress(disable=quiet) as progress:
+        bar = progress.add_task("Racing", total=spec.laps * track.length)
+
+        def watch(world: World) -> None:
+            progress.update(bar, completed=max(float(world.standing.best_distance.max()), 0.0))
+            if live is not None:
+                live.add(world)
+
+        finished = race.run(spec, track=track, record=keep, watch=watch)
+    if finished.replay is not None and path is not None:
+        from league import replay as replays
+
+        replays.write(finished.replay, path)
+    if command.json:
+        told = finished.result.model_dump(mode="json")
+        print(json.dumps({**told, "replay": str(path) if path else None}, indent=2))
+    else:
+        _print_classification(finished.result)
+        if path is not None:
+            print(f"Replay: {path}   (watch it: league view {path})")
+    if live is not None:
+        sys.stdout.flush()
+        live.wait()
+        live.close()
+    return 0
+
+
+def _spec(command: Race, track: str) -> RaceSpec:
+    from league.race_spec import checked
+
+    alone = "time_trial" if len(command.drivers) == 1 else "head_to_head"
+    return checked(
+        {
+            "track": track,
+            "kind": alone if command.kind == "auto" else command.kind,
+            "laps": command.laps,
+            "seed": command.seed,
+            "solver": command.solver,
+            "ranking": command.ranking,
+            "entries": entries(command.drivers),
+            "obstacles": command.obstacles,
+            "obstacle_kind": "bot" if command.bots else "box",
+            "random_obstacles": not command.fixed_obstacles,
+        }
+    )
+
+
+def entries(drivers: Sequence[str]) -> list[dict[str, str]]:
+    """Return the entries of a spec; a checkpoint is shown by its name and found by its path."""
+    found = []
+    for given, name in zip(drivers, labels(drivers), strict=True):
+        entry = {"name": name}
+        if given.endswith(".pt"):
+            from league.agents import checkpoint
+
+            entry |= {"path": given, "digest": checkpoint.digest(given)}
+        found.append(entry)
+    return found
+
+
+def labels(drivers: Sequence[str]) -> list[str]:
+    """Return what drivers are called: checkpoints by their file's name, without its ending.
+
+    Two files of one name (a/best.pt, b/best.pt) are told apart by their folders.
+    """
+    names = [Path(given).stem if given.endswith(".pt") else given for given in drivers]
+    return [
+        f"{Path(given).resolve().parent.name}/{name}"
+        if any(name == other and given != drivers[k] for k, other in enumerate(names))
+        and given.endswith(".pt")
+        else name
+        for given, name in zip(drivers, names, strict=True)
+    ]
+
+
+def replay_path(wish: str, spec: RaceSpec) -> Path:
+    """Return where a replay goes: the file that was named, or one in the folder."""
+    if wish.endswith(".race"):
+        return Path(wish)
+    names = "-".join(entry.name.replace("/", "_") for entry in spec.entries)[:80]
+    return Path(wish) / f"{spec.track}-{names}-{spec.kind}-{spec.seed}.race"
+
+
+def _live(spec: RaceSpec, track: Track) -> Live:
+    from league.rerun_view import Live
+
+    live = Live.start(spec, track)
+    print(f"Watching live: {live.address}   (Ctrl-C stops)", file=sys.stderr, flush=True)
+    return live
+
+
+def _print_classification(result: RaceResult) -> None:
+    spec = result.spec
+    laps = "1 lap" if spec.laps == 1 else f"{spec.laps} laps"
+    title = f"{spec.kind.replace('_', ' ')} on {spec.track}, {laps}"
+    table = tables.table(
+        title, "", "driver", "laps", "total", "gap", "best lap", "off", "crash", "passed"
+    )
+    winner = result.order[0]
+    for car in result.order:
+        gap = car.total_s - winner.total_s
+        table.add_row(
+            str(car.place),
+            car.name,
+            str(car.laps),
+            tables.clock(car.total_s) if car.finished else "not finished",
+            f"+{gap:.3f}" if car.finished and car is not winner else "",
+            tables.clock(car.best_lap_s) if car.best_lap_s else "",
+            str(car.off_tracks),
+            str(car.crashes),
+            str(car.overtakes),
+        )
+    tables.console().print(table)
+    if len(result.order) > 1:
+        print(f"Lead changes: {result.lead_changes}")
+
+
+COMMANDS = {"race": Race}

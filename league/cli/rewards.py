@@ -1,0 +1,173 @@
+"""`league reward check` and `league reward score`: reward files tried, and tried on a race."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from league.cli import tables
+
+if TYPE_CHECKING:
+    from league.envs.deepracer.check import Report, Tried
+    from league.envs.deepracer.rescore import Score
+    from league.replay import Replay
+
+_PRINTED = 5
+
+
+@dataclass
+class CheckReward:
+    """Try a DeepRacer reward file on recorded drives of every kind of race."""
+
+    file: tyro.conf.Positional[Path]
+    """The Python file that defines reward_function(params); it is your own program, and is run."""
+    json: bool = False
+    """Print JSON."""
+
+    def run(self) -> int:
+        """Run the command; 1 if the function fails anywhere."""
+        from league.envs.deepracer import check
+
+        report = check.check(self.file)
+        if self.json:
+            print(json.dumps(_as_json(report), indent=2))
+        else:
+            _print_report(report)
+        return 1 if report.failures else 0
+
+
+@dataclass
+class ScoreReplay:
+    """Score a recorded race with another reward function, and plot it beside the usual one."""
+
+    replay: tyro.conf.Positional[Path]
+    """The replay file."""
+    reward: tyro.conf.Positional[str]
+    """A reward file that ends in .py, or a built-in reward: centerline, progress, race."""
+    against: str = "progress"
+    """What to plot beside it: another reward file, or a built-in reward."""
+    out: Path | None = None
+    """Where to write the picture; by default beside the replay, with the ending .reward.png."""
+    json: bool = False
+    """Print JSON."""
+
+    def run(self) -> int:
+        """Run the command."""
+        from league import replay as replays
+        from league.envs.deepracer import score_plot
+
+        race = replays.read(self.replay)
+        scores = [_score(race, wish) for wish in (self.reward, self.against)]
+        path = self.out or self.replay.with_suffix(".reward.png")
+        score_plot.draw(race, scores, path)
+        if self.json:
+            print(json.dumps({"picture": str(path), "scores": _totals(race, scores)}, indent=2))
+            return 0
+        table = tables.table("Reward of the whole race", "driver", "", *[s.name for s in scores])
+        for car, name in enumerate(race.names):
+            table.add_row(name, "", *(f"{one.totals[car]:,.2f}" for one in scores))
+        tables.console().print(table)
+        print(f"Picture: {path}")
+        return 0
+
+
+@dataclass
+class Rewards:
+    """Check a reward function, or score a recorded race with one."""
+
+    command: (
+        Annotated[CheckReward, tyro.conf.subcommand("check")]
+        | Annotated[ScoreReplay, tyro.conf.subcommand("score")]
+    )
+
+    def run(self) -> int:
+        """Run the command."""
+        return self.command.run()
+
+
+def _score(race: Replay, wish: str) -> Score:
+    from league.envs import rewards
+    from league.envs.deepracer import rescore, user_reward
+
+    if not wish.endswith(".py"):
+        return rescore.score(race, rewards.BuiltIn(rewards.preset(wish)), f"{wish} (built in)")
+    paid = user_reward(wish, num_worlds=1, cars=range(race.num_cars), sim=race.sim)
+    return rescore.score(race, paid, Path(wish).name)
+
+
+def _totals(race: Replay, scores: list[Score]) -> list[dict[str, object]]:
+    return [
+        {
+            "reward": one.name,
+            "totals": [
+                {"car": car, "name": name, "total": float(one.totals[car])}
+                for car, name in enumerate(race.names)
+            ],
+        }
+        for one in scores
+    ]
+
+
+def _print_report(report: Report) -> None:
+    table = tables.table(
+        f"{report.source.path}", "drive", "", "steps", "min", "mean", "max", "us/call"
+    )
+    for one in report.drives:
+        table.add_row(*_row(one))
+    tables.console().print(table)
+    print(f"Keys read ({len(report.keys)} of 27): {', '.join(report.keys) or 'none'}")
+    for failure in dict.fromkeys(one.failure for one in report.failures):
+        print(f"Fails: {failure}")
+    for warning in report.warnings:
+        print(f"Note: {warning}")
+    printed = list(report.source.printed)
+    if printed:
+        print(f"It prints; the last {min(len(printed), _PRINTED)} lines:")
+        for line in printed[-_PRINTED:]:
+            print(f"  {line[:160]}")
+
+
+def _row(one: Tried) -> tuple[str, ...]:
+    state = "fails" if one.failure else "ok"
+    if not one.rewards:
+        return one.title, state, f"0 of {one.calls}", "", "", "", ""
+    steps = f"{len(one.rewards)} of {one.calls}" if one.failure else str(one.calls)
+    numbers = (_short(value) for value in (min(one.rewards), one.mean, max(one.rewards)))
+    return one.title, state, steps, *numbers, f"{one.median_us:.1f}"
+
+
+def _short(value: float) -> str:
+    """Return a number in few characters."""
+    return f"{value:.2f}" if value == 0 or 0.01 <= abs(value) < 1e4 else f"{value:.0e}"
+
+
+def _as_json(report: Report) -> dict[str, object]:
+    return {
+        "file": str(report.source.path),
+        "digest": report.source.digest,
+        "ok": not report.failures,
+        "keys": report.keys,
+        "unknown_keys": report.unknown_keys,
+        "warnings": report.warnings,
+        "printed": list(report.source.printed),
+        "drives": [
+            {
+                "title": one.title,
+                "kind": one.kind,
+                "steps": one.calls,
+                "min": min(one.rewards, default=None),
+                "mean": one.mean if one.rewards else None,
+                "max": max(one.rewards, default=None),
+                "median_us": round(one.median_us, 3),
+                "failure": one.failure,
+            }
+            for one in report.drives
+        ],
+    }
+
+
+COMMANDS = {"reward": Rewards}

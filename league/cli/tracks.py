@@ -1,0 +1,149 @@
+"""`league tracks`: list, draw, import and generate tracks."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from league.cli import tables
+from league.errors import TrackError
+from league.whole_file import replacing
+
+
+@dataclass
+class ListTracks:
+    """List the tracks that ship with the league."""
+
+    json: bool = False
+    """Print JSON."""
+
+    def run(self) -> int:
+        """Run the command."""
+        from league.track import files
+
+        reports = [files.report(files.load(name)) for name in files.names()]
+        if self.json:
+            print(json.dumps(reports, indent=2))
+            return 0
+        table = tables.table(
+            "Tracks", "name", "title", "length", "width", "direction", "min radius"
+        )
+        for one in reports:
+            table.add_row(
+                str(one["name"]),
+                str(one["title"]),
+                f"{one['length']} m",
+                f"{one['width']} m",
+                str(one["direction"]),
+                f"{one['min_radius']} m",
+            )
+        tables.console().print(table)
+        return 0
+
+
+@dataclass
+class ShowTrack:
+    """Draw a track to a PNG, with start line and direction."""
+
+    name: tyro.conf.Positional[str]
+    """Name of a track, or a track file."""
+    out: Path | None = None
+    """Where to write the picture; by default NAME.png here."""
+
+    def run(self) -> int:
+        """Run the command."""
+        from league.track import files, paint
+
+        track = files.load(self.name)
+        path = self.out or Path(f"{track.name}.png")
+        with replacing(path, "the picture", TrackError) as file:
+            file.write_bytes(paint.png(paint.poster(track)))
+        one = files.report(track)
+        print(
+            f"{one['title']}: {one['length']:.2f} m, {one['width']:.3f} m wide, "
+            f"{one['direction']}, smallest radius {one['min_radius']:.2f} m"
+        )
+        print(f"Drawn to {path}")
+        return 0
+
+
+@dataclass
+class ImportTrack:
+    """Turn a community .npy track (N x 6 waypoints) into a track file."""
+
+    file: tyro.conf.Positional[Path]
+    """The .npy file."""
+    out: Path | None = None
+    """Where to write the track; by default NAME.yaml here."""
+
+    def run(self) -> int:
+        """Run the command."""
+        from league.track import files, importer
+
+        track = importer.read_npy(self.file)
+        path = self.out or Path(f"{track.name}.yaml")
+        files.save(track, path)
+        print(f"{track.length:.2f} m, {track.direction}. Written to {path}")
+        print(f"Race on it: league race racing_line centerline --track {path}")
+        return 0
+
+
+@dataclass
+class GenerateTracks:
+    """Draw new tracks from seeds, for training."""
+
+    seed: int = 0
+    """Seed of the first track."""
+    count: int = 1
+    """How many, with seeds counting up."""
+    out: Path = Path("generated")
+    """Folder to write to."""
+    min_radius: float = 0.5
+    """Smallest radius of the centreline [m]."""
+    width: tuple[float, float] = (0.6, 1.1)
+    """Smallest and largest width of the road [m]; equal for exactly that one."""
+    length: tuple[float, float] = (15.0, 40.0)
+    """Smallest and largest length [m]."""
+    direction: Literal["any", "counter-clockwise", "clockwise"] = "any"
+    """Which way round."""
+
+    def run(self) -> int:
+        """Run the command."""
+        from league.track import files, generate
+
+        direction = None if self.direction == "any" else self.direction
+        for seed in range(self.seed, self.seed + self.count):
+            track = generate.generate(
+                seed,
+                min_radius=self.min_radius,
+                width=self.width,
+                length=self.length,
+                direction=direction,
+            )
+            path = self.out / f"{track.name}.yaml"
+            files.save(track, path)
+            print(f"{path}: {track.length:.2f} m, {track.width:.2f} m wide, {track.direction}")
+        return 0
+
+
+@dataclass
+class Tracks:
+    """List, draw, import and generate tracks."""
+
+    command: (
+        Annotated[ListTracks, tyro.conf.subcommand("list")]
+        | Annotated[ShowTrack, tyro.conf.subcommand("show")]
+        | Annotated[ImportTrack, tyro.conf.subcommand("import")]
+        | Annotated[GenerateTracks, tyro.conf.subcommand("generate")]
+    ) = field(default_factory=ListTracks)
+
+    def run(self) -> int:
+        """Run the command."""
+        return self.command.run()
+
+
+COMMANDS = {"tracks": Tracks}

@@ -1,0 +1,156 @@
+"""What a driver may ask for: ranges (continuous) or a list of choices (discrete), in real units."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import torch
+from torch import Tensor
+
+from league.errors import ConfigError
+from league.sim.config import CarConfig
+
+MAX_STEERING_DEG = 30.0
+MIN_SPEED, MAX_SPEED = 0.1, 4.0
+MAX_CHOICES = 256
+
+
+@dataclass(frozen=True)
+class ContinuousActions:
+    """Two numbers in [-1, 1], scaled to a range of steering and a range of speed."""
+
+    steering_low: float = -30.0
+    """Steering asked for by -1 [deg], positive to the left."""
+    steering_high: float = 30.0
+    """Steering asked for by 1 [deg]."""
+    speed_low: float = 0.5
+    """Speed asked for by -1 [m/s]."""
+    speed_high: float = 4.0
+    """Speed asked for by 1 [m/s]."""
+
+    def __post_init__(self) -> None:
+        _check_steering(self.steering_low, self.steering_high)
+        _check_speed(self.speed_low, self.speed_high)
+        if not self.steering_low < self.steering_high or not self.speed_low <= self.speed_high:
+            raise ConfigError(
+                f"the action space runs from {self.steering_low:g} to {self.steering_high:g} deg "
+                f"and from {self.speed_low:g} to {self.speed_high:g} m/s: low must lie below high"
+            )
+
+    @property
+    def size(self) -> int:
+        """Numbers a network answers with."""
+        return 2
+
+    @property
+    def is_mirrored(self) -> bool:
+        """Whether left and right may be swapped."""
+        return self.steering_low == -self.steering_high
+
+    def mirror(self, outputs: Tensor) -> Tensor:
+        """Return what asks for the same with left and right swapped, (num_rows, 2)."""
+        return torch.stack([-outputs[:, 0], outputs[:, 1]], dim=1)
+
+    def controls(self, outputs: Tensor) -> tuple[Tensor, Tensor]:
+        """Return steering [deg] and speed [m/s], each (num_rows,), of outputs (num_rows, 2)."""
+        share = (outputs.clamp(-1.0, 1.0) + 1.0) * 0.5
+        steering = self.steering_low + share[:, 0] * (self.steering_high - self.steering_low)
+        speed = self.speed_low + share[:, 1] * (self.speed_high - self.speed_low)
+        return steering, speed
+
+
+@dataclass(frozen=True)
+class DiscreteActions:
+    """A list of choices; a network scores each, and the chosen one is told as one-hot."""
+
+    choices: tuple[tuple[float, float], ...]
+    """Steering [deg] and speed [m/s] of each choice."""
+
+    def __post_init__(self) -> None:
+        if not 2 <= len(self.choices) <= MAX_CHOICES:
+            raise ConfigError(
+                f"the action space has {len(self.choices)} choices: give 2 to {MAX_CHOICES}"
+            )
+        for steering, speed in self.choices:
+            _check_steering(steering)
+            _check_speed(speed)
+
+    @property
+    def size(self) -> int:
+        """Numbers a network answers with."""
+        return len(self.choices)
+
+    @property
+    def is_mirrored(self) -> bool:
+        """Whether each choice has its mirror image among the choices."""
+        return all((-steering, speed) in self.choices for steering, speed in self.choices)
+
+    def mirror(self, outputs: Tensor) -> Tensor:
+        """Return scores with those of left and right choices swapped, (num_rows, size)."""
+        swapped = [self.choices.index((-steering, speed)) for steering, speed in self.choices]
+        return outputs[:, swapped]
+
+    def controls(self, outputs: Tensor) -> tuple[Tensor, Tensor]:
+        """Return steering [deg] and speed [m/s] of the best-scored choice, each (num_rows,)."""
+        chosen = outputs.argmax(dim=1)
+        table = torch.tensor(self.choices, dtype=torch.float32, device=outputs.device)
+        return table[chosen, 0].contiguous(), table[chosen, 1].contiguous()
+
+
+ActionSpace: TypeAlias = ContinuousActions | DiscreteActions
+
+
+def to_actions(space: ActionSpace, outputs: Tensor, car: CarConfig) -> Tensor:
+    """Return the environment's actions that a network's outputs ask for.
+
+    Args:
+        space: what the outputs mean.
+        outputs: one row for each car, (num_rows, space.size).
+        car: ranges of the environment's own actions.
+
+    Returns:
+        Steering and speed in [-1, 1], (num_rows, 2).
+    """
+    steering, speed = space.controls(outputs)
+    share = (speed - car.min_speed) / (car.max_speed - car.min_speed)
+    both = torch.stack([steering * (math.pi / 180.0) / car.max_steering, 2.0 * share - 1.0], dim=1)
+    return both.clamp(-1.0, 1.0)
+
+
+def grid(steerings: int, max_steering: float, speeds: int, max_speed: float) -> DiscreteActions:
+    """Return the console's classic grid: steering spread evenly, speeds max/n, 2 max/n ... max.
+
+    Args:
+        steerings: number of steering angles, at least 2.
+        max_steering: largest of them to either side [deg].
+        speeds: number of speeds.
+        max_speed: largest of them [m/s].
+    """
+    if steerings < 2 or speeds < 1:
+        raise ConfigError(
+            f"a grid of {steerings} steering angles and {speeds} speeds is no choice: "
+            "give at least 2 angles and 1 speed"
+        )
+    # From the middle outwards, so that left and right are the same number to the bit.
+    half = [max_steering * (1.0 - 2.0 * number / (steerings - 1)) for number in range(steerings)]
+    for number in range(steerings // 2):
+        half[steerings - 1 - number] = -half[number]
+    if steerings % 2:
+        half[steerings // 2] = 0.0
+    return DiscreteActions(
+        tuple((angle, max_speed * (n + 1) / speeds) for angle in half for n in range(speeds))
+    )
+
+
+def _check_steering(*angles: float) -> None:
+    for angle in angles:
+        if not abs(angle) <= MAX_STEERING_DEG:  # False for NaN
+            raise ConfigError(f"a steering angle is {angle} deg: give -30 to 30")
+
+
+def _check_speed(*speeds: float) -> None:
+    for speed in speeds:
+        if not MIN_SPEED <= speed <= MAX_SPEED:
+            raise ConfigError(f"a speed is {speed} m/s: give {MIN_SPEED} to {MAX_SPEED}")

@@ -1,0 +1,206 @@
+"""Trying a reward file on recorded drives: what it pays, what it reads, how long it takes."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import statistics
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from league.envs.deepracer.recorded import Drive, drives
+from league.envs.deepracer.situation import KEYS, Params
+from league.envs.deepracer.source import Function, Source
+from league.errors import RewardError
+
+TIME_LIMIT_S = 5.0
+"""Longest call, as in the original's validator [s]."""
+
+
+@dataclass(frozen=True)
+class Tried:
+    """What a reward file did on one drive."""
+
+    title: str
+    """What the drive shows."""
+    kind: str
+    """Kind of race."""
+    calls: int
+    """Steps rewarded."""
+    rewards: tuple[float, ...]
+    """Reward of each step, up to the first failure."""
+    failure: str | None
+    """Where and how it failed, or None."""
+    median_us: float
+    """Median time of a call [us], the user's own code alone."""
+
+    @property
+    def mean(self) -> float:
+        """Mean reward of a step; 0 if there was none."""
+        return statistics.fmean(self.rewards) if self.rewards else 0.0
+
+
+@dataclass(frozen=True)
+class Report:
+    """What became of a trial."""
+
+    source: Source
+    """The file."""
+    drives: tuple[Tried, ...]
+    """Each drive."""
+    keys: tuple[str, ...]
+    """Keys of `params` it has read, by name."""
+    unknown_keys: tuple[str, ...]
+    """Keys it has asked for that there are not."""
+    warnings: tuple[str, ...]
+    """What it might better not do."""
+
+    @property
+    def failures(self) -> tuple[Tried, ...]:
+        """Drives on which it failed."""
+        return tuple(one for one in self.drives if one.failure)
+
+
+class _Watched(dict):
+    """Params that note what is read of them."""
+
+    def __init__(self, params: Params, read: set[str]) -> None:
+        super().__init__(params)
+        self._read = read
+
+    def __getitem__(self, key: str) -> object:
+        self._read.add(key)
+        return super().__getitem__(key)
+
+    def get(self, key: str, default: object = None) -> object:
+        self._read.add(key)
+        return super().get(key, default)
+
+
+@dataclass
+class _Progress:
+    """What the thread that runs the user's code has done, for the one that waits."""
+
+    call_began: float = field(default_factory=time.monotonic)
+    done: bool = False
+    result: Report | None = None
+    error: BaseException | None = None
+
+
+def check(path: str | os.PathLike[str], *, time_limit_s: float = TIME_LIMIT_S) -> Report:
+    """Try a reward file on recorded drives of every kind of race.
+
+    Args:
+        path: the file.
+        time_limit_s: longest time of one call [s].
+
+    Raises:
+        RewardError: the file cannot be read or loaded, or does not come back from a call.
+    """
+    source = Source.read(path)
+    shown = drives()
+    told = _Progress()
+
+    def work() -> None:
+        try:
+            told.result = _tried(source, shown, told)
+        except BaseException as error:
+            told.error = error  # raised again by who waits
+        told.done = True
+
+    thread = threading.Thread(target=work, daemon=True, name="reward")
+    told.call_began = time.monotonic()
+    thread.start()
+    while not told.done:
+        thread.join(0.02)
+        if not told.done and time.monotonic() - told.call_began > time_limit_s:
+            raise _stuck(source, thread, time_limit_s)
+    if told.error is not None:
+        raise told.error
+    assert told.result is not None
+    return told.result
+
+
+def _tried(source: Source, shown: Sequence[Drive], told: _Progress) -> Report:
+    read: set[str] = set()
+    function = source.instance()
+    tried = tuple(_try(source, function, drive, read, told) for drive in shown)
+    known = tuple(sorted(key for key in read if key in KEYS))
+    unknown = tuple(sorted(str(key) for key in read if key not in KEYS))
+    return Report(
+        source=source,
+        drives=tried,
+        keys=known,
+        unknown_keys=unknown,
+        warnings=tuple(_warnings(tried, known, unknown)),
+    )
+
+
+def _try(
+    source: Source, function: Function, drive: Drive, read: set[str], told: _Progress
+) -> Tried:
+    rewards, taken, failure = [], [], None
+    for params in drive.params:
+        watched = _Watched(params, read)
+        when = f"{drive.title}, steps {params['steps']}"
+        told.call_began = time.monotonic()
+        start = time.perf_counter()
+        try:
+            value = function(watched)
+            taken.append(time.perf_counter() - start)
+            rewards.append(source.number(function, value, when))
+        except RewardError as error:
+            failure = str(error)
+            break
+        except (Exception, SystemExit) as error:
+            failure = str(source.failed(error, when, params))
+            break
+    return Tried(
+        title=drive.title,
+        kind=drive.kind,
+        calls=len(drive.params),
+        rewards=tuple(rewards),
+        failure=failure,
+        median_us=1e6 * statistics.median(taken) if taken else 0.0,
+    )
+
+
+def _warnings(tried: Sequence[Tried], keys: Sequence[str], unknown: Sequence[str]) -> list[str]:
+    said = [f"it reads params[{key!r}], which there is not" for key in unknown]
+    paid = {reward for one in tried for reward in one.rewards}
+    if len(paid) == 1 and not any(one.failure for one in tried):
+        said.append(f"it pays {paid.pop():g} for every step, whatever the car does")
+    if not keys:
+        said.append("it reads nothing of params")
+    if paid and max(abs(reward) for reward in paid) > 1000:
+        said.append("it pays more than 1000 for a step: learning is steadier with about 1")
+    if "objects_heading" in keys:
+        said.append(
+            "it reads objects_heading, which is in degrees here as documented; the original told "
+            "radians"
+        )
+    slow = max((one.median_us for one in tried), default=0.0)
+    if slow > 1000:
+        said.append(f"it takes {slow / 1000:.1f} ms a call: training will wait for it")
+    return said
+
+
+def _stuck(source: Source, thread: threading.Thread, limit_s: float) -> RewardError:
+    """Stop the thread, and return where it was."""
+    assert thread.ident is not None
+    frame, line = sys._current_frames().get(thread.ident), None
+    while frame is not None and line is None:
+        if frame.f_code.co_filename == str(source.path):
+            line = frame.f_lineno
+        frame = frame.f_back
+    # Ends a loop in Python at its next line; one inside a C library ends with the program.
+    ctypes.pythonapi.PyThreadState_SetAsyncExc(
+        ctypes.c_ulong(thread.ident), ctypes.py_object(SystemExit)
+    )
+    return RewardError(
+        f"{source.path}, line {line or 1}: still running after {limit_s:g} s: a call must come "
+        "back at once, look for a loop that does not end"
+    )

@@ -1,0 +1,138 @@
+"""Situations recorded on the spot: short scripted drives of every race kind, to try rewards on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from league.envs.config import EnvConfig
+from league.envs.deepracer.situation import Params, Situations
+from league.envs.race_env import RaceEnv
+from league.envs.state import INDEX
+from league.sim.config import ObstacleConfig, RaceKind, RaceRules, SimConfig
+from league.sim.referee import Verdict
+from league.sim.world import World
+from league.track import files
+from league.track.course import Track, TrackSet
+
+_TRACK = "reinvent_2018"
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One scripted drive, as reward functions see it."""
+
+    title: str
+    """What it shows."""
+    kind: RaceKind
+    """Kind of race."""
+    params: list[Params]
+    """What a function is told, step by step."""
+
+
+@dataclass
+class _Listener:
+    """A reward that pays nothing and keeps what others would be told."""
+
+    situations: Situations
+    kept: list[Params] = field(default_factory=list)
+    terms: tuple[str, ...] = ()
+
+    def restart(self, world: World, who: Tensor) -> None:
+        self.situations.restart(who)
+
+    def __call__(
+        self, tracks: TrackSet, before: World, world: World, actions: Tensor, verdict: Verdict
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        self.kept.extend(self.situations.rows(tracks, before, world, verdict).params)
+        return torch.zeros_like(verdict.advance), {}
+
+
+def drives() -> tuple[Drive, ...]:
+    """Drive them all: about 700 steps, in a second or two."""
+    track = files.load(_TRACK)
+    other_way = _mirrored(track)
+    one_lap = RaceRules(laps=1)
+    alone = SimConfig(rules=one_lap)
+    boxes = SimConfig(
+        kind="obstacle_avoidance",
+        rules=one_lap,
+        obstacles=ObstacleConfig(count=3, places=((0.15, 1.0), (0.3, -1.0), (0.5, 0.0))),
+    )
+    two = SimConfig(kind="head_to_head", num_cars=2, rules=one_lap)
+    return (
+        _drive("alone: a whole lap", track, alone, speeds=(2.0,)),
+        _drive("alone: off the track", track, alone, speeds=(2.0,), straight_on=40),
+        _drive("alone: a lap, clockwise", other_way, alone, speeds=(2.0,)),
+        _drive("boxes: into one", track, boxes, speeds=(2.0,)),
+        _drive("cars: into the one ahead", track, two, speeds=(1.2, 2.4)),
+        _drive("cars: passing one", other_way, two, speeds=(1.6, 2.2), lanes=(-0.19, 0.19)),
+    )
+
+
+def _drive(
+    title: str,
+    track: Track,
+    sim: SimConfig,
+    *,
+    speeds: Sequence[float],
+    lanes: Sequence[float] = (0.0, 0.0),
+    straight_on: int | None = None,
+) -> Drive:
+    """Drive until an episode of the last car ends, or for 15 s.
+
+    Args:
+        title: what it shows.
+        track: the course.
+        sim: settings.
+        speeds: of each car [m/s].
+        lanes: of each car, to the left of the centreline [m].
+        straight_on: step from which the steering is left alone, if any.
+    """
+    paid = sim.num_cars - 1
+    listener = _Listener(Situations(sim, (paid,)))
+    cfg = EnvConfig(sim=sim, mode="race")
+    env = RaceEnv(TrackSet.of(track), cfg, seed=1, reward=listener)
+    told = env.reset(seed=1)
+    with torch.inference_mode():
+        for number in range(15 * sim.step_hz):
+            actions = torch.stack(
+                [
+                    _follow(groups["state"], speed, lane, sim)
+                    for groups, speed, lane in zip(told, speeds, lanes, strict=False)
+                ],
+                dim=1,
+            )
+            if straight_on is not None and number >= straight_on:
+                actions[..., 0] = 0.0
+            step = env.step(actions)
+            told = step.observations
+            if bool((step.verdict.mistake | step.verdict.finished)[0, paid]):
+                break
+    env.close()
+    return Drive(title=title, kind=sim.kind, params=listener.kept)
+
+
+def _follow(state: Tensor, speed: float, lane: float, sim: SimConfig) -> Tensor:
+    """Follow a line beside the centreline by two gains."""
+    car = sim.car
+    lateral, heading = state[:, INDEX["lateral"]] - lane, state[:, INDEX["heading_error"]]
+    bend = state[:, INDEX["curvature_0.25m"]] - 1.5 * lateral - 2.5 * heading
+    steering = torch.atan(car.wheelbase * bend) / car.max_steering
+    share = torch.full_like(steering, (speed - car.min_speed) / (car.max_speed - car.min_speed))
+    return torch.stack([steering, 2.0 * share - 1.0], dim=1).clamp(-1.0, 1.0)
+
+
+def _mirrored(track: Track) -> Track:
+    """Return the track seen in a mirror, and with it driven the other way round."""
+    flip = np.array([1.0, -1.0])
+    return replace(
+        track,
+        center=track.center * flip,
+        left=track.right * flip,
+        right=track.left * flip,
+    )

@@ -1,0 +1,167 @@
+"""The table of an evaluation: trials, and what they come to; plain data for files and screens."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict
+
+from league.sim.config import RaceKind, SolverName
+
+Mode = Literal["race", "episode"]
+Status = Literal["lap_complete", "off_track", "crashed", "immobilized", "reversed", "time_up"]
+"""How a trial ended, in the words that community tools read."""
+
+
+class _Data(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Trial(_Data):
+    """One lap, or one attempt at it."""
+
+    trial: int
+    """Number, from 1, over all runs."""
+    run: int
+    """Which run from the start line, from 0."""
+    seed: int
+    """Seed of the run: of obstacles and noise."""
+    standing: bool
+    """Whether it began at rest on the start line; otherwise it is a flying lap."""
+    status: Status
+    """How it ended."""
+    time_s: float
+    """How long it took, penalties included [s]."""
+    completion: float
+    """How much of the lap was driven [%], 0 to 100."""
+    off_tracks: int
+    """Times all four wheels left the road."""
+    crashes: int
+    """Contacts to blame for."""
+    immobilised: int
+    """Times standing still too long."""
+    reversed: int
+    """Times driving backwards too long."""
+    penalty_s: float
+    """Seconds of penalty, which `time_s` includes [s]."""
+
+    @property
+    def complete(self) -> bool:
+        """Whether the lap was completed."""
+        return self.status == "lap_complete"
+
+    @property
+    def resets(self) -> int:
+        """Mistakes of every kind."""
+        return self.off_tracks + self.crashes + self.immobilised + self.reversed
+
+    @property
+    def clean(self) -> bool:
+        """Whether the lap was completed without a mistake."""
+        return self.complete and self.resets == 0
+
+
+class Evaluation(_Data):
+    """What came of all trials."""
+
+    driver: str
+    """Who drove."""
+    track: str
+    """Where."""
+    kind: RaceKind
+    """Kind of race."""
+    mode: Mode
+    """Whether a mistake costs seconds ("race") or ends the trial ("episode")."""
+    solver: SolverName
+    """Physics."""
+    laps: int
+    """Laps of each run."""
+    asked: int
+    """Trials that would have been driven had nothing gone wrong."""
+    seed: int
+    """Seed of the first run."""
+    trials: tuple[Trial, ...]
+    """All trials that were begun, in order."""
+    places: tuple[int, ...]
+    """Place from 1 at the end of each run, against other cars; otherwise empty."""
+
+    @property
+    def complete_laps(self) -> int:
+        """Laps completed."""
+        return sum(one.complete for one in self.trials)
+
+    @property
+    def clean_laps(self) -> int:
+        """Laps completed without a mistake."""
+        return sum(one.clean for one in self.trials)
+
+    @property
+    def all_complete(self) -> bool:
+        """Whether every lap asked for was completed."""
+        return self.complete_laps == self.asked
+
+    @property
+    def completion(self) -> float:
+        """Mean completion of all trials asked for [%]; one that was never begun counts as 0."""
+        return sum(one.completion for one in self.trials) / self.asked
+
+    @property
+    def off_tracks(self) -> int:
+        """Times off the track, in all trials."""
+        return sum(one.off_tracks for one in self.trials)
+
+    @property
+    def crashes(self) -> int:
+        """Contacts to blame for, in all trials."""
+        return sum(one.crashes for one in self.trials)
+
+    @property
+    def lap_times_s(self) -> tuple[float, ...]:
+        """Times of the complete laps, penalties included [s]."""
+        return tuple(one.time_s for one in self.trials if one.complete)
+
+    @property
+    def flying_laps_s(self) -> tuple[float, ...]:
+        """Times of the clean laps that began at speed [s]."""
+        return tuple(one.time_s for one in self.trials if one.clean and not one.standing)
+
+    @property
+    def best_lap_s(self) -> float | None:
+        """Best complete lap [s]."""
+        return min(self.lap_times_s, default=None)
+
+    @property
+    def mean_lap_s(self) -> float | None:
+        """Mean of the complete laps [s]."""
+        times = self.lap_times_s
+        return sum(times) / len(times) if times else None
+
+    @property
+    def best_flying_s(self) -> float | None:
+        """Best clean flying lap [s]."""
+        return min(self.flying_laps_s, default=None)
+
+    @property
+    def total_s(self) -> float:
+        """Time of all trials together [s]."""
+        return sum(one.time_s for one in self.trials)
+
+    @property
+    def summary(self) -> dict[str, float | int | None]:
+        """The figures that describe an evaluation, by name; times in seconds, completion in %."""
+        figures = {
+            "asked": self.asked,
+            "complete_laps": self.complete_laps,
+            "clean_laps": self.clean_laps,
+            "completion": self.completion,
+            "best_lap_s": self.best_lap_s,
+            "mean_lap_s": self.mean_lap_s,
+            "best_flying_s": self.best_flying_s,
+            "total_s": self.total_s,
+            "off_tracks": self.off_tracks,
+            "crashes": self.crashes,
+        }
+        return {
+            name: round(value, 4) if isinstance(value, float) else value
+            for name, value in figures.items()
+        }

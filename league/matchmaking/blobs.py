@@ -1,0 +1,121 @@
+"""Files kept by the hash of their content, in a directory or a bucket; the database keeps others.
+
+A blob is written once and never changed: what is read is hashed again, so a damaged or swapped
+file is found out.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from league.errors import StoreError
+from league.matchmaking import keys
+from league.whole_file import replacing
+
+MAX_BYTES = 64 * 1024 * 1024
+"""Largest blob [bytes]."""
+
+
+class Blobs(Protocol):
+    """A place for blobs."""
+
+    def put(self, content: bytes) -> str:
+        """Keep some bytes and return their SHA-256; keeping them again changes nothing."""
+        ...
+
+    def get(self, digest: str) -> bytes:
+        """Return the bytes with this SHA-256; StoreError if they are gone or damaged."""
+        ...
+
+    def has(self, digest: str) -> bool:
+        """Return whether the bytes with this SHA-256 are kept."""
+        ...
+
+
+def checked(content: bytes) -> bytes:
+    """Return the bytes to keep; StoreError if they are too many."""
+    if len(content) > MAX_BYTES:
+        raise StoreError(
+            f"a file of {len(content):,} bytes was given: at most {MAX_BYTES:,} are kept, "
+            "make it smaller"
+        )
+    return content
+
+
+def verified(content: bytes | None, digest: str, where: str) -> bytes:
+    """Return what was read if it is what was asked for, else raise a StoreError."""
+    if content is None:
+        raise StoreError(
+            f"{where} holds no file {digest[:12]}: restore it from a backup, or submit it again"
+        )
+    if keys.digest(content) != digest:
+        raise StoreError(
+            f"the file {digest[:12]} in {where} is damaged (its hash differs): "
+            "restore it from a backup, or submit it again"
+        )
+    return content
+
+
+class FolderBlobs:
+    """Blobs in a directory, or in a bucket that fsspec can reach (s3://, gs://, memory://)."""
+
+    def __init__(self, url: str) -> None:
+        """Name the place; it is made when the first blob comes."""
+        import fsspec
+
+        try:
+            self._files, self._root = fsspec.url_to_fs(url)
+        except (ValueError, ImportError, OSError) as refusal:
+            raise StoreError(
+                f"the place for files {url!r} cannot be used ({refusal}): "
+                "give a directory, or install the fsspec package for that kind of bucket"
+            ) from refusal
+        self._url = url
+
+    def put(self, content: bytes) -> str:
+        """Keep some bytes and return their SHA-256."""
+        digest = keys.digest(checked(content))
+        if self.has(digest):
+            return digest
+        path = self._path(digest)
+        if "file" in self._files.protocol:
+            with replacing(path, f"the file {digest[:12]}", StoreError) as part:
+                part.write_bytes(content)
+            return digest
+        try:  # a bucket shows an object whole or not at all
+            self._files.pipe_file(path, content)
+        except (OSError, ValueError) as refusal:
+            raise StoreError(
+                f"the file {digest[:12]} cannot be kept in {self._url} ({_reason(refusal)}): "
+                "give a place that can be written and has room"
+            ) from refusal
+        return digest
+
+    def get(self, digest: str) -> bytes:
+        """Return the bytes with this SHA-256."""
+        try:
+            content = self._files.cat_file(self._path(digest))
+        except FileNotFoundError:
+            content = None
+        except OSError as refusal:
+            raise StoreError(
+                f"the file {digest[:12]} cannot be read from {self._url} ({_reason(refusal)}): "
+                "check that the place can be reached"
+            ) from refusal
+        return verified(content, digest, self._url)
+
+    def has(self, digest: str) -> bool:
+        """Return whether the bytes with this SHA-256 are kept."""
+        try:
+            return bool(self._files.isfile(self._path(digest)))
+        except OSError:
+            return False
+
+    def _path(self, digest: str) -> str:
+        if len(digest) != 64 or not set(digest) <= set("0123456789abcdef"):
+            raise StoreError(f"{digest[:70]!r} names no file: give 64 hexadecimal digits")
+        return f"{self._root}/{digest[:2]}/{digest}"
+
+
+def _reason(refusal: Exception) -> str:
+    return getattr(refusal, "strerror", None) or str(refusal) or type(refusal).__name__

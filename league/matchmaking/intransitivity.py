@@ -1,0 +1,269 @@
+"""Does one number a driver tell the truth? Who beats whom beyond what the ratings say, and cycles.
+
+Ratings promise that A beats C if A beats B and B beats C. Pearson's chi-square over pairs tests
+the promise; where it is broken a Nash mixture says who would be raced by somebody who may choose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from league.errors import ConfigError
+from league.matchmaking.ratings import evidence as ev
+from league.matchmaking.ratings.evidence import ELO
+from league.matchmaking.ratings.results import Results
+from league.matchmaking.ratings.table import Ratings
+
+LEAST_VARIANCE = 1.0
+"""Pairs whose score the model leaves less room than this [points^2] are too thin to be judged."""
+MOST_FOR_NASH = 200
+"""Entries up to which a Nash mixture is offered."""
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """All pairs that met, and how they did against what their ratings promise."""
+
+    one: np.ndarray
+    """Entry number of the one, (pairs,)."""
+    other: np.ndarray
+    """Entry number of the other, above the one's, (pairs,)."""
+    races: np.ndarray
+    """Races they met in, (pairs,)."""
+    points: np.ndarray
+    """Points of the one, (pairs,)."""
+    expected: np.ndarray
+    """Points its rating promises, (pairs,)."""
+    residual: np.ndarray
+    """(points - expected) / standard deviation: above 2 or below -2 is worth a look, (pairs,)."""
+    variance: np.ndarray
+    """Variance of the points, dispersion included, (pairs,)."""
+
+
+@dataclass(frozen=True)
+class Goodness:
+    """Whether the ratings explain the results."""
+
+    pairs: Pairs
+    """The head-to-head records."""
+    chi_square: float
+    """Sum of the squared residuals of all pairs that raced enough to be judged."""
+    freedom: float
+    """What it is on average if the ratings are right."""
+    p_value: float
+    """Chance of a sum this large if the ratings are right; 1 when nothing can be judged."""
+    rejected: bool
+    """True if the standings must say that one number a driver does not tell everything."""
+    judged: int
+    """Pairs in the sum."""
+    dispersion: float
+    """Scatter of the heats of one pair over that of independent races; 1 or more."""
+
+
+@dataclass(frozen=True)
+class NashMixture:
+    """The mixed field nobody beats on average, the most even one if there are several."""
+
+    entries: np.ndarray
+    """Entry numbers, (entries,)."""
+    shares: np.ndarray
+    """Share of each entry in the mixture, sum 1, (entries,)."""
+    scores: np.ndarray
+    """Expected score of each entry against the mixture; 0.5 for those in it, (entries,)."""
+
+
+def goodness_of_fit(results: Results, ratings: Ratings, *, level: float = 0.01) -> Goodness:
+    """Test whether the head-to-head records agree with the ratings.
+
+    Args:
+        results: the races the ratings were made of.
+        ratings: what is tested.
+        level: false alarms allowed.
+    """
+    from scipy.special import gammaincc
+
+    index = np.full(int(ratings.entries.max()) + 2, -1)
+    index[ratings.entries] = np.arange(len(ratings.entries))
+    sorted_ = results.distinct()
+    indexed = Results(sorted_.heats, index[sorted_.entries], sorted_.places)
+    found = _pairs(indexed, ratings)
+    dispersion = _dispersion(indexed, ratings)
+    found["variance"] *= dispersion
+    found["residual"] = (found["points"] - found["expected"]) / np.sqrt(found["variance"])
+    judged = found["variance"] >= LEAST_VARIANCE * dispersion
+    chi_square = float((found["residual"][judged] ** 2).sum())
+    freedom = _freedom(found, judged, ratings)
+    p_value = 1.0
+    if freedom >= 1.0:
+        # The square of a residual of n races has a variance a little below a Gaussian's 2; a
+        # gamma distribution with the right mean and variance stands for the sum.
+        bend = found.pop("kurtosis")[judged] / dispersion
+        variance = freedom * max(0.1, float(2.0 + bend.mean()))
+        p_value = float(gammaincc(freedom**2 / variance, chi_square * freedom / variance))
+    found.pop("kurtosis", None)
+    names = {key: ratings.entries[found.pop(key)] for key in ("one", "other")}
+    return Goodness(
+        pairs=Pairs(**names, **found),
+        chi_square=chi_square,
+        freedom=freedom,
+        p_value=p_value,
+        rejected=p_value < level,
+        judged=int(judged.sum()),
+        dispersion=dispersion,
+    )
+
+
+def _pairs(results: Results, ratings: Ratings) -> dict[str, np.ndarray]:
+    """Return records of all pairs, whatever slots they met on."""
+    size = len(ratings.entries)
+    strengths, slots = ratings.elo / ELO, ratings.slot_advantages / ELO
+    columns: list[np.ndarray] = []
+    for cells in ev.evidence_of(results, size).cells:
+        chance = ev.chances(cells, strengths, slots)
+        first = cells.one < cells.other
+        low, high = np.minimum(cells.one, cells.other), np.maximum(cells.one, cells.other)
+        points = np.where(first, cells.won, cells.meetings - cells.won)
+        promised = cells.meetings * np.where(first, chance, 1.0 - chance)
+        room = chance * (1.0 - chance)
+        fourth = cells.meetings * room * (1.0 - 6.0 * room)
+        counts = cells.meetings, points, promised, cells.meetings * room, fourth
+        columns.append(np.stack([low * size + high, *counts]))
+    table = np.concatenate(columns, axis=1) if columns else np.zeros((6, 0))
+    keys, which = np.unique(table[0].astype(np.int64), return_inverse=True)
+    sums = [np.bincount(which, column, len(keys)) for column in table[1:]]
+    return {
+        "one": keys // size,
+        "other": keys % size,
+        "races": sums[0],
+        "points": sums[1],
+        "expected": sums[2],
+        "variance": np.maximum(sums[3], 1e-12),
+        "kurtosis": sums[4] / np.maximum(sums[3], 1e-12) ** 2,
+    }
+
+
+def _dispersion(results: Results, ratings: Ratings) -> float:
+    """Return how much more heats of one pair scatter around the pair's own mean than races do.
+
+    A track that suits one car makes both races of a heat alike; that is no cycle, and must not be
+    taken for one.
+    """
+    size = len(ratings.entries)
+    strengths, slots = ratings.elo / ELO, ratings.slot_advantages / ELO
+    if not len(results):
+        return 1.0
+    heat = np.cumsum(np.diff(results.heats, prepend=results.heats[0]) != 0)
+    columns = []
+    for a, b in ev.slot_pairs(results):
+        one, other = results.entries[:, a], results.entries[:, b]
+        there = (one >= 0) & (other >= 0)
+        one, other = one[there], other[there]
+        gap = strengths[one] - strengths[other] + slots[a] - slots[b]
+        chance = 1.0 / (1.0 + np.exp(-gap))
+        beyond = ev.score(results.places[there, a], results.places[there, b]) - chance
+        sign = np.where(one < other, 1.0, -1.0)
+        pair = np.minimum(one, other) * size + np.maximum(one, other)
+        columns.append(np.stack([pair, heat[there], sign * beyond, chance * (1.0 - chance)]))
+    pair, heats, beyond, room = np.concatenate(columns, axis=1)
+    keys = pair.astype(np.int64) * (int(heats.max()) + 1) + heats.astype(np.int64)
+    cluster, which = np.unique(keys, return_inverse=True)
+    sums, rooms = np.bincount(which, beyond), np.bincount(which, room)
+    pairs, of = np.unique(cluster // (int(heats.max()) + 1), return_inverse=True)
+    heats_of = np.bincount(of)
+    means = np.bincount(of, sums) / heats_of
+    scatter = np.bincount(of, (sums - means[of]) ** 2)
+    promised = np.bincount(of, rooms) * (1.0 - 1.0 / heats_of)
+    often = heats_of > 1
+    total = promised[often].sum()
+    return max(1.0, float(scatter[often].sum() / total)) if total > 0 else 1.0
+
+
+def _freedom(found: dict[str, np.ndarray], judged: np.ndarray, ratings: Ratings) -> float:
+    """Return pairs less the strengths fitted to them: the entries less 1 in each group."""
+    from scipy import sparse
+    from scipy.sparse import csgraph
+
+    if not judged.any():
+        return 0.0
+    one, other = found["one"][judged], found["other"][judged]
+    size = len(ratings.entries)
+    graph = sparse.coo_array((np.ones(len(one)), (one, other)), shape=(size, size))
+    groups = csgraph.connected_components(graph, directed=False)[0]
+    return float(judged.sum() - (size - groups))
+
+
+def nash_average(goodness: Goodness, ratings: Ratings, *, caution: float = 4.0) -> NashMixture:
+    """Return the most even equilibrium of the game in which each side picks an entry to race.
+
+    Args:
+        goodness: the head-to-head records.
+        ratings: what pairs are expected to do that have not met often.
+        caution: races as the ratings promise them, added to each pair's record.
+
+    Raises:
+        ConfigError: the field is too large.
+    """
+    size = len(ratings.entries)
+    if size > MOST_FOR_NASH:
+        raise ConfigError(
+            f"{size} entries are too many for a Nash mixture: choose up to {MOST_FOR_NASH}"
+        )
+    gaps = (ratings.elo[:, None] - ratings.elo[None]) / ELO
+    payoff = 1.0 / (1.0 + np.exp(-gaps)) - 0.5
+    pairs = goodness.pairs
+    one, other = np.searchsorted(ratings.entries, [pairs.one, pairs.other])
+    # The slots' worth is taken out: what counts is the record beyond the promise of its own slots.
+    beyond = (pairs.points - pairs.expected) / (pairs.races + caution)
+    payoff[one, other] += beyond
+    payoff[other, one] -= beyond
+    payoff = np.clip(payoff, -0.5, 0.5)
+    shares = equilibrium(payoff)
+    return NashMixture(ratings.entries, shares, 0.5 + payoff @ shares)
+
+
+def equilibrium(payoff: np.ndarray) -> np.ndarray:
+    """Return the equilibrium of largest entropy of a symmetric zero-sum game, (n,).
+
+    A linear programme finds which choices any equilibrium can use: it maximises the least of
+    share + loss against the shares over all choices (positive in one of the two for every choice,
+    Goldman and Tucker 1956). Among them the dual of the entropy is smooth.
+    """
+    from scipy.optimize import linprog, minimize
+
+    n = len(payoff)
+    # max t:  payoff @ x <= 0,  x - payoff @ x >= t,  x >= 0,  sum x = 1.
+    above = np.concatenate([payoff, np.zeros((n, 1))], axis=1)
+    strict = np.concatenate([payoff - np.eye(n), np.ones((n, 1))], axis=1)
+    solved = linprog(
+        np.append(np.zeros(n), -1.0),
+        A_ub=np.concatenate([above, strict]),
+        b_ub=np.zeros(2 * n),
+        A_eq=np.append(np.ones(n), 0.0)[None],
+        b_eq=[1.0],
+        bounds=[(0, None)] * (n + 1),
+        method="highs",
+    )
+    if solved.status != 0:
+        raise ArithmeticError(f"the linear programme of the Nash mixture failed: {solved.message}")
+    shares, least = solved.x[:n], solved.x[n]
+    used = shares > 0.5 * least
+    losses = payoff[:, used]  # (choices, used)
+
+    def dual(prices: np.ndarray) -> tuple[float, np.ndarray]:
+        raised = -prices @ losses
+        top = raised.max()
+        weights = np.exp(raised - top)
+        total = weights.sum()
+        return float(top + np.log(total)), -losses @ (weights / total)
+
+    bounds = [(None, None) if own else (0, None) for own in used]
+    options = {"maxiter": 5000, "maxfun": 20000, "ftol": 1e-15, "gtol": 1e-10}
+    best = minimize(dual, np.zeros(n), jac=True, bounds=bounds, method="L-BFGS-B", options=options)
+    raised = -best.x @ losses
+    even = np.zeros(n)
+    even[used] = np.exp(raised - raised.max())
+    even /= even.sum()
+    # Rounding may leave the entropy's answer worse than the programme's own.
+    return even if (payoff @ even).max() < 1e-6 else shares / shares.sum()

@@ -1,0 +1,168 @@
+"""What a heat is, and the keys that follow from it: heat key, seed, result hash; pure functions.
+
+Everything that must never be counted twice is named by a hash of what it is, so that sending it
+again changes nothing.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+from league.sim.config import RaceKind, SolverName
+
+Purpose = Literal["rated", "validation", "audit", "gauntlet"]
+
+MAX_CARS = 8
+"""Cars in a race at most."""
+
+
+def canonical(value: object) -> bytes:
+    """Return the one JSON text of a value: sorted keys, no spaces, UTF-8, no NaN.
+
+    Numbers are written as Python writes them (the shortest text that reads back the same), so the
+    same result has the same bytes on every machine.
+    """
+    text = json.dumps(
+        value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False
+    )
+    return text.encode("utf-8")
+
+
+def digest(content: bytes) -> str:
+    """Return the SHA-256 of some bytes, as 64 hexadecimal digits."""
+    return hashlib.sha256(content).hexdigest()
+
+
+@dataclass(frozen=True)
+class Ruleset:
+    """What ratings belong to: change any of it and the ratings begin anew."""
+
+    tracks: tuple[str, ...] = ("reinvent_2018",)
+    """Names of the tracks that heats are drawn from."""
+    kind: RaceKind = "head_to_head"
+    """Kind of race."""
+    laps: int = 3
+    """Laps to drive."""
+    cars: int = 2
+    """Cars per race."""
+    solver: SolverName = "bullet"
+    """Physics solver."""
+    physics: str = "1"
+    """Version of the physics: of whatever can change the outcome of a race."""
+
+    def __post_init__(self) -> None:
+        if not self.tracks:
+            raise ValueError("a ruleset has no tracks: name one")
+        if not 1 <= self.cars <= MAX_CARS:
+            raise ValueError(f"{self.cars} cars per race: 1 to {MAX_CARS} are possible")
+        if self.laps < 1:
+            raise ValueError(f"{self.laps} laps: drive at least 1")
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of the settings."""
+        return digest(canonical(asdict(self)))
+
+    @classmethod
+    def of(cls, settings: Mapping[str, Any]) -> Ruleset:
+        """Return the ruleset that was stored as these settings."""
+        return cls(**{**settings, "tracks": tuple(settings["tracks"])})
+
+
+@dataclass(frozen=True)
+class Half:
+    """One race of a heat."""
+
+    track: str
+    """Name of the track."""
+    grid: tuple[str, ...]
+    """Entry ids in grid order: the car in slot k is driven by grid[k]."""
+
+
+@dataclass(frozen=True)
+class Heat:
+    """Races that belong together: as a rule two, with the grid slots swapped."""
+
+    ruleset: str
+    """Hash of the ruleset."""
+    halves: tuple[Half, ...]
+    """The races, in order."""
+    draw: int = 0
+    """Tells meetings of the same entries on the same tracks apart; the seeds follow from it."""
+    purpose: Purpose = "rated"
+    """Only rated heats count in the ratings."""
+    audits: str = ""
+    """Key of the heat that an audit runs again; its seeds are used, its results must come."""
+
+    def __post_init__(self) -> None:
+        if not self.halves:
+            raise ValueError("a heat has no races: give it one")
+        for half in self.halves:
+            if not 1 <= len(half.grid) <= MAX_CARS:
+                raise ValueError(f"a race of {len(half.grid)} cars: 1 to {MAX_CARS} are possible")
+        if bool(self.audits) != (self.purpose == "audit"):
+            raise ValueError("an audit, and nothing else, names the heat it audits")
+
+    @cached_property
+    def key(self) -> str:
+        """SHA-256 of all the above."""
+        halves = [{"track": half.track, "grid": half.grid} for half in self.halves]
+        told = {
+            "ruleset": self.ruleset,
+            "halves": halves,
+            "draw": self.draw,
+            "purpose": self.purpose,
+            "audits": self.audits,
+        }
+        return digest(canonical(told))
+
+    @property
+    def entries(self) -> tuple[str, ...]:
+        """Ids of all who take part, sorted."""
+        return tuple(sorted({entry for half in self.halves for entry in half.grid}))
+
+    def seeds(self, secret: bytes) -> tuple[int, ...]:
+        """Return the seed of each race."""
+        return tuple(seed(secret, self.audits or self.key, n) for n in range(len(self.halves)))
+
+
+def settings(ruleset: Ruleset) -> dict[str, Any]:
+    """Return a ruleset's settings as plain data; Ruleset.of reads them back."""
+    return asdict(ruleset)
+
+
+def mirrored(ruleset: str, tracks: tuple[str, str], grid: tuple[str, ...], draw: int = 0) -> Heat:
+    """Return a rated heat of two races, the second with the grid reversed."""
+    halves = (Half(tracks[0], grid), Half(tracks[1], grid[::-1]))
+    return Heat(ruleset=ruleset, halves=halves, draw=draw)
+
+
+def audit_of(heat: Heat, draw: int = 0) -> Heat:
+    """Return the heat that runs another one again; `draw` tells audits of one heat apart."""
+    return Heat(heat.ruleset, heat.halves, draw=draw, purpose="audit", audits=heat.key)
+
+
+def seed(secret: bytes, heat_key: str, half: int) -> int:
+    """Return the seed of a race, in [0, 2^63): nobody without the secret can know it beforehand.
+
+    HMAC-SHA-256 of "heat key/half" under the league's secret. It is published once the heat is
+    over, so that anyone can run the race again.
+    """
+    told = hmac.digest(secret, f"{heat_key}/{half}".encode(), "sha256")
+    return int.from_bytes(told[:8], "big") >> 1
+
+
+def result_hash(result: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of a race's result: the same race run twice must give the same."""
+    return digest(canonical(result))
+
+
+def scripted_id(name: str) -> str:
+    """Return the entry id of a scripted driver, which has no weights to hash."""
+    return digest(f"scripted driver {name}".encode())

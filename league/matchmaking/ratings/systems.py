@@ -1,0 +1,295 @@
+"""The two ways to solve with the curvature: a dense factor for small fields, iterations for large.
+
+Both hold the symmetric matrix of the negative log-posterior's second derivatives by strengths and
+slots, H. Variances come from it twice: H^-1, right if the model is, and the sandwich
+H^-1 (J + prior) H^-1, where J sums the squares of whole heats' slopes and so allows for whatever
+makes the races of a heat, or the pairs of a race, alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy import linalg, sparse
+
+from league.matchmaking.ratings.evidence import Evidence, race_scores
+from league.matchmaking.ratings.results import Results
+
+DENSE_MOST = 1500
+"""Entries up to which the dense factor is used; beyond, its cube of the field is too slow."""
+PROBES = 8
+"""Random sign vectors in a batch, for what closed forms leave over of a large field's variances."""
+BATCHES = 12
+"""Batches of probes at most."""
+NOISE = 0.03
+"""Relative noise of the variances (twice that of the standard deviations) that ends the probing."""
+
+
+class System(Protocol):
+    """What the fit asks of the curvature."""
+
+    def solve(self, right: np.ndarray, *, within: float = 1e-8) -> np.ndarray:
+        """Return H^-1 right."""
+        ...
+
+    def mean_variance(self) -> float:
+        """Return the mean diagonal of H^-1 over the entries."""
+        ...
+
+    def variances(self, squares: Squares) -> tuple[np.ndarray, np.ndarray]:
+        """Return the diagonals of H^-1 and of the sandwich over the entries."""
+        ...
+
+
+@dataclass(frozen=True)
+class Squares:
+    """The middle of the sandwich, J + prior, in blocks."""
+
+    entries: sparse.csr_array
+    """By strength and strength, (entries, entries)."""
+    border: np.ndarray
+    """By strength and slot, (entries, slots)."""
+    corner: np.ndarray
+    """By slot and slot, (slots, slots)."""
+    heats: np.ndarray
+    """Heats each entry was in, (entries,)."""
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return sum(self.border.shape)
+
+    def table(self) -> np.ndarray:
+        """Return it as one dense table."""
+        above = np.concatenate([self.entries.toarray(), self.border], axis=1)
+        return np.concatenate([above, np.concatenate([self.border.T, self.corner], axis=1)])
+
+    def times(self, vectors: np.ndarray) -> np.ndarray:
+        """Return the product with some columns, (entries + slots, columns)."""
+        size = len(self.border)
+        entries, slots = vectors[:size], vectors[size:]
+        above = self.entries @ entries + self.border @ slots
+        return np.concatenate([above, self.border.T @ entries + self.corner @ slots])
+
+
+def squares(results: Results, evidence: Evidence, at: np.ndarray, prior: np.ndarray) -> Squares:
+    """Sum the squares of the slopes of heats; the races must be sorted by heat."""
+    size = evidence.num_entries
+    scores = race_scores(results, at[:size], at[size:])
+    starts = np.flatnonzero(np.diff(results.heats, prepend=results.heats[:1] - 1))
+    slots = np.add.reduceat(scores, starts, axis=0) if len(starts) else scores
+    # One row a heat; an entry that stands in it twice (once a race) is summed by the product.
+    bounds = np.append(starts, len(results)) * scores.shape[1]
+    columns = np.maximum(results.entries, 0).ravel()
+    shape = (len(starts), size)
+    heats = sparse.csr_array((scores.ravel(), columns, bounds), shape=shape)
+    heats.sum_duplicates()
+    across = heats.T.tocsr()
+    return Squares(
+        entries=sparse.csr_array(across @ heats + sparse.diags_array(prior[:size])),
+        border=across @ slots,
+        corner=slots.T @ slots + np.diag(prior[size:]),
+        heats=np.bincount(heats.indices, minlength=size),
+    )
+
+
+Maker = Callable[[tuple[np.ndarray, ...], np.ndarray], System]
+"""Makes the system of some cells' weights and the prior's precisions."""
+
+
+def maker(evidence: Evidence, *, dense_most: int = DENSE_MOST) -> Maker:
+    """Return what makes the system that suits the size of the field."""
+    if evidence.num_entries <= dense_most:
+        return lambda weights, prior: Dense(evidence, weights, prior)
+    pattern = Pattern(evidence)
+    return lambda weights, prior: Sparse(evidence, pattern, weights, prior)
+
+
+def _margins(
+    evidence: Evidence, weights: tuple[np.ndarray, ...], prior: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return all of H but the strengths' off-diagonals: their diagonal, the border, the corner."""
+    size, slots = evidence.num_entries, evidence.num_slots
+    diagonal, border = prior[:size].copy(), np.zeros((size, slots))
+    corner = np.diag(prior[size:])
+    for cells, weight in zip(evidence.cells, weights, strict=True):
+        a, b = cells.slots
+        ahead = np.bincount(cells.one, weight, size)
+        behind = np.bincount(cells.other, weight, size)
+        diagonal += ahead + behind
+        border[:, a] += ahead - behind
+        border[:, b] -= ahead - behind
+        total = weight.sum()
+        corner[[a, b], [a, b]] += total
+        corner[[a, b], [b, a]] -= total
+    return diagonal, border, corner
+
+
+class Dense:
+    """H as a table, and its Cholesky factor."""
+
+    def __init__(
+        self, evidence: Evidence, weights: tuple[np.ndarray, ...], prior: np.ndarray
+    ) -> None:
+        size = evidence.num_entries
+        flat = np.zeros(size * size)
+        for cells, weight in zip(evidence.cells, weights, strict=True):
+            flat[cells.one * size + cells.other] -= weight  # a group names no pair twice
+        table = np.empty((evidence.size, evidence.size))
+        inner = flat.reshape(size, size)
+        np.add(inner, inner.T, out=table[:size, :size])
+        diagonal, table[:size, size:], table[size:, size:] = _margins(evidence, weights, prior)
+        table[size:, :size] = table[:size, size:].T
+        table[range(size), range(size)] += diagonal
+        self._size = size
+        self._factor = linalg.cho_factor(table, lower=True, overwrite_a=True, check_finite=False)
+        self._below: np.ndarray | None = None
+
+    def solve(self, right: np.ndarray, *, within: float = 1e-8) -> np.ndarray:
+        """Return H^-1 right."""
+        return linalg.cho_solve(self._factor, right, check_finite=False)
+
+    def _inverse(self) -> np.ndarray:
+        """Return H^-1, of which only the lower triangle counts."""
+        if self._below is None:
+            self._below, _ = linalg.lapack.dpotri(self._factor[0], lower=1)
+        return self._below
+
+    def mean_variance(self) -> float:
+        """Return the mean diagonal of H^-1 over the entries."""
+        return float(self._inverse().diagonal()[: self._size].mean())
+
+    def variances(self, squares: Squares) -> tuple[np.ndarray, np.ndarray]:
+        """Return the diagonals of H^-1 and of the sandwich over the entries."""
+        below = self._inverse()
+        size = self._size
+        inverse = np.tril(below) + np.tril(below, -1).T
+        across = inverse @ squares.table()
+        robust = np.einsum("ij,ij->i", across[:size], inverse[:size])
+        return inverse.diagonal()[:size].copy(), robust
+
+
+class Pattern:
+    """Which pairs of a large field met at all, as a sparse matrix whose numbers come later."""
+
+    def __init__(self, evidence: Evidence) -> None:
+        size = evidence.num_entries
+        low = [
+            np.minimum(c.one, c.other) * size + np.maximum(c.one, c.other) for c in evidence.cells
+        ]
+        keys = np.concatenate([np.empty(0, dtype=np.int64), *low])
+        pairs, self._pair_of_cell = np.unique(keys, return_inverse=True)
+        self._num_pairs = len(pairs)
+        one, other = pairs // size, pairs % size
+        number = np.arange(len(pairs))
+        both = np.concatenate([one, other]), np.concatenate([other, one])
+        shape = (size, size)
+        numbered = sparse.csr_array((np.concatenate([number, number]), both), shape=shape)
+        self._pair_of_place = numbered.data
+        self._indices, self._indptr, self._shape = numbered.indices, numbered.indptr, shape
+
+    def filled(self, weights: tuple[np.ndarray, ...]) -> sparse.csr_array:
+        """Return the weight of each pair that met, in both triangles."""
+        values = np.concatenate([np.empty(0), *weights])
+        pairs = np.bincount(self._pair_of_cell, values, self._num_pairs)
+        numbers = pairs[self._pair_of_place]
+        return sparse.csr_array((numbers, self._indices, self._indptr), shape=self._shape)
+
+
+class Sparse:
+    """H as a sparse matrix with a narrow border, solved by conjugate gradients."""
+
+    def __init__(
+        self,
+        evidence: Evidence,
+        pattern: Pattern,
+        weights: tuple[np.ndarray, ...],
+        prior: np.ndarray,
+    ) -> None:
+        self._met = pattern.filled(weights)
+        self._diagonal, self._border, self._corner = _margins(evidence, weights, prior)
+        self._all = np.concatenate([self._diagonal, self._corner.diagonal()])
+        self._level = 1.0 / prior[0]
+
+    def times(self, vectors: np.ndarray) -> np.ndarray:
+        """Return H times some columns."""
+        size = len(self._diagonal)
+        entries, slots = vectors[:size], vectors[size:]
+        above = self._diagonal[:, None] * entries - self._met @ entries + self._border @ slots
+        return np.concatenate([above, self._border.T @ entries + self._corner @ slots])
+
+    def solve(self, right: np.ndarray, *, within: float = 1e-8) -> np.ndarray:
+        """Return H^-1 right by conjugate gradients, scaled by the diagonal."""
+        columns = right.reshape(len(right), -1)
+        found, rest = np.zeros_like(columns), columns.copy()
+        scaled = rest / self._all[:, None]
+        along = scaled.copy()
+        energy = (rest * scaled).sum(axis=0)
+        enough = within**2 * np.maximum(energy, 1e-300)
+        for _ in range(1000):
+            if (energy <= enough).all():
+                break
+            bent = self.times(along)
+            step = energy / np.maximum((along * bent).sum(axis=0), 1e-300)
+            found += step * along
+            rest -= step * bent
+            scaled = rest / self._all[:, None]
+            before, energy = energy, (rest * scaled).sum(axis=0)
+            along = scaled + (energy / np.maximum(before, 1e-300)) * along
+        return found.reshape(right.shape)
+
+    def mean_variance(self) -> float:
+        """Return the mean diagonal of H^-1 over the entries, by probes."""
+        probes = self._probes(np.random.default_rng(0))
+        left_over = (probes * self._left_over(probes, self._solve_entries(probes))).mean()
+        return float(left_over + (1.0 / self._diagonal).mean()) + self._level / len(probes)
+
+    def variances(self, squares: Squares) -> tuple[np.ndarray, np.ndarray]:
+        """Return the diagonals of H^-1 and of the sandwich over the entries.
+
+        H^-1 is 1 / diagonal, plus the level of the field (known exactly: H times a constant is
+        the prior times it), plus little else. Only that little is estimated from random signs v,
+        as the mean of v * (rest @ v) (Bekas, Kokiopoulou, Saad 2007); and likewise for what the
+        sandwich adds, H^-1 E H^-1 with E = J + prior - H.
+        """
+        size = len(self._diagonal)
+        first = 1.0 / self._diagonal[:, None]
+        apart = sparse.csr_array(
+            squares.entries + self._met - sparse.diags_array(self._diagonal)
+        )  # E
+        model = self._level / size + first[:, 0]
+        robust = model + first[:, 0] ** 2 * apart.diagonal()
+        generator = np.random.default_rng(0)  # the same signs at each fit: it is a pure function
+        seen: list[np.ndarray] = []
+        for _ in range(BATCHES):
+            probes = self._probes(generator)
+            solved = self._solve_entries(probes)
+            more = probes * self._left_over(probes, solved)
+            twice = self.solve(squares.times(solved) - self.times(solved), within=1e-3)[:size]
+            near = first * (apart @ (first * probes))
+            seen.append(np.stack([more, more + probes * (twice - near)]))
+            told = np.concatenate(seen, axis=2)
+            noise = told.std(axis=2) / np.sqrt(told.shape[2])
+            found = np.stack([model, robust]) + told.mean(axis=2)
+            if np.sqrt(((noise / found) ** 2).mean()) < NOISE:
+                break
+        # No variance is below the one with all others known.
+        return np.maximum(found[0], first[:, 0]), found[1]
+
+    def _probes(self, generator: np.random.Generator) -> np.ndarray:
+        return generator.choice([-1.0, 1.0], size=(len(self._diagonal), PROBES))
+
+    def _solve_entries(self, probes: np.ndarray) -> np.ndarray:
+        right = np.zeros((len(self._all), PROBES))
+        right[: len(probes)] = probes
+        return self.solve(right, within=1e-4)
+
+    def _left_over(self, probes: np.ndarray, solved: np.ndarray) -> np.ndarray:
+        """Return H^-1 probes less what is known of it in closed form."""
+        first = 1.0 / self._diagonal[:, None]
+        known = first * probes + self._level * probes.mean(axis=0)
+        near = first * (self._met @ (first * probes))  # has nothing on its diagonal
+        return solved[: len(probes)] - known - near

@@ -1,0 +1,199 @@
+"""Is B better than A? Races are run until the answer is as sure as was asked, and no longer.
+
+The generalised sequential probability ratio test over heats (Wald 1945; Van den Bergh 2019). A
+heat's score is the mean over its races, so its five outcomes (two races, ties) keep together what
+belongs together: the worth of a grid slot cancels, and a track that suits one car counts once.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from league.errors import ConfigError
+from league.matchmaking.ratings.table import SIGMAS_95, expected_score
+
+Decision = Literal["better", "not better", "undecided"]
+
+_UNSEEN = 1e-3
+"""Heats credited to each outcome, so that one not yet seen is unlikely and not impossible."""
+
+
+@dataclass(frozen=True)
+class SequentialSettings:
+    """What is asked, and how sure the answer must be."""
+
+    elo0: float = 0.0
+    """B is "not better" if it leads by this or less [Elo]."""
+    elo1: float = 30.0
+    """B is "better" if it leads by this or more [Elo]; 30 while developing, 10 for finals."""
+    alpha: float = 0.05
+    """Chance to say "better" though the lead is only elo0."""
+    beta: float = 0.05
+    """Chance to say "not better" though the lead is elo1."""
+    races_per_heat: int = 2
+    """Races whose mean is one score; outcomes are the half points of these."""
+    slot_gap: float = 0.0
+    """What the front of two slots is worth over the other, as the league's ratings say [Elo].
+
+    A heat swaps the slots, but a gap between them still pulls its mean score towards a half.
+    """
+    least_heats: int = 4
+    """No answer before so many heats."""
+
+    def __post_init__(self) -> None:
+        """Check that the two answers differ and the risks are risks."""
+        if not self.elo0 < self.elo1:
+            raise ConfigError(
+                f"elo0 is {self.elo0} and elo1 {self.elo1}: elo1 must be the larger one"
+            )
+        if not (0 < self.alpha < 0.5 and 0 < self.beta < 0.5):
+            raise ConfigError(
+                f"alpha is {self.alpha} and beta {self.beta}: give both between 0 and 0.5"
+            )
+        if self.races_per_heat < 1 or self.least_heats < 1:
+            raise ConfigError(
+                f"{self.races_per_heat} races a heat and {self.least_heats} heats at least: "
+                "both must be 1 or more"
+            )
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Log-likelihood ratios that end the test: not better, better."""
+        return (
+            math.log(self.beta / (1 - self.alpha)),
+            math.log((1 - self.beta) / self.alpha),
+        )
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Where a sequential test stands."""
+
+    decision: Decision
+    """The answer, if there is one already."""
+    llr: float
+    """Log-likelihood ratio of elo1 against elo0."""
+    lower: float
+    """At or below it the answer is "not better"."""
+    upper: float
+    """At or above it the answer is "better"."""
+    heats: int
+    """Heats counted."""
+    score: float
+    """Mean score of B, in [0, 1]."""
+    elo: float
+    """B's lead [Elo]; infinite while every race has the same winner."""
+    low95: float
+    """Lower end of its 95 % interval [Elo], as if the number of heats had been fixed before."""
+    high95: float
+    """Upper end of it [Elo]."""
+
+
+def compare(scores: np.ndarray, settings: SequentialSettings | None = None) -> Comparison:
+    """Judge B's scores against A, one a heat, in the order the heats were planned.
+
+    Args:
+        scores: mean score of B in each heat, in [0, 1], (heats,).
+        settings: what is asked.
+
+    Raises:
+        ConfigError: a score that no heat of so many races can have.
+    """
+    settings = settings or SequentialSettings()
+    outcomes = 2 * settings.races_per_heat
+    places = np.asarray(scores, dtype=float) * outcomes
+    if len(places) and (
+        not np.isfinite(places).all()
+        or np.abs(places - np.round(places)).max() > 1e-6
+        or places.min() < -1e-6
+        or places.max() > outcomes + 1e-6
+    ):
+        raise ConfigError(
+            f"scores of heats of {settings.races_per_heat} races must be multiples of "
+            f"1/{outcomes} in [0, 1]: give the mean over a heat's races, a tie as 0.5"
+        )
+    counts = np.bincount(np.round(places).astype(int), minlength=outcomes + 1).astype(float)
+    llr = ratio(counts, settings)
+    lower, upper = settings.bounds
+    decision: Decision = "undecided"
+    if len(places) >= settings.least_heats:
+        decision = "better" if llr >= upper else "not better" if llr <= lower else "undecided"
+    score, low, high = _interval(counts)
+    return Comparison(
+        decision=decision,
+        llr=llr,
+        lower=lower,
+        upper=upper,
+        heats=len(places),
+        score=score,
+        elo=elo_of(score, settings.slot_gap),
+        low95=elo_of(low, settings.slot_gap),
+        high95=elo_of(high, settings.slot_gap),
+    )
+
+
+def ratio(counts: np.ndarray, settings: SequentialSettings) -> float:
+    """Return the log-likelihood ratio of elo1 against elo0.
+
+    Of all distributions over the outcomes with the mean score that elo0 (elo1) gives, the one
+    most likely to have made these counts stands for elo0 (elo1).
+    """
+    if not counts.sum():
+        return 0.0
+    seen = counts + _UNSEEN
+    values = np.linspace(0.0, 1.0, len(counts))
+    means = (heat_score(elo, settings.slot_gap) for elo in (settings.elo0, settings.elo1))
+    under = [_log_tilts(seen, values, mean) for mean in means]
+    return float(seen @ (under[1] - under[0]))
+
+
+def heat_score(elo: float, slot_gap: float = 0.0) -> float:
+    """Return the mean score of a lead [Elo] over a heat whose slots are swapped half way."""
+    sides = expected_score(np.array([elo + slot_gap, elo - slot_gap]))
+    return float(np.mean(sides))
+
+
+def elo_of(score: float, slot_gap: float = 0.0) -> float:
+    """Return the lead [Elo] that gives this mean score over a heat."""
+    if not 0.0 < score < 1.0:
+        return math.copysign(math.inf, score - 0.5)
+    chance, pull = score, 10.0 ** (slot_gap / 400.0)
+    # Half the sum of o p / (1 + o p) and o / (o + p) for odds o and pull p is a quadratic in o.
+    half = 0.5 * (pull + 1.0 / pull) * (1.0 - 2.0 * chance)
+    odds = (-half + math.sqrt(half**2 + 4.0 * chance * (1.0 - chance))) / (2.0 * (1.0 - chance))
+    return 400.0 * math.log10(odds)
+
+
+def _log_tilts(seen: np.ndarray, values: np.ndarray, mean: float) -> np.ndarray:
+    """Return log(q / p) of the likeliest distribution q with a mean, p being what was seen.
+
+    q = p / (1 + tilt (value - mean)), where the tilt makes the mean right (Owen's empirical
+    likelihood); it lies between the poles of the outermost outcomes.
+    """
+    from scipy.optimize import brentq
+
+    share, apart = seen / seen.sum(), values - mean
+    edge = 1e-12
+    low, high = -1.0 / apart.max() * (1 - edge), -1.0 / apart.min() * (1 - edge)
+    tilt = brentq(lambda t: float((share * apart / (1 + t * apart)).sum()), low, high, xtol=1e-14)
+    return -np.log1p(tilt * apart)
+
+
+def _interval(counts: np.ndarray) -> tuple[float, float, float]:
+    """Return the mean score and its 95 % interval from the scatter of the heats."""
+    heats = counts.sum()
+    if heats == 0:
+        return 0.5, 0.0, 1.0
+    values = np.linspace(0.0, 1.0, len(counts))
+    score = float(counts @ values / heats)
+    # One imagined heat, half won and half lost, keeps few or equal heats from looking certain.
+    padded = counts.copy()
+    padded[[0, -1]] += 0.5
+    middle = float(padded @ values / padded.sum())
+    spread = float(padded @ (values - middle) ** 2 / padded.sum())
+    half = SIGMAS_95 * math.sqrt(spread / padded.sum())
+    return score, max(0.0, min(score, middle - half)), min(1.0, max(score, middle + half))

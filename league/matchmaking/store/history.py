@@ -1,0 +1,244 @@
+"""Results: taken in once, whatever is sent how often, and given out as arrays for the rating."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import sqlalchemy as sa
+
+from league.errors import StoreError
+from league.matchmaking import keys
+from league.matchmaking.store import diary
+from league.matchmaking.store.database import insert_new
+from league.matchmaking.store.queue import chunked
+from league.matchmaking.store.records import Outcome, Races, Received, StoredResult
+from league.matchmaking.store.schema import heats, races, results, rulesets
+
+BLOCK = 1 << 20
+"""Races read at a time."""
+
+
+@dataclass(frozen=True)
+class Parcel:
+    """One result ready to be stored; made before the database is locked."""
+
+    hash: str
+    """Of places and result."""
+    document: bytes
+    """Places and result as deflated canonical JSON."""
+    places: tuple[int, ...]
+    """Of the car in each slot."""
+    replay: str | None
+    """Digest of the recording."""
+
+
+def parcels(outcome: Outcome, replays: Sequence[str | None]) -> tuple[Parcel, ...]:
+    """Return an outcome's results ready to be stored."""
+    made = []
+    for race, replay in zip(outcome.races, replays, strict=True):
+        try:
+            told = keys.canonical({"places": race.places, "result": race.result})
+        except (TypeError, ValueError) as refusal:
+            raise StoreError(
+                f"the result of heat {outcome.key[:12]} is no plain data ({refusal}): "
+                "give texts, finite numbers, lists and mappings"
+            ) from refusal
+        made.append(Parcel(keys.digest(told), zlib.compress(told, 6), race.places, replay))
+    return tuple(made)
+
+
+def packed(heat: int, half: int, grid: Sequence[int], places: Sequence[int]) -> str:
+    """Return a race as 10 + 10 hexadecimal digits per car: heat, half, entries, places.
+
+    A million of these are joined by the database and read by numpy at once; as rows of columns
+    they would take seconds.
+    """
+    entries = "".join(f"{number:08x}" for number in grid)
+    return f"{heat:08x}{half:02x}{entries}{bytes(places).hex()}"
+
+
+@dataclass
+class _Intake:
+    """What a batch of results is going to change."""
+
+    known: dict[int, set[tuple[int, str]]]
+    """(half, hash) of the results of each heat."""
+    new_results: list[dict[str, Any]] = field(default_factory=list)
+    new_races: list[dict[str, Any]] = field(default_factory=list)
+    done: set[int] = field(default_factory=set)
+    disputed: set[int] = field(default_factory=set)
+
+
+def complete(
+    connection: sa.Connection,
+    now: float,
+    worker: str,
+    batch: Sequence[tuple[str, tuple[Parcel, ...]]],
+) -> Received:
+    """Take in results of heats; the caller must be alone.
+
+    A result that is known changes nothing; one that differs from what is known puts its heat in
+    quarantine; one whose lease was lost counts if no other came first.
+    """
+    query = sa.select(heats).order_by(heats.c.number).with_for_update()
+    rows = {row.key: row for row in chunked(connection, query, heats.c.key, [k for k, _ in batch])}
+    targets = sorted({row.audits or row.number for row in rows.values()})
+    stored = sa.select(results.c.heat, results.c.half, results.c.hash)
+    intake = _Intake(known={number: set() for number in targets})
+    for row in chunked(connection, stored, results.c.heat, targets):
+        intake.known[row.heat].add((row.half, row.hash))
+    sorted_out: dict[str, list[str]] = {"accepted": [], "repeated": [], "quarantined": []}
+    for key, sent in batch:
+        if key not in rows:
+            raise StoreError(f"there is no heat {key[:12]!r} in this league: give a key it planned")
+        verdict = _judge(intake, rows[key], sent, worker, now)
+        sorted_out[verdict].append(key)
+    _write(connection, intake, now)
+    received = Received(**{verdict: tuple(found) for verdict, found in sorted_out.items()})
+    counts = {verdict: len(found) for verdict, found in sorted_out.items() if found}
+    numbers = [rows[key].number for key, _ in batch]
+    diary.note(connection, now, worker, "complete", "", heats=numbers, **counts)
+    for key in received.quarantined:
+        diary.note(connection, now, worker, "quarantine", key, of=rows[key].audits)
+    return received
+
+
+def _judge(intake: _Intake, row: Any, sent: tuple[Parcel, ...], worker: str, now: float) -> str:  # noqa: ANN401
+    """Note what one heat's results change; return what becomes of them."""
+    halves = json.loads(row.halves)
+    grids = [grid for _, grid in halves]
+    told = [len(parcel.places) for parcel in sent]
+    if told != [len(grid) for grid in grids]:
+        raise StoreError(
+            f"heat {row.key[:12]} has races of {[len(grid) for grid in grids]} cars, results for "
+            f"{told} cars came: give all places of all its races"
+        )
+    if not all(1 <= place <= len(parcel.places) for parcel in sent for place in parcel.places):
+        raise StoreError(
+            f"the places of heat {row.key[:12]} lie outside 1 to the number of cars: "
+            "count places from 1"
+        )
+    target = row.audits or row.number
+    known, came = intake.known[target], {(n, parcel.hash) for n, parcel in enumerate(sent)}
+    for half, parcel in enumerate(sent):
+        if (half, parcel.hash) in known:
+            continue
+        intake.new_results.append(
+            {
+                "heat": target,
+                "half": half,
+                "hash": parcel.hash,
+                "worker": worker,
+                "received_s": now,
+                "document": parcel.document,
+                "replay": parcel.replay,
+            }
+        )
+        if not known and not row.audits:
+            intake.new_races.append(_race(row, half, grids[half], parcel.places))
+    intake.known[target] = known | came
+    if (known and not came <= known) or len(known) > len(sent):
+        intake.disputed |= {target, row.number}
+        return "quarantined"
+    if known and (not row.audits or row.state == "done"):
+        return "repeated"
+    intake.done.add(row.number)
+    return "accepted"
+
+
+def _race(row: Any, half: int, grid: list[int], places: tuple[int, ...]) -> dict[str, Any]:  # noqa: ANN401
+    return {
+        "heat": row.number,
+        "half": half,
+        "ruleset": row.ruleset,
+        "rated": row.purpose == "rated",
+        "cars": len(grid),
+        "packed": packed(row.number, half, grid, places),
+    }
+
+
+def _write(connection: sa.Connection, intake: _Intake, now: float) -> None:
+    if intake.new_results:
+        connection.execute(insert_new(connection, results), intake.new_results)
+    if intake.new_races:
+        connection.execute(races.insert(), intake.new_races)
+    finished = {"state": "done", "lease_s": None, "done_s": now}
+    if intake.done:
+        connection.execute(heats.update().where(heats.c.number.in_(intake.done)).values(**finished))
+    if intake.disputed:
+        disputed = {**finished, "state": "quarantined"}
+        connection.execute(
+            heats.update().where(heats.c.number.in_(intake.disputed)).values(**disputed)
+        )
+        connection.execute(races.delete().where(races.c.heat.in_(intake.disputed)))
+
+
+def read_results(connection: sa.Connection, heat: int) -> list[StoredResult]:
+    """Return all results of a heat, by race and time; several for one race are a dispute."""
+    query = sa.select(results).where(results.c.heat == heat)
+    found = []
+    for row in connection.execute(query.order_by(results.c.half, results.c.received_s)):
+        told = json.loads(zlib.decompress(row.document))
+        found.append(
+            StoredResult(
+                half=row.half,
+                hash=row.hash,
+                worker=row.worker,
+                received_s=row.received_s,
+                places=tuple(told["places"]),
+                result=told["result"],
+                replay=row.replay,
+            )
+        )
+    return found
+
+
+def read_races(
+    connection: sa.Connection, ruleset: str, since: int = 0, *, rated: bool = True
+) -> Races:
+    """Return the races under a ruleset that count, those after number `since` only."""
+    last = connection.scalar(sa.select(sa.func.coalesce(sa.func.max(races.c.number), 0)))
+    rules = sa.select(rulesets.c.number).where(rulesets.c.hash == ruleset).scalar_subquery()
+    voided = connection.scalar(
+        sa.select(sa.func.count()).select_from(heats).where(heats.c.state == "quarantined")
+    )
+    joined = [
+        sa.func.aggregate_strings(races.c.packed, "").filter(races.c.cars == cars)
+        for cars in range(1, keys.MAX_CARS + 1)
+    ]
+    pieces: list[np.ndarray] = []
+    assert last is not None
+    for start in range(since, last, BLOCK):
+        query = sa.select(*joined).where(
+            races.c.number > start,
+            races.c.number <= min(start + BLOCK, last),
+            races.c.ruleset == rules,
+            *([races.c.rated] if rated else []),
+        )
+        texts = connection.execute(query).one()
+        pieces += [_unpacked(text, cars) for cars, text in enumerate(texts, 1) if text]
+    return _stacked(pieces, max(last, since), voided or 0)
+
+
+def _unpacked(text: str, cars: int) -> np.ndarray:
+    row = [("heat", ">u4"), ("half", "u1"), ("entries", ">u4", (cars,)), ("places", "u1", (cars,))]
+    return np.frombuffer(bytes.fromhex(text), dtype=row)
+
+
+def _stacked(pieces: list[np.ndarray], last: int, voided: int) -> Races:
+    total = sum(len(piece) for piece in pieces)
+    cars = max((piece["entries"].shape[1] for piece in pieces), default=2)
+    heat, half = np.empty(total, np.int64), np.empty(total, np.uint8)
+    entries, places = np.full((total, cars), -1, np.int32), np.zeros((total, cars), np.uint8)
+    start = 0
+    for piece in pieces:
+        end, width = start + len(piece), piece["entries"].shape[1]
+        heat[start:end], half[start:end] = piece["heat"], piece["half"]
+        entries[start:end, :width], places[start:end, :width] = piece["entries"], piece["places"]
+        start = end
+    return Races(heat, half, entries, places, last, voided)

@@ -1,0 +1,13 @@
+"""Tells Alembic which connection and which tables; the store runs it, and so may a developer."""
+
+from alembic import context
+
+from league.matchmaking.store.schema import metadata
+
+context.configure(
+    connection=context.config.attributes["connection"],
+    target_metadata=metadata,
+    render_as_batch=True,
+)
+with context.begin_transaction():
+    context.run_migrations()

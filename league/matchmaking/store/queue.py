@@ -1,0 +1,295 @@
+"""The queue of heats: planned, claimed with a lease, kept alive, failed, reaped.
+
+Functions of a connection within a transaction; store.py owns the transactions.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import sqlalchemy as sa
+
+from league.errors import StoreError
+from league.matchmaking.keys import Half, Heat, Purpose
+from league.matchmaking.store import diary
+from league.matchmaking.store.database import insert_new
+from league.matchmaking.store.records import Claim, HeatRecord, HeatState
+from league.matchmaking.store.schema import entries, heat_entries, heats, results, rulesets
+
+ATTEMPTS = 3
+"""Tries before a heat is marked as an error."""
+PRIORITY: dict[Purpose, int] = {"validation": 0, "gauntlet": 1, "rated": 2, "audit": 3}
+"""What is claimed first: small numbers."""
+TRACEBACK_CHARS = 8000
+"""Kept of a traceback, its end."""
+OVER = ("done", "quarantined")
+"""States in which a heat's seeds are public."""
+
+
+def plan(connection: sa.Connection, now: float, planned: Sequence[Heat]) -> int:
+    """Add heats to the queue; those that were ever planned before are left out."""
+    if not planned:
+        return 0
+    ruleset_of = dict(connection.execute(sa.select(rulesets.c.hash, rulesets.c.number)).all())
+    number_of = entry_numbers(connection, {entry for heat in planned for entry in heat.entries})
+    audited = _numbers(connection, [heat.audits for heat in planned if heat.audits])
+    rows = []
+    for heat in planned:
+        if heat.ruleset not in ruleset_of:
+            raise StoreError(
+                f"a heat under the ruleset {heat.ruleset[:12]} was planned, which this league does "
+                "not have: set the league's ruleset first"
+            )
+        if heat.audits and heat.audits not in audited:
+            raise StoreError(
+                f"an audit of heat {heat.audits[:12]} was planned, which has no results here: "
+                "audit a heat that is done"
+            )
+        halves = [[half.track, [number_of[entry] for entry in half.grid]] for half in heat.halves]
+        rows.append(
+            {
+                "key": heat.key,
+                "ruleset": ruleset_of[heat.ruleset],
+                "purpose": heat.purpose,
+                "priority": PRIORITY[heat.purpose],
+                "halves": json.dumps(halves, separators=(",", ":")),
+                "draw": heat.draw,
+                "audits": audited.get(heat.audits),
+                "state": "planned",
+                "attempts": 0,
+                "traceback": "",
+                "created_s": now,
+            }
+        )
+    before = connection.scalar(sa.select(sa.func.coalesce(sa.func.max(heats.c.number), 0)))
+    connection.execute(insert_new(connection, heats), rows)
+    added = {
+        row.key: row.number
+        for row in chunked(
+            connection,
+            sa.select(heats.c.key, heats.c.number).where(heats.c.number > before),
+            heats.c.key,
+            [heat.key for heat in planned],
+        )
+    }
+    links = [
+        {"heat": added[heat.key], "entry": number_of[entry]}
+        for heat in {heat.key: heat for heat in planned}.values()
+        if heat.key in added
+        for entry in heat.entries
+    ]
+    if links:
+        connection.execute(insert_new(connection, heat_entries), links)
+        diary.note(connection, now, "league", "plan", "", heats=len(added))
+    return len(added)
+
+
+def claim(
+    connection: sa.Connection, now: float, secret: bytes, worker: str, limit: int, lease_s: float
+) -> list[Claim]:
+    """Lend up to `limit` heats to a worker; heats whose lease has ended are first taken back."""
+    reap(connection, now)
+    wanted = (
+        sa.select(heats.c.number)
+        .where(heats.c.state == "planned")
+        .order_by(heats.c.priority, heats.c.number)
+        .limit(limit)
+        .with_for_update(skip_locked=True)
+    )
+    numbers = list(connection.scalars(wanted))
+    if not numbers:
+        return []
+    connection.execute(
+        heats.update()
+        .where(heats.c.number.in_(numbers))
+        .values(
+            state="claimed",
+            worker=worker,
+            lease_s=now + lease_s,
+            attempts=heats.c.attempts + 1,
+        )
+    )
+    diary.note(connection, now, worker, "claim", "", heats=numbers)
+    lent = read(connection, heats.c.number.in_(numbers), secret)
+    return [
+        Claim(
+            heat=record.heat,
+            number=record.number,
+            seeds=record.heat.seeds(secret),
+            attempt=record.attempts,
+            lease_s=now + lease_s,
+        )
+        for record in sorted(lent, key=lambda one: numbers.index(one.number))
+    ]
+
+
+def heartbeat(connection: sa.Connection, now: float, worker: str, lease_s: float) -> list[str]:
+    """Renew all leases of a worker that have not been taken back; return their heats' keys."""
+    held = sa.select(heats.c.number, heats.c.key).where(
+        heats.c.state == "claimed", heats.c.worker == worker, heats.c.lease_s >= now
+    )
+    # A row that is locked is being completed: it needs no lease any more.
+    rows = connection.execute(held.with_for_update(skip_locked=True)).all()
+    if rows:
+        connection.execute(
+            heats.update()
+            .where(heats.c.number.in_([row.number for row in rows]))
+            .values(lease_s=now + lease_s)
+        )
+    return [row.key for row in rows]
+
+
+def fail(connection: sa.Connection, now: float, worker: str, key: str, traceback: str) -> HeatState:
+    """Take a heat back from a worker who could not race it; return its state.
+
+    A worker who has lost the lease changes nothing: its try was counted when the lease ended.
+    """
+    found = connection.execute(
+        sa.select(heats.c.number, heats.c.state, heats.c.worker, heats.c.attempts)
+        .where(heats.c.key == key)
+        .with_for_update()
+    ).one_or_none()
+    if found is None:
+        raise StoreError(f"there is no heat {key[:12]!r} in this league: give a key it planned")
+    text = traceback.replace("\x00", "?")[-TRACEBACK_CHARS:]
+    diary.note(connection, now, worker, "fail", key, attempt=found.attempts, traceback=text[-500:])
+    if found.state != "claimed" or found.worker != worker:
+        return found.state
+    state: HeatState = "planned" if found.attempts < ATTEMPTS else "error"
+    connection.execute(
+        heats.update()
+        .where(heats.c.number == found.number)
+        .values(state=state, lease_s=None, traceback=text)
+    )
+    return state
+
+
+def reap(connection: sa.Connection, now: float) -> int:
+    """Take back the heats whose lease has ended; return how many."""
+    ended = (
+        sa.select(heats.c.number, heats.c.attempts, heats.c.worker, heats.c.traceback)
+        .where(heats.c.lease_s < now, heats.c.state == "claimed")
+        .order_by(heats.c.number)
+        .with_for_update(skip_locked=True)
+    )
+    rows = connection.execute(ended).all()
+    for row in rows:
+        lost = f"worker {row.worker} gave no sign until its lease ended (try {row.attempts})"
+        connection.execute(
+            heats.update()
+            .where(heats.c.number == row.number)
+            .values(
+                state="planned" if row.attempts < ATTEMPTS else "error",
+                lease_s=None,
+                traceback=f"{row.traceback}\n{lost}".strip()[-TRACEBACK_CHARS:],
+            )
+        )
+        diary.note(connection, now, "league", "reap", str(row.number), worker=row.worker)
+    return len(rows)
+
+
+def retry(connection: sa.Connection, now: float, key: str) -> bool:
+    """Put a heat that ended as an error or was cancelled back into the queue."""
+    changed = connection.execute(
+        heats.update()
+        .where(heats.c.key == key, heats.c.state.in_(("error", "cancelled")))
+        .values(state="planned", attempts=0)
+    ).rowcount
+    if changed:
+        diary.note(connection, now, "league", "retry", key)
+    return bool(changed)
+
+
+def cancel(connection: sa.Connection, now: float, entry: int) -> int:
+    """Take the waiting heats of an entry out of the queue; return how many."""
+    theirs = sa.select(heat_entries.c.heat).where(heat_entries.c.entry == entry)
+    changed = connection.execute(
+        heats.update()
+        .where(heats.c.state == "planned", heats.c.number.in_(theirs))
+        .values(state="cancelled")
+    ).rowcount
+    if changed:
+        diary.note(connection, now, "league", "cancel", str(entry), heats=changed)
+    return changed
+
+
+def read(
+    connection: sa.Connection,
+    where: sa.ColumnElement[bool],
+    secret: bytes,
+    limit: int | None = None,
+) -> list[HeatRecord]:
+    """Return what is known about some heats, by number."""
+    audited = heats.alias("audited")
+    query = (
+        sa.select(heats, rulesets.c.hash.label("rules"), audited.c.key.label("audited_key"))
+        .join(rulesets, rulesets.c.number == heats.c.ruleset)
+        .outerjoin(audited, audited.c.number == heats.c.audits)
+        .where(where)
+        .order_by(heats.c.number)
+        .limit(limit)
+    )
+    rows = connection.execute(query).all()
+    drawn = [json.loads(row.halves) for row in rows]
+    numbers = {number for halves in drawn for _, grid in halves for number in grid}
+    found = chunked(
+        connection, sa.select(entries.c.number, entries.c.id), entries.c.number, sorted(numbers)
+    )
+    id_of = {row.number: row.id for row in found}
+    return [_record(row, halves, id_of, secret) for row, halves in zip(rows, drawn, strict=True)]
+
+
+def _record(row: Any, halves: list, id_of: dict[int, str], secret: bytes) -> HeatRecord:  # noqa: ANN401
+    heat = Heat(
+        ruleset=row.rules,
+        halves=tuple(Half(track, tuple(id_of[n] for n in grid)) for track, grid in halves),
+        draw=row.draw,
+        purpose=row.purpose,
+        audits=row.audited_key or "",
+    )
+    return HeatRecord(
+        heat=heat,
+        number=row.number,
+        state=row.state,
+        worker=row.worker,
+        attempts=row.attempts,
+        traceback=row.traceback,
+        seeds=heat.seeds(secret) if row.state in OVER else None,
+        created_s=row.created_s,
+        done_s=row.done_s,
+    )
+
+
+def entry_numbers(connection: sa.Connection, ids: Iterable[str]) -> dict[str, int]:
+    """Return the numbers of entries; StoreError names one that the league does not have."""
+    wanted = sorted(set(ids))
+    query = sa.select(entries.c.id, entries.c.number)
+    number_of = {row.id: row.number for row in chunked(connection, query, entries.c.id, wanted)}
+    missing = [entry for entry in wanted if entry not in number_of]
+    if missing:
+        raise StoreError(
+            f"there is no entry {missing[0][:12]!r} in this league: submit it before it is raced"
+        )
+    return number_of
+
+
+def chunked(
+    connection: sa.Connection,
+    query: Any,  # noqa: ANN401
+    column: sa.ColumnElement[Any],
+    values: list[Any],
+) -> list[Any]:
+    """Return the rows in which a column has one of many values, asking for 5,000 at a time."""
+    rows: list[Any] = []
+    for start in range(0, len(values), 5000):  # SQLite allows 32,766 parameters
+        rows += connection.execute(query.where(column.in_(values[start : start + 5000]))).all()
+    return rows
+
+
+def _numbers(connection: sa.Connection, keys: list[str]) -> dict[str, int]:
+    """Return the numbers of heats that have results, by key."""
+    has = sa.exists().where(results.c.heat == heats.c.number)
+    query = sa.select(heats.c.key, heats.c.number).where(has)
+    return {row.key: row.number for row in chunked(connection, query, heats.c.key, keys)}

@@ -1,0 +1,258 @@
+"""The learner: rsl-rl's PPO on our worlds, one update at a time, with schedules and save points."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from rsl_rl.algorithms import PPO
+from rsl_rl.models import MLPModel
+from rsl_rl.modules.distribution import GaussianDistribution
+from rsl_rl.runners import OnPolicyRunner
+from torch import Tensor
+
+from league.agents import network
+from league.envs.vec_env import RacingVecEnv
+from league.errors import PolicyError
+from league.training import mirror
+from league.training.episodes import Episodes
+from league.training.models import actor_settings
+from league.training.scale import ReturnScale
+from league.training.settings import TrainConfig
+from league.whole_file import replacing
+
+STATE_FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Update:
+    """What one round of collecting and learning brought."""
+
+    number: int
+    """Updates so far, this one included."""
+    samples: int
+    """Decisions learnt from so far."""
+    collect_s: float
+    """Wall time of collecting [s]."""
+    learn_s: float
+    """Wall time of learning [s]."""
+    reward: float
+    """Mean reward of a step."""
+    losses: dict[str, float]
+    """Mean losses by rsl-rl's names."""
+    log: dict[str, float]
+    """Means of the worlds' log over the steps."""
+
+
+class Learner:
+    """PPO with its worlds; what it has learnt can be taken out, saved and gone on from."""
+
+    def __init__(self, env: RacingVecEnv, cfg: TrainConfig) -> None:
+        """Build networks and storage.
+
+        Args:
+            env: the worlds, with pictures as bytes.
+            cfg: settings of the run.
+        """
+        self.env, self.cfg = env, cfg
+        # rsl-rl draws weights and exploration from torch's global generator.
+        torch.manual_seed(cfg.seed)
+        with contextlib.redirect_stdout(io.StringIO()):  # it prints its networks
+            self.runner = OnPolicyRunner(env, _runner_settings(cfg), None, cfg.device)
+        self._alg: PPO = self.runner.alg
+        self._mirroring = None
+        if cfg.mirror and mirror.applies(cfg.sensors, cfg.action_space):
+            self._mirroring = mirror.Mirroring(
+                cfg.sensors, cfg.action_space, cfg.ppo.mini_batches
+            )
+            self._alg.symmetry = self._mirroring  # type: ignore
+        self.episodes = Episodes(env.num_envs)
+        self._scale = ReturnScale(env.num_envs, cfg.ppo.gamma, cfg.device)
+        self.updates = self.samples = 0
+        self._obs = env.get_observations()
+
+    @property
+    def device(self) -> str:
+        """Where the networks live."""
+        return self.cfg.device
+
+    def weights(self) -> dict[str, Tensor]:
+        """Return the actor's weights as copies."""
+        return network.from_learner(self._alg.get_policy().state_dict())
+
+    def begin(self, weights: dict[str, Tensor]) -> None:
+        """Start from the weights of another policy of the same shape.
+
+        Raises:
+            PolicyError: the layers differ.
+        """
+        own = self._alg.get_policy().state_dict()
+        mine = {name: value for name, value in own.items() if name in self.weights()}
+        if {n: v.shape for n, v in mine.items()} != {n: v.shape for n, v in weights.items()}:
+            raise PolicyError(
+                "the policy to begin from has other layers, sensors or actions than this run: "
+                "give the run the same, or begin anew"
+            )
+        self._alg.get_policy().load_state_dict({**own, **weights})
+
+    def update(self, share: float) -> Update:
+        """Collect one round of steps and learn from it.
+
+        Args:
+            share: share of the budget that is used up, 0 to 1, for the schedules.
+        """
+        self._schedule(share)
+        self._alg.train_mode()
+        started = time.perf_counter()
+        reward, log = self._collect()
+        collected = time.perf_counter()
+        with torch.inference_mode():
+            self._alg.compute_returns(self._obs)
+        if self._mirroring is not None:
+            self._mirroring.restart()
+        losses = self._alg.update()
+        self.updates += 1
+        self.samples += self.env.num_envs * self.cfg.ppo.steps
+        if self.updates % self.cfg.save_every == 0:
+            self._start_rows_anew()
+        return Update(
+            number=self.updates,
+            samples=self.samples,
+            collect_s=collected - started,
+            learn_s=time.perf_counter() - collected,
+            reward=reward,
+            losses=losses,
+            log=log,
+        )
+
+    @property
+    def at_save_point(self) -> bool:
+        """Whether a run that goes on from here ends as one that was never interrupted."""
+        return self.updates % self.cfg.save_every == 0
+
+    def save(self, path: Path, notes: dict[str, object]) -> None:
+        """Write all that is needed to go on: networks, optimiser, generator, counts, notes."""
+        state = self._alg.save() | {
+            "format": STATE_FORMAT,
+            "updates": self.updates,
+            "samples": self.samples,
+            "scale": self._scale.state(),
+            "generator": torch.get_rng_state(),
+            "notes": notes,
+        }
+        with replacing(path, "the learner's state", PolicyError) as file, open(file, "wb") as out:
+            torch.save(state, out)
+
+    def restore(self, path: Path) -> dict:
+        """Go on from a saved state; return its notes.
+
+        The file is this user's own, and is read weights-only all the same.
+
+        Raises:
+            PolicyError: it is no state, or one of another network.
+        """
+        try:
+            state = torch.load(path, weights_only=True, map_location=self.cfg.device)
+            if state["format"] != STATE_FORMAT:
+                raise KeyError(state["format"])
+            self._alg.load(state, None, True)
+            self.updates, self.samples = int(state["updates"]), int(state["samples"])
+            self._scale.restore(state["scale"])
+            torch.set_rng_state(state["generator"].cpu())
+            notes = dict(state["notes"])
+        except (OSError, KeyError, TypeError, ValueError, RuntimeError, EOFError) as error:
+            raise PolicyError(
+                f"{path} cannot be gone on from ({type(error).__name__}): give the run the "
+                "settings it was begun with, or begin anew with another --out"
+            ) from None
+        self._start_rows_anew()
+        return notes
+
+    def _start_rows_anew(self) -> None:
+        """Begin all episodes anew, from a seed that only the number of updates decides."""
+        with torch.inference_mode():
+            seed = self.cfg.seed * 1_000_003 + self.updates
+            self._obs = self.env.reset(seed)
+        self.episodes.restart()
+        self._scale.restart()
+
+    def _collect(self) -> tuple[float, dict[str, float]]:
+        paid, sums = 0.0, {}
+        with torch.inference_mode():
+            for _ in range(self.cfg.ppo.steps):
+                actions = self._alg.act(self._obs)
+                self._obs, rewards, dones, extras = self.env.step(actions)
+                scaled = self._scale.scaled(rewards, dones)
+                self._alg.process_env_step(self._obs, scaled, dones, extras)
+                self.episodes.add(rewards, dones, extras)
+                paid += float(rewards.mean())
+                for name, value in extras["log"].items():
+                    sums[name] = sums.get(name, 0.0) + float(value)
+        steps = self.cfg.ppo.steps
+        return paid / steps, {name: value / steps for name, value in sums.items()}
+
+    def _schedule(self, share: float) -> None:
+        ppo, share = self.cfg.ppo, min(max(share, 0.0), 1.0)
+        first, last = ppo.learning_rate
+        rate = first * (last / first) ** share
+        self._alg.learning_rate = rate
+        for group in self._alg.optimizer.param_groups:
+            group["lr"] = rate
+        spread = self._alg.get_policy().distribution
+        if isinstance(spread, GaussianDistribution):
+            noise = ppo.noise[0] * (ppo.noise[1] / ppo.noise[0]) ** share
+            with torch.no_grad():
+                spread.log_std_param.fill_(noise).log_()
+        else:
+            self._alg.entropy_coef = ppo.entropy[0] + share * (ppo.entropy[1] - ppo.entropy[0])
+
+
+@contextlib.contextmanager
+def threads(number: int | None) -> Iterator[None]:
+    """Have torch compute with some threads; waiting ones must not spin (OMP_WAIT_POLICY)."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(number or min(2, os.cpu_count() or 1))
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def _runner_settings(cfg: TrainConfig) -> dict:
+    ppo = cfg.ppo
+    groups = list(network.group_shapes(cfg.sensors))
+    return {
+        "num_steps_per_env": ppo.steps,
+        "save_interval": 1,
+        "obs_groups": {"actor": groups, "critic": ["state"]},
+        "actor": actor_settings(
+            cfg.network, cfg.action_space, "stereo" in groups, ppo.noise[0]
+        ),
+        "critic": {
+            "class_name": MLPModel,
+            "hidden_dims": list(cfg.critic_hidden),
+            "activation": "elu",
+            "obs_normalization": True,
+        },
+        "algorithm": {
+            "class_name": PPO,
+            "num_learning_epochs": ppo.epochs,
+            "num_mini_batches": ppo.mini_batches,
+            "learning_rate": ppo.learning_rate[0],
+            "schedule": "fixed",
+            "gamma": ppo.gamma,
+            "lam": ppo.lam,
+            "clip_param": ppo.clip,
+            "entropy_coef": 0.0,
+            "value_loss_coef": ppo.value_weight,
+            "max_grad_norm": ppo.max_gradient,
+            # Returns are not of order 1, and a clipped critic lags far behind them.
+            "use_clipped_value_loss": ppo.value_clip,
+        },
+    }

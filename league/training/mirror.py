@@ -1,0 +1,113 @@
+"""Left and right swapped: what a car would be told, and do, on the mirrored track."""
+
+from __future__ import annotations
+
+import torch
+from rsl_rl.storage import RolloutStorage
+from tensordict import TensorDict
+from torch import Tensor
+
+from league.envs.action_space import ActionSpace
+from league.envs.observations import MOTION_FIELDS
+from league.envs.state import FIELDS
+from league.sim.config import SensorConfig
+
+_SIDEWAYS = ("lateral", "heading_error", "speed_left", "yaw_rate", "steering", "last_steering")
+
+
+def motion(group: Tensor) -> Tensor:
+    """Return the `motion` group of the mirrored car."""
+    return group * _signs(MOTION_FIELDS, group)
+
+
+def state(group: Tensor) -> Tensor:
+    """Return the `state` group of the mirrored car."""
+    flipped = group * _signs(FIELDS, group)
+    left, right = FIELDS.index("left"), FIELDS.index("right")
+    order = list(range(len(FIELDS)))
+    order[left], order[right] = right, left
+    return flipped[:, order]
+
+
+def stereo(group: Tensor, num_eyes: int) -> Tensor:
+    """Return the pictures of the mirrored car: each flipped, and the eyes swapped."""
+    rows, channels, height, width = group.shape
+    eyes = group.reshape(rows, num_eyes, channels // num_eyes, height, width)
+    return eyes.flip((1, 4)).reshape(group.shape)
+
+
+def lidar(group: Tensor, beams: int) -> Tensor:
+    """Return the scan of the mirrored car: beams, or sectors of several numbers, in reverse."""
+    rows, size = group.shape
+    return group.reshape(rows, beams, size // beams).flip(1).reshape(rows, size)
+
+
+def observations(told: TensorDict, sensors: SensorConfig) -> TensorDict:
+    """Return all groups of the mirrored car.
+
+    A single left eye is not the mirror image of anything a car sees, so such cars do not learn from
+    mirror images (see `applies`).
+    """
+    mirrored: dict[str, Tensor] = {}
+    for name in told.keys():  # noqa: SIM118 (a TensorDict iterates over rows)
+        group = told[name]
+        if name == "stereo":
+            assert sensors.camera is not None
+            mirrored[name] = stereo(group, sensors.camera.num_eyes)
+        elif name == "lidar":
+            assert sensors.lidar is not None
+            form = sensors.lidar
+            mirrored[name] = lidar(group, form.beams if form.form == "ranges" else form.sectors)
+        else:
+            mirrored[name] = {"motion": motion, "state": state}[name](group)
+    return TensorDict(mirrored, batch_size=told.batch_size, device=told.device)
+
+
+def applies(sensors: SensorConfig, space: ActionSpace) -> bool:
+    """Return whether a car with these sensors and actions has a mirror image."""
+    one_sided = sensors.camera is not None and sensors.camera.eyes == "left"
+    return space.is_mirrored and not one_sided
+
+
+class Mirroring:
+    """rsl-rl's symmetry extension at no cost: every second mini-batch is mirrored, not doubled.
+
+    Mittal et al., "Symmetry Considerations for Learning Task Symmetric Robot Policies" (ICRA 2024),
+    append the mirror images to each mini-batch, which doubles the cost of an update; half of them
+    mirrored learns as much from a sample at the cost of none (docs/training.md).
+    """
+
+    use_mirror_loss = False
+
+    def __init__(self, sensors: SensorConfig, space: ActionSpace, mini_batches: int) -> None:
+        """Remember what is mirrored, and how many mini-batches make an epoch."""
+        self._sensors, self._space = sensors, space
+        self._mini_batches, self._count = mini_batches, 0
+
+    def restart(self) -> None:
+        """Begin with the first mini-batch of an update."""
+        self._count = 0
+
+    def augment_batch(self, batch: RolloutStorage.Batch, original_batch_size: int) -> None:
+        """Mirror a mini-batch in place, if it is its turn."""
+        epoch, part = divmod(self._count, self._mini_batches)
+        self._count += 1
+        # Epochs see the same parts in the same order; turns differ, so each is seen both ways.
+        if (epoch + part) % 2 == 0:
+            return
+        batch.observations = observations(batch.observations, self._sensors)  # type: ignore
+        batch.actions = self._space.mirror(batch.actions)  # type: ignore
+        first, *rest = batch.old_distribution_params  # type: ignore
+        batch.old_distribution_params = (self._space.mirror(first), *rest)
+
+    def compute_loss(self, actor: object, batch: object, original_batch_size: int) -> Tensor:
+        """Return 0: there is no loss besides the mirrored samples."""
+        return torch.zeros(())
+
+
+def _signs(names: tuple[str, ...], like: Tensor) -> Tensor:
+    sideways = [
+        name in _SIDEWAYS or name.startswith("curvature") or name.endswith("_lateral")
+        for name in names
+    ]
+    return torch.where(torch.tensor(sideways, device=like.device), -1.0, 1.0)

@@ -1,0 +1,129 @@
+"""What rsl-rl learns with: an actor that takes pictures as bytes, and choices from a list."""
+
+from __future__ import annotations
+
+import torch
+from rsl_rl.models import CNNModel, MLPModel
+from rsl_rl.modules.distribution import Distribution
+from tensordict import TensorDict
+from torch import Tensor, nn
+
+from league.agents.network import NetworkConfig
+from league.envs.action_space import ActionSpace, ContinuousActions
+
+
+
+class ByteCNNModel(CNNModel):
+    """A CNNModel whose pictures are bytes, a quarter of the memory traffic of floats."""
+
+    def get_latent(self, obs: TensorDict, masks=None, hidden_state=None) -> Tensor:  # noqa: ANN001
+        """Return what the convolutions make of the pictures, after what is told as numbers."""
+        parts = []
+        if self.obs_groups:
+            flat = torch.cat([obs[group] for group in self.obs_groups], dim=-1)
+            parts.append(self.obs_normalizer(flat))
+        for group in self.obs_groups_2d:
+            picture = obs[group]
+            if picture.dtype == torch.uint8:
+                picture = picture.to(torch.float32) / 255.0
+            parts.append(self.cnns[group](picture))
+        return torch.cat(parts, dim=-1)
+
+
+class Categorical(Distribution):
+    """Chooses from a list by scores; a choice is told as one-hot, (num_rows, size)."""
+
+    def __init__(self, output_dim: int) -> None:
+        """Remember how many choices there are."""
+        super().__init__(output_dim)
+        self._logits: Tensor | None = None
+
+    def update(self, mlp_output: Tensor) -> None:
+        """Take the scores, and normalise them into log probabilities."""
+        self._logits = torch.log_softmax(mlp_output, dim=-1)
+
+    def sample(self) -> Tensor:
+        """Draw a choice for each row."""
+        chosen = torch.multinomial(self._scores.exp(), 1)
+        return torch.zeros_like(self._scores).scatter_(1, chosen, 1.0)
+
+    def deterministic_output(self, mlp_output: Tensor) -> Tensor:
+        """Return the scores: the best one is what is asked for."""
+        return mlp_output
+
+    def as_deterministic_output_module(self) -> nn.Module:
+        """Return a module that leaves the scores as they are."""
+        return nn.Identity()
+
+    @property
+    def _scores(self) -> Tensor:
+        assert self._logits is not None
+        return self._logits
+
+    @property
+    def input_dim(self) -> int:
+        """Scores that the network must answer with."""
+        return self.output_dim
+
+    @property
+    def mean(self) -> Tensor:
+        """Probabilities of the choices."""
+        return self._scores.exp()
+
+    @property
+    def std(self) -> Tensor:
+        """Standard deviation of each choice's indicator."""
+        share = self._scores.exp()
+        return (share * (1.0 - share)).sqrt()
+
+    @property
+    def entropy(self) -> Tensor:
+        """Entropy of each row [nat], (num_rows,)."""
+        return -(self._scores.exp() * self._scores).sum(dim=-1)
+
+    @property
+    def params(self) -> tuple[Tensor, ...]:
+        """Log probabilities."""
+        return (self._scores,)
+
+    def log_prob(self, outputs: Tensor) -> Tensor:
+        """Return the log probability of choices told as one-hot, (num_rows,)."""
+        return (outputs * self._scores).sum(dim=-1)
+
+    def kl_divergence(
+        self, old_params: tuple[Tensor, ...], new_params: tuple[Tensor, ...]
+    ) -> Tensor:
+        """Return KL(old || new) of each row [nat]."""
+        (old,), (new,) = old_params, new_params
+        return (old.exp() * (old - new)).sum(dim=-1)
+
+
+def actor_settings(
+    network: NetworkConfig, space: ActionSpace, pictures: bool, noise: float
+) -> dict[str, object]:
+    """Return rsl-rl's settings of an actor with these layers."""
+    if isinstance(space, ContinuousActions):
+        distribution: dict[str, object] = {
+            "class_name": "rsl_rl.modules.distribution:GaussianDistribution",
+            "init_std": noise,
+            "std_type": "log",
+            # Set by a schedule: left to the gradient it falls too slowly to race at the edge.
+            "learn_std": False,
+        }
+    else:
+        distribution = {"class_name": Categorical}
+    settings: dict[str, object] = {
+        "class_name": ByteCNNModel if pictures else MLPModel,
+        "hidden_dims": list(network.hidden),
+        "activation": network.activation,
+        "obs_normalization": network.normalise,
+        "distribution_cfg": distribution,
+    }
+    if pictures:
+        settings["cnn_cfg"] = {
+            "output_channels": list(network.channels),
+            "kernel_size": list(network.kernels),
+            "stride": list(network.strides),
+            "activation": network.activation,
+        }
+    return settings

@@ -1,0 +1,70 @@
+"""The worlds a learner trains in, made from the settings of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from league.agents.driver import Driver
+from league.envs.config import EnvConfig
+from league.envs.rewards import Reward
+from league.envs.vec_env import RacingVecEnv
+from league.sim.config import ObstacleConfig, RaceRules, SimConfig, Spread
+from league.track.course import Track, TrackSet
+from league.training.settings import TrainConfig
+
+_ENDLESS = 1000
+"""Laps of a race in training: an episode is ended by a mistake or by time, not by the flag."""
+
+
+def env_config(cfg: TrainConfig) -> EnvConfig:
+    """Return the settings of the worlds."""
+    sim = SimConfig(
+        kind=cfg.kind,
+        num_cars=cfg.num_cars,
+        obstacles=ObstacleConfig(count=cfg.obstacles, kind="bot" if cfg.bots else "box"),
+        rules=RaceRules(laps=_ENDLESS),
+        spread=cfg.spread or Spread(),
+    )
+    return EnvConfig(
+        sim=sim,
+        solver="planar",
+        sensors=(cfg.sensors,) * cfg.num_cars,
+        camera_path="cv" if cfg.device == "cpu" else "ray",
+        looks=cfg.looks,
+        mode="training",
+        reward=cfg.reward,
+        episode_s=cfg.episode_s,
+    )
+
+
+def make(
+    tracks: TrackSet,
+    cfg: TrainConfig,
+    *,
+    opponents: Mapping[int, Driver | str] | None = None,
+    reward: Reward | None = None,
+) -> RacingVecEnv:
+    """Build the worlds: in each, car 0 learns and the others are driven."""
+    return RacingVecEnv(
+        tracks,
+        env_config(cfg),
+        num_worlds=cfg.num_worlds,
+        opponents=opponents,
+        action_space=cfg.action_space,
+        reward=reward,
+        as_bytes=True,
+        seed=cfg.seed,
+    )
+
+
+def courses(tracks: list[Track], both_directions: bool, device: str = "cpu") -> TrackSet:
+    """Return the set of courses, with each driven the other way round too if asked."""
+    if both_directions:
+        tracks = [way for track in tracks for way in (track, track.reversed())]
+    return TrackSet.of(*tracks).to(device) if device != "cpu" else TrackSet.of(*tracks)
+
+
+def with_seed(cfg: TrainConfig, seed: int) -> TrainConfig:
+    """Return the settings with another seed."""
+    return replace(cfg, seed=seed)

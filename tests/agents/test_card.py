@@ -1,0 +1,105 @@
+"""A card is data, checked; it says what a network needs and where it comes from."""
+
+import json
+
+import pytest
+from pydantic import ValidationError
+from trained import SENSES, make_card
+
+from league.agents.card import Card, Reward
+from league.agents.network import NetworkConfig
+from league.envs.action_space import ContinuousActions, grid
+from league.errors import ConfigError
+from league.sim.config import CameraConfig, LidarConfig, SensorConfig
+
+
+@pytest.mark.parametrize("senses", SENSES)
+@pytest.mark.parametrize("space", [ContinuousActions(-20, 20, 1, 2), grid(5, 30, 2, 3)])
+def test_a_card_survives_json(senses, space):
+    card = make_card(
+        senses,
+        action_space=space,
+        network=NetworkConfig(hidden=(64,), activation="relu"),
+        tracks=("peanut", "harbour_oval"),
+        reward=Reward(name="mine.py", sha256="a" * 64),
+        parents=("b" * 64,),
+        results={"best_lap_s": 9.25, "completion": 1.0, "laps": None},
+        command="league train --minutes 1",
+    )
+    again = Card.model_validate_json(card.model_dump_json(), strict=True)
+    assert again == card
+    assert again.sensor_config == SENSES[senses]
+    assert again.space == space
+
+
+def test_shapes_follow_from_sensors_space_and_network():
+    card = make_card("lidar", action_space=grid(5, 30, 2, 3), network=NetworkConfig(hidden=(8,)))
+    assert card.group_shapes == {"lidar": (64,), "motion": (5,)}
+    assert card.weight_shapes == {
+        "mlp.0.weight": (8, 69),
+        "mlp.0.bias": (8,),
+        "mlp.2.weight": (10, 8),
+        "mlp.2.bias": (10,),
+    }
+
+
+def test_a_card_cannot_be_changed():
+    with pytest.raises(ValidationError):
+        make_card().name = "another"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"format": 2},
+        {"name": ""},
+        {"name": "n" * 81},
+        {"name": "red\x1b[31m"},
+        {"command": "a\nb"},
+        {"command": "c" * 2001},
+        {"tracks": ["t"] * 257},
+        {"kind": "rally"},
+        {"reward": {"name": "x", "sha256": "short"}},
+        {"parents": ["Z" * 64]},
+        {"created": "yesterday"},
+        {"steps": -1},
+        {"steps": True},
+        {"train_s": float("nan")},
+        {"results": {"lap": "fast"}},
+        {"results": {str(number): 1.0 for number in range(65)}},
+        {"surprise": 1},
+        {"sensors": {"camera": {"width": "48"}}},
+        {"sensors": {"camera": {"wide": 48}}},
+        {"sensors": {"camera": {"eyes": "third"}}},
+        {"sensors": {"radar": {}}},
+        {"action_space": {}, "network": {"layers": 3}},
+        {"action_space": {"choices": [[0, 1, 2], [0, 1, 2]]}},
+    ],
+)
+def test_what_a_card_cannot_hold_is_refused(change):
+    given = {**json.loads(make_card().model_dump_json()), **change}
+    with pytest.raises(ValidationError):
+        Card.model_validate_json(json.dumps(given), strict=True)
+
+
+@pytest.mark.parametrize(
+    "sensors",
+    [
+        SensorConfig(camera=CameraConfig(up=3.0)),
+        SensorConfig(camera=CameraConfig(forward=-0.5)),
+        SensorConfig(camera=CameraConfig(width=1920, height=1080)),
+        SensorConfig(lidar=LidarConfig(half_angle=7.0)),
+        SensorConfig(lidar=LidarConfig(max_range=1e6)),
+        SensorConfig(lidar=LidarConfig(noise=float("nan"))),
+    ],
+)
+def test_sensors_no_car_can_carry_are_refused(sensors):
+    with pytest.raises(ValidationError):
+        make_card(sensors=sensors)
+
+
+def test_settings_that_contradict_each_other_are_told_as_everywhere():
+    with pytest.raises(ConfigError, match="low must lie below high"):
+        Card.model_validate(
+            {"name": "x", "sensors": {}, "action_space": {"steering_low": 9, "steering_high": 3}}
+        )

@@ -1,0 +1,83 @@
+"""The ONNX file answers what the policy answers, in degrees and metres per second."""
+
+import json
+from typing import get_args
+
+import onnx
+import onnxruntime
+import pytest
+import torch
+from trained import SENSES, make_checkpoint, told
+
+from league.agents.card import Card
+from league.agents.export import to_onnx
+from league.agents.network import Activation, NetworkConfig
+from league.agents.policy import Policy
+from league.envs.action_space import ContinuousActions, grid
+from league.errors import PolicyError
+from league.sim.config import CarConfig
+
+
+def answers(path, groups) -> tuple[torch.Tensor, torch.Tensor]:
+    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    given = {name: group.numpy() for name, group in groups.items()}
+    actions, outputs = session.run(["actions", "outputs"], given)
+    return torch.tensor(actions), torch.tensor(outputs)
+
+
+def check(trained, path) -> None:
+    to_onnx(trained, path)
+    for rows in (1, 7):
+        groups = told(trained.card, rows)
+        actions, outputs = answers(path, groups)
+        expected = Policy(trained, CarConfig()).outputs(groups)
+        torch.testing.assert_close(outputs, expected, rtol=0, atol=1e-5)
+        asked = torch.stack(trained.card.space.controls(expected), dim=1)
+        torch.testing.assert_close(actions, asked, rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("senses", SENSES)
+@pytest.mark.parametrize("space", [ContinuousActions(-20, 25, 0.5, 3), grid(5, 30, 2, 3)])
+def test_onnxruntime_answers_what_torch_answers(tmp_path, senses, space):
+    check(make_checkpoint(senses, action_space=space), tmp_path / "a.onnx")
+
+
+@pytest.mark.parametrize("activation", get_args(Activation))
+def test_every_activation_is_exported(tmp_path, activation):
+    network = NetworkConfig(hidden=(32, 16), activation=activation)
+    check(make_checkpoint("stereo", network=network), tmp_path / "a.onnx")
+
+
+def test_an_answer_beyond_the_range_is_cut_off(tmp_path):
+    trained = make_checkpoint("blind", action_space=ContinuousActions(-20, 20, 1, 3))
+    trained.weights["mlp.2.weight"].zero_()
+    trained.weights["mlp.2.bias"][:] = torch.tensor([-7.0, 0.5])
+    to_onnx(trained, tmp_path / "a.onnx")
+    actions, outputs = answers(tmp_path / "a.onnx", told(trained.card, 1))
+    assert outputs.tolist() == [[-7.0, 0.5]]
+    assert actions.tolist() == [[-20.0, 2.5]]  # 1 + 1.5 / 2 * (3 - 1)
+
+
+def test_inputs_are_what_sensors_deliver_and_the_card_goes_with_them(tmp_path):
+    trained = make_checkpoint("all")
+    to_onnx(trained, tmp_path / "a.onnx")
+    model = onnx.load(str(tmp_path / "a.onnx"))
+    kinds = {one.name: one.type.tensor_type.elem_type for one in model.graph.input}
+    float32, uint8 = onnx.TensorProto.FLOAT, onnx.TensorProto.UINT8
+    assert kinds == {"stereo": uint8, "lidar": float32, "motion": float32}
+    about = {one.key: one.value for one in model.metadata_props}
+    assert Card.model_validate_json(about["card"]) == trained.card
+    assert about["digest"] == trained.digest
+    assert "deg" in json.loads(about["units"])["actions"]
+
+
+def test_the_same_checkpoint_gives_the_same_bytes(tmp_path):
+    for name in ("a", "b"):
+        to_onnx(make_checkpoint(), tmp_path / name)
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_a_place_that_cannot_be_written_is_told_in_one_sentence(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(PolicyError, match="ONNX file cannot be written"):
+        to_onnx(make_checkpoint("blind"), tmp_path / "file" / "a.onnx")

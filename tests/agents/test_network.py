@@ -1,0 +1,148 @@
+"""Our actor is rsl-rl's, layer by layer; its shapes follow from its settings."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from rsl_rl.models import CNNModel, MLPModel
+from tensordict import TensorDict
+from trained import SENSES
+
+from league.agents.network import (
+    Actor,
+    NetworkConfig,
+    from_learner,
+    group_shapes,
+    weight_shapes,
+)
+from league.errors import ConfigError
+from league.sim.config import CameraConfig, LidarConfig, SensorConfig
+
+SPREAD = {
+    "class_name": "rsl_rl.modules.distribution:GaussianDistribution",
+    "init_std": 1.0,
+    "std_type": "scalar",
+}
+
+
+def learner(cfg: NetworkConfig, told: TensorDict) -> Any:
+    """Return rsl-rl's own actor with the same layers."""
+    groups = {"actor": [str(name) for name in told.keys()]}  # noqa: SIM118
+    layers: dict[str, Any] = {
+        "hidden_dims": list(cfg.hidden),
+        "activation": cfg.activation,
+        "obs_normalization": cfg.normalise,
+        "distribution_cfg": dict(SPREAD),
+    }
+    if "stereo" not in told.keys():  # noqa: SIM118
+        return MLPModel(told, groups, "actor", 2, **layers)
+    cnn = {
+        "output_channels": list(cfg.channels),
+        "kernel_size": list(cfg.kernels),
+        "stride": list(cfg.strides),
+        "activation": cfg.activation,
+    }
+    return CNNModel(told, groups, "actor", 2, cnn_cfg=cnn, **layers)
+
+
+def rows_of(senses: str, rows: int) -> TensorDict:
+    shapes = group_shapes(SENSES[senses])
+    return TensorDict({name: torch.rand(rows, *shape) for name, shape in shapes.items()}, [rows])
+
+
+@pytest.mark.parametrize("activation", ["elu", "swish", "lrelu"])
+@pytest.mark.parametrize("normalise", [False, True])
+@pytest.mark.parametrize("senses", SENSES)
+def test_the_actor_answers_what_the_learner_answers(senses, normalise, activation):
+    torch.manual_seed(3)
+    cfg = NetworkConfig(hidden=(64, 32), activation=activation, normalise=normalise)
+    told = rows_of(senses, 5)
+    theirs = learner(cfg, told)
+    if normalise:
+        theirs.train()
+        for _ in range(3):
+            theirs.obs_normalizer.update(3.0 * torch.rand(20, theirs.obs_dim) + 1.0)
+    theirs.eval()
+    ours = Actor(cfg, group_shapes(SENSES[senses]), 2)
+    ours.load_state_dict(from_learner(theirs.state_dict()))
+    with torch.no_grad():
+        assert torch.equal(ours(told), theirs(told))
+
+
+def test_only_what_drives_is_taken_from_the_learner():
+    cfg = NetworkConfig(normalise=True)
+    state = learner(cfg, rows_of("lidar", 2)).state_dict()
+    assert {"distribution.std_param", "obs_normalizer._var", "obs_normalizer.count"} <= set(state)
+    taken = from_learner(state)
+    assert set(taken) == set(weight_shapes(cfg, group_shapes(SENSES["lidar"]), 2))
+
+
+def test_what_is_taken_is_a_copy():
+    state = {"mlp.0.weight": torch.ones(2, 2)}
+    taken = from_learner(state)
+    state["mlp.0.weight"].zero_()
+    assert taken["mlp.0.weight"].sum() == 4
+
+
+@pytest.mark.parametrize("normalise", [False, True])
+@pytest.mark.parametrize("senses", SENSES)
+def test_shapes_by_arithmetic_are_those_of_the_layers(senses, normalise):
+    cfg, shapes = NetworkConfig(normalise=normalise), group_shapes(SENSES[senses])
+    built = Actor(cfg, shapes, 7).state_dict()
+    assert {name: tuple(weight.shape) for name, weight in built.items()} == weight_shapes(
+        cfg, shapes, 7
+    )
+
+
+def test_shapes_of_the_default_network_by_hand():
+    # 64x48: (48-5)//3+1 = 15 by (64-5)//3+1 = 20; then 7 by 9; then 3 by 4. 32*3*4 + 5 = 389.
+    shapes = group_shapes(SensorConfig(camera=CameraConfig(width=64, height=48)))
+    weights = weight_shapes(NetworkConfig(), shapes, 2)
+    assert weights["cnns.stereo.0.weight"] == (16, 2, 5, 5)
+    assert weights["mlp.0.weight"] == (128, 389)
+    assert weights["mlp.2.weight"] == (2, 128)
+    # 816 + 4640 + 9248 + 128*389 + 128 + 258
+    assert sum(math.prod(shape) for shape in weights.values()) == 64_882
+
+
+def test_groups_come_in_a_fixed_order():
+    assert list(group_shapes(SensorConfig.full())) == ["stereo", "lidar", "motion"]
+    sectors = LidarConfig(form="sectors", sectors=8)
+    assert group_shapes(SensorConfig(lidar=sectors)) == {"lidar": (8,), "motion": (5,)}
+
+
+def test_gradients_reach_every_weight():
+    told = rows_of("all", 4)
+    actor = Actor(NetworkConfig(), group_shapes(SENSES["all"]), 2)
+    actor(told).square().sum().backward()
+    grads = [weight.grad for weight in actor.parameters()]
+    assert all(grad is not None and float(grad.abs().sum()) > 0 for grad in grads)
+
+
+@pytest.mark.parametrize(
+    ("settings", "reason"),
+    [
+        ({"channels": (16, 32)}, "2 channels, 3 kernels"),
+        ({"hidden": ()}, "hidden are .*1 to 6 layers"),
+        ({"hidden": (1025,)}, "1 to 1024"),
+        ({"kernels": (5, 0, 3)}, "kernels"),
+        ({"activation": "os.system"}, "choose one of elu"),
+    ],
+)
+def test_layers_outside_the_closed_list_are_refused(settings, reason):
+    with pytest.raises(ConfigError, match=reason):
+        NetworkConfig(**settings)
+
+
+def test_a_picture_smaller_than_the_windows_is_refused():
+    shapes = group_shapes(SensorConfig(camera=CameraConfig(width=16, height=12)))
+    with pytest.raises(ConfigError, match="16x12 is too small for convolution 3"):
+        weight_shapes(NetworkConfig(), shapes, 2)
+
+
+def test_a_network_that_is_too_large_is_refused_before_it_is_built():
+    shapes = group_shapes(SensorConfig.full(640, 480))
+    with pytest.raises(ConfigError, match="at most 4000000"):
+        Actor(replace(NetworkConfig(), strides=(1, 1, 1), hidden=(1024,)), shapes, 2)

@@ -1,0 +1,33 @@
+"""A league's address in SQLite and in PostgreSQL: every test of the store runs on both."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+
+import postgres
+import pytest
+
+
+@pytest.fixture(scope="session")
+def postgres_server() -> Iterator[postgres.Server]:
+    """Return a scratch server; LEAGUE_NEEDS_POSTGRES=1 makes its absence a failure."""
+    if postgres.binaries() is None:
+        assert os.environ.get("LEAGUE_NEEDS_POSTGRES") != "1", "PostgreSQL is not installed"
+        pytest.skip("PostgreSQL is not installed: apt-get install postgresql")
+    with postgres.server() as server:
+        yield server
+
+
+@pytest.fixture
+def new_postgres(postgres_server: postgres.Server) -> Callable[[], str]:
+    """Return a factory of addresses of empty databases."""
+    return postgres_server.database
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def url(request: pytest.FixtureRequest, tmp_path) -> str:
+    """Return the address of a place for a league, where there is none yet."""
+    if request.param == "sqlite":
+        return f"sqlite:///{tmp_path / 'league.db'}"
+    return request.getfixturevalue("new_postgres")()

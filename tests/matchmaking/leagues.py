@@ -1,0 +1,69 @@
+"""Leagues for tests, and races that take no time: places follow from the seed alone."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+from league.matchmaking import store
+from league.matchmaking.keys import Half, Heat, Ruleset, mirrored
+
+TRACKS = ("ring", "square")
+RULES = Ruleset(tracks=TRACKS, laps=2)
+
+
+class Clock:
+    """A clock that the test turns by hand."""
+
+    def __init__(self) -> None:
+        self.now_s = 1000.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def founded(url: str, *, entries: int = 4, **settings) -> store.Store:
+    """Return a new league with entries e1, e2, ... of as many owners."""
+    league = store.create(url, name="test", ruleset=RULES, **settings)
+    for number in range(1, entries + 1):
+        league.submit(f"e{number}", f"owner {number}", weights=f"weights {number}".encode())
+    return league
+
+
+def duels(league: store.Store, count: int, *, first: int = 0) -> list[Heat]:
+    """Return that many rated heats of two entries each, round and round."""
+    ids = [entry.id for entry in league.entries()]
+    pairs = [(a, b) for a in ids for b in ids if a < b]
+    return [
+        mirrored(RULES.hash, TRACKS, pairs[draw % len(pairs)], draw)
+        for draw in range(first, first + count)
+    ]
+
+
+def race(seed: int, half: Half) -> store.RaceOutcome:
+    """Return what a deterministic race gives: who starts in front wins when the seed is even."""
+    cars = len(half.grid)
+    order = range(1, cars + 1) if seed % 2 == 0 else range(cars, 0, -1)
+    return store.RaceOutcome(tuple(order), {"seed": seed, "track": half.track, "race_s": 12.5})
+
+
+def raced(claims: Sequence[store.Claim]) -> list[store.Outcome]:
+    """Return the results of claimed heats."""
+    return [
+        store.Outcome(
+            claim.heat.key,
+            tuple(race(*told) for told in zip(claim.seeds, claim.heat.halves, strict=True)),
+        )
+        for claim in claims
+    ]
+
+
+def work(url: str, worker: str, block: int = 4, pause_s: float = 0.0) -> list[str]:
+    """Race until nothing is left to claim; return the keys this worker claimed."""
+    mine = []
+    with store.Store(url) as league:
+        while claims := league.claim(worker, block):
+            mine += [claim.heat.key for claim in claims]
+            time.sleep(pause_s)
+            league.complete(worker, raced(claims))
+    return mine

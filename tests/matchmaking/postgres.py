@@ -1,0 +1,117 @@
+"""A scratch PostgreSQL server for tests: its own folder, a free port, gone afterwards."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import pwd
+import shutil
+import signal
+import socket
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import psycopg
+
+START_S = 60
+
+
+def binaries() -> Path | None:
+    """Return the folder of PostgreSQL's programs, if they are installed."""
+    found = sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"), key=lambda p: p.parts[-3])
+    named = shutil.which("initdb")
+    if found:
+        return found[-1].parent
+    return Path(named).resolve().parent if named else None
+
+
+@contextmanager
+def server(*, durable: bool = False) -> Iterator[Server]:
+    """Start a server and stop it again; as another user when we are root, whom it refuses.
+
+    Args:
+        durable: write through to the disk, for measurements; tests need not.
+    """
+    programs = binaries()
+    assert programs is not None, "PostgreSQL is not installed"
+    who = _user()
+    folder = Path(tempfile.mkdtemp(prefix="league-postgres-"))
+    if who:
+        os.chown(folder, who["user"], who["group"])
+    try:
+        yield from _serve(programs, folder, who, durable)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+class Server:
+    """A running server; each call of `database` makes a new one in it."""
+
+    def __init__(self, port: int) -> None:
+        self.port = port
+        self._count = itertools.count()
+
+    def url(self, database: str) -> str:
+        return f"postgresql://league@127.0.0.1:{self.port}/{database}"
+
+    def database(self) -> str:
+        name = f"league_{next(self._count)}"
+        with psycopg.connect(self.url("postgres"), autocommit=True) as connection:
+            connection.execute(f"CREATE DATABASE {name}".encode())
+        return self.url(name)
+
+
+def _user() -> dict[str, Any]:
+    if os.geteuid() != 0:
+        return {}
+    known = {user.pw_name: user for user in pwd.getpwall()}
+    user = known.get("postgres") or known["nobody"]
+    return {"user": user.pw_uid, "group": user.pw_gid, "extra_groups": []}
+
+
+def _serve(programs: Path, folder: Path, who: dict[str, Any], durable: bool) -> Iterator[Server]:
+    files, quiet = folder / "files", {"cwd": folder, **who}
+    make = ["-D", files, "-U", "league", "-A", "trust", "-E", "UTF8", "--locale=C", "--no-sync"]
+    subprocess.run([programs / "initdb", *make], check=True, capture_output=True, **quiet)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    settings = {
+        "listen_addresses": "127.0.0.1",
+        "port": port,
+        "unix_socket_directories": folder,
+        "fsync": "on" if durable else "off",
+    }
+    told = [part for name, value in settings.items() for part in ("-c", f"{name}={value}")]
+    with (folder / "log").open("wb") as log:
+        running = subprocess.Popen(
+            [programs / "postgres", "-D", files, *told], stdout=log, stderr=log, **quiet
+        )
+    try:
+        started = Server(port)
+        _wait(started, running, folder / "log")
+        yield started
+    finally:
+        running.send_signal(signal.SIGINT)  # ends connections and stops
+        try:
+            running.wait(20)
+        except subprocess.TimeoutExpired:
+            running.kill()
+            running.wait()
+
+
+def _wait(started: Server, running: subprocess.Popen[bytes], log: Path) -> None:
+    give_up = time.monotonic() + START_S
+    while True:
+        try:
+            psycopg.connect(started.url("postgres"), connect_timeout=5).close()
+            return
+        except psycopg.OperationalError:
+            ended = running.poll() is not None
+            assert not ended and time.monotonic() < give_up, log.read_text(errors="replace")
+            time.sleep(0.05)

@@ -1,0 +1,148 @@
+"""Cycles: found where they were planted, not found where they were not, and what then."""
+
+import itertools
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from fields import raced, random_grids
+
+from league.errors import ConfigError
+from league.matchmaking.intransitivity import equilibrium, goodness_of_fit, nash_average
+from league.matchmaking.ratings import Results, expected_score, fit
+
+ROCK_PAPER_SCISSORS = np.array([[0, 1, -1], [-1, 0, 1], [1, -1, 0]]) / 2
+
+
+def round_robin(generator, leads, races, track_sd=0.0) -> Results:
+    """Return a round robin where entry i leads entry j by leads[i, j] Elo.
+
+    Tracks may suit one car of a heat, in both of its races.
+    """
+    pairs = np.array(list(itertools.combinations(range(len(leads)), 2)) * (races // 2))
+    entries = np.stack([pairs, pairs[:, ::-1]], axis=1).reshape(-1, 2)
+    suits = np.repeat(generator.normal(0, 1, len(pairs)) * track_sd, 2) * np.tile(
+        [1, -1], len(pairs)
+    )
+    won = generator.random(len(entries)) < expected_score(
+        leads[entries[:, 0], entries[:, 1]] + suits
+    )
+    places = np.where(won[:, None], [1, 2], [2, 1])
+    return Results(np.repeat(np.arange(len(pairs)), 2), entries, places)
+
+
+def leads_of(strengths, cycle=None):
+    """Return all leads; the first three entries may beat each other in a circle."""
+    leads = strengths[:, None] - strengths[None]
+    if cycle is not None:
+        lead = 400 * np.log10(cycle / (1 - cycle))
+        for one, other in ((0, 1), (1, 2), (2, 0)):
+            leads[one, other], leads[other, one] = lead, -lead
+    return leads
+
+
+def rejections(cycle, races, *, trials=40, track_sd=0.0):
+    generator = np.random.default_rng(3)
+    found = []
+    for _ in range(trials):
+        leads = leads_of(generator.normal(0, 200, 10), cycle)
+        results = round_robin(generator, leads, races, track_sd)
+        found.append(goodness_of_fit(results, fit(results), level=0.05).rejected)
+    return np.mean(found)
+
+
+@pytest.mark.parametrize(("races", "track_sd"), [(4, 0), (50, 0), (50, 300)])
+def test_fields_without_a_cycle_are_seldom_accused(races, track_sd):
+    # 0.05 and two standard deviations of 40 trials.
+    assert rejections(None, races, track_sd=track_sd) <= 0.12
+
+
+def test_a_cycle_is_found():
+    assert rejections(0.7, 50, trials=20) >= 0.9
+    assert rejections(0.7, 20) >= 0.6
+
+
+@pytest.mark.parametrize("cars", [4, 8])
+def test_races_of_many_cars_are_not_taken_for_cycles(cars):
+    generator = np.random.default_rng(4)
+    found = []
+    for _ in range(20):
+        strengths = generator.normal(0, 200, 12)
+        results = raced(generator, strengths, random_grids(generator, 12, cars, 300), noise="gauss")
+        found.append(goodness_of_fit(results, fit(results), level=0.05).rejected)
+    assert np.mean(found) <= 0.15
+
+
+def test_records_of_pairs_add_up_and_name_the_surprise():
+    generator = np.random.default_rng(6)
+    results = round_robin(generator, leads_of(np.zeros(6), 0.85), 60)
+    names = np.array([3, 8, 11, 20, 21, 40])
+    results = Results(results.heats, names[results.entries], results.places)
+    told = goodness_of_fit(results, fit(results))
+    assert told.rejected and told.p_value < 1e-6
+    assert len(told.pairs.one) == 15
+    assert (told.pairs.races == 60).all()
+    worst = np.argsort(-np.abs(told.pairs.residual))[:3]
+    assert {(told.pairs.one[k], told.pairs.other[k]) for k in worst} == {(3, 8), (8, 11), (3, 11)}
+    k = next(k for k in worst if (told.pairs.one[k], told.pairs.other[k]) == (3, 8))
+    assert told.pairs.points[k] > told.pairs.expected[k]
+    assert told.pairs.residual[k] > 3
+    # Residuals by hand: 60 races near even have a standard deviation of sqrt(60) / 2 = 3.87.
+    by_hand = (told.pairs.points[k] - told.pairs.expected[k]) / np.sqrt(15 * told.dispersion)
+    assert told.pairs.residual[k] == pytest.approx(by_hand, rel=0.02)
+
+
+def test_one_race_proves_nothing():
+    results = Results(np.array([0]), np.array([[0, 1]]), np.array([[1, 2]]))
+    told = goodness_of_fit(results, fit(results))
+    assert (told.rejected, told.p_value, told.judged) == (False, 1.0, 0)
+    empty = Results(np.zeros(0, int), np.zeros((0, 2), int), np.zeros((0, 2), int))
+    assert not goodness_of_fit(empty, fit(empty, entries=range(3))).rejected
+
+
+def test_equilibria_by_hand():
+    assert equilibrium(ROCK_PAPER_SCISSORS) == pytest.approx([1 / 3] * 3, abs=1e-6)
+    # Losing by 2 and 3 instead of 1: the shares are as the stakes opposite, 3 : 2 : 1.
+    uneven = np.array([[0, 1, -2], [-1, 0, 3], [2, -3, 0]])
+    assert equilibrium(uneven) == pytest.approx([1 / 2, 1 / 3, 1 / 6], abs=1e-6)
+    ladder = np.array([[0, 0.1, 0.2], [-0.1, 0, 0.1], [-0.2, -0.1, 0]])
+    assert equilibrium(ladder) == pytest.approx([1, 0, 0], abs=1e-6)
+
+
+def test_equals_share_evenly():
+    # Any mixture is an equilibrium of a game without stakes; two clones of rock share rock's part.
+    assert equilibrium(np.zeros((4, 4))) == pytest.approx([1 / 4] * 4, abs=1e-6)
+    clones = ROCK_PAPER_SCISSORS[np.ix_([0, 0, 1, 2], [0, 0, 1, 2])]
+    assert equilibrium(clones) == pytest.approx([1 / 6, 1 / 6, 1 / 3, 1 / 3], abs=1e-6)
+
+
+def test_nobody_beats_the_mixture_of_a_large_field():
+    generator = np.random.default_rng(7)
+    stakes = generator.normal(0, 0.1, (80, 80))
+    stakes = stakes - stakes.T
+    shares = equilibrium(stakes)
+    assert shares.sum() == pytest.approx(1)
+    assert (stakes @ shares).max() < 1e-6
+    assert (shares >= 0).all()
+
+
+def test_nash_average_puts_a_cycle_level_and_the_rest_below():
+    generator = np.random.default_rng(8)
+    leads = leads_of(np.array([150.0, 150, 150, 0, -50, -100]), 0.85)
+    results = round_robin(generator, leads, 200)
+    ratings = fit(results)
+    told = nash_average(goodness_of_fit(results, ratings), ratings)
+    assert told.shares[:3] == pytest.approx([1 / 3] * 3, abs=0.12)
+    assert told.shares[3:] == pytest.approx([0, 0, 0], abs=1e-6)
+    assert told.scores[:3] == pytest.approx([0.5] * 3, abs=1e-6)
+    assert (told.scores[3:] < 0.4).all()
+
+
+def test_fields_too_large_for_a_mixture_are_refused():
+    results = Results(np.array([0]), np.array([[0, 1]]), np.array([[1, 2]]))
+    ratings = fit(results, entries=range(201))
+    with pytest.raises(ConfigError, match="201 entries are too many"):
+        nash_average(goodness_of_fit(results, ratings), ratings)

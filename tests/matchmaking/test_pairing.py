@@ -1,0 +1,250 @@
+"""Matchmaking: its rules one by one, and whole seasons of simulated fields."""
+
+import itertools
+import sys
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from fields import Season, covered, misses
+
+from league.errors import ConfigError
+from league.matchmaking.pairing import (
+    HeatPlan,
+    PairingSettings,
+    RacePlan,
+    Standing,
+    next_heats,
+    next_state,
+    validation_heats,
+)
+
+DUELS = PairingSettings()
+
+
+def field(number, *, sd=40.0, anchors=0, owners=None, gap=20.0):
+    """Return ranked entries a gap apart, the first of them anchors."""
+    return [
+        Standing(
+            entry=10 + k,
+            state="ranked",
+            owner="" if k < anchors else f"owner {k % (owners or number)}",
+            elo=1000 + gap * k,
+            sd=sd,
+            anchor=k < anchors,
+        )
+        for k in range(number)
+    ]
+
+
+def plan(standings, settings=DUELS, counts=None, seed=0, heats=200):
+    return next_heats(standings, counts or {}, settings, np.random.default_rng(seed), heats=heats)
+
+
+def test_a_heat_is_two_races_with_the_grid_reversed():
+    for cars in (2, 3, 8):
+        settings = PairingSettings(field_size=cars)
+        for heat in plan(field(12), settings, heats=20):
+            first, second = heat.races
+            assert len(set(first.entries)) == cars
+            assert second.entries == first.entries[::-1]
+            assert first.track == second.track
+
+
+def test_second_half_is_on_another_track_when_there_are_four():
+    four = PairingSettings(tracks=("a", "b", "c", "d"))
+    assert all(heat.races[0].track != heat.races[1].track for heat in plan(field(6), four))
+    three = PairingSettings(tracks=("a", "b", "c"))
+    heats = plan(field(6), three)
+    assert all(heat.races[0].track == heat.races[1].track for heat in heats)
+    assert {heat.races[0].track for heat in heats} == {"a", "b", "c"}
+
+
+def test_lanes_keep_their_shares():
+    lanes = Counter(heat.lane for heat in plan(field(30), heats=200))
+    assert lanes["coverage"] == pytest.approx(80, abs=1)
+    assert lanes["informed"] == pytest.approx(60, abs=1)
+    assert lanes["random"] == pytest.approx(60, abs=1)
+
+
+def test_anchors_are_in_one_heat_of_ten():
+    heats = plan(field(30, anchors=4), heats=200)
+    anchored = [heat for heat in heats if min(heat.entries) < 14]
+    assert len(anchored) == 20
+    assert all(max(heat.entries) >= 14 for heat in anchored)
+
+
+def test_anchors_step_in_where_nobody_else_may_race():
+    heats = plan(field(4, anchors=3, owners=1), heats=10)
+    assert len(heats) == 10
+    assert all(max(heat.entries) == 13 for heat in heats)
+
+
+def test_entries_of_one_owner_do_not_meet():
+    standings = field(12, owners=3)
+    owner = {s.entry: s.owner for s in standings}
+    for cars in (2, 3, 5):
+        heats = plan(standings, PairingSettings(field_size=cars))
+        assert heats
+        for heat in heats:
+            owners = [owner[entry] for entry in heat.entries]
+            assert len(set(owners)) == len(owners) == min(cars, 3)
+
+
+def test_a_league_of_one_owner_needs_leave_to_race():
+    assert plan(field(5, owners=1)) == []
+    assert len(plan(field(5, owners=1), PairingSettings(same_owner=True))) == 200
+
+
+def test_only_entries_on_their_way_are_paired():
+    states = ["pending", "validating", "placement", "provisional", "ranked", "retired"]
+    standings = [Standing(entry=k, state=state, owner=str(k)) for k, state in enumerate(states)]
+    met = {entry for heat in plan(standings) for entry in heat.entries}
+    assert met == {2, 3, 4}
+
+
+def test_no_pair_meets_more_than_three_times_the_median():
+    standings = field(12, gap=150.0, sd=30.0)
+    counts = {(10 + a, 10 + b): 2 for a, b in itertools.combinations(range(12), 2)}
+    counts |= {(10, 11): 6, (20, 21): 6}
+    heats = plan(standings, counts=counts, heats=60)
+    for heat in heats:
+        counts[tuple(sorted(heat.entries))] += 1
+    assert max(counts.values()) == 6
+    assert counts[10, 11] == counts[20, 21] == 6
+
+
+def test_cap_gives_way_before_nobody_races():
+    assert len(plan(field(2), counts={(10, 11): 50}, heats=5)) == 5
+
+
+def test_the_least_sure_is_raced_first_and_soon_enough():
+    standings = [*field(20), Standing(entry=99, state="placement", owner="new", sd=200.0)]
+    heats = [heat for heat in plan(standings, heats=10) if heat.lane == "coverage"]
+    assert all(99 in heat.entries for heat in heats)
+    # Its planned races count at once, so one newcomer does not take every heat of a long round.
+    heats = [heat for heat in plan(standings, heats=200) if heat.lane == "coverage"]
+    assert sum(99 in heat.entries for heat in heats) < 60
+
+
+def test_informed_heats_are_between_near_equals_and_random_ones_are_not():
+    standings = field(40, gap=40.0, sd=20.0)
+    elo = {s.entry: s.elo for s in standings}
+    gaps = {"informed": [], "random": []}
+    for heat in plan(standings, heats=400):
+        if heat.lane in gaps:
+            gaps[heat.lane].append(abs(elo[heat.entries[0]] - elo[heat.entries[1]]))
+    assert np.mean(gaps["informed"]) < 110
+    # Two random places of 40 are 13.7 apart on average: 547 Elo.
+    assert np.mean(gaps["random"]) == pytest.approx(547, rel=0.2)
+
+
+def test_settled_entries_are_opponents_only():
+    standings = [*field(6, sd=20.0), *[
+        Standing(entry=90 + k, state="provisional", owner=f"new {k}", sd=60.0) for k in range(2)
+    ]]  # fmt: skip
+    for heat in plan(standings, PairingSettings(coverage_share=0.5, informed_share=0.5)):
+        assert max(heat.entries) >= 90
+    assert len(plan(field(6, sd=20.0), heats=10)) == 10
+
+
+def test_slots_in_front_are_shared_out():
+    heats = plan(field(2), heats=200)
+    ahead = sum(heat.entries[0] == 10 for heat in heats)
+    assert 70 < ahead < 130  # 100 and four standard deviations of 7
+
+
+def test_same_seed_same_heats():
+    assert plan(field(9), seed=4) == plan(field(9), seed=4)
+    assert plan(field(9), seed=4) != plan(field(9), seed=5)
+
+
+def test_a_round_is_half_the_field_by_default():
+    assert len(next_heats(field(11), {}, DUELS, np.random.default_rng(0))) == 5
+    assert next_heats(field(1), {}, DUELS, np.random.default_rng(0)) == []
+
+
+def test_states_follow_how_sure_a_rating_is():
+    def after(state, sd, validated=False):
+        return next_state(state, sd, validated=validated, settings=DUELS)
+
+    assert after("pending", 10) == "pending"
+    assert after("validating", 200) == "validating"
+    assert after("validating", 200, validated=True) == "placement"
+    assert after("placement", 75.1) == "placement"
+    assert after("placement", 75) == "provisional"
+    assert after("provisional", 50) == "ranked"
+    assert after("ranked", 51) == "provisional"
+    assert after("retired", 10) == "retired"
+
+
+def test_validation_is_a_race_against_itself_and_one_against_an_anchor():
+    new = Standing(entry=50, state="pending", owner="me")
+    own, other = validation_heats(new, field(5, anchors=2), DUELS, np.random.default_rng(0))
+    assert own.races[0].entries == (50, 50)
+    assert other.races[0].entries[0] == 50 and other.races[0].entries[1] in (10, 11)
+    assert not own.rated and not other.rated
+    assert len(validation_heats(new, field(5), DUELS, np.random.default_rng(0))) == 1
+
+
+def test_settings_that_cannot_be_are_refused():
+    with pytest.raises(ConfigError, match="2 to 8 cars"):
+        PairingSettings(field_size=9)
+    with pytest.raises(ConfigError, match="no tracks"):
+        PairingSettings(tracks=())
+    with pytest.raises(ConfigError, match="at most 1 together"):
+        PairingSettings(coverage_share=0.8, informed_share=0.3)
+    with pytest.raises(ConfigError, match="twice in the standings"):
+        plan([*field(3), *field(3)])
+
+
+def newcomer_races(seed):
+    """Return the duels a newcomer takes to an sd of 50, and whether its interval holds."""
+    generator = np.random.default_rng(seed)
+    strengths = generator.normal(0, 200, 21)
+    season = Season(generator, strengths, DUELS)
+    one = generator.integers(0, 20, 1000)
+    other = (one + generator.integers(1, 20, 1000)) % 20
+    season.race([
+        HeatPlan("random", (RacePlan("t", (a, b)), RacePlan("t", (b, a))))
+        for a, b in zip(one.tolist(), other.tolist())
+    ])  # fmt: skip
+    while season.ratings.sd[20] > 50:
+        season.race(next_heats(season.standings(), season.counts, DUELS, generator, heats=2))
+    return int(season.ratings.races[20]), covered(season.ratings, strengths)[20]
+
+
+def dense_field(seed):
+    """Return the misses and coverage of a dense field after 40 races each."""
+    generator = np.random.default_rng(seed)
+    strengths = generator.normal(0, 120, 24)
+    season = Season(generator, strengths, DUELS)
+    while 2 * len(season.finishes) < 24 * 40:
+        season.race(next_heats(season.standings(), season.counts, DUELS, generator))
+    return (misses(season.ratings, strengths) ** 2).mean(), covered(
+        season.ratings, strengths
+    ).mean()
+
+
+def test_a_newcomer_is_rated_within_54_duels():
+    races, _ = zip(*[newcomer_races(100 + seed) for seed in range(5)], strict=True)
+    assert np.median(races) <= 54
+
+
+def test_a_dense_field_is_told_apart_after_40_races_each():
+    squares, inside = zip(*[dense_field(seed) for seed in range(6)], strict=True)
+    assert np.sqrt(np.mean(squares)) <= 58  # 55 over many seasons (benchmarks); six scatter
+    assert np.mean(inside) >= 0.90
+
+
+@pytest.mark.slow
+def test_seasons_meet_their_targets():
+    races, held = zip(*[newcomer_races(100 + seed) for seed in range(20)], strict=True)
+    assert np.median(races) <= 54
+    assert np.mean(held) >= 0.8
+    squares, inside = zip(*[dense_field(seed) for seed in range(24)], strict=True)
+    assert np.sqrt(np.mean(squares)) <= 55
+    assert np.mean(inside) >= 0.92

@@ -1,0 +1,337 @@
+"""Ratings: numbers by hand, another library's, simulated fields, and what must change nothing."""
+
+import math
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from fields import covered, misses, raced, random_grids
+
+from league.errors import ConfigError
+from league.matchmaking.ratings import (
+    Finish,
+    RatingSettings,
+    Results,
+    Run,
+    expected_score,
+    fit,
+    places_of,
+)
+
+WIDE = RatingSettings(prior_sd=1e5, slot_sd=1e-3)
+"""Next to no prior and no slots: plain maximum likelihood."""
+
+
+def duels(*scores, heat=0):
+    """Return races (front, behind, points of the front), each a heat of its own."""
+    places = {1: (1, 2), 0: (2, 1), 0.5: (1, 1)}
+    return [
+        Finish(heat + number, (front, behind), places[points])
+        for number, (front, behind, points) in enumerate(scores)
+    ]
+
+
+def test_400_elo_are_ten_times_the_odds():
+    assert expected_score(400) == pytest.approx(10 / 11)
+    assert expected_score(0) == 0.5
+    assert expected_score(np.array([-200.0]))[0] == pytest.approx(0.2403, abs=1e-4)
+
+
+def test_three_wins_of_four_are_odds_of_three():
+    told = fit(Results.of(duels((0, 1, 1), (0, 1, 1), (0, 1, 1), (0, 1, 0))), WIDE, anchor=1)
+    assert told.elo[1] == 1000
+    assert told.elo[0] - 1000 == pytest.approx(400 * math.log10(3), abs=1e-2)  # 190.85
+
+
+def test_interval_of_one_pair_is_that_of_its_binomial():
+    # 50 : 50 in 100 races: 1 / sqrt(100 / 4) = 0.2 natural units, 34.74 Elo; facts of 100 duels: 68.
+    told = fit(Results.of(duels(*[(0, 1, k % 2) for k in range(100)])), WIDE)
+    assert told.difference(0, 1).sd == pytest.approx(34.74, abs=0.05)
+    assert told.difference(0, 1).high95 == pytest.approx(68.1, abs=0.2)
+    # Against "the average of all others", which is the one other.
+    assert told.sd == pytest.approx([34.74, 34.74], abs=0.05)
+    assert told.difference(0, 1).superiority == pytest.approx(0.5)
+
+
+def test_a_tie_is_half_a_point_to_each():
+    told = fit(Results.of(duels((0, 1, 0.5), (0, 1, 0.5))), WIDE)
+    assert told.elo[0] == pytest.approx(told.elo[1], abs=1e-9)
+    one_and_half = fit(Results.of(duels((0, 1, 1), (0, 1, 0.5))), WIDE)
+    assert one_and_half.elo[0] - one_and_half.elo[1] == pytest.approx(190.85, abs=1e-2)
+
+
+def test_prior_draws_a_single_win_to_the_hand_worked_point():
+    # One win, spread s = 200 Elo = 1.1513: x solves 1 - p(2x) = x / s^2, so x = 0.4309 by bisection.
+    told = fit(Results.of(duels((0, 1, 1))), RatingSettings(prior_sd=200, slot_sd=1e-3))
+    low, high = 0.0, 2.0
+    for _ in range(60):
+        x = 0.5 * (low + high)
+        pull = x / (200 * math.log(10) / 400) ** 2
+        low, high = (x, high) if 1 / (1 + math.exp(2 * x)) > pull else (low, x)
+    assert told.elo[0] - 1000 == pytest.approx(x * 400 / math.log(10), abs=1e-4)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_agrees_with_choix_on_duels(seed):
+    choix = pytest.importorskip("choix")
+    generator = np.random.default_rng(seed)
+    results = raced(generator, generator.normal(0, 150, 12), random_grids(generator, 12, 2, 150))
+    won = [row[np.argsort(place)] for row, place in zip(results.entries, results.places)]
+    theirs = choix.opt_pairwise(12, won, alpha=1 / (2 * (300 * math.log(10) / 400) ** 2), tol=1e-12)
+    ours = fit(results, RatingSettings(prior_sd=300, slot_sd=1e-4))
+    assert ours.elo - 1000 == pytest.approx(theirs * 400 / math.log(10), abs=1e-3)
+    spectral = choix.ilsr_pairwise(12, won, tol=1e-12) * 400 / math.log(10)
+    ours = fit(results, RatingSettings(prior_sd=1e6, slot_sd=1e-4))
+    assert ours.elo - 1000 == pytest.approx(spectral - spectral.mean(), abs=1e-3)
+
+
+def test_agrees_with_choix_on_all_pairs_of_orders_of_four():
+    choix = pytest.importorskip("choix")
+    generator = np.random.default_rng(5)
+    results = raced(generator, generator.normal(0, 150, 9), random_grids(generator, 9, 4, 40))
+    won = []
+    for row, place in zip(results.entries, results.places):
+        order = row[np.argsort(place)]
+        won += [(order[a], order[b]) for a in range(4) for b in range(a + 1, 4)]
+    theirs = choix.opt_pairwise(9, won, alpha=1 / (2 * (300 * math.log(10) / 400) ** 2), tol=1e-12)
+    ours = fit(results, RatingSettings(prior_sd=300, slot_sd=1e-4))
+    assert ours.elo - 1000 == pytest.approx(theirs * 400 / math.log(10), abs=1e-3)
+
+
+def simulated(cars, noise, front, repeats, *, entries=16, starts=100, spread=200.0):
+    """Return root mean square miss, coverage, and the front slot's mean worth."""
+    generator = np.random.default_rng(8)
+    squares, inside, worth = [], [], []
+    for _ in range(repeats):
+        strengths = generator.normal(0, spread, entries)
+        grids = random_grids(generator, entries, cars, entries * starts // cars // 2)
+        told = fit(raced(generator, strengths, grids, noise=noise, front=front))
+        squares.append((misses(told, strengths) ** 2).mean())
+        inside.append(covered(told, strengths).mean())
+        worth.append(told.slot_advantages[0] - told.slot_advantages[-1])
+    return math.sqrt(np.mean(squares)), np.mean(inside), np.mean(worth)
+
+
+@pytest.mark.parametrize("front", [0, 200, 300])
+def test_hundred_duels_an_entry_rate_it_to_45_elo_with_honest_intervals(front):
+    miss, coverage, worth = simulated(2, "gumbel", front, 40)
+    # Slots cost a little information: races between a front and a back are less open.
+    assert miss <= (45 if front == 0 else 49)
+    assert 0.92 <= coverage <= 0.97
+    assert worth == pytest.approx(front, abs=10)
+
+
+@pytest.mark.parametrize("noise", ["gumbel", "gauss"])
+def test_hundred_starts_in_fours_rate_to_32_elo_whatever_the_luck(noise):
+    miss, coverage, _ = simulated(4, noise, 0, 40)
+    assert miss <= 32
+    assert 0.90 <= coverage <= 0.97
+
+
+def test_naive_intervals_would_be_too_narrow_for_eight_cars():
+    generator = np.random.default_rng(3)
+    strengths = generator.normal(0, 200, 16)
+    results = raced(generator, strengths, random_grids(generator, 16, 8, 300), noise="gauss")
+    together = fit(results).sd.mean()
+    # Each pair as if it had been a race of its own: same ratings, no clusters.
+    apart = []
+    for row, place in zip(results.entries, results.places):
+        for a in range(8):
+            apart += [((row[a], row[b]), (place[a], place[b])) for b in range(a + 1, 8)]
+    finishes = [Finish(number, *pair) for number, pair in enumerate(apart)]
+    assert together > 1.4 * fit(Results.of(finishes)).sd.mean()
+
+
+def test_learned_prior_is_the_fixed_point_and_near_the_truth():
+    generator = np.random.default_rng(4)
+    for spread in (60.0, 200.0):
+        strengths = generator.normal(0, spread, 200)
+        results = raced(generator, strengths, random_grids(generator, 200, 2, 4000))
+        told = fit(results)
+        assert told.prior_sd == pytest.approx(spread, rel=0.2)
+        again = fit(results, RatingSettings(prior_sd=told.prior_sd))
+        assert again.elo == pytest.approx(told.elo, abs=1e-6)
+    everyone_ties = [Finish(k, (k % 5, (k + 1) % 5), (1, 1)) for k in range(200)]
+    assert fit(Results.of(everyone_ties)).prior_sd == 20
+    ladder = [Finish(k, (0, 1), (1, 2)) for k in range(2000)]
+    assert fit(Results.of(ladder)).prior_sd == 400
+
+
+def season(seed=6):
+    generator = np.random.default_rng(seed)
+    return raced(generator, generator.normal(0, 200, 20), random_grids(generator, 20, 4, 150))
+
+
+def taken(results, rows):
+    return Results(results.heats[rows], results.entries[rows], results.places[rows])
+
+
+def assert_same(one, other):
+    assert one.elo == pytest.approx(other.elo, abs=1e-6)
+    assert one.sd == pytest.approx(other.sd, abs=1e-6)
+    assert one.slot_advantages == pytest.approx(other.slot_advantages, abs=1e-6)
+
+
+def test_order_and_repeats_and_replays_of_results_change_nothing():
+    results, generator = season(), np.random.default_rng(0)
+    told, every = fit(results), np.arange(len(results))
+    assert_same(fit(taken(results, generator.permutation(every))), told)
+    twice = generator.permutation(np.concatenate([every, every, every[:37]]))
+    assert_same(fit(taken(results, twice)), told)
+    gone = results.heats == 17
+    replayed = np.concatenate([np.flatnonzero(~gone), np.flatnonzero(gone)])
+    assert_same(fit(taken(results, replayed)), told)
+    assert np.abs(fit(taken(results, np.flatnonzero(~gone))).elo - told.elo).max() > 1e-3
+
+
+def test_places_count_by_their_order_alone():
+    results = season()
+    assert_same(fit(Results(results.heats, results.entries, 10 * results.places - 3)), fit(results))
+
+
+def test_new_numbers_for_the_entries_change_nothing():
+    results, generator = season(), np.random.default_rng(1)
+    names = generator.permutation(5000)[:20]
+    told = fit(Results(results.heats, names[results.entries], results.places))
+    plain = fit(results)
+    assert list(told.entries) == sorted(names)
+    assert told.elo[np.argsort(np.argsort(names))] == pytest.approx(plain.elo, abs=1e-6)
+    assert told.index(names[3]) == sorted(names).index(names[3])
+
+
+def test_better_results_never_lower_a_rating():
+    results = season()
+    entry, row = results.entries[5, 2], 5
+    places = results.places.copy()
+    places[row, 2] = 0
+    told, plain = fit(Results(results.heats, results.entries, places)), fit(results)
+    assert told.elo[told.index(entry)] > plain.elo[plain.index(entry)]
+
+
+def test_same_race_with_two_outcomes_is_refused():
+    with pytest.raises(ConfigError, match="two different outcomes"):
+        fit(Results.of([Finish("h", (0, 1), (1, 2)), Finish("h", (0, 1), (2, 1))]))
+    both_halves = [Finish("h", (0, 1), (1, 2)), Finish("h", (1, 0), (1, 2))]
+    assert fit(Results.of(both_halves)).num_races == 2
+
+
+def test_perfect_winner_is_finite_and_flagged():
+    told = fit(Results.of(duels(*[(0, 1, 1)] * 30, *[(1, 2, k % 2) for k in range(30)])), anchor=1)
+    assert np.isfinite(told.elo).all() and np.isfinite(told.sd).all()
+    assert list(told.one_sided) == [True, False, False]
+    # Thirty wins and no loss leave the top open: the interval must stay wide.
+    assert told.sd[0] > 80
+    assert told.provisional[0]
+
+
+def test_split_field_is_finite_and_flagged():
+    apart = [(0, 1, k % 2) for k in range(200)] + [(2, 3, k % 2) for k in range(100)]
+    told = fit(Results.of(duels(*apart)), anchor=0)
+    assert list(told.connected) == [True, True, False, False]
+    assert not told.all_connected
+    assert told.provisional[2:].all()
+    assert np.isfinite(told.low95).all()
+    together = told.difference(2, 3).sd
+    assert told.difference(0, 2).sd > together / 2
+    assert list(fit(Results.of(duels(*apart)), anchor=3).connected) == [False, False, True, True]
+
+
+def test_one_race_is_finite_and_provisional():
+    told = fit(Results.of(duels((7, 3, 1))), entries=[9])
+    assert list(told.entries) == [3, 7, 9]
+    assert list(told.races) == [1, 1, 0]
+    assert told.elo[1] > told.elo[2] > told.elo[0]
+    assert told.provisional.all()
+    assert np.isfinite(told.sd).all() and (told.sd > 0).all()
+    assert list(told.connected) == [True, True, False]
+
+
+@pytest.mark.parametrize("entries", [1, 5])
+def test_no_race_at_all_leaves_the_prior(entries):
+    told = fit(Results.of([]), RatingSettings(prior_sd=150), entries=range(entries), anchor=0)
+    assert told.elo == pytest.approx(np.full(entries, 1000.0))
+    assert told.sd == pytest.approx(np.full(entries, 150.0))
+    assert np.isfinite(fit(Results.of([]), entries=range(entries)).sd).all()
+
+
+def test_races_in_which_nobody_finished_alike_are_ties():
+    told = fit(Results.of([Finish(k, (k % 3, (k + 1) % 3), (1, 1)) for k in range(30)]))
+    assert told.elo == pytest.approx(np.full(3, 1000.0), abs=1e-6)
+    assert (told.sd > 0).all()
+
+
+def test_small_fields_among_larger_ones_leave_slots_empty():
+    finishes = [Finish(0, (4, 5, 6), (1, 2, 3)), Finish(1, (5, 4), (1, 2)), Finish(2, (6,), (1,))]
+    told = fit(Results.of(finishes))
+    assert list(told.races) == [2, 2, 2]
+    assert told.elo[0] > told.elo[2]
+
+
+def test_large_fields_rate_alike_by_iteration():
+    generator = np.random.default_rng(9)
+    strengths = np.sort(generator.normal(0, 200, 300))
+    one = generator.integers(0, 300, 6000)
+    near = np.clip(one + generator.integers(1, 9, 6000), 0, 299)
+    other = np.where(generator.random(6000) < 0.3, generator.integers(0, 300, 6000), near)
+    grids = np.stack([one, other], axis=1)[one != other]
+    results = raced(generator, strengths, grids, front=100)
+    small, large = fit(results), fit(results, RatingSettings(dense_most=10))
+    assert large.elo == pytest.approx(small.elo, abs=0.1)
+    assert large.prior_sd == pytest.approx(small.prior_sd, rel=1e-3)
+    assert (large.sd / small.sd).std() < 0.04
+    assert (large.sd / small.sd).mean() == pytest.approx(1, abs=0.01)
+    assert large.slot_sd == pytest.approx(small.slot_sd, rel=1e-3)
+    gap = small.difference(0, 200), large.difference(0, 200)
+    assert gap[0].sd == pytest.approx(gap[1].sd, rel=0.01)
+
+
+def test_difference_of_two_neighbours_is_surer_than_their_intervals_suggest():
+    # A pair that only met each other far from the field: both float, their gap is known.
+    races = [(0, 1, k % 2) for k in range(400)] + [(1, 2, k % 2) for k in range(6)]
+    races += [(a, b, k % 2) for k in range(60) for a, b in pairwise(range(2, 6))]
+    told = fit(Results.of(duels(*races)), RatingSettings(prior_sd=300))
+    gap = told.difference(0, 1)
+    assert gap.sd < 0.5 * told.sd[0]
+    assert gap.elo == pytest.approx(-told.difference(1, 0).elo)
+
+
+def test_places_of_finishers_and_others():
+    runs = [
+        Run(score_s=None, laps=2, distance=40.0, failed_s=60.0),
+        Run(score_s=31.5),
+        Run(score_s=30.0),
+        Run(score_s=31.5),
+        Run(score_s=None, laps=2, distance=41.0, failed_s=10.0),
+        Run(score_s=None, laps=1, distance=99.0, failed_s=90.0),
+        Run(score_s=None, laps=2, distance=40.0, failed_s=61.0),
+        Run(score_s=None, laps=2, distance=40.0, failed_s=60.0),
+    ]
+    # Finishers by time, then laps, distance, and who lasted longer; equal runs share a place.
+    assert places_of(runs) == (6, 2, 1, 2, 4, 8, 5, 6)
+
+
+def test_wrong_doors_are_named():
+    results = Results.of(duels((0, 1, 1)))
+    with pytest.raises(ConfigError, match="anchor 5"):
+        fit(results, anchor=5)
+    with pytest.raises(ConfigError, match="no entries"):
+        fit(Results.of([]))
+    with pytest.raises(ConfigError, match="entry 8 is not rated"):
+        fit(results).difference(0, 8)
+    with pytest.raises(ConfigError, match="each car once"):
+        Results.of([Finish(0, (1, 1), (1, 2))])
+    with pytest.raises(ConfigError, match="prior_sd is 0"):
+        RatingSettings(prior_sd=0)
+    with pytest.raises(ConfigError, match="-3 is below 0"):
+        Results(np.zeros(1, int), np.array([[0, -3]]), np.array([[1, 2]]))
+
+
+def test_standings_order_holds_provisional_entries_back():
+    races = [(0, 1, k % 3 > 0) for k in range(300)] + [(2, 0, 1)] * 3
+    told = fit(Results.of(duels(*[(a, b, int(s)) for a, b, s in races])))
+    assert told.elo.argmax() == 2
+    assert list(told.order())[0] == 0

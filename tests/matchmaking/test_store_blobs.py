@@ -1,0 +1,68 @@
+"""Files kept by the hash of their content: in a folder, in memory's bucket, in the database."""
+
+from __future__ import annotations
+
+import os
+
+import leagues
+import pytest
+
+from league.errors import StoreError
+from league.matchmaking import blobs, keys
+from league.matchmaking.blobs import FolderBlobs
+
+
+@pytest.fixture(params=["folder", "bucket", "table"])
+def kept(request, tmp_path):
+    if request.param == "folder":
+        yield FolderBlobs(str(tmp_path / "files"))
+    elif request.param == "bucket":
+        yield FolderBlobs(f"memory://{tmp_path.name}")
+    else:
+        with leagues.founded(str(tmp_path / "league.db"), entries=0) as league:
+            yield league.blobs
+
+
+def test_bytes_come_back_by_their_hash(kept):
+    digest = kept.put(b"weights")
+    assert digest == keys.digest(b"weights")
+    assert kept.put(b"weights") == digest
+    assert kept.get(digest) == b"weights"
+    assert (kept.has(digest), kept.has("0" * 64)) == (True, False)
+
+
+def test_bytes_that_are_not_kept_are_missed(kept):
+    with pytest.raises(StoreError, match="holds no file 000000000000: restore it"):
+        kept.get("0" * 64)
+
+
+def test_too_many_bytes_are_refused(kept, monkeypatch):
+    monkeypatch.setattr(blobs, "MAX_BYTES", 10)
+    with pytest.raises(StoreError, match="a file of 11 bytes was given: at most 10"):
+        kept.put(b"x" * 11)
+
+
+def test_a_damaged_file_is_found_out(tmp_path):
+    kept = FolderBlobs(str(tmp_path))
+    digest = kept.put(b"weights")
+    (tmp_path / digest[:2] / digest).write_bytes(b"weight5")
+    with pytest.raises(StoreError, match="is damaged"):
+        kept.get(digest)
+
+
+@pytest.mark.parametrize("name", ["../../etc/passwd", "", "G" * 64, "a" * 63])
+def test_a_name_that_is_no_hash_leads_nowhere(tmp_path, name):
+    with pytest.raises(StoreError, match="give 64 hexadecimal digits"):
+        FolderBlobs(str(tmp_path)).get(name)
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path):
+    (tmp_path / "taken").write_text("a file")
+    with pytest.raises(StoreError, match="give a place that can be written"):
+        FolderBlobs(str(tmp_path / "taken")).put(b"weights")
+    assert os.listdir(tmp_path) == ["taken"]
+
+
+def test_an_unknown_kind_of_bucket_is_refused():
+    with pytest.raises(StoreError, match="cannot be used"):
+        FolderBlobs("nosuch://bucket")

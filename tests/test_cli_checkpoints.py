@@ -1,0 +1,121 @@
+"""Checkpoints on the command line: shown, exported, raced, and found again by their digests."""
+
+import json
+
+import pytest
+import torch
+
+from league.agents import checkpoint
+from league.agents.card import Card
+from league.cli.race import entries, labels
+from league.sim.config import SensorConfig
+
+SHORT = ["--laps", "1", "--solver", "planar"]
+
+
+@pytest.fixture
+def blind(tmp_path):
+    """Return a factory of checkpoints that see nothing and drive straight on, at some speed."""
+
+    def save(name: str, seed: int = 0):
+        card = Card(name="blind", sensors=SensorConfig(), created="2026-01-01", steps=1234)
+        generator = torch.Generator().manual_seed(seed)
+        weights = {
+            part: 0.01 * torch.randn(shape, generator=generator)
+            for part, shape in card.weight_shapes.items()
+        }
+        path = tmp_path / name
+        path.parent.mkdir(exist_ok=True)
+        checkpoint.save(path, checkpoint.Checkpoint(card, weights))
+        return path
+
+    return save
+
+
+def test_card_is_shown_as_a_table_and_as_json(league, blind):
+    path = blind("a.pt")
+    code, out, err = league("card", "a.pt")
+    assert (code, err) == (0, "")
+    assert "blind" in out
+    assert "1,234 decisions" in out
+    code, out, _ = league("card", "a.pt", "--json")
+    told = json.loads(out)
+    assert told["card"]["name"] == "blind"
+    assert told["digest"] == checkpoint.digest(path)
+
+
+def test_export_writes_beside_the_checkpoint_or_where_told(league, blind, tmp_path):
+    pytest.importorskip("onnx")
+    blind("a.pt")
+    code, out, _ = league("export", "a.pt")
+    assert code == 0
+    assert "a.onnx" in out
+    assert (tmp_path / "a.onnx").stat().st_size > 1000
+    code, _, _ = league("export", "a.pt", "--onnx", "b.onnx")
+    assert (tmp_path / "b.onnx").read_bytes() == (tmp_path / "a.onnx").read_bytes()
+
+
+def test_policy_is_raced_and_shown_by_its_files_name(league, blind):
+    path = blind("a.pt")
+    code, out, _ = league("race", "a.pt", "centerline", *SHORT, "--replay", "x.race", "--json")
+    told = json.loads(out)
+    assert code == 0
+    policy, scripted = told["spec"]["entries"]
+    assert policy == {"name": "a", "digest": checkpoint.digest(path), "path": "a.pt"}
+    assert scripted == {"name": "centerline", "digest": "", "path": ""}
+    assert {car["name"] for car in told["order"]} == {"a", "centerline"}
+
+
+def test_race_is_verified_with_the_policy_it_was_driven_by(league, blind, tmp_path):
+    path = blind("a.pt")
+    league("race", "a.pt", *SHORT, "--replay", "x.race")
+    assert league("verify", "x.race")[0] == 0
+    path.rename(tmp_path / "elsewhere.pt")
+    code, _, err = league("verify", "x.race")
+    assert code == 2
+    assert checkpoint.digest(tmp_path / "elsewhere.pt")[:12] in err
+    assert "--policies" in err
+    assert err.count("\n") == 1
+    assert league("verify", "x.race", "--policies", "elsewhere.pt")[0] == 0
+    blind("a.pt", seed=1)  # another policy of the same name
+    code, _, err = league("verify", "x.race")
+    assert code == 2
+    assert "--policies" in err
+    assert err.count("\n") == 1
+
+
+def test_policy_is_evaluated_under_its_files_name(league, blind):
+    blind("a.pt")
+    code, out, _ = league("evaluate", "a.pt", *SHORT, "--episode", "--json")
+    told = json.loads(out)
+    assert code == 0
+    assert told["driver"] == "a"
+    assert told["trials"][0]["status"] == "off_track"
+
+
+def test_files_of_one_name_are_told_apart_by_their_folders(blind):
+    assert labels(["runs/x/best.pt", "centerline", "runs/y/best.pt", "last.pt"]) == [
+        "x/best",
+        "centerline",
+        "y/best",
+        "last",
+    ]
+    assert labels(["best.pt", "best.pt"]) == ["best", "best"]
+    one, other = blind("x/best.pt"), blind("y/best.pt", seed=1)
+    found = entries([str(one), str(other)])
+    assert [entry["name"] for entry in found] == ["x/best", "y/best"]
+    assert found[0]["digest"] != found[1]["digest"]
+
+
+@pytest.mark.parametrize("command", ["card", "export", "evaluate", "race"])
+@pytest.mark.parametrize("content", [None, b"", b"PK not a checkpoint"])
+def test_file_that_is_no_checkpoint_is_refused_in_one_sentence(league, tmp_path, command, content):
+    if content is not None:
+        (tmp_path / "a.pt").write_bytes(content)
+    before = sorted(path.name for path in tmp_path.iterdir())
+    code, out, err = league(command, "a.pt")
+    assert (code, out) == (2, "")
+    assert err.startswith("league: ")
+    assert err.count("\n") == 1
+    assert "a.pt" in err
+    assert sorted(path.name for path in tmp_path.iterdir()) == before

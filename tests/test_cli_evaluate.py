@@ -1,0 +1,103 @@
+"""`league evaluate` as a user meets it: the console's table, JSON, the trace, one-line mistakes."""
+
+import csv
+import json
+import re
+
+import pytest
+
+QUICK = ["--laps", "1", "--solver", "planar"]
+
+
+def test_table_of_trials_and_a_line_that_sums_it_up(league):
+    code, out, err = league("evaluate", "centerline", "--laps", "2", "--solver", "planar")
+    assert (code, err) == (0, "")
+    assert "centerline: time trial on reinvent_2018" in out
+    rows = re.findall(r"^ ([12]) +lap complete +(0:\d\d\.\d{3}) +100\.0 +0 +0", out, re.MULTILINE)
+    assert [trial for trial, _ in rows] == ["1", "2"]
+    assert f"2 of 2 laps complete, 2 clean · best {min(time for _, time in rows)}" in out
+
+
+def test_several_tracks_are_several_tables(league):
+    code, out, _ = league("evaluate", "centerline", *QUICK, "--track", "reinvent_2018", "peanut")
+    assert code == 0
+    assert out.count("centerline: time trial on ") == 2
+    code, out, _ = league(
+        "evaluate", "centerline", *QUICK, "--json", "--track", "reinvent_2018", "peanut"
+    )
+    assert [one["track"] for one in json.loads(out)] == ["reinvent_2018", "peanut"]
+
+
+def test_json_holds_trials_and_summary(league):
+    code, out, err = league("evaluate", "centerline", *QUICK, "--trials", "2", "--json")
+    told = json.loads(out)
+    assert (code, err) == (0, "")
+    assert [trial["status"] for trial in told["trials"]] == ["lap_complete"] * 2
+    assert [trial["seed"] for trial in told["trials"]] == [0, 1]
+    assert told["summary"]["complete_laps"] == told["asked"] == 2
+
+
+def test_races_against_opponents_tell_who_won(league):
+    code, out, _ = league("evaluate", "racing_line", *QUICK, "--opponents", "centerline")
+    assert code == 0
+    assert "head to head" in out
+    assert "1 of 1 races won" in out
+
+
+def test_trace_and_replay_are_written(league, tmp_path):
+    code, out, _ = league(
+        *("evaluate", "centerline", *QUICK, "--trace", "t.csv", "--replay", "r.race")
+    )
+    assert code == 0
+    assert "Trace: t.csv" in out
+    assert "Replay: r.race" in out
+    with (tmp_path / "t.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows[0]) == 19
+    assert rows[-1]["episode_status"] == "lap_complete"
+    code, out, _ = league("verify", "r.race")
+    assert (code, out) == (
+        0,
+        f"All {len(rows)} steps agree to the last bit, and so does the result.\n",
+    )
+
+
+def test_reward_file_fills_the_column_of_the_trace(league, tmp_path):
+    (tmp_path / "mine.py").write_text("def reward_function(params):\n    return params['steps']\n")
+    code, _, _ = league(
+        *("evaluate", "centerline", *QUICK, "--trace", "t.csv", "--reward", "mine.py")
+    )
+    assert code == 0
+    with (tmp_path / "t.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["reward"]) for row in rows] == [float(row["steps"]) for row in rows]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["nobody"], "racing_line"),
+        (["missing.pt"], "missing.pt"),
+        (["centerline", "--track", "reinvent_2081"], "reinvent_2018"),
+        (["centerline", "--laps", "0"], "laps"),
+        (["centerline", "--trials", "0"], "trials"),
+        (["centerline", "--seed", "-4"], "seed"),
+        (["centerline", "--obstacles", "99"], "obstacle count"),
+        (["centerline", "--trace", "t.csv", "--track", "peanut", "reinvent_2018"], "one track"),
+        (["centerline", "--replay", "t.race", "--track", "peanut", "reinvent_2018"], "one track"),
+        (["centerline", "--replay", "replays", "--episode"], "--episode"),
+        (["centerline", "--reward", "race"], "--trace"),
+        (["centerline", "--reward", "nothing", "--trace", "t.csv"], "centerline"),
+        (["centerline", "--kind", "obstacle_avoidance", "--opponents", "cautious"], "--kind"),
+    ],
+)
+def test_mistake_is_answered_in_one_sentence_and_nothing_is_left(
+    league, tmp_path, arguments, named
+):
+    code, out, err = league("evaluate", *arguments)
+    assert (code, out) == (2, "")
+    assert err.startswith("league: ")
+    assert err.count("\n") == 1
+    assert "Traceback" not in err
+    assert named in err
+    assert list(tmp_path.iterdir()) == []

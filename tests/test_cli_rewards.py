@@ -1,0 +1,125 @@
+"""`league reward check` and `league reward score` as a user meets them."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from league import race
+from league import replay as replays
+from league.cli import rewards as command
+from league.envs import rewards
+from league.envs.deepracer import check, rescore, user_reward
+from league.errors import ConfigError, RewardError
+from league.race_spec import Entry, RaceSpec
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """Return a replay of two cars over a lap, and its file."""
+    spec = RaceSpec(
+        entries=(Entry(name="centerline"), Entry(name="racing_line")), laps=1, solver="planar"
+    )
+    replay = race.run(spec).replay
+    assert replay is not None
+    path = tmp_path_factory.mktemp("race") / "two.race"
+    replays.write(replay, path)
+    return replay, path
+
+
+def test_check_tells_what_a_good_file_pays_and_reads(capsys):
+    assert command.CheckReward(EXAMPLES / "reward_heading.py").run() == 0
+    out = capsys.readouterr().out
+    assert "boxes: into one" in out
+    assert "Keys read (6 of 27): all_wheels_on_track, closest_waypoints" in out
+    assert "Fails" not in out
+    assert max(map(len, out.splitlines()[:10])) <= 80
+
+
+def test_check_finds_what_only_fails_alone_and_says_where(tmp_path, capsys):
+    path = tmp_path / "mine.py"
+    path.write_text(
+        "def reward_function(params):\n"
+        "    print('hello')\n"
+        "    ahead = params['closest_objects'][1]\n"
+        "    return params['objects_distance'][ahead]\n"
+    )
+    assert command.CheckReward(path, json=True).run() == 1
+    told = json.loads(capsys.readouterr().out)
+    assert told["ok"] is False
+    assert told["keys"] == ["closest_objects", "objects_distance"]
+    assert told["printed"][-1] == "hello"
+    by_kind = {one["kind"]: one["failure"] for one in told["drives"]}
+    assert f"{path}, line 4: IndexError" in by_kind["time_trial"]
+    assert by_kind["obstacle_avoidance"] is None
+    assert by_kind["head_to_head"] is None
+
+
+@pytest.mark.parametrize(
+    ("body", "says"),
+    [
+        ("return 3.0", "pays 3 for every step"),
+        ("return params.get('sped', 1.0) * params['steps']", "params['sped'], which there is not"),
+        ("return 2000.0 + params['steps']", "more than 1000"),
+        ("return params['steps'] + sum(params['objects_heading'])", "in degrees here"),
+    ],
+)
+def test_check_warns_of_what_will_not_be_learnt(tmp_path, body, says):
+    path = tmp_path / "mine.py"
+    path.write_text(f"def reward_function(params):\n    {body}\n")
+    assert any(says in one for one in check.check(path).warnings)
+
+
+def test_check_stops_a_call_that_does_not_come_back(tmp_path):
+    path = tmp_path / "mine.py"
+    path.write_text("def reward_function(params):\n    while True:\n        pass\n")
+    with pytest.raises(RewardError, match=r"mine\.py, line [23]: still running after 0\.2 s"):
+        check.check(path, time_limit_s=0.2)
+
+
+def test_score_prints_totals_and_draws_both(recorded, tmp_path, capsys):
+    _, path = recorded
+    out = tmp_path / "new" / "two.png"
+    wish = str(EXAMPLES / "reward_progress.py")
+    assert command.ScoreReplay(path, wish, out=out).run() == 0
+    said = capsys.readouterr().out
+    assert "reward_progress.py" in said
+    assert "progress (built in)" in said
+    assert out.read_bytes().startswith(b"\x89PNG")
+    assert command.ScoreReplay(path, wish, out=out, json=True).run() == 0
+    told = json.loads(capsys.readouterr().out)
+    # A whole lap is 100 %, and its end pays 10; the second car drives 0.75 m more.
+    totals = [car["total"] for car in told["scores"][0]["totals"]]
+    assert totals[0] == pytest.approx(110.0, abs=0.2)
+    assert totals[1] == pytest.approx(110.0, abs=0.2)
+
+
+def test_score_of_progress_is_the_metres_driven(recorded):
+    replay, _ = recorded
+    scored = rescore.score(replay, rewards.BuiltIn(rewards.preset("progress")), "progress")
+    for car in range(2):
+        driven = replay.columns.distance[scored.raced[car], car] - replay.columns.distance[0, car]
+        assert scored.totals[car] == pytest.approx(3.0 * driven, abs=0.01)
+
+
+def test_car_that_is_home_is_paid_no_more(recorded):
+    replay, _ = recorded
+    one = user_reward(EXAMPLES / "reward_centerline.py", 1, (0, 1), sim=replay.sim)
+    scored = rescore.score(replay, one, "mine")
+    winner = replay.result.order[0]
+    home = round(np.ceil(winner.total_s * 15))
+    assert scored.raced[winner.car] == home
+    assert (scored.rewards[home - 1, winner.car], scored.rewards[home:, winner.car].any()) == (
+        pytest.approx(scored.rewards[home - 1, winner.car]),
+        False,
+    )
+    assert scored.rewards[: home - 1, winner.car].min() > 0
+
+
+def test_score_refuses_an_unknown_reward(recorded):
+    _, path = recorded
+    with pytest.raises(ConfigError, match="nearest: centerline"):
+        command.ScoreReplay(path, "centreline").run()
