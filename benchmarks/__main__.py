@@ -3,7 +3,18 @@
 import importlib
 import sys
 
-NAMES = ("tracks", "cameras", "worlds", "solvers", "lap_bound", "drivers", "races", "replays", "ratings")
+NAMES = (
+    "tracks",
+    "cameras",
+    "worlds",
+    "solvers",
+    "lap_bound",
+    "drivers",
+    "races",
+    "replays",
+    "ratings",
+    "store",
+)
 
 if __name__ == "__main__":
     for name in sys.argv[1:] or NAMES:

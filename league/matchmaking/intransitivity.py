@@ -170,7 +170,7 @@ def _dispersion(results: Results, ratings: Ratings) -> float:
     keys = pair.astype(np.int64) * (int(heats.max()) + 1) + heats.astype(np.int64)
     cluster, which = np.unique(keys, return_inverse=True)
     sums, rooms = np.bincount(which, beyond), np.bincount(which, room)
-    pairs, of = np.unique(cluster // (int(heats.max()) + 1), return_inverse=True)
+    _, of = np.unique(cluster // (int(heats.max()) + 1), return_inverse=True)
     heats_of = np.bincount(of)
     means = np.bincount(of, sums) / heats_of
     scatter = np.bincount(of, (sums - means[of]) ** 2)

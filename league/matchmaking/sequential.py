@@ -179,7 +179,8 @@ def _log_tilts(seen: np.ndarray, values: np.ndarray, mean: float) -> np.ndarray:
     share, apart = seen / seen.sum(), values - mean
     edge = 1e-12
     low, high = -1.0 / apart.max() * (1 - edge), -1.0 / apart.min() * (1 - edge)
-    tilt = brentq(lambda t: float((share * apart / (1 + t * apart)).sum()), low, high, xtol=1e-14)
+    told = brentq(lambda t: float((share * apart / (1 + t * apart)).sum()), low, high, xtol=1e-14)
+    tilt = float(np.asarray(told))
     return -np.log1p(tilt * apart)
 
 

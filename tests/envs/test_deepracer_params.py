@@ -318,3 +318,10 @@ def test_places_are_found_as_the_tracks_themselves_find_them():
     assert found.s == pytest.approx(wanted.s[0].numpy(), abs=1e-4)
     assert found.lateral == pytest.approx(wanted.lateral[0].numpy(), abs=1e-5)
     assert found.left == pytest.approx(wanted.left[0].numpy(), abs=1e-5)
+
+
+def test_speed_of_an_object_counts_both_axes(ring):
+    told = Told(ring(), TWO, [(3.0, 0.0), (4.4, 0.0)])
+    (params,) = told.step([(3.1, 0.0), (4.5, 0.0)], speed=2.0)  # 135 deg round the ring
+    assert params["objects_speed"] == pytest.approx([2.0])
+    assert params["objects_heading"] == pytest.approx([135.0], abs=0.01)

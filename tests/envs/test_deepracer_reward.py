@@ -130,7 +130,7 @@ def test_penalty_is_paid_nothing_and_the_function_is_not_called(reward_file):
     env, paid = env_with(reward_file(text), mode="race")
     env.reset(seed=1)
     ahead = torch.tensor([[[0.0, 0.5]]])  # straight on, off the ring
-    earned = [float(env.step(ahead).rewards[0, 0]) for _ in range(40)]
+    earned = [float(env.step(ahead).rewards[0, 0]) for _ in range(70)]
     off = earned.index(0.0)
     assert earned[:off] == [1.0] * off
     assert earned[off : off + 29] == [0.0] * 29  # 2 s are 30 steps

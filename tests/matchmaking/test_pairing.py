@@ -210,7 +210,7 @@ def newcomer_races(seed):
     other = (one + generator.integers(1, 20, 1000)) % 20
     season.race([
         HeatPlan("random", (RacePlan("t", (a, b)), RacePlan("t", (b, a))))
-        for a, b in zip(one.tolist(), other.tolist())
+        for a, b in zip(one.tolist(), other.tolist(), strict=False)
     ])  # fmt: skip
     while season.ratings.sd[20] > 50:
         season.race(next_heats(season.standings(), season.counts, DUELS, generator, heats=2))

@@ -98,5 +98,5 @@ def test_scores_and_settings_that_cannot_be_are_refused():
         compare(np.array([np.nan]))
     with pytest.raises(ConfigError, match="elo1 must be the larger"):
         SequentialSettings(elo0=30, elo1=30)
-    with pytest.raises(ConfigError, match="between 0 and 0.5"):
+    with pytest.raises(ConfigError, match="give both between"):
         SequentialSettings(alpha=0)

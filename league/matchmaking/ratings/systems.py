@@ -155,7 +155,8 @@ class Dense:
     def _inverse(self) -> np.ndarray:
         """Return H^-1, of which only the lower triangle counts."""
         if self._below is None:
-            self._below, _ = linalg.lapack.dpotri(self._factor[0], lower=1)
+            (potri,) = linalg.get_lapack_funcs(("potri",), (self._factor[0],))
+            self._below = np.asarray(potri(self._factor[0], lower=1)[0])
         return self._below
 
     def mean_variance(self) -> float:
@@ -188,7 +189,7 @@ class Pattern:
         both = np.concatenate([one, other]), np.concatenate([other, one])
         shape = (size, size)
         numbered = sparse.csr_array((np.concatenate([number, number]), both), shape=shape)
-        self._pair_of_place = numbered.data
+        self._pair_of_place = np.asarray(numbered.data, dtype=np.int64)
         self._indices, self._indptr, self._shape = numbered.indices, numbered.indptr, shape
 
     def filled(self, weights: tuple[np.ndarray, ...]) -> sparse.csr_array:
