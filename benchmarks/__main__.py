@@ -13,6 +13,7 @@ NAMES = (
     "races",
     "replays",
     "ratings",
+    "rewards",
     "store",
 )
 

@@ -10,10 +10,10 @@ from typing import Annotated, Any
 
 import tyro
 
-from league.cli import checkpoints, drivers, evaluate, race, replays, rewards, tracks
+from league.cli import checkpoints, drivers, evaluate, race, replays, rewards, tracks, train
 from league.errors import LeagueError
 
-ROOMS = (race, evaluate, rewards, checkpoints, tracks, drivers, replays)
+ROOMS = (race, train, evaluate, rewards, checkpoints, tracks, drivers, replays)
 """Where the commands are, in the order of the help; each room's `COMMANDS` names its own."""
 
 

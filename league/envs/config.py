@@ -5,6 +5,7 @@ from typing import Literal
 
 from league.errors import ConfigError
 from league.sim.config import LookConfig, SensorConfig, SimConfig, SolverName
+from league.sim.meeting_config import Meeting
 
 
 @dataclass(frozen=True)
@@ -55,12 +56,22 @@ class EnvConfig:
     restarting: tuple[int, ...] | None = None
     """Cars that start their next episode by themselves, in training; None: all. Any other car is
     frozen where its episode ended, in nobody's way, until its world is started anew."""
+    meeting: Meeting | None = None
+    """How the others are placed about car 0, which learns, in training; None: each car begins its
+    episodes on a free stretch anywhere."""
 
     def __post_init__(self) -> None:
         if len(self.sensors) not in (1, self.sim.num_cars):
             raise ConfigError(
                 f"{len(self.sensors)} sensor settings for {self.sim.num_cars} cars: "
                 "give one for all, or one for each"
+            )
+        if self.meeting is not None and (
+            self.mode != "training" or self.restarting is not None or self.sim.num_cars < 2
+        ):
+            raise ConfigError(
+                f"a meeting is asked for in mode {self.mode!r} with {self.sim.num_cars} cars and "
+                f"restarting {self.restarting}: give mode 'training', 2 to 8 cars and None"
             )
         strangers = [car for car in self.restarting or () if not 0 <= car < self.sim.num_cars]
         if strangers:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from torch import Tensor
 
@@ -12,6 +13,9 @@ from league.envs.driver import Driver
 from league.errors import ConfigError
 from league.sim.config import CarConfig
 from league.track.course import TrackSet
+
+if TYPE_CHECKING:
+    from league.envs.race_env import Step
 
 ROSTER = "league.agents.roster:load"
 """Who turns a name into a driver, as "module:function": named by a string and not imported, because
@@ -63,6 +67,15 @@ def check_field(
         )
 
 
+@runtime_checkable
+class Watching(Protocol):
+    """A driver that is shown how each step went, as self-play counts who beats whom."""
+
+    def watch(self, car: int, step: Step) -> None:
+        """Take note of a step, in which it drove this car."""
+        ...
+
+
 class Opponents:
     """Drivers by their cars; asked for actions, and told when a car starts anew."""
 
@@ -95,6 +108,12 @@ class Opponents:
         for car, driver in self._drivers.items():
             if bool(anew[:, car].any()):
                 driver.reset(anew[:, car].nonzero()[:, 0])
+
+    def watch(self, step: Step) -> None:
+        """Show a step to those who want to know how it went, before any is told to forget."""
+        for car, driver in self._drivers.items():
+            if isinstance(driver, Watching):
+                driver.watch(car, step)
 
     def act(self, actions: Tensor, observations: Sequence[Mapping[str, Tensor]]) -> Tensor:
         """Return the actions with those of the driven cars filled in; (worlds, cars, 2)."""

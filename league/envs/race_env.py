@@ -12,7 +12,7 @@ from league.envs.config import EnvConfig
 from league.envs.rewards import BuiltIn, Reward
 from league.envs.sensing import Sensing
 from league.errors import ActionError, ConfigError, WorldError
-from league.sim import draws, grid, obstacles, referee, solvers
+from league.sim import draws, grid, meeting, obstacles, referee, solvers
 from league.sim.config import SimConfig
 from league.sim.referee import Verdict
 from league.sim.world import Control, World, select
@@ -40,6 +40,8 @@ class Step:
     """What the referee found."""
     log: Mapping[str, Tensor]
     """Each weighted reward term by name."""
+    began: Tensor
+    """The car began another episode by the end of the step, bool."""
 
 
 class RaceEnv:
@@ -180,16 +182,19 @@ class RaceEnv:
             self._sensing.refresh(verdict.crashed | verdict.released)
             terminated = ~torch.isinf(world.standing.finish_s)
             truncated = self._race_over(world) & ~terminated
+            began = torch.zeros_like(terminated)
         else:
             self._episode_steps = self._episode_steps + 1
             terminated = verdict.mistake | verdict.finished
             truncated = (self._episode_steps >= self.longest_episode) & ~terminated
-            world, actions = self._restarted(world, actions, terminated | truncated)
+            began = self._beginning(world, terminated | truncated)
+            world, actions = self._restarted(world, actions, terminated | truncated, began)
         if anew is not None and seeds is not None:
             world, actions = self._started_anew(world, actions, anew, seeds)
+            began = began | anew.unsqueeze(1)
 
         self._world, self._last_action = world, actions
-        return Step(self._observe(), reward, terminated, truncated, verdict, terms)
+        return Step(self._observe(), reward, terminated, truncated, verdict, terms, began)
 
     def retire(self, car: int) -> None:
         """End one car's race in all worlds: it is frozen for good, and in nobody's way."""
@@ -226,7 +231,12 @@ class RaceEnv:
         """Return all worlds at their start: on the grid, or in training anywhere on the track."""
         sim, tracks = self.cfg.sim, self.tracks
         world = grid.start(tracks, sim, seeds.to(tracks.device), self._track)
-        return world if self.cfg.mode == "race" else grid.restart_all(tracks, sim, world)
+        if self.cfg.mode == "race":
+            return world
+        if self.cfg.meeting is not None:
+            everybody = torch.ones_like(world.standing.ghost)
+            return meeting.restart(tracks, sim, self.cfg.meeting, world, everybody)
+        return grid.restart_all(tracks, sim, world)
 
     def _no_action(self) -> Tensor:
         """Return what is told as the last action of cars that have not acted yet."""
@@ -234,19 +244,34 @@ class RaceEnv:
         rest[..., 1] = -1.0
         return rest
 
-    def _restarted(self, world: World, actions: Tensor, done: Tensor) -> tuple[World, Tensor]:
+    def _beginning(self, world: World, done: Tensor) -> Tensor:
+        """Return which cars begin their next episode, given whose is over, bool."""
+        if self.cfg.meeting is not None:
+            return meeting.beginning(self.tracks, self.cfg.meeting, world, done)
+        if self.cfg.restarting is None:
+            return done
+        again = torch.zeros_like(done)
+        again[:, list(self.cfg.restarting)] = done[:, list(self.cfg.restarting)]
+        return again
+
+    def _restarted(
+        self, world: World, actions: Tensor, done: Tensor, again: Tensor
+    ) -> tuple[World, Tensor]:
         """Start the next episode of the cars that do so by themselves, and freeze the others."""
-        if not bool(done.any()):
+        if not bool((done | again).any()):
             return world, actions
-        again = done
         if self.cfg.restarting is not None:
-            again = torch.zeros_like(done)
-            again[:, list(self.cfg.restarting)] = done[:, list(self.cfg.restarting)]
             world = _frozen(world, done & ~again)
         self._episode_steps = torch.where(again, 0, self._episode_steps)
         self._sensing.refresh(again)
-        actions = torch.where(again.unsqueeze(2), self._no_action(), actions)
-        world = grid.restart(self.tracks, self.cfg.sim, world, again)
+        if self.cfg.meeting is not None:
+            world = meeting.restart(self.tracks, self.cfg.sim, self.cfg.meeting, world, again)
+            # Who begins at speed is told what it would have asked for.
+            resting = encode(self.cfg.sim, world.control)
+        else:
+            world = grid.restart(self.tracks, self.cfg.sim, world, again)
+            resting = self._no_action()
+        actions = torch.where(again.unsqueeze(2), resting, actions)
         self._reward.restart(world, again)
         return world, actions
 
@@ -318,6 +343,14 @@ def decode(sim: SimConfig, actions: Tensor) -> Control:
         steering=actions[..., 0].contiguous() * car.max_steering,
         speed=car.min_speed + share * (car.max_speed - car.min_speed),
     )
+
+
+def encode(sim: SimConfig, control: Control) -> Tensor:
+    """Return the actions in [-1, 1] that ask for these controls, as near as can be asked."""
+    car = sim.car
+    share = (control.speed - car.min_speed) / (car.max_speed - car.min_speed)
+    both = torch.stack([control.steering / car.max_steering, 2.0 * share - 1.0], dim=-1)
+    return torch.clamp(both, -1.0, 1.0)
 
 
 def time_limit(tracks: TrackSet, cfg: EnvConfig, track: Tensor) -> Tensor:

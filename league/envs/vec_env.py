@@ -141,7 +141,8 @@ class RacingVecEnv(VecEnv):
             actions.clamp(-1.0, 1.0).to(driven).reshape(-1, len(self.learners), SIZE)
         )  # (num_worlds, num_learners, 2)
         step = self._env.step(self._opponents.act(driven, self._told))
-        self._opponents.forget(step.terminated | step.truncated)
+        self._opponents.watch(step)
+        self._opponents.forget(step.began)
         self._told = step.observations
         dones = self._rows(step.terminated | step.truncated).to(torch.int64)
         driven = self._driven + self._rows(step.verdict.advance) / self._lap_lengths

@@ -39,17 +39,8 @@ def start(tracks: TrackSet, sim: SimConfig, seed: Tensor, track: Tensor) -> Worl
         seed: seed of each race, int64, (num_worlds,).
         track: row of the TrackSet of each race, int64, (num_worlds,).
     """
-    shape = (seed.shape[0], sim.num_cars)
-    slot = torch.arange(sim.num_cars, device=seed.device).expand(shape)
-    distance = -sim.rules.grid_gap * slot.to(torch.float32)
-    closed = tracks.closed[track].unsqueeze(1)
-    distance = torch.where(closed, distance, distance - distance[:, -1:] + 0.2)
-    lateral = torch.zeros(shape, device=seed.device)
-    if sim.num_cars > 1:
-        inner = tracks.inner[track].unsqueeze(1)
-        side = torch.where(slot % 2 == 1, inner, -inner)
-        _, _, frame = tracks.at(track, distance)
-        lateral = side * torch.where(side > 0, frame.left, frame.right) / 2
+    slot = torch.arange(sim.num_cars, device=seed.device).expand(seed.shape[0], sim.num_cars)
+    distance, lateral = slots(tracks, sim, track, slot)
     motion, s = _at_rest(tracks, track, distance, lateral)
     standing = _blank_standing(sim, s, lateral, distance)
     still = Control(steering=torch.zeros_like(s), speed=torch.zeros_like(s))
@@ -63,6 +54,30 @@ def start(tracks: TrackSet, sim: SimConfig, seed: Tensor, track: Tensor) -> Worl
         obstacles=obstacles.place(tracks, sim, seed, track),
         standing=standing,
     )
+
+
+def slots(
+    tracks: TrackSet, sim: SimConfig, track: Tensor, slot: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return where places of the starting grid are: distance from the line [m], and lateral [m].
+
+    Args:
+        tracks: the courses.
+        sim: settings.
+        track: row of the TrackSet of each race, int64, (num_worlds,).
+        slot: place of each car from 0, the first, int64, (num_worlds, num_cars).
+    """
+    distance = -sim.rules.grid_gap * slot.to(torch.float32)
+    closed = tracks.closed[track].unsqueeze(1)
+    last = sim.rules.grid_gap * (sim.num_cars - 1)
+    distance = torch.where(closed, distance, distance + (last + 0.2))
+    lateral = torch.zeros_like(distance)
+    if sim.num_cars > 1:
+        inner = tracks.inner[track].unsqueeze(1)
+        side = torch.where(slot % 2 == 1, inner, -inner)
+        _, _, frame = tracks.at(track, distance)
+        lateral = side * torch.where(side > 0, frame.left, frame.right) / 2
+    return distance, lateral
 
 
 def parameters(sim: SimConfig, seed: Tensor, episode: Tensor) -> CarParameters:
@@ -220,21 +235,38 @@ def _restart(tracks: TrackSet, sim: SimConfig, world: World, who: Tensor) -> Wor
     world = _new_obstacles(tracks, sim, world, who)
     number = torch.arange(world.num_cars, device=who.device).expand(who.shape)
     seed, step = world.seed.unsqueeze(1), world.step.unsqueeze(1)
-    spot = _free_spots(tracks, world, who)
+    spot = free_spots(tracks, world, who)
     _, _, frame = tracks.at(world.track, spot)
     across = draws.uniform(seed, _SIDE, step, number) - 0.5
     lateral = across * torch.minimum(frame.left, frame.right)
+    return begin(tracks, sim, world, who, spot, lateral)
+
+
+def begin(
+    tracks: TrackSet, sim: SimConfig, world: World, who: Tensor, spot: Tensor, lateral: Tensor
+) -> World:
+    """Return the world with some cars beginning an episode at rest, with a new book.
+
+    Args:
+        tracks: the courses.
+        sim: settings.
+        world: the races.
+        who: which cars, bool, (num_worlds, num_cars).
+        spot: where along the track [m].
+        lateral: where across the track [m].
+    """
     motion, s = _at_rest(tracks, world.track, spot, lateral)
     closed = tracks.closed[world.track].unsqueeze(1)
     zero_s = torch.where(closed, s, torch.zeros_like(s))
     now = (world.step.to(torch.float32) * sim.step_dt).unsqueeze(1).expand(who.shape).contiguous()
     fresh = _blank_standing(sim, s, lateral, s - zero_s)
     standing = select(who, replace(fresh, zero_s=zero_s, lap_start_s=now), world.standing)
+    step = world.step.unsqueeze(1).expand(who.shape)
     return replace(
         world,
         motion=select(who, motion, world.motion),
         control=select(who, Control(torch.zeros_like(s), torch.zeros_like(s)), world.control),
-        cars=select(who, parameters(sim, world.seed, step.expand(who.shape)), world.cars),
+        cars=select(who, parameters(sim, world.seed, step), world.cars),
         standing=replace(standing, ahead=_ahead_on_road(tracks, world, standing, who)),
     )
 
@@ -254,7 +286,7 @@ def _new_obstacles(tracks: TrackSet, sim: SimConfig, world: World, who: Tensor) 
     return replace(world, seed=seed, obstacles=select(anew, placed, world.obstacles))
 
 
-def _free_spots(tracks: TrackSet, world: World, who: Tensor) -> Tensor:
+def free_spots(tracks: TrackSet, world: World, who: Tensor) -> Tensor:
     """Draw s of a free stretch for each car; those that start together keep clear of each other."""
     book, things = world.standing, world.obstacles
     number = torch.arange(world.num_cars, device=who.device)

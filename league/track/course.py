@@ -121,6 +121,19 @@ class Track:
         low, high = outline.min(axis=0) - ROOM_MARGIN, outline.max(axis=0) + ROOM_MARGIN
         return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
+    def reversed(self) -> Track:
+        """Return the same course driven the other way, from the same start line."""
+        order = np.roll(np.arange(len(self.center))[::-1], 1 if self.closed else 0)
+        return replace(
+            self,
+            name=f"{self.name}_reversed",
+            title=f"{self.title}, reversed",
+            center=self.center[order],
+            left=self.right[order],
+            right=self.left[order],
+            text="",
+        )
+
 
 @dataclass(frozen=True)
 class Projection:

@@ -61,7 +61,7 @@ class EvaluationRow:
     samples: int
     """Decisions learnt from before it."""
     time_s: float
-    """Wall time of the run so far [s]."""
+    """Wall time of the run when it was known [s]: learning may have gone on meanwhile."""
     took_s: float
     """Wall time for which learning waited for it [s]."""
     completion: float
@@ -107,10 +107,11 @@ class History:
         self.updates: list[UpdateRow] = []
         self.evaluations: list[EvaluationRow] = []
         self._file: TextIOWrapper | None = None
+        rows = list(rows)
         for row in rows:
             self._keep(row)
         if path is not None:
-            self._file = _begun(path, _in_order(self.updates, self.evaluations))
+            self._file = _begun(path, rows)
 
     @classmethod
     def resumed(cls, path: Path, number: int) -> History:
@@ -166,19 +167,28 @@ class History:
         return row
 
     def add_evaluation(
-        self, evaluation: Evaluation, *, time_s: float, took_s: float, best: bool
+        self,
+        evaluation: Evaluation,
+        *,
+        time_s: float,
+        took_s: float,
+        best: bool,
+        number: int | None = None,
     ) -> EvaluationRow:
-        """Write down an evaluation of the policy as it was after the last update.
+        """Write down an evaluation of the policy as it was after an update.
 
         Args:
             evaluation: the table of trials.
             time_s: wall time of the run so far [s].
             took_s: how long learning waited for it [s].
             best: whether the policy is the best so far.
+            number: updates before it; None: the last one.
         """
+        number = self.number if number is None else number
+        samples = next((row.samples for row in self.updates if row.number == number), 0)
         row = EvaluationRow(
-            number=self.number,
-            samples=self.samples,
+            number=number,
+            samples=samples,
             time_s=round(time_s, 4),
             took_s=round(took_s, 4),
             completion=round(evaluation.completion, 4),
@@ -203,6 +213,10 @@ class History:
             os.fsync(self._file.fileno())
             self._file.close()
             self._file = None
+
+    def _samples_after(self, number: int) -> int:
+        found = (row.samples for row in reversed(self.updates) if row.number == number)
+        return next(found, 0)
 
     def _keep(self, row: Row) -> None:
         if isinstance(row, UpdateRow):
@@ -271,11 +285,6 @@ def _begun(path: Path, rows: Iterable[Row]) -> TextIOWrapper:
         lines = [json.dumps({"history": FORMAT}) + "\n", *map(_line, rows)]
         file.write_text("".join(lines), encoding="utf-8")
     return path.open("a", encoding="utf-8", newline="\n")
-
-
-def _in_order(updates: list[UpdateRow], evaluations: list[EvaluationRow]) -> list[Row]:
-    """Return the rows in the order in which they happened: an update before its evaluation."""
-    return sorted([*updates, *evaluations], key=lambda row: row.number)
 
 
 def _line(row: Row) -> str:

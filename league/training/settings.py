@@ -17,19 +17,19 @@ class PpoConfig:
 
     steps: int = 32
     """Steps of each row between two updates."""
-    epochs: int = 3
+    epochs: int = 6
     """Passes over what was collected."""
-    mini_batches: int = 4
+    mini_batches: int = 8
     """Parts of what was collected; each is one gradient step."""
-    gamma: float = 0.98
+    gamma: float = 0.95
     """Discount for each step (1/15 s)."""
-    lam: float = 0.95
+    lam: float = 0.9
     """Generalised advantage estimation's lambda."""
     clip: float = 0.2
     """Largest change of a decision's probability ratio that still counts."""
-    learning_rate: tuple[float, float] = (1e-3, 2e-4)
+    learning_rate: tuple[float, float] = (3e-3, 3e-4)
     """Adam's step size, falling geometrically."""
-    noise: tuple[float, float] = (0.5, 0.1)
+    noise: tuple[float, float] = (0.5, 0.06)
     """Standard deviation of the exploration of continuous actions, falling geometrically."""
     entropy: tuple[float, float] = (0.01, 0.0)
     """Weight of the entropy of discrete actions, falling linearly."""

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 from league.agents.driver import Driver
 from league.envs.config import EnvConfig
 from league.envs.rewards import Reward
 from league.envs.vec_env import RacingVecEnv
 from league.sim.config import ObstacleConfig, RaceRules, SimConfig, Spread
-from league.track.course import Track, TrackSet
+from league.track.course import TrackSet
 from league.training.settings import TrainConfig
 
 _ENDLESS = 1000
@@ -56,15 +55,3 @@ def make(
         as_bytes=True,
         seed=cfg.seed,
     )
-
-
-def courses(tracks: list[Track], both_directions: bool, device: str = "cpu") -> TrackSet:
-    """Return the set of courses, with each driven the other way round too if asked."""
-    if both_directions:
-        tracks = [way for track in tracks for way in (track, track.reversed())]
-    return TrackSet.of(*tracks).to(device) if device != "cpu" else TrackSet.of(*tracks)
-
-
-def with_seed(cfg: TrainConfig, seed: int) -> TrainConfig:
-    """Return the settings with another seed."""
-    return replace(cfg, seed=seed)

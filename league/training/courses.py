@@ -1,0 +1,59 @@
+"""The tracks of a run: names, files, or generated:N for N random ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from league.errors import ConfigError, brief
+from league.track import files
+from league.track.course import Track, TrackSet
+from league.track.generate import generate
+
+GENERATED = "generated:"
+MOST_GENERATED = 2000
+MOST_TOGETHER = 4
+FIRST_EXAM_SEED = 1_000_000
+"""Random tracks to be judged on count from here, so that none of them is ever trained on."""
+
+
+def load(names: Sequence[str]) -> list[Track]:
+    """Return the courses of some names.
+
+    Raises:
+        TrackError: there is no such track.
+        ConfigError: no names, or no number of random ones.
+    """
+    if not names:
+        raise ConfigError("no track was named: give --track NAME, `league tracks` lists them")
+    found: list[Track] = []
+    for name in names:
+        if name.startswith(GENERATED):
+            found += [generate(seed) for seed in range(_number(name))]
+        else:
+            found.append(files.load(name))
+    return found
+
+
+def to_judge_on(names: Sequence[str]) -> list[Track]:
+    """Return where to judge a policy that trains on these: there, or on random ones never seen."""
+    named = [name for name in names if not name.startswith(GENERATED)]
+    if named:
+        return load(named[:MOST_TOGETHER])
+    return [generate(FIRST_EXAM_SEED + number) for number in range(MOST_TOGETHER)]
+
+
+def together(tracks: Sequence[Track], both_directions: bool, device: str = "cpu") -> TrackSet:
+    """Return the set of courses, each of them the other way round too if asked."""
+    if both_directions:
+        tracks = [way for track in tracks for way in (track, track.reversed())]
+    return TrackSet.of(*tracks, device=device)
+
+
+def _number(name: str) -> int:
+    text = name.removeprefix(GENERATED)
+    if not text.isdecimal() or not 1 <= int(text) <= MOST_GENERATED:
+        raise ConfigError(
+            f"{brief(name)} is no number of random tracks: give generated:1 to "
+            f"generated:{MOST_GENERATED}"
+        )
+    return int(text)

@@ -1,0 +1,340 @@
+"""A training run: learn, judge, save, show; from its settings to best.pt, and on after a kill."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pydantic import TypeAdapter, ValidationError
+
+from league import __version__
+from league.agents import checkpoint
+from league.agents.card import Card
+from league.agents.card import Reward as RewardCard
+from league.agents.checkpoint import Checkpoint
+from league.envs.rewards import Reward, preset
+from league.errors import ConfigError, LeagueError, PolicyError
+from league.training import courses, worlds
+from league.training.history import History
+from league.training.judge import Exam, Judge, Judgement
+from league.training.learner import Learner, Update
+from league.training.settings import TrainConfig
+from league.whole_file import replacing
+
+if TYPE_CHECKING:
+    from league.evaluation import Evaluation
+    from league.training.onlooker import Onlooker
+
+MOST_WAITING = 2
+"""Policies that may wait for their judgement before learning waits for one."""
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """All that decides a run; kept beside it as settings.json, so that it can be gone on with."""
+
+    train: TrainConfig = field(default_factory=TrainConfig)
+    """The learner and its worlds."""
+    name: str = "policy"
+    """What the policy is called."""
+    tracks: tuple[str, ...] = ("reinvent_2018",)
+    """Names or files of tracks, or generated:N for N random ones."""
+    reward: str = "progress"
+    """A built-in reward, or the path of a reward file."""
+    minutes: float = 5.0
+    """Longest learning time [min]; 0: without limit."""
+    steps: int = 0
+    """Most decisions to learn from; 0: without limit."""
+    stop_when_complete: int = 0
+    """Stop after so many evaluations in a row with every lap complete; 0: never."""
+    exam_tracks: tuple[str, ...] = ()
+    """Where policies are judged; none: on the tracks of training, or four random ones."""
+    exam_laps: int = 3
+    """Laps of each run of an evaluation."""
+    exam_trials: int = 1
+    """Runs of an evaluation on each track."""
+    exam_every: int = 1
+    """Save points between two evaluations."""
+    exam_opponents: tuple[str, ...] = ()
+    """Who races against the policy in an evaluation."""
+    opponents: tuple[str, ...] = ()
+    """Drivers or checkpoints that race against the learner."""
+    init_from: str = ""
+    """Checkpoint to begin from."""
+    licence: str = "CC-BY-4.0"
+    """Licence of the weights."""
+    command: str = ""
+    """The command line."""
+
+    def __post_init__(self) -> None:
+        if self.minutes < 0 or self.steps < 0 or not (self.minutes or self.steps):
+            raise ConfigError(
+                f"the run is to last {self.minutes:g} minutes and {self.steps} steps: give one of "
+                "them, more than 0"
+            )
+        if self.exam_every < 1 or self.exam_laps < 1 or self.exam_trials < 1:
+            raise ConfigError("an evaluation needs at least 1 lap, 1 run and 1 save point")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run has come to."""
+
+    best: Path
+    """The best policy."""
+    evaluation: Evaluation | None
+    """Its evaluation."""
+    samples: int
+    """Decisions learnt from."""
+    time_s: float
+    """Learning time, of earlier parts too [s]."""
+    why: str
+    """Why it stopped."""
+
+
+class Run:
+    """One training run in its folder: best.pt, last.pt, state.pt, history.jsonl, settings.json."""
+
+    def __init__(self, cfg: RunConfig, folder: Path, *, beside: bool = True) -> None:
+        """Build worlds, learner and judge; nothing is written before the first update.
+
+        Args:
+            cfg: settings.
+            folder: of this run alone.
+            beside: whether to judge in a process of its own.
+
+        Raises:
+            LeagueError: unknown tracks, rewards or drivers, or settings that contradict.
+        """
+        self.cfg, self.folder = cfg, folder
+        self._tracks = courses.load(cfg.tracks)
+        self._judge = Judge(_exam(cfg, self._tracks), beside=beside)
+        try:
+            self._begin()
+        except BaseException:
+            self._judge.close()
+            raise
+
+    def _begin(self) -> None:
+        cfg = self.cfg
+        train = cfg.train
+        self._reward, self._reward_card = _reward(cfg)
+        if self._reward is None:
+            train = replace(train, reward=preset(cfg.reward))
+        tracks = courses.together(self._tracks, train.both_directions, train.device)
+        self.env = worlds.make(
+            tracks, train, opponents=dict(enumerate(cfg.opponents, 1)), reward=self._reward
+        )
+        self.train = train
+        self.learner = Learner(self.env, train)
+        self._parents: tuple[str, ...] = ()
+        if cfg.init_from:
+            parent = checkpoint.load(cfg.init_from)
+            self.learner.begin(dict(parent.weights))
+            self._parents = (parent.digest, *parent.card.parents)[:64]
+        self._spent_s, self._complete = 0.0, 0
+        self._waiting: dict[int, Checkpoint] = {}
+        self._best: tuple[float, ...] | None = None
+        self._best_evaluation: Evaluation | None = None
+        self.history = History()
+
+    def resume(self) -> None:
+        """Go on from the folder's state.
+
+        Raises:
+            PolicyError: there is none, or it is of another run.
+        """
+        notes = self.learner.restore(self.folder / "state.pt")
+        self._spent_s = float(notes["spent_s"])
+        self._complete = int(notes["complete"])
+        self._best = tuple(notes["best"]) or None
+        self.history.close()
+        self.history = History.resumed(self.folder / "history.jsonl", self.learner.updates)
+
+    def learn(self, onlookers: Sequence[Onlooker] = ()) -> Outcome:
+        """Learn until the budget is spent or all is complete; Ctrl-C saves and raises."""
+        if self.learner.updates == 0:
+            self._prepare()
+        started, why = time.perf_counter() - self._spent_s, ""
+        try:
+            while not why:
+                update = self.learner.update(self._share())
+                self._spent_s = time.perf_counter() - started
+                self.history.add_update(update, self.learner.episodes, self._spent_s)
+                for onlooker in onlookers:
+                    onlooker.update(self.history, update)
+                if self.learner.at_save_point:
+                    self._save_point(update, onlookers)
+                why = self._over()
+            self._finish(onlookers)
+        except LeagueError:
+            # The user's reward function failed, say: what was learnt stays.
+            self._save()
+            raise
+        except KeyboardInterrupt:
+            self._save()
+            raise
+        finally:
+            self._judge.close()
+            self.history.close()
+            self.env.close()
+            for onlooker in onlookers:
+                onlooker.close()
+        return Outcome(
+            best=self.folder / "best.pt",
+            evaluation=self._best_evaluation,
+            samples=self.learner.samples,
+            time_s=self._spent_s,
+            why=why,
+        )
+
+    def _prepare(self) -> None:
+        """Write the settings, and begin the history."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with replacing(self.folder / "settings.json", "the settings", PolicyError) as file:
+            file.write_bytes(_SETTINGS.dump_json(self.cfg, indent=2))
+        for name in ("best.pt", "last.pt", "state.pt"):
+            (self.folder / name).unlink(missing_ok=True)
+        self.history = History(self.folder / "history.jsonl")
+
+    def _share(self) -> float:
+        cfg = self.cfg
+        by_time = self._spent_s / (60.0 * cfg.minutes) if cfg.minutes else 0.0
+        by_steps = self.learner.samples / cfg.steps if cfg.steps else 0.0
+        return max(by_time, by_steps)
+
+    def _over(self) -> str:
+        cfg = self.cfg
+        if cfg.stop_when_complete and self._complete >= cfg.stop_when_complete:
+            return "every lap was complete"
+        if cfg.steps and self.learner.samples >= cfg.steps:
+            return "the steps were driven"
+        return "the time was up" if self._share() >= 1.0 else ""
+
+    def _save_point(self, update: Update, onlookers: Sequence[Onlooker]) -> None:
+        self._save()
+        if (update.number // self.cfg.train.save_every) % self.cfg.exam_every == 0:
+            self._hand(update.number)
+        self._take(onlookers, wait=self._judge.waiting > MOST_WAITING)
+
+    def _hand(self, number: int) -> None:
+        self._waiting[number] = self._checkpoint(None)
+        self._judge.hand(number, self._waiting[number])
+
+    def _take(self, onlookers: Sequence[Onlooker], *, wait: bool) -> None:
+        started = time.perf_counter()
+        for judgement in self._judge.take(wait=wait):
+            waited = time.perf_counter() - started if wait else 0.0
+            self._note(judgement, waited, onlookers)
+
+    def _note(self, found: Judgement, waited_s: float, onlookers: Sequence[Onlooker]) -> None:
+        evaluation, policy = found.evaluation, self._waiting.pop(found.number)
+        self._complete = self._complete + 1 if evaluation.all_complete else 0
+        merit = _merit(evaluation)
+        best = self._best is None or merit > self._best
+        if best:
+            self._best, self._best_evaluation = merit, evaluation
+            results = {"updates": float(found.number), **evaluation.summary}
+            card = policy.card.model_copy(update={"results": results})
+            checkpoint.save(self.folder / "best.pt", replace(policy, card=card, text=""))
+        self.history.add_evaluation(
+            evaluation, time_s=self._spent_s, took_s=waited_s, best=best, number=found.number
+        )
+        for onlooker in onlookers:
+            onlooker.evaluated(self.history, evaluation)
+
+    def _finish(self, onlookers: Sequence[Onlooker]) -> None:
+        """Judge the last policy too, and wait for all judgements."""
+        self._save()
+        complete = self.cfg.stop_when_complete and self._complete >= self.cfg.stop_when_complete
+        if not complete and self.learner.updates not in self._waiting:
+            self._hand(self.learner.updates)
+        while self._waiting and not complete:
+            self._take(onlookers, wait=True)
+
+    def _save(self) -> None:
+        if self.learner.updates == 0:
+            return
+        checkpoint.save(self.folder / "last.pt", self._checkpoint(None))
+        notes: dict[str, object] = {
+            "spent_s": self._spent_s,
+            "complete": self._complete,
+            "best": list(self._best or ()),
+        }
+        self.learner.save(self.folder / "state.pt", notes)
+
+    def _checkpoint(self, evaluation: Evaluation | None) -> Checkpoint:
+        cfg = self.cfg
+        card = Card(
+            name=cfg.name,
+            sensors=cfg.train.sensors,
+            action_space=cfg.train.action_space,
+            network=cfg.train.network,
+            tracks=tuple(name[:80] for name in cfg.tracks),
+            kind=cfg.train.kind,
+            reward=self._reward_card,
+            steps=self.learner.samples,
+            train_s=round(self._spent_s, 1),
+            seed=cfg.train.seed,
+            parents=self._parents,
+            licence=cfg.licence,
+            league_version=__version__,
+            command=cfg.command,
+        )
+        return Checkpoint(card, self.learner.weights())
+
+
+def settings(folder: Path) -> RunConfig:
+    """Return the settings of the run in a folder.
+
+    Raises:
+        PolicyError: there is no run.
+    """
+    path = folder / "settings.json"
+    try:
+        return _SETTINGS.validate_json(path.read_bytes())
+    except (OSError, ValidationError, ConfigError) as error:
+        raise PolicyError(
+            f"{path} holds no settings of a run ({type(error).__name__}): give the --out of a run "
+            "that was begun, or leave --resume away"
+        ) from None
+
+
+_SETTINGS = TypeAdapter(RunConfig)
+
+
+def _merit(evaluation: Evaluation) -> tuple[float, ...]:
+    """Return what the best policy has most of: laps, then how far it came, then pace."""
+    mean = evaluation.mean_lap_s
+    laps = evaluation.complete_laps / evaluation.asked
+    places = [-place for place in evaluation.places]
+    won = sum(places) / len(places) if places else 0.0
+    return (laps, round(evaluation.completion, 3), won, -mean if mean is not None else -1e9)
+
+
+def _exam(cfg: RunConfig, tracks: list) -> Exam:
+    asked = courses.load(cfg.exam_tracks) if cfg.exam_tracks else courses.to_judge_on(cfg.tracks)
+    return Exam(
+        tracks=tuple(asked),
+        laps=cfg.exam_laps,
+        trials=cfg.exam_trials,
+        kind=cfg.train.kind if cfg.train.kind != "head_to_head" else "time_trial",
+        obstacles=cfg.train.obstacles,
+        bots=cfg.train.bots,
+        opponents=cfg.exam_opponents,
+    )
+
+
+def _reward(cfg: RunConfig) -> tuple[Reward | None, RewardCard]:
+    """Return the reward of a file, or None for a built-in one, and what the card says of it."""
+    if not cfg.reward.endswith(".py"):
+        preset(cfg.reward)
+        return None, RewardCard(name=cfg.reward)
+    from league.envs.deepracer import user_reward
+
+    sim = worlds.env_config(cfg.train).sim
+    reward = user_reward(cfg.reward, cfg.train.num_worlds, (0,), sim=sim)
+    return reward, RewardCard(name=Path(cfg.reward).stem[:80], sha256=reward.source.digest)
