@@ -199,10 +199,10 @@ def rerun(replay: Replay, checkpoints: Sequence[str | os.PathLike[str]] = ()) ->
 
 def _loaded(entry: Entry, tracks: TrackSet, car: CarConfig) -> Driver:
     """Load the driver of an entry, and make sure that a policy is still the same one."""
-    from league.agents import roster
+    from league.agents import garage, roster
 
     whose = f"{entry.name!r} is the policy {entry.digest[:12]}"
-    if entry.digest and not entry.path:
+    if entry.digest and not entry.path and entry.name not in garage.names():
         raise PolicyError(f"{whose}, but no file is named that holds it: give its checkpoint")
     try:
         driver = roster.load(entry.path or entry.name, tracks, car)
@@ -216,8 +216,8 @@ def _loaded(entry: Entry, tracks: TrackSet, car: CarConfig) -> Driver:
     found = getattr(driver, "digest", "")
     if entry.digest and found != entry.digest:
         raise PolicyError(
-            f"{whose}, but {entry.path} holds {found[:12]} now: give the file it was then, "
-            "as in `league verify REPLAY --policies FILE.pt`"
+            f"{whose}, but {entry.path or entry.name} holds {found[:12]} now: "
+            "give the file it was then, as in `league verify REPLAY --policies FILE.pt`"
         )
     return driver
 

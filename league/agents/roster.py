@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from league.agents import garage
 from league.agents.driver import Driver
 from league.agents.scripted import CenterlineDriver, LineDriver, Style
 from league.agents.traffic import Manners
@@ -46,7 +47,8 @@ def load(name_or_path: str, tracks: TrackSet, car: CarConfig) -> Driver:
     """Build a driver for the tracks that its rows race on.
 
     Args:
-        name_or_path: name of a scripted driver, or a checkpoint, which ends in .pt.
+        name_or_path: name of a scripted driver or of a policy in the garage, or a checkpoint,
+            which ends in .pt.
         tracks: the set; a scripted driver needs it to hold one track.
         car: the car it will drive.
 
@@ -56,10 +58,13 @@ def load(name_or_path: str, tracks: TrackSet, car: CarConfig) -> Driver:
     """
     if name_or_path.endswith(".pt"):
         return policy(name_or_path, tracks, car)
+    if name_or_path in garage.names():
+        return policy(str(garage.path(name_or_path)), tracks, car)
     if name_or_path not in NAMES:
+        known = [*NAMES, *garage.names()]
         raise PolicyError(
             f"there is no driver {name_or_path!r}; nearest: "
-            f"{nearest_names(name_or_path, list(NAMES))}; or give a checkpoint, FILE.pt"
+            f"{nearest_names(name_or_path, known)}; or give a checkpoint, FILE.pt"
         )
     if len(tracks.tracks) != 1:
         raise PolicyError(

@@ -11,9 +11,22 @@ from typing import Annotated, Any
 import tyro
 
 from league.cli import checkpoints, drivers, evaluate, race, replays, rewards, tracks, train
+from league.cli.season import entering, reading, running
 from league.errors import LeagueError
 
-ROOMS = (race, train, evaluate, rewards, checkpoints, tracks, drivers, replays)
+ROOMS = (
+    race,
+    train,
+    evaluate,
+    rewards,
+    checkpoints,
+    tracks,
+    drivers,
+    replays,
+    entering,
+    running,
+    reading,
+)
 """Where the commands are, in the order of the help; each room's `COMMANDS` names its own."""
 
 

@@ -121,13 +121,16 @@ def _spec(command: Race, track: str) -> RaceSpec:
 
 def entries(drivers: Sequence[str]) -> list[dict[str, str]]:
     """Return the entries of a spec; a checkpoint is shown by its name and found by its path."""
+    from league.agents import checkpoint, garage
+
     found = []
     for given, name in zip(drivers, labels(drivers), strict=True):
         entry = {"name": name}
         if given.endswith(".pt"):
-            from league.agents import checkpoint
-
             entry |= {"path": given, "digest": checkpoint.digest(given)}
+        elif given in garage.names():
+            # No path: on every machine the garage has it under this name.
+            entry["digest"] = checkpoint.digest(garage.path(given))
         found.append(entry)
     return found
 

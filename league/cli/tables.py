@@ -38,7 +38,8 @@ def table(title: str, *columns: str) -> Table:
     )
     for number, column in enumerate(columns):
         left = number < 2 or column in ("title", "direction", "how it drives")
-        table.add_column(column, justify="left" if left else "right", no_wrap=True)
+        sentences = column == "how it drives"
+        table.add_column(column, justify="left" if left else "right", no_wrap=not sentences)
     return table
 
 

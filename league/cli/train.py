@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from league.errors import ConfigError
+from league.errors import ConfigError, brief
 
 if TYPE_CHECKING:
     from league.envs.action_space import ActionSpace
@@ -87,8 +87,10 @@ class Train:
     """Where to judge it; none: where it learns."""
     exam_trials: int = 1
     """Runs of each evaluation."""
-    threads: int = 0
-    """Threads of torch; 0 chooses."""
+    exam_every: int = 1
+    """Save points between two evaluations."""
+    threads: int = 1
+    """Threads of torch; the evaluations take one more."""
     plain: bool = False
     """One line now and then instead of the live page."""
     watch: bool = False
@@ -114,14 +116,18 @@ def _train(command: Train) -> int:
     from league.training.run import Run, settings
 
     cfg = settings(folder) if command.resume else _config(command)
-    with threads(command.threads or None):
+    with threads(command.threads):
         run = Run(cfg, folder)
         if command.resume:
             run.resume()
         try:
             outcome = run.learn(_onlookers(command, run))
         except KeyboardInterrupt:
-            print(f"\nStopped. Saved: {folder / 'last.pt'}; go on with --resume.", file=sys.stderr)
+            if (folder / "state.pt").exists():
+                said = f"Stopped. Saved: {folder / 'last.pt'}; go on with --resume."
+            else:
+                said = "Stopped before anything was learnt."
+            print(f"\n{said}", file=sys.stderr)
             return 130
     _report(command, outcome)
     return 0
@@ -151,7 +157,13 @@ def _onlookers(command: Train, run: Run) -> list[Onlooker]:
 
     cfg = run.cfg
     found: list[Onlooker] = [
-        Page(run.train, 60.0 * cfg.minutes, cfg.steps, cfg.name, plain=command.plain),
+        Page(
+            run.train,
+            60.0 * cfg.minutes or None,
+            cfg.steps or None,
+            cfg.name,
+            plain=command.plain,
+        ),
         Picture(run.folder / "training.png"),
     ]
     if command.tensorboard:
@@ -178,11 +190,16 @@ def _config(command: Train) -> RunConfig:
         stop_when_complete=command.stop_when_complete,
         exam_tracks=command.exam_track,
         exam_trials=command.exam_trials,
+        exam_every=command.exam_every,
         opponents=command.opponents,
         init_from=command.init_from,
         licence=command.licence,
-        command=shlex.join(["league", *sys.argv[1:]])[:2000],
+        command=_printable(shlex.join(["league", *sys.argv[1:]]))[:2000],
     )
+
+
+def _printable(text: str) -> str:
+    return "".join(sign if sign.isprintable() else " " for sign in text)
 
 
 def _learner(command: Train) -> TrainConfig:
@@ -233,6 +250,8 @@ def _learner(command: Train) -> TrainConfig:
         else None,
         obstacles=command.obstacles,
         bots=command.bots,
+        # So that a save point comes every 10 to 20 s.
+        save_every=max(1, min(8, 16_384 // (command.num_worlds * ppo.steps))),
     )
 
 
@@ -271,16 +290,16 @@ def parse_actions(text: str) -> ActionSpace:
         from league.envs.deepracer import metadata
 
         return metadata.read(text).action_space
-    number = r"(\d+(?:\.\d+)?)"
+    number = r"([0-9]{1,3}(?:\.[0-9]{1,6})?)"
     if found := re.fullmatch(rf"{number}-{number}(?:@{number})?", text):
         low, high, steering = found.groups()
         degrees = float(steering or 30.0)
         return ContinuousActions(-degrees, degrees, float(low), float(high))
-    if found := re.fullmatch(rf"(\d+)x(\d+)(?:@{number})?", text):
+    if found := re.fullmatch(rf"([0-9]{{1,3}})x([0-9]{{1,3}})(?:@{number})?", text):
         steerings, speeds, fastest = found.groups()
         return grid(int(steerings), 30.0, int(speeds), float(fastest or 1.0))
     raise ConfigError(
-        f"--action-space is {text!r}: give speeds such as 0.5-4 [m/s], a grid such as 5x2@1.0, "
+        f"--action-space is {brief(text)}: give speeds such as 0.5-4 [m/s], a grid such as 5x2@1.0, "
         "or a model_metadata.json"
     )
 
@@ -301,20 +320,18 @@ def parse_sensors(names: tuple[str, ...]) -> SensorConfig:
         return metadata.read(names[0]).sensors
     cameras, lidars = [], []
     for name in names:
-        if found := re.fullmatch(r"(stereo|mono|left)(\d+)x(\d+)", name):
+        if found := re.fullmatch(r"(stereo|mono|left)([0-9]{1,4})x([0-9]{1,4})", name):
             eyes, width, height = found.groups()
             cameras.append(CameraConfig(int(width), int(height), eyes=eyes))  # type: ignore
         elif name in ("lidar", "sectors", "discretised"):
             lidars.append(LidarConfig(form="ranges" if name == "lidar" else name))  # type: ignore
         else:
             raise ConfigError(
-                f"there is no sensor {name!r}: give stereoWxH, monoWxH, leftWxH, lidar, sectors, "
+                f"there is no sensor {brief(name)}: give stereoWxH, monoWxH, leftWxH, lidar, sectors, "
                 "discretised, or a model_metadata.json"
             )
     if len(cameras) > 1 or len(lidars) > 1:
         raise ConfigError(
-            f"the sensors {', '.join(names)} hold two of a kind: give one camera and one lidar"
+            f"the sensors {brief(' '.join(names))} hold two of a kind: give one camera and one lidar"
         )
-    return SensorConfig(
-        camera=cameras[0] if cameras else None, lidar=lidars[0] if lidars else None
-    )
+    return SensorConfig(camera=cameras[0] if cameras else None, lidar=lidars[0] if lidars else None)

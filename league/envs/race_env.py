@@ -130,14 +130,22 @@ class RaceEnv:
         return round(self.cfg.episode_s * self.cfg.sim.step_hz)
 
     @torch.no_grad()
-    def reset(self, seed: int | None = None, seeds: Tensor | None = None) -> Observations:
+    def reset(
+        self,
+        seed: int | None = None,
+        seeds: Tensor | None = None,
+        track_index: Tensor | None = None,
+    ) -> Observations:
         """Start all races anew; nothing of the past remains.
 
         Args:
             seed: makes the worlds' own seeds; None goes on to fresh ones.
             seeds: or each world's seed itself, int64, (num_worlds,).
+            track_index: other tracks than before for the worlds, (num_worlds,).
         """
         self._check_open()
+        if track_index is not None:
+            self._track = track_index.to(self.tracks.device)
         self._begin(self._seed + 1 if seed is None else seed, seeds)
         return self._observe()
 
@@ -220,6 +228,8 @@ class RaceEnv:
         self._sensing.reset()
         shape = (self.num_worlds, self.num_cars)
         self._last_action = self._no_action()
+        if self.cfg.meeting is not None:
+            self._last_action = encode(self.cfg.sim, self._world.control)
         self._episode_steps = torch.zeros(shape, dtype=torch.int64, device=self.tracks.device)
         all_cars = torch.ones(shape, dtype=torch.bool, device=self.tracks.device)
         self._reward.restart(self._world, all_cars)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import torch
@@ -19,6 +19,7 @@ from league.envs.race_env import Observations, RaceEnv, Step
 from league.envs.rewards import Reward
 from league.errors import ActionError, ConfigError
 from league.sim.config import SensorConfig
+from league.sim.world import World
 from league.track.course import TrackSet
 
 MISTAKES = ("off_track", "crashed", "immobilised", "reversed")
@@ -83,12 +84,19 @@ class RacingVecEnv(VecEnv):
         self.num_actions = SIZE if action_space is None else action_space.size
         self.max_episode_length = self._env.longest_episode
         self.device = tracks.device
+        self.watch: Callable[[World], None] | None = None
+        """Told the worlds after each step, restarts included; it cannot change them."""
         self.reset(seed)
 
-    def reset(self, seed: int) -> TensorDict:
-        """Start all rows anew, with nothing left of the past; return what they are told."""
+    def reset(self, seed: int, track_index: Tensor | None = None) -> TensorDict:
+        """Start all rows anew, with nothing left of the past; return what they are told.
+
+        Args:
+            seed: makes the worlds' own seeds.
+            track_index: other tracks than before for the worlds, (num_worlds,).
+        """
         self._opponents.reset()
-        self._told = self._env.reset(seed=seed)
+        self._told = self._env.reset(seed=seed, track_index=track_index)
         self._driven = torch.zeros(self.num_envs, device=self.device)
         return self.get_observations()
 
@@ -142,6 +150,8 @@ class RacingVecEnv(VecEnv):
         )  # (num_worlds, num_learners, 2)
         step = self._env.step(self._opponents.act(driven, self._told))
         self._opponents.watch(step)
+        if self.watch is not None:
+            self.watch(self._env.world)
         self._opponents.forget(step.began)
         self._told = step.observations
         dones = self._rows(step.terminated | step.truncated).to(torch.int64)

@@ -15,6 +15,7 @@ from functools import cached_property
 from typing import Any, Literal
 
 from league.sim.config import RaceKind, SolverName
+from league.sim.version import PHYSICS
 
 Purpose = Literal["rated", "validation", "audit", "gauntlet"]
 
@@ -53,8 +54,12 @@ class Ruleset:
     """Cars per race."""
     solver: SolverName = "bullet"
     """Physics solver."""
-    physics: str = "1"
+    physics: str = PHYSICS
     """Version of the physics: of whatever can change the outcome of a race."""
+    sensors: Literal["stock", "any"] = "stock"
+    """Stock mounts, lenses and rates only, or whatever a card asks for."""
+    max_time_s: float = 0.0
+    """A race is stopped after this time [s]; 0 chooses by length."""
 
     def __post_init__(self) -> None:
         if not self.tracks:
@@ -63,6 +68,8 @@ class Ruleset:
             raise ValueError(f"{self.cars} cars per race: 1 to {MAX_CARS} are possible")
         if self.laps < 1:
             raise ValueError(f"{self.laps} laps: drive at least 1")
+        if not 0 <= self.max_time_s <= 36_000:
+            raise ValueError(f"max_time_s is {self.max_time_s}: give 0 to 36000 s")
 
     @property
     def hash(self) -> str:

@@ -71,6 +71,32 @@ def broadcast(
     )
 
 
+def practice(num_cars: int, room: tuple[float, float, float, float]) -> rrb.Blueprint:
+    """Return the layout of cars that learn: the whole track, and what they have come to.
+
+    It plays at its own pace and waits at the end for more, which is smoother than to follow what
+    comes in batches.
+    """
+    charts = rrb.Vertical(
+        _chart("plots/completion", "Completion [%]"),
+        _chart("plots/reward", "Reward of an episode"),
+        _chart(paths.PLOT_SPEED, "Speed [m/s]"),
+        rrb.TextLogView(
+            origin=paths.EVENTS,
+            name="Evaluations",
+            columns=rrb.TextLogColumns(text_log_columns=["Body"]),
+        ),
+        row_shares=[1, 1, 1, 1],
+    )
+    return rrb.Blueprint(
+        rrb.Horizontal(_overview(num_cars, room), charts, column_shares=[2.3, 1.0]),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TopPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed", timeline=paths.TIMELINE, play_state="playing"),
+    )
+
+
 def _chase(num_cars: int) -> rrb.Spatial3DView:
     return rrb.Spatial3DView(
         origin=paths.CHASE,

@@ -56,9 +56,7 @@ def start(tracks: TrackSet, sim: SimConfig, seed: Tensor, track: Tensor) -> Worl
     )
 
 
-def slots(
-    tracks: TrackSet, sim: SimConfig, track: Tensor, slot: Tensor
-) -> tuple[Tensor, Tensor]:
+def slots(tracks: TrackSet, sim: SimConfig, track: Tensor, slot: Tensor) -> tuple[Tensor, Tensor]:
     """Return where places of the starting grid are: distance from the line [m], and lateral [m].
 
     Args:

@@ -17,7 +17,7 @@ from league.track.course import TrackSet
 _SPOT, _SIDE, _KIND, _SLOT, _ROLL, _PACE, _OWN_PACE, _GAP, _LANE = range(221, 230)
 _CANDIDATES = 12
 _LANES = 0.7
-_LOOK = (0.0, 0.4, 0.8, 1.2, 1.6)
+_LOOK = (0.0, 0.4, 0.8, 1.2)
 _GRAVITY = 9.81
 _NOWHERE = -1000.0
 
@@ -74,48 +74,70 @@ def _restart(tracks: TrackSet, sim: SimConfig, cfg: Meeting, world: World, who: 
 def _near(tracks: TrackSet, cfg: Meeting, world: World, who: Tensor) -> tuple[Tensor, Tensor]:
     """Draw places on the road for all that begin, near car 0, on nobody's place.
 
-    The first of twelve places is taken that is half a metre or most of a lane from each car that
-    has its place, or else the one that is clearest.
+    Of twelve places the first is taken that is clear of everybody, or else the clearest.
     """
     book, first = world.standing, who[:, :1]
-    length = tracks.length[world.track].unsqueeze(1)
-    closed = tracks.closed[world.track].unsqueeze(1)
-    seed, step = world.seed, world.step
-    drawn = draws.uniform(seed, _SPOT, step).unsqueeze(1) * length
-    spots, laterals = [torch.where(first, drawn, book.s[:, :1])], []
-    side = 2.0 * draws.uniform(seed, _SIDE, step).unsqueeze(1) - 1.0
-    laterals.append(torch.where(first, _across(tracks, world, spots[0], side), book.lateral[:, :1]))
-    attempt = torch.arange(_CANDIDATES, device=who.device)
+    drawn = draws.uniform(world.seed, _SPOT, world.step) * tracks.length[world.track]
+    side = 2.0 * draws.uniform(world.seed, _SIDE, world.step) - 1.0
+    spot = torch.where(first, drawn.unsqueeze(1), book.s[:, :1])
+    across = _across(tracks, world, spot, side.unsqueeze(1))
+    taken = list(book.s.split(1, dim=1))
+    beside = list(book.lateral.split(1, dim=1))
+    taken[0], beside[0] = spot, torch.where(first, across, beside[0])
     for car in range(1, world.num_cars):
-        named = (seed.unsqueeze(1), step.unsqueeze(1), car, attempt)
-        gap = (2.0 * draws.uniform(named[0], _GAP, *named[1:]) - 1.0) * cfg.reach
-        place = spots[0] + gap
-        place = torch.where(closed, place, torch.minimum(torch.clamp(place, min=0.2), length - 0.5))
-        side = 2.0 * draws.uniform(named[0], _LANE, *named[1:]) - 1.0
-        across = _across(tracks, world, place, side)
-        clear = torch.ones_like(place, dtype=torch.bool)
-        room = torch.full_like(place, 1e6)
-        for other in range(world.num_cars):
-            if other == car:
-                continue
-            placed = other < car
-            there = spots[other] if placed else book.s[:, other : other + 1]
-            beside = laterals[other] if placed else book.lateral[:, other : other + 1]
-            away = tracks.signed_gap(world.track, place, there).abs()
-            apart = (away >= 0.5) | ((across - beside).abs() >= 0.3)
-            if other == 0:
-                apart = apart & (first | (away >= cfg.room))
-            elif not placed:
-                # Who begins too has not got its place yet.
-                apart = apart | who[:, other : other + 1]
-            clear, room = clear & apart, torch.minimum(room, away)
-        merit = torch.where(clear, 1e9 - attempt * 1e6, room)
+        place, across = _candidates(tracks, cfg, world, car, spot)
+        clear, room = _clearance(tracks, cfg, world, who, car, place, across, taken, beside)
+        merit = torch.where(clear, 1e9 - torch.arange(_CANDIDATES, device=who.device) * 1e6, room)
         best = merit.argmax(dim=1, keepdim=True)
         begins = who[:, car : car + 1]
-        spots.append(torch.where(begins, torch.gather(place, 1, best), book.s[:, car : car + 1]))
-        own = book.lateral[:, car : car + 1]
-        laterals.append(torch.where(begins, torch.gather(across, 1, best), own))
-    return torch.cat(spots, dim=1), torch.cat(laterals, dim=1)
+        taken[car] = torch.where(begins, torch.gather(place, 1, best), taken[car])
+        beside[car] = torch.where(begins, torch.gather(across, 1, best), beside[car])
+    return torch.cat(taken, dim=1), torch.cat(beside, dim=1)
+
+
+def _candidates(
+    tracks: TrackSet, cfg: Meeting, world: World, car: int, about: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Draw twelve places for a car: along the track and across [m], (num_worlds, 12)."""
+    seed, step = world.seed.unsqueeze(1), world.step.unsqueeze(1)
+    attempt = torch.arange(_CANDIDATES, device=about.device)
+    gap = (2.0 * draws.uniform(seed, _GAP, step, car, attempt) - 1.0) * cfg.reach
+    length, closed = (each[world.track].unsqueeze(1) for each in (tracks.length, tracks.closed))
+    place = about + gap
+    place = torch.where(closed, place, torch.minimum(torch.clamp(place, min=0.2), length - 0.5))
+    side = 2.0 * draws.uniform(seed, _LANE, step, car, attempt) - 1.0
+    return place, _across(tracks, world, place, side)
+
+
+def _clearance(
+    tracks: TrackSet,
+    cfg: Meeting,
+    world: World,
+    who: Tensor,
+    car: int,
+    place: Tensor,
+    across: Tensor,
+    taken: list[Tensor],
+    beside: list[Tensor],
+) -> tuple[Tensor, Tensor]:
+    """Return which places are clear of all others, bool, and the gap to the nearest [m].
+
+    Clear is half a metre along the track or most of a lane across; of car 0 that is driving, more.
+    """
+    clear = torch.ones_like(place, dtype=torch.bool)
+    room = torch.full_like(place, 1e6)
+    for other in range(world.num_cars):
+        if other == car:
+            continue
+        away = tracks.signed_gap(world.track, place, taken[other]).abs()
+        apart = (away >= 0.5) | ((across - beside[other]).abs() >= 0.3)
+        if other == 0:
+            apart = apart & (who[:, :1] | (away >= cfg.room))
+        elif other > car:
+            # Who begins too has not got its place yet.
+            apart = apart | who[:, other : other + 1]
+        clear, room = clear & apart, torch.minimum(room, away)
+    return clear, room
 
 
 def _across(tracks: TrackSet, world: World, s: Tensor, side: Tensor) -> Tensor:
@@ -131,7 +153,7 @@ def _speeds(
     first, seed, step = who[:, :1], world.seed, world.step
     looks = spot.unsqueeze(2) + spot.new_tensor(_LOOK)
     sharpest = torch.amax(tracks.curvature_at(world.track, looks).abs(), dim=2)
-    limit = torch.sqrt(0.7 * sim.car.grip * _GRAVITY / torch.clamp(sharpest, min=1e-3))
+    limit = torch.sqrt(sim.car.grip * _GRAVITY / torch.clamp(sharpest, min=1e-3))
     limit = torch.clamp(limit, max=cfg.top_speed)
     rolls = (draws.uniform(seed, _ROLL, step) < cfg.rolling).unsqueeze(1)
     share = 0.3 + 0.7 * draws.uniform(seed, _PACE, step).unsqueeze(1)
@@ -144,9 +166,7 @@ def _speeds(
     return torch.minimum(base * (1.0 + cfg.pace * own), limit)
 
 
-def _rolling(
-    tracks: TrackSet, sim: SimConfig, world: World, who: Tensor, speed: Tensor
-) -> World:
+def _rolling(tracks: TrackSet, sim: SimConfig, world: World, who: Tensor, speed: Tensor) -> World:
     """Return the world with some cars moving along the track, wheels turned as the bend asks."""
     book = world.standing
     _, _, frame = tracks.at(world.track, book.s)

@@ -12,6 +12,9 @@ from league.track.generate import generate
 GENERATED = "generated:"
 MOST_GENERATED = 2000
 MOST_TOGETHER = 4
+"""Named tracks to be judged on, at most."""
+JUDGED_TOGETHER = 12
+"""Random tracks to be judged on."""
 FIRST_EXAM_SEED = 1_000_000
 """Random tracks to be judged on count from here, so that none of them is ever trained on."""
 
@@ -28,10 +31,15 @@ def load(names: Sequence[str]) -> list[Track]:
     found: list[Track] = []
     for name in names:
         if name.startswith(GENERATED):
-            found += [generate(seed) for seed in range(_number(name))]
+            found += [drawn(seed) for seed in range(_number(name))]
         else:
             found.append(files.load(name))
     return found
+
+
+def drawn(seed: int) -> Track:
+    """Return a random track to train on; every third one has bends near the smallest turn."""
+    return generate(seed, min_radius=0.34 if seed % 3 == 0 else 0.5, length=(15.0, 45.0))
 
 
 def to_judge_on(names: Sequence[str]) -> list[Track]:
@@ -39,7 +47,7 @@ def to_judge_on(names: Sequence[str]) -> list[Track]:
     named = [name for name in names if not name.startswith(GENERATED)]
     if named:
         return load(named[:MOST_TOGETHER])
-    return [generate(FIRST_EXAM_SEED + number) for number in range(MOST_TOGETHER)]
+    return [drawn(FIRST_EXAM_SEED + number) for number in range(JUDGED_TOGETHER)]
 
 
 def together(tracks: Sequence[Track], both_directions: bool, device: str = "cpu") -> TrackSet:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import queue
+import signal
+import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from league.agents import roster
@@ -71,9 +74,7 @@ def judged(exam: Exam, checkpoint: Checkpoint) -> Evaluation:
                 kind=kind,
                 mode="episode",
                 seed=exam.seed,
-                obstacles=ObstacleConfig(
-                    count=exam.obstacles, kind="bot" if exam.bots else "box"
-                ),
+                obstacles=ObstacleConfig(count=exam.obstacles, kind="bot" if exam.bots else "box"),
                 opponents=[roster.load(name, tracks, car) for name in exam.opponents],
             )
         )
@@ -114,10 +115,13 @@ class Judge:
             # Not forked: torch's threads do not survive that.
             context = multiprocessing.get_context("spawn")
             self._orders, self._answers = context.Queue(), context.Queue()
+            # Left unread, an order would keep this process from ending.
+            self._orders.cancel_join_thread()
             self._process = context.Process(
                 target=_work, args=(exam, self._orders, self._answers), daemon=True
             )
-            self._process.start()
+            with _deaf():
+                self._process.start()
 
     @property
     def waiting(self) -> int:
@@ -181,14 +185,25 @@ class Judge:
             return answer
 
 
-def _work(exam: Exam, orders: multiprocessing.Queue, answers: multiprocessing.Queue) -> None:
-    """Judge until stopped; Ctrl-C is the learner's to answer."""
-    import signal
+@contextlib.contextmanager
+def _deaf() -> Iterator[None]:
+    """Start processes that do not hear Ctrl-C, from their first moment; it is the learner's."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
+
+def _work(exam: Exam, orders: multiprocessing.Queue, answers: multiprocessing.Queue) -> None:
+    """Judge until stopped."""
     import torch
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     torch.set_num_threads(1)
+    os.nice(10)  # where cores are few, learning goes first
     parent = os.getppid()
     while True:
         try:

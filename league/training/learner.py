@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
-import os
+import pickle
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -68,9 +68,7 @@ class Learner:
         self._alg: PPO = self.runner.alg
         self._mirroring = None
         if cfg.mirror and mirror.applies(cfg.sensors, cfg.action_space):
-            self._mirroring = mirror.Mirroring(
-                cfg.sensors, cfg.action_space, cfg.ppo.mini_batches
-            )
+            self._mirroring = mirror.Mirroring(cfg.sensors, cfg.action_space, cfg.ppo.mini_batches)
             self._alg.symmetry = self._mirroring  # type: ignore
         self.episodes = Episodes(env.num_envs)
         self._scale = ReturnScale(env.num_envs, cfg.ppo.gamma, cfg.device)
@@ -166,7 +164,15 @@ class Learner:
             self._scale.restore(state["scale"])
             torch.set_rng_state(state["generator"].cpu())
             notes = dict(state["notes"])
-        except (OSError, KeyError, TypeError, ValueError, RuntimeError, EOFError) as error:
+        except (
+            OSError,
+            KeyError,
+            TypeError,
+            ValueError,
+            RuntimeError,
+            EOFError,
+            pickle.UnpicklingError,
+        ) as error:
             raise PolicyError(
                 f"{path} cannot be gone on from ({type(error).__name__}): give the run the "
                 "settings it was begun with, or begin anew with another --out"
@@ -178,9 +184,15 @@ class Learner:
         """Begin all episodes anew, from a seed that only the number of updates decides."""
         with torch.inference_mode():
             seed = self.cfg.seed * 1_000_003 + self.updates
-            self._obs = self.env.reset(seed)
+            self._obs = self.env.reset(seed, self._next_tracks())
         self.episodes.restart()
         self._scale.restart()
+
+    def _next_tracks(self) -> Tensor:
+        """Return the tracks of the worlds from here on: where there are more, others each time."""
+        worlds = self.cfg.num_worlds
+        first = worlds * (self.updates // self.cfg.save_every)
+        return torch.arange(first, first + worlds) % len(self.env.race_env.tracks.tracks)
 
     def _collect(self) -> tuple[float, dict[str, float]]:
         paid, sums = 0.0, {}
@@ -214,10 +226,10 @@ class Learner:
 
 
 @contextlib.contextmanager
-def threads(number: int | None) -> Iterator[None]:
+def threads(number: int) -> Iterator[None]:
     """Have torch compute with some threads; waiting ones must not spin (OMP_WAIT_POLICY)."""
     before = torch.get_num_threads()
-    torch.set_num_threads(number or min(2, os.cpu_count() or 1))
+    torch.set_num_threads(max(1, number))
     try:
         yield
     finally:
@@ -231,9 +243,7 @@ def _runner_settings(cfg: TrainConfig) -> dict:
         "num_steps_per_env": ppo.steps,
         "save_interval": 1,
         "obs_groups": {"actor": groups, "critic": ["state"]},
-        "actor": actor_settings(
-            cfg.network, cfg.action_space, "stereo" in groups, ppo.noise[0]
-        ),
+        "actor": actor_settings(cfg.network, cfg.action_space, "stereo" in groups, ppo.noise[0]),
         "critic": {
             "class_name": MLPModel,
             "hidden_dims": list(cfg.critic_hidden),

@@ -12,7 +12,6 @@ from league.agents.network import NetworkConfig
 from league.envs.action_space import ActionSpace, ContinuousActions
 
 
-
 class ByteCNNModel(CNNModel):
     """A CNNModel whose pictures are bytes, a quarter of the memory traffic of floats."""
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from league.errors import PolicyError
+from league.training.lines import clock
 from league.whole_file import replacing
 
 if TYPE_CHECKING:
@@ -146,10 +147,11 @@ def _mark_best(history: History, axes: Axes) -> None:
     if best.best_lap_s is not None:
         label += f": {best.best_lap_s:.2f} s a lap"
     right = best.samples < 0.6 * max(history.samples, 1)
+    # At the foot, below the curves: where a policy is good they are high.
     axes.annotate(
         label,
-        (best.samples, max(best.completion, 12.0)),
-        xytext=(12 if right else -12, -18),
+        (best.samples, 0.0),
+        xytext=(9 if right else -9, 12),
         textcoords="offset points",
         ha="left" if right else "right",
         color=_INK,
@@ -171,6 +173,8 @@ def _dress(history: History, completion: Axes, reward: Axes) -> None:
     completion.set_xlabel("samples (decisions learnt from)", color=_INK)
     completion.set_ylabel("average % completion", color=_DRIVEN)
     reward.set_ylabel("average reward of an episode", color=_EARNED)
+    if not any(row.earned is not None for row in history.updates):
+        reward.set_yticks([])
     completion.grid(color=_GRID, linewidth=0.8)
     completion.set_axisbelow(True)
     for axes in (completion, reward):
@@ -193,8 +197,8 @@ def _minutes(history: History, axes: Axes) -> None:
     upper = axes.twiny()
     upper.set_xlim(axes.get_xlim())
     # Minutes never fall, so samples can be looked up by them.
-    upper.set_xticks(np.interp(ticks, minutes, samples), [f"{tick:g}" for tick in ticks])
-    upper.set_xlabel("minutes of training", color=_INK)
+    upper.set_xticks(np.interp(ticks, minutes, samples), [clock(60.0 * tick) for tick in ticks])
+    upper.set_xlabel("time of training [min:s]", color=_INK)
     upper.tick_params(colors=_INK, length=0)
     for edge in upper.spines.values():
         edge.set_visible(False)
@@ -202,7 +206,7 @@ def _minutes(history: History, axes: Axes) -> None:
 
 def _round_step(whole: float) -> float:
     """Return a round distance between ticks, so that 4 to 10 fit in."""
-    for step in (0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 15.0, 30.0, 60.0, 120.0, 240.0):
+    for step in (1 / 12, 1 / 6, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 15.0, 30.0, 60.0, 120.0, 240.0):
         if whole / step <= 9:
             return step
     return whole / 6

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -16,7 +17,7 @@ from league.agents.card import Card
 from league.agents.card import Reward as RewardCard
 from league.agents.checkpoint import Checkpoint
 from league.envs.rewards import Reward, preset
-from league.errors import ConfigError, LeagueError, PolicyError
+from league.errors import ConfigError, LeagueError, PolicyError, brief
 from league.training import courses, worlds
 from league.training.history import History
 from league.training.judge import Exam, Judge, Judgement
@@ -70,7 +71,8 @@ class RunConfig:
     """The command line."""
 
     def __post_init__(self) -> None:
-        if self.minutes < 0 or self.steps < 0 or not (self.minutes or self.steps):
+        known = 0 <= self.minutes < math.inf and self.steps >= 0
+        if not known or not (self.minutes or self.steps):
             raise ConfigError(
                 f"the run is to last {self.minutes:g} minutes and {self.steps} steps: give one of "
                 "them, more than 0"
@@ -121,7 +123,10 @@ class Run:
     def _begin(self) -> None:
         cfg = self.cfg
         train = cfg.train
+        self._spent_s, self._complete = 0.0, 0
+        self._parents: tuple[str, ...] = ()
         self._reward, self._reward_card = _reward(cfg)
+        self._check_card()
         if self._reward is None:
             train = replace(train, reward=preset(cfg.reward))
         tracks = courses.together(self._tracks, train.both_directions, train.device)
@@ -130,12 +135,10 @@ class Run:
         )
         self.train = train
         self.learner = Learner(self.env, train)
-        self._parents: tuple[str, ...] = ()
         if cfg.init_from:
             parent = checkpoint.load(cfg.init_from)
             self.learner.begin(dict(parent.weights))
             self._parents = (parent.digest, *parent.card.parents)[:64]
-        self._spent_s, self._complete = 0.0, 0
         self._waiting: dict[int, Checkpoint] = {}
         self._best: tuple[float, ...] | None = None
         self._best_evaluation: Evaluation | None = None
@@ -193,7 +196,13 @@ class Run:
 
     def _prepare(self) -> None:
         """Write the settings, and begin the history."""
-        self.folder.mkdir(parents=True, exist_ok=True)
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise PolicyError(
+                f"the folder {self.folder} cannot be made ({error.strerror}): give --out a place "
+                "that can be written"
+            ) from None
         with replacing(self.folder / "settings.json", "the settings", PolicyError) as file:
             file.write_bytes(_SETTINGS.dump_json(self.cfg, indent=2))
         for name in ("best.pt", "last.pt", "state.pt"):
@@ -215,13 +224,14 @@ class Run:
         return "the time was up" if self._share() >= 1.0 else ""
 
     def _save_point(self, update: Update, onlookers: Sequence[Onlooker]) -> None:
-        self._save()
         if (update.number // self.cfg.train.save_every) % self.cfg.exam_every == 0:
             self._hand(update.number)
         self._take(onlookers, wait=self._judge.waiting > MOST_WAITING)
+        # Last, so that the state knows of the best.pt that lies beside it.
+        self._save()
 
     def _hand(self, number: int) -> None:
-        self._waiting[number] = self._checkpoint(None)
+        self._waiting[number] = self._checkpoint()
         self._judge.hand(number, self._waiting[number])
 
     def _take(self, onlookers: Sequence[Onlooker], *, wait: bool) -> None:
@@ -247,18 +257,25 @@ class Run:
             onlooker.evaluated(self.history, evaluation)
 
     def _finish(self, onlookers: Sequence[Onlooker]) -> None:
-        """Judge the last policy too, and wait for all judgements."""
+        """Judge the last policy too, wait for all judgements, and write down what came of them."""
         self._save()
         complete = self.cfg.stop_when_complete and self._complete >= self.cfg.stop_when_complete
-        if not complete and self.learner.updates not in self._waiting:
-            self._hand(self.learner.updates)
+        last = self.learner.updates
+        if not complete and last not in {*self._waiting, *self._judged}:
+            self._hand(last)
         while self._waiting and not complete:
             self._take(onlookers, wait=True)
+        self._save()
+
+    @property
+    def _judged(self) -> set[int]:
+        """Updates after which a policy has been judged."""
+        return {row.number for row in self.history.evaluations}
 
     def _save(self) -> None:
         if self.learner.updates == 0:
             return
-        checkpoint.save(self.folder / "last.pt", self._checkpoint(None))
+        checkpoint.save(self.folder / "last.pt", self._checkpoint())
         notes: dict[str, object] = {
             "spent_s": self._spent_s,
             "complete": self._complete,
@@ -266,17 +283,20 @@ class Run:
         }
         self.learner.save(self.folder / "state.pt", notes)
 
-    def _checkpoint(self, evaluation: Evaluation | None) -> Checkpoint:
+    def _checkpoint(self) -> Checkpoint:
+        return Checkpoint(self._card(self.learner.samples), self.learner.weights())
+
+    def _card(self, samples: int = 0) -> Card:
         cfg = self.cfg
-        card = Card(
+        return Card(
             name=cfg.name,
             sensors=cfg.train.sensors,
             action_space=cfg.train.action_space,
             network=cfg.train.network,
-            tracks=tuple(name[:80] for name in cfg.tracks),
+            tracks=tuple(name[-80:] for name in cfg.tracks),
             kind=cfg.train.kind,
             reward=self._reward_card,
-            steps=self.learner.samples,
+            steps=samples,
             train_s=round(self._spent_s, 1),
             seed=cfg.train.seed,
             parents=self._parents,
@@ -284,7 +304,19 @@ class Run:
             league_version=__version__,
             command=cfg.command,
         )
-        return Checkpoint(card, self.learner.weights())
+
+    def _check_card(self) -> None:
+        """See before anything is learnt that it can be written down."""
+        try:
+            card = self._card()
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            where = ".".join(str(part) for part in first["loc"])
+            raise ConfigError(
+                f"no checkpoint could tell its {where}, {brief(first['input'])}: "
+                f"{first['msg'].removeprefix('Value error, ')}"
+            ) from None
+        card.weight_shapes  # noqa: B018 (a network that cannot be built is refused here)
 
 
 def settings(folder: Path) -> RunConfig:

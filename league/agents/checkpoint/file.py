@@ -146,7 +146,7 @@ def _parsed(content: bytes) -> Checkpoint:
         raise RefusedError("its numbers have their bytes the other way round")
     match pickled.read(bytes(members["data.pkl"][: pickled.MAX_SIZE + 1])):
         case {"card": str(text), "weights": dict(stored), **rest} if not rest:
-            card, canonical = _card(text)
+            card, canonical = read_card(text)
         case _:
             raise RefusedError("it does not hold a card and weights, and nothing else")
     if len(content) > _limit(card):
@@ -187,8 +187,12 @@ def _weight(
     return torch.frombuffer(bytearray(numbers), dtype=torch.float32).reshape(shape)
 
 
-def _card(text: str) -> tuple[Card, str]:
-    """Return a card and its text with sorted keys."""
+def read_card(text: str) -> tuple[Card, str]:
+    """Return a stranger's card and its text with sorted keys.
+
+    Raises:
+        RefusedError: it is no card, or one that this version does not read.
+    """
     if len(text.encode("utf-8")) > MAX_CARD:
         raise RefusedError(f"its card is longer than {MAX_CARD} bytes")
     try:

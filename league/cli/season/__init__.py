@@ -1,0 +1,1 @@
+"""The commands of a league: `league init`, `submit`, `run`, `standings` and their neighbours."""

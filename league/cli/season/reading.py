@@ -1,0 +1,213 @@
+"""`league standings`, `show`, `h2h`, `history`: who is better, and how sure that is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import tyro
+
+from league.cli import tables
+from league.cli.season import door
+from league.cli.season.door import Reading
+from league.errors import StoreError
+
+if TYPE_CHECKING:
+    from league.matchmaking.standings import Standings
+    from league.matchmaking.store import Entry, Store
+
+
+@dataclass
+class ShowStandings(Reading):
+    """Rate all entries from all races, and print the table."""
+
+    top: int | None = None
+    """Only so many."""
+
+    def run(self) -> int:
+        """Run the command."""
+        from league.cli.season import page
+        from league.matchmaking import standings
+
+        with self.opened() as store:
+            found = standings.of(store)
+        if self.json:
+            door.print_json(told(found, self.top))
+            return 0
+        tables.console().print(page.table(found, self.top))
+        for line in notes(found):
+            print(line)
+        return 0
+
+
+@dataclass
+class Show(Reading):
+    """Show an entry: rating, record against everybody, last heats."""
+
+    entry: tyro.conf.Positional[str]
+    """Name or id."""
+
+    def run(self) -> int:
+        """Run the command."""
+        with self.opened() as store:
+            return _show(store, store.entry(self.entry), self.json)
+
+
+@dataclass
+class HeadToHead(Reading):
+    """Compare two entries: who is stronger, how sure that is, and their meetings."""
+
+    one: tyro.conf.Positional[str]
+    """Name or id."""
+    other: tyro.conf.Positional[str]
+    """Name or id."""
+
+    def run(self) -> int:
+        """Run the command."""
+        with self.opened() as store:
+            return _h2h(store, store.entry(self.one), store.entry(self.other), self.json)
+
+
+@dataclass
+class History(Reading):
+    """Show how an entry's rating came about."""
+
+    entry: tyro.conf.Positional[str]
+    """Name or id."""
+    points: int = 20
+    """How many moments."""
+
+    def run(self) -> int:
+        """Run the command."""
+        from league.matchmaking import standings
+
+        with self.opened() as store:
+            entry = store.entry(self.entry)
+            moments = standings.history(store, entry, points=max(1, self.points))
+        if self.json:
+            door.print_json(moments)
+            return 0
+        table = tables.table(f"{entry.name} over time", "heat", "races", "Elo, 95 %", "between")
+        for moment in moments:
+            table.add_row(
+                str(moment.heat),
+                str(moment.races),
+                door.plus_minus(moment.elo, moment.low95, moment.high95),
+                f"{moment.low95:.0f} to {moment.high95:.0f}",
+            )
+        tables.console().print(table)
+        return 0
+
+
+def told(found: Standings, top: int | None = None) -> dict[str, object]:
+    """Return standings as plain data."""
+    goodness = found.goodness
+    return {
+        "ruleset": found.ruleset,
+        "races": found.num_races,
+        "prior_sd": found.ratings.prior_sd,
+        "slot_advantages": found.ratings.slot_advantages.tolist(),
+        "fit": {
+            "chi_square": goodness.chi_square,
+            "freedom": goodness.freedom,
+            "p_value": goodness.p_value,
+            "rejected": goodness.rejected,
+        },
+        "entries": [door.plain(row) for row in found.rows[:top]],
+    }
+
+
+def notes(found: Standings) -> list[str]:
+    """Return what people must know beside the table."""
+    front = found.ratings.slot_advantages
+    lines = [
+        f"{found.num_races} races under rules {found.ruleset[:12]}; the front of the grid is worth "
+        f"{front[0] - front[-1]:+.0f} Elo over its end. ? = provisional (sd above 50)."
+    ]
+    if not found.ratings.all_connected:
+        lines.append(
+            "'apart': no chain of races leads to the anchor; such ratings lean on the prior."
+        )
+    if found.goodness.rejected:
+        lines.append(
+            "One number a driver does not explain these results (p = "
+            f"{found.goodness.p_value:.1g}): look at `league show ENTRY` for whom it beats."
+        )
+    return lines
+
+
+def _show(store: Store, entry: Entry, as_json: bool) -> int:
+    from league.matchmaking import standings
+
+    found: Standings | None = None
+    try:
+        found = standings.of(store)
+        row = found.row(entry.number)
+    except StoreError:
+        row = None
+    others = []
+    if found is not None and row is not None:
+        for other in found.rows:
+            record = standings.record(found, entry.number, other.number)
+            if other is not row and record.races:
+                others.append((other, record))
+    recent = store.heats(entries=[entry.number])[-10:]
+    if as_json:
+        records = [{"name": other.name, **door.plain(record)} for other, record in others]
+        heats = [{"number": heat.number, "state": heat.state} for heat in recent]
+        told = {"entry": entry, "standing": row, "against": records, "heats": heats}
+        door.print_json(told)
+        return 0
+    print(f"{entry.name} by {entry.owner}   {entry.id}")
+    print(f"{entry.state}{', ' + entry.reason if entry.reason else ''}, {entry.kind}")
+    if row is not None:
+        rating = door.plus_minus(row.elo, row.low95, row.high95)
+        print(
+            f"rank {row.rank} ({row.best_rank} to {row.worst_rank}), Elo {rating}, {row.races} races"
+        )
+    table = tables.table(
+        "Against", "entry", "owner", "Elo", "races", "points", "promised", "residual"
+    )
+    for other, record in others:
+        table.add_row(
+            other.name,
+            other.owner,
+            f"{other.elo:.0f}",
+            str(record.races),
+            f"{record.points:g}",
+            f"{record.expected:.1f}",
+            f"{record.residual:+.1f}",
+        )
+    if others:
+        tables.console().print(table)
+    print("Last heats: " + (", ".join(f"{h.number} ({h.state})" for h in recent) or "none"))
+    return 0
+
+
+def _h2h(store: Store, one: Entry, other: Entry, as_json: bool) -> int:
+    from league.matchmaking import standings
+
+    if one.id == other.id:
+        raise StoreError(f"{one.name!r} was given twice: name two entries")
+    found = standings.of(store)
+    for entry in (one, other):
+        found.row(entry.number)
+    gap = found.ratings.difference(one.number, other.number)
+    record = standings.record(found, one.number, other.number)
+    heats = [heat.number for heat in store.heats(("done",), entries=[one.number, other.number])]
+    if as_json:
+        told = {"one": one.name, "other": other.name, "difference": gap, "record": record}
+        door.print_json({**told, "heats": heats})
+        return 0
+    print(f"{one.name} - {other.name}: {gap.elo:+.0f} Elo ({gap.low95:+.0f} to {gap.high95:+.0f})")
+    print(f"{one.name} is the stronger one with probability {100 * gap.superiority:.1f} %")
+    print(
+        f"{record.races} races: {record.wins} won, {record.ties} tied, "
+        f"{record.races - record.wins - record.ties} lost; {record.expected:.1f} points were "
+        f"promised, residual {record.residual:+.1f}"
+    )
+    print("Heats: " + (", ".join(map(str, heats[-20:])) or "none"))
+    return 0
+
+
+COMMANDS = {"standings": ShowStandings, "show": Show, "h2h": HeadToHead, "history": History}

@@ -1,0 +1,58 @@
+"""Executor: what races jobs somewhere; it owns no results, and may lose any job at any time."""
+
+from __future__ import annotations
+
+from typing import Literal, Protocol
+
+from league.errors import ConfigError, brief
+from league.matchmaking.worker import Job, Report
+
+ExecutorName = Literal["processes", "ray"]
+
+JOB_LIMIT_S = 1800.0
+"""A heat that takes longer than this is stuck: its worker is ended [s]."""
+
+
+class Executor(Protocol):
+    """Workers that race one job at a time each."""
+
+    @property
+    def num_workers(self) -> int:
+        """How many there are."""
+        ...
+
+    @property
+    def free(self) -> int:
+        """How many have nothing to do."""
+        ...
+
+    def offer(self, job: Job) -> None:
+        """Give a job to a worker that is free."""
+        ...
+
+    def wait(self, timeout_s: float) -> list[Report]:
+        """Return what has come to an end, after waiting this long at most; deaths are told too."""
+        ...
+
+    def close(self) -> None:
+        """End the workers; jobs under way are lost. May be called twice."""
+        ...
+
+
+def make(name: ExecutorName, num_workers: int) -> Executor:
+    """Start workers.
+
+    Raises:
+        ConfigError: none were asked for, or Ray is not installed.
+    """
+    if num_workers < 1:
+        raise ConfigError(f"{num_workers} workers were asked for: give 1 or more")
+    if name == "processes":
+        from league.matchmaking.executors.processes import Processes
+
+        return Processes(num_workers)
+    if name == "ray":
+        from league.matchmaking.executors.ray import Actors
+
+        return Actors(num_workers)
+    raise ConfigError(f"there is no executor {brief(name)}: give processes or ray")

@@ -1,0 +1,273 @@
+"""Submitting a policy: packed on its owner's machine, checked on the league's; never a pickle.
+
+An entry is a safetensors file: its header's one metadata key holds the checkpoint's card, its
+tensors are the actor's weights. Reading it takes a JSON parser and arithmetic; nothing is executed.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from league.agents import checkpoint
+from league.agents.card import Card
+from league.agents.checkpoint import Checkpoint, soundness
+from league.agents.checkpoint.archive import RefusedError
+from league.agents.checkpoint.file import MAX_SIZE, MAX_SIZE_CAMERA, read_card
+from league.agents.policy import Policy
+from league.errors import PolicyError, brief
+from league.matchmaking.keys import Ruleset
+from league.matchmaking.store import Entry, Store
+from league.sim.config import CameraConfig, LidarConfig, SensorConfig, SimConfig
+
+MAX_HEADER = 64 << 10
+"""Bytes of the header, which holds the card and the tensors' places."""
+PROBE_S = 0.025
+"""Time a decision may take on one core [s]; a car decides every 67 ms."""
+MAX_PICTURE = 160 * 120
+"""Pixels of each eye under stock sensors."""
+
+
+def pack(given: Checkpoint) -> bytes:
+    """Return a checkpoint as the bytes of an entry; the same content gives the same bytes.
+
+    Raises:
+        PolicyError: the card is too long for the header.
+    """
+    from safetensors.torch import save
+
+    weights = {name: weight.contiguous() for name, weight in given.weights.items()}
+    content = save(weights, {"card": given.text})
+    (size,) = struct.unpack("<Q", content[:8])
+    if size > MAX_HEADER:
+        raise PolicyError(
+            f"the card of {given.card.name!r} makes a header of {size} bytes: shorten it, at most "
+            f"{MAX_HEADER} are allowed"
+        )
+    return content
+
+
+def unpack(content: bytes, what: str = "the submission") -> Checkpoint:
+    """Return the checkpoint in a stranger's entry, every part of it checked.
+
+    Raises:
+        PolicyError: it is no entry, or not a sound one.
+    """
+    try:
+        return _parsed(content)
+    except RefusedError as refusal:
+        raise PolicyError(
+            f"{what} is refused: {refusal}; submit a checkpoint with `league submit FILE.pt`"
+        ) from refusal
+
+
+def _parsed(content: bytes) -> Checkpoint:
+    if len(content) > MAX_SIZE_CAMERA:
+        raise RefusedError(f"it takes {len(content)} bytes, at most {MAX_SIZE_CAMERA} are allowed")
+    header, numbers = _split(content)
+    card, canonical = _card(header.pop("__metadata__", None))
+    limit = MAX_SIZE if card.sensors.camera is None else MAX_SIZE_CAMERA
+    if len(content) > limit:
+        raise RefusedError(f"it takes {len(content)} bytes, at most {limit} without a camera")
+    expected = soundness.wanted(card)
+    soundness.check_names(set(header), expected)
+    places = {name: _place(name, header[name], shape) for name, shape in expected.items()}
+    end = 0
+    for name, (start, stop) in sorted(places.items(), key=lambda item: item[1]):
+        if start != end:
+            raise RefusedError(f"the numbers of {brief(name)} overlap others, or leave a hole")
+        end = stop
+    if end != len(numbers):
+        raise RefusedError(f"its numbers take {len(numbers)} bytes, its header tells of {end}")
+    weights = {
+        name: _tensor(numbers[slice(*places[name])], shape) for name, shape in expected.items()
+    }
+    try:
+        return Checkpoint(card, weights, canonical)
+    except PolicyError as error:
+        raise error.__cause__ if isinstance(error.__cause__, RefusedError) else error from None
+
+
+def _split(content: bytes) -> tuple[dict[str, Any], memoryview]:
+    """Return the header, an object of at most 65 keys, and the numbers that follow it."""
+    if len(content) < 10:
+        raise RefusedError("it is too short to hold a header")
+    (size,) = struct.unpack("<Q", content[:8])
+    if size > MAX_HEADER:
+        raise RefusedError(f"its header claims {size} bytes, at most {MAX_HEADER} are allowed")
+    if 8 + size > len(content):
+        raise RefusedError(f"its header claims {size} bytes, {len(content) - 8} are there")
+    try:
+        header = json.loads(content[8 : 8 + size].decode("utf-8"), object_pairs_hook=_object)
+    except (ValueError, RecursionError) as error:
+        raise RefusedError("its header is no JSON, or has a key twice") from error
+    if not isinstance(header, dict):
+        raise RefusedError("its header is no object")
+    if len(header) > soundness.MAX_TENSORS + 1:
+        raise RefusedError(f"it has more than {soundness.MAX_TENSORS} tensors")
+    return header, memoryview(content)[8 + size :]
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        raise ValueError("a key stands twice")
+    return found
+
+
+def _card(metadata: object) -> tuple[Card, str]:
+    match metadata:
+        case {"card": str(text), **rest} if not rest:
+            try:
+                return read_card(text)
+            except UnicodeError as error:  # lone surrogates, as "\ud800" makes them
+                raise RefusedError("its card holds signs that are no text") from error
+    raise RefusedError("its metadata is not a card, and nothing else")
+
+
+def _place(name: str, told: object, shape: tuple[int, ...]) -> tuple[int, int]:
+    """Return where a tensor's bytes lie among the numbers."""
+    match told:
+        case {"dtype": dtype, "shape": list(given), "data_offsets": [start, stop], **rest}:
+            pass
+        case _:
+            raise RefusedError(f"the weight {name!r} is not told as dtype, shape and data_offsets")
+    if rest or dtype != "F32":
+        raise RefusedError(f"the weight {name!r} has the dtype {brief(dtype)}, expected F32")
+    if not all(type(number) is int for number in (*given, start, stop)):
+        raise RefusedError(f"the weight {name!r} has a shape or offsets that are no whole numbers")
+    soundness.check_shape(name, tuple(given), shape)
+    if start < 0 or stop - start != 4 * torch.Size(shape).numel():
+        raise RefusedError(f"the weight {name!r} has {brief(stop - start)} bytes, not its shape's")
+    return start, stop
+
+
+def _tensor(numbers: memoryview, shape: tuple[int, ...]) -> Tensor:
+    if not numbers:
+        raise RefusedError("a weight has no numbers")
+    return torch.frombuffer(bytearray(numbers), dtype=torch.float32).reshape(shape)
+
+
+@dataclass(frozen=True)
+class Probe:
+    """What a policy showed before its first race."""
+
+    decision_s: float
+    """Fastest of some decisions [s]."""
+    decisions: int
+    """Situations it was shown."""
+
+
+def probe(given: Checkpoint, what: str = "the submission") -> Probe:
+    """Let a policy decide in made-up situations: finite, the same twice, and fast enough.
+
+    Raises:
+        PolicyError: it is not.
+    """
+    policy = Policy(given, SimConfig().car)
+    fastest, situations = float("inf"), list(_situations(given.card))
+    for told in situations:
+        start = time.perf_counter()
+        with torch.inference_mode():
+            first = policy.outputs(told)
+        fastest = min(fastest, time.perf_counter() - start)
+        with torch.inference_mode():
+            again = policy.outputs(told)
+        if not bool(torch.isfinite(first).all()):
+            raise PolicyError(
+                f"{what} is refused: its network answers NaN or infinity; train it with smaller "
+                "weights"
+            )
+        if not torch.equal(first, again):
+            raise PolicyError(
+                f"{what} is refused: its network answers differently to the same question; "
+                "report this, it should not be possible"
+            )
+    if fastest > PROBE_S:
+        raise PolicyError(
+            f"{what} is refused: a decision takes {1e3 * fastest:.0f} ms on one core, at most "
+            f"{1e3 * PROBE_S:.0f} ms are allowed; make its network or its pictures smaller"
+        )
+    return Probe(fastest, len(situations))
+
+
+def _situations(card: Card) -> list[dict[str, Tensor]]:
+    """Return rows a car could be told: all dark, all bright, and seeded noise."""
+    generator = torch.Generator().manual_seed(20)
+    found = []
+    for level in (0.0, 1.0, None, None, None, None):
+        groups = {}
+        for name, shape in card.group_shapes.items():
+            noise = torch.rand((1, *shape), generator=generator)
+            row = noise if level is None else torch.full_like(noise, level)
+            picture = len(shape) == 3
+            groups[name] = (255 * row).to(torch.uint8) if picture else 4.0 * row - 2.0
+        found.append(groups)
+    return found
+
+
+def check_sensors(sensors: SensorConfig, ruleset: Ruleset) -> None:
+    """Refuse sensors that a league's cars do not carry.
+
+    Raises:
+        PolicyError: they are not stock: a mount, lens, rate or scan of their own.
+    """
+    if ruleset.sensors == "any":
+        return
+    camera, lidar = sensors.camera, sensors.lidar
+    stock = CameraConfig()
+    if camera is not None:
+        chosen = {name: getattr(camera, name) for name in ("width", "height", "colour", "eyes")}
+        _check_stock("camera", camera, replace(stock, **chosen))
+        if camera.width * camera.height > MAX_PICTURE:
+            raise PolicyError(
+                f"its pictures are {camera.width}x{camera.height}, this league's cameras have at "
+                f"most {stock.width}x{stock.height} pixels: train with smaller ones"
+            )
+    if lidar is not None:
+        chosen = {name: getattr(lidar, name) for name in ("form", "sectors", "bins", "clip")}
+        _check_stock("lidar", lidar, replace(LidarConfig(), **chosen))
+
+
+def _check_stock(
+    what: str, given: CameraConfig | LidarConfig, stock: CameraConfig | LidarConfig
+) -> None:
+    for name in vars(stock):
+        if getattr(given, name) != getattr(stock, name):
+            raise PolicyError(
+                f"its {what} has {name} {brief(getattr(given, name))}, this league's cars carry "
+                f"{brief(getattr(stock, name))}: train with the stock sensors, or race where "
+                "sensors are free (`league init --sensors any`)"
+            )
+
+
+def accept(store: Store, content: bytes, name: str, owner: str) -> Entry:
+    """Take in what an owner sent: all that the league itself does; nothing is kept if refused.
+
+    Args:
+        store: the league.
+        content: an entry, as `pack` makes it.
+        name: shown to people.
+        owner: whose it is.
+
+    Raises:
+        LeagueError: it is not sound, its sensors are not stock, or its name is taken.
+    """
+    what = f"the submission {brief(name)}"
+    found = unpack(content, what)
+    check_sensors(found.card.sensors, store.settings.ruleset)
+    probe(found, what)
+    card = {**found.card.model_dump(mode="json"), "digest": found.digest}
+    return store.submit(name, owner, weights=content, card=card)
+
+
+def submit(store: Store, path: str | os.PathLike[str], name: str, owner: str) -> Entry:
+    """Submit a checkpoint file: read and packed here, on its owner's machine, then handed in."""
+    return accept(store, pack(checkpoint.load(path)), name, owner)

@@ -1,0 +1,101 @@
+"""The win matrix: a policy, its past, its parent and a scripted driver against each other."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+
+from league.agents.driver import Driver
+from league.errors import PolicyError
+from league.sim.config import CarConfig
+from league.track.course import TrackSet
+from league.training.selfplay import duels
+from league.training.selfplay.duels import Score
+from league.training.selfplay.settings import SelfPlayConfig
+from league.whole_file import replacing
+
+SCRIPTED = ("centerline",)
+
+
+@dataclass(frozen=True)
+class WinMatrix:
+    """Who beats whom, from mirrored deterministic races."""
+
+    names: tuple[str, ...]
+    """Drivers: scripted ones, then the parent and snapshots by age; the last is the trained one."""
+    races: int
+    """Races of each pair."""
+    wins: tuple[tuple[float | None, ...], ...]
+    """Win rate of the row's driver against the column's, 0 to 1; None on the diagonal."""
+    contacts_per_km: tuple[float, ...]
+    """Contacts each driver was to blame for, over all its races [1/km]."""
+    off_tracks_per_km: tuple[float, ...]
+    """How often each left the road, over all its races [1/km]."""
+    clean_lap_s: tuple[float | None, ...]
+    """Median flying lap of each without a mistake or a contact [s]; None: it drove none."""
+
+    @property
+    def past(self) -> dict[str, float]:
+        """Win rate of the trained driver against each of its past selves, the parent included."""
+        return {
+            name: rate
+            for name, rate in zip(self.names[:-1], self.wins[-1][:-1], strict=True)
+            if name not in SCRIPTED and rate is not None
+        }
+
+    @property
+    def smallest(self) -> float | None:
+        """Smallest win rate of the trained driver against its past; None without a past."""
+        return min(self.past.values(), default=None)
+
+    def write(self, path: Path) -> None:
+        """Write it as JSON, with the figures that sum it up."""
+        told = {
+            "names": self.names,
+            "races_of_each_pair": self.races,
+            "win_rates": self.wins,
+            "smallest_win_rate_against_the_past": self.smallest,
+            "contacts_per_km": self.contacts_per_km,
+            "off_tracks_per_km": self.off_tracks_per_km,
+            "clean_lap_s": self.clean_lap_s,
+        }
+        with replacing(path, "the win matrix", PolicyError) as file:
+            file.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+
+
+def measure(
+    tracks: TrackSet,
+    car: CarConfig,
+    drivers: Mapping[str, Driver],
+    cfg: SelfPlayConfig,
+    *,
+    seed: int = 0,
+) -> WinMatrix:
+    """Race all pairs of drivers.
+
+    Args:
+        tracks: the courses.
+        car: the cars.
+        drivers: by name, in the order of the matrix.
+        cfg: number and length of the races.
+        seed: makes the races' seeds.
+    """
+    names, field = tuple(drivers), list(drivers.values())
+    pairs = list(combinations(range(len(field)), 2))
+    found = duels.meet(tracks, car, field, pairs, cfg.duel, races=cfg.matrix_races, seed=seed)
+    wins: list[list[float | None]] = [[None] * len(field) for _ in field]
+    scores = [Score() for _ in field]
+    for (one, two), (first, second) in found.items():
+        wins[one][two], wins[two][one] = first.win_rate, second.win_rate
+        scores[one], scores[two] = scores[one] + first, scores[two] + second
+    return WinMatrix(
+        names=names,
+        races=cfg.matrix_races,
+        wins=tuple(tuple(row) for row in wins),
+        contacts_per_km=tuple(round(score.contacts_per_km, 2) for score in scores),
+        off_tracks_per_km=tuple(round(score.off_tracks_per_km, 2) for score in scores),
+        clean_lap_s=tuple(score.clean_lap_s for score in scores),
+    )

@@ -1,0 +1,135 @@
+"""The driver of an opponent's car in training: in each row another past self, drawn anew when the
+car begins an episode."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from league.agents.driver import Driver
+from league.envs.race_env import Step
+from league.sim import draws
+from league.sim.config import SensorConfig
+from league.training.selfplay.records import DRAWN, LOST, WON, Records
+from league.training.selfplay.seats import Seats, awake
+
+NOBODY = -1
+CLEAR_GAIN = 0.162
+"""Gain that decides a meeting which no mistake decides [m]: half a car, as for a pass."""
+_MEMBER = 411
+
+
+@dataclass(frozen=True)
+class Field:
+    """Who may be drawn."""
+
+    names: tuple[str, ...]
+    """Of each opponent."""
+    drivers: tuple[Driver, ...]
+    """Of each opponent; for this car alone, if they remember anything."""
+    shares: tuple[float, ...]
+    """How often each is drawn; they add up to 1."""
+
+
+class Opponent(Seats):
+    """Drives one car of all worlds; `reset` draws who drives, `watch` counts who beats whom.
+
+    A meeting is what lies between two draws. The learner wins it if the opponent makes a mistake,
+    loses it if it makes one itself, and otherwise, when time is up or one is left behind, the
+    one wins that gained more than half a car's length on the other.
+    """
+
+    def __init__(
+        self, car: int, sensors: SensorConfig, num_rows: int, seed: int, records: Records
+    ) -> None:
+        """Begin with nobody to draw.
+
+        Args:
+            car: which car it drives.
+            sensors: what its car carries.
+            num_rows: number of worlds.
+            seed: makes the draws.
+            records: where results go.
+        """
+        super().__init__(f"past selves {car}", sensors, ())
+        self._car, self._num_rows, self._records = car, num_rows, records
+        self._seed = torch.tensor(seed)
+        self._count = 0
+        self._field = Field((), (), ())
+        self._sit_nobody()
+
+    def choose_from(self, field: Field, count: int) -> None:
+        """Draw from other opponents from now on, and at once in all rows.
+
+        Args:
+            field: who may be drawn.
+            count: number of the first draw; a resumed run names the same.
+        """
+        self._field, self.drivers, self._count = field, list(field.drivers), count
+        self.reset(None)
+
+    def reset(self, rows: Tensor | None) -> None:
+        """Draw who drives some rows, and have it forget them."""
+        if rows is not None and rows.dtype == torch.bool:
+            rows = rows.nonzero()[:, 0]
+        if rows is None:
+            self._sit_nobody()
+            rows = torch.arange(self._num_rows)
+        super().reset(rows)
+        if self._field.names:
+            edges = torch.tensor(self._field.shares, dtype=torch.float64).cumsum(0)
+            drawn = draws.uniform(self._seed, _MEMBER, self._count, self._car, rows)
+            picked = torch.searchsorted(edges, drawn.to(torch.float64), right=True)
+            self.who = self.who.clone()
+            self.who[rows] = picked.clamp(max=len(self._field.names) - 1)
+        self._gained = self._gained.clone()
+        self._gained[rows] = 0.0
+        self._count += 1
+
+    def act(self, observations) -> Tensor:  # noqa: ANN001
+        """Return actions [steering, speed] in [-1, 1], float32 (num_rows, 2)."""
+        self._awake = awake(observations["state"])
+        return super().act(observations)
+
+    def watch(self, car: int, step: Step) -> None:
+        """Count what the learner, car 0, gained in a step, and meetings that ended with it."""
+        seen = step.verdict
+        self._gained = self._gained + seen.advance[:, 0] - seen.advance[:, car]
+        over = step.began[:, car] & self._awake & (self.who != NOBODY)
+        if not bool(over.any()):
+            return
+        mine, other = seen.mistake[:, 0], seen.mistake[:, car]
+        ahead = self._gained.clamp(-2 * CLEAR_GAIN, 2 * CLEAR_GAIN) / CLEAR_GAIN
+        points = torch.where(mine == other, ahead, torch.where(other, 2.0, -2.0))
+        points = torch.where(mine & other, 0.0, points)
+        for who, merit in zip(self.who[over].tolist(), points[over].tolist(), strict=True):
+            result = WON if merit > 1 else LOST if merit < -1 else DRAWN
+            self._records.add(self._field.names[who], result)
+
+    def _sit_nobody(self) -> None:
+        self.who = torch.full((self._num_rows,), NOBODY)
+        self._gained = torch.zeros(self._num_rows)
+        self._awake = torch.zeros(self._num_rows, dtype=torch.bool)
+
+
+def shares(
+    win_rates: Sequence[float], *, newest: float, prioritised: float, hardest: float
+) -> tuple[float, list[float]]:
+    """Return the share of the newest self, and of each member of the pool (facts 2.2).
+
+    Args:
+        win_rates: the learner's against each member.
+        newest: share of the newest; it is all there is without members.
+        prioritised: share of members in proportion to (1 - win rate) squared.
+        hardest: share of the member with the smallest win rate.
+    """
+    if not win_rates:
+        return newest + prioritised + hardest, []
+    # Nobody is never drawn: what is not met can be forgotten unnoticed.
+    losses = [max(1.0 - rate, 0.05) ** 2 for rate in win_rates]
+    members = [prioritised * loss / sum(losses) for loss in losses]
+    members[min(range(len(win_rates)), key=win_rates.__getitem__)] += hardest
+    return newest, members

@@ -1,0 +1,248 @@
+"""Self-play: the one holder of the pool, the results and the opponents of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from league.agents import roster
+from league.agents.card import Card
+from league.agents.checkpoint import Checkpoint
+from league.agents.driver import Driver
+from league.agents.policy import Policy
+from league.errors import ConfigError, PolicyError
+from league.track.course import TrackSet
+from league.training import worlds
+from league.training.learner import Learner
+from league.training.selfplay import duels, matrix, opponent
+from league.training.selfplay.matrix import WinMatrix
+from league.training.selfplay.opponent import Field, Opponent
+from league.training.selfplay.pool import PARENT, Member, Pool, spread
+from league.training.selfplay.records import Records
+from league.training.selfplay.settings import SelfPlayConfig
+from league.training.settings import TrainConfig
+
+NEWEST = "newest"
+STATE_FORMAT = 1
+_DRAWS_OF_AN_UPDATE = 1 << 20
+
+
+class SelfPlay:
+    """What a run must do so that its learner races its own past.
+
+    Give `drivers()` to the worlds, call `begin` once before the first update, or `restore` instead
+    when a run goes on, and `after_update` after each; keep `state()` with the learner's state.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        tracks: TrackSet,
+        train: TrainConfig,
+        card: Card,
+        *,
+        cfg: SelfPlayConfig | None = None,
+        parent: Checkpoint | None = None,
+    ) -> None:
+        """Build the opponents' seats; they are empty until `begin` or `restore`.
+
+        Args:
+            folder: of the run; the pool is kept in `folder/pool`.
+            tracks: the courses of the worlds.
+            train: settings of the run.
+            card: what the cards of snapshots say but for steps.
+            cfg: settings of self-play.
+            parent: the policy the learner begins from, the pool's first member.
+
+        Raises:
+            ConfigError: nobody to race against, or a parent with other sensors.
+        """
+        if train.num_cars < 2:
+            raise ConfigError(f"self-play was asked for with {train.num_cars} car: give 2 to 8")
+        if parent is not None and parent.card.sensor_config != train.sensors:
+            raise ConfigError(
+                f"the parent {parent.card.name!r} needs other sensors than the learner carries, "
+                "whose cars it would drive: give the run the parent's sensors"
+            )
+        self._tracks, self._train, self._card = tracks, train, card
+        self._cfg = cfg or SelfPlayConfig()
+        self._parent = parent
+        self.records = Records(self._cfg.window)
+        self.pool = Pool(Path(folder) / "pool", self._cfg.pool_size)
+        self._policies: dict[str, Policy] = {}
+        self._candidates = 0
+        self._seats = {
+            car: Opponent(car, train.sensors, train.num_worlds, train.seed, self.records)
+            for car in range(1, train.num_cars)
+        }
+        self._car = worlds.env_config(train).sim.car
+        # A driver that remembers is one car's alone; with several tracks there are none.
+        one_track = len(tracks.tracks) == 1 and self._cfg.scripted > 0
+        names = self._cfg.scripted_drivers if one_track else ()
+        self._scripted = {
+            car: [roster.load(name, tracks, self._car) for name in names] for car in self._seats
+        }
+
+    def drivers(self) -> Mapping[int, Driver]:
+        """Return who drives each car but the learner's."""
+        return self._seats
+
+    def begin(self, learner: Learner) -> None:
+        """Seat the first opponents: the learner as it is, its parent, scripted drivers."""
+        if self._parent is not None:
+            self.pool.add(self._parent, 0, forced=True, measured=None)
+        self._seat(learner)
+
+    def after_update(self, learner: Learner) -> bool:
+        """Renew the newest opponent, and maybe the pool, at a save point; call after each update.
+
+        Returns:
+            Whether a snapshot entered the pool.
+        """
+        if not learner.at_save_point:
+            return False
+        self.pool.sweep()
+        entered = False
+        if learner.updates // self._cfg.candidate_every > self._candidates:
+            self._candidates = learner.updates // self._cfg.candidate_every
+            entered = self._candidate(learner)
+        self._seat(learner)
+        self.pool.write(self._win_rates())
+        return entered
+
+    def state(self) -> dict[str, Any]:
+        """Return all that is remembered but the files of the pool, JSON-able."""
+        return {
+            "format": STATE_FORMAT,
+            "members": self.pool.state(),
+            "records": self.records.state(),
+            "candidates": self._candidates,
+        }
+
+    def restore(self, state: Mapping[str, Any], learner: Learner) -> None:
+        """Go on from a state, with a learner that was restored to the same save point.
+
+        Raises:
+            PolicyError: it is no such state, or the pool's files are gone.
+        """
+        try:
+            if state["format"] != STATE_FORMAT:
+                raise KeyError("format")
+            self.pool.restore(state["members"])
+            self.records.restore(state["records"])
+            self._candidates = int(state["candidates"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise PolicyError(
+                f"the state of self-play cannot be gone on from ({type(error).__name__}): "
+                "begin anew with another --out"
+            ) from None
+        self._seat(learner)
+
+    def log(self) -> dict[str, float]:
+        """Return figures for a log: smallest win rates in training, members."""
+        rates = self._win_rates()
+        past = [rates[member.name] for member in self.pool.members]
+        return {
+            "/selfplay/win_rate_newest": rates[NEWEST],
+            "/selfplay/win_rate_smallest": min(past, default=rates[NEWEST]),
+            "/selfplay/members": float(len(self.pool.members)),
+        }
+
+    def report(self, weights: Checkpoint, *, seed: int = 0) -> WinMatrix:
+        """Race a trained policy, its past, its parent and `centerline` against each other.
+
+        Args:
+            weights: the trained policy, the last row of the matrix.
+            seed: makes the races' seeds.
+        """
+        chosen = spread(self.pool.members, self._cfg.matrix_members)
+        first = self.pool.members[:1]
+        if first and first[0].name == PARENT and first[0] not in chosen:
+            chosen = [*first, *chosen]
+        drivers: dict[str, Driver] = {}
+        if len(self._tracks.tracks) == 1:
+            drivers["centerline"] = roster.load("centerline", self._tracks, self._car)
+        drivers |= {member.name: self._policy(member) for member in chosen}
+        drivers["final"] = Policy(weights, self._car, name="final", exact=False)
+        return matrix.measure(self._tracks, self._car, drivers, self._cfg, seed=seed)
+
+    def _candidate(self, learner: Learner) -> bool:
+        """Have the learner's weights race for a place in the pool."""
+        snapshot = self._snapshot(learner)
+        rivals = self._rivals()
+        measured = None
+        if rivals:
+            field = [Policy(snapshot, self._car, exact=False), *map(self._policy, rivals)]
+            pairs = [(0, place) for place in range(1, len(field))]
+            found = duels.meet(
+                self._tracks,
+                self._car,
+                field,
+                pairs,
+                self._cfg.duel,
+                races=self._cfg.races,
+                seed=learner.updates,
+            )
+            measured = min(found[pair][0].win_rate for pair in pairs)
+        wins = measured is None or measured >= self._cfg.admission
+        if not wins and self._candidates % self._cfg.forced_every:
+            return False
+        self.pool.add(snapshot, learner.updates, forced=not wins, measured=measured)
+        for member in self.pool.thin(lambda one: self.records.win_rate(one.name) < 0.5):
+            self._policies.pop(member.name, None)
+            self.records.forget(member.name)
+        return True
+
+    def _rivals(self) -> list[Member]:
+        """Return whom a candidate must beat: the oldest, the newest, and who beats the learner."""
+        members = self.pool.members
+        certain = members[:1] + members[1:][-1:]
+        others = [member for member in members if member not in certain]
+        others.sort(key=lambda member: (self.records.win_rate(member.name), member.updates))
+        return (certain + others)[: self._cfg.rivals]
+
+    def _seat(self, learner: Learner) -> None:
+        """Let all cars be driven by whoever there is now, drawn anew.
+
+        The number of the first draw is told by the updates alone, so that a run that goes on from
+        here draws what it would have drawn.
+        """
+        newest = Policy(self._snapshot(learner), self._car, name=NEWEST, exact=False)
+        members = [self._policy(member) for member in self.pool.members]
+        cfg, rates = self._cfg, self._win_rates()
+        for car, seat in self._seats.items():
+            scripted = self._scripted[car]
+            own = 1.0 - cfg.scripted
+            part, each = opponent.shares(
+                [rates[member.name] for member in self.pool.members],
+                newest=cfg.newest / own,
+                prioritised=cfg.prioritised / own,
+                hardest=cfg.hardest / own,
+            )
+            kept = own if scripted else 1.0
+            field = Field(
+                names=(NEWEST, *(m.name for m in self.pool.members), *(d.name for d in scripted)),
+                drivers=(newest, *members, *scripted),
+                shares=(
+                    kept * part,
+                    *(kept * share for share in each),
+                    *(cfg.scripted / len(scripted) for _ in scripted),
+                ),
+            )
+            seat.choose_from(field, learner.updates * _DRAWS_OF_AN_UPDATE)
+
+    def _snapshot(self, learner: Learner) -> Checkpoint:
+        return Checkpoint(
+            self._card.model_copy(update={"steps": learner.samples}), learner.weights()
+        )
+
+    def _policy(self, member: Member) -> Policy:
+        if member.name not in self._policies:
+            kept = self.pool.load(member)
+            self._policies[member.name] = Policy(kept, self._car, name=member.name, exact=False)
+        return self._policies[member.name]
+
+    def _win_rates(self) -> dict[str, float]:
+        names = [NEWEST, *(member.name for member in self.pool.members)]
+        return {name: self.records.win_rate(name) for name in names}

@@ -1,0 +1,78 @@
+"""Settings of self-play; docs/self_play.md says how they were chosen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from league.errors import ConfigError
+from league.sim.config import Spread
+
+
+@dataclass(frozen=True)
+class DuelConfig:
+    """A measuring race of two drivers."""
+
+    laps: int = 2
+    """Laps of a race; the second is a flying one."""
+    spread: Spread = field(
+        default_factory=lambda: Spread(grip=0.01, mass=0.01, steering_offset=0.003)
+    )
+    """How far the cars of a race differ: without it all races of two drivers would be one race.
+    Mirrored races swap the drivers, not the cars, so it favours nobody."""
+    slowest: float = 1.2
+    """A race is stopped after its laps at this mean speed [m/s] and 10 s more."""
+    at_once: int = 128
+    """Races driven side by side."""
+
+
+@dataclass(frozen=True)
+class SelfPlayConfig:
+    """How opponents are drawn, and what is kept of the past."""
+
+    newest: float = 0.35
+    """Share of episodes against the learner's own weights of the last save point."""
+    prioritised: float = 0.45
+    """Share against members of the pool, each in proportion to (1 - win rate) squared."""
+    hardest: float = 0.10
+    """Share against the member with the smallest win rate."""
+    scripted: float = 0.10
+    """Share against scripted drivers; only where all worlds are on one track."""
+    scripted_drivers: tuple[str, ...] = ("centerline",)
+    """Their names."""
+    window: int = 400
+    """Meetings remembered of each opponent."""
+    pool_size: int = 48
+    """Most members kept."""
+    candidate_every: int = 32
+    """Updates between two candidates; they come at save points."""
+    forced_every: int = 8
+    """Every so many candidates one enters without winning."""
+    admission: float = 0.55
+    """Smallest win rate against every member that is measured, to enter."""
+    rivals: int = 6
+    """Members that a candidate is measured against, the hardest first."""
+    races: int = 8
+    """Races against each of them, half from either slot."""
+    matrix_members: int = 8
+    """Members in the win matrix, spread over the run in ratios of age."""
+    matrix_races: int = 16
+    """Races of each pair in the win matrix, half from either slot."""
+    duel: DuelConfig = field(default_factory=DuelConfig)
+    """The measuring races."""
+
+    def __post_init__(self) -> None:
+        shares = (self.newest, self.prioritised, self.hardest, self.scripted)
+        if min(shares) < 0 or abs(sum(shares) - 1.0) > 1e-6:
+            raise ConfigError(
+                f"the shares of opponents are {shares}: give four from 0 to 1 that add up to 1"
+            )
+        for name in ("races", "matrix_races"):
+            if getattr(self, name) < 2 or getattr(self, name) % 2:
+                raise ConfigError(
+                    f"{name} is {getattr(self, name)}: give an even number, half for either slot"
+                )
+        for name in ("window", "candidate_every", "forced_every", "rivals", "matrix_members"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"{name} is {getattr(self, name)}: give at least 1")
+        if self.pool_size < 4:
+            raise ConfigError(f"pool_size is {self.pool_size}: give at least 4")

@@ -1,0 +1,212 @@
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+import torch
+from conftest import make_ring
+
+from league.agents.network import NetworkConfig
+from league.envs.action_space import ActionSpace, ContinuousActions, DiscreteActions
+from league.errors import PolicyError
+from league.sim.config import CameraConfig, LidarConfig, SensorConfig
+from league.track.course import TrackSet
+from league.training import worlds
+from league.training.learner import Learner
+from league.training.settings import PpoConfig, TrainConfig
+
+LIDAR = LidarConfig(beams=8)
+CAMERA = CameraConfig(width=24, height=18)
+LAYERS = NetworkConfig(channels=(4, 4), kernels=(3, 3), strides=(2, 2), hidden=(16,))
+CHOICES = DiscreteActions(((20.0, 1.0), (0.0, 1.0), (-20.0, 1.0), (0.0, 2.0)))
+
+
+def settings(
+    *,
+    seed: int = 0,
+    space: ActionSpace | None = None,
+    sensors: SensorConfig | None = None,
+    num_worlds: int = 4,
+    save_every: int = 2,
+    normalise: bool = False,
+    mirror: bool = True,
+) -> TrainConfig:
+    return TrainConfig(
+        num_worlds=num_worlds,
+        seed=seed,
+        action_space=space or ContinuousActions(),
+        sensors=sensors or SensorConfig(camera=CAMERA, lidar=LIDAR),
+        network=dataclasses.replace(LAYERS, normalise=normalise),
+        critic_hidden=(16,),
+        ppo=PpoConfig(steps=8, epochs=2, mini_batches=2),
+        mirror=mirror,
+        episode_s=2.0,
+        save_every=save_every,
+    )
+
+
+def learner(cfg: TrainConfig | None = None, **wishes: object) -> Learner:
+    cfg = cfg or settings(**wishes)  # pyright: ignore
+    return Learner(worlds.make(TrackSet.of(make_ring()), cfg), cfg)
+
+
+def same(one: dict[str, torch.Tensor], other: dict[str, torch.Tensor]) -> bool:
+    return one.keys() == other.keys() and all(torch.equal(one[name], other[name]) for name in one)
+
+
+def everything(made: Learner) -> dict[str, torch.Tensor]:
+    """Return all that is learnt: the actor, the critic and the optimiser's memory."""
+    saved = made.runner.alg.save()
+    found = {}
+    for part in ("actor_state_dict", "critic_state_dict"):
+        found |= {f"{part}.{name}": value for name, value in saved[part].items()}
+    for number, memory in saved["optimizer_state_dict"]["state"].items():
+        found |= {f"{number}.{name}": torch.as_tensor(value) for name, value in memory.items()}
+    return found
+
+
+@pytest.mark.parametrize("space", [ContinuousActions(), CHOICES], ids=["continuous", "discrete"])
+def test_gradients_flow_to_every_weight_of_the_actor(space):
+    made = learner(space=space)
+    before = made.weights()
+    assert any(name.startswith("cnns.") for name in before)
+    made.update(0.0)
+    for name, weight in made.weights().items():
+        assert not torch.equal(weight, before[name]), name
+    for name, parameter in made.runner.alg.get_policy().named_parameters():
+        # The spread of exploration is set by a schedule.
+        if "log_std" not in name:
+            assert parameter.grad is not None, name
+            assert float(parameter.grad.abs().sum()) > 0, name
+
+
+@pytest.mark.parametrize("space", [ContinuousActions(), CHOICES], ids=["continuous", "discrete"])
+def test_the_same_seed_brings_the_same_weights(space):
+    found = []
+    for seed in (5, 5, 6):
+        made = learner(seed=seed, space=space)
+        for share in (0.0, 0.5):
+            made.update(share)
+        found.append(everything(made))
+    assert same(found[0], found[1])
+    assert not same(found[0], found[2])
+
+
+@pytest.mark.parametrize(
+    ("space", "normalise", "save_every"),
+    [(ContinuousActions(), True, 2), (CHOICES, False, 1)],
+    ids=["continuous", "discrete"],
+)
+def test_a_resumed_run_ends_as_one_that_was_never_interrupted(
+    tmp_path, space, normalise, save_every
+):
+    cfg = settings(space=space, normalise=normalise, save_every=save_every)
+    whole = learner(cfg)
+    for number in range(4):
+        told = whole.update(number / 4)
+        if number == 1:
+            assert whole.at_save_point
+            whole.save(tmp_path / "state.pt", {"spent_s": 3.0, "best": [1.0, 2.0]})
+    torch.manual_seed(12345)  # whatever else the program has drawn meanwhile
+    later = learner(cfg)
+    assert later.restore(tmp_path / "state.pt") == {"spent_s": 3.0, "best": [1.0, 2.0]}
+    assert (later.updates, later.samples) == (2, 64)  # 2 updates of 4 worlds x 8 steps
+    for number in (2, 3):
+        again = later.update(number / 4)
+    assert same(everything(whole), everything(later))
+    assert (again.reward, again.losses, again.log) == (told.reward, told.losses, told.log)
+    assert again.samples == told.samples == 128
+
+
+@pytest.mark.parametrize("save_every", [1, 2])
+def test_saving_does_not_change_what_is_learnt(tmp_path, save_every):
+    found = []
+    for path in (tmp_path / "state.pt", None):
+        made = learner(save_every=save_every)
+        for number in range(3):
+            made.update(number / 3)
+            if path is not None:
+                made.save(path, {})
+        found.append(everything(made))
+    assert same(*found)
+
+
+def test_a_choice_from_a_list_is_learnt():
+    made = learner(space=CHOICES, sensors=SensorConfig(lidar=LIDAR), mirror=False)
+    before = made.weights()
+    told = made.update(0.0)
+    assert told.losses["entropy"] > 0
+    assert not same(before, made.weights())
+    obs = made.env.get_observations()
+    with torch.no_grad():
+        chosen = made.runner.alg.get_policy()(obs, stochastic_output=True)
+    assert chosen.shape == (4, 4)
+    assert chosen.sum(dim=1).tolist() == [1.0] * 4
+    assert set(chosen.reshape(-1).tolist()) == {0.0, 1.0}
+
+
+def test_mirroring_changes_what_is_learnt():
+    plain, mirrored = learner(mirror=False), learner(mirror=True)
+    assert same(plain.weights(), mirrored.weights())
+    plain.update(0.0)
+    mirrored.update(0.0)
+    assert not same(plain.weights(), mirrored.weights())
+
+
+def test_exploration_and_step_size_fall_with_the_share_of_the_budget():
+    made = learner(settings().with_ppo(learning_rate=(1e-3, 1e-5), noise=(0.9, 0.1)))
+    found = []
+    for share in (0.0, 0.5, 1.0, 2.0):
+        made.update(share)
+        spread = made.runner.alg.get_policy().distribution.log_std_param.exp()  # pyright: ignore
+        found.append((made.runner.alg.optimizer.param_groups[0]["lr"], float(spread[0])))
+    assert found[0] == (pytest.approx(1e-3), pytest.approx(0.9))
+    # Half way down a geometric fall: sqrt(1e-3 x 1e-5) and sqrt(0.9 x 0.1).
+    assert found[1] == (pytest.approx(1e-4), pytest.approx(0.3))
+    assert found[2] == found[3] == (pytest.approx(1e-5), pytest.approx(0.1))
+
+
+def test_a_policy_can_be_begun_from_another_ones_weights():
+    one, other = learner(seed=1), learner(seed=2)
+    one.begin(other.weights())
+    assert same(one.weights(), other.weights())
+
+
+def test_weights_of_another_shape_are_refused():
+    with pytest.raises(PolicyError, match="other layers, sensors or actions"):
+        learner().begin(learner(sensors=SensorConfig(lidar=LIDAR)).weights())
+
+
+def test_a_state_of_other_layers_is_refused_and_says_so(tmp_path):
+    made = learner()
+    made.update(0.0)
+    made.save(tmp_path / "state.pt", {})
+    with pytest.raises(PolicyError, match="settings it was begun with"):
+        learner(sensors=SensorConfig(lidar=LIDAR)).restore(tmp_path / "state.pt")
+
+
+@pytest.mark.parametrize("content", [b"", b"no state", None], ids=["empty", "foreign", "missing"])
+def test_a_file_that_is_no_state_is_refused(tmp_path, content):
+    path = tmp_path / "state.pt"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(PolicyError, match="cannot be gone on from"):
+        learner().restore(path)
+
+
+def test_an_update_tells_what_it_brought():
+    made = learner(num_worlds=6)
+    told = made.update(0.0)
+    assert (told.number, told.samples) == (1, 48)  # 6 worlds x 8 steps
+    assert {"value", "surrogate", "entropy"} <= told.losses.keys()
+    assert "/drive/speed" in told.log
+    paid = sum(value for name, value in told.log.items() if name.startswith("/reward/"))
+    assert told.reward == pytest.approx(paid, abs=1e-5)
+
+
+def test_weights_taken_out_are_copies():
+    made = learner()
+    kept = made.weights()
+    before = {name: weight.clone() for name, weight in kept.items()}
+    made.update(0.0)
+    assert same(kept, before)
