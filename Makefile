@@ -1,13 +1,23 @@
-# The workshop in a few words: make race | test | sync | format | check | type | bench | clean
+# The workshop in a few words: make race | league | test | sync | format | check | type | bench | clean
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 # Torch on a few cores: waiting threads must not spin.
 export OMP_WAIT_POLICY = PASSIVE
 
-.PHONY: race test sync format check type bench clean
+.PHONY: race league test sync format check type bench clean
 
 race: sync
 	$(BIN)/league race blocker racing_line centerline cautious --track reinvent_2018
+
+# A league in runs/league/: the garage and the scripted drivers, raced for two minutes.
+LEAGUE := sqlite:///runs/league/league.db
+league: sync
+	@test -e runs/league/league.db || $(BIN)/league init --league $(LEAGUE) --name garage
+	@for policy in garage/*.pt; do \
+		test ! -e "$$policy" || $(BIN)/league submit "$$policy" --owner garage --league $(LEAGUE) || exit 1; \
+	done
+	$(BIN)/league run --same-owner --minutes 2 --league $(LEAGUE)
+	$(BIN)/league standings --league $(LEAGUE)
 
 test: sync
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile

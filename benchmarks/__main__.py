@@ -15,6 +15,9 @@ NAMES = (
     "ratings",
     "rewards",
     "store",
+    "league_throughput",
+    "training",
+    "garage",
 )
 
 if __name__ == "__main__":

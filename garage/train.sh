@@ -18,12 +18,17 @@ dodger() {  # six boxes at random places
     "$league" train --out garage/dodger.pt --kind obstacle_avoidance --action-space 0.5-3 \
         --minutes 10 --exam-trials 8 --exam-every 2 --seed 1 --plain
 }
+duelist() {  # the racer, after half an hour of racing its own past
+    "$league" train --out garage/duelist.pt --kind head_to_head --self-play \
+        --init-from garage/racer.pt --reward race --action-space 1-4 --minutes 30 \
+        --learning-rate 1e-3 3e-4 --noise 0.15 0.06 --exam-every 4 --seed 1 --plain
+}
 globetrotter() {  # random tracks only, with random cars and looks: drives any track at first sight
     "$league" train --out garage/globetrotter.pt --track generated:768 --action-space 0.5-3 \
         --num-worlds 128 --random-cars --random-looks --minutes 40 --noise 0.5 0.12 \
         --exam-every 2 --seed 1 --plain
 }
 
-for policy in "${@:-rookie racer dodger globetrotter}"; do
+for policy in "${@:-rookie racer dodger duelist globetrotter}"; do
     for name in $policy; do "$name"; done
 done

@@ -15,7 +15,7 @@ from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv, Step
 from league.errors import ConfigError, PolicyError
 from league.race_spec import CarResult, Entry, Event, EventKind, RaceResult, RaceSpec
-from league.sim.config import CarConfig, ObstacleConfig, RaceRules, SimConfig
+from league.sim.config import CarConfig, ObstacleConfig, RaceRules, SimConfig, Spread
 from league.sim.referee import NOBODY
 from league.sim.world import World
 from league.track.course import Track, TrackSet
@@ -62,6 +62,22 @@ def sim_config(spec: RaceSpec) -> SimConfig:
             crash_penalty_s=spec.crash_penalty_s,
             max_time_s=spec.max_time_s,
         ),
+        spread=_spread(spec.variation),
+    )
+
+
+def _spread(variation: float) -> Spread:
+    """Return how far the cars of a race differ: as much as one's tyres and screws do in a day.
+
+    Without it, drivers without sensors' noise repeat one race to the bit, whatever its seed, and
+    a hundred such races would tell a rating no more than one.
+    """
+    return Spread(
+        grip=0.02 * variation,
+        mass=0.02 * variation,
+        steering_offset=0.005 * variation,
+        camera_position=0.001 * variation,
+        camera_angle=0.004 * variation,
     )
 
 

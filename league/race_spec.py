@@ -77,6 +77,8 @@ class RaceSpec(_Data):
     """Seconds frozen after a contact to blame for."""
     max_time_s: float = Field(default=0.0, ge=0, le=36_000)
     """The race is stopped after this time [s]; 0 chooses by length."""
+    variation: float = Field(default=0.0, ge=0, le=10)
+    """How much cars of one kind differ, drawn from the seed; 0: not at all, 1: as in a league."""
 
 
 def checked(settings: Mapping[str, Any]) -> RaceSpec:

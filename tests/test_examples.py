@@ -14,6 +14,15 @@ def test_own_driver_finishes_its_race_against_the_leagues(capsys):
     assert all("best lap" in line for line in told)
 
 
+def test_a_driver_is_trained_with_a_reward_of_ones_own(capsys, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["train_with_reward.py", "0.001"])
+    runpy.run_path(str(EXAMPLES / "train_with_reward.py"), run_name="__main__")
+    first, second = capsys.readouterr().out.splitlines()
+    # One update of 32 worlds and 32 steps takes longer than 0.06 s.
+    assert first == "1024 decisions; the time was up"
+    assert second.startswith("mine: ")
+
+
 def test_every_example_is_run_by_a_test():
     tests = "\n".join(path.read_text() for path in Path(__file__).parent.rglob("test_*.py"))
     forgotten = [path.stem for path in EXAMPLES.glob("*.py") if path.stem not in tests]

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 import tyro
 
 from league.cli import tables
+from league.cli.season.door import OnLeague
+from league.errors import ConfigError
 
 if TYPE_CHECKING:
     from league.agents.checkpoint import Checkpoint
@@ -42,21 +44,44 @@ class ShowCard:
 
 
 @dataclass
-class Export:
-    """Write a checkpoint's network as ONNX, for a physical car or any other runtime."""
+class Export(OnLeague):
+    """Write a checkpoint's network as ONNX, or a league's results as CSV or JSON."""
 
-    checkpoint: tyro.conf.Positional[Path]
-    """The checkpoint (FILE.pt)."""
+    checkpoint: tyro.conf.Positional[Path | None] = None
+    """The checkpoint (FILE.pt), for a physical car or any other runtime; none for a league."""
     onnx: Path | None = None
     """Where to write; by default beside the checkpoint, with the ending .onnx."""
+    csv: Path | None = None
+    """Write the league's results, a line for each car of each race; - is the standard output."""
+    json: Path | None = None
+    """Write the league's rules, entries, standings and results; - is the standard output."""
 
     def run(self) -> int:
         """Run the command."""
         from league.agents import checkpoint, export
 
+        if self.csv is not None or self.json is not None:
+            return self._export_league()
+        if self.checkpoint is None:
+            raise ConfigError(
+                "nothing was named to export: give a checkpoint (FILE.pt), or --csv FILE or "
+                "--json FILE for the results of a league"
+            )
         path = self.onnx or self.checkpoint.with_suffix(".onnx")
         export.to_onnx(checkpoint.load(self.checkpoint), path)
         print(f"Network: {path}   ({path.stat().st_size / 1024:.0f} kB)")
+        return 0
+
+    def _export_league(self) -> int:
+        from league.cli.season import exporting
+
+        if self.checkpoint is not None or self.onnx is not None:
+            raise ConfigError(
+                "a checkpoint was named together with --csv or --json, which export a league: "
+                "do one after the other"
+            )
+        with self.opened() as store:
+            exporting.write(store, exporting.Wish(self.csv, self.json))
         return 0
 
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import tyro
 
 from league.cli import checkpoints, drivers, evaluate, race, replays, rewards, tracks, train
-from league.cli.season import entering, reading, running
+from league.cli.season import entering, heats, reading, running, trials
 from league.errors import LeagueError
 
 ROOMS = (
@@ -26,6 +26,8 @@ ROOMS = (
     entering,
     running,
     reading,
+    heats,
+    trials,
 )
 """Where the commands are, in the order of the help; each room's `COMMANDS` names its own."""
 

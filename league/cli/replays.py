@@ -4,18 +4,28 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import tyro
 
 from league.cli import tables
+from league.cli.season.door import OnLeague
+from league.errors import ReplayError
+
+if TYPE_CHECKING:
+    from league.replay import Replay
 
 
 @dataclass
-class View:
-    """Open a replay in the Rerun viewer."""
+class View(OnLeague):
+    """Open a replay, or a race of a league, in the Rerun viewer."""
 
     replay: tyro.conf.Positional[Path]
-    """The replay file."""
+    """The replay file, or the number of a league's heat."""
+    race: int = 1
+    """Which race of the heat."""
+    save: Path | None = None
+    """Only write the heat's replay to this file, for `league video` or `league verify`."""
     web: bool = False
     """Serve the web viewer on this machine only and print its address."""
     rrd: Path | None = None
@@ -78,13 +88,36 @@ class Verify:
         return 0 if agreement.agrees else 1
 
 
+def _recorded(command: View) -> Replay:
+    """Return the replay of a file; what is no file and looks like a heat is one of a league."""
+    from league import replay as replays
+    from league.replay import format as replay_format
+
+    given = str(command.replay)
+    if command.replay.exists() or not set(given) <= set("0123456789abcdef"):
+        return replays.read(command.replay)
+    with command.opened() as store:
+        record = store.heat(given)
+        kept = {result.half + 1: result.replay for result in store.results(record.number)}
+        if not kept.get(command.race):
+            there = ", ".join(str(race) for race, digest in sorted(kept.items()) if digest)
+            raise ReplayError(
+                f"there is no replay of race {command.race} of heat {record.number} "
+                f"({record.state}): replays are kept of race {there or 'none'}"
+            )
+        return replay_format.decode(store.blobs.get(kept[command.race] or ""))
+
+
 def _view(command: View) -> int:
     import tempfile
 
     from league import replay as replays
     from league import rerun_view
 
-    recorded = replays.read(command.replay)
+    recorded = _recorded(command)
+    if command.save is not None:
+        print(f"Replay: {replays.write(recorded, command.save)}")
+        return 0
     if command.rrd is not None:
         rerun_view.save(recorded, command.rrd, cameras=command.cameras)
         print(f"Recording: {command.rrd}")

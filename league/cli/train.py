@@ -85,6 +85,8 @@ class Train:
     """Steps of each world between updates."""
     exam_track: tuple[str, ...] = ()
     """Where to judge it; none: where it learns."""
+    exam_opponents: tuple[str, ...] = ()
+    """Who races against it in each evaluation."""
     exam_trials: int = 1
     """Runs of each evaluation."""
     exam_every: int = 1
@@ -192,6 +194,8 @@ def _config(command: Train) -> RunConfig:
         exam_trials=command.exam_trials,
         exam_every=command.exam_every,
         opponents=command.opponents,
+        self_play=command.self_play,
+        exam_opponents=command.exam_opponents,
         init_from=command.init_from,
         licence=command.licence,
         command=_printable(shlex.join(["league", *sys.argv[1:]]))[:2000],
@@ -217,13 +221,14 @@ def _learner(command: Train) -> TrainConfig:
     }
     base = PpoConfig()
     if command.hyperparameters is not None:
-        base = _from_deepracer(command.hyperparameters, command.num_worlds)
+        rollout = command.num_worlds * (command.rollout or base.steps)
+        base = _from_deepracer(command.hyperparameters, rollout)
     from dataclasses import replace
 
     ppo = replace(base, **{name: value for name, value in given.items() if value is not None})
     cars = 1
     if command.kind == "head_to_head":
-        cars += len(command.opponents)
+        cars += 1 if command.self_play else len(command.opponents)
     return TrainConfig(
         kind=command.kind,
         num_worlds=command.num_worlds,
@@ -255,9 +260,14 @@ def _learner(command: Train) -> TrainConfig:
     )
 
 
-def _from_deepracer(path: Path, num_worlds: int):  # noqa: ANN202
-    """Return PPO's settings of a hyperparameters.json; what it does not name stays ours."""
-    from dataclasses import replace
+def _from_deepracer(path: Path, rollout: int):  # noqa: ANN202
+    """Return PPO's settings of a hyperparameters.json; what it does not name stays ours.
+
+    Args:
+        path: the file.
+        rollout: decisions between two updates.
+    """
+    from dataclasses import asdict, replace
 
     from league.envs.deepracer import hyperparameters
     from league.training.settings import PpoConfig
@@ -270,9 +280,14 @@ def _from_deepracer(path: Path, num_worlds: int):  # noqa: ANN202
     if asked.num_epochs is not None:
         ppo = replace(ppo, epochs=asked.num_epochs)
     if asked.batch_size is not None:
-        ppo = replace(ppo, mini_batches=max(1, num_worlds * ppo.steps // asked.batch_size))
+        ppo = replace(ppo, mini_batches=max(1, rollout // asked.batch_size))
     if asked.beta_entropy is not None:
         ppo = replace(ppo, entropy=(asked.beta_entropy, asked.beta_entropy))
+    taken = {"lr", "discount_factor", "num_epochs", "batch_size", "beta_entropy", "stack_size"}
+    left = [name for name, value in asdict(asked).items() if value is not None]
+    left = [name for name in left if name not in taken]
+    if left:
+        print(f"{path}: {', '.join(left)} not used here (docs/training.md)", file=sys.stderr)
     return ppo
 
 
@@ -299,8 +314,8 @@ def parse_actions(text: str) -> ActionSpace:
         steerings, speeds, fastest = found.groups()
         return grid(int(steerings), 30.0, int(speeds), float(fastest or 1.0))
     raise ConfigError(
-        f"--action-space is {brief(text)}: give speeds such as 0.5-4 [m/s], a grid such as 5x2@1.0, "
-        "or a model_metadata.json"
+        f"--action-space is {brief(text)}: give speeds such as 0.5-4 [m/s], a grid such "
+        "as 5x2@1.0, or a model_metadata.json"
     )
 
 
@@ -327,11 +342,12 @@ def parse_sensors(names: tuple[str, ...]) -> SensorConfig:
             lidars.append(LidarConfig(form="ranges" if name == "lidar" else name))  # type: ignore
         else:
             raise ConfigError(
-                f"there is no sensor {brief(name)}: give stereoWxH, monoWxH, leftWxH, lidar, sectors, "
-                "discretised, or a model_metadata.json"
+                f"there is no sensor {brief(name)}: give stereoWxH, monoWxH, leftWxH, lidar, "
+                "sectors, discretised, or a model_metadata.json"
             )
     if len(cameras) > 1 or len(lidars) > 1:
         raise ConfigError(
-            f"the sensors {brief(' '.join(names))} hold two of a kind: give one camera and one lidar"
+            f"the sensors {brief(' '.join(names))} hold two of a kind: "
+            "give one camera and one lidar"
         )
     return SensorConfig(camera=cameras[0] if cameras else None, lidar=lidars[0] if lidars else None)

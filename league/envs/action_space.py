@@ -133,6 +133,11 @@ def grid(steerings: int, max_steering: float, speeds: int, max_speed: float) -> 
             f"a grid of {steerings} steering angles and {speeds} speeds is no choice: "
             "give at least 2 angles and 1 speed"
         )
+    if steerings * speeds > MAX_CHOICES:
+        raise ConfigError(
+            f"a grid of {steerings} steering angles and {speeds} speeds is too large: "
+            f"give at most {MAX_CHOICES} choices"
+        )
     # From the middle outwards, so that left and right are the same number to the bit.
     half = [max_steering * (1.0 - 2.0 * number / (steerings - 1)) for number in range(steerings)]
     for number in range(steerings // 2):

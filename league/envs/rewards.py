@@ -16,7 +16,7 @@ from league.track.course import TrackSet
 PRESETS = {
     "centerline": RewardConfig(progress=0.0, centerline=1.0, off_track=0.0, crash=0.0),
     "progress": RewardConfig(progress=3.0, off_track=-3.0, crash=-3.0),
-    "race": RewardConfig(progress=3.0, overtake=2.0, off_track=-3.0, crash=-5.0),
+    "race": RewardConfig(progress=3.0, overtake=2.0, off_track=-3.0, crash=-8.0),
 }
 """Ready weights by name: at most about 1 for a step (4 m/s are 0.27 m, or 0.8), so that a learner
 that discounts by 0.99 sees returns of some tens; a mistake costs what a second of racing earns."""

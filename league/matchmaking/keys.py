@@ -60,6 +60,8 @@ class Ruleset:
     """Stock mounts, lenses and rates only, or whatever a card asks for."""
     max_time_s: float = 0.0
     """A race is stopped after this time [s]; 0 chooses by length."""
+    variation: float = 1.0
+    """How much the cars of a race differ, drawn anew from its seed; see RaceSpec."""
 
     def __post_init__(self) -> None:
         if not self.tracks:
@@ -70,6 +72,8 @@ class Ruleset:
             raise ValueError(f"{self.laps} laps: drive at least 1")
         if not 0 <= self.max_time_s <= 36_000:
             raise ValueError(f"max_time_s is {self.max_time_s}: give 0 to 36000 s")
+        if not 0 <= self.variation <= 10:
+            raise ValueError(f"variation is {self.variation}: give 0 to 10")
 
     @property
     def hash(self) -> str:

@@ -1,4 +1,4 @@
-"""Running a season: the loop of matchmaker and crew, until enough was raced or somebody says stop."""
+"""The season's loop of matchmaker and crew, until enough was raced or somebody says stop."""
 
 from __future__ import annotations
 

@@ -82,7 +82,9 @@ class _Evidence:
 class Season:
     """A league's matchmaker; all it knows is in the store, so another may take over any time."""
 
-    def __init__(self, store: Store, *, same_owner: bool = False, least_round: int = LEAST_ROUND):
+    def __init__(
+        self, store: Store, *, same_owner: bool = False, least_round: int = LEAST_ROUND
+    ) -> None:
         """Take charge of a league.
 
         Args:

@@ -160,7 +160,7 @@ class Probe:
     """What a policy showed before its first race."""
 
     decision_s: float
-    """Fastest of some decisions [s]."""
+    """Fastest of some decisions [s of one core]."""
     decisions: int
     """Situations it was shown."""
 
@@ -174,10 +174,11 @@ def probe(given: Checkpoint, what: str = "the submission") -> Probe:
     policy = Policy(given, SimConfig().car)
     fastest, situations = float("inf"), list(_situations(given.card))
     for told in situations:
-        start = time.perf_counter()
+        # The processor's time of all threads: a busy machine must not refuse anybody.
+        start = time.process_time()
         with torch.inference_mode():
             first = policy.outputs(told)
-        fastest = min(fastest, time.perf_counter() - start)
+        fastest = min(fastest, time.process_time() - start)
         with torch.inference_mode():
             again = policy.outputs(told)
         if not bool(torch.isfinite(first).all()):

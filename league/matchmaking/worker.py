@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from league.race import Finished
     from league.race_spec import RaceResult
     from league.sim.config import CarConfig
-    from league.track.course import TrackSet
+    from league.track.course import Track, TrackSet
 
 KEPT = 64
 """Drivers and checkpoints that a worker keeps ready."""
@@ -82,6 +82,7 @@ class Pit:
     def __init__(self) -> None:
         self._drivers: OrderedDict[tuple[str, str, int], Driver] = OrderedDict()
         self._checkpoints: OrderedDict[str, Checkpoint] = OrderedDict()
+        self._courses: dict[str, Track] = {}
 
     def race(self, job: Job) -> Report:
         """Race a heat; whatever goes wrong is told, never raised."""
@@ -105,7 +106,10 @@ class Pit:
         from league.track.course import TrackSet
 
         rules = job.ruleset
-        course = files.load(half.track)
+        # The same object each time: scripted drivers seek their line once for a track.
+        if half.track not in self._courses:
+            self._courses[half.track] = files.load(half.track)
+        course = self._courses[half.track]
         field = [job.field[id] for id in half.grid]
         spec = checked(
             {
@@ -115,6 +119,7 @@ class Pit:
                 "seed": seed,
                 "solver": rules.solver,
                 "max_time_s": rules.max_time_s,
+                "variation": rules.variation,
                 "entries": [self._named(who) for who in field],
             }
         )

@@ -100,10 +100,9 @@ class Practice:
             np.stack([column.cpu().numpy()[self._index].reshape(-1) for column in columns])
         )
         self._frames += 1
-        if self._frames == 1 or self._bots:
+        if world.obstacles.x.shape[1]:
             self._note_obstacles(world)
         if now - self._sent >= BATCH_S:
-            self._note_obstacles(world)
             self.send()
             self._sent = now
 
@@ -184,10 +183,8 @@ class Practice:
         )
 
     def _note_obstacles(self, world: World) -> None:
-        """Send where obstacles are, if they are not where they were."""
+        """Send where obstacles are, if that is news: bots drive, boxes are drawn anew."""
         things, row = world.obstacles, self._seats.worlds[0]
-        if things.x.shape[1] == 0:
-            return
         now = np.stack(
             [
                 part[row].cpu().numpy()
@@ -197,7 +194,7 @@ class Practice:
         ).astype(np.float64)  # (num_obstacles, 5)
         if self._things is None:
             self._send_shapes(now)
-        if self._things is not None and np.array_equal(now, self._things):
+        elif np.array_equal(now, self._things):
             return
         self._things = now
         self._recording.set_time(paths.TIMELINE, duration=self.shown_s)
@@ -231,7 +228,7 @@ class Practice:
             colours = [CHART_COLOURS[name] for name in names]
             send(
                 path,
-                rr.SeriesLines(colors=colours, names=[f"{name}" for name in names], widths=2.0),
+                rr.SeriesLines(colors=colours, names=list(names), widths=2.0),
                 static=True,
             )
 

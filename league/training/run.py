@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import torch
 from pydantic import TypeAdapter, ValidationError
 
 from league import __version__
@@ -16,12 +18,15 @@ from league.agents import checkpoint
 from league.agents.card import Card
 from league.agents.card import Reward as RewardCard
 from league.agents.checkpoint import Checkpoint
+from league.envs.driver import Driver
 from league.envs.rewards import Reward, preset
 from league.errors import ConfigError, LeagueError, PolicyError, brief
 from league.training import courses, worlds
 from league.training.history import History
 from league.training.judge import Exam, Judge, Judgement
 from league.training.learner import Learner, Update
+from league.training.selfplay import SelfPlay
+from league.training.selfplay.picture import draw as draw_matrix
 from league.training.settings import TrainConfig
 from league.whole_file import replacing
 
@@ -29,8 +34,9 @@ if TYPE_CHECKING:
     from league.evaluation import Evaluation
     from league.training.onlooker import Onlooker
 
-MOST_WAITING = 2
-"""Policies that may wait for their judgement before learning waits for one."""
+
+CRITIC_FIRST = 4
+"""Updates from which only the critic learns, where the actor begins as another policy."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +69,8 @@ class RunConfig:
     """Who races against the policy in an evaluation."""
     opponents: tuple[str, ...] = ()
     """Drivers or checkpoints that race against the learner."""
+    self_play: bool = False
+    """Race against past selves instead."""
     init_from: str = ""
     """Checkpoint to begin from."""
     licence: str = "CC-BY-4.0"
@@ -123,22 +131,29 @@ class Run:
     def _begin(self) -> None:
         cfg = self.cfg
         train = cfg.train
-        self._spent_s, self._complete = 0.0, 0
         self._parents: tuple[str, ...] = ()
         self._reward, self._reward_card = _reward(cfg)
+        self._spent_s, self._complete = 0.0, 0
         self._check_card()
+        _check_device(train.device)
         if self._reward is None:
             train = replace(train, reward=preset(cfg.reward))
         tracks = courses.together(self._tracks, train.both_directions, train.device)
-        self.env = worlds.make(
-            tracks, train, opponents=dict(enumerate(cfg.opponents, 1)), reward=self._reward
-        )
         self.train = train
+        self._parent = checkpoint.load(cfg.init_from) if cfg.init_from else None
+        if self._parent is not None:
+            self._parents = (self._parent.digest, *self._parent.card.parents)[:64]
+        self._self_play: SelfPlay | None = None
+        opponents: Mapping[int, Driver | str] = dict(enumerate(cfg.opponents, 1))
+        if cfg.self_play:
+            self._self_play = SelfPlay(
+                self.folder, tracks, train, self._card(), parent=self._parent
+            )
+            opponents = self._self_play.drivers()
+        self.env = worlds.make(tracks, train, opponents=opponents, reward=self._reward)
         self.learner = Learner(self.env, train)
-        if cfg.init_from:
-            parent = checkpoint.load(cfg.init_from)
-            self.learner.begin(dict(parent.weights))
-            self._parents = (parent.digest, *parent.card.parents)[:64]
+        if self._parent is not None:
+            self.learner.begin(dict(self._parent.weights))
         self._waiting: dict[int, Checkpoint] = {}
         self._best: tuple[float, ...] | None = None
         self._best_evaluation: Evaluation | None = None
@@ -151,6 +166,8 @@ class Run:
             PolicyError: there is none, or it is of another run.
         """
         notes = self.learner.restore(self.folder / "state.pt")
+        if self._self_play is not None:
+            self._self_play.restore(json.loads(notes["self_play"]), self.learner)
         self._spent_s = float(notes["spent_s"])
         self._complete = int(notes["complete"])
         self._best = tuple(notes["best"]) or None
@@ -164,7 +181,7 @@ class Run:
         started, why = time.perf_counter() - self._spent_s, ""
         try:
             while not why:
-                update = self.learner.update(self._share())
+                update = self._updated()
                 self._spent_s = time.perf_counter() - started
                 self.history.add_update(update, self.learner.episodes, self._spent_s)
                 for onlooker in onlookers:
@@ -194,6 +211,16 @@ class Run:
             why=why,
         )
 
+    def _updated(self) -> Update:
+        update = self.learner.update(self._share())
+        if self._parent is not None and update.number <= CRITIC_FIRST:
+            # A critic that knows nothing yet would spoil what the parent knows.
+            self.learner.begin(dict(self._parent.weights))
+        if self._self_play is not None:
+            self._self_play.after_update(self.learner)
+            update = replace(update, log=update.log | self._self_play.log())
+        return update
+
     def _prepare(self) -> None:
         """Write the settings, and begin the history."""
         try:
@@ -207,6 +234,8 @@ class Run:
             file.write_bytes(_SETTINGS.dump_json(self.cfg, indent=2))
         for name in ("best.pt", "last.pt", "state.pt"):
             (self.folder / name).unlink(missing_ok=True)
+        if self._self_play is not None:
+            self._self_play.begin(self.learner)
         self.history = History(self.folder / "history.jsonl")
 
     def _share(self) -> float:
@@ -224,9 +253,12 @@ class Run:
         return "the time was up" if self._share() >= 1.0 else ""
 
     def _save_point(self, update: Update, onlookers: Sequence[Onlooker]) -> None:
-        if (update.number // self.cfg.train.save_every) % self.cfg.exam_every == 0:
+        self._take(onlookers, wait=False)
+        due = (update.number // self.cfg.train.save_every) % self.cfg.exam_every == 0
+        # A judge that is still busy is not waited for: this policy goes without an evaluation.
+        if due and not self._judge.waiting:
             self._hand(update.number)
-        self._take(onlookers, wait=self._judge.waiting > MOST_WAITING)
+            self._take(onlookers, wait=False)
         # Last, so that the state knows of the best.pt that lies beside it.
         self._save()
 
@@ -244,6 +276,9 @@ class Run:
         evaluation, policy = found.evaluation, self._waiting.pop(found.number)
         self._complete = self._complete + 1 if evaluation.all_complete else 0
         merit = _merit(evaluation)
+        if self._self_play is not None:
+            # Laps do not tell who wins duels: the newest has had all others to learn from.
+            merit = (float(found.number), *merit)
         best = self._best is None or merit > self._best
         if best:
             self._best, self._best_evaluation = merit, evaluation
@@ -265,6 +300,10 @@ class Run:
             self._hand(last)
         while self._waiting and not complete:
             self._take(onlookers, wait=True)
+        if self._self_play is not None:
+            found = self._self_play.report(self._checkpoint())
+            found.write(self.folder / "win_matrix.json")
+            draw_matrix(found, self.folder / "win_matrix.png")
         self._save()
 
     @property
@@ -281,6 +320,8 @@ class Run:
             "complete": self._complete,
             "best": list(self._best or ()),
         }
+        if self._self_play is not None:
+            notes["self_play"] = json.dumps(self._self_play.state())
         self.learner.save(self.folder / "state.pt", notes)
 
     def _checkpoint(self) -> Checkpoint:
@@ -313,7 +354,7 @@ class Run:
             first = error.errors(include_url=False)[0]
             where = ".".join(str(part) for part in first["loc"])
             raise ConfigError(
-                f"no checkpoint could tell its {where}, {brief(first['input'])}: "
+                f"the checkpoint's card refuses the {where} {brief(first['input'])}: "
                 f"{first['msg'].removeprefix('Value error, ')}"
             ) from None
         card.weight_shapes  # noqa: B018 (a network that cannot be built is refused here)
@@ -336,6 +377,16 @@ def settings(folder: Path) -> RunConfig:
 
 
 _SETTINGS = TypeAdapter(RunConfig)
+
+
+def _check_device(name: str) -> None:
+    try:
+        torch.zeros(1, device=name)
+    except (RuntimeError, AssertionError):
+        raise ConfigError(
+            f"this machine's torch cannot compute on the device {brief(name)}: give cpu, or cuda "
+            "where there is such a card and a torch that knows it"
+        ) from None
 
 
 def _merit(evaluation: Evaluation) -> tuple[float, ...]:

@@ -9,6 +9,7 @@ from league.envs.config import EnvConfig
 from league.envs.rewards import Reward
 from league.envs.vec_env import RacingVecEnv
 from league.sim.config import ObstacleConfig, RaceRules, SimConfig, Spread
+from league.sim.meeting_config import Meeting
 from league.track.course import TrackSet
 from league.training.settings import TrainConfig
 
@@ -34,6 +35,8 @@ def env_config(cfg: TrainConfig) -> EnvConfig:
         mode="training",
         reward=cfg.reward,
         episode_s=cfg.episode_s,
+        # Cars that start anywhere on a lap hardly ever meet.
+        meeting=Meeting() if cfg.num_cars > 1 else None,
     )
 
 

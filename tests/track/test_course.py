@@ -150,3 +150,47 @@ def test_mirroring_a_track_mirrors_what_is_found_on_it():
 def test_a_track_set_without_tracks_is_refused():
     with pytest.raises(ValueError, match="at least one"):
         TrackSet.of()
+
+
+def test_reversed_track_is_driven_the_other_way_from_the_same_line():
+    track = shapes.circle(radius=2.0, width=0.8)
+    back = track.reversed()
+    assert back.direction == "clockwise"
+    assert back.name == "test_track_reversed"
+    np.testing.assert_array_equal(back.center[0], track.center[0])
+    np.testing.assert_array_equal(back.center[1], track.center[-1])
+    # What was on the left, the inside, is on the right now.
+    np.testing.assert_array_equal(back.right[0], track.left[0])
+    np.testing.assert_allclose(np.linalg.norm(back.left, axis=1), 2.4, atol=2e-3)
+    np.testing.assert_allclose(back.curvature, -0.5, rtol=0.05)
+    np.testing.assert_allclose(back.tangent[0], -track.tangent[0], atol=1e-9)
+    assert back.length == pytest.approx(track.length)
+
+
+@pytest.mark.parametrize("name", ["reinvent_2018", "needle_pass"])
+def test_track_reversed_twice_is_the_track(name):
+    track = files.load(name)
+    again = track.reversed().reversed()
+    for part in ("center", "left", "right"):
+        np.testing.assert_array_equal(getattr(again, part), getattr(track, part))
+    assert again.direction == track.direction
+
+
+def test_reversed_place_is_a_lap_less_the_place_and_on_the_other_side():
+    track = files.load("reinvent_2018")
+    ways = TrackSet.of(track, track.reversed())
+    x, y, frame = ways.at(_index(2, 1), torch.tensor([[3.0]]))
+    lateral = 0.2
+    point = (x - lateral * frame.sin, y + lateral * frame.cos)
+    back = ways.locate(torch.tensor([1]), *point)
+    assert back.s.item() == pytest.approx(track.length - 3.0, abs=0.01)
+    assert back.lateral.item() == pytest.approx(-0.2, abs=5e-3)
+    assert back.cos.item() == pytest.approx(-frame.cos.item(), abs=1e-3)
+
+
+def test_reversed_straight_is_driven_from_its_far_end():
+    track = shapes.straight()
+    back = track.reversed()
+    np.testing.assert_array_equal(back.center, track.center[::-1])
+    np.testing.assert_array_equal(back.left, track.right[::-1])
+    assert back.direction == "open"

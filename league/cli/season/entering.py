@@ -38,6 +38,8 @@ class Init(OnLeague):
     """Stock mounts, lenses and rates only, or whatever a card asks for."""
     max_time_s: float = 0.0
     """A race is stopped after this time [s]; 0 chooses by length."""
+    variation: float = 1.0
+    """How much the cars of a race differ, drawn from its seed: 1 is two percent of grip."""
     anchors: tuple[str, ...] = ANCHORS
     """Scripted drivers that tie the scale; the first one is pinned to 1000."""
     blobs: str = ""
@@ -153,6 +155,7 @@ def _rules(command: Init) -> Ruleset:
             solver=command.solver,
             sensors=command.sensors,
             max_time_s=command.max_time_s,
+            variation=command.variation,
         )
     except ValueError as error:
         raise ConfigError(f"these rules are not possible: {error}") from error
@@ -176,7 +179,8 @@ def _submit(command: Submit) -> int:
         else:
             raise PolicyError(
                 f"there is no driver {command.driver!r}; nearest: "
-                f"{nearest_names(command.driver, list(roster.NAMES))}; or give a checkpoint, FILE.pt"
+                f"{nearest_names(command.driver, list(roster.NAMES))}; or give a checkpoint, "
+                "FILE.pt"
             )
     print(f"{entry.name} by {entry.owner}: entry {entry.id[:12]}, {entry.state}")
     print("It is raced against itself and an anchor first: `league run`, then `league entries`.")

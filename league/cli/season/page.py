@@ -124,31 +124,24 @@ class Page:
         return Group(*parts)
 
 
+MARKS = {"?": "provisional", "!": "one-sided", "~": "apart"}
+"""What stands behind a rating."""
+
+
 def table(standings: Standings, limit: int | None = None) -> RenderableType:
-    """Return the standings as a table."""
+    """Return the standings as a table that fits 80 columns."""
     drawn = tables.table(
-        "Standings",
-        "",
-        "entry",
-        "owner",
-        "Elo, 95 %",
-        "between",
-        "state",
-        "races",
-        "score",
-        "ranks",
+        "Standings", "", "entry", "owner", "Elo ± 95 %", "", "state", "races", "score", "ranks"
     )
     for row in standings.rows[:limit]:
-        flag = "?" if row.provisional else ""
-        flag += "" if row.connected else " apart"
-        flag += " one-sided" if row.one_sided else ""
+        flags = "?" * row.provisional + "!" * row.one_sided + "~" * (not row.connected)
         ranks = f"{row.best_rank}-{row.worst_rank}" if row.best_rank < row.worst_rank else ""
         drawn.add_row(
             str(row.rank),
-            row.name,
-            row.owner,
-            door.plus_minus(row.elo, row.low95, row.high95) + flag,
-            f"{row.low95:.0f} to {row.high95:.0f}",
+            row.name[:24],
+            row.owner[:14],
+            door.plus_minus(row.elo, row.low95, row.high95),
+            flags,
             "anchor" if row.anchor else row.state,
             str(row.races),
             f"{100 * row.score:.0f} %" if row.races else "",

@@ -122,12 +122,11 @@ def notes(found: Standings) -> list[str]:
     front = found.ratings.slot_advantages
     lines = [
         f"{found.num_races} races under rules {found.ruleset[:12]}; the front of the grid is worth "
-        f"{front[0] - front[-1]:+.0f} Elo over its end. ? = provisional (sd above 50)."
+        f"{front[0] - front[-1]:+.0f} Elo over its end.",
+        "? provisional (sd above 50)   ! won or lost every pair   ranks: those the intervals allow",
     ]
     if not found.ratings.all_connected:
-        lines.append(
-            "'apart': no chain of races leads to the anchor; such ratings lean on the prior."
-        )
+        lines.append("~ no chain of races leads to the anchor; such ratings lean on the prior.")
     if found.goodness.rejected:
         lines.append(
             "One number a driver does not explain these results (p = "
@@ -163,7 +162,8 @@ def _show(store: Store, entry: Entry, as_json: bool) -> int:
     if row is not None:
         rating = door.plus_minus(row.elo, row.low95, row.high95)
         print(
-            f"rank {row.rank} ({row.best_rank} to {row.worst_rank}), Elo {rating}, {row.races} races"
+            f"rank {row.rank} ({row.best_rank} to {row.worst_rank}), Elo {rating}, "
+            f"{row.races} races"
         )
     table = tables.table(
         "Against", "entry", "owner", "Elo", "races", "points", "promised", "residual"

@@ -123,8 +123,8 @@ def _stopping() -> Iterator[Callable[[], bool]]:
 def _print_tally(store: Store, tally: Tally) -> None:
     if tally.idle and not tally.heats:
         print(
-            "There is nothing to race: submit an entry with `league submit FILE.pt`; entries of one "
-            "owner meet with --same-owner."
+            "There is nothing to race: submit an entry with `league submit FILE.pt`; "
+            "entries of one owner meet with --same-owner."
         )
         return
     rate = tally.race_s / tally.worker_s if tally.worker_s else 0.0

@@ -95,10 +95,11 @@ class Actors:
             return []
         ready, _ = self._ray.wait([slot.answer for slot in busy], num_returns=1, timeout=timeout_s)
         reports = [self._read(slot) for slot in busy if slot.answer in ready]
-        for slot in busy:
-            if slot.job and time.monotonic() - slot.since_s > self._limit_s:
-                reports.append(self._ended(slot, f"took longer than {self._limit_s:.0f} s"))
-        return reports
+        now = time.monotonic()
+        stuck = [slot for slot in busy if slot.job and now - slot.since_s > self._limit_s]
+        return reports + [
+            self._ended(slot, f"took longer than {self._limit_s:.0f} s") for slot in stuck
+        ]
 
     def close(self) -> None:
         """End the actors, and the cluster if it is our own."""

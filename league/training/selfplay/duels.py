@@ -85,7 +85,8 @@ class _Race:
     @property
     def slots(self) -> tuple[int, int]:
         """Who starts first and who second."""
-        return self.pair[::-1] if self.swapped else self.pair
+        first, second = self.pair
+        return (second, first) if self.swapped else (first, second)
 
 
 def meet(
@@ -134,7 +135,7 @@ def meet(
 def rules(tracks: TrackSet, cfg: DuelConfig) -> RaceRules:
     """Return the rules of a measuring race."""
     longest = float(tracks.length.max())
-    return RaceRules(laps=cfg.laps, max_time_s=10.0 + cfg.laps * longest / cfg.slowest)
+    return RaceRules(laps=cfg.laps, max_time_s=cfg.grace_s + cfg.laps * longest / cfg.slowest)
 
 
 def sensors_for(drivers: Sequence[Driver]) -> SensorConfig:

@@ -1,5 +1,4 @@
-"""The driver of an opponent's car in training: in each row another past self, drawn anew when the
-car begins an episode."""
+"""Who drives an opponent's car in training: in each row a past self, drawn for each episode."""
 
 from __future__ import annotations
 

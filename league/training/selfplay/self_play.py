@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from league.agents import roster
 from league.agents.card import Card
 from league.agents.checkpoint import Checkpoint
@@ -164,7 +166,7 @@ class SelfPlay:
         if len(self._tracks.tracks) == 1:
             drivers["centerline"] = roster.load("centerline", self._tracks, self._car)
         drivers |= {member.name: self._policy(member) for member in chosen}
-        drivers["final"] = Policy(weights, self._car, name="final", exact=False)
+        drivers["final"] = self._built(weights, "final")
         return matrix.measure(self._tracks, self._car, drivers, self._cfg, seed=seed)
 
     def _candidate(self, learner: Learner) -> bool:
@@ -173,7 +175,7 @@ class SelfPlay:
         rivals = self._rivals()
         measured = None
         if rivals:
-            field = [Policy(snapshot, self._car, exact=False), *map(self._policy, rivals)]
+            field = [self._built(snapshot, "candidate"), *map(self._policy, rivals)]
             pairs = [(0, place) for place in range(1, len(field))]
             found = duels.meet(
                 self._tracks,
@@ -208,7 +210,7 @@ class SelfPlay:
         The number of the first draw is told by the updates alone, so that a run that goes on from
         here draws what it would have drawn.
         """
-        newest = Policy(self._snapshot(learner), self._car, name=NEWEST, exact=False)
+        newest = self._built(self._snapshot(learner), NEWEST)
         members = [self._policy(member) for member in self.pool.members]
         cfg, rates = self._cfg, self._win_rates()
         for car, seat in self._seats.items():
@@ -239,9 +241,13 @@ class SelfPlay:
 
     def _policy(self, member: Member) -> Policy:
         if member.name not in self._policies:
-            kept = self.pool.load(member)
-            self._policies[member.name] = Policy(kept, self._car, name=member.name, exact=False)
+            self._policies[member.name] = self._built(self.pool.load(member), member.name)
         return self._policies[member.name]
+
+    def _built(self, kept: Checkpoint, name: str) -> Policy:
+        # A new network draws first weights from torch's generator, with which the learner explores.
+        with torch.random.fork_rng(devices=[]):
+            return Policy(kept, self._car, name=name, exact=False)
 
     def _win_rates(self) -> dict[str, float]:
         names = [NEWEST, *(member.name for member in self.pool.members)]

@@ -20,7 +20,9 @@ class DuelConfig:
     """How far the cars of a race differ: without it all races of two drivers would be one race.
     Mirrored races swap the drivers, not the cars, so it favours nobody."""
     slowest: float = 1.2
-    """A race is stopped after its laps at this mean speed [m/s] and 10 s more."""
+    """A race is stopped after its laps at this mean speed [m/s], and the grace."""
+    grace_s: float = 10.0
+    """Added to that, for a start and two penalties [s]."""
     at_once: int = 128
     """Races driven side by side."""
 

@@ -1,0 +1,201 @@
+"""What the policies of the garage can do, each asked what it was trained for.
+
+    python -m benchmarks.garage [NAME=FILE ...]
+
+Without arguments all of garage/*.pt; with them, these files instead of the garage's own.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import torch
+
+from benchmarks.lap_bound import lap_bound
+from benchmarks.report import figure, heading, machine
+from league.agents import roster
+from league.agents.driver import Driver
+from league.errors import PolicyError
+from league.evaluation import Evaluation, evaluate
+from league.sim.config import CarConfig, ObstacleConfig
+from league.track import files, importer
+from league.track.course import Track, TrackSet
+from league.training.selfplay import duels
+from league.training.selfplay.settings import DuelConfig
+
+ROOT = Path(__file__).parents[1]
+GARAGE = ROOT / "garage"
+COMMUNITY = ROOT.parent / "shared" / "tracks"
+HOME = "reinvent_2018"
+
+Found = Mapping[str, Path]
+"""The checkpoint of each policy that exists."""
+
+
+def rookie(found: Found) -> None:
+    """Three laps at walking pace, the first mistake ends each attempt."""
+    seen = evaluate(str(found["rookie"]), HOME, laps=3, mode="episode")
+    figure("rookie: complete laps of 3", seen.complete_laps, "laps", 3)
+    _lap("rookie: mean lap", seen.mean_lap_s)
+
+
+def racer(found: Found) -> None:
+    """Flying laps against what no lap of this car can beat."""
+    track = files.load(HOME)
+    bound = lap_bound(track, CarConfig())
+    seen = evaluate(str(found["racer"]), track, laps=6)
+    best = seen.best_flying_s
+    _lap("racer: best flying lap", best)
+    if best is not None:
+        figure("racer: best flying lap over the bound", best / bound, "x", 1.03, most=True)
+        flying = seen.flying_laps_s
+        mean = sum(flying) / len(flying)
+        figure("racer: mean flying lap over the bound", mean / bound, "x")
+    figure("racer: off-tracks in 6 laps", seen.off_tracks, "", 0, most=True)
+
+
+def globetrotter(found: Found) -> None:
+    """Three laps under race rules on tracks it has never seen, ours and the community's."""
+    strange = _community()
+    print("| track | laps of 3 | off-tracks | mean lap [s] | bound [s] | ratio |")
+    print("|---|--:|--:|--:|--:|--:|")
+    ours = [_abroad(found["globetrotter"], files.load(name)) for name in files.names()]
+    theirs = [_abroad(found["globetrotter"], track) for track in strange]
+    print()
+    closed = [(seen, ratio) for seen, ratio in ours if ratio is not None]
+    _abroad_totals("our own tracks", [seen for seen, _ in ours], [r for _, r in closed])
+    if theirs:
+        seen = [one for one, _ in theirs]
+        _abroad_totals("community tracks", seen, [r for _, r in theirs if r is not None])
+        clean = sum(one.off_tracks == 0 and one.all_complete for one in seen)
+        figure("globetrotter: community tracks without an off-track", clean, f"of {len(seen)}", 6)
+    else:
+        print(f"No community tracks: {COMMUNITY.name} is not there.")
+
+
+def _community() -> list[Track]:
+    """Return the closed tracks of the community, where they are at hand."""
+    found = [importer.read_npy(path) for path in sorted(COMMUNITY.glob("*.npy"))]
+    return [track for track in found if track.closed]
+
+
+def _abroad(path: Path, track: Track) -> tuple[Evaluation, float | None]:
+    """Print one row of the table; return what was driven, and mean lap over bound."""
+    seen = evaluate(str(path), track, laps=3)
+    bound = lap_bound(track, CarConfig()) if track.closed else None
+    mean = seen.mean_lap_s
+    ratio = mean / bound if mean is not None and bound is not None else None
+    told = [f"{mean:.2f}" if mean else "-", f"{bound:.2f}" if bound else "-"]
+    print(
+        f"| {track.name} | {seen.complete_laps} of {seen.asked} | {seen.off_tracks} | "
+        f"{' | '.join(told)} | {f'{ratio:.2f}' if ratio else '-'} |",
+        flush=True,
+    )
+    return seen, ratio
+
+
+def _abroad_totals(where: str, seen: list[Evaluation], ratios: list[float]) -> None:
+    complete = sum(one.all_complete for one in seen)
+    figure(f"globetrotter: {where} with every lap", complete, f"of {len(seen)}", len(seen))
+    if ratios:
+        mean = sum(ratios) / len(ratios)
+        figure(f"globetrotter: mean lap over bound, {where}", mean, "x", 1.5, most=True)
+
+
+def dodger(found: Found, races: int = 50) -> None:
+    """Three laps among six boxes at random places, many times."""
+    seen = evaluate(
+        str(found["dodger"]),
+        HOME,
+        laps=3,
+        trials=races,
+        kind="obstacle_avoidance",
+        obstacles=ObstacleConfig(count=6, random_places=True),
+    )
+    contacts = seen.crashes / races
+    figure(f"dodger: contacts in 3 laps, mean of {races} races", contacts, "", 1.0, most=True)
+    figure("dodger: off-tracks in 3 laps", seen.off_tracks / races, "")
+    figure("dodger: complete laps", seen.complete_laps / seen.asked, "of all")
+    _lap("dodger: mean lap, penalties included", seen.mean_lap_s)
+
+
+def duelist(found: Found, races: int = 200) -> None:
+    """Mirrored races against its parent, against the centreline, and against its own past."""
+    tracks, car = TrackSet.of(files.load(HOME)), CarConfig()
+    mine = roster.policy(str(found["duelist"]), tracks, car, exact=False)
+    rivals: dict[str, tuple[Driver, float]] = {}
+    if "racer" in found:
+        racer_ = roster.policy(str(found["racer"]), tracks, car, exact=False)
+        rivals["racer"] = racer_, 0.65
+    rivals["centerline"] = roster.load("centerline", tracks, car), 0.95
+    for name, (rival, goal) in rivals.items():
+        won, score = _win_rate(tracks, mine, rival, races)
+        figure(f"duelist: won of {races} mirrored races against {name}", won, "of all", goal)
+        figure(f"duelist: contacts to blame for, against {name}", score.contacts_per_km, "per km")
+    past = sorted(found["duelist"].with_suffix(".run").glob("pool/*.pt"))
+    rates = {}
+    for path in past:
+        rival = roster.policy(str(path), tracks, car, exact=False)
+        rates[path.stem] = _win_rate(tracks, mine, rival, 40)[0]
+    if rates:
+        worst = min(rates, key=rates.__getitem__)
+        print("against its past: " + ", ".join(f"{n} {rate:.2f}" for n, rate in rates.items()))
+        figure(f"duelist: smallest win rate against its past ({worst})", rates[worst], "", 0.45)
+    else:
+        print("No past selves lie beside the duelist: nothing to tell of them.")
+
+
+def _win_rate(
+    tracks: TrackSet, mine: Driver, rival: Driver, races: int
+) -> tuple[float, duels.Score]:
+    pairs = [(0, 1)]
+    found = duels.meet(
+        tracks, CarConfig(), [mine, rival], pairs, DuelConfig(), races=races, solver="bullet"
+    )
+    score = found[0, 1][0]
+    return score.win_rate, score
+
+
+def _lap(name: str, time_s: float | None) -> None:
+    if time_s is None:
+        print(f"{name}: none")
+    else:
+        figure(name, time_s, "s")
+
+
+ASKED: dict[str, Callable[[Found], None]] = {
+    "rookie": rookie,
+    "racer": racer,
+    "dodger": dodger,
+    "duelist": duelist,
+    "globetrotter": globetrotter,
+}
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Ask every policy that exists what it was trained for."""
+    given = dict(one.split("=", 1) for one in arguments or [])
+    found = {name: GARAGE / f"{name}.pt" for name in ASKED} if not given else {}
+    found |= {name: Path(path) for name, path in given.items()}
+    heading("The garage")
+    print(machine())
+    torch.set_num_threads(1)
+    there = {name: path for name, path in found.items() if path.exists()}
+    for name, ask in ASKED.items():
+        if name not in there:
+            if name in found:
+                print(f"{name}: there is no {found[name].name}", flush=True)
+            continue
+        began = time.perf_counter()
+        try:
+            ask(there)
+        except PolicyError as error:
+            print(f"{name}: {error}")
+        print(f"({name}: {time.perf_counter() - began:.0f} s)\n", flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,115 @@
+"""How many rated duels a league races in a day, with camera policies, and where the time goes."""
+
+import cProfile
+import os
+import pstats
+import sys
+import tempfile
+import time
+from contextlib import closing
+from pathlib import Path
+
+import torch
+
+from benchmarks.report import figure, heading, machine
+from league.agents import checkpoint
+from league.agents.checkpoint import Checkpoint
+from league.matchmaking import executors, running, season, submission
+from league.matchmaking.crew import Crew
+from league.matchmaking.keys import Half, Heat, Ruleset
+from league.matchmaking.store import Store, create
+from league.matchmaking.worker import Job, Pit
+
+GOAL_A_DAY = 20_000
+MINUTE_S = 60.0
+SHARES = {
+    "physics": ("solver", "bullet.py", "step"),
+    "referee": ("referee", "referee.py", "judge"),
+    "sensors": ("cameras and own motion", "sensing.py", "observe"),
+    "inference": ("inference", "policy.py", "act"),
+    "recording": ("recording", "recording.py", "add"),
+}
+
+
+def policies(paths: list[str]) -> list[Checkpoint]:
+    """Return two camera policies: those named, or the garage's; one alone races its own clone."""
+    found = [
+        checkpoint.load(path) for path in paths or sorted(map(str, Path("garage").glob("*.pt")))
+    ]
+    seeing = [one for one in found if one.card.sensors.camera is not None]
+    return (seeing * 2)[:2]
+
+
+def league(folder: Path, drivers: list[Checkpoint]) -> Store:
+    """Return a league in which the drivers wait to be paired, and nobody else."""
+    store = create(f"sqlite:///{folder / 'league.db'}", ruleset=Ruleset(laps=3))
+    for number, one in enumerate(drivers):
+        told = {**one.card.model_dump(), "name": f"{one.card.name} {number}"}
+        renamed = Checkpoint(type(one.card)(**told), one.weights)
+        submission.accept(store, submission.pack(renamed), f"policy {number}", f"owner {number}")
+    season.found(store, ())
+    return store
+
+
+def shares(store: Store) -> None:
+    """Print where the time of one heat goes, after one to warm up."""
+    entries = store.entries()
+    rules = store.settings.ruleset
+    half = Half(rules.tracks[0], tuple(entry.id for entry in entries))
+    from league.matchmaking.crew import contestant
+
+    field = {entry.id: contestant(store, entry) for entry in entries}
+    heat = Heat(rules.hash, (half,))
+    job = Job(heat.key, 1, heat.halves, (5,), rules, field)
+    pit = Pit()
+    pit.race(job)
+    profile = cProfile.Profile()
+    start = time.process_time()
+    profile.enable()
+    report = pit.race(job)
+    profile.disable()
+    total = time.process_time() - start
+    assert report.outcome is not None, report.traceback
+    stats = pstats.Stats(profile).stats  # pyright: ignore[reportAttributeAccessIssue]
+    whole = max(told[3] for told in stats.values())
+    print(f"one race of {report.race_s:.1f} s in {total:.2f} s of one core, under a profiler:")
+    for name, file, function in SHARES.values():
+        spent = sum(
+            told[3] for (path, _, called), told in stats.items()
+            if path.endswith(file) and called == function and "league" in path
+        )  # fmt: skip
+        figure(f"  share of {name}", 100 * spent / whole, "%")
+
+
+def throughput(store: Store, seconds: float, workers: int) -> None:
+    """Print duels of a minute a day, whole: matchmaker, store, replays, ratings and all."""
+    planner = season.Season(store)
+    with closing(executors.make("processes", workers)) as executor:
+        crew = Crew(store, executor)
+        running.run(store, crew, planner, heats=2 * workers)  # workers have warmed up
+        start = time.perf_counter()
+        tally = running.run(store, crew, planner, seconds=seconds)
+        wall_s = time.perf_counter() - start
+    minutes = tally.race_s / MINUTE_S
+    figure("race time per wall second", tally.race_s / wall_s, "x real time")
+    figure("one worker", tally.race_s / tally.worker_s, "x real time")
+    figure("rated duels of a minute, a day", 86_400 * minutes / wall_s, "duels", GOAL_A_DAY)
+    figure("heats raced", tally.heats, "heats")
+
+
+def main() -> None:
+    """Print the figures."""
+    heading("The league's throughput")
+    print(machine())
+    torch.set_num_threads(1)
+    drivers = policies([path for path in sys.argv[1:] if path.endswith(".pt")])
+    if len(drivers) < 2:
+        print("not measured: there is no camera policy in garage/, name one: FILE.pt")
+        return
+    with tempfile.TemporaryDirectory() as folder, league(Path(folder), drivers) as store:
+        shares(store)
+        throughput(store, 60.0, os.cpu_count() or 1)
+
+
+if __name__ == "__main__":
+    main()

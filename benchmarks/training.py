@@ -1,0 +1,246 @@
+"""How long a driver takes to learn, and where the time of training goes.
+
+The rookie is measured as a user meets it: from the command to the prompt. The learner is measured
+against a plain loop: PPO written out on the same network, batch and number of passes, fed with
+stored random pictures, with nothing around it. Both loops and the shares are told in one core's own
+time, so that a busy machine changes nothing.
+"""
+
+from __future__ import annotations
+
+import re
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from benchmarks.report import figure, heading, machine
+from league.agents.network import Actor
+from league.envs import rewards
+from league.envs.action_space import ContinuousActions
+from league.track import files
+from league.track.course import TrackSet
+from league.training import worlds
+from league.training.learner import Learner
+from league.training.settings import TrainConfig
+
+ROOKIE = (
+    *("train", "--reward", "centerline", "--action-space", "0.5-1", "--num-worlds", "32"),
+    *("--minutes", "1", "--plain", "--no-tensorboard"),
+)
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """What one run of `league train` took."""
+
+    wall_s: float
+    """From the command to the prompt [s]."""
+    samples: int
+    """Decisions learnt from."""
+    complete: bool
+    """Whether the best policy drove 3 of 3 laps."""
+
+
+def rookie(seed: int, evaluations: int) -> Learnt:
+    """Train until some evaluations in a row were complete, in a process of its own."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "rookie.pt"
+        asked = [*ROOKIE, "--stop-when-complete", str(evaluations), "--seed", str(seed)]
+        began = time.perf_counter()
+        done = subprocess.run(
+            [sys.executable, "-m", "league.cli", *asked, "--out", str(out)],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        taken = time.perf_counter() - began
+    found = re.search(r"(\d+) decisions in", done.stdout)
+    assert found is not None, done.stdout
+    return Learnt(taken, int(found[1]), "3 of 3 laps complete" in done.stdout)
+
+
+def rookies(seeds: tuple[int, ...] = (1, 2, 3)) -> None:
+    """Print what the rookie takes, each seed and the median."""
+    for evaluations in (1, 2):
+        runs = [rookie(seed, evaluations) for seed in seeds]
+        for seed, run in zip(seeds, runs, strict=True):
+            laps = "3 of 3 laps" if run.complete else "NOT COMPLETE"
+            print(f"  seed {seed}: {run.wall_s:.1f} s, {run.samples:,} decisions, {laps}")
+        times = 1 if evaluations == 1 else evaluations
+        middle = statistics.median(run.wall_s for run in runs)
+        name = f"rookie: command to prompt, 3 of 3 laps {times}x in a row"
+        figure(name, middle, "s", 25, most=True)
+        samples = statistics.median(run.samples for run in runs)
+        figure("rookie: decisions learnt from", samples, "")
+
+
+class Plain:
+    """PPO on stored random observations, without rsl-rl and without the league's learner."""
+
+    def __init__(self, cfg: TrainConfig, told: dict[str, Tensor], state: Tensor) -> None:
+        """Build actor, critic and optimiser of the same shapes."""
+        self.cfg, self.told, self.state = cfg, told, state
+        shapes = {name: tuple(group.shape[1:]) for name, group in told.items()}
+        self.actor = Actor(cfg.network, shapes, cfg.action_space.size)
+        sizes = [state.shape[1], *cfg.critic_hidden]
+        layers: list[nn.Module] = []
+        for before, after in pairwise(sizes):
+            layers += [nn.Linear(before, after), nn.ELU()]
+        self.critic = nn.Sequential(*layers, nn.Linear(sizes[-1], 1))
+        every = [*self.actor.parameters(), *self.critic.parameters()]
+        self.adam = torch.optim.Adam(every, lr=1e-4)
+        self.noise = torch.full((cfg.action_space.size,), 0.5)
+
+    def run(self) -> tuple[float, float]:
+        """Return the time of acting and of learning from one round [s]."""
+        began = time.process_time()
+        kept = self._collect()
+        collected = time.process_time()
+        self._learn(*kept)
+        return collected - began, time.process_time() - collected
+
+    def _collect(self) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
+        pictures: dict[str, list[Tensor]] = {name: [] for name in self.told}
+        actions, odds, values = [], [], []
+        with torch.inference_mode():
+            for _ in range(self.cfg.ppo.steps):
+                spread = torch.distributions.Normal(self.actor(_floats(self.told)), self.noise)
+                chosen = spread.sample()
+                actions.append(chosen)
+                odds.append(spread.log_prob(chosen).sum(-1))
+                values.append(self.critic(self.state)[:, 0])
+                for name, group in self.told.items():
+                    pictures[name].append(group.clone())
+        told = {name: torch.cat(groups) for name, groups in pictures.items()}
+        paid = torch.rand(len(values), len(self.state))
+        returns, ahead = [], values[-1]
+        for number in reversed(range(len(values))):
+            ahead = paid[number] + self.cfg.ppo.gamma * ahead
+            returns.append(ahead)
+        worth = torch.cat(returns[::-1])
+        gain = worth - torch.cat(values)
+        gain = (gain - gain.mean()) / (gain.std() + 1e-8)
+        return told, torch.cat(actions), torch.cat(odds), worth, gain
+
+    def _learn(
+        self, told: dict[str, Tensor], actions: Tensor, odds: Tensor, worth: Tensor, gain: Tensor
+    ) -> None:
+        ppo = self.cfg.ppo
+        told, actions, odds, worth, gain = (
+            {name: group.clone() for name, group in told.items()},
+            *(value.clone() for value in (actions, odds, worth, gain)),
+        )
+        state = self.state.repeat(ppo.steps, 1)
+        for _ in range(ppo.epochs):
+            for part in torch.randperm(len(gain)).chunk(ppo.mini_batches):
+                means = self.actor(_floats({name: group[part] for name, group in told.items()}))
+                spread = torch.distributions.Normal(means, self.noise)
+                ratio = (spread.log_prob(actions[part]).sum(-1) - odds[part]).exp()
+                cut = ratio.clamp(1.0 - ppo.clip, 1.0 + ppo.clip)
+                loss = -torch.minimum(ratio * gain[part], cut * gain[part]).mean()
+                loss = loss + (self.critic(state[part])[:, 0] - worth[part]).square().mean()
+                self.adam.zero_grad()
+                loss.backward()
+                nn.utils.clip_grad_norm_(self.actor.parameters(), ppo.max_gradient)
+                nn.utils.clip_grad_norm_(self.critic.parameters(), ppo.max_gradient)
+                self.adam.step()
+
+
+def _floats(told: dict[str, Tensor]) -> dict[str, Tensor]:
+    return {
+        name: group.to(torch.float32) / 255.0 if group.dtype == torch.uint8 else group
+        for name, group in told.items()
+    }
+
+
+@dataclass
+class Shares:
+    """Time spent inside some calls of the worlds and of the learner [s]."""
+
+    spent: dict[str, float]
+
+    def timed(self, name: str, owner: object, method: str) -> None:
+        """Count the time of a method under a name; what others inside it take is theirs."""
+        inner: Callable = getattr(owner, method)
+
+        def call(*given: object, **named: object) -> object:
+            began, before = time.process_time(), sum(self.spent.values())
+            try:
+                return inner(*given, **named)
+            finally:
+                others = sum(self.spent.values()) - before
+                self.spent[name] += time.process_time() - began - others
+
+        setattr(owner, method, call)
+
+
+def learner_config(num_worlds: int = 64) -> TrainConfig:
+    """Return the default learner with the progress reward at 0.5 to 4 m/s."""
+    return TrainConfig(
+        num_worlds=num_worlds,
+        action_space=ContinuousActions(-30.0, 30.0, 0.5, 4.0),
+        reward=rewards.preset("progress"),
+        save_every=1_000_000,
+    )
+
+
+def loops(rounds: int = 5) -> None:
+    """Print the learner's samples per second against those of the plain loop, and the shares."""
+    cfg = learner_config()
+    learner = Learner(worlds.make(TrackSet.of(files.load("reinvent_2018")), cfg), cfg)
+    shares = Shares(dict.fromkeys(("physics", "cameras", "reward", "policy", "learning"), 0.0))
+    env = learner.env.race_env
+    total_ = rewards.total
+    shares.timed("physics", env._solver, "step")
+    shares.timed("cameras", env._sensing, "observe")
+    shares.timed("reward", rewards, "total")
+    for method in ("act", "process_env_step"):
+        shares.timed("policy", learner._alg, method)
+    for method in ("compute_returns", "update"):
+        shares.timed("learning", learner._alg, method)
+    told = {name: group.clone() for name, group in learner._obs.items() if name != "state"}
+    plain = Plain(cfg, told, learner._obs["state"].clone())
+    learner.update(0.0)
+    plain.run()
+    shares.spent = dict.fromkeys(shares.spent, 0.0)
+    ours, theirs, whole = [], [], []
+    for _ in range(rounds):  # in turn, so that a busy machine is busy for both
+        before = shares.spent["policy"] + shares.spent["learning"]
+        began = time.process_time()
+        learner.update(0.0)
+        whole.append(time.process_time() - began)
+        ours.append(shares.spent["policy"] + shares.spent["learning"] - before)
+        theirs.append(sum(plain.run()))
+    mine, its = statistics.median(ours), statistics.median(theirs)
+    figure("plain loop: act and learn", cfg.samples / its, "samples/s")
+    figure("our learner: act and learn, without the worlds", cfg.samples / mine, "samples/s")
+    figure("our learner against the plain loop", its / mine, "x", 0.85)
+    figure("the whole of training", cfg.samples / statistics.median(whole), "samples/s")
+    total = sum(whole)
+    rest = total - sum(shares.spent.values())
+    for name, spent in [*shares.spent.items(), ("rest of the worlds and the loop", rest)]:
+        figure(f"share of time: {name}", 100 * spent / total, "%")
+    rewards.total = total_
+    learner.env.close()
+
+
+def main() -> None:
+    """Print the figures."""
+    heading("Training")
+    print(machine())
+    torch.set_num_threads(1)
+    loops()
+    rookies()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,202 @@
+"""`league heats`, `heat`, `audit`, `retry`: what was raced, and whether it can be trusted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import tyro
+
+from league.cli import tables
+from league.cli.season import door
+from league.cli.season.door import OnLeague, Reading
+from league.errors import ConfigError, StoreError, brief
+
+if TYPE_CHECKING:
+    from league.matchmaking.store import HeatRecord, Store
+
+Shown = Literal["all", "planned", "claimed", "done", "error", "quarantined", "cancelled"]
+
+
+@dataclass
+class Heats(Reading):
+    """List heats: the newest, those of an entry, or those in a state."""
+
+    entry: str = ""
+    """Only those of this entry, by name or id."""
+    state: Shown = "all"
+    """Only those in this state."""
+    limit: int = 20
+    """How many, the newest."""
+
+    def run(self) -> int:
+        """Run the command."""
+        with self.opened() as store:
+            numbers = [store.entry(self.entry).number] if self.entry else []
+            states = None if self.state == "all" else (self.state,)
+            records = store.heats(states, entries=numbers)[-max(1, self.limit) :]
+            names = door.names(store.entries())
+        if self.json:
+            door.print_json([_told(record, names) for record in records])
+            return 0
+        table = tables.table("Heats", "heat", "grid", "purpose", "state", "track", "done")
+        for record in records:
+            half = record.heat.halves[0]
+            grid = " - ".join(names[id] for id in half.grid)
+            done = door.day(record.done_s)
+            table.add_row(
+                str(record.number), grid, record.heat.purpose, record.state, half.track, done
+            )
+        tables.console().print(table)
+        return 0
+
+
+@dataclass
+class ShowHeat(Reading):
+    """Show a heat: its races, results, seeds, and what went wrong if it failed."""
+
+    heat: tyro.conf.Positional[str]
+    """Its number, or the beginning of its key."""
+
+    def run(self) -> int:
+        """Run the command."""
+        with self.opened() as store:
+            return _show(store, store.heat(self.heat), self.json)
+
+
+@dataclass
+class Retry(OnLeague):
+    """Put a heat that was given up back into the queue."""
+
+    heat: tyro.conf.Positional[str]
+    """Its number, or the beginning of its key."""
+
+    def run(self) -> int:
+        """Run the command."""
+        with self.opened() as store:
+            record = store.heat(self.heat)
+            if not store.retry(record.heat.key):
+                raise StoreError(
+                    f"heat {record.number} is {record.state}: only heats in error or cancelled "
+                    "ones can be tried again"
+                )
+        print(f"Heat {record.number} waits to be raced again.")
+        return 0
+
+
+@dataclass
+class Audit(OnLeague):
+    """Run a sample of the recorded heats again; they must agree to the last bit."""
+
+    sample: str = "2%"
+    """Share of the rated heats not audited before, in percent."""
+    workers: int = 0
+    """Worker processes; 0 takes one for each core."""
+    seed: int | None = None
+    """Seed of the draw; by default chance."""
+
+    def run(self) -> int:
+        """Run the command."""
+        return _audit(self)
+
+
+def _audit(command: Audit) -> int:
+    import os
+
+    import numpy as np
+
+    from league.cli.season.page import told
+    from league.matchmaking import executors, running, trials
+    from league.matchmaking.crew import Crew
+
+    share = _share(command.sample)
+    with command.opened() as store:
+        generator = np.random.default_rng(command.seed)
+        planned = trials.plan_audit(store, share, generator=generator)
+        if not planned:
+            print("There is nothing to audit: no rated heat is done that was not audited before.")
+            return 0
+        wanted, differ = {heat.key for heat in planned}, []
+        executor = executors.make("processes", command.workers or os.cpu_count() or 1)
+        try:
+            crew = Crew(store, executor)
+
+            def watch(_tally: running.Tally, ended: list) -> None:
+                for one in ended:
+                    print(told(one), flush=True)
+                    wanted.discard(one.report.key)
+                    if one.became == "quarantined":
+                        differ.append(one.running.claim.number)
+
+            # Audits are the last in the queue: what waits before them is raced as well.
+            running.run(store, crew, None, stop=lambda: not wanted, watch=watch)
+        finally:
+            executor.close()
+    agree = len(planned) - len(differ)
+    print(f"{len(planned)} heats were run again: {agree} agree, {len(differ)} differ.")
+    return 1 if differ else 0
+
+
+def _share(text: str) -> float:
+    try:
+        return float(text.strip().removesuffix("%")) / 100
+    except ValueError:
+        raise ConfigError(
+            f"--sample {brief(text)} is no share: give percent, as in --sample 2%"
+        ) from None
+
+
+def _told(record: HeatRecord, names: dict[str, str]) -> dict[str, object]:
+    return {
+        "number": record.number,
+        "key": record.heat.key,
+        "purpose": record.heat.purpose,
+        "state": record.state,
+        "races": [
+            {"track": half.track, "grid": [names[id] for id in half.grid]}
+            for half in record.heat.halves
+        ],
+        "seeds": record.seeds,
+        "worker": record.worker,
+        "attempts": record.attempts,
+        "traceback": record.traceback,
+        "audits": record.heat.audits,
+        "done_s": record.done_s,
+    }
+
+
+def _show(store: Store, record: HeatRecord, as_json: bool) -> int:
+    names = door.names(store.entries())
+    results = store.results(record.number)
+    if as_json:
+        door.print_json({**_told(record, names), "results": results})
+        return 0
+    print(f"Heat {record.number} ({record.heat.purpose}), {record.state}, key {record.heat.key}")
+    if record.worker:
+        print(f"raced by {record.worker}, try {record.attempts}")
+    for result in results:
+        half = record.heat.halves[result.half]
+        title = f"Race {result.half + 1} on {half.track}"
+        if record.seeds:
+            title += f", seed {record.seeds[result.half]}"
+        table = tables.table(title, "", "entry", "slot", "laps", "time", "off", "crash", "passed")
+        for car in result.result["order"]:
+            table.add_row(
+                str(result.places[car["car"]]),
+                names[half.grid[car["car"]]],
+                str(car["car"] + 1),
+                str(car["laps"]),
+                tables.clock(car["total_s"]) if car["finished"] else "not finished",
+                str(car["off_tracks"]),
+                str(car["crashes"]),
+                str(car["overtakes"]),
+            )
+        tables.console().print(table)
+    if record.state == "done" and any(result.replay for result in results):
+        print(f"Watch it: league view {record.number}   (the second race: --race 2)")
+    if record.traceback:
+        print(record.traceback)
+    return 0
+
+
+COMMANDS = {"heats": Heats, "heat": ShowHeat, "audit": Audit, "retry": Retry}

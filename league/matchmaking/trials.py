@@ -1,0 +1,273 @@
+"""Races beside the season: audits, a gauntlet for a checkpoint, and is B better than A."""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from league.agents.checkpoint import Checkpoint
+from league.errors import ConfigError, StoreError
+from league.matchmaking import keys, ratings, sequential, standings, submission
+from league.matchmaking.crew import contestant
+from league.matchmaking.executors import Executor
+from league.matchmaking.keys import Heat
+from league.matchmaking.ratings import Ratings, Results
+from league.matchmaking.sequential import Comparison, SequentialSettings
+from league.matchmaking.store import RATED, Entry, Outcome, Store
+from league.matchmaking.worker import Contestant, Job, Report
+
+TRIES = 3
+"""Tries of a heat that is not the store's."""
+
+
+def plan_audit(store: Store, share: float, *, generator: np.random.Generator) -> list[Heat]:
+    """Plan to run a share of the finished rated heats again, at least one; return them.
+
+    Those audited before are left out, so that repeated audits reach everybody.
+    """
+    if not 0 < share <= 1:
+        raise ConfigError(
+            f"a sample of {100 * share:g} % was asked for: give more than 0, at most 100"
+        )
+    ruleset = store.settings.ruleset.hash
+    records = store.heats(("done", "planned", "claimed"))
+    audited = {record.heat.audits for record in records if record.heat.audits}
+    open_ = [
+        record.heat
+        for record in records
+        if record.state == "done"
+        and record.heat.purpose == "rated"
+        and record.heat.ruleset == ruleset
+        and record.heat.key not in audited
+    ]
+    if not open_:
+        return []
+    count = max(1, round(share * len(open_)))
+    picked = generator.choice(len(open_), size=count, replace=False)
+    planned = [keys.audit_of(open_[int(index)]) for index in sorted(picked)]
+    store.plan(planned)
+    return planned
+
+
+@dataclass(frozen=True)
+class Duel:
+    """What a heat beside the season is made of."""
+
+    heat: Heat
+    """Races, with the grid reversed in the second."""
+    seeds: tuple[int, ...]
+    """Seed of each race."""
+
+
+def duel(store: Store, one: str, other: str, draw: int, salt: bytes) -> Duel:
+    """Return a heat of two contestants by the league's rules, with seeds of its own."""
+    rules = store.settings.ruleset
+    generator = np.random.default_rng([draw, *salt])
+    tracks = generator.choice(rules.tracks, size=2, replace=len(rules.tracks) < 2)
+    first = str(tracks[0])
+    second = str(tracks[1]) if len(rules.tracks) >= 4 else first
+    heat = keys.mirrored(rules.hash, (first, second), (one, other), draw)
+    return Duel(heat, heat.seeds(salt))
+
+
+def race(
+    executor: Executor,
+    store: Store,
+    duels: Sequence[Duel],
+    field: dict[str, Contestant],
+    *,
+    watch: Callable[[Outcome], bool] = lambda outcome: True,
+) -> list[Outcome]:
+    """Race heats that are not the store's; outcomes are in the order of the duels.
+
+    Args:
+        executor: where they are raced.
+        store: whose rules count.
+        duels: what is raced.
+        field: who takes part.
+        watch: told each outcome in the order of the duels; False ends it early.
+
+    Raises:
+        StoreError: a heat could not be raced three times in a row.
+    """
+    rules = store.settings.ruleset
+    waiting = [(number, TRIES) for number in range(len(duels))]
+    under_way: dict[str, tuple[int, int]] = {}
+    outcomes: dict[int, Outcome] = {}
+    told = 0
+    while len(outcomes) < len(duels):
+        while executor.free and waiting:
+            number, tries = waiting.pop(0)
+            one = duels[number]
+            some = {id: field[id] for id in one.heat.entries}
+            job = Job(one.heat.key, number, one.heat.halves, one.seeds, rules, some, False)
+            executor.offer(job)
+            under_way[one.heat.key] = (number, tries)
+        for report in executor.wait(0.5):
+            number, tries = under_way.pop(report.key)
+            if report.outcome is None:
+                _give_up(report, tries)
+                waiting.insert(0, (number, tries - 1))
+                continue
+            outcomes[number] = report.outcome
+        while told in outcomes:
+            told += 1
+            if not watch(outcomes[told - 1]):
+                return [outcomes[number] for number in range(told)]
+    return [outcomes[number] for number in range(len(duels))]
+
+
+def _give_up(report: Report, tries: int) -> None:
+    if tries <= 1:
+        last = (report.traceback.strip().splitlines() or ["no reason told"])[-1]
+        raise StoreError(
+            f"a race failed {TRIES} times ({last[:200]}): look at the cause, try again"
+        )
+
+
+@dataclass(frozen=True)
+class Gauntlet:
+    """How a newcomer did against the field."""
+
+    elo: float
+    """Its strength [Elo]."""
+    low95: float
+    """Lower end of the 95 % interval [Elo]."""
+    high95: float
+    """Upper end of the 95 % interval [Elo]."""
+    rank: int
+    """Where that would put it."""
+    against: tuple[tuple[str, int, float], ...]
+    """Name, races and points against each opponent."""
+
+
+def opponents(store: Store, *, most: int = 8) -> list[Entry]:
+    """Return opponents for a gauntlet: rated entries evenly spread over the table."""
+    entries = {e.number: e for e in store.entries(RATED)}
+    try:
+        table = standings.of(store)
+        ordered = [entries[row.number] for row in table.rows if row.number in entries]
+    except StoreError:
+        ordered = list(entries.values())
+    if not ordered:
+        raise StoreError("there is nobody to race in this league yet: submit entries first")
+    picked = np.unique(np.linspace(0, len(ordered) - 1, min(most, len(ordered))).round())
+    return [ordered[int(index)] for index in picked]
+
+
+def gauntlet(
+    store: Store,
+    executor: Executor,
+    given: Checkpoint,
+    field: Sequence[Entry],
+    *,
+    rounds: int = 1,
+    watch: Callable[[Outcome], bool] = lambda outcome: True,
+) -> Gauntlet:
+    """Race a checkpoint against opponents without submitting it; the league keeps nothing of it."""
+    submission.check_sensors(given.card.sensors, store.settings.ruleset)
+    newcomer = Contestant(given.digest, given.card.name, weights=submission.pack(given))
+    contestants = {entry.id: contestant(store, entry) for entry in field}
+    contestants[newcomer.id] = newcomer
+    salt = secrets.token_bytes(16)
+    duels = [
+        duel(store, newcomer.id, entry.id, draw * len(field) + number, salt)
+        for draw in range(rounds)
+        for number, entry in enumerate(field)
+    ]
+    outcomes = race(executor, store, duels, contestants, watch=watch)
+    return _placed(store, newcomer.id, field, duels, outcomes)
+
+
+def _placed(
+    store: Store,
+    newcomer: str,
+    field: Sequence[Entry],
+    duels: Sequence[Duel],
+    outcomes: Sequence[Outcome],
+) -> Gauntlet:
+    """Rate the newcomer with everybody else, from all races of the league and its own."""
+    entries = store.entries()
+    number_of = {entry.id: entry.number for entry in entries}
+    own = number_of[newcomer] = max(number_of.values()) + 1
+    season = standings.results_of(store.races())
+    fitted = _with(season, duels[: len(outcomes)], outcomes, number_of, entries)
+    at = fitted.index(own)
+    points = {entry.id: [0, 0.0] for entry in field}
+    for one, outcome in zip(duels, outcomes, strict=False):
+        for half, told in zip(one.heat.halves, outcome.races, strict=True):
+            other = next(id for id in half.grid if id != newcomer)
+            mine, theirs = (told.places[half.grid.index(id)] for id in (newcomer, other))
+            points[other][0] += 1
+            points[other][1] += 0.5 + 0.5 * float(np.sign(theirs - mine))
+    return Gauntlet(
+        elo=float(fitted.elo[at]),
+        low95=float(fitted.low95[at]),
+        high95=float(fitted.high95[at]),
+        rank=1 + int((fitted.elo > fitted.elo[at]).sum()),
+        against=tuple((e.name, int(points[e.id][0]), points[e.id][1]) for e in field),
+    )
+
+
+def _with(
+    season: Results,
+    duels: Sequence[Duel],
+    outcomes: Sequence[Outcome],
+    number_of: dict[str, int],
+    entries: Sequence[Entry],
+) -> Ratings:
+    width = season.entries.shape[1]
+    first = int(season.heats.max(initial=0)) + 1
+    heats, grids, places = [], [], []
+    for heat, (one, outcome) in enumerate(zip(duels, outcomes, strict=True), first):
+        for half, told in zip(one.heat.halves, outcome.races, strict=True):
+            heats.append(heat)
+            grids.append([number_of[id] for id in half.grid] + [-1] * (width - 2))
+            places.append([*told.places] + [0] * (width - 2))
+    both = Results(
+        heats=np.concatenate([season.heats, np.array(heats, dtype=np.int64)]),
+        entries=np.concatenate([season.entries, np.array(grids, dtype=np.int64)]),
+        places=np.concatenate([season.places, np.array(places, dtype=np.int64)]),
+    )
+    raced = set(np.unique(both.entries).tolist())
+    anchors = [entry.number for entry in entries if entry.anchor and entry.number in raced]
+    return ratings.fit(both, anchor=min(anchors, default=None))
+
+
+def compare(
+    store: Store,
+    executor: Executor,
+    one: Contestant,
+    other: Contestant,
+    settings: SequentialSettings,
+    *,
+    most_heats: int,
+    watch: Callable[[Comparison], None] = lambda comparison: None,
+) -> Comparison:
+    """Race two contestants until the sequential test is sure, or the heats are used up.
+
+    Outcomes are judged in the order they were planned, so that fast races do not weigh more.
+    """
+    salt = secrets.token_bytes(16)
+    duels = [duel(store, one.id, other.id, draw, salt) for draw in range(most_heats)]
+    scores: list[float] = []
+    found = sequential.compare(np.array(scores), settings)
+
+    def judge(outcome: Outcome) -> bool:
+        nonlocal found
+        heat = duels[len(scores)].heat
+        points = [
+            0.5 + 0.5 * float(np.sign(told.places[half.grid.index(one.id)]
+                                      - told.places[half.grid.index(other.id)]))
+            for half, told in zip(heat.halves, outcome.races, strict=True)
+        ]  # fmt: skip
+        scores.append(float(np.mean(points)))
+        found = sequential.compare(np.array(scores), settings)
+        watch(found)
+        return found.decision == "undecided"
+
+    race(executor, store, duels, {one.id: one, other.id: other}, watch=judge)
+    return found

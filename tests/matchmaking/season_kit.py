@@ -1,0 +1,51 @@
+"""Small leagues whose races take a moment: planar physics, stopped after a second."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from trained import make_checkpoint
+
+from league.matchmaking import season, submission
+from league.matchmaking.keys import Ruleset
+from league.matchmaking.store import Store, create
+from league.matchmaking.worker import Job, Pit, Report
+
+SHORT = Ruleset(solver="planar", laps=1, max_time_s=0.6)
+"""Nine steps: enough for scripted drivers to be told apart by distance."""
+
+
+def new_league(
+    url: str, *, anchors: Sequence[str] = ("centerline",), rules: Ruleset = SHORT
+) -> Store:
+    store = create(url, name="small", ruleset=rules)
+    season.found(store, anchors)
+    return store
+
+
+def submitted(store: Store, name: str, *, seed: int = 0, owner: str = "", senses: str = "lidar"):
+    content = submission.pack(make_checkpoint(senses, seed=seed, name=name))
+    return submission.accept(store, content, name, owner or f"owner of {name}")
+
+
+class Here:
+    """An executor that races in this process, when it is waited for."""
+
+    def __init__(self, num_workers: int = 1) -> None:
+        self.num_workers = num_workers
+        self.jobs: list[Job] = []
+        self._pit = Pit()
+
+    @property
+    def free(self) -> int:
+        return self.num_workers - len(self.jobs)
+
+    def offer(self, job: Job) -> None:
+        assert self.free > 0
+        self.jobs.append(job)
+
+    def wait(self, timeout_s: float) -> list[Report]:
+        return [self._pit.race(self.jobs.pop(0))] if self.jobs else []
+
+    def close(self) -> None:
+        self.jobs.clear()

@@ -1,0 +1,116 @@
+"""Executors: processes and Ray actors race jobs; one that dies is told of and replaced."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import signal
+import time
+from contextlib import closing
+from dataclasses import replace
+
+import pytest
+from season_kit import SHORT, new_league, submitted
+
+from league.errors import ConfigError
+from league.matchmaking import executors, keys
+from league.matchmaking.crew import contestant
+from league.matchmaking.executors.processes import Processes
+from league.matchmaking.worker import Job, Pit, Report
+
+ENDLESS = replace(SHORT, laps=1000, max_time_s=36_000.0)
+
+
+@pytest.fixture
+def job(tmp_path) -> Job:
+    with new_league(f"sqlite:///{tmp_path / 'league.db'}") as store:
+        submitted(store, "ann", senses="blind")
+        entries = store.entries()
+        heat = keys.mirrored(SHORT.hash, ("reinvent_2018",) * 2, tuple(e.id for e in entries))
+        field = {entry.id: contestant(store, entry) for entry in entries}
+        return Job(heat.key, 7, heat.halves, (3, 4), SHORT, field)
+
+
+def reports(executor: executors.Executor, count: int, patience_s: float = 120.0) -> list[Report]:
+    found: list[Report] = []
+    give_up = time.monotonic() + patience_s
+    while len(found) < count and time.monotonic() < give_up:
+        found += executor.wait(0.2)
+    return found
+
+
+def check_killed_worker(executor, job: Job) -> None:
+    """One of two workers is killed mid-race; the other's result is as if nothing had happened."""
+    alone = Pit().race(job).outcome
+    assert executor.free == executor.num_workers == 2
+    executor.offer(replace(job, key="endless", ruleset=ENDLESS))
+    executor.offer(job)
+    (done,) = reports(executor, 1)
+    assert done.outcome == alone and executor.free == 1
+    os.kill(executor.pids[0] if isinstance(executor, Processes) else killed(executor), 9)
+    (lost,) = reports(executor, 1)
+    assert lost.key == "endless" and lost.outcome is None and "heat 7" in lost.traceback
+    assert executor.free == 2
+    executor.offer(job)
+    executor.offer(replace(job, key="again"))
+    both = {report.key: report.outcome for report in reports(executor, 2)}
+    assert both[job.key] == alone and both["again"] is not None
+
+
+def killed(executor) -> int:
+    """Return the process of the Ray actor that is busy, which answers nothing meanwhile."""
+    return executor.first_pid
+
+
+def test_a_killed_process_is_told_of_and_replaced(job):
+    with closing(Processes(2)) as executor:
+        check_killed_worker(executor, job)
+
+
+def test_a_stuck_heat_is_ended(job):
+    with closing(Processes(1, job_limit_s=0.5)) as executor:
+        executor.offer(replace(job, ruleset=ENDLESS))
+        (lost,) = reports(executor, 1)
+        assert lost.outcome is None and "longer than" in lost.traceback and executor.free == 1
+
+
+def test_a_process_that_died_idle_is_replaced_before_it_is_given_a_job(job):
+    with closing(Processes(1)) as executor:
+        (pid,) = executor.pids
+        os.kill(pid, signal.SIGKILL)
+        time.sleep(0.2)
+        executor.offer(job)
+        (done, *_) = [r for r in reports(executor, 1) if r.outcome] or reports(executor, 1)
+        assert done.key == job.key
+
+
+def test_workers_end_with_their_executor(job):
+    executor = Processes(2)
+    pids = executor.pids
+    executor.close()
+    executor.close()
+    for pid in pids:
+        with pytest.raises(ProcessLookupError):
+            os.kill(pid, 0)
+
+
+def test_no_workers_and_unknown_executors_are_refused():
+    with pytest.raises(ConfigError, match="0 workers"):
+        executors.make("processes", 0)
+    with pytest.raises(ConfigError, match="no executor 'slurm'"):
+        executors.make("slurm", 1)  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.skipif(importlib.util.find_spec("ray") is not None, reason="Ray is installed")
+def test_without_ray_its_executor_says_how_to_install_it():
+    with pytest.raises(ConfigError, match=r"racing-league\[cluster\]"):
+        executors.make("ray", 1)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # Ray's own
+def test_a_killed_ray_actor_is_told_of_and_replaced(job):
+    pytest.importorskip("ray", reason='Ray is not installed: pip install ".[cluster]"')
+    with closing(executors.make("ray", 2)) as executor:
+        executor.first_pid = executor.pids[0]
+        check_killed_worker(executor, job)

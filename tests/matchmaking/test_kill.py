@@ -1,0 +1,110 @@
+"""kill -9 at random moments: no heat is lost, none is counted twice, the ratings are the same."""
+
+from __future__ import annotations
+
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from season_kit import new_league, submitted
+
+from league.matchmaking import standings
+from league.matchmaking.keys import Half, Heat
+from league.matchmaking.store import Store
+
+WORK = [sys.executable, "-m", "league.cli", "work", "--lease-s", "5", "--workers", "2", "--plain"]
+
+
+def planned(path: Path, heats: int) -> None:
+    """Make a league with heats in its queue, of a driver without weights and two of chance."""
+    with new_league(f"sqlite:///{path}") as store:
+        for number in range(2):
+            submitted(store, f"e{number}", seed=number, senses="blind")
+        ids = [entry.id for entry in store.entries()]
+        pairs = [(a, b) for a in ids for b in ids if a < b]
+        rules = store.settings.ruleset.hash
+        tracks = ("reinvent_2018",) * 2
+        store.plan(
+            [
+                Heat(rules, (Half(tracks[0], pair), Half(tracks[1], pair[::-1])), draw)
+                for draw in range(heats)
+                for pair in (pairs[draw % len(pairs)],)
+            ]
+        )
+
+
+def workers_of(pid: int) -> list[int]:
+    children = Path(f"/proc/{pid}/task/{pid}/children")
+    return [int(child) for child in children.read_text().split()] if children.exists() else []
+
+
+def drain(path: Path, dice: random.Random | None, patience_s: float) -> int:
+    """Race until nothing is left, killing as the dice say; return how often was killed."""
+    environment = {**os.environ, "LEAGUE_URL": f"sqlite:///{path}", "OMP_NUM_THREADS": "1"}
+    kills, give_up = 0, time.monotonic() + patience_s
+    with Store(f"sqlite:///{path}") as store:
+        while time.monotonic() < give_up:
+            for record in store.heats(("error",)):
+                store.retry(record.heat.key)  # killed three times: its operator asks for it again
+            if not left(store):
+                return kills
+            crew = subprocess.Popen(WORK, env=environment, stdout=subprocess.DEVNULL)
+            try:
+                while crew.poll() is None and left(store) and time.monotonic() < give_up:
+                    kills += struck(store, crew, dice)
+            finally:
+                crew.kill()
+                crew.wait()
+    raise AssertionError(f"heats are left: {store.counts()}")
+
+
+def struck(store: Store, crew: subprocess.Popen, dice: random.Random | None) -> bool:
+    """Wait for a few results, then kill a worker or the process that hands the heats out."""
+    if dice is None:
+        time.sleep(0.2)
+        return False
+    wanted = store.counts().get("done", 0) + dice.randint(1, 5)
+    while crew.poll() is None and left(store) and store.counts().get("done", 0) < wanted:
+        time.sleep(0.05)
+    time.sleep(dice.uniform(0.0, 0.4))
+    victims = workers_of(crew.pid)
+    if victims and dice.random() < 0.6:
+        os.kill(dice.choice(victims), signal.SIGKILL)
+    else:
+        crew.kill()
+        crew.wait()
+    return True
+
+
+def left(store: Store) -> bool:
+    """Return whether anything is still to be raced."""
+    return set(store.counts()) > {"done"} or not store.counts()
+
+
+def outcome(path: Path) -> tuple:
+    with Store(f"sqlite:///{path}") as store:
+        heats = store.heats()
+        hashes = [(h.number, [r.hash for r in store.results(h.number)]) for h in heats]
+        rows = [(row.number, row.elo, row.sd, row.races) for row in standings.of(store).rows]
+        races = store.races()
+        assert len(set(zip(races.heat, races.half, strict=True))) == len(races.heat)
+        return hashes, rows, len(races.heat)
+
+
+@pytest.mark.slow
+def test_kill_nine_loses_nothing_and_counts_nothing_twice(tmp_path):
+    heats = int(os.environ.get("LEAGUE_KILL_HEATS", "16"))
+    calm, wild = tmp_path / "calm.db", tmp_path / "wild.db"
+    planned(calm, heats)
+    shutil.copy(calm, wild)  # the same secret, so the same seeds
+    drain(calm, None, 60.0 + 10.0 * heats)
+    kills = drain(wild, random.Random(11), 120.0 + 20.0 * heats)
+    assert kills > 0
+    undisturbed, disturbed = outcome(calm), outcome(wild)
+    assert disturbed == undisturbed and undisturbed[2] == 2 * heats

@@ -1,0 +1,233 @@
+"""The season: newcomers are validated, rounds are planned, and crashes change nothing."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+from season_kit import Here, new_league, submitted
+
+from league.errors import StoreError
+from league.matchmaking import running, standings
+from league.matchmaking.crew import Crew
+from league.matchmaking.season import ROUND, Season
+from league.matchmaking.store import RATED, Outcome, RaceOutcome, Store
+from league.matchmaking.worker import Job, Report
+
+
+class Coin(Here):
+    """Workers that toss a coin by the race's seed instead of racing."""
+
+    def wait(self, timeout_s: float) -> list[Report]:
+        if not self.jobs:
+            return []
+        job = self.jobs.pop(self.pick())
+        return [Report(job.key, tossed(job), "", 0.1, 60.0)]
+
+    def pick(self) -> int:
+        return 0
+
+
+class Late(Coin):
+    """The same, but the newest job is through first."""
+
+    def pick(self) -> int:
+        return -1
+
+
+def tossed(job: Job) -> Outcome:
+    races = []
+    for half, seed in zip(job.halves, job.seeds, strict=True):
+        first = seed % 2
+        places = (1, 2) if first else (2, 1)
+        races.append(RaceOutcome(places[: len(half.grid)], {"seed": seed}))
+    return Outcome(job.key, tuple(races))
+
+
+@pytest.fixture
+def url(tmp_path) -> str:
+    return f"sqlite:///{tmp_path / 'league.db'}"
+
+
+def grown(url: str, entries: int = 3) -> Store:
+    store = new_league(url)
+    for number in range(entries):
+        submitted(store, f"e{number}", seed=number, senses="blind")
+    return store
+
+
+def states(store: Store) -> dict[str, str]:
+    return {entry.name: entry.state for entry in store.entries()}
+
+
+def test_anchors_need_no_validation_and_the_first_is_1000(url):
+    with new_league(url, anchors=("centerline", "cautious")) as store:
+        assert states(store) == {"centerline": "placement", "cautious": "placement"}
+        assert standings.of(store).row(1).elo == pytest.approx(1000.0)
+
+
+def test_a_newcomer_races_itself_and_an_anchor_before_it_is_paired(url):
+    with grown(url, 1) as store:
+        planner = Season(store)
+        assert planner.plan() == 2  # nobody else to pair
+        own, anchor = (record.heat for record in store.heats())
+        assert own.purpose == anchor.purpose == "validation"
+        ids = {entry.name: entry.id for entry in store.entries()}
+        assert own.halves[0].grid == (ids["e0"],) * 2
+        assert set(anchor.halves[0].grid) == {ids["e0"], ids["centerline"]}
+        assert planner.plan() == 0 and states(store)["e0"] == "validating"
+        running.run(store, Crew(store, Coin()), None, heats=2)
+        assert planner.plan() == 8 and states(store)["e0"] == "placement"
+        assert all(r.heat.purpose == "rated" for r in store.heats(("planned",)))
+
+
+def test_two_rounds_are_in_the_queue_and_the_next_waits_for_the_older_one(url):
+    with new_league(url, anchors=("centerline", "cautious", "blocker")) as store:
+        planner = Season(store)
+        assert [planner.plan() for _ in range(3)] == [8, 8, 0]
+        crew = Crew(store, Coin())
+        running.run(store, crew, None, heats=7)
+        assert planner.plan() == 0
+        running.run(store, crew, None, heats=1)
+        assert planner.plan() == 8 and planner.plan() == 0
+        assert sorted({record.heat.draw // ROUND for record in store.heats()}) == [1, 2, 3]
+
+
+def test_a_heat_is_two_races_with_the_grid_swapped(url):
+    with new_league(url, anchors=("centerline", "cautious")) as store:
+        Season(store).plan()
+        for record in store.heats():
+            one, other = record.heat.halves
+            assert one.grid == other.grid[::-1] and len(set(one.grid)) == 2
+
+
+def test_entries_of_one_owner_meet_only_if_the_league_allows_it(url):
+    with new_league(url, anchors=()) as store:
+        for name in ("e0", "e1"):
+            submitted(store, name, seed=ord(name[1]), owner="ann", senses="blind")
+        crew = Crew(store, Coin())
+        tally = running.run(store, crew, Season(store), heats=50)
+        assert tally.idle and tally.heats == 2  # each raced itself, there is no anchor
+        tally = running.run(store, crew, Season(store, same_owner=True), heats=10)
+        assert tally.heats == 10 and not tally.idle
+
+
+def fingerprint(store: Store) -> list[tuple]:
+    rows = [(row.number, row.elo, row.sd, row.races, row.state) for row in standings.of(store).rows]
+    return sorted(rows)
+
+
+def test_a_season_ends_the_same_whoever_was_faster_and_however_often_it_was_restarted(url):
+    grown(url).close()
+    path = url.removeprefix("sqlite:///")
+    shutil.copy(path, f"{path}.copy")  # the same secret, so the same seeds
+    with Store(url) as store:
+        running.run(store, Crew(store, Coin()), Season(store), heats=60)
+        plain = fingerprint(store), [record.heat.key for record in store.heats()]
+    with Store(f"{url}.copy") as store:
+        for _ in range(12):  # a new matchmaker each time, workers that finish the other way round
+            running.run(store, Crew(store, Late(5)), Season(store), heats=5)
+        keys = [record.heat.key for record in store.heats()]
+        assert keys == plain[1] and fingerprint(store) == plain[0]
+
+
+def test_entries_climb_from_placement_to_ranked_as_they_become_sure(url):
+    with grown(url, 2) as store:
+        running.run(store, Crew(store, Coin()), Season(store), heats=24)
+        assert set(states(store).values()) <= set(RATED)
+        running.run(store, Crew(store, Coin()), Season(store), heats=70)
+        assert set(states(store).values()) == {"ranked"}
+        table = standings.of(store)
+        assert all(row.sd < 50 and not row.provisional for row in table.rows)
+        assert all(row.low95 < row.elo < row.high95 for row in table.rows)
+
+
+class Fickle(Coin):
+    """Workers whose races end another way each time."""
+
+    count = 0
+
+    def wait(self, timeout_s: float) -> list[Report]:
+        reports = super().wait(timeout_s)
+        self.count += 1
+        return [
+            Report(r.key, Outcome(r.key, tuple(RaceOutcome(one.places, {"n": self.count})
+                                               for one in r.outcome.races)))
+            for r in reports if r.outcome
+        ]  # fmt: skip
+
+
+def test_an_entry_whose_validation_is_disputed_is_refused(url):
+    with grown(url, 1) as store:
+        planner = Season(store)
+        planner.plan()
+        (first, *_) = store.heats()
+        for claim in store.claim("w", 1):
+            store.complete("w", [Outcome(claim.heat.key, (RaceOutcome((1, 2), {"n": 1}),))])
+            store.complete("w", [Outcome(claim.heat.key, (RaceOutcome((1, 2), {"n": 2}),))])
+        assert store.heat(first.number).state == "quarantined"
+        running.run(store, Crew(store, Coin()), None, heats=1)
+        planner.plan()
+        entry = store.entry("e0")
+        assert entry.state == "refused" and "deterministic" in entry.reason
+
+
+def test_a_retired_entry_is_paired_no_more_and_keeps_its_results(url):
+    with grown(url, 2) as store:
+        running.run(store, Crew(store, Coin()), Season(store), heats=40)
+        gone = store.entry("e0")
+        races = standings.of(store).row(gone.number).races
+        store.move({gone.id: "retired"})
+        since = store.heats()[-1].number
+        running.run(store, Crew(store, Coin()), Season(store), heats=30)
+        later = store.heats(("done",), since=since)
+        assert later and not any(gone.id in record.heat.entries for record in later)
+        assert standings.of(store).row(gone.number).races >= races > 0
+
+
+def test_head_to_head_records_add_up(url):
+    with grown(url) as store:
+        running.run(store, Crew(store, Coin()), Season(store), heats=60)
+        table = standings.of(store)
+        for one in table.rows:
+            others = [other.number for other in table.rows if other is not one]
+            met = [standings.record(table, one.number, other) for other in others]
+            assert sum(record.races for record in met) == one.races
+            points = sum(record.points for record in met)
+            assert points / one.races == pytest.approx(one.score)
+        forth, back = (standings.record(table, *pair) for pair in ((1, 2), (2, 1)))
+        assert forth.wins == back.races - back.wins - back.ties
+        assert forth.expected + back.expected == pytest.approx(forth.races)
+        assert forth.residual == pytest.approx(-back.residual)
+
+
+def test_the_last_moment_of_a_history_is_the_present(url):
+    with grown(url) as store:
+        running.run(store, Crew(store, Coin()), Season(store), heats=40)
+        entry = store.entry("e1")
+        moments = standings.history(store, entry, points=5)
+        row = standings.of(store).row(entry.number)
+        assert len(moments) == 5 and moments[-1].races == row.races
+        assert [m.heat for m in moments] == sorted({m.heat for m in moments})
+        widths = [moment.high95 - moment.low95 for moment in moments]
+        assert widths[0] > widths[-1]
+
+
+def test_standings_of_nobody_say_what_to_do(url):
+    with new_league(url, anchors=()) as store, pytest.raises(StoreError, match="league submit"):
+        standings.of(store)
+
+
+def test_ratings_are_kept_apart_by_the_rules(url):
+    from dataclasses import replace
+
+    with grown(url) as store:
+        running.run(store, Crew(store, Coin()), Season(store), heats=40)
+        store.set_ruleset(replace(store.settings.ruleset, laps=2))
+        assert standings.of(store).num_races == 0
+        running.run(
+            store, Crew(store, Coin()), Season(store), heats=24
+        )  # old ones are in the queue
+        assert 0 < standings.of(store).num_races <= 48
+        assert np.isfinite([row.sd for row in standings.of(store).rows]).all()

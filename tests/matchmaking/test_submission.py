@@ -1,0 +1,244 @@
+"""Submissions: what an owner packs is what the league reads, and nothing hostile gets in."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import random
+import resource
+import struct
+import time
+import zipfile
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load as safetensors_load
+from season_kit import SHORT, new_league
+from trained import make_card, make_checkpoint
+
+from league.agents import checkpoint
+from league.agents.network import NetworkConfig
+from league.errors import LeagueError, PolicyError
+from league.matchmaking import keys, submission
+from league.matchmaking.keys import Ruleset
+from league.sim.config import CameraConfig, LidarConfig, SensorConfig
+
+GIVEN = make_checkpoint("lidar", network=NetworkConfig(hidden=(8,)))
+SOUND = submission.pack(GIVEN)
+
+
+def split(content: bytes) -> tuple[dict, bytes]:
+    (size,) = struct.unpack("<Q", content[:8])
+    return json.loads(content[8 : 8 + size]), content[8 + size :]
+
+
+def joined(header: object, numbers: bytes, *, size: int | None = None) -> bytes:
+    text = header if isinstance(header, bytes) else json.dumps(header).encode()
+    return struct.pack("<Q", len(text) if size is None else size) + text + numbers
+
+
+def changed(**weights: object) -> bytes:
+    """Return the sound entry with other tellings of its first weight."""
+    header, numbers = split(SOUND)
+    header["mlp.0.weight"] = {**header["mlp.0.weight"], **weights}
+    return joined(header, numbers)
+
+
+def with_card(**fields: object) -> bytes:
+    header, numbers = split(SOUND)
+    card = {**json.loads(header["__metadata__"]["card"]), **fields}
+    return joined({**header, "__metadata__": {"card": json.dumps(card)}}, numbers)
+
+
+def with_number(value: float) -> bytes:
+    return SOUND[:-4] + struct.pack("<f", value)
+
+
+class Gadget:
+    def __reduce__(self):
+        return (print, ("executed",))
+
+
+def zipped() -> bytes:
+    from io import BytesIO
+
+    buffer = BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("../../evil/data.pkl", b"\0" * 4_000_000)
+    return buffer.getvalue()
+
+
+HEADER, NUMBERS = split(SOUND)
+FIRST = HEADER["mlp.0.weight"]
+HUGE = [10**6, 10**6]
+HOSTILE = {
+    "a pickle that runs code": pickle.dumps(Gadget()),
+    "a deflate bomb with a traversing name": zipped(),
+    "nothing": b"",
+    "a header that is too short": SOUND[:9],
+    "a header of 2^63 bytes": joined(HEADER, NUMBERS, size=2**63),
+    "a header longer than the file": joined(HEADER, b"", size=60_000),
+    "a header longer than allowed": joined(HEADER, b" " * 70_000, size=66_000),
+    "a header that is no JSON": joined(b"{" * 900, NUMBERS),
+    "a header nested too deep": joined(b"[" * 60_000, NUMBERS),
+    "a header that is a list": joined([HEADER], NUMBERS),
+    "a header with a key twice": joined(b'{"a":1,"a":2}', NUMBERS),
+    "a thousand tensors": joined({**HEADER, **{f"t{n}": FIRST for n in range(400)}}, NUMBERS),
+    "no card": joined({k: v for k, v in HEADER.items() if k != "__metadata__"}, NUMBERS),
+    "a card and something else": joined(
+        {**HEADER, "__metadata__": {**HEADER["__metadata__"], "run": "me"}}, NUMBERS
+    ),
+    "a card of another format": with_card(format=2),
+    "a card with an unknown field": with_card(module="os:system"),
+    "a card with lone surrogates": joined(
+        {**HEADER, "__metadata__": {"card": '"\ud800"'}}, NUMBERS
+    ),
+    "a card whose network is too large": with_card(
+        network={**json.loads(HEADER["__metadata__"]["card"])["network"], "hidden": [1024] * 9}
+    ),
+    "10^12 numbers": changed(shape=HUGE, data_offsets=[0, 4 * 10**12]),
+    "another dtype": changed(dtype="F64"),
+    "another shape": changed(shape=FIRST["shape"][::-1]),
+    "a shape of halves": changed(shape=[float(size) for size in FIRST["shape"]]),
+    "a shape of truths": changed(shape=[True, *FIRST["shape"][1:]]),
+    "negative offsets": changed(data_offsets=[-8, 0]),
+    "offsets beyond the file": changed(data_offsets=[10**15, 10**15 + 4 * 8 * 71]),
+    "two weights on the same numbers": changed(
+        data_offsets=HEADER["mlp.2.weight"]["data_offsets"]
+    ),
+    "a weight told as a text": joined({**HEADER, "mlp.0.weight": "F32"}, NUMBERS),
+    "a weight too few": joined({k: v for k, v in HEADER.items() if k != "mlp.2.bias"}, NUMBERS),
+    "a weight of another name": joined(
+        {("evil" if k == "mlp.2.bias" else k): v for k, v in HEADER.items()}, NUMBERS
+    ),
+    "bytes left over": SOUND + b"\0" * 64,
+    "bytes missing": SOUND[:-4],
+    "a hole in the numbers": joined(HEADER, b"\0\0\0\0" + NUMBERS),
+    "NaN": with_number(float("nan")),
+    "infinity": with_number(float("inf")),
+    "a huge weight": with_number(1.5e4),
+    "more than 8 MiB without a camera": SOUND + b"\0" * (8 << 20),
+    "more than 16 MiB": b"\0" * ((16 << 20) + 1),
+}  # fmt: skip
+
+
+def test_what_is_packed_is_what_is_read():
+    again = submission.unpack(SOUND)
+    assert again.digest == GIVEN.digest and again.card == GIVEN.card
+    assert all(torch.equal(again.weights[name], GIVEN.weights[name]) for name in GIVEN.weights)
+
+
+def test_the_safetensors_package_reads_the_same_numbers():
+    theirs = safetensors_load(SOUND)
+    assert theirs.keys() == GIVEN.weights.keys()
+    assert all(torch.equal(theirs[name], GIVEN.weights[name]) for name in theirs)
+
+
+def test_packing_twice_gives_the_same_bytes_and_so_the_same_entry():
+    assert submission.pack(make_checkpoint("lidar", network=NetworkConfig(hidden=(8,)))) == SOUND
+
+
+def test_a_card_too_long_for_the_header_is_refused_when_it_is_packed():
+    results = {f"figure {n} {'x' * 60}": float(n) for n in range(64)}
+    parents = tuple(keys.digest(bytes([n])) for n in range(64))
+    tracks = tuple(f"{n} " + "é" * 76 for n in range(120))
+    long = make_checkpoint("blind", results=results, parents=parents, tracks=tracks)
+    with pytest.raises(PolicyError, match=r"header of .* bytes: shorten"):
+        submission.pack(long)
+
+
+@pytest.mark.parametrize("what", HOSTILE)
+def test_hostile_submissions_are_refused_in_one_sentence(what, capsys):
+    start = time.process_time()
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(PolicyError) as refusal:
+        submission.unpack(HOSTILE[what])
+    assert "\n" not in str(refusal.value) and len(str(refusal.value)) < 700
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200 * 1024  # kB
+    assert time.process_time() - start < 1.0
+    assert "executed" not in capsys.readouterr().out
+
+
+def test_the_hostile_corpus_would_be_accepted_without_its_poison():
+    assert joined(HEADER, NUMBERS) != HOSTILE["a hole in the numbers"]
+    assert submission.unpack(joined(HEADER, NUMBERS)).digest == GIVEN.digest
+    assert submission.unpack(with_card(name="other")).card.name == "other"
+
+
+def test_ten_thousand_mutated_submissions_are_refused_or_sound():
+    dice = random.Random(7)
+    refused = 0
+    for _ in range(10_000):
+        content = bytearray(SOUND)
+        end = len(content) - len(NUMBERS) if dice.random() < 0.8 else len(content)
+        for _ in range(dice.choice((1, 1, 2, 8))):
+            content[dice.randrange(end)] = dice.randrange(256)
+        if dice.random() < 0.1:
+            del content[dice.randrange(len(content)) :]
+        try:
+            submission.unpack(bytes(content))
+        except PolicyError:
+            refused += 1
+    assert 5_000 < refused < 10_000
+
+
+def test_a_network_that_overflows_is_refused_by_the_probe():
+    # Seven layers, each adding 65 or 512 inputs times 9e3: beyond 4e45, where float32 ends at 3e38.
+    deep = make_checkpoint("lidar", network=NetworkConfig(hidden=(512,) * 6, activation="relu"))
+    weights = {name: torch.full_like(weight, 9e3) for name, weight in deep.weights.items()}
+    with pytest.raises(PolicyError, match="NaN or infinity"):
+        submission.probe(checkpoint.Checkpoint(deep.card, weights))
+
+
+def test_a_sound_policy_passes_the_probe():
+    assert submission.probe(GIVEN).decisions == 6
+
+
+CAMERA = CameraConfig(width=64, height=48)
+
+
+@pytest.mark.parametrize(
+    "sensors",
+    [
+        SensorConfig(camera=CameraConfig(width=64, height=48, up=0.25)),
+        SensorConfig(camera=CameraConfig(width=64, height=48, rate_hz=10.0)),
+        SensorConfig(camera=CameraConfig(width=64, height=48, field_of_view=2.0)),
+        SensorConfig(camera=CameraConfig(width=320, height=240)),
+        SensorConfig(lidar=LidarConfig(half_angle=3.1)),
+        SensorConfig(lidar=LidarConfig(noise=0.0)),
+        SensorConfig(camera=CAMERA, lidar=LidarConfig(rate_hz=15.0)),
+    ],
+)
+def test_sensors_that_are_not_stock_are_refused_where_only_stock_may_race(sensors):
+    with pytest.raises(PolicyError, match=r"stock sensors|smaller ones"):
+        submission.check_sensors(sensors, Ruleset())
+    submission.check_sensors(sensors, Ruleset(sensors="any"))
+
+
+@pytest.mark.parametrize("senses", ["blind", "lidar", "stereo", "all"])
+def test_stock_sensors_of_any_picture_size_may_race(senses):
+    submission.check_sensors(make_card(senses).sensors, Ruleset())
+
+
+def test_a_refused_submission_leaves_the_league_as_it_was(tmp_path):
+    with new_league(f"sqlite:///{tmp_path / 'league.db'}") as store:
+        before = store.entries(), len(store.events())
+        for content in (HOSTILE["NaN"], HOSTILE["no card"], SOUND[:-4]):
+            with pytest.raises(LeagueError):
+                submission.accept(store, content, "evil", "mallory")
+        assert (store.entries(), len(store.events())) == before
+        assert not store.blobs.has(keys.digest(HOSTILE["NaN"]))
+
+
+def test_a_checkpoint_file_becomes_a_pending_entry_whose_blob_is_no_pickle(tmp_path):
+    path = tmp_path / "a.pt"
+    checkpoint.save(path, GIVEN)
+    with new_league(f"sqlite:///{tmp_path / 'league.db'}") as store:
+        entry = submission.submit(store, path, "ann's car", "ann")
+        assert (entry.state, entry.owner, entry.id) == ("pending", "ann", keys.digest(SOUND))
+        assert store.blobs.get(entry.id) == SOUND
+        assert entry.card["digest"] == GIVEN.digest
+        assert submission.submit(store, path, "ann's car", "ann") == entry
+        assert b"pickle" not in SOUND and np.frombuffer(SOUND[:8], "<u8")[0] < 65536
+        assert SHORT.sensors == "stock"

@@ -1,0 +1,187 @@
+"""Workers: an outcome follows from its job, places follow the rules, failures are told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from season_kit import SHORT, Here, new_league, submitted
+
+from league.matchmaking import keys
+from league.matchmaking.crew import Crew, contestant
+from league.matchmaking.keys import Half
+from league.matchmaking.ratings import Run, places_of
+from league.matchmaking.store import Store
+from league.matchmaking.worker import Job, Pit, Report, places
+from league.race_spec import CarResult, Entry, Event, RaceResult, RaceSpec
+from league.replay import format as replay_format
+
+
+@pytest.fixture
+def league(tmp_path):
+    with new_league(f"sqlite:///{tmp_path / 'league.db'}") as store:
+        submitted(store, "bob", seed=1)
+        yield store
+
+
+def job(store: Store, one: str, other: str, **settings) -> Job:
+    entries = [store.entry(name) for name in (one, other)]
+    heat = keys.mirrored(SHORT.hash, ("reinvent_2018",) * 2, tuple(e.id for e in entries))
+    field = {entry.id: contestant(store, entry) for entry in entries}
+    return Job(heat.key, 1, heat.halves, (3, 4), SHORT, field, **settings)
+
+
+def test_a_job_gives_the_same_outcome_in_a_fresh_pit_and_in_a_used_one(league):
+    submitted(league, "ann")
+    given = job(league, "ann", "bob")
+    pit = Pit()
+    first, second, fresh = pit.race(given), pit.race(given), Pit().race(given)
+    assert first.outcome is not None and first.traceback == ""
+    assert first.outcome == second.outcome == fresh.outcome
+    assert {race.result["steps"] for race in first.outcome.races} == {9}
+
+
+def test_a_replay_names_the_policy_by_the_digest_of_its_checkpoint(league):
+    entry = submitted(league, "ann")
+    outcome = Pit().race(job(league, "ann", "bob")).outcome
+    assert outcome is not None and outcome.races[0].replay is not None
+    spec = replay_format.decode(outcome.races[0].replay).spec
+    assert [one.name for one in spec.entries] == ["ann", "bob"]
+    assert spec.entries[0].digest == entry.card["digest"] and spec.seed == 3
+
+
+def test_without_its_recording_a_race_has_the_same_hash(league):
+    kept = Pit().race(job(league, "centerline", "bob")).outcome
+    bare = Pit().race(job(league, "centerline", "bob", keep_replays=False)).outcome
+    assert kept is not None and bare is not None
+    assert [race.replay for race in bare.races] == [None, None]
+    assert [race.hash for race in bare.races] == [race.hash for race in kept.races]
+
+
+def test_another_seed_leaves_another_trace(league):
+    given = job(league, "centerline", "bob")
+    other = replace(given, halves=given.halves[:1], seeds=(99,))
+    one = Pit().race(given).outcome, Pit().race(other).outcome
+    assert one[0].races[0].result["trace"] != one[1].races[0].result["trace"]
+
+
+def test_an_entry_may_race_itself(league):
+    entry = submitted(league, "ann")
+    given = job(league, "ann", "bob")
+    own = replace(given, halves=(Half("reinvent_2018", (entry.id,) * 2),), seeds=(1,))
+    outcome = Pit().race(own).outcome
+    assert outcome is not None and sorted(outcome.races[0].places) in ([1, 2], [1, 1])
+
+
+def test_what_goes_wrong_in_a_job_is_told_with_its_traceback(league):
+    given = replace(job(league, "centerline", "bob"), halves=(Half("atlantis", ()),) * 2)
+    report = Pit().race(given)
+    assert report.outcome is None
+    assert "Traceback" in report.traceback and "atlantis" in report.traceback
+
+
+def car(slot: int, **told) -> CarResult:
+    counts = dict.fromkeys(
+        ("off_tracks", "crashes", "contacts_taken", "immobilised", "reversed", "overtakes"), 0
+    )
+    given = {"finished": True, "laps": 3, "total_s": 20.0, "distance": 60.0, **told}
+    return CarResult(
+        car=slot, name="x", place=1, lap_times_s=(), penalty_s=0.0, **{**counts, **given}
+    )
+
+
+def result(*cars: CarResult, events: tuple[Event, ...] = ()) -> RaceResult:
+    entries = tuple(Entry(name="x") for _ in cars)
+    return RaceResult(
+        spec=RaceSpec(entries=entries), order=cars, steps=600, race_s=40.0, lead_changes=0,
+        events=events,
+    )  # fmt: skip
+
+
+def test_finishers_are_placed_by_time_and_share_a_place_when_equal():
+    found = places(result(car(2, total_s=21.0), car(0, total_s=20.0), car(1, total_s=20.0)))
+    assert found == (1, 1, 3)
+
+
+def test_those_who_did_not_finish_are_placed_by_laps_then_distance():
+    out = {"finished": False, "total_s": 40.0}
+    found = places(
+        result(
+            car(0, **out, laps=1, distance=30.0),
+            car(1, **out, laps=2, distance=41.0),
+            car(2, **out, laps=2, distance=42.0),
+            car(3, total_s=39.0),
+        )
+    )
+    assert found == (4, 3, 2, 1)
+
+
+def test_of_two_that_failed_at_the_same_place_the_one_that_lasted_longer_is_ahead():
+    out = {"finished": False, "total_s": 40.0, "laps": 0, "distance": 5.0}
+    faults = tuple(
+        Event(time_s=when, kind="driver_fault", car=slot, value=count)
+        for slot, when, count in ((0, 2.0, 25.0), (1, 3.0, 25.0), (0, 1.0, 3.0))
+    )
+    assert places(result(car(0, **out), car(1, **out), events=faults)) == (2, 1)
+    # A car whose faults were forgiven drove to the end.
+    forgiven = (Event(time_s=1.0, kind="driver_fault", car=0, value=3.0), faults[1])
+    assert places(result(car(0, **out), car(1, **out), events=forgiven)) == (1, 2)
+    assert places_of([Run(None, 0, 5.0, 3.0), Run(None, 0, 5.0, 3.0)]) == (1, 1)
+
+
+def test_a_crew_hands_in_what_its_workers_raced(league):
+    given = job(league, "centerline", "bob")
+    heat = keys.mirrored(SHORT.hash, ("reinvent_2018",) * 2, tuple(given.field))
+    league.plan([heat])
+    crew = Crew(league, Here())
+    (ended,) = crew.step(0.0)
+    assert ended.became == "accepted" and not crew.running
+    assert league.heat(1).state == "done" and len(league.races().heat) == 2
+    replay = league.results(1)[0].replay
+    assert replay is not None and league.blobs.has(replay)
+
+
+class Broken(Here):
+    """Workers that lose every job."""
+
+    def wait(self, timeout_s: float) -> list[Report]:
+        return [Report(self.jobs.pop(0).key, None, "the dog ate it")] if self.jobs else []
+
+
+def test_a_heat_that_fails_three_times_is_an_error_with_its_traceback(league):
+    given = job(league, "centerline", "bob")
+    league.plan([keys.mirrored(SHORT.hash, ("reinvent_2018",) * 2, tuple(given.field))])
+    crew = Crew(league, Broken())
+    assert [crew.step(0.0)[0].became for _ in range(3)] == ["planned", "planned", "error"]
+    assert crew.step(0.0) == []
+    assert league.heat(1).traceback == "the dog ate it" and not len(league.races().heat)
+    assert league.retry(league.heat(1).heat.key)
+    assert Crew(league, Here()).step(0.0)[0].became == "accepted"
+
+
+def test_a_damaged_blob_fails_its_heat_and_not_the_season(league, monkeypatch):
+    submitted(league, "ann")
+    given = job(league, "ann", "bob")
+    duel = job(league, "centerline", "bob")
+    tracks = ("reinvent_2018",) * 2
+    league.plan([keys.mirrored(SHORT.hash, tracks, tuple(one.field)) for one in (given, duel)])
+    broken = contestant(league, league.entry("ann"))
+    monkeypatch.setattr(
+        "league.matchmaking.crew.contestant",
+        lambda store, entry: (
+            contestant(store, entry)
+            if entry.kind == "scripted"
+            else store.blobs.get("0" * 64) and broken
+        ),
+    )
+    ended = Crew(league, Here(2)).step(0.0)
+    assert [one.became for one in ended] == ["planned", "accepted"]
+    assert "holds no file" in league.heat(1).traceback
+
+
+def test_a_heat_of_another_physics_is_not_raced(league, monkeypatch):
+    given = job(league, "centerline", "bob")
+    league.plan([keys.mirrored(SHORT.hash, ("reinvent_2018",) * 2, tuple(given.field))])
+    monkeypatch.setattr("league.matchmaking.crew.PHYSICS", "2")
+    (ended,) = Crew(league, Here()).step(0.0)
+    assert ended.became == "planned" and "use the version" in ended.report.traceback

@@ -1,0 +1,205 @@
+"""The league's commands, as a person types them: a small league from init to export."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+
+import pytest
+
+from league.cli import main
+
+HERE = Path(__file__).parent
+
+
+@pytest.fixture(scope="module")
+def league(tmp_path_factory) -> Path:
+    """Return the folder of a league in which two entries have raced for a moment."""
+    import sys
+
+    for wing in ("agents", "matchmaking"):
+        sys.path.append(str(HERE / wing))
+    from season_kit import Here, submitted
+
+    from league.matchmaking import running
+    from league.matchmaking.crew import Crew
+    from league.matchmaking.season import Season
+    from league.matchmaking.store import Store
+
+    folder = tmp_path_factory.mktemp("league")
+    url = f"sqlite:///{folder / 'league.db'}"
+    made = ["init", "--league", url, "--laps", "1", "--solver", "planar", "--max-time-s", "0.6"]
+    assert main([*made, "--anchors", "centerline"]) == 0
+    with Store(url) as store:
+        for number, name in enumerate(("ann", "bob")):
+            submitted(store, name, seed=number, senses="blind")
+        running.run(store, Crew(store, Here()), Season(store), heats=10)
+    return folder
+
+
+@pytest.fixture
+def told(league, monkeypatch, capsys):
+    """Return what a command prints, given that it ends well."""
+    monkeypatch.setenv("LEAGUE_URL", f"sqlite:///{league / 'league.db'}")
+    monkeypatch.setenv("COLUMNS", "100")
+
+    def run(*command: str, code: int = 0) -> str:
+        capsys.readouterr()
+        assert main(list(command)) == code
+        return capsys.readouterr().out
+
+    return run
+
+
+def test_standings_show_everybody_with_an_interval(told):
+    text = told("standings")
+    assert all(name in text for name in ("ann", "bob", "centerline", "±"))
+    table = json.loads(told("standings", "--json"))
+    assert [row["rank"] for row in table["entries"]] == [1, 2, 3]
+    assert all(row["low95"] < row["elo"] < row["high95"] for row in table["entries"])
+    assert len(json.loads(told("standings", "--json", "--top", "1"))["entries"]) == 1
+
+
+def test_entries_are_listed_with_their_states(told):
+    entries = json.loads(told("entries", "--json"))
+    assert [entry["name"] for entry in entries] == ["centerline", "ann", "bob"]
+    assert {entry["state"] for entry in entries} == {"placement"}
+    assert "anchor" in told("entries")
+
+
+def test_an_entry_is_shown_with_its_records(told):
+    shown = json.loads(told("show", "ann", "--json"))
+    assert shown["standing"]["name"] == "ann"
+    assert sum(one["races"] for one in shown["against"]) == shown["standing"]["races"] > 0
+    assert "Against" in told("show", "ann")
+
+
+def test_head_to_head_tells_the_difference_with_its_interval(told):
+    found = json.loads(told("h2h", "ann", "centerline", "--json"))
+    gap = found["difference"]
+    assert gap["low95"] < gap["elo"] < gap["high95"] and found["heats"]
+    assert "stronger one with probability" in told("h2h", "ann", "centerline")
+
+
+def test_history_ends_with_the_present_rating(told):
+    moments = json.loads(told("history", "ann", "--json"))
+    (row,) = (r for r in json.loads(told("standings", "--json"))["entries"] if r["name"] == "ann")
+    assert moments[-1]["elo"] == pytest.approx(row["elo"])
+    assert "over time" in told("history", "ann")
+
+
+def test_a_heat_is_shown_with_its_seeds_and_classification(told):
+    heats = json.loads(told("heats", "--state", "done", "--json"))
+    assert len(heats) == 10 and all(heat["state"] == "done" for heat in heats)
+    number = str(heats[-1]["number"])
+    heat = json.loads(told("heat", number, "--json"))
+    assert len(heat["seeds"]) == len(heat["results"]) == 2
+    assert "Race 2 on reinvent_2018, seed" in told("heat", number)
+    assert told("heat", heat["key"][:12]) == told("heat", number)
+
+
+def test_a_race_of_the_league_can_be_watched(told, tmp_path):
+    number = str(json.loads(told("heats", "--state", "done", "--json"))[-1]["number"])
+    path = tmp_path / "heat.race"
+    assert str(path) in told("view", number, "--race", "2", "--save", str(path))
+    assert path.stat().st_size > 100
+    recording = tmp_path / "heat.rrd"
+    told("view", number, "--rrd", str(recording), "--no-cameras")
+    assert recording.stat().st_size > 1000
+
+
+def test_an_audit_runs_heats_again_and_finds_that_they_agree(told):
+    waiting = json.loads(told("heats", "--state", "planned", "--json", "--limit", "100"))
+    text = told("audit", "--sample", "1%", "--seed", "1", "--workers", "1")
+    assert "1 heats were run again: 1 agree, 0 differ." in text
+    assert text.count("(audit)") == 1
+    assert len(waiting) >= len(json.loads(told("heats", "--state", "planned", "--json")))
+
+
+def test_an_export_has_a_line_for_each_car(told, tmp_path):
+    rows = list(csv.DictReader(io.StringIO(told("export", "--csv", "-"))))
+    done = json.loads(told("heats", "--state", "done", "--json", "--limit", "1000"))
+    races = sum(len(heat["races"]) for heat in done if not heat["audits"])
+    assert len(rows) == 2 * races
+    assert {row["entry"] for row in rows} == {"ann", "bob", "centerline"}
+    told("export", "--json", str(tmp_path / "league.json"))
+    document = json.loads((tmp_path / "league.json").read_text())
+    assert len(document["races"]) == len(rows) and document["rules"]["laps"] == 1
+
+
+def test_a_gauntlet_places_a_checkpoint_and_keeps_nothing(told, league):
+    from trained import make_checkpoint
+
+    from league.agents import checkpoint
+
+    path = league / "new.pt"
+    checkpoint.save(path, make_checkpoint("blind", seed=9, name="new"))
+    before = told("entries"), told("heats")
+    found = json.loads(told("gauntlet", str(path), "--workers", "1", "--json"))
+    assert len(found["against"]) == 3 and all(races == 2 for _, races, _ in found["against"])
+    assert 1 <= found["rank"] <= 4 and found["low95"] < found["elo"] < found["high95"]
+    assert (told("entries"), told("heats")) == before
+
+
+def test_a_comparison_stops_when_it_is_sure_or_out_of_heats(told):
+    wish = ("--heats", "3", "--workers", "1", "--json")
+    found = json.loads(told("compare", "ann", "centerline", *wish))
+    assert found["heats"] == 3 and found["decision"] == "undecided"
+
+
+def test_a_wrong_name_gives_the_nearest_ones(told, capsys):
+    assert told("show", "centreline", code=2) == ""
+    main(["show", "centreline"])
+    assert "did you mean centerline?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("command", "sentence"),
+    [
+        (["audit", "--sample", "some"], "--sample 'some' is no share"),
+        (["audit", "--sample", "0%"], "more than 0"),
+        (["run", "--heats", "0"], "give 1 or more"),
+        (["retry", "1"], "only heats in error"),
+        (["view", "999"], "no heat of this league"),
+        (["view", "1", "--race", "7"], "no replay of race 7"),
+        (["h2h", "ann", "ann"], "name two entries"),
+        (["compare", "ann", "ann"], "the same driver"),
+        (["submit", "nobody"], "there is no driver 'nobody'"),
+        (["export"], "nothing was named to export"),
+        (["init"], "there is a league"),
+        (["init", "--cars", "1"], "have 2 to 8"),
+        (["init", "--anchors", "fast"], "no scripted driver 'fast'"),
+    ],
+)
+def test_wishes_that_cannot_be_met_are_refused_in_a_sentence(told, capsys, command, sentence):
+    told(*command, code=2)
+    main(command)
+    err = capsys.readouterr().err
+    assert sentence in err and err.count("\n") == 1
+
+
+def test_without_a_league_its_commands_say_how_to_make_one(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("LEAGUE_URL", f"sqlite:///{tmp_path / 'none.db'}")
+    assert main(["standings"]) == 2
+    assert "league init" in capsys.readouterr().err
+
+
+def test_a_run_races_what_was_submitted_and_says_what_it_did(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("LEAGUE_URL", f"sqlite:///{tmp_path / 'league.db'}")
+    made = ["init", "--laps", "1", "--solver", "planar", "--max-time-s", "0.6", "--anchors"]
+    assert main([*made, "centerline"]) == 0
+    assert main(["run", "--workers", "1", "--heats", "2"]) == 0
+    assert "nothing to race" in capsys.readouterr().out
+    from trained import make_checkpoint
+
+    from league.agents import checkpoint
+
+    checkpoint.save(tmp_path / "a.pt", make_checkpoint("blind", name="a"))
+    assert main(["submit", str(tmp_path / "a.pt"), "--owner", "ann"]) == 0
+    assert main(["run", "--workers", "1", "--heats", "3"]) == 0
+    out = capsys.readouterr().out
+    assert "(validation) a - a" in out and "(rated)" in out and "3 heats, 4 races" in out
+    assert main(["retire", "a", "--reason", "tired"]) == 0
+    assert "a is retired" in capsys.readouterr().out

@@ -1,0 +1,306 @@
+"""`league train` as a user meets it: a policy at the end, one sentence for every mistake."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+import torch
+
+from league.agents import checkpoint
+from league.cli.train import parse_actions, parse_sensors
+from league.envs.action_space import ContinuousActions, DiscreteActions
+from league.errors import ConfigError, LeagueError
+from league.training import history
+from league.training.run import settings
+
+TINY = (
+    *("--track", "reinvent_2018", "--reward", "centerline", "--action-space", "0.5-1"),
+    *("--sensors", "stereo24x18", "--num-worlds", "4", "--rollout", "8", "--epochs", "1"),
+    *("--mini-batches", "2", "--minutes", "0", "--threads", "1", "--plain", "--no-tensorboard"),
+)
+
+
+def test_help_tells_every_choice(league):
+    code, out, _ = league("train", "--help")
+    assert code == 0
+    for flag in ("--track", "--kind", "--reward", "--minutes", "--out", "--action-space"):
+        assert flag in out
+    for flag in ("--sensors", "--opponents", "--resume", "--init-from", "--seed", "--device"):
+        assert flag in out
+    assert "--hyperparameters" in out
+    assert "Train a driver with PPO" in out
+
+
+def test_training_leaves_a_policy_that_races(league, tmp_path):
+    code, out, err = league("train", *TINY, "--steps", "64", "--out", "mine.pt")
+    assert (code, err) == (0, "")
+    assert "64 decisions in " in out
+    assert "stopped because the steps were driven" in out
+    assert "Best policy: mine.pt" in out
+    card = checkpoint.load(tmp_path / "mine.pt").card
+    assert card.name == "mine"
+    assert card.command.startswith("league ")
+    kept = {path.name for path in (tmp_path / "mine.run").iterdir()}
+    assert {"best.pt", "last.pt", "state.pt", "settings.json", "history.jsonl"} <= kept
+    assert "training.png" in kept
+    code, out, _ = league(
+        *("race", "mine.pt", "centerline", "--laps", "1", "--solver", "planar", "--no-replay")
+    )
+    assert code == 0, out
+    assert "mine" in out
+
+
+def test_flags_reach_the_settings(league, tmp_path):
+    flags = (
+        *("--seed", "5", "--both-directions", "--random-cars", "--random-looks", "--no-mirror"),
+        *("--gamma", "0.9", "--lam", "0.8", "--learning-rate", "0.001", "0.0001"),
+        *("--noise", "0.4", "0.1", "--licence", "CC0-1.0"),
+    )
+    code, _, err = league("train", *TINY, "--steps", "32", "--out", "a.pt", *flags)
+    assert (code, err) == (0, "")
+    cfg = settings(tmp_path / "a.run")
+    assert (cfg.train.seed, cfg.train.both_directions, cfg.train.mirror) == (5, True, False)
+    assert (cfg.train.ppo.gamma, cfg.train.ppo.lam) == (0.9, 0.8)
+    assert cfg.train.ppo.learning_rate == (0.001, 0.0001)
+    assert cfg.train.ppo.noise == (0.4, 0.1)
+    assert cfg.train.spread is not None
+    assert cfg.train.looks is not None
+    assert checkpoint.load(tmp_path / "a.pt").card.licence == "CC0-1.0"
+
+
+def test_model_metadata_sets_actions_and_sensors(league, tmp_path):
+    (tmp_path / "model_metadata.json").write_text(
+        json.dumps(
+            {
+                "action_space_type": "discrete",
+                "action_space": [
+                    {"steering_angle": -20, "speed": 0.8, "index": 0},
+                    {"steering_angle": 0, "speed": 1.0, "index": 1},
+                    {"steering_angle": 20, "speed": 0.8, "index": 2},
+                ],
+                "sensor": ["SECTOR_LIDAR"],
+                "neural_network": "DEEP_CONVOLUTIONAL_NETWORK_SHALLOW",
+                "version": "5",
+            }
+        )
+    )
+    asked = ("--action-space", "model_metadata.json", "--sensors", "model_metadata.json")
+    code, _, err = league("train", *TINY, *asked, "--steps", "32", "--out", "d.pt")
+    assert (code, err) == (0, "")
+    card = checkpoint.load(tmp_path / "d.pt").card
+    assert card.action_space == DiscreteActions(((-20.0, 0.8), (0.0, 1.0), (20.0, 0.8)))
+    assert card.sensors.camera is None
+    assert card.sensors.lidar is not None
+    assert card.sensors.lidar.form == "sectors"
+
+
+def test_hyperparameters_by_deepracers_names_are_taken(league, tmp_path):
+    (tmp_path / "h.json").write_text(
+        json.dumps(
+            {
+                "batch_size": 8,
+                "num_epochs": 3,
+                "lr": 0.0004,
+                "beta_entropy": 0.02,
+                "discount_factor": 0.97,
+                "loss_type": "huber",
+            }
+        )
+    )
+    code, _, err = league(
+        *("train", "--reward", "centerline", "--sensors", "lidar", "--num-worlds", "4"),
+        *("--rollout", "8", "--minutes", "0", "--steps", "32", "--plain", "--no-tensorboard"),
+        *("--out", "h.pt", "--hyperparameters", "h.json"),
+    )
+    assert code == 0
+    assert "loss_type" in err  # read, and said not to be used
+    ppo = settings(tmp_path / "h.run").train.ppo
+    assert ppo.mini_batches == 4  # 4 worlds x 8 steps in batches of 8
+    assert ppo.epochs == 3
+    assert ppo.learning_rate == (0.0004, 0.0004)
+    assert ppo.entropy == (0.02, 0.02)
+    assert ppo.gamma == 0.97
+
+
+def test_flag_beats_the_hyperparameters_file(league, tmp_path):
+    (tmp_path / "h.json").write_text('{"discount_factor": 0.97, "num_epochs": 2}')
+    code, _, err = league(
+        *("train", *TINY, "--steps", "32", "--out", "h.pt"),
+        *("--hyperparameters", "h.json", "--gamma", "0.5"),
+    )
+    assert (code, err) == (0, "")
+    assert settings(tmp_path / "h.run").train.ppo.gamma == 0.5
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (["--out", "policy.onnx"], "--out is policy.onnx: give the name of a checkpoint, NAME.pt"),
+        (["--track", "peanutt"], "there is no track 'peanutt'; nearest: peanut"),
+        (["--track", "generated:0"], "give generated:1 to generated:2000"),
+        (["--exam-track", "nowhere"], "there is no track 'nowhere'"),
+        (["--reward", "progess"], "there is no built-in reward 'progess'; nearest: progress"),
+        (["--reward", "missing.py"], "missing.py"),
+        (["--minutes", "-1"], "give one of them, more than 0"),
+        (["--minutes", "nan"], "give one of them, more than 0"),
+        (["--minutes", "0"], "give one of them, more than 0"),
+        (["--steps", "-5"], "give one of them, more than 0"),
+        (["--action-space", "fast"], "--action-space is 'fast': give speeds such as 0.5-4"),
+        (["--action-space", "3-2"], "low must lie below high"),
+        (["--action-space", "0.5-9"], "a speed is 9.0 m/s: give 0.1 to 4.0"),
+        (["--action-space", "none.json"], "none.json"),
+        (["--sensors", "sonar"], "there is no sensor 'sonar': give stereoWxH"),
+        (["--sensors", "lidar", "sectors"], "two of a kind"),
+        (["--sensors", "stereo4x4"], "4x4"),
+        (["--opponents", "centerline"], "1 car"),
+        (["--kind", "head_to_head"], "head_to_head"),
+        (["--hyperparameters", "none.json"], "none.json"),
+        (["--resume"], "settings.json holds no settings of a run"),
+        (["--init-from", "none.pt"], "none.pt"),
+        (["--seed", "-1"], "seed is -1: give 0 to 2147483647"),
+        (["--device", "abacus"], "cannot compute on the device 'abacus': give cpu, or cuda"),
+        (["--num-worlds", "0"], "num_worlds is 0: give 1 to 65536"),
+        (["--obstacles", "-1", "--kind", "obstacle_avoidance"], "-1"),
+        (["--learning-rate", "0", "0"], "learning rates are (0.0, 0.0): give 1e-8 to 0.1"),
+        (["--noise", "0.5", "9"], "exploration noise is (0.5, 9.0): give 0.001 to 5"),
+        (["--gamma", "1.5"], "gamma is 1.5: give 0 to 1"),
+        (["--lam", "-1"], "lam is -1.0: give 0 to 1"),
+        (["--epochs", "0"], "epochs is 0: give at least 1"),
+        (["--mini-batches", "99999"], "cannot be split into 99999 mini-batches"),
+        (["--rollout", "0"], "steps is 0: give at least 1"),
+        (["--exam-trials", "0"], "an evaluation needs at least 1"),
+        (["--exam-every", "0"], "an evaluation needs at least 1"),
+        (["--licence", ""], "licence"),
+    ],
+)
+def test_mistake_in_a_flag_is_told_in_one_sentence(league, tmp_path, flags, said):
+    code, _, err = league("train", "--plain", "--no-tensorboard", *flags)
+    assert code == 2
+    assert err.startswith("league: ")
+    assert said in err
+    assert err.count("\n") == 1
+    assert "Traceback" not in err
+    assert not list(tmp_path.iterdir())
+
+
+def test_reward_file_that_fails_names_its_line_and_the_checkpoint_is_kept(league, tmp_path):
+    (tmp_path / "mine.py").write_text(
+        "count = 0\n\ndef reward_function(params):\n    global count\n    count += 1\n"
+        "    return 1.0 / (30 - count)\n"
+    )
+    code, _, err = league(
+        *("train", *TINY, "--steps", "3200", "--out", "m.pt", "--reward", "mine.py"),
+    )
+    assert code == 2
+    assert "mine.py" in err
+    assert "line 6" in err
+    # The 30th call of each car divides by nought: three updates of 8 steps were done.
+    assert checkpoint.load(tmp_path / "m.run" / "last.pt").card.steps == 3 * 32
+
+
+def test_parse_actions_reads_ranges_and_grids():
+    assert parse_actions("0.5-4") == ContinuousActions(-30.0, 30.0, 0.5, 4.0)
+    assert parse_actions("1-3.5@20") == ContinuousActions(-20.0, 20.0, 1.0, 3.5)
+    # Angles 30, 0, -30 deg; speeds 0.5 and 1 m/s.
+    assert parse_actions("3x2").choices == (
+        *((30.0, 0.5), (30.0, 1.0), (0.0, 0.5), (0.0, 1.0), (-30.0, 0.5), (-30.0, 1.0)),
+    )
+    assert parse_actions("2x1@2.5").choices == ((30.0, 2.5), (-30.0, 2.5))
+
+
+def test_parse_sensors_reads_cameras_and_lidars():
+    both = parse_sensors(("stereo64x48", "lidar"))
+    assert both.camera is not None
+    assert (both.camera.width, both.camera.height, both.camera.eyes) == (64, 48, "stereo")
+    assert both.lidar is not None
+    assert both.lidar.form == "ranges"
+    assert parse_sensors(("sectors",)).camera is None
+    one = parse_sensors(("mono32x24",)).camera
+    assert one is not None
+    assert one.eyes == "mono"
+    assert parse_sensors(()).camera is None
+
+
+def test_any_text_as_action_space_is_an_action_space_or_one_sentence():
+    draw = random.Random(7)
+    pieces = ["0.5", "4", "-", "@", "x", "30", "1e9", "nan", "inf", " ", "-1", "٣", "9" * 500, ""]
+    given = ["".join(draw.choices(pieces, k=draw.randint(0, 6))) for _ in range(3000)]
+    understood = 0
+    for text in given:
+        try:
+            space = parse_actions(text)
+        except LeagueError as error:
+            said = str(error)
+            assert "\n" not in said, text
+            assert len(said) < 300, text
+            continue
+        understood += 1
+        assert isinstance(space, ContinuousActions | DiscreteActions)
+        steering, speed = space.controls(torch.zeros(1, space.size))
+        assert bool(torch.isfinite(steering + speed).all()), text
+    assert 5 < understood < 1000
+
+
+@pytest.mark.parametrize("text", ["999x999@1", "256x2", "1x5", "5x0", "999999999x9"])
+def test_grid_of_too_many_or_too_few_choices_is_refused(text):
+    with pytest.raises(ConfigError, match=r"give"):
+        parse_actions(text)
+
+
+def started(folder, *flags: str) -> subprocess.Popen:
+    return subprocess.Popen(
+        [sys.executable, "-m", "league.cli", "train", *TINY, "--out", "long.pt", *flags],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OMP_NUM_THREADS": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def wait_for_updates(folder, number: int, process: subprocess.Popen) -> None:
+    path = folder / "long.run" / "history.jsonl"
+    until = time.monotonic() + 300
+    while not (path.exists() and path.read_bytes().count(b'"row":"update"') >= number):
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < until
+        time.sleep(0.05)
+
+
+@pytest.mark.slow
+def test_killed_training_goes_on_from_its_last_save_point(tmp_path):
+    process = started(tmp_path, "--steps", "100000")
+    wait_for_updates(tmp_path, 12, process)
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    folder = tmp_path / "long.run"
+    kept = checkpoint.load(folder / "last.pt").card.steps
+    assert kept >= 8 * 32  # a save point every 8 updates
+    # Not 100,000 decisions in a test: the settings are those of the run, so it is told to end.
+    cfg = (folder / "settings.json").read_text().replace('"steps": 100000', '"steps": 640')
+    (folder / "settings.json").write_text(cfg)
+    again = started(tmp_path, "--resume")
+    out, err = again.communicate(timeout=300)
+    assert again.returncode == 0, err
+    assert "stopped because the steps were driven" in out
+    rows = [r for r in history.read(folder / "history.jsonl") if isinstance(r, history.UpdateRow)]
+    assert [row.number for row in rows] == list(range(1, len(rows) + 1))
+    assert rows[-1].samples >= 640
+    assert checkpoint.load(tmp_path / "long.pt").card.name == "long"
+
+
+@pytest.mark.slow
+def test_ctrl_c_saves_and_says_how_to_go_on(tmp_path):
+    process = started(tmp_path, "--steps", "100000")
+    wait_for_updates(tmp_path, 3, process)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=300)
+    assert process.returncode == 130
+    assert "Saved: long.run/last.pt; go on with --resume." in err
+    assert "Traceback" not in err
+    assert checkpoint.load(tmp_path / "long.run" / "last.pt").card.steps >= 3 * 32

@@ -1,0 +1,75 @@
+"""The tracks of a run: names, files, random ones, both directions."""
+
+import pytest
+import torch
+
+from league.errors import ConfigError, TrackError
+from league.track import files
+from league.training import courses
+
+
+def test_names_and_files_are_loaded_in_order(tmp_path):
+    files.save(files.load("peanut"), tmp_path / "mine.yaml")
+    found = courses.load(["reinvent_2018", str(tmp_path / "mine.yaml")])
+    assert [track.name for track in found] == ["reinvent_2018", "peanut"]
+
+
+def test_random_tracks_are_as_many_as_asked_and_the_same_each_time():
+    first, again = courses.load(["generated:3"]), courses.load(["generated:3"])
+    assert len(first) == 3
+    assert [files.dump(one) for one in first] == [files.dump(one) for one in again]
+    assert len({files.dump(one) for one in first}) == 3
+
+
+def test_more_random_tracks_contain_the_fewer():
+    assert files.dump(courses.load(["generated:2"])[1]) == files.dump(
+        courses.load(["generated:3"])[1]
+    )
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["generated:", "generated:0", "generated:-1", "generated:2001", "generated:x", "generated:1.5"],
+)
+def test_wrong_number_of_random_tracks_is_told_in_one_sentence(name):
+    with pytest.raises(ConfigError, match="give generated:1 to generated:2000"):
+        courses.load([name])
+
+
+def test_no_track_and_unknown_track_are_told():
+    with pytest.raises(ConfigError, match="no track was named: give --track NAME"):
+        courses.load([])
+    with pytest.raises(TrackError, match="there is no track 'peanutt'; nearest: peanut"):
+        courses.load(["peanutt"])
+
+
+def test_named_tracks_are_judged_on_themselves():
+    assert [t.name for t in courses.to_judge_on(["peanut", "generated:9"])] == ["peanut"]
+    many = files.names()
+    assert [t.name for t in courses.to_judge_on(many)] == many[: courses.MOST_TOGETHER]
+
+
+def test_random_tracks_are_judged_on_others_that_are_never_trained_on(monkeypatch):
+    drawn = []
+    monkeypatch.setattr(courses, "generate", lambda seed, **settings: drawn.append(seed) or seed)
+    courses.load([f"generated:{courses.MOST_GENERATED}"])
+    trained = set(drawn)
+    drawn.clear()
+    judged = courses.to_judge_on(["generated:5"])
+    assert trained == set(range(courses.MOST_GENERATED))
+    assert len(judged) == len(set(drawn)) >= 4
+    assert trained.isdisjoint(drawn)
+
+
+def test_both_directions_are_each_track_and_the_same_the_other_way_round():
+    ways = courses.together(courses.load(["reinvent_2018", "peanut"]), both_directions=True)
+    assert [track.name for track in ways.tracks] == [
+        "reinvent_2018",
+        "reinvent_2018_reversed",
+        "peanut",
+        "peanut_reversed",
+    ]
+    assert ways.inner.tolist()[0] == -ways.inner.tolist()[1]
+    assert torch.allclose(ways.length[0], ways.length[1])
+    one = courses.together(courses.load(["peanut"]), both_directions=False)
+    assert len(one.tracks) == 1

@@ -1,0 +1,331 @@
+"""A training run: what ends it, what it leaves behind, and how it goes on."""
+
+import hashlib
+import json
+
+import pytest
+import small
+import torch
+
+from league.agents import checkpoint
+from league.errors import ConfigError, PolicyError, RewardError
+from league.evaluation import evaluate
+from league.training import history
+from league.training.run import Run, RunConfig, settings
+
+CHEERFUL = "def reward_function(params):\n    return 1.0\n"
+GIVES_UP = """count = 0
+def reward_function(params):
+    global count
+    count += 1
+    if count > 40:
+        raise ValueError("enough")
+    return 1.0
+"""
+
+
+def interrupt_after(number: int):
+    def after(update) -> None:
+        if update.number == number:
+            raise KeyboardInterrupt
+
+    return after
+
+
+def test_run_ends_when_its_steps_are_driven(tmp_path):
+    outcome = small.run(tmp_path, small.cfg(updates=3)).learn()
+    assert outcome.samples == 3 * small.SAMPLES
+    assert outcome.why == "the steps were driven"
+
+
+def test_run_ends_when_its_time_is_up(tmp_path):
+    outcome = small.run(tmp_path, small.cfg(steps=0, minutes=1e-5)).learn()
+    assert outcome.why == "the time was up"
+    assert outcome.samples == small.SAMPLES  # 0.6 ms are over after one update
+
+
+def test_run_ends_after_evaluations_with_every_lap_complete(tmp_path, monkeypatch):
+    from league.training import judge
+
+    # A scripted driver takes the exam, so that a lap is complete before anything is learnt.
+    def passed(exam, found):
+        return evaluate("centerline", exam.tracks[0], laps=1, mode="episode", solver="planar")
+
+    monkeypatch.setattr(judge, "judged", passed)
+    onlooker = small.Onlooker()
+    run = small.run(tmp_path, small.cfg(updates=100, stop_when_complete=2))
+    outcome = run.learn([onlooker])
+    assert outcome.why == "every lap was complete"
+    assert onlooker.updates == [1, 2, 3, 4]  # a save point every 2 updates, twice
+    assert len(onlooker.evaluations) == 2
+    assert outcome.evaluation is not None
+    assert outcome.evaluation.all_complete
+
+
+def test_folder_holds_best_last_state_settings_and_history(tmp_path):
+    small.run(tmp_path).learn()
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "best.pt",
+        "last.pt",
+        "state.pt",
+        "settings.json",
+        "history.jsonl",
+    }
+    rows = history.read(tmp_path / "history.jsonl")
+    kinds = [(type(row).__name__, row.number) for row in rows]
+    assert kinds == [
+        ("UpdateRow", 1),
+        ("UpdateRow", 2),
+        ("EvaluationRow", 2),
+        ("UpdateRow", 3),
+        ("UpdateRow", 4),
+        ("EvaluationRow", 4),  # once, although the run ends on a save point
+    ]
+
+
+def test_card_tells_where_a_policy_comes_from(tmp_path):
+    file = tmp_path / "cheerful.py"
+    file.write_text(CHEERFUL)
+    small.run(tmp_path / "one", small.cfg(reward=str(file))).learn()
+    last = checkpoint.load(tmp_path / "one" / "last.pt")
+    assert last.card.reward is not None
+    assert last.card.reward.name == "cheerful"
+    assert last.card.reward.sha256 == hashlib.sha256(CHEERFUL.encode()).hexdigest()
+    assert last.card.steps == 4 * small.SAMPLES
+    assert last.card.command == "league train --out tiny.pt"
+    assert last.card.tracks == ("reinvent_2018",)
+    assert last.card.parents == ()
+    best = checkpoint.load(tmp_path / "one" / "best.pt")
+    assert best.card.results["updates"] in (2.0, 4.0)
+    assert "completion" in best.card.results
+
+
+def test_child_names_its_parents_and_begins_with_their_weights(tmp_path):
+    small.run(tmp_path / "one").learn()
+    parent = tmp_path / "one" / "last.pt"
+    run = small.run(tmp_path / "two", small.cfg(init_from=str(parent), updates=1))
+    begun = run.learner.weights()
+    assert all(torch.equal(begun[name], value) for name, value in small.weights(parent).items())
+    run.learn()
+    child = tmp_path / "two" / "last.pt"
+    assert checkpoint.load(child).card.parents == (checkpoint.load(parent).digest,)
+    small.run(tmp_path / "three", small.cfg(init_from=str(child), updates=1)).learn()
+    grandchild = checkpoint.load(tmp_path / "three" / "last.pt").card
+    assert grandchild.parents == (checkpoint.load(child).digest, checkpoint.load(parent).digest)
+
+
+def test_parent_of_another_shape_is_refused(tmp_path):
+    small.run(tmp_path / "one", small.cfg(updates=1)).learn()
+    sees = small.cfg(
+        train=small.train(sensors=small.CAMERA), init_from=str(tmp_path / "one" / "last.pt")
+    )
+    with pytest.raises(PolicyError, match="other layers, sensors or actions than this run: give"):
+        small.run(tmp_path / "two", sees)
+
+
+def test_policy_sees_what_its_card_says(tmp_path):
+    small.run(tmp_path, small.cfg(updates=2, train=small.train(sensors=small.CAMERA))).learn()
+    card = checkpoint.load(tmp_path / "best.pt").card
+    assert card.sensors == small.CAMERA
+    found = evaluate(str(tmp_path / "best.pt"), "reinvent_2018", laps=1, solver="planar")
+    assert found.asked == 1
+
+
+def test_stop_by_hand_saves_what_was_learnt(tmp_path):
+    onlooker = small.Onlooker(after=interrupt_after(3))
+    run = small.run(tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        run.learn([onlooker])
+    assert onlooker.closed == 1
+    assert checkpoint.load(tmp_path / "last.pt").card.steps == 3 * small.SAMPLES
+    again = small.run(tmp_path)
+    again.resume()
+    assert again.learner.samples == 3 * small.SAMPLES
+    assert again.learn().samples == 4 * small.SAMPLES
+
+
+def test_reward_function_that_raises_stops_training_and_the_checkpoint_is_kept(tmp_path):
+    file = tmp_path / "gives_up.py"
+    file.write_text(GIVES_UP)
+    # Each of 4 cars has a count of its own, 8 steps an update: the sixth update ends it.
+    run = small.run(tmp_path / "run", small.cfg(reward=str(file), updates=100))
+    with pytest.raises(RewardError, match=r"gives_up.py.*line 6"):
+        run.learn()
+    assert checkpoint.load(tmp_path / "run" / "last.pt").card.steps == 5 * small.SAMPLES
+
+
+def test_reward_function_that_raises_at_once_leaves_no_checkpoint(tmp_path):
+    file = tmp_path / "never.py"
+    file.write_text("def reward_function(params):\n    return 1 / 0\n")
+    with pytest.raises(RewardError, match=r"never.py"):
+        small.run(tmp_path / "run", small.cfg(reward=str(file))).learn()
+    assert not (tmp_path / "run" / "last.pt").exists()
+
+
+@pytest.mark.parametrize("sensors", ["blind", "camera"])
+def test_resumed_run_equals_an_uninterrupted_one(tmp_path, sensors):
+    seen = small.train(sensors=small.CAMERA) if sensors == "camera" else small.train()
+    asked = small.cfg(updates=8, train=seen)
+    small.run(tmp_path / "whole", asked).learn()
+    # Killed after the fifth update: what the fourth left on the disk is all there is.
+    killed = small.run(tmp_path / "parts", asked)
+    left: dict[str, bytes] = {}
+
+    def after(update) -> None:
+        if update.number == 5:
+            left.update({p.name: p.read_bytes() for p in (tmp_path / "parts").iterdir()})
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        killed.learn([small.Onlooker(after=after)])
+    for name, content in left.items():
+        (tmp_path / "parts" / name).write_bytes(content)
+    again = Run(settings(tmp_path / "parts"), tmp_path / "parts", beside=False)
+    again.resume()
+    assert again.learner.updates == 4
+    outcome = again.learn()
+    assert outcome.samples == 8 * small.SAMPLES
+    for name in ("last.pt", "best.pt"):
+        assert small.equal(tmp_path / "whole" / name, tmp_path / "parts" / name)
+    told = [history.read(tmp_path / part / "history.jsonl") for part in ("whole", "parts")]
+    rewards = [
+        [(row.number, row.reward) for row in rows if isinstance(row, history.UpdateRow)]
+        for rows in told
+    ]
+    assert rewards[0] == rewards[1]
+    completion = [
+        [(row.number, row.completion) for row in rows if isinstance(row, history.EvaluationRow)]
+        for rows in told
+    ]
+    assert completion[0] == completion[1]
+
+
+def test_same_seed_same_weights_and_another_seed_others(tmp_path):
+    for name, seed in (("one", 3), ("two", 3), ("other", 4)):
+        small.run(tmp_path / name, small.cfg(updates=2, train=small.train(seed=seed))).learn()
+    last = {name: tmp_path / name / "last.pt" for name in ("one", "two", "other")}
+    assert small.equal(last["one"], last["two"])
+    assert not small.equal(last["one"], last["other"])
+
+
+def test_resumed_run_remembers_which_policy_was_best(tmp_path):
+    run = small.run(tmp_path, small.cfg(updates=6))
+    with pytest.raises(KeyboardInterrupt):
+        run.learn([small.Onlooker(after=interrupt_after(5))])
+    merit = run._best
+    assert merit is not None
+    again = small.run(tmp_path, small.cfg(updates=6))
+    again.resume()
+    assert again._best == merit
+    assert again.history.best == run.history.best
+
+
+def test_settings_are_read_back_as_they_were(tmp_path):
+    from league.envs.action_space import grid
+    from league.sim.config import LookConfig, Spread
+
+    asked = small.cfg(
+        updates=1,
+        train=small.train(
+            sensors=small.CAMERA,
+            action_space=grid(5, 30.0, 2, 1.0),
+            looks=LookConfig(light=0.2),
+            spread=Spread(grip=0.1),
+        ),
+        tracks=("peanut", "reinvent_2018"),
+    )
+    run = small.run(tmp_path, asked)
+    run.learn()
+    assert settings(tmp_path) == asked
+
+
+@pytest.mark.parametrize(
+    "content",
+    [None, b"", b"{", b"[]", b'{"minutes": 0}', b'{"minutes": -1}', b'{"train": {"seed": "x"}}'],
+)
+def test_folder_without_a_runs_settings_is_refused_in_one_sentence(tmp_path, content):
+    if content is not None:
+        (tmp_path / "settings.json").write_bytes(content)
+    with pytest.raises(PolicyError, match=r"settings.json holds no settings of a run .*: give"):
+        settings(tmp_path)
+
+
+def test_state_of_another_run_is_refused(tmp_path):
+    small.run(tmp_path, small.cfg(updates=2)).learn()
+    before = (tmp_path / "state.pt").read_bytes()
+    wider = small.cfg(train=small.train(critic_hidden=(24,)))
+    other = small.run(tmp_path, wider)
+    with pytest.raises(PolicyError, match=r"state.pt cannot be gone on from .*: give the run the"):
+        other.resume()
+    assert (tmp_path / "state.pt").read_bytes() == before
+
+
+@pytest.mark.parametrize("content", [None, b"", b"garbage", b"PK\x03\x04"])
+def test_state_that_is_none_is_refused(tmp_path, content):
+    if content is not None:
+        (tmp_path / "state.pt").write_bytes(content)
+    with pytest.raises(PolicyError, match=r"state.pt cannot be gone on from"):
+        small.run(tmp_path).resume()
+
+
+def test_state_that_was_cut_off_is_refused(tmp_path):
+    small.run(tmp_path, small.cfg(updates=1)).learn()
+    whole = (tmp_path / "state.pt").read_bytes()
+    for part in (1000, len(whole) // 2, len(whole) - 1):
+        (tmp_path / "state.pt").write_bytes(whole[:part])
+        with pytest.raises(PolicyError, match=r"state.pt cannot be gone on from"):
+            small.run(tmp_path).resume()
+
+
+def test_new_run_in_the_folder_of_an_old_one_begins_with_nothing(tmp_path):
+    small.run(tmp_path, small.cfg(updates=4)).learn()
+    run = small.run(tmp_path, small.cfg(updates=1))
+    run.learn()
+    assert checkpoint.load(tmp_path / "last.pt").card.steps == small.SAMPLES
+    assert [row.number for row in run.history.updates] == [1]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"licence": ""}, "licence"),
+        ({"name": "n" * 81}, "name"),
+        ({"name": "two\nlines"}, "name"),
+        ({"train": "tiny picture"}, "picture"),
+        ({"train": "huge picture"}, "pixels"),
+    ],
+)
+def test_what_no_checkpoint_could_tell_is_refused_before_anything_is_learnt(tmp_path, wrong, said):
+    from dataclasses import replace
+
+    from league.agents.network import NetworkConfig
+    from league.sim.config import CameraConfig, SensorConfig
+
+    sizes = {"tiny picture": (8, 8), "huge picture": (1920, 1080)}
+    if "train" in wrong:
+        sensors = SensorConfig(camera=CameraConfig(*sizes[wrong["train"]]))
+        wrong = {"train": small.train(sensors=sensors, network=NetworkConfig())}
+    with pytest.raises(ConfigError, match=said):
+        small.run(tmp_path / "run", replace(small.cfg(), **wrong))
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("limit", [(0, 0), (-1, 5), (5, -1), (float("nan"), 0), (float("inf"), 9)])
+def test_run_without_an_end_is_refused(limit):
+    minutes, steps = limit
+    with pytest.raises(ConfigError, match="give one of them, more than 0"):
+        RunConfig(minutes=minutes, steps=steps)
+
+
+def test_folder_that_cannot_be_made_is_told_in_one_sentence(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(PolicyError, match=r"cannot be made .*: give --out a place"):
+        small.run(tmp_path / "file" / "run").learn()
+
+
+def test_history_holds_numbers_of_the_learner(tmp_path):
+    small.run(tmp_path, small.cfg(updates=1)).learn()
+    lines = (tmp_path / "history.jsonl").read_text().splitlines()
+    row = json.loads(lines[1])
+    assert row["samples"] == small.SAMPLES
+    assert 0 < row["reward"] <= 1.0  # the centre-line reward of a step

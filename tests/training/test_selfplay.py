@@ -1,0 +1,290 @@
+"""Self-play: who is drawn, who beats whom, what is kept, and that a resumed run is the same run."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+
+import pytest
+import torch
+from conftest import make_ring
+
+from league.agents.card import Card
+from league.agents.checkpoint import Checkpoint
+from league.agents.network import Actor, NetworkConfig, from_learner
+from league.agents.policy import Policy
+from league.agents.scripted import CenterlineDriver
+from league.envs.config import EnvConfig
+from league.envs.state import SIZE
+from league.envs.vec_env import RacingVecEnv
+from league.errors import ConfigError, PolicyError
+from league.sim.config import CarConfig, SensorConfig, SimConfig
+from league.sim.meeting_config import Meeting
+from league.track.course import TrackSet
+from league.training import worlds
+from league.training.learner import Learner
+from league.training.selfplay import SelfPlay, SelfPlayConfig, duels, opponent
+from league.training.selfplay.opponent import NOBODY, Field, Opponent
+from league.training.selfplay.pool import Pool, spread
+from league.training.selfplay.records import DRAWN, LOST, WON, Records
+from league.training.selfplay.seats import Seats
+from league.training.selfplay.settings import DuelConfig
+from league.training.settings import PpoConfig, TrainConfig
+
+RING = TrackSet.of(make_ring())
+CAR = CarConfig()
+BLIND = NetworkConfig(hidden=(8,))
+SHORT = SelfPlayConfig(
+    candidate_every=1,
+    rivals=2,
+    races=2,
+    matrix_races=2,
+    duel=DuelConfig(laps=1, slowest=12.0, grace_s=1.0),
+)
+TRAIN = TrainConfig(
+    kind="head_to_head",
+    num_cars=2,
+    num_worlds=4,
+    sensors=SensorConfig(),
+    network=BLIND,
+    critic_hidden=(8,),
+    ppo=PpoConfig(steps=8, epochs=1, mini_batches=2),
+    save_every=1,
+)
+CARD = Card(name="blind", sensors=SensorConfig(), network=BLIND, created="2025-06-01")
+
+
+class Constant:
+    """Always asks for the same."""
+
+    sensors = SensorConfig()
+
+    def __init__(self, steering: float, speed: float) -> None:
+        self.name, self._action = f"{steering} {speed}", torch.tensor([steering, speed])
+
+    def reset(self, rows):
+        pass
+
+    def act(self, observations):
+        return self._action.expand(len(observations["state"]), 2)
+
+
+def blind(seed: int = 0) -> Checkpoint:
+    torch.manual_seed(seed)
+    actor = Actor(BLIND, CARD.group_shapes, CARD.space.size)
+    return Checkpoint(CARD, from_learner(actor.state_dict()))
+
+
+def test_win_rate_begins_at_one_half_and_follows_the_results():
+    records = Records(window=400)
+    assert records.win_rate("a") == 0.5
+    records.add("a", WON)
+    assert records.win_rate("a") == pytest.approx(2 / 3)  # (1 + 1) / (2 + 1)
+    records.add("a", LOST)
+    records.add("a", DRAWN)
+    assert records.win_rate("a") == pytest.approx(2.5 / 5)
+    again = Records(window=400)
+    again.restore(json.loads(json.dumps(records.state())))
+    assert again.state() == records.state() == {"a": "10h"}
+
+
+def test_only_the_last_meetings_count():
+    records = Records(window=4)
+    for result in (LOST, LOST, LOST, WON, WON, WON, WON):
+        records.add("a", result)
+    assert records.meetings("a") == 4
+    assert records.win_rate("a") == pytest.approx(5 / 6)
+
+
+def test_members_are_drawn_by_the_square_of_the_loss_rate():
+    # Losses .5 and .25 squared are .25 and .0625, four to one of .45; the hardest gets .1 more.
+    newest, members = opponent.shares([0.5, 0.75], newest=0.35, prioritised=0.45, hardest=0.1)
+    assert newest == 0.35
+    assert members == pytest.approx([0.36 + 0.1, 0.09])
+    assert opponent.shares([], newest=0.35, prioritised=0.45, hardest=0.1) == (
+        pytest.approx(0.9),
+        [],
+    )
+
+
+def test_a_member_that_always_loses_is_still_met_now_and_then():
+    _, members = opponent.shares([1.0, 0.0], newest=0.35, prioritised=0.45, hardest=0.1)
+    assert members[0] == pytest.approx(0.45 * 0.0025 / 1.0025)
+
+
+def field() -> Field:
+    return Field(("a", "b"), (Constant(0.0, 1.0), Constant(1.0, -1.0)), (0.25, 0.75))
+
+
+def test_draws_follow_the_shares_and_the_count_alone():
+    seats = [Opponent(1, SensorConfig(), 8000, 5, Records(10)) for _ in range(2)]
+    assert bool((seats[0].who == NOBODY).all())
+    for seat in seats:
+        seat.choose_from(field(), 77)
+    assert torch.equal(seats[0].who, seats[1].who)
+    assert float((seats[0].who == 1).float().mean()) == pytest.approx(0.75, abs=0.02)
+    before = seats[0].who.clone()
+    rows = torch.arange(0, 8000, 2)
+    seats[0].reset(rows)
+    assert torch.equal(seats[0].who[1::2], before[1::2])
+    assert not torch.equal(seats[0].who[::2], before[::2])
+    seats[1].choose_from(field(), 78)
+    assert not torch.equal(seats[1].who, before)
+
+
+def test_each_row_is_driven_by_its_own_driver_and_frozen_cars_by_nobody():
+    one, two = Policy(blind(1), CAR, exact=False), Policy(blind(2), CAR, exact=False)
+    seats = Seats("seat", SensorConfig(), [one, two, Constant(0.5, 0.25)])
+    seats.sit(torch.tensor([0, 1, 2, 1, 0, NOBODY]))
+    told = {"state": torch.zeros(6, SIZE), "motion": torch.randn(6, 5)}
+    told["state"][4, 9] = 1.0  # frozen
+    asked = seats.act(told)
+    assert torch.allclose(asked[0], one.act(told)[0], atol=1e-6)
+    assert torch.allclose(asked[[1, 3]], two.act(told)[[1, 3]], atol=1e-6)
+    assert asked[2].tolist() == [0.5, 0.25]
+    assert asked[4].tolist() == asked[5].tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize(("learner", "other", "result"), [(1.0, 0.164, LOST), (0.164, 1.0, WON)])
+def test_who_leaves_the_road_has_lost_the_meeting(learner, other, result):
+    records = Records(400)
+    seat = Opponent(1, SensorConfig(), 16, 1, records)
+    seat.choose_from(Field(("it",), (Constant(other, -0.5),), (1.0,)), 0)
+    cfg = EnvConfig(
+        sim=SimConfig(kind="head_to_head", num_cars=2),
+        mode="training",
+        meeting=Meeting(alone=0.5, standing=0.0, rolling=0.0),
+    )
+    env = RacingVecEnv(RING, cfg, num_worlds=16, opponents={1: seat})
+    for _ in range(25):
+        env.step(torch.tensor([learner, -0.5]).expand(16, 2).clone())
+    # atan(0.164 / 1.91) rad of 0.5236 follow the ring; full lock leaves it.
+    told = records.state()["it"]
+    assert len(told) >= 3
+    assert told.count(result) > 0.7 * len(told)
+
+
+def members(pool: Pool, updates: list[int]) -> None:
+    for number in updates:
+        pool.add(blind(), number, forced=False, measured=None)
+
+
+def test_the_pool_keeps_oldest_newest_and_whoever_is_not_beaten(tmp_path):
+    pool = Pool(tmp_path, 4)
+    members(pool, [0, 10, 20, 30, 40, 50])
+    gone = pool.thin(lambda one: one.updates in (20, 30))
+    assert [one.updates for one in gone] == [10, 40]
+    assert [one.updates for one in pool.members] == [0, 20, 30, 50]
+    # Files go at the next save point: a run that was killed before it needs them.
+    assert (tmp_path / "000010.pt").exists()
+    pool.sweep()
+    assert not (tmp_path / "000010.pt").exists()
+
+
+def test_ages_stay_spread_in_powers(tmp_path):
+    pool = Pool(tmp_path, 48)
+    members(pool, list(range(0, 1025, 64)))
+    ages = [1024 - one.updates for one in spread(pool.members, 6)]
+    assert (ages[0], ages[-1]) == (1024, 0)
+    assert ages[1] <= 640 and ages[2] <= 384 and ages[-2] == 64
+
+
+def test_a_resumed_pool_has_no_members_from_the_future(tmp_path):
+    pool = Pool(tmp_path, 8)
+    members(pool, [0, 10])
+    kept = pool.state()
+    members(pool, [20])
+    again = Pool(tmp_path, 8)
+    again.restore(json.loads(json.dumps(kept)))
+    assert [one.name for one in again.members] == ["parent", "000010"]
+    assert sorted(path.name for path in tmp_path.glob("*.pt")) == ["000010.pt", "parent.pt"]
+    again.path(again.members[1]).write_bytes(again.path(again.members[0]).read_bytes())
+    changed = replace(again.members[1], digest="0" * 64)
+    with pytest.raises(PolicyError, match="is not the policy it was"):
+        again.load(changed)
+
+
+def test_a_driver_and_its_copy_win_half_of_mirrored_races_each():
+    twins = [CenterlineDriver("centerline", RING.tracks[0], CAR) for _ in range(2)]
+    cfg = DuelConfig(laps=1, slowest=12.0, grace_s=2.0)
+    ((one, two),) = duels.meet(RING, CAR, twins, [(0, 1)], cfg, races=4).values()
+    assert one.races == two.races == 4
+    assert one.wins == two.wins == 2.0  # each seed is one race, driven twice
+    assert one.metres == pytest.approx(two.metres, rel=1e-4)
+
+
+def test_who_leaves_the_road_loses_from_either_slot():
+    drivers = [CenterlineDriver("centerline", RING.tracks[0], CAR), Constant(1.0, 0.0)]
+    cfg = DuelConfig(laps=1)
+    ((one, two),) = duels.meet(RING, CAR, drivers, [(0, 1)], cfg, races=4).values()
+    assert (one.win_rate, two.win_rate) == (1.0, 0.0)
+    assert two.off_tracks > 0 and two.off_tracks_per_km > 0
+    assert two.clean_lap_s is None
+    assert one.metres == pytest.approx(4 * 12, rel=0.15)  # four races of one lap of 12 m
+
+
+def playing(folder, parent: Checkpoint | None = None) -> tuple[SelfPlay, Learner]:
+    play = SelfPlay(folder, RING, TRAIN, CARD, cfg=SHORT, parent=parent)
+    cfg = replace(worlds.env_config(TRAIN), meeting=Meeting())
+    env = RacingVecEnv(RING, cfg, num_worlds=TRAIN.num_worlds, opponents=play.drivers())
+    return play, Learner(env, TRAIN)
+
+
+def test_resume_equals_a_run_that_was_never_interrupted(tmp_path):
+    play, learner = playing(tmp_path / "run", blind())
+    play.begin(learner)
+    learner.update(0.0)
+    play.after_update(learner)
+    learner.save(tmp_path / "state.pt", {})
+    kept = json.loads(json.dumps(play.state()))
+    shutil.copytree(tmp_path / "run", tmp_path / "copy")
+    learner.update(0.0)
+    play.after_update(learner)
+    again, fresh = playing(tmp_path / "copy")
+    fresh.restore(tmp_path / "state.pt")
+    again.restore(kept, fresh)
+    fresh.update(0.0)
+    again.after_update(fresh)
+    assert again.state() == play.state()
+    there = fresh.weights()
+    assert all(torch.equal(value, there[name]) for name, value in learner.weights().items())
+
+
+def test_the_report_races_everybody_and_can_be_looked_at(tmp_path):
+    from league.training.selfplay import picture
+
+    play, learner = playing(tmp_path, blind())
+    play.begin(learner)
+    learner.update(0.0)
+    assert play.after_update(learner) == (len(play.pool.members) == 2)
+    told = json.loads((tmp_path / "pool" / "pool.json").read_text())
+    assert told[0]["name"] == "parent"
+    found = play.report(blind(3))
+    assert found.names[0] == "centerline" and found.names[-1] == "final"
+    assert found.wins[0][0] is None
+    for row, rates in enumerate(found.wins):
+        for column, rate in enumerate(rates):
+            if rate is not None:
+                assert rate + found.wins[column][row] == 1.0
+    assert found.smallest == min(found.past.values())
+    found.write(tmp_path / "matrix.json")
+    kept = json.loads((tmp_path / "matrix.json").read_text())
+    assert kept["smallest_win_rate_against_the_past"] == found.smallest
+    picture.draw(found, tmp_path / "matrix.png")
+    assert (tmp_path / "matrix.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_a_parent_with_other_sensors_is_refused(tmp_path):
+    cfg = replace(TRAIN, sensors=TrainConfig().sensors)
+    with pytest.raises(ConfigError, match="needs other sensors than the learner"):
+        SelfPlay(tmp_path, RING, cfg, CARD, parent=blind())
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [({"newest": 0.9}, "add up to 1"), ({"races": 3}, "even number"), ({"rivals": 0}, "at least")],
+)
+def test_settings_that_make_no_sense_are_refused(wrong, said):
+    with pytest.raises(ConfigError, match=said):
+        SelfPlayConfig(**wrong)

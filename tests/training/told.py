@@ -1,0 +1,80 @@
+"""What a learner and an evaluation tell, made by hand for the onlookers' tests."""
+
+from __future__ import annotations
+
+import torch
+
+from league.evaluation import Evaluation, Trial
+from league.training.episodes import Episodes
+from league.training.history import History
+from league.training.learner import Update
+
+
+def update(number: int, *, loss: float = 0.25) -> Update:
+    """Return an update of 100 decisions, half a second of collecting and a second of learning."""
+    return Update(
+        number=number,
+        samples=100 * number,
+        collect_s=0.5,
+        learn_s=1.0,
+        reward=0.125,
+        losses={"value": loss, "surrogate": -0.01},
+        log={"/reward/progress": 0.125, "/drive/speed": 1.5},
+    )
+
+
+def episodes(completion: float) -> Episodes:
+    """Return the episodes of one row, of which one came so far and earned 5."""
+    made = Episodes(1)
+    made.add(torch.tensor([5.0]), torch.tensor([1]), {"driven": torch.tensor([completion])})
+    return made
+
+
+def evaluation(best_lap_s: float | None) -> Evaluation:
+    """Return three trials: laps of the best time and a second more, and one that left the road."""
+    laps = [] if best_lap_s is None else [best_lap_s, best_lap_s + 1.0]
+    trials = [_trial(number, time_s, 100.0) for number, time_s in enumerate(laps, 1)]
+    trials.append(_trial(len(trials) + 1, 4.0, 50.0))
+    return Evaluation(
+        driver="pupil",
+        track="ring",
+        kind="time_trial",
+        mode="episode",
+        solver="bullet",
+        laps=3,
+        asked=3,
+        seed=0,
+        trials=tuple(trials),
+        places=(),
+    )
+
+
+def _trial(number: int, time_s: float, completion: float) -> Trial:
+    complete = completion == 100.0
+    return Trial(
+        trial=number,
+        run=0,
+        seed=0,
+        standing=number == 1,
+        status="lap_complete" if complete else "off_track",
+        time_s=time_s,
+        completion=completion,
+        off_tracks=0 if complete else 1,
+        crashes=0,
+        immobilised=0,
+        reversed=0,
+        penalty_s=0.0,
+    )
+
+
+def history(updates: int, *, judged_every: int = 4, slow_s: float = 2.0) -> History:
+    """Return a run that gets better: 2 s and 100 decisions an update, judged now and then."""
+    made = History()
+    for number in range(1, updates + 1):
+        made.add_update(update(number), episodes(number / updates), slow_s * number)
+        if number % judged_every == 0:
+            lap = None if number == judged_every else 9.0 - number / updates
+            made.add_evaluation(
+                evaluation(lap), time_s=slow_s * number + 0.5, took_s=0.5, best=number < updates
+            )
+    return made
