@@ -29,6 +29,8 @@ HEAVY = {
     "tensordict": ("envs.vec_env", "training"),
     "gymnasium": ("envs",),
     "av": ("video",),
+    "ray": ("matchmaking.executors.ray",),
+    "safetensors": ("matchmaking.submission",),
     "matplotlib": ("envs.deepracer.score_plot", "training"),
     "sqlite3": ("matchmaking.store",),
     "sqlalchemy": ("matchmaking.store",),

@@ -12,7 +12,7 @@ from league.errors import ConfigError, brief
 
 if TYPE_CHECKING:
     from league.envs.action_space import ActionSpace
-    from league.sim.config import SensorConfig
+    from league.sim.config import SensorConfig, Spread
     from league.training.onlooker import Onlooker
     from league.training.run import Outcome, Run, RunConfig
     from league.training.settings import TrainConfig
@@ -45,6 +45,8 @@ class Train:
     """Drivers or checkpoints to race against, in head_to_head."""
     self_play: bool = False
     """Race against past selves, in head_to_head."""
+    scripted_share: float = 0.1
+    """Share of self-play against scripted drivers, who teach to pass what is slower."""
     hyperparameters: Path | None = None
     """A hyperparameters.json with DeepRacer's names."""
     resume: bool = False
@@ -61,6 +63,8 @@ class Train:
     """Learn the tracks in both directions."""
     random_cars: bool = False
     """Draw grip, mass, latency, steering and camera of each car."""
+    car_spread: float = 1.0
+    """How far drawn cars differ: 1 as cars of one model do, less in proportion."""
     random_looks: bool = False
     """Draw light, colours, noise and blur of the pictures."""
     no_mirror: bool = False
@@ -195,6 +199,7 @@ def _config(command: Train) -> RunConfig:
         exam_every=command.exam_every,
         opponents=command.opponents,
         self_play=command.self_play,
+        scripted_share=command.scripted_share,
         exam_opponents=command.exam_opponents,
         init_from=command.init_from,
         licence=command.licence,
@@ -207,7 +212,7 @@ def _printable(text: str) -> str:
 
 
 def _learner(command: Train) -> TrainConfig:
-    from league.sim.config import LookConfig, Spread
+    from league.sim.config import LookConfig
     from league.training.settings import PpoConfig, TrainConfig
 
     given = {
@@ -243,20 +248,27 @@ def _learner(command: Train) -> TrainConfig:
         looks=LookConfig(light=0.3, colour=0.15, noise=6.0, blur=0.6)
         if command.random_looks
         else None,
-        spread=Spread(
-            grip=0.15,
-            mass=0.1,
-            latency_s=0.03,
-            steering_offset=0.02,
-            camera_position=0.01,
-            camera_angle=0.02,
-        )
-        if command.random_cars
-        else None,
+        spread=_spread(command.car_spread) if command.random_cars else None,
         obstacles=command.obstacles,
         bots=command.bots,
         # So that a save point comes every 10 to 20 s.
         save_every=max(1, min(8, 16_384 // (command.num_worlds * ppo.steps))),
+    )
+
+
+def _spread(share: float) -> Spread:
+    """Return how far cars differ: 1 as far as ones of one model do, less in proportion."""
+    from league.sim.config import Spread
+
+    if not 0 < share <= 2:
+        raise ConfigError(f"--car-spread is {share}: give more than 0, at most 2")
+    return Spread(
+        grip=0.15 * share,
+        mass=0.1 * share,
+        latency_s=0.03 * share,
+        steering_offset=0.02 * share,
+        camera_position=0.01 * share,
+        camera_angle=0.02 * share,
     )
 
 

@@ -15,8 +15,7 @@ from league.matchmaking.executors import Executor
 from league.matchmaking.keys import Ruleset
 from league.matchmaking.store import Claim, Entry, Store
 from league.matchmaking.store.store import LEASE_S
-from league.matchmaking.worker import Contestant, Job, Report
-from league.sim.version import PHYSICS
+from league.matchmaking.worker import Contestant, Job, Report, check_physics
 
 KEPT = 256
 """Contestants kept ready for the next job."""
@@ -113,11 +112,7 @@ class Crew:
         if heat.ruleset not in self._rulesets:
             self._rulesets = self._store.rulesets()
         rules = self._rulesets[heat.ruleset]
-        if rules.physics != PHYSICS:
-            raise LeagueError(
-                f"heat {claim.number} is to be raced by physics {rules.physics}, this program has "
-                f"{PHYSICS}: use the version of the program that the league was made with"
-            )
+        check_physics(rules, f"heat {claim.number}")
         return Job(
             key=heat.key,
             number=claim.number,

@@ -17,14 +17,24 @@ from league.matchmaking.keys import Heat
 from league.matchmaking.ratings import Ratings, Results
 from league.matchmaking.sequential import Comparison, SequentialSettings
 from league.matchmaking.store import RATED, Entry, Outcome, Store
-from league.matchmaking.worker import Contestant, Job, Report
+from league.matchmaking.worker import Contestant, Job, Report, check_physics
 
 TRIES = 3
 """Tries of a heat that is not the store's."""
 
 
-def plan_audit(store: Store, share: float, *, generator: np.random.Generator) -> list[Heat]:
-    """Plan to run a share of the finished rated heats again, at least one; return them.
+@dataclass(frozen=True)
+class Duel:
+    """What a heat beside the season is made of."""
+
+    heat: Heat
+    """Races, with the grid reversed in the second."""
+    seeds: tuple[int, ...]
+    """Seed of each race."""
+
+
+def pick_audit(store: Store, share: float, generator: np.random.Generator) -> list[Duel]:
+    """Return the audits of a share of the finished rated heats, at least one if there are any.
 
     Those audited before are left out, so that repeated audits reach everybody.
     """
@@ -36,7 +46,7 @@ def plan_audit(store: Store, share: float, *, generator: np.random.Generator) ->
     records = store.heats(("done", "planned", "claimed"))
     audited = {record.heat.audits for record in records if record.heat.audits}
     open_ = [
-        record.heat
+        record
         for record in records
         if record.state == "done"
         and record.heat.purpose == "rated"
@@ -47,19 +57,36 @@ def plan_audit(store: Store, share: float, *, generator: np.random.Generator) ->
         return []
     count = max(1, round(share * len(open_)))
     picked = generator.choice(len(open_), size=count, replace=False)
-    planned = [keys.audit_of(open_[int(index)]) for index in sorted(picked)]
-    store.plan(planned)
-    return planned
+    chosen = [open_[int(index)] for index in sorted(picked)]
+    return [Duel(keys.audit_of(record.heat), record.seeds or ()) for record in chosen]
 
 
-@dataclass(frozen=True)
-class Duel:
-    """What a heat beside the season is made of."""
+def audit(
+    store: Store,
+    executor: Executor,
+    audits: Sequence[Duel],
+    *,
+    watch: Callable[[Outcome, bool], None] = lambda outcome, agrees: None,
+) -> int:
+    """Run heats again; return how many differ, which puts them in quarantine.
 
-    heat: Heat
-    """Races, with the grid reversed in the second."""
-    seeds: tuple[int, ...]
-    """Seed of each race."""
+    They do not wait in the queue, but the store is told of them as if they had.
+    """
+    store.plan([one.heat for one in audits])
+    entries = {entry.id: entry for entry in store.entries()}
+    wanted = {id for one in audits for id in one.heat.entries}
+    field = {id: contestant(store, entries[id]) for id in wanted}
+    differ = 0
+
+    def judge(outcome: Outcome) -> bool:
+        nonlocal differ
+        agrees = not store.complete("auditor", [outcome]).quarantined
+        differ += not agrees
+        watch(outcome, agrees)
+        return True
+
+    race(executor, store, audits, field, watch=judge)
+    return differ
 
 
 def duel(store: Store, one: str, other: str, draw: int, salt: bytes) -> Duel:
@@ -94,6 +121,7 @@ def race(
         StoreError: a heat could not be raced three times in a row.
     """
     rules = store.settings.ruleset
+    check_physics(rules, "this league")
     waiting = [(number, TRIES) for number in range(len(duels))]
     under_way: dict[str, tuple[int, int]] = {}
     outcomes: dict[int, Outcome] = {}

@@ -10,9 +10,11 @@ from dataclasses import dataclass
 from time import perf_counter
 from typing import TYPE_CHECKING
 
+from league.errors import ConfigError
 from league.matchmaking.keys import Half, Ruleset
 from league.matchmaking.ratings.results import Run, places_of
 from league.matchmaking.store.records import Outcome, RaceOutcome
+from league.sim.version import PHYSICS
 
 if TYPE_CHECKING:
     from league.agents.checkpoint import Checkpoint
@@ -74,6 +76,19 @@ class Report:
     """Time it took [s]."""
     race_s: float = 0.0
     """Race time driven [s]."""
+
+
+def check_physics(rules: Ruleset, what: str) -> None:
+    """Refuse to race by another version of the physics than this program's.
+
+    Raises:
+        ConfigError: it is another one.
+    """
+    if rules.physics != PHYSICS:
+        raise ConfigError(
+            f"{what} is raced by physics {rules.physics}, this program has {PHYSICS}: "
+            "use the version of the program that the league was made with"
+        )
 
 
 class Pit:

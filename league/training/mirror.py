@@ -49,7 +49,7 @@ def observations(told: TensorDict, sensors: SensorConfig) -> TensorDict:
     mirror images (see `applies`).
     """
     mirrored: dict[str, Tensor] = {}
-    for name in told.keys():  # noqa: SIM118 (a TensorDict iterates over rows)
+    for name in map(str, told.keys()):
         group = told[name]
         if name == "stereo":
             assert sensors.camera is not None

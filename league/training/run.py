@@ -25,7 +25,7 @@ from league.training import courses, worlds
 from league.training.history import History
 from league.training.judge import Exam, Judge, Judgement
 from league.training.learner import Learner, Update
-from league.training.selfplay import SelfPlay
+from league.training.selfplay import SelfPlay, SelfPlayConfig
 from league.training.selfplay.picture import draw as draw_matrix
 from league.training.settings import TrainConfig
 from league.whole_file import replacing
@@ -71,6 +71,8 @@ class RunConfig:
     """Drivers or checkpoints that race against the learner."""
     self_play: bool = False
     """Race against past selves instead."""
+    scripted_share: float = 0.1
+    """Share of self-play that is against scripted drivers, who teach to pass what is slower."""
     init_from: str = ""
     """Checkpoint to begin from."""
     licence: str = "CC-BY-4.0"
@@ -147,7 +149,12 @@ class Run:
         opponents: Mapping[int, Driver | str] = dict(enumerate(cfg.opponents, 1))
         if cfg.self_play:
             self._self_play = SelfPlay(
-                self.folder, tracks, train, self._card(), parent=self._parent
+                self.folder,
+                tracks,
+                train,
+                self._card(),
+                cfg=SelfPlayConfig().with_scripted(cfg.scripted_share),
+                parent=self._parent,
             )
             opponents = self._self_play.drivers()
         self.env = worlds.make(tracks, train, opponents=opponents, reward=self._reward)

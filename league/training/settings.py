@@ -15,11 +15,11 @@ from league.sim.config import CameraConfig, LookConfig, RaceKind, SensorConfig, 
 class PpoConfig:
     """Proximal policy optimisation; two values are from the start to the end of the budget."""
 
-    steps: int = 32
+    steps: int = 64
     """Steps of each row between two updates."""
     epochs: int = 6
     """Passes over what was collected."""
-    mini_batches: int = 8
+    mini_batches: int = 16
     """Parts of what was collected; each is one gradient step."""
     gamma: float = 0.95
     """Discount for each step (1/15 s)."""
@@ -29,7 +29,7 @@ class PpoConfig:
     """Largest change of a decision's probability ratio that still counts."""
     learning_rate: tuple[float, float] = (3e-3, 3e-4)
     """Adam's step size, falling geometrically."""
-    noise: tuple[float, float] = (0.5, 0.06)
+    noise: tuple[float, float] = (0.4, 0.06)
     """Standard deviation of the exploration of continuous actions, falling geometrically."""
     entropy: tuple[float, float] = (0.01, 0.0)
     """Weight of the entropy of discrete actions, falling linearly."""
@@ -97,7 +97,7 @@ class TrainConfig:
     """Bot cars instead of boxes."""
     episode_s: float = 40.0
     """Longest episode [s]."""
-    save_every: int = 8
+    save_every: int = 4
     """Updates between two save points, from which a killed run goes on; the rows start anew there,
     in a run that was never interrupted too, so that both end in the same weights."""
 

@@ -31,7 +31,7 @@ def job(tmp_path) -> Job:
         return Job(heat.key, 7, heat.halves, (3, 4), SHORT, field)
 
 
-def reports(executor: executors.Executor, count: int, patience_s: float = 120.0) -> list[Report]:
+def reports(executor: executors.Executor, count: int, patience_s: float = 900.0) -> list[Report]:
     found: list[Report] = []
     give_up = time.monotonic() + patience_s
     while len(found) < count and time.monotonic() < give_up:

@@ -216,6 +216,7 @@ def test_resumed_run_remembers_which_policy_was_best(tmp_path):
     assert merit is not None
     again = small.run(tmp_path, small.cfg(updates=6))
     again.resume()
+    again.history.close()
     assert again._best == merit
     assert again.history.best == run.history.best
 

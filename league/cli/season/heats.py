@@ -13,7 +13,7 @@ from league.cli.season.door import OnLeague, Reading
 from league.errors import ConfigError, StoreError, brief
 
 if TYPE_CHECKING:
-    from league.matchmaking.store import HeatRecord, Store
+    from league.matchmaking.store import HeatRecord, Outcome, Store
 
 Shown = Literal["all", "planned", "claimed", "done", "error", "quarantined", "cancelled"]
 
@@ -105,35 +105,26 @@ def _audit(command: Audit) -> int:
 
     import numpy as np
 
-    from league.cli.season.page import told
-    from league.matchmaking import executors, running, trials
-    from league.matchmaking.crew import Crew
+    from league.matchmaking import executors, trials
 
     share = _share(command.sample)
     with command.opened() as store:
-        generator = np.random.default_rng(command.seed)
-        planned = trials.plan_audit(store, share, generator=generator)
-        if not planned:
+        audits = trials.pick_audit(store, share, np.random.default_rng(command.seed))
+        if not audits:
             print("There is nothing to audit: no rated heat is done that was not audited before.")
             return 0
-        wanted, differ = {heat.key for heat in planned}, []
+        number_of = {one.heat.key: store.heat(one.heat.audits).number for one in audits}
         executor = executors.make("processes", command.workers or os.cpu_count() or 1)
         try:
-            crew = Crew(store, executor)
 
-            def watch(_tally: running.Tally, ended: list) -> None:
-                for one in ended:
-                    print(told(one), flush=True)
-                    wanted.discard(one.report.key)
-                    if one.became == "quarantined":
-                        differ.append(one.running.claim.number)
+            def watch(outcome: Outcome, agrees: bool) -> None:
+                verdict = "agrees" if agrees else "DIFFERS, and is in quarantine now"
+                print(f"heat {number_of[outcome.key]} {verdict}", flush=True)
 
-            # Audits are the last in the queue: what waits before them is raced as well.
-            running.run(store, crew, None, stop=lambda: not wanted, watch=watch)
+            differ = trials.audit(store, executor, audits, watch=watch)
         finally:
             executor.close()
-    agree = len(planned) - len(differ)
-    print(f"{len(planned)} heats were run again: {agree} agree, {len(differ)} differ.")
+    print(f"{len(audits)} heats were run again: {len(audits) - differ} agree, {differ} differ.")
     return 1 if differ else 0
 
 

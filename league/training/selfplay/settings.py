@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from league.errors import ConfigError
 from league.sim.config import Spread
@@ -61,6 +61,19 @@ class SelfPlayConfig:
     """Races of each pair in the win matrix, half from either slot."""
     duel: DuelConfig = field(default_factory=DuelConfig)
     """The measuring races."""
+
+    def with_scripted(self, share: float) -> SelfPlayConfig:
+        """Return the settings with another share of scripted drivers, the rest in proportion."""
+        if not 0 <= share < 1:
+            raise ConfigError(f"the share of scripted drivers is {share}: give 0 to below 1")
+        rest = (1.0 - share) / (1.0 - self.scripted)
+        return replace(
+            self,
+            newest=self.newest * rest,
+            prioritised=self.prioritised * rest,
+            hardest=self.hardest * rest,
+            scripted=share,
+        )
 
     def __post_init__(self) -> None:
         shares = (self.newest, self.prioritised, self.hardest, self.scripted)
