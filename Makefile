@@ -7,7 +7,7 @@ export OMP_WAIT_POLICY = PASSIVE
 .PHONY: race league test sync format check type bench clean
 
 race: sync
-	$(BIN)/league race blocker racing_line centerline cautious --track reinvent_2018
+	$(BIN)/league race duelist racer --track reinvent_2018
 
 # A league in runs/league/: the garage and the scripted drivers, raced for two minutes.
 LEAGUE := sqlite:///runs/league/league.db

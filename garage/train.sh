@@ -20,9 +20,9 @@ dodger() {  # six boxes at random places
 }
 duelist() {  # the racer, after half an hour of racing its own past and slower cars
     "$league" train --out garage/duelist.pt --kind head_to_head --self-play \
-        --init-from garage/racer.pt --reward race --action-space 1-4 --minutes 30 \
-        --learning-rate 2e-3 3e-4 --noise 0.25 0.06 --scripted-share 0.4 \
-        --random-cars --car-spread 0.15 --exam-every 4 --seed 1 --plain
+        --init-from garage/racer.pt --reward race --action-space 1-4 --minutes 25 \
+        --noise 0.4 0.06 --scripted-share 0.4 --random-cars --car-spread 0.15 \
+        --exam-every 8 --seed 1 --plain
 }
 globetrotter() {  # random tracks only, with random cars and looks: drives any track at first sight
     "$league" train --out garage/globetrotter.pt --track generated:768 --action-space 0.5-3 \

@@ -30,6 +30,12 @@ def recorded(tmp_path_factory):
     return replay, path
 
 
+@pytest.mark.parametrize("name", ["reward_avoid", "reward_centerline", "reward_progress"])
+def test_examples_of_reward_functions_never_fail(capsys, name):
+    assert command.CheckReward(EXAMPLES / f"{name}.py").run() == 0
+    assert "Fails" not in capsys.readouterr().out
+
+
 def test_check_tells_what_a_good_file_pays_and_reads(capsys):
     assert command.CheckReward(EXAMPLES / "reward_heading.py").run() == 0
     out = capsys.readouterr().out

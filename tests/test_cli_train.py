@@ -20,7 +20,7 @@ from league.training.run import settings
 
 TINY = (
     *("--track", "reinvent_2018", "--reward", "centerline", "--action-space", "0.5-1"),
-    *("--sensors", "stereo24x18", "--num-worlds", "4", "--rollout", "8", "--epochs", "1"),
+    *("--sensors", "stereo40x30", "--num-worlds", "4", "--rollout", "8", "--epochs", "1"),
     *("--mini-batches", "2", "--minutes", "0", "--threads", "1", "--plain", "--no-tensorboard"),
 )
 
@@ -49,7 +49,7 @@ def test_training_leaves_a_policy_that_races(league, tmp_path):
     assert {"best.pt", "last.pt", "state.pt", "settings.json", "history.jsonl"} <= kept
     assert "training.png" in kept
     code, out, _ = league(
-        *("race", "mine.pt", "centerline", "--laps", "1", "--solver", "planar", "--no-replay")
+        *("race", "mine.pt", "centerline", "--laps", "1", "--solver", "planar", "--replay", "none")
     )
     assert code == 0, out
     assert "mine" in out

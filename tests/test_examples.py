@@ -18,8 +18,8 @@ def test_a_driver_is_trained_with_a_reward_of_ones_own(capsys, monkeypatch):
     monkeypatch.setattr("sys.argv", ["train_with_reward.py", "0.001"])
     runpy.run_path(str(EXAMPLES / "train_with_reward.py"), run_name="__main__")
     first, second = capsys.readouterr().out.splitlines()
-    # One update of 32 worlds and 32 steps takes longer than 0.06 s.
-    assert first == "1024 decisions; the time was up"
+    # One update of 32 worlds and 64 steps takes longer than 0.06 s.
+    assert first == "2048 decisions; the time was up"
     assert second.startswith("mine: ")
 
 

@@ -252,7 +252,7 @@ def _learner(command: Train) -> TrainConfig:
         obstacles=command.obstacles,
         bots=command.bots,
         # So that a save point comes every 10 to 20 s.
-        save_every=max(1, min(8, 16_384 // (command.num_worlds * ppo.steps))),
+        save_every=max(1, min(8, 16_384 // max(command.num_worlds * ppo.steps, 1))),
     )
 
 
