@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import sys
 from pathlib import Path
 
 import pytest
@@ -12,15 +13,13 @@ import pytest
 from league.cli import main
 
 HERE = Path(__file__).parent
+for wing in ("agents", "matchmaking"):
+    sys.path.append(str(HERE / wing))  # trained.py and season_kit.py, as in the wings' own tests
 
 
 @pytest.fixture(scope="module")
 def league(tmp_path_factory) -> Path:
     """Return the folder of a league in which two entries have raced for a moment."""
-    import sys
-
-    for wing in ("agents", "matchmaking"):
-        sys.path.append(str(HERE / wing))
     from season_kit import Here, submitted
 
     from league.matchmaking import running
@@ -160,6 +159,10 @@ def test_a_wrong_name_gives_the_nearest_ones(told, capsys):
         (["audit", "--sample", "some"], "--sample 'some' is no share"),
         (["audit", "--sample", "0%"], "more than 0"),
         (["run", "--heats", "0"], "give 1 or more"),
+        (["run", "--workers", "9999"], "give 1 to "),
+        (["audit", "--workers", "-1"], "give 1 to "),
+        (["compare", "ann", "bob", "--elo0", "9", "--elo1", "1"], "elo1 must be the larger"),
+        (["init", "--name", ""], "given no name"),
         (["retry", "1"], "only heats in error"),
         (["view", "999"], "no heat of this league"),
         (["view", "1", "--race", "7"], "no replay of race 7"),

@@ -73,8 +73,8 @@ class Standings:
     num_races: int
     """Rated races that count."""
 
-    def row(self, number: int) -> Row:
-        """Return an entry's line by its number.
+    def row(self, number: int, name: str = "") -> Row:
+        """Return an entry's line by its number; its name is for the error only.
 
         Raises:
             StoreError: it is not rated.
@@ -82,7 +82,7 @@ class Standings:
         found = next((row for row in self.rows if row.number == number), None)
         if found is None:
             raise StoreError(
-                f"entry {number} is not rated yet: it must pass its validation heats first, "
+                f"{brief(name) if name else f'entry {number}'} is not rated yet: it must pass its validation heats first, "
                 "`league entries` shows where it stands"
             )
         return found

@@ -126,6 +126,8 @@ def _rules(command: Init) -> Ruleset:
     from league.matchmaking.keys import Ruleset
     from league.track import files
 
+    if not command.name.strip():
+        raise ConfigError("the league was given no name: name it, as in --name club")
     for name in command.anchors:
         if name not in roster.NAMES:
             nearest = nearest_names(name, list(roster.NAMES))

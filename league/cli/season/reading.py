@@ -191,7 +191,7 @@ def _h2h(store: Store, one: Entry, other: Entry, as_json: bool) -> int:
         raise StoreError(f"{one.name!r} was given twice: name two entries")
     found = standings.of(store)
     for entry in (one, other):
-        found.row(entry.number)
+        found.row(entry.number, entry.name)
     gap = found.ratings.difference(one.number, other.number)
     record = standings.record(found, one.number, other.number)
     heats = [heat.number for heat in store.heats(("done",), entries=[one.number, other.number])]

@@ -97,8 +97,6 @@ def _check(command: Work) -> None:
         raise ConfigError(f"--minutes {command.minutes}: give more than 0")
     if not 1 <= command.lease_s <= 3600:
         raise ConfigError(f"--lease-s {command.lease_s}: give 1 to 3600 s")
-    if not 0 <= command.workers <= 512:
-        raise ConfigError(f"--workers {command.workers}: give 1 to 512, or 0 for one a core")
 
 
 @contextmanager

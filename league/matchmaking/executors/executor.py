@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Literal, Protocol
 
 from league.errors import ConfigError, brief
@@ -11,6 +12,11 @@ ExecutorName = Literal["processes", "ray"]
 
 JOB_LIMIT_S = 1800.0
 """A heat that takes longer than this is stuck: its worker is ended [s]."""
+
+WORKERS_PER_CORE = 4
+"""Processes of one machine at most, for each of its cores: each loads torch and takes 0.4 GB."""
+MOST_ACTORS = 4096
+"""Actors of a cluster at most."""
 
 
 class Executor(Protocol):
@@ -43,10 +49,15 @@ def make(name: ExecutorName, num_workers: int) -> Executor:
     """Start workers.
 
     Raises:
-        ConfigError: none were asked for, or Ray is not installed.
+        ConfigError: none or far too many were asked for, or Ray is not installed.
     """
-    if num_workers < 1:
-        raise ConfigError(f"{num_workers} workers were asked for: give 1 or more")
+    cores = os.cpu_count() or 1
+    most = MOST_ACTORS if name == "ray" else max(8, WORKERS_PER_CORE * cores)
+    if not 1 <= num_workers <= most:
+        raise ConfigError(
+            f"{num_workers} workers were asked for: give 1 to {most} (this machine has {cores} "
+            "cores, and each worker takes one)"
+        )
     if name == "processes":
         from league.matchmaking.executors.processes import Processes
 
