@@ -146,6 +146,8 @@ class Season:
             plans += validation_heats(newcomer, field_.standings, settings, generator)
         rated = [standing for standing in field_.standings if standing.state in RATED]
         wanted = min(max(self._least_round, len(rated) // 2), ROUND // 2)
+        if field_.coming and all(standing.anchor for standing in rated):
+            wanted = 0  # a new league's first entries need not wait for its anchors to be sure
         plans = plans[: ROUND // 2]
         id_of = {entry.number: entry.id for entry in entries}
         met = _met(evidence, {id: number for number, id in id_of.items()})
@@ -189,6 +191,8 @@ class _Field:
     """Those whose validation heats are to be planned."""
     states: dict[int, tuple[EntryState, str]] = field(default_factory=dict)
     """Where each entry stands, and why it was refused."""
+    coming: int = 0
+    """Entries of which it is not known yet whether they pass."""
 
     @classmethod
     def of(
@@ -212,6 +216,7 @@ class _Field:
                 state = "placement"
             elif heats:
                 state = "validating"
+                field_.coming += not all(evidence.counts(record.number) for record in heats)
             field_.states[entry.number] = (state, reason)
             if state in ("retired", "refused"):
                 continue
@@ -220,6 +225,7 @@ class _Field:
             )
             if state == "pending":
                 field_.newcomers.append(standing)
+                field_.coming += 1
             elif state in RATED and fitted is not None:
                 at = fitted.index(entry.number)
                 sd = float(fitted.sd[at])

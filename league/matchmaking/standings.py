@@ -81,8 +81,9 @@ class Standings:
         """
         found = next((row for row in self.rows if row.number == number), None)
         if found is None:
+            who = brief(name) if name else f"entry {number}"
             raise StoreError(
-                f"{brief(name) if name else f'entry {number}'} is not rated yet: it must pass its validation heats first, "
+                f"{who} is not rated yet: it must pass its validation heats first, "
                 "`league entries` shows where it stands"
             )
         return found

@@ -82,6 +82,29 @@ def test_a_newcomer_races_itself_and_an_anchor_before_it_is_paired(url):
         assert all(r.heat.purpose == "rated" for r in store.heats(("planned",)))
 
 
+def test_a_new_leagues_first_entries_do_not_wait_behind_races_of_its_anchors(url):
+    with new_league(url, anchors=("centerline", "cautious")) as store:
+        submitted(store, "e0", senses="blind")
+        planner = Season(store)
+        assert [planner.plan(), planner.plan()] == [2, 0]
+        assert all(record.heat.purpose == "validation" for record in store.heats())
+        running.run(store, Crew(store, Coin()), None, heats=2)
+        assert planner.plan() == 8  # now that all three are known, everybody meets everybody
+        me = store.entry("e0").id
+        assert any(me in record.heat.entries for record in store.heats(("planned",)))
+
+
+def test_anchors_go_on_racing_when_a_newcomer_cannot_be_validated(url):
+    with new_league(url, anchors=("centerline", "cautious")) as store:
+        submitted(store, "e0", senses="blind")
+        planner = Season(store)
+        planner.plan()
+        while claims := store.claim("w", 9):
+            for claim in claims:
+                store.fail("w", claim.heat.key, "the dog ate it")
+        assert planner.plan() == 8 and states(store)["e0"] == "validating"
+
+
 def test_two_rounds_are_in_the_queue_and_the_next_waits_for_the_older_one(url):
     with new_league(url, anchors=("centerline", "cautious", "blocker")) as store:
         planner = Season(store)

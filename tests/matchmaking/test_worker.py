@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 
 import pytest
@@ -159,24 +161,18 @@ def test_a_heat_that_fails_three_times_is_an_error_with_its_traceback(league):
     assert Crew(league, Here()).step(0.0)[0].became == "accepted"
 
 
-def test_a_damaged_blob_fails_its_heat_and_not_the_season(league, monkeypatch):
-    submitted(league, "ann")
-    given = job(league, "ann", "bob")
-    duel = job(league, "centerline", "bob")
+def test_a_damaged_blob_fails_its_heat_and_not_the_season(league, tmp_path):
+    ann = submitted(league, "ann", senses="blind")
     tracks = ("reinvent_2018",) * 2
-    league.plan([keys.mirrored(SHORT.hash, tracks, tuple(one.field)) for one in (given, duel)])
-    broken = contestant(league, league.entry("ann"))
-    monkeypatch.setattr(
-        "league.matchmaking.crew.contestant",
-        lambda store, entry: (
-            contestant(store, entry)
-            if entry.kind == "scripted"
-            else store.blobs.get("0" * 64) and broken
-        ),
-    )
+    fields = [job(league, "ann", "bob").field, job(league, "centerline", "bob").field]
+    league.plan([keys.mirrored(SHORT.hash, tracks, tuple(field)) for field in fields])
+    with closing(sqlite3.connect(tmp_path / "league.db")) as database, database:
+        there = "update blobs set content = zeroblob(length(content)) where digest = ?"
+        assert database.execute(there, [ann.id]).rowcount == 1
     ended = Crew(league, Here(2)).step(0.0)
     assert [one.became for one in ended] == ["planned", "accepted"]
-    assert "holds no file" in league.heat(1).traceback
+    assert "is damaged (its hash differs)" in ended[0].report.traceback
+    assert len(league.races().heat) == 2
 
 
 def test_a_heat_of_another_physics_is_not_raced(league, monkeypatch):

@@ -77,14 +77,21 @@ class Entries(Reading):
         if self.json:
             door.print_json(entries)
             return 0
-        table = tables.table("Entries", "name", "owner", "state", "id", "kind", "submitted", "")
+        table = tables.table("Entries", "name", "owner", "state", "id", "kind", "submitted")
         for entry in entries:
             kind = "anchor" if entry.anchor else entry.kind
-            submitted = door.day(entry.created_s)
             table.add_row(
-                entry.name, entry.owner, entry.state, entry.id[:12], kind, submitted, entry.reason
+                entry.name[:24],
+                entry.owner[:14],
+                entry.state,
+                entry.id[:8],
+                kind,
+                door.day(entry.created_s)[:10],
             )
         tables.console().print(table)
+        for entry in entries:
+            if entry.reason:
+                print(f"{entry.name} is {entry.state}: {entry.reason}")
         return 0
 
 
@@ -185,7 +192,8 @@ def _submit(command: Submit) -> int:
                 "FILE.pt"
             )
     print(f"{entry.name} by {entry.owner}: entry {entry.id[:12]}, {entry.state}")
-    print("It is raced against itself and an anchor first: `league run`, then `league entries`.")
+    if entry.state == "pending":
+        print("It races itself and an anchor first: `league run`, then `league entries`.")
     return 0
 
 

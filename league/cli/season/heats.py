@@ -43,7 +43,7 @@ class Heats(Reading):
         for record in records:
             half = record.heat.halves[0]
             grid = " - ".join(names[id] for id in half.grid)
-            done = door.day(record.done_s)
+            done = door.day(record.done_s)[5:]
             table.add_row(
                 str(record.number), grid, record.heat.purpose, record.state, half.track, done
             )

@@ -108,8 +108,10 @@ class Page:
         head = (
             f"{self._store.settings.name}   {wall_s / 60:.1f} min   {tally.heats} heats, "
             f"{60 * tally.heats / wall_s:.1f} a minute   {tally.race_s / wall_s:.1f} x real time   "
-            f"queue {counts.get('planned', 0)}   failed tries {tally.failures}"
+            f"queue {counts.get('planned', 0)}"
         )
+        if tally.failures:
+            head += f"   failed tries {tally.failures}"
         now = time.monotonic()
         under_way = [
             f"  {one.claim.number:>6} {one.claim.heat.purpose:<10} {' - '.join(one.names)}"

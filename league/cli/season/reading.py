@@ -123,7 +123,8 @@ def notes(found: Standings) -> list[str]:
     lines = [
         f"{found.num_races} races under rules {found.ruleset[:12]}; the front of the grid is worth "
         f"{front[0] - front[-1]:+.0f} Elo over its end.",
-        "? provisional (sd above 50)   ! won or lost every pair   ranks: those the intervals allow",
+        "? provisional: sd above 50, listed by Elo - 2 sd   ! won or lost every pair",
+        "ranks: those the intervals allow",
     ]
     if not found.ratings.all_connected:
         lines.append("~ no chain of races leads to the anchor; such ratings lean on the prior.")
