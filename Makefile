@@ -12,7 +12,7 @@ race: sync
 # A league in runs/league/: the garage and the scripted drivers, raced for two minutes.
 LEAGUE := sqlite:///runs/league/league.db
 league: sync
-	@test -e runs/league/league.db || $(BIN)/league init --league $(LEAGUE) --name garage --laps 1
+	@test -e runs/league/league.db || $(BIN)/league init --league $(LEAGUE) --name garage
 	@for policy in garage/*.pt; do \
 		test ! -e "$$policy" || $(BIN)/league submit "$$policy" --owner garage --league $(LEAGUE) || exit 1; \
 	done

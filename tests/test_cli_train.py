@@ -44,7 +44,7 @@ def test_training_leaves_a_policy_that_races(league, tmp_path):
     assert "Best policy: mine.pt" in out
     card = checkpoint.load(tmp_path / "mine.pt").card
     assert card.name == "mine"
-    assert card.command.startswith("league ")
+    assert card.command.startswith("league")
     kept = {path.name for path in (tmp_path / "mine.run").iterdir()}
     assert {"best.pt", "last.pt", "state.pt", "settings.json", "history.jsonl"} <= kept
     assert "training.png" in kept
@@ -83,7 +83,7 @@ def test_model_metadata_sets_actions_and_sensors(league, tmp_path):
                     {"steering_angle": 0, "speed": 1.0, "index": 1},
                     {"steering_angle": 20, "speed": 0.8, "index": 2},
                 ],
-                "sensor": ["SECTOR_LIDAR"],
+                "sensor": ["LEFT_CAMERA", "SECTOR_LIDAR"],
                 "neural_network": "DEEP_CONVOLUTIONAL_NETWORK_SHALLOW",
                 "version": "5",
             }
@@ -94,7 +94,8 @@ def test_model_metadata_sets_actions_and_sensors(league, tmp_path):
     assert (code, err) == (0, "")
     card = checkpoint.load(tmp_path / "d.pt").card
     assert card.action_space == DiscreteActions(((-20.0, 0.8), (0.0, 1.0), (20.0, 0.8)))
-    assert card.sensors.camera is None
+    assert card.sensors.camera is not None
+    assert card.sensors.camera.eyes == "left"
     assert card.sensors.lidar is not None
     assert card.sensors.lidar.form == "sectors"
 
@@ -260,6 +261,8 @@ def started(folder, *flags: str) -> subprocess.Popen:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        # A suite that runs in the background has its children ignore Ctrl-C.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
 
 
@@ -277,7 +280,7 @@ def test_killed_training_goes_on_from_its_last_save_point(tmp_path):
     process = started(tmp_path, "--steps", "100000")
     wait_for_updates(tmp_path, 12, process)
     process.send_signal(signal.SIGKILL)
-    process.communicate()
+    process.communicate(timeout=120)
     folder = tmp_path / "long.run"
     kept = checkpoint.load(folder / "last.pt").card.steps
     assert kept >= 8 * 32  # a save point every 8 updates

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import assert_same
+from scenes import assert_same
 
 from league import race
 from league.race_spec import Entry, RaceSpec

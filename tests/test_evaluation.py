@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import pytest
 import torch
-from conftest import RING_LENGTH, follow_center, make_ring, make_straight
+from scenes import RING_LENGTH, follow_center, make_ring, make_straight
 
 from league import race
 from league.envs.action_space import DiscreteActions

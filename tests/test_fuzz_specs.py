@@ -4,8 +4,8 @@ import math
 import random
 
 import pytest
-from conftest import make_ring
 from pydantic import ValidationError
+from scenes import make_ring
 
 from league import race
 from league.envs.config import EnvConfig

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import pytest
 import torch
-from conftest import follow_center, make_ring, make_square, make_straight
+from scenes import follow_center, make_ring, make_square, make_straight
 
 from league import race
 from league.errors import ConfigError, LeagueError

@@ -118,7 +118,9 @@ class Judge:
             # Left unread, an order would keep this process from ending.
             self._orders.cancel_join_thread()
             self._process = context.Process(
-                target=_work, args=(exam, self._orders, self._answers), daemon=True
+                target=_work,
+                args=(exam, self._orders, self._answers, os.getpid()),
+                daemon=True,
             )
             with _deaf():
                 self._process.start()
@@ -198,13 +200,14 @@ def _deaf() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def _work(exam: Exam, orders: multiprocessing.Queue, answers: multiprocessing.Queue) -> None:
+def _work(
+    exam: Exam, orders: multiprocessing.Queue, answers: multiprocessing.Queue, parent: int
+) -> None:
     """Judge until stopped."""
     import torch
 
     torch.set_num_threads(1)
     os.nice(10)  # where cores are few, learning goes first
-    parent = os.getppid()
     while True:
         try:
             number, card, weights = orders.get(timeout=5.0)

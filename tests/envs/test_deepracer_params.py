@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from conftest import go_to, make_square, put_cars, touch
+from scenes import go_to, make_square, put_cars, touch
 
 from league.envs.deepracer.lines import Lines
 from league.envs.deepracer.situation import KEYS, Situations

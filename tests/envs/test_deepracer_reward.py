@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from conftest import follow_center, make_ring
+from scenes import follow_center, make_ring
 
 from league.envs import rewards
 from league.envs.config import EnvConfig, RewardConfig

@@ -6,11 +6,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import make_ring
 from gymnasium.utils.env_checker import data_equivalence
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 from pettingzoo.test.max_cycles_test import max_cycles_test
 from pettingzoo.utils.conversions import parallel_to_aec
+from scenes import make_ring
 
 from league.envs import parallel_env
 from league.errors import ActionError, ConfigError, LeagueError, TrackError
@@ -173,7 +173,7 @@ def test_an_agent_that_finishes_leaves_and_never_comes_back_until_reset():
 
 def steer(env, car, speed):
     """Follow the centreline by the truth."""
-    from conftest import follow_center
+    from scenes import follow_center
 
     from league.envs import observations
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from conftest import make_ring, make_straight, mirror, put_cars
+from scenes import make_ring, make_straight, mirror, put_cars
 
 from league.envs import observations
 from league.envs.state import ABSENT_GAP, FIELDS, INDEX, NEIGHBOURS, SIZE

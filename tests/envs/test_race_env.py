@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from conftest import assert_same, follow_center, make_ring, make_square
+from scenes import assert_same, follow_center, make_ring, make_square
 
 from league.envs.config import EnvConfig, RewardConfig
 from league.envs.observations import state

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from conftest import go_to, put_cars, touch
+from scenes import go_to, put_cars, touch
 
 from league.envs import rewards
 from league.envs.config import RewardConfig

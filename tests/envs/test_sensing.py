@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from conftest import assert_same, follow_center, make_ring
+from scenes import assert_same, follow_center, make_ring
 
 from league.envs import observations
 from league.envs.race_env import RaceEnv

@@ -8,9 +8,9 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
-from conftest import follow_center, make_ring
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
+from scenes import follow_center, make_ring
 
 from league.envs.batch_env import BatchEnv
 from league.envs.registration import IDS

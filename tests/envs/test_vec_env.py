@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from conftest import follow_center, make_ring
+from scenes import follow_center, make_ring
 from vec_env_kit import check_rows_are_apart, check_steps, check_vec_env
 
 from league.envs.config import EnvConfig, RewardConfig

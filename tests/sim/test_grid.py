@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from conftest import assert_same, make_ring, make_straight, put_cars
+from scenes import assert_same, make_ring, make_straight, put_cars
 
 from league.sim import grid
 from league.sim.config import CarConfig, ObstacleConfig, SimConfig, Spread

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from conftest import assert_same, make_ring, make_straight
+from scenes import assert_same, make_ring, make_straight
 
 from league.sim import obstacles
 from league.sim.config import ObstacleConfig, SimConfig

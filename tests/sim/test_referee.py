@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from conftest import assert_same, go_to, make_ring, mirror, put_cars, touch
+from scenes import assert_same, go_to, make_ring, mirror, put_cars, touch
 
 from league.sim import referee
 from league.sim.config import ObstacleConfig, RaceRules, SimConfig

@@ -1,6 +1,7 @@
 """The tracks of a run: names, files, random ones, both directions."""
 
 import pytest
+from scenes import make_ring
 import torch
 
 from league.errors import ConfigError, TrackError
@@ -51,7 +52,8 @@ def test_named_tracks_are_judged_on_themselves():
 
 def test_random_tracks_are_judged_on_others_that_are_never_trained_on(monkeypatch):
     drawn = []
-    monkeypatch.setattr(courses, "generate", lambda seed, **settings: drawn.append(seed) or seed)
+    ring = make_ring()
+    monkeypatch.setattr(courses, "generate", lambda seed, **settings: drawn.append(seed) or ring)
     courses.load([f"generated:{courses.MOST_GENERATED}"])
     trained = set(drawn)
     drawn.clear()

@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 import torch
-from conftest import make_ring
+from scenes import make_ring
 
 from league.agents.network import NetworkConfig
 from league.envs.action_space import ActionSpace, ContinuousActions, DiscreteActions

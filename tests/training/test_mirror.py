@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 import torch
-from conftest import make_square
-from conftest import mirror as mirrored_track
+from scenes import make_square
+from scenes import mirror as mirrored_track
 from tensordict import TensorDict
 
 from league.envs.action_space import ContinuousActions, DiscreteActions, grid

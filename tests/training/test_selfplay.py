@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from conftest import make_ring
+from scenes import make_ring
 
 from league.agents.card import Card
 from league.agents.checkpoint import Checkpoint

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from conftest import assert_same, make_ring
+from scenes import assert_same, make_ring
 
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv

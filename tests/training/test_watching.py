@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 import rerun as rr
 import torch
-from conftest import make_ring, make_square
 from rerun.chunk import RrdReader
+from scenes import make_ring, make_square
 from told import episodes, evaluation, update
 
 from league.rerun_view import paths, practice
