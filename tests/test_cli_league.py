@@ -159,7 +159,7 @@ def test_a_wrong_name_gives_the_nearest_ones(told, capsys):
         (["audit", "--sample", "some"], "--sample 'some' is no share"),
         (["audit", "--sample", "0%"], "more than 0"),
         (["run", "--heats", "0"], "give 1 or more"),
-        (["run", "--workers", "9999"], "give 1 to "),
+        (["run", "--workers", "-1"], "give 1 to "),
         (["audit", "--workers", "-1"], "give 1 to "),
         (["compare", "ann", "bob", "--elo0", "9", "--elo1", "1"], "elo1 must be the larger"),
         (["init", "--name", ""], "given no name"),

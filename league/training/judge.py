@@ -206,15 +206,11 @@ def _work(
     """Judge until stopped."""
     import torch
 
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     torch.set_num_threads(1)
     os.nice(10)  # where cores are few, learning goes first
     while True:
-        try:
-            number, card, weights = orders.get(timeout=5.0)
-        except queue.Empty:
-            if os.getppid() != parent:  # the learner was killed
-                return
-            continue
+        number, card, weights = orders.get()
         started = time.perf_counter()
         try:
             found = {name: torch.from_numpy(value) for name, value in weights.items()}
@@ -223,3 +219,13 @@ def _work(
             answers.put(str(error))
             return
         answers.put(Judgement(number, evaluation, time.perf_counter() - started))
+
+
+def _end_with(parent: int) -> None:
+    """End this process at once when the learner has been killed.
+
+    Reading its orders would not tell: a half-written one is waited for, for ever.
+    """
+    while os.getppid() == parent:
+        time.sleep(0.5)
+    os._exit(1)

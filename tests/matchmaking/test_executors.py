@@ -94,6 +94,12 @@ def test_workers_end_with_their_executor(job):
             os.kill(pid, 0)
 
 
+def test_more_workers_than_a_machine_can_bear_are_refused(monkeypatch):
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)  # so that few too many are enough
+    with pytest.raises(ConfigError, match="9 workers were asked for: give 1 to 8"):
+        executors.make("processes", 9)
+
+
 def test_no_workers_and_unknown_executors_are_refused():
     with pytest.raises(ConfigError, match="0 workers"):
         executors.make("processes", 0)

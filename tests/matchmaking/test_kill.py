@@ -50,8 +50,6 @@ def drain(path: Path, dice: random.Random | None, patience_s: float) -> int:
     kills, give_up = 0, time.monotonic() + patience_s
     with Store(f"sqlite:///{path}") as store:
         while time.monotonic() < give_up:
-            for record in store.heats(("error",)):
-                store.retry(record.heat.key)  # killed three times: its operator asks for it again
             if not left(store):
                 return kills
             crew = subprocess.Popen(WORK, env=environment, stdout=subprocess.DEVNULL)
@@ -83,7 +81,12 @@ def struck(store: Store, crew: subprocess.Popen, dice: random.Random | None) -> 
 
 
 def left(store: Store) -> bool:
-    """Return whether anything is still to be raced."""
+    """Return whether anything is still to be raced; heats killed three times are asked for again.
+
+    That is an operator's part, as `league retry` is.
+    """
+    for record in store.heats(("error",)):
+        store.retry(record.heat.key)
     return any(count for state, count in store.counts().items() if state != "done")
 
 

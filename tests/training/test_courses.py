@@ -1,8 +1,8 @@
 """The tracks of a run: names, files, random ones, both directions."""
 
 import pytest
-from scenes import make_ring
 import torch
+from scenes import make_ring
 
 from league.errors import ConfigError, TrackError
 from league.track import files
