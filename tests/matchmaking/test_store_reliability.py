@@ -295,8 +295,11 @@ def _run(program, *arguments):
 
 def _wait_until_stopped(pid):
     while True:
-        with open(f"/proc/{pid}/stat", encoding="utf-8") as stat:
-            state = stat.read().rsplit(")", 1)[1].split()[0]
+        try:
+            with open(f"/proc/{pid}/stat", encoding="utf-8") as stat:
+                state = stat.read().rsplit(")", 1)[1].split()[0]
+        except FileNotFoundError:
+            return  # on a fast machine it has written all there was
         if state in "TtZX":
             return
         time.sleep(0.001)
