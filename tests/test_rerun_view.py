@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import rerun as rr
 from recorded import by_hand, moved, raced
+from recordings import rows_of
 from rerun.chunk import RrdReader
 
 from league import rerun_view, web_viewer
@@ -18,17 +19,6 @@ from league.rerun_view import paths, poses, record, shapes
 from league.sim.camera.scene import CAR
 from league.sim.world import row
 from league.track import files
-
-
-def rows_of(path: Path) -> dict[str, int]:
-    """Return how many rows of changing data each entity of a recording has."""
-    rows: dict[str, int] = {}
-    for chunk in RrdReader(path).stream().to_chunks():
-        if not chunk.is_static:
-            assert paths.TIMELINE in chunk.timeline_names
-            name = chunk.entity_path.lstrip("/")
-            rows[name] = rows.get(name, 0) + chunk.num_rows
-    return rows
 
 
 def listening(port: int) -> list[str]:

@@ -134,7 +134,7 @@ def test_power_cut_at_any_moment_leaves_a_league_that_goes_on(tmp_path, torn):
     """
     path, copies = tmp_path / "league.db", random.Random(1)
     with leagues.founded(str(path)) as league:
-        league.plan(leagues.duels(league, 400))
+        league.plan(leagues.duels(league, 1_000))
     writer = _start(WRITER, str(path))
     try:
         assert writer.stdout is not None
@@ -156,6 +156,8 @@ def test_power_cut_at_any_moment_leaves_a_league_that_goes_on(tmp_path, torn):
                 os.truncate(wal, max(0, length - copies.randrange(1, 5000)))
             acknowledged = {key for line in told[1:] for key in line.split()}
             _goes_on(copy, set() if torn else acknowledged)
+            if writer.poll() is not None:
+                break  # all is raced: later copies would be the same
         assert acknowledged, "the writer got nothing done before the last copy"
     finally:
         writer.kill()
@@ -171,8 +173,8 @@ def _goes_on(copy, acknowledged):
         done = league.heats(["done"])
         assert acknowledged <= {record.heat.key for record in done}
         assert len(league.races().heat) == 2 * len(done)  # whole heats or none
-        claims = league.claim("after", 3)
-        assert league.complete("after", leagues.raced(claims)).accepted
+        claims = league.claim("after", 3)  # none, where a fast writer has raced them all
+        assert len(league.complete("after", leagues.raced(claims)).accepted) == len(claims)
         assert len(league.races().heat) == 2 * len(done) + 2 * len(claims)
 
 

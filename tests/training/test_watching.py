@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import rerun as rr
 import torch
+from recordings import rows_of
 from rerun.chunk import RrdReader
 from scenes import make_ring, make_square
 from told import episodes, evaluation, update
@@ -25,17 +26,6 @@ def made(num_worlds: int, *tracks, **settings: object):
     cfg = TrainConfig(num_worlds=num_worlds, sensors=SensorConfig(), **settings)  # pyright: ignore
     field = {car: "centerline" for car in range(1, cfg.num_cars)}
     return worlds.make(TrackSet.of(*(tracks or (make_ring(),))), cfg, opponents=field)
-
-
-def rows_of(path: Path) -> dict[str, int]:
-    """Return how many rows of changing data each entity of a recording has."""
-    rows: dict[str, int] = {}
-    for chunk in RrdReader(path).stream().to_chunks():
-        if not chunk.is_static:
-            assert paths.TIMELINE in chunk.timeline_names
-            name = chunk.entity_path.lstrip("/")
-            rows[name] = rows.get(name, 0) + chunk.num_rows
-    return rows
 
 
 def shown(path: Path, env, steps: int, step_s: float) -> tuple[Practice, list[float]]:
