@@ -243,7 +243,9 @@ def _runner_settings(cfg: TrainConfig) -> dict:
         "num_steps_per_env": ppo.steps,
         "save_interval": 1,
         "obs_groups": {"actor": groups, "critic": ["state"]},
-        "actor": actor_settings(cfg.network, cfg.action_space, "stereo" in groups, ppo.noise[0]),
+        "actor": actor_settings(
+            cfg.network, cfg.action_space, "stereo" in groups, ppo.noise[0], ppo.pull
+        ),
         "critic": {
             "class_name": MLPModel,
             "hidden_dims": list(cfg.critic_hidden),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 from rsl_rl.models import CNNModel, MLPModel
-from rsl_rl.modules.distribution import Distribution
+from rsl_rl.modules.distribution import Distribution, GaussianDistribution
 from tensordict import TensorDict
 from torch import Tensor, nn
 
@@ -29,6 +29,44 @@ class ByteCNNModel(CNNModel):
         return torch.cat(parts, dim=-1)
 
 
+class Leashed(GaussianDistribution):
+    """A Gaussian whose mean is pulled back where it leaves [-1, 1], the range of actions.
+
+    The worlds clip actions, so beyond the range no reward tells one mean from another, and nothing
+    brings one back that has drifted off: a car that asks for far more than full speed never tries
+    to brake earlier. The pull is the gradient of weight / 2 times the mean square of the excess.
+    """
+
+    def __init__(self, output_dim: int, pull: float = 0.0, **settings: object) -> None:
+        """Remember the weight of the pull."""
+        super().__init__(output_dim, **settings)  # type: ignore
+        self._pull = pull
+
+    def update(self, mlp_output: Tensor) -> None:
+        """Take the means; the gradient that goes back through them gains the pull."""
+        super().update(_Leash.apply(mlp_output, self._pull))  # type: ignore
+
+    def init_mlp_weights(self, mlp: nn.Module) -> None:
+        """Begin with the middle of each action's range."""
+        _answer_little(mlp)
+
+
+class _Leash(torch.autograd.Function):
+    """The identity, with a gradient towards [-1, 1] of its own."""
+
+    @staticmethod
+    def forward(ctx, means: Tensor, pull: float) -> Tensor:  # noqa: ANN001
+        ctx.save_for_backward(means)
+        ctx.pull = pull
+        return means.view_as(means)
+
+    @staticmethod
+    def backward(ctx, gradient: Tensor) -> tuple[Tensor, None]:  # noqa: ANN001  # type: ignore
+        (means,) = ctx.saved_tensors
+        excess = means - means.clamp(-1.0, 1.0)
+        return gradient + ctx.pull / means.shape[0] * excess, None
+
+
 class Categorical(Distribution):
     """Chooses from a list by scores; a choice is told as one-hot, (num_rows, size)."""
 
@@ -36,6 +74,10 @@ class Categorical(Distribution):
         """Remember how many choices there are."""
         super().__init__(output_dim)
         self._logits: Tensor | None = None
+
+    def init_mlp_weights(self, mlp: nn.Module) -> None:
+        """Begin with equal chances."""
+        _answer_little(mlp)
 
     def update(self, mlp_output: Tensor) -> None:
         """Take the scores, and normalise them into log probabilities."""
@@ -97,13 +139,27 @@ class Categorical(Distribution):
         return (old.exp() * (old - new)).sum(dim=-1)
 
 
+def _answer_little(mlp: nn.Module) -> None:
+    """Have an untaught actor answer close to 0, whatever it sees.
+
+    With torch's own draw of the last layer half of all seeds were thrown beyond the range of
+    actions by their first update and never came back (docs/training.md). Andrychowicz et al.,
+    "What Matters In On-Policy Reinforcement Learning?" (2020), section 3.2, scale it like this.
+    """
+    last = [layer for layer in mlp.modules() if isinstance(layer, nn.Linear)][-1]
+    with torch.no_grad():
+        last.weight.mul_(0.01)
+        last.bias.zero_()
+
+
 def actor_settings(
-    network: NetworkConfig, space: ActionSpace, pictures: bool, noise: float
+    network: NetworkConfig, space: ActionSpace, pictures: bool, noise: float, pull: float
 ) -> dict[str, object]:
     """Return rsl-rl's settings of an actor with these layers."""
     if isinstance(space, ContinuousActions):
         distribution: dict[str, object] = {
-            "class_name": "rsl_rl.modules.distribution:GaussianDistribution",
+            "class_name": Leashed,
+            "pull": pull,
             "init_std": noise,
             "std_type": "log",
             # Set by a schedule: left to the gradient it falls too slowly to race at the edge.

@@ -31,6 +31,8 @@ class PpoConfig:
     """Adam's step size, falling geometrically."""
     noise: tuple[float, float] = (0.4, 0.06)
     """Standard deviation of the exploration of continuous actions, falling geometrically."""
+    pull: float = 0.1
+    """How strongly means beyond [-1, 1] are pulled back; `Leashed` in models.py."""
     entropy: tuple[float, float] = (0.01, 0.0)
     """Weight of the entropy of discrete actions, falling linearly."""
     value_clip: bool = False

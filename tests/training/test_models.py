@@ -4,10 +4,12 @@ import math
 
 import pytest
 import torch
+from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 
 from league.agents.network import NetworkConfig
-from league.training.models import ByteCNNModel, Categorical
+from league.envs.action_space import ContinuousActions, DiscreteActions
+from league.training.models import ByteCNNModel, Categorical, Leashed, actor_settings
 
 SCORES = torch.log(torch.tensor([[0.5, 0.25, 0.25], [0.8, 0.1, 0.1]]))
 
@@ -73,6 +75,31 @@ def test_gradients_flow_from_choices_to_scores():
     # d ln softmax_0 / d scores = (1 - 0.5, -0.5)
     assert scores.grad is not None
     assert scores.grad.tolist() == [[0.5, -0.5]]
+
+
+def test_means_beyond_the_range_of_actions_are_pulled_back_and_others_are_not():
+    means = torch.tensor([[2.0, 0.5], [-1.5, 1.0]], requires_grad=True)
+    made = Leashed(2, pull=0.4, init_std=0.5)
+    made.update(means)
+    made.mean.sum().backward()
+    # 1 from the sum, and 0.4 / 2 rows x the excess of 1 and of -0.5
+    assert means.grad is not None
+    assert torch.allclose(means.grad, torch.tensor([[1.2, 1.0], [0.9, 1.0]]))
+    assert torch.equal(made.mean, means)
+
+
+@pytest.mark.parametrize(
+    "space",
+    [ContinuousActions(), DiscreteActions(((20.0, 1.0), (-20.0, 1.0)))],
+    ids=["continuous", "discrete"],
+)
+def test_an_untaught_actor_asks_for_much_the_same_whatever_it_sees(space):
+    settings = actor_settings(NetworkConfig(), space, False, 0.4, 0.1)
+    settings.pop("class_name")
+    told = TensorDict({"motion": 3.0 * torch.randn(64, 4)}, batch_size=64)
+    actor = MLPModel(told, {"actor": ["motion"]}, "actor", space.size, **settings)
+    answers = actor(told).detach()
+    assert 0.0 < float(answers.abs().max()) < 0.05
 
 
 def test_a_network_sees_the_same_in_bytes_as_in_shares_of_one():
