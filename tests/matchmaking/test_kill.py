@@ -9,10 +9,11 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from season_kit import new_league, submitted
+from season_kit import SHORT, new_league, submitted
 
 from league.matchmaking import standings
 from league.matchmaking.keys import Half, Heat
@@ -21,9 +22,13 @@ from league.matchmaking.store import Store
 WORK = [sys.executable, "-m", "league.cli", "work", "--lease-s", "5", "--workers", "2", "--plain"]
 
 
+RULES = replace(SHORT, max_time_s=0.3)
+"""Five steps: the shortest race whose cars are told apart."""
+
+
 def planned(path: Path, heats: int) -> None:
     """Make a league with heats in its queue, of a driver without weights and two of chance."""
-    with new_league(f"sqlite:///{path}") as store:
+    with new_league(f"sqlite:///{path}", rules=RULES) as store:
         for number in range(2):
             submitted(store, f"e{number}", seed=number, senses="blind")
         ids = [entry.id for entry in store.entries()]
@@ -44,7 +49,7 @@ def workers_of(pid: int) -> list[int]:
     return [int(child) for child in children.read_text().split()] if children.exists() else []
 
 
-def drain(path: Path, dice: random.Random | None, patience_s: float) -> int:
+def drain(path: Path, dice: random.Random | None, patience_s: float, heats: int) -> int:
     """Race until nothing is left, killing as the dice say; return how often was killed."""
     environment = {**os.environ, "LEAGUE_URL": f"sqlite:///{path}", "OMP_NUM_THREADS": "1"}
     kills, give_up = 0, time.monotonic() + patience_s
@@ -55,19 +60,19 @@ def drain(path: Path, dice: random.Random | None, patience_s: float) -> int:
             crew = subprocess.Popen(WORK, env=environment, stdout=subprocess.DEVNULL)
             try:
                 while crew.poll() is None and left(store) and time.monotonic() < give_up:
-                    kills += struck(store, crew, dice)
+                    kills += struck(store, crew, dice, max(5, heats // 8))
             finally:
                 crew.kill()
                 crew.wait()
     raise AssertionError(f"heats are left: {store.counts()}")
 
 
-def struck(store: Store, crew: subprocess.Popen, dice: random.Random | None) -> bool:
-    """Wait for a few results, then kill a worker or the process that hands the heats out."""
+def struck(store: Store, crew: subprocess.Popen, dice: random.Random | None, most: int) -> bool:
+    """Wait for some results, then kill a worker or the process that hands the heats out."""
     if dice is None:
         time.sleep(0.2)
         return False
-    wanted = store.counts().get("done", 0) + dice.randint(1, 5)
+    wanted = store.counts().get("done", 0) + dice.randint(1, most)
     while crew.poll() is None and left(store) and store.counts().get("done", 0) < wanted:
         time.sleep(0.05)
     time.sleep(dice.uniform(0.0, 0.4))
@@ -102,12 +107,12 @@ def outcome(path: Path) -> tuple:
 
 @pytest.mark.slow
 def test_kill_nine_loses_nothing_and_counts_nothing_twice(tmp_path):
-    heats = int(os.environ.get("LEAGUE_KILL_HEATS", "8"))
+    heats = int(os.environ.get("LEAGUE_KILL_HEATS", "60"))
     calm, wild = tmp_path / "calm.db", tmp_path / "wild.db"
     planned(calm, heats)
     shutil.copy(calm, wild)  # the same secret, so the same seeds
-    drain(calm, None, 60.0 + 10.0 * heats)
-    kills = drain(wild, random.Random(11), 120.0 + 20.0 * heats)
+    drain(calm, None, 120.0 + 5.0 * heats, heats)
+    kills = drain(wild, random.Random(11), 240.0 + 10.0 * heats, heats)
     assert kills > 0
     undisturbed, disturbed = outcome(calm), outcome(wild)
     assert disturbed == undisturbed and undisturbed[2] == 2 * heats
