@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from league.agents.driver import Driver
-from league.envs.config import EnvConfig
-from league.envs.race_env import RaceEnv, Step
+from league.agents.seats import Seat, Seats
+from league.envs.book import Book, classify
+from league.envs.config import EnvConfig, RewardConfig
+from league.envs.race_env import Observations, RaceEnv, Step
+from league.envs.sensing import Sensing
 from league.errors import ConfigError, PolicyError
-from league.race_spec import CarResult, Entry, Event, EventKind, RaceResult, RaceSpec
+from league.race_spec import Entry, RaceResult, RaceSpec
 from league.sim.config import CarConfig, ObstacleConfig, RaceRules, SimConfig, Spread
-from league.sim.referee import NOBODY
-from league.sim.world import World
+from league.sim.referee import Verdict
+from league.sim.world import World, row
 from league.track.course import Track, TrackSet
 
 if TYPE_CHECKING:
@@ -26,8 +29,26 @@ if TYPE_CHECKING:
 FAULTS_TO_END = 25
 """Answers in a row that are no action, after which a driver's race is over."""
 
+_UNPAID = RewardConfig(progress=0.0, off_track=0.0, crash=0.0)
+
 Watcher = Callable[[World], None]
 """Told the world at the start and after each step; it cannot change it."""
+
+
+@dataclass(frozen=True)
+class Contest:
+    """A race to run."""
+
+    spec: RaceSpec
+    """All that decides it."""
+    track: Track | None = None
+    """The course, if it is not one that ships under the spec's name."""
+    drivers: Sequence[Driver] | None = None
+    """Who drives, in grid order; by default loaded by the entries' names."""
+    record: bool = True
+    """Whether to keep a replay; it changes nothing in the race."""
+    watch: Watcher | None = None
+    """Told each world as it comes."""
 
 
 @dataclass(frozen=True)
@@ -101,92 +122,194 @@ def run(
     Raises:
         LeagueError: unknown drivers or track, or settings that contradict each other.
     """
+    return run_together([Contest(spec, track, drivers, record, watch)])[0]
+
+
+def run_together(contests: Sequence[Contest]) -> list[Finished]:
+    """Run races as one batch: each goes, to the bit, as it would alone, and the whole is faster.
+
+    A driver that is in several of them, as one object, is asked once a step for all of its cars.
+
+    Args:
+        contests: races of the same settings but for track, seed and drivers.
+
+    Raises:
+        LeagueError: as `run`; or the races are not alike.
+    """
     from league.track import files
 
-    sim = sim_config(spec)
-    tracks = TrackSet.of(track or files.load(spec.track))
-    if drivers is None:
-        drivers = [_loaded(entry, tracks, sim.car) for entry in spec.entries]
-    if len(drivers) != len(spec.entries):
-        raise ConfigError(f"{len(drivers)} drivers for {len(spec.entries)} entries: give as many")
-    cfg = EnvConfig(sim=sim, solver=spec.solver, sensors=tuple(d.sensors for d in drivers))
+    if not contests:
+        return []
+    specs = [one.spec for one in contests]
+    sim, solver = sim_config(specs[0]), specs[0].solver
+    for spec in specs[1:]:
+        if (sim_config(spec), spec.solver) != (sim, solver):
+            raise ConfigError(
+                f"races of seeds {specs[0].seed} and {spec.seed} have other settings: run together "
+                "only races that differ in nothing but track, seed and drivers"
+            )
+    courses = [one.track or files.load(one.spec.track) for one in contests]
+    field = [_drivers(one, course, sim.car) for one, course in zip(contests, courses, strict=True)]
     with torch.inference_mode():
-        return _Race(spec, tracks, cfg, drivers, record, watch).run()
+        return _Batch(contests, courses, field, EnvConfig(sim, solver, reward=_UNPAID)).run()
+
+
+def _drivers(contest: Contest, course: Track, car: CarConfig) -> Sequence[Driver]:
+    entries, drivers = contest.spec.entries, contest.drivers
+    if drivers is None:
+        tracks = TrackSet.of(course)
+        drivers = [_loaded(entry, tracks, car) for entry in entries]
+    if len(drivers) != len(entries):
+        raise ConfigError(f"{len(drivers)} drivers for {len(entries)} entries: give as many")
+    return drivers
+
+
+class _Batch:
+    """Races under way, a world each. A race that is over stands still until all are."""
+
+    def __init__(
+        self,
+        contests: Sequence[Contest],
+        courses: Sequence[Track],
+        field: Sequence[Sequence[Driver]],
+        cfg: EnvConfig,
+    ) -> None:
+        different = {id(course): course for course in courses}
+        rows = torch.tensor([list(different).index(id(course)) for course in courses])
+        tracks = TrackSet.of(*different.values())
+        self._env = RaceEnv(tracks, cfg, num_worlds=len(contests), track_index=rows)
+        self._seats = Seats(field)
+        self._races = [
+            _Race(contest, tracks, replace(cfg, sensors=tuple(one.sensors for one in drivers)))
+            for contest, drivers in zip(contests, field, strict=True)
+        ]
+        # Seats of races that are over and of drivers that were retired: nobody is asked for them.
+        self._idle: set[Seat] = set()
+        self._at_wall = torch.zeros(self._env.world.standing.ghost.shape, dtype=torch.bool)
+
+    def run(self) -> list[Finished]:
+        env = self._env
+        try:
+            told = env.reset(seeds=torch.tensor([race.spec.seed for race in self._races]))
+            self._seats.reset()
+            for index, race in enumerate(self._races):
+                race.begin(self._world(index))
+            while not all(race.result for race in self._races):
+                step = env.step(self._actions(told))
+                told = step.observations
+                self._follow(step)
+        finally:
+            env.close()
+        return [race.finished() for race in self._races]
+
+    def _world(self, index: int) -> World:
+        """Return one race's world."""
+        return self._env.world if len(self._races) == 1 else row(self._env.world, index)
+
+    def _actions(self, told: Observations) -> Tensor:
+        """Ask the drivers; an answer that is no action is replaced by the last good one."""
+        answers = self._seats.ask(told, [race.readings for race in self._races], self._idle)
+        actions = self._env.last_action.clone()
+        for seat, answer in answers.items():
+            if answer is not None:
+                actions[seat] = answer
+        for index, race in enumerate(self._races):
+            for car in range(self._env.num_cars):
+                seat = index, car
+                if seat in self._idle or not race.fault(car, answers[seat] is None):
+                    continue
+                self._idle.add(seat)
+                self._env.retire(car, index)
+        return actions
+
+    def _follow(self, step: Step) -> None:
+        """Write down the step in each race, and end those that are over."""
+        seen, env = step.verdict, self._env
+        scraped = seen.wall & ~self._at_wall
+        self._at_wall = seen.wall
+        cars = seen.mistake | seen.lap | seen.released | seen.was_hit | scraped
+        news = cars.any(dim=1) | seen.overtook.flatten(1).any(dim=1) | seen.lead_changed
+        ended = (step.terminated | step.truncated).tolist()
+        for index, (race, noted) in enumerate(zip(self._races, news.tolist(), strict=True)):
+            if race.result:
+                continue
+            seats = [(index, car) for car in range(env.num_cars)]
+            over = all(ended[index][car] or (index, car) in self._idle for index, car in seats)
+            part = slice(index, index + 1)
+            told = (_part(seen, part), scraped[part]) if noted else None
+            race.follow(self._world(index), env.last_action[part], told, over)
+            if over and len(self._races) > 1:
+                self._idle.update(seats)
+                env.retire(slice(None), index)
+
+
+def _part(seen: Verdict, worlds: slice) -> Verdict:
+    """Return what was found in some of the worlds."""
+    return Verdict(**{item.name: getattr(seen, item.name)[worlds] for item in fields(seen)})
 
 
 class _Race:
     """One race under way."""
 
-    def __init__(
-        self,
-        spec: RaceSpec,
-        tracks: TrackSet,
-        cfg: EnvConfig,
-        drivers: Sequence[Driver],
-        record: bool,
-        watch: Watcher | None,
-    ) -> None:
-        self._spec, self._drivers, self._watch = spec, drivers, watch
-        self._env = RaceEnv(tracks, cfg)
-        self._book = _Book(cfg.sim.step_dt, len(drivers))
-        self._faults = [0] * len(drivers)
-        self._retired: set[int] = set()
+    def __init__(self, contest: Contest, tracks: TrackSet, cfg: EnvConfig) -> None:
+        self.spec, self._watch = contest.spec, contest.watch
+        self.result: RaceResult | None = None
+        self.readings: Observations = ()
+        # Its own, because the drivers of another race may carry other sensors.
+        self._sensing = Sensing(tracks, cfg)
+        self._book = Book(cfg.sim.step_dt, cfg.sim.num_cars)
+        self._faults = [0] * cfg.sim.num_cars
         self._recorder = None
-        if record:
+        if contest.record:
             from league.replay import Recorder
 
-            self._recorder = Recorder(spec, tracks)
+            self._recorder = Recorder(contest.spec, tracks)
 
-    def run(self) -> Finished:
-        env = self._env
-        try:
-            told = env.reset(seeds=torch.tensor([self._spec.seed]))
-            for driver in self._drivers:
-                driver.reset(None)
-            if self._recorder:
-                self._recorder.start(env.world)
-            if self._watch:
-                self._watch(env.world)
-            while True:
-                actions = self._actions(told)
-                step = env.step(actions)
-                told = step.observations
-                self._book.note(step, env.world)
-                if self._recorder:
-                    self._recorder.add(env.world, env.last_action)
-                if self._watch:
-                    self._watch(env.world)
-                if self._over(step):
-                    break
-            result = classify(self._spec, env.world, self._book)
-        finally:
-            env.close()
-        replay = self._recorder.finish(result) if self._recorder else None
-        return Finished(result=result, replay=replay)
+    def begin(self, world: World) -> None:
+        """Take note of the grid."""
+        if self._recorder:
+            self._recorder.start(world)
+        self._seen(world)
 
-    def _over(self, step: Step) -> bool:
-        still_racing = ~(step.terminated | step.truncated)[0]
-        for car in self._retired:
-            still_racing[car] = False
-        return not bool(still_racing.any())
-
-    def _actions(self, told) -> Tensor:  # noqa: ANN001
-        """Ask each driver; an answer that is no action is replaced by the last good one."""
-        actions = self._env.last_action.clone()
-        for car, driver in enumerate(self._drivers):
-            if car in self._retired:
-                continue
-            answer = driver.act(told[car])
-            if _is_action(answer):
-                actions[:, car] = answer
-                self._faults[car] = 0
-                continue
-            self._faults[car] += 1
+    def fault(self, car: int, failed: bool) -> bool:
+        """Count a car's failures in a row; return whether its driver's race is over by them."""
+        self._faults[car] = self._faults[car] + 1 if failed else 0
+        if failed:
             self._book.add("driver_fault", car, value=float(self._faults[car]))
-            if self._faults[car] >= FAULTS_TO_END:
-                self._retired.add(car)
-                self._env.retire(car)
-        return actions
+        return self._faults[car] >= FAULTS_TO_END
+
+    def follow(
+        self, world: World, actions: Tensor, news: tuple[Verdict, Tensor] | None, over: bool
+    ) -> None:
+        """Take note of a step.
+
+        Args:
+            world: after it.
+            actions: what led to it.
+            news: what the referee found and who came to the wall, if there was anything.
+            over: whether it was the last one.
+        """
+        self._book.steps += 1
+        if news is not None:
+            self._book.note(*news, world)
+            self._sensing.refresh(news[0].crashed | news[0].released)
+        if self._recorder:
+            self._recorder.add(world, actions)
+        if over:
+            self.result = classify(self.spec, world, self._book)
+        self._seen(world)
+
+    def finished(self) -> Finished:
+        """Return what the race leaves."""
+        assert self.result is not None
+        replay = self._recorder.finish(self.result) if self._recorder else None
+        return Finished(result=self.result, replay=replay)
+
+    def _seen(self, world: World) -> None:
+        if self._watch:
+            self._watch(world)
+        if self.result is None:
+            self.readings = self._sensing.read(world)
 
 
 def rerun(replay: Replay, checkpoints: Sequence[str | os.PathLike[str]] = ()) -> Replay:
@@ -236,139 +359,3 @@ def _loaded(entry: Entry, tracks: TrackSet, car: CarConfig) -> Driver:
             "give the file it was then, as in `league verify REPLAY --policies FILE.pt`"
         )
     return driver
-
-
-def _is_action(answer: object) -> bool:
-    return (
-        isinstance(answer, Tensor)
-        and answer.shape == (1, 2)
-        and answer.is_floating_point()
-        and bool((answer.abs() <= 1.0).all())  # False for NaN
-    )
-
-
-@dataclass
-class _Book:
-    """The events of a race, and each car's laps, as they happen."""
-
-    step_dt: float
-    num_cars: int
-    events: list[Event] = field(default_factory=list)
-    laps: list[list[float]] = field(default_factory=list)
-    penalties: list[float] = field(default_factory=list)
-    at_wall: Tensor = field(init=False)
-    steps: int = 0
-
-    def __post_init__(self) -> None:
-        self.laps = [[] for _ in range(self.num_cars)]
-        self.penalties = [0.0] * self.num_cars
-        self.at_wall = torch.zeros((1, self.num_cars), dtype=torch.bool)
-        self.events.append(Event(time_s=0.0, kind="start", car=0))
-
-    def add(
-        self, kind: EventKind, car: int, other: int | None = None, value: float | None = None
-    ) -> None:
-        time_s = round(self.steps * self.step_dt, 4)
-        self.events.append(Event(time_s=time_s, kind=kind, car=car, other=other, value=value))
-
-    def note(self, step: Step, world: World) -> None:
-        """Write down what the referee found in this step."""
-        self.steps += 1
-        seen, now = step.verdict, world.standing
-        scraped = seen.wall & ~self.at_wall
-        self.at_wall = seen.wall
-        flags = seen.mistake | seen.lap | seen.released | seen.was_hit | scraped
-        if not bool(flags.any() | seen.overtook.any() | seen.lead_changed.any()):
-            return
-        for car in range(self.num_cars):
-            if seen.lap[0, car]:
-                self.laps[car].append(round(float(now.last_lap_s[0, car]), 4))
-                self.add("lap", car, value=self.laps[car][-1])
-            if seen.finished[0, car]:
-                self.add("finish", car, value=round(float(now.finish_s[0, car]), 4))
-            self._note_mistakes(step, world, car)
-            for other in seen.overtook[0, car].nonzero()[:, 0].tolist():
-                self.add("overtake", car, other=other)
-            if seen.was_hit[0, car]:
-                self.add("contact", car)
-            if scraped[0, car]:
-                self.add("wall_contact", car)
-        if seen.lead_changed[0]:
-            self.add("lead_change", int(now.leader[0]))
-
-    def _note_mistakes(self, step: Step, world: World, car: int) -> None:
-        seen = step.verdict
-        penalty = float(world.standing.penalty_s[0, car])
-        named: tuple[tuple[EventKind, Tensor], ...] = (
-            ("off_track", seen.off_track),
-            ("immobilised", seen.immobilised),
-            ("reversed", seen.reversed),
-        )
-        for kind, flag in named:
-            if flag[0, car]:
-                self.add(kind, car, value=round(penalty, 4))
-        if seen.crashed[0, car]:
-            car_hit, thing = int(seen.crashed_car[0, car]), int(seen.crashed_obstacle[0, car])
-            if car_hit != NOBODY:
-                self.add("crash", car, other=car_hit, value=round(penalty, 4))
-            if thing != NOBODY:
-                self.add("obstacle_contact", car, other=thing, value=round(penalty, 4))
-        if seen.mistake[0, car]:
-            self.penalties[car] += penalty
-        if seen.released[0, car]:
-            self.add("put_back", car)
-
-
-def classify(spec: RaceSpec, world: World, book: _Book) -> RaceResult:
-    """Return the classification of a race that is over (facts 5.4)."""
-    now = world.standing
-    race_s = book.steps * book.step_dt
-    unplaced = []
-    for car, entry in enumerate(spec.entries):
-        finish_s = float(now.finish_s[0, car])
-        finished = finish_s != float("inf")
-        unplaced.append(
-            CarResult(
-                car=car,
-                name=entry.name,
-                place=1,
-                finished=finished,
-                laps=int(now.laps[0, car]),
-                total_s=round(finish_s if finished else race_s, 4),
-                lap_times_s=tuple(book.laps[car]),
-                distance=round(float(now.best_distance[0, car]), 3),
-                off_tracks=int(now.off_tracks[0, car]),
-                crashes=int(now.crashes[0, car]),
-                contacts_taken=int(now.contacts_taken[0, car]),
-                immobilised=int(now.immobilised[0, car]),
-                reversed=int(now.reversed[0, car]),
-                penalty_s=round(book.penalties[car], 4),
-                overtakes=int(now.overtakes[0, car]),
-            )
-        )
-    ordered = sorted(unplaced, key=lambda car: _merit(spec, car))
-    placed = [car.model_copy(update={"place": place}) for place, car in enumerate(ordered, 1)]
-    return RaceResult(
-        spec=spec,
-        order=tuple(placed),
-        steps=book.steps,
-        race_s=round(race_s, 4),
-        lead_changes=int(now.lead_changes[0]),
-        events=tuple(book.events),
-    )
-
-
-def _merit(spec: RaceSpec, car: CarResult) -> tuple[float, ...]:
-    """Return what to sort by: complete races first, by the spec's ranking; then by distance.
-
-    Equal times are told apart by fewer mistakes, then by the place on the grid.
-    """
-    times = {
-        "total": car.total_s,
-        "best": car.best_lap_s or float("inf"),
-        "average": car.total_s / max(car.laps, 1),
-    }
-    counts = car.best_lap_s is not None if spec.ranking == "best" else car.finished
-    time_s = times[spec.ranking] if counts else 0.0
-    mistakes = car.off_tracks + car.crashes
-    return (0.0 if counts else 1.0, time_s, -car.distance, float(mistakes), float(car.car))

@@ -82,13 +82,19 @@ def test_reward_file_fills_the_column_of_the_trace(league, tmp_path):
         (["centerline", "--laps", "0"], "laps"),
         (["centerline", "--trials", "0"], "trials"),
         (["centerline", "--seed", "-4"], "seed"),
-        (["centerline", "--obstacles", "99"], "obstacle count"),
+        (
+            ["centerline", "--kind", "obstacle_avoidance", "--obstacles", "99"],
+            "obstacle count",
+        ),
         (["centerline", "--trace", "t.csv", "--track", "peanut", "reinvent_2018"], "one track"),
         (["centerline", "--replay", "t.race", "--track", "peanut", "reinvent_2018"], "one track"),
         (["centerline", "--replay", "replays", "--episode"], "--episode"),
         (["centerline", "--reward", "race"], "--trace"),
         (["centerline", "--reward", "nothing", "--trace", "t.csv"], "centerline"),
         (["centerline", "--kind", "obstacle_avoidance", "--opponents", "cautious"], "--kind"),
+        (["centerline", "--bots"], "--bots means nothing without --kind obstacle_avoidance"),
+        (["centerline", "--obstacles", "3"], "--obstacles means nothing without --kind"),
+        (["centerline", "--trace", "."], "--trace is ., which is a folder"),
     ],
 )
 def test_mistake_is_answered_in_one_sentence_and_nothing_is_left(

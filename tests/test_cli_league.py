@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import sqlite3
 import sys
 from pathlib import Path
 
@@ -59,6 +60,45 @@ def test_standings_show_everybody_with_an_interval(told):
     assert [row["rank"] for row in table["entries"]] == [1, 2, 3]
     assert all(row["low95"] < row["elo"] < row["high95"] for row in table["entries"])
     assert len(json.loads(told("standings", "--json", "--top", "1"))["entries"]) == 1
+
+
+def test_standings_and_show_tell_races_not_finished_and_best_laps(told):
+    table = json.loads(told("standings", "--json"))
+    assert all(row["unfinished"] == 1.0 and row["best_laps_s"] == {} for row in table["entries"])
+    assert "DNF" in told("standings") and "best lap" in told("standings")
+    assert "not finished: 100 %, best lap: none" in told("show", "ann")
+
+
+def test_standings_fit_80_columns(told, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    text = told("standings")
+    assert max(map(len, text.splitlines()[:8])) <= 80 and "…" not in text
+
+
+def test_a_heat_in_quarantine_shows_both_results_and_can_be_raced_again(told, league):
+    from league.matchmaking.store import Outcome, RaceOutcome, Store
+
+    copy = league / "disputed.db"
+    with sqlite3.connect(league / "league.db") as there, sqlite3.connect(copy) as here:
+        there.backup(here)
+    url = f"sqlite:///{copy}"
+    with Store(url) as store:
+        record = next(r for r in store.heats(("done",)) if r.heat.purpose == "rated")
+        results = store.results(record.number)
+        lie = [RaceOutcome(r.places[::-1], {**r.result, "race_s": 0.0}) for r in results]
+        store.complete("liar", [Outcome(record.heat.key, tuple(lie))])
+    number, on = str(record.number), ("--league", url)
+    shown = told("heat", number, *on)
+    assert f"by {results[0].worker}" in shown and "by liar" in shown
+    assert results[0].hash[:12] in shown and f"league retry {number}" in shown
+    assert "waits to be raced again" in told("retry", number, *on)
+    with Store(url) as store:
+        store.claim("third", 1)
+        truth = tuple(RaceOutcome(r.places, r.result) for r in results)
+        store.complete("third", [Outcome(record.heat.key, truth)])
+    assert "by liar, REJECTED" in told("heat", number, *on)
+    rejected = [r["rejected"] for r in json.loads(told("heat", number, "--json", *on))["results"]]
+    assert sorted(rejected) == [False, False, True, True]
 
 
 def test_entries_are_listed_with_their_states(told):
@@ -138,6 +178,10 @@ def test_a_gauntlet_places_a_checkpoint_and_keeps_nothing(told, league):
     found = json.loads(told("gauntlet", str(path), "--workers", "1", "--json"))
     assert len(found["against"]) == 3 and all(races == 2 for _, races, _ in found["against"])
     assert 1 <= found["rank"] <= 4 and found["low95"] < found["elo"] < found["high95"]
+    # Six races: the 95 % interval of a player at p = 0.5 all along would be +-280 Elo without a
+    # prior, and no field of three is known well enough to make it less than +-100.
+    assert found["provisional"] and found["high95"] - found["low95"] > 200
+    assert found["best_rank"] <= found["rank"] <= found["worst_rank"]
     assert (told("entries"), told("heats")) == before
 
 
@@ -163,7 +207,7 @@ def test_a_wrong_name_gives_the_nearest_ones(told, capsys):
         (["audit", "--workers", "-1"], "give 1 to "),
         (["compare", "ann", "bob", "--elo0", "9", "--elo1", "1"], "elo1 must be the larger"),
         (["init", "--name", ""], "given no name"),
-        (["retry", "1"], "only heats in error"),
+        (["retry", "1"], "only heats in error, in quarantine"),
         (["view", "999"], "no heat of this league"),
         (["view", "1", "--race", "7"], "no replay of race 7"),
         (["h2h", "ann", "ann"], "name two entries"),

@@ -7,16 +7,20 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import fields
+from operator import attrgetter
 
 import pytest
 import torch
 
-from league.agents import checkpoint
-from league.cli.train import parse_actions, parse_sensors
+from league.agents import checkpoint, garage
+from league.cli import resuming
+from league.cli.train import Train
+from league.cli.train_settings import config, parse_actions, parse_sensors
 from league.envs.action_space import ContinuousActions, DiscreteActions
 from league.errors import ConfigError, LeagueError
 from league.training import history
-from league.training.run import settings
+from league.training.run_config import settings
 
 TINY = (
     *("--track", "reinvent_2018", "--reward", "centerline", "--action-space", "0.5-1"),
@@ -158,8 +162,15 @@ def test_flag_beats_the_hyperparameters_file(league, tmp_path):
         (["--sensors", "sonar"], "there is no sensor 'sonar': give stereoWxH"),
         (["--sensors", "lidar", "sectors"], "two of a kind"),
         (["--sensors", "stereo4x4"], "4x4"),
-        (["--opponents", "centerline"], "1 car"),
-        (["--kind", "head_to_head"], "head_to_head"),
+        (["--opponents", "centerline"], "--opponents means nothing without --kind head_to_head"),
+        (["--self-play"], "--self-play means nothing without --kind head_to_head"),
+        (["--kind", "head_to_head"], "give either --opponents NAME ... or --self-play"),
+        (["--bots"], "--bots means nothing without --kind obstacle_avoidance"),
+        (["--obstacles", "3"], "--obstacles means nothing without --kind obstacle_avoidance"),
+        (["--scripted-share", "0.5"], "--scripted-share means nothing without --self-play"),
+        (["--car-spread", "0.5"], "--car-spread means nothing without --random-cars"),
+        (["--threads", "0"], "--threads is 0: give 1 to 1024"),
+        (["--stop-when-complete", "-1"], "stop_when_complete is -1: give 0, which is never"),
         (["--hyperparameters", "none.json"], "none.json"),
         (["--resume"], "settings.json holds no settings of a run"),
         (["--init-from", "none.pt"], "none.pt"),
@@ -189,6 +200,102 @@ def test_mistake_in_a_flag_is_told_in_one_sentence(league, tmp_path, flags, said
     assert not list(tmp_path.iterdir())
 
 
+def test_run_that_is_there_is_not_replaced_without_a_word(league, tmp_path):
+    assert league("train", *TINY, "--steps", "32", "--out", "mine.pt")[0] == 0
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    code, out, err = league("train", *TINY, "--steps", "64", "--out", "mine.pt")
+    assert (code, out) == (2, "")
+    assert "mine.run holds a run of 32 decisions and " in err
+    assert "give --resume to go on with it, --overwrite to begin anew" in err
+    assert err.count("\n") == 1
+    after = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    assert after == before
+    code, _, err = league("train", *TINY, "--steps", "64", "--out", "mine.pt", "--overwrite")
+    assert (code, err) == (0, "")
+    assert checkpoint.load(tmp_path / "mine.run" / "last.pt").card.steps == 64
+
+
+def test_folder_in_the_checkpoints_place_is_refused_before_anything_is_learnt(league, tmp_path):
+    (tmp_path / "mine.pt").mkdir()
+    code, _, err = league("train", *TINY, "--steps", "32", "--out", "mine.pt", "--overwrite")
+    assert (code, err) == (2, "league: --out is mine.pt, which is a folder: give a file, NAME.pt\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.pt"]
+
+
+def test_checkpoint_that_is_there_is_not_replaced_without_a_word(league, tmp_path):
+    (tmp_path / "mine.pt").write_bytes(b"precious")
+    code, _, err = league("train", *TINY, "--steps", "32", "--out", "mine.pt")
+    assert code == 2
+    assert "mine.pt is there already: give --overwrite" in err
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.pt"]
+    assert (tmp_path / "mine.pt").read_bytes() == b"precious"
+
+
+def test_resume_with_more_steps_goes_on_and_says_so(league, tmp_path):
+    assert league("train", *TINY, "--steps", "64", "--out", "mine.pt")[0] == 0
+    # The same line with --resume is what a shell's history offers.
+    code, out, err = league("train", *TINY, "--steps", "128", "--out", "mine.pt", "--resume")
+    assert (code, err) == (0, "")
+    assert "Going on after 64 decisions and " in out
+    assert "to 128 decisions in all instead of 64 decisions; learning rate and noise" in out
+    assert "128 decisions in " in out
+    assert settings(tmp_path / "mine.run").steps == 128
+
+
+def test_resume_of_a_finished_run_asks_for_more_but_brings_a_lost_checkpoint_back(league, tmp_path):
+    assert league("train", *TINY, "--steps", "32", "--out", "mine.pt")[0] == 0
+    code, out, err = league("train", "--resume", "--plain", "--out", "mine.pt")
+    assert (code, out) == (2, "")
+    assert "the run in mine.run is finished (the steps were driven: 32 decisions" in err
+    assert "give --minutes or --steps above that" in err
+    (tmp_path / "mine.pt").unlink()
+    code, _, err = league("train", "--resume", "--plain", "--no-tensorboard", "--out", "mine.pt")
+    assert (code, err) == (0, "")
+    assert checkpoint.load(tmp_path / "mine.pt").card.steps == 32
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (["--seed", "3", "--gamma", "0.5"], "begun with another --seed, --gamma: leave away"),
+        (["--track", "peanut"], "begun with another --track"),
+        (["--sensors", "lidar"], "begun with another --sensors"),
+        (["--no-mirror"], "begun with another --no-mirror"),
+        (["--overwrite"], "--resume goes on and --overwrite begins anew: give one of them"),
+        (["--steps", "16"], "--steps is 16, and the run was begun with 32: give more"),
+        (["--steps", "-1"], "give one of them, more than 0"),
+    ],
+)
+def test_what_contradicts_the_run_is_refused_beside_resume(league, tmp_path, flags, said):
+    from league.training import run_config
+
+    (tmp_path / "mine.run").mkdir()
+    run_config.keep(config(Train(minutes=0.0, steps=32)), tmp_path / "mine.run")
+    code, _, err = league("train", "--resume", "--out", "mine.pt", *flags)
+    assert code == 2
+    assert said in err
+    assert err.count("\n") == 1
+
+
+def test_every_flag_is_kept_free_or_of_the_budget():
+    # A new flag has to say what it means beside --resume.
+    known = {*resuming.KEPT, *resuming.BUDGET, *resuming.FREE}
+    assert {one.name for one in fields(Train)} == known
+    assert len(known) == len(resuming.KEPT) + len(resuming.BUDGET) + len(resuming.FREE)
+    cfg = config(Train())
+    assert all(attrgetter(path)(cfg) is not ... for path in resuming.KEPT.values())
+
+
+def test_policy_to_begin_from_may_be_named_as_in_the_garage():
+    assert config(Train(init_from="rookie")).init_from == str(garage.path("rookie"))
+    assert config(Train(init_from="rookie.pt")).init_from == "rookie.pt"
+
+
+def test_five_minutes_are_the_budget_unless_another_is_given():
+    asked = [config(Train(minutes=m, steps=s)) for m, s in [(None, None), (None, 9), (2.0, 9)]]
+    assert [(cfg.minutes, cfg.steps) for cfg in asked] == [(5.0, 0), (0.0, 9), (2.0, 9)]
+
+
 def test_reward_file_that_fails_names_its_line_and_the_checkpoint_is_kept(league, tmp_path):
     (tmp_path / "mine.py").write_text(
         "count = 0\n\ndef reward_function(params):\n    global count\n    count += 1\n"
@@ -208,10 +315,10 @@ def test_parse_actions_reads_ranges_and_grids():
     assert parse_actions("0.5-4") == ContinuousActions(-30.0, 30.0, 0.5, 4.0)
     assert parse_actions("1-3.5@20") == ContinuousActions(-20.0, 20.0, 1.0, 3.5)
     # Angles 30, 0, -30 deg; speeds 0.5 and 1 m/s.
-    assert parse_actions("3x2").choices == (
-        *((30.0, 0.5), (30.0, 1.0), (0.0, 0.5), (0.0, 1.0), (-30.0, 0.5), (-30.0, 1.0)),
+    assert parse_actions("3x2") == DiscreteActions(
+        ((30.0, 0.5), (30.0, 1.0), (0.0, 0.5), (0.0, 1.0), (-30.0, 0.5), (-30.0, 1.0))
     )
-    assert parse_actions("2x1@2.5").choices == ((30.0, 2.5), (-30.0, 2.5))
+    assert parse_actions("2x1@2.5") == DiscreteActions(((30.0, 2.5), (-30.0, 2.5)))
 
 
 def test_parse_sensors_reads_cameras_and_lidars():

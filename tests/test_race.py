@@ -8,9 +8,13 @@ import torch
 from scenes import follow_center, make_ring, make_square, make_straight
 
 from league import race
+from league.agents import roster
+from league.envs import book
 from league.errors import ConfigError, LeagueError
 from league.race_spec import CarResult, Entry, RaceResult, RaceSpec
-from league.sim.config import SensorConfig
+from league.sim.config import CameraConfig, CarConfig, LidarConfig, SensorConfig
+from league.track import files
+from league.track.course import TrackSet
 
 
 @dataclass
@@ -32,6 +36,21 @@ class Follower:
         if self.steps <= len(self.answers) and self.answers[self.steps - 1] is not None:
             return self.answers[self.steps - 1]
         return follow_center(observations, self.speed, self.lateral)
+
+
+@dataclass
+class Peeping(Follower):
+    """Steers a little by what its sensors read."""
+
+    told: set = field(default_factory=set)
+
+    def act(self, observations):
+        self.told |= set(observations)
+        answer = super().act(observations)
+        for name in {"stereo", "lidar"} & set(observations):
+            pixel = observations[name].flatten(1)[:, 7].float()
+            answer[:, 0] = (answer[:, 0] + pixel * 1e-3).clamp(-1, 1)
+        return answer
 
 
 def raced(*drivers, track=None, **settings) -> RaceResult:
@@ -205,6 +224,98 @@ def test_unknown_driver_is_an_error_a_user_can_read(name):
         race.run(spec, track=make_ring())
 
 
+# Races run together.
+
+
+def together(*contests: race.Contest) -> None:
+    """Check that these races go together, to the bit, as each goes alone."""
+    both = race.run_together(contests)
+    assert len(both) == len(contests)
+    for contest, found in zip(contests, both, strict=True):
+        (alone,) = race.run_together([contest])
+        assert found.result == alone.result
+        assert found.replay is not None and alone.replay is not None
+        assert found.replay.columns.checksum.tolist() == alone.replay.columns.checksum.tolist()
+
+
+def contest(drivers, *, seed: int = 1, track=None, **settings) -> race.Contest:
+    entries = tuple(Entry(name=driver.name) for driver in drivers)
+    asked = {"laps": 1, "solver": "planar", "variation": 1.0, "max_time_s": 12.0} | settings
+    spec = RaceSpec(entries=entries, seed=seed, **asked)
+    return race.Contest(spec, track or make_ring(), drivers)
+
+
+@pytest.mark.parametrize("solver", ["planar", "bullet"])
+def test_races_run_together_go_to_the_bit_as_alone_though_one_ends_first(solver):
+    slow, fast = beside()
+    quick, ram = Follower("quick", 3.0), Follower("ram", 3.0)
+    ring, square = make_ring(), make_square()
+    contests = (
+        contest((slow, fast), track=ring, solver=solver),
+        contest((quick, ram), seed=2, track=square, solver=solver),
+        contest((fast, slow), seed=3, track=ring, solver=solver),
+    )
+    steps = {one.result.steps for one in race.run_together(contests)}
+    assert len(steps) > 1
+    together(*contests)
+
+
+def test_drivers_of_races_run_together_may_carry_other_sensors():
+    sees = Peeping("sees", sensors=SensorConfig(CameraConfig(width=24, height=16)))
+    hears = Peeping("hears", sensors=SensorConfig(lidar=LidarConfig()))
+    together(
+        contest((sees, hears, Follower("blind")), max_time_s=3.0),
+        contest((hears, Follower("blind"), sees), seed=2, max_time_s=3.0),
+    )
+    assert sees.told == {"stereo", "motion", "state"}
+    assert hears.told == {"lidar", "motion", "state"}
+
+
+def test_scripted_drivers_with_seats_in_two_races_remember_each_of_them():
+    tracks = TrackSet.of(files.load("reinvent_2018"))
+    one, two = (roster.load(name, tracks, CarConfig()) for name in ("racing_line", "blocker"))
+    asked = {"track": tracks.tracks[0], "max_time_s": 4.0}
+    together(contest((one, two), **asked), contest((two, one), seed=2, **asked))
+
+
+def test_a_driver_is_asked_once_a_step_for_all_its_cars():
+    both, other = Follower("both"), Follower("other")
+    finished = race.run_together(
+        [contest((both, other), max_time_s=1.0), contest((other, both), seed=2, max_time_s=1.0)]
+    )
+    assert [one.result.steps for one in finished] == [15, 15]
+    assert both.steps == other.steps == 15
+
+
+def test_driver_that_fails_in_one_race_is_retired_there_alone():
+    class HalfBroken(Follower):
+        def act(self, observations):
+            answer = super().act(observations)
+            answer[0] = math.nan
+            return answer
+
+    half = HalfBroken("half")
+    races = race.run_together(
+        [contest((half, Follower("a"))), contest((half, Follower("b")), seed=2)]
+    )
+    faults = [kinds(one.result).count("driver_fault") for one in races]
+    assert faults == [race.FAULTS_TO_END, 0]
+    assert races[0].result.order[-1].name == "half"
+    distances = [
+        next(car.distance for car in one.result.order if car.name == "half") for one in races
+    ]
+    assert distances[0] < 1.0 < distances[1]
+
+
+def test_races_with_other_settings_are_not_run_together():
+    with pytest.raises(ConfigError, match="seeds 1 and 2 have other settings"):
+        race.run_together([contest(beside()), contest(beside(), seed=2, laps=2)])
+
+
+def test_no_races_are_run_together_at_once():
+    assert race.run_together([]) == []
+
+
 # The classification by hand.
 
 
@@ -231,7 +342,7 @@ STUCK = result_of(car=3, finished=False, laps=0, total_s=40.0, lap_times_s=(), d
 )
 def test_ranking_by_total_best_or_average(ranking, order):
     spec = RaceSpec(ranking=ranking, entries=(Entry(name="x"),))
-    placed = sorted([STUCK, SLOW, A, B], key=lambda car: race._merit(spec, car))
+    placed = sorted([STUCK, SLOW, A, B], key=lambda car: book.merit(spec, car))
     assert [car.car for car in placed] == order
 
 
@@ -239,5 +350,5 @@ def test_equal_times_are_told_apart_by_mistakes_then_by_the_grid():
     spec = RaceSpec(entries=(Entry(name="x"),))
     clean = result_of(car=2)
     careless, lucky = result_of(car=0, off_tracks=1), result_of(car=1)
-    placed = sorted([clean, careless, lucky], key=lambda car: race._merit(spec, car))
+    placed = sorted([clean, careless, lucky], key=lambda car: book.merit(spec, car))
     assert [car.car for car in placed] == [1, 2, 0]

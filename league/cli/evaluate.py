@@ -108,6 +108,16 @@ def _check(command: Evaluate) -> None:
             f"--reward {command.reward} fills a column of the trace, and none was asked for: "
             "give --trace FILE.csv as well"
         )
+    if command.trace is not None and command.trace.is_dir():
+        raise ConfigError(f"--trace is {command.trace}, which is a folder: give a file, NAME.csv")
+    if command.kind != "obstacle_avoidance":
+        blank = Evaluate(command.driver)
+        for name in ("obstacles", "bots", "fixed_obstacles"):
+            if getattr(command, name) != getattr(blank, name):
+                raise ConfigError(
+                    f"--{name.replace('_', '-')} means nothing without --kind obstacle_avoidance: "
+                    "give both, or neither"
+                )
     if command.opponents and command.kind != "time_trial":
         raise ConfigError(
             f"--opponents were named for {command.kind}, which is driven alone: "

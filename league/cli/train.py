@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from league.errors import ConfigError, brief
+from league.cli import resuming, train_settings
+from league.errors import ConfigError
 
 if TYPE_CHECKING:
-    from league.envs.action_space import ActionSpace
-    from league.sim.config import SensorConfig, Spread
     from league.training.onlooker import Onlooker
-    from league.training.run import Outcome, Run, RunConfig
-    from league.training.settings import TrainConfig
+    from league.training.run import Outcome, Run
 
 
 @dataclass
@@ -30,10 +27,10 @@ class Train:
     """Kind of race."""
     reward: str = "progress"
     """centerline, progress or race, or a DeepRacer reward file (FILE.py)."""
-    minutes: float = 5.0
-    """Stop after this long; 0: no limit."""
-    steps: int = 0
-    """Stop after so many decisions; 0: no limit."""
+    minutes: float | None = None
+    """Stop after this long; 0: no limit; by default 5, or no limit where --steps is given."""
+    steps: int | None = None
+    """Stop after so many decisions; 0: no limit, which is the default."""
     stop_when_complete: int = 0
     """Stop after so many evaluations in a row with every lap complete; 0: never."""
     action_space: str = "0.5-4"
@@ -50,9 +47,11 @@ class Train:
     hyperparameters: Path | None = None
     """A hyperparameters.json with DeepRacer's names."""
     resume: bool = False
-    """Go on with the run of --out, with the settings it was begun with."""
+    """Go on with the run of --out as it was begun; --minutes or --steps may give it more."""
+    overwrite: bool = False
+    """Begin anew where --out or its run are there already."""
     init_from: str = ""
-    """Begin with the weights of this checkpoint."""
+    """Begin with the weights of this checkpoint, or policy of the garage."""
     seed: int = 0
     """Seed of weights, worlds and exploration."""
     device: str = "cpu"
@@ -117,17 +116,23 @@ COMMANDS = {"train": Train}
 def _train(command: Train) -> int:
     if command.out.suffix != ".pt":
         raise ConfigError(f"--out is {command.out}: give the name of a checkpoint, NAME.pt")
+    if command.out.is_dir():
+        raise ConfigError(f"--out is {command.out}, which is a folder: give a file, NAME.pt")
     folder = command.out.with_suffix(".run")
+    if command.resume:
+        cfg = resuming.continued(command, folder, train_settings.config)
+    else:
+        cfg = train_settings.config(command)
+        resuming.refuse_taken(command, folder)
     from league.training.learner import threads
-    from league.training.run import Run, settings
+    from league.training.run import Run
 
-    cfg = settings(folder) if command.resume else _config(command)
     with threads(command.threads):
         run = Run(cfg, folder)
         if command.resume:
-            run.resume()
+            _resume(command, run)
         try:
-            outcome = run.learn(_onlookers(command, run))
+            outcome = run.learn(_looking_on(command, run))
         except KeyboardInterrupt:
             if (folder / "state.pt").exists():
                 said = f"Stopped. Saved: {folder / 'last.pt'}; go on with --resume."
@@ -137,6 +142,19 @@ def _train(command: Train) -> int:
             return 130
     _report(command, outcome)
     return 0
+
+
+def _resume(command: Train, run: Run) -> None:
+    from league.training.run_config import settings
+
+    try:
+        before = settings(run.folder)
+        run.resume()
+        resuming.check_unfinished(command, run)
+    except BaseException:
+        run.close()
+        raise
+    print(resuming.going_on(run, before), flush=True)
 
 
 def _report(command: Train, outcome: Outcome) -> None:
@@ -157,209 +175,38 @@ def _report(command: Train, outcome: Outcome) -> None:
     )
 
 
+def _looking_on(command: Train, run: Run) -> list[Onlooker]:
+    """Return who looks on; where somebody cannot (no viewer, say), the run is let go of."""
+    try:
+        return _onlookers(command, run)
+    except BaseException:
+        run.close()
+        raise
+
+
 def _onlookers(command: Train, run: Run) -> list[Onlooker]:
     from league.training.page import Page
     from league.training.picture import Picture
 
     cfg = run.cfg
-    found: list[Onlooker] = [
-        Page(
-            run.train,
-            60.0 * cfg.minutes or None,
-            cfg.steps or None,
-            cfg.name,
-            plain=command.plain,
-        ),
-        Picture(run.folder / "training.png"),
-    ]
+    found: list[Onlooker] = []
+    if command.watch:
+        from league.training.watching import Watching
+
+        watching = Watching(run.env)
+        # Before the page, which draws over what is told while it is open.
+        print(f"Watching live: {watching.address}", file=sys.stderr, flush=True)
+        found.append(watching)
+    page = Page(
+        run.train,
+        60.0 * cfg.minutes or None,
+        cfg.steps or None,
+        cfg.name,
+        plain=command.plain,
+    )
+    found += [page, Picture(run.folder / "training.png")]
     if command.tensorboard:
         from league.training.scalars import Scalars
 
         found.append(Scalars(run.folder / "tensorboard"))
-    if command.watch:
-        from league.training.watching import Watching
-
-        found.append(Watching(run.env))
     return found
-
-
-def _config(command: Train) -> RunConfig:
-    from league.training.run import RunConfig
-
-    return RunConfig(
-        train=_learner(command),
-        name=command.out.stem,
-        tracks=command.track,
-        reward=command.reward,
-        minutes=command.minutes,
-        steps=command.steps,
-        stop_when_complete=command.stop_when_complete,
-        exam_tracks=command.exam_track,
-        exam_trials=command.exam_trials,
-        exam_every=command.exam_every,
-        opponents=command.opponents,
-        self_play=command.self_play,
-        scripted_share=command.scripted_share,
-        exam_opponents=command.exam_opponents,
-        init_from=command.init_from,
-        licence=command.licence,
-        command=_printable(shlex.join(["league", *sys.argv[1:]]))[:2000],
-    )
-
-
-def _printable(text: str) -> str:
-    return "".join(sign if sign.isprintable() else " " for sign in text)
-
-
-def _learner(command: Train) -> TrainConfig:
-    from league.sim.config import LookConfig
-    from league.training.settings import PpoConfig, TrainConfig
-
-    given = {
-        "learning_rate": command.learning_rate,
-        "noise": command.noise,
-        "gamma": command.gamma,
-        "lam": command.lam,
-        "epochs": command.epochs,
-        "mini_batches": command.mini_batches,
-        "steps": command.rollout,
-    }
-    base = PpoConfig()
-    if command.hyperparameters is not None:
-        rollout = command.num_worlds * (command.rollout or base.steps)
-        base = _from_deepracer(command.hyperparameters, rollout)
-    from dataclasses import replace
-
-    ppo = replace(base, **{name: value for name, value in given.items() if value is not None})
-    cars = 1
-    if command.kind == "head_to_head":
-        cars += 1 if command.self_play else len(command.opponents)
-    return TrainConfig(
-        kind=command.kind,
-        num_worlds=command.num_worlds,
-        num_cars=cars,
-        seed=command.seed,
-        device=command.device,
-        action_space=parse_actions(command.action_space),
-        sensors=parse_sensors(command.sensors),
-        ppo=ppo,
-        mirror=not command.no_mirror,
-        both_directions=command.both_directions,
-        looks=LookConfig(light=0.3, colour=0.15, noise=6.0, blur=0.6)
-        if command.random_looks
-        else None,
-        spread=_spread(command.car_spread) if command.random_cars else None,
-        obstacles=command.obstacles,
-        bots=command.bots,
-        # So that a save point comes every 10 to 20 s.
-        save_every=max(1, min(8, 16_384 // max(command.num_worlds * ppo.steps, 1))),
-    )
-
-
-def _spread(share: float) -> Spread:
-    """Return how far cars differ: 1 as far as ones of one model do, less in proportion."""
-    from league.sim.config import Spread
-
-    if not 0 < share <= 2:
-        raise ConfigError(f"--car-spread is {share}: give more than 0, at most 2")
-    return Spread(
-        grip=0.15 * share,
-        mass=0.1 * share,
-        latency_s=0.03 * share,
-        steering_offset=0.02 * share,
-        camera_position=0.01 * share,
-        camera_angle=0.02 * share,
-    )
-
-
-def _from_deepracer(path: Path, rollout: int):  # noqa: ANN202
-    """Return PPO's settings of a hyperparameters.json; what it does not name stays ours.
-
-    Args:
-        path: the file.
-        rollout: decisions between two updates.
-    """
-    from dataclasses import asdict, replace
-
-    from league.envs.deepracer import hyperparameters
-    from league.training.settings import PpoConfig
-
-    asked, ppo = hyperparameters.read(path), PpoConfig()
-    if asked.lr is not None:
-        ppo = replace(ppo, learning_rate=(asked.lr, asked.lr))
-    if asked.discount_factor is not None:
-        ppo = replace(ppo, gamma=asked.discount_factor)
-    if asked.num_epochs is not None:
-        ppo = replace(ppo, epochs=asked.num_epochs)
-    if asked.batch_size is not None:
-        ppo = replace(ppo, mini_batches=max(1, rollout // asked.batch_size))
-    if asked.beta_entropy is not None:
-        ppo = replace(ppo, entropy=(asked.beta_entropy, asked.beta_entropy))
-    taken = {"lr", "discount_factor", "num_epochs", "batch_size", "beta_entropy", "stack_size"}
-    left = [name for name, value in asdict(asked).items() if value is not None]
-    left = [name for name in left if name not in taken]
-    if left:
-        print(f"{path}: {', '.join(left)} not used here (docs/training.md)", file=sys.stderr)
-    return ppo
-
-
-def parse_actions(text: str) -> ActionSpace:
-    """Return the action space of `0.5-4`, `1-4@25`, `5x2@1.0` or a model_metadata.json.
-
-    Raises:
-        ConfigError: it is none of these.
-    """
-    import re
-
-    from league.envs.action_space import ContinuousActions, grid
-
-    if text.endswith(".json"):
-        from league.envs.deepracer import metadata
-
-        return metadata.read(text).action_space
-    number = r"([0-9]{1,3}(?:\.[0-9]{1,6})?)"
-    if found := re.fullmatch(rf"{number}-{number}(?:@{number})?", text):
-        low, high, steering = found.groups()
-        degrees = float(steering or 30.0)
-        return ContinuousActions(-degrees, degrees, float(low), float(high))
-    if found := re.fullmatch(rf"([0-9]{{1,3}})x([0-9]{{1,3}})(?:@{number})?", text):
-        steerings, speeds, fastest = found.groups()
-        return grid(int(steerings), 30.0, int(speeds), float(fastest or 1.0))
-    raise ConfigError(
-        f"--action-space is {brief(text)}: give speeds such as 0.5-4 [m/s], a grid such "
-        "as 5x2@1.0, or a model_metadata.json"
-    )
-
-
-def parse_sensors(names: tuple[str, ...]) -> SensorConfig:
-    """Return what a car carries, of `stereo64x48`, `lidar` and the like or a model_metadata.json.
-
-    Raises:
-        ConfigError: it is none of these, or two of a kind.
-    """
-    import re
-
-    from league.sim.config import CameraConfig, LidarConfig, SensorConfig
-
-    if len(names) == 1 and names[0].endswith(".json"):
-        from league.envs.deepracer import metadata
-
-        return metadata.read(names[0]).sensors
-    cameras, lidars = [], []
-    for name in names:
-        if found := re.fullmatch(r"(stereo|mono|left)([0-9]{1,4})x([0-9]{1,4})", name):
-            eyes, width, height = found.groups()
-            cameras.append(CameraConfig(int(width), int(height), eyes=eyes))  # type: ignore
-        elif name in ("lidar", "sectors", "discretised"):
-            lidars.append(LidarConfig(form="ranges" if name == "lidar" else name))  # type: ignore
-        else:
-            raise ConfigError(
-                f"there is no sensor {brief(name)}: give stereoWxH, monoWxH, leftWxH, lidar, "
-                "sectors, discretised, or a model_metadata.json"
-            )
-    if len(cameras) > 1 or len(lidars) > 1:
-        raise ConfigError(
-            f"the sensors {brief(' '.join(names))} hold two of a kind: "
-            "give one camera and one lidar"
-        )
-    return SensorConfig(camera=cameras[0] if cameras else None, lidar=lidars[0] if lidars else None)

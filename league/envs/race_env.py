@@ -204,10 +204,10 @@ class RaceEnv:
         self._world, self._last_action = world, actions
         return Step(self._observe(), reward, terminated, truncated, verdict, terms, began)
 
-    def retire(self, car: int) -> None:
-        """End one car's race in all worlds: it is frozen for good, and in nobody's way."""
+    def retire(self, car: int | slice, world: int | slice = slice(None)) -> None:
+        """End one car's race, in all worlds or one: it is frozen for good, and in nobody's way."""
         who = torch.zeros_like(self._world.standing.ghost)
-        who[:, car] = True
+        who[world, car] = True
         self._world = _frozen(self._world, who)
 
     def close(self) -> None:

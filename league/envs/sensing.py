@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache
 from typing import Protocol
 
 from torch import Tensor
@@ -23,6 +24,24 @@ class Renderer(Protocol):
 
 
 Reading = Callable[[World, Tensor | None], Tensor]
+
+
+class Told(Mapping[str, Tensor]):
+    """One car's groups; `state` is worked out when somebody asks: a policy in a race never does."""
+
+    def __init__(
+        self, groups: Mapping[str, Tensor], car: int, states: Callable[[], tuple[Tensor, ...]]
+    ) -> None:
+        self._groups, self._car, self._states = groups, car, states
+
+    def __getitem__(self, name: str) -> Tensor:
+        return self._states()[self._car] if name == "state" else self._groups[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter((*self._groups, "state"))
+
+    def __len__(self) -> int:
+        return len(self._groups) + 1
 
 
 class Sensing:
@@ -52,13 +71,22 @@ class Sensing:
         Sensors run on each race's own clock, so that a race in a batch is told what it would be
         told alone.
         """
-        step_hz = self._cfg.sim.step_hz
         motions = observations.motions(world, last_action)
-        states = observations.states(self._tracks, self._cfg.sim, world)
-        told = []
+        states = cache(lambda: observations.states(self._tracks, self._cfg.sim, world))
+        return tuple(
+            Told({**held, "motion": motions[car]}, car, states)
+            for car, held in enumerate(self.read(world))
+        )
+
+    def read(self, world: World) -> tuple[Mapping[str, Tensor], ...]:
+        """Return what each car's sensors read, without own motion and the truth."""
+        step_hz = self._cfg.sim.step_hz
         for car, sensors in enumerate(self._sensors):
             held = self._held[car]
             for name, (rate_hz, read) in sensors.items():
+                if rate_hz >= step_hz:
+                    held[name] = read(world, None)  # due at every step
+                    continue
                 new = observations.due(rate_hz, step_hz, world.step)
                 if self._stale is not None:
                     new = new | self._stale[:, car]
@@ -69,9 +97,8 @@ class Sensing:
                     fresh = held[name].clone()
                     fresh[rows] = read(world, rows)
                     held[name] = fresh
-            told.append({**held, "motion": motions[car], "state": states[car]})
         self._stale = None
-        return tuple(told)
+        return tuple(dict(held) for held in self._held)
 
     def _sensors_of(self, car: int) -> dict[str, tuple[float, Reading]]:
         carried = self._cfg.sensors_of(car)

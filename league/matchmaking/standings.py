@@ -12,6 +12,7 @@ from league.matchmaking import ratings
 from league.matchmaking.intransitivity import Goodness, goodness_of_fit
 from league.matchmaking.ratings import Ratings, Results
 from league.matchmaking.store import RATED, Entry, EntryState, Races, Store
+from league.matchmaking.store.records import BEST_MS, FINISHED, TOLD
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,10 @@ class Row:
     """Rated races."""
     score: float
     """Share of opponents it came in ahead of, ties half; 0 without a race."""
+    unfinished: float | None
+    """Share of its rated races in which it did not drive all laps; None if none tells."""
+    best_laps_s: Mapping[str, float]
+    """Best complete lap of its rated races, penalties included [s], by track."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +77,8 @@ class Standings:
     """Hash of the ruleset they belong to."""
     num_races: int
     """Rated races that count."""
+    tracks: tuple[str, ...] = ()
+    """Tracks of the ruleset."""
 
     def row(self, number: int, name: str = "") -> Row:
         """Return an entry's line by its number; its name is for the error only.
@@ -112,7 +119,7 @@ def rated(results: Results, entries: Sequence[Entry], also: Collection[int] = ()
         entries: all entries of the league.
         also: numbers of entries to rate besides those in a rated state and those that raced.
     """
-    raced = set(np.unique(results.entries).tolist()) - {-1}
+    raced = set(np.flatnonzero(np.bincount(results.entries.ravel() + 1)[1:]).tolist())
     wanted = {entry.number for entry in entries if entry.state in RATED} | set(also)
     if not wanted | raced:
         return None
@@ -132,11 +139,21 @@ def of(store: Store, ruleset: str | None = None) -> Standings:
         StoreError: nobody is rated yet.
     """
     ruleset = ruleset or store.settings.ruleset.hash
-    return table(store.entries(), store.races(ruleset), ruleset)
+    known = store.rulesets().get(ruleset)
+    tracks = known.tracks if known else ()
+    return table(store.entries(), store.races(ruleset), ruleset, tracks)
 
 
-def table(entries: Sequence[Entry], races: Races, ruleset: str) -> Standings:
+def table(
+    entries: Sequence[Entry], races: Races, ruleset: str, tracks: tuple[str, ...] = ()
+) -> Standings:
     """Return standings of some entries and races.
+
+    Args:
+        entries: all of the league.
+        races: those that count.
+        ruleset: hash of the ruleset they were raced by.
+        tracks: its tracks.
 
     Raises:
         StoreError: nobody is rated yet.
@@ -149,13 +166,14 @@ def table(entries: Sequence[Entry], races: Races, ruleset: str) -> Standings:
             "them race with `league run`"
         )
     by_number = {entry.number: entry for entry in entries}
-    scores = _scores(results)
+    scores, runs = _scores(results), _Runs.of(races, tracks)
     order = fitted.order()
     rows = tuple(
-        _row(rank, int(index), fitted, by_number, scores) for rank, index in enumerate(order, 1)
+        _row(rank, int(index), fitted, by_number, scores, runs)
+        for rank, index in enumerate(order, 1)
     )
     goodness = goodness_of_fit(results, fitted)
-    return Standings(rows, fitted, results, goodness, ruleset, len(results))
+    return Standings(rows, fitted, results, goodness, ruleset, len(results), tracks)
 
 
 def _row(
@@ -164,6 +182,7 @@ def _row(
     fitted: Ratings,
     entries: Mapping[int, Entry],
     scores: Mapping[int, float],
+    runs: _Runs,
 ) -> Row:
     entry = entries[int(fitted.entries[index])]
     low, high = float(fitted.low95[index]), float(fitted.high95[index])
@@ -186,7 +205,52 @@ def _row(
         one_sided=bool(fitted.one_sided[index]),
         races=int(fitted.races[index]),
         score=scores.get(entry.number, 0.0),
+        unfinished=runs.unfinished(entry.number),
+        best_laps_s=runs.best_laps_s(entry.number),
     )
+
+
+@dataclass(frozen=True)
+class _Runs:
+    """How the races of each entry went, by its number."""
+
+    tracks: tuple[str, ...]
+    told: np.ndarray
+    """Races of which it is known, (numbers,)."""
+    finished: np.ndarray
+    """Races in which all laps were driven, (numbers,)."""
+    best_ms: np.ndarray
+    """Best lap, infinite for none, (tracks, numbers)."""
+
+    @classmethod
+    def of(cls, races: Races, tracks: tuple[str, ...]) -> _Runs:
+        """Count the races that count."""
+        size = int(races.entries.max(initial=-1)) + 1
+        told, finished = np.zeros(size), np.zeros(size)
+        best_ms = np.full(len(tracks) * size, np.inf)
+        for slot in range(races.entries.shape[1]):
+            known = np.flatnonzero(races.runs[:, slot] & TOLD)
+            who, run = races.entries[known, slot], races.runs[known, slot]
+            told += np.bincount(who, minlength=size)
+            finished += np.bincount(who, (run & FINISHED) > 0, size)
+            lap_ms, track = run & BEST_MS, races.track[known]
+            timed = (lap_ms > 0) & (track < len(tracks))
+            place = track[timed].astype(np.int64) * size + who[timed]
+            np.minimum.at(best_ms, place, lap_ms[timed].astype(float))
+        return cls(tracks, told, finished, best_ms.reshape(len(tracks), size))
+
+    def unfinished(self, number: int) -> float | None:
+        """Return the share of an entry's races that it did not finish."""
+        if number >= len(self.told) or not self.told[number]:
+            return None
+        return 1.0 - float(self.finished[number] / self.told[number])
+
+    def best_laps_s(self, number: int) -> dict[str, float]:
+        """Return an entry's best lap on each track that it completed one on."""
+        if number >= len(self.told):
+            return {}
+        laps = zip(self.tracks, self.best_ms[:, number].tolist(), strict=True)
+        return {track: lap_ms / 1000 for track, lap_ms in laps if lap_ms < np.inf}
 
 
 def _scores(results: Results) -> dict[int, float]:

@@ -21,6 +21,12 @@ from league.matchmaking.worker import Contestant, Job, Report, check_physics
 
 TRIES = 3
 """Tries of a heat that is not the store's."""
+NEWCOMER_SD = 200.0
+"""How far from the field a newcomer may be, at least, before it has raced [Elo].
+
+A field of near equals says little about who comes next: with its own narrow spread the newcomer's
+interval would miss the truth more often than it says.
+"""
 
 
 @dataclass(frozen=True)
@@ -166,8 +172,16 @@ class Gauntlet:
     """Lower end of the 95 % interval [Elo]."""
     high95: float
     """Upper end of the 95 % interval [Elo]."""
+    provisional: bool
+    """Known to worse than sd 50, or not connected to the anchor."""
+    one_sided: bool
+    """Won, or lost, every race: read the number as "at least", or "at most"."""
     rank: int
     """Where that would put it."""
+    best_rank: int
+    """The rank it may have: only those count above it whose whole interval is above its own."""
+    worst_rank: int
+    """The rank it may have: only those count below it whose whole interval is below its own."""
     against: tuple[tuple[str, int, float], ...]
     """Name, races and points against each opponent."""
 
@@ -231,11 +245,17 @@ def _placed(
             mine, theirs = (told.places[half.grid.index(id)] for id in (newcomer, other))
             points[other][0] += 1
             points[other][1] += 0.5 + 0.5 * float(np.sign(theirs - mine))
+    low, high = float(fitted.low95[at]), float(fitted.high95[at])
+    rank = 1 + int((fitted.elo > fitted.elo[at]).sum())
     return Gauntlet(
         elo=float(fitted.elo[at]),
-        low95=float(fitted.low95[at]),
-        high95=float(fitted.high95[at]),
-        rank=1 + int((fitted.elo > fitted.elo[at]).sum()),
+        low95=low,
+        high95=high,
+        provisional=bool(fitted.provisional[at]),
+        one_sided=bool(fitted.one_sided[at]),
+        rank=rank,
+        best_rank=min(rank, 1 + int((fitted.low95 > high).sum())),
+        worst_rank=max(rank, len(fitted.entries) - int((fitted.high95 < low).sum())),
         against=tuple((e.name, int(points[e.id][0]), points[e.id][1]) for e in field),
     )
 
@@ -247,6 +267,7 @@ def _with(
     number_of: dict[str, int],
     entries: Sequence[Entry],
 ) -> Ratings:
+    """Return the fit of a season with some heats more, of at least a newcomer's spread."""
     width = season.entries.shape[1]
     first = int(season.heats.max(initial=0)) + 1
     heats, grids, places = [], [], []
@@ -262,7 +283,11 @@ def _with(
     )
     raced = set(np.unique(both.entries).tolist())
     anchors = [entry.number for entry in entries if entry.anchor and entry.number in raced]
-    return ratings.fit(both, anchor=min(anchors, default=None))
+    anchor = min(anchors, default=None)
+    fitted = ratings.fit(both, anchor=anchor)
+    if fitted.prior_sd >= NEWCOMER_SD:
+        return fitted
+    return ratings.fit(both, ratings.RatingSettings(prior_sd=NEWCOMER_SD), anchor=anchor)
 
 
 def compare(

@@ -19,7 +19,7 @@ from league.sim.version import PHYSICS
 if TYPE_CHECKING:
     from league.agents.checkpoint import Checkpoint
     from league.agents.driver import Driver
-    from league.race import Finished
+    from league.race import Contest, Finished
     from league.race_spec import RaceResult
     from league.sim.config import CarConfig
     from league.track.course import Track, TrackSet
@@ -95,7 +95,7 @@ class Pit:
     """A worker's bench: it races jobs, and keeps drivers ready from one job to the next."""
 
     def __init__(self) -> None:
-        self._drivers: OrderedDict[tuple[str, str, int], Driver] = OrderedDict()
+        self._drivers: OrderedDict[tuple[str, str], Driver] = OrderedDict()
         self._checkpoints: OrderedDict[str, Checkpoint] = OrderedDict()
         self._courses: dict[str, Track] = {}
 
@@ -103,18 +103,24 @@ class Pit:
         """Race a heat; whatever goes wrong is told, never raised."""
         start = perf_counter()
         try:
-            races = [
-                self._half(job, half, seed)
-                for half, seed in zip(job.halves, job.seeds, strict=True)
-            ]
+            races = self._races(job)
+            told = tuple(outcome_of(one, keep_replay=job.keep_replays) for one in races)
         except Exception:
             # The season goes on without this heat; its traceback is kept.
             return Report(job.key, None, traceback.format_exc(), perf_counter() - start)
-        outcome = Outcome(job.key, tuple(told for told, _ in races))
-        driven = sum(race_s for _, race_s in races)
+        outcome = Outcome(job.key, told)
+        driven = sum(one.result.race_s for one in races)
         return Report(job.key, outcome, "", perf_counter() - start, driven)
 
-    def _half(self, job: Job, half: Half, seed: int) -> tuple[RaceOutcome, float]:
+    def _races(self, job: Job) -> list[Finished]:
+        """Race all halves at once, as one batch: each goes as it would alone."""
+        from league import race
+
+        return race.run_together(
+            [self._contest(job, *one) for one in zip(job.halves, job.seeds, strict=True)]
+        )
+
+    def _contest(self, job: Job, half: Half, seed: int) -> Contest:
         from league import race
         from league.race_spec import checked
         from league.track import files
@@ -139,9 +145,8 @@ class Pit:
             }
         )
         tracks, car = TrackSet.of(course), race.sim_config(spec).car
-        drivers = [self._driver(who, slot, tracks, car) for slot, who in enumerate(field)]
-        finished = race.run(spec, track=course, drivers=drivers)
-        return outcome_of(finished, keep_replay=job.keep_replays), finished.result.race_s
+        drivers = [self._driver(who, tracks, car) for who in field]
+        return race.Contest(spec, course, drivers)
 
     def _named(self, who: Contestant) -> dict[str, str]:
         digest = "" if who.scripted else self._checkpoint(who).digest
@@ -155,13 +160,12 @@ class Pit:
             _trim(self._checkpoints)
         return self._checkpoints[who.id]
 
-    def _driver(self, who: Contestant, slot: int, tracks: TrackSet, car: CarConfig) -> Driver:
-        """Return a driver for a seat; scripted ones are built for a track, and have a memory."""
+    def _driver(self, who: Contestant, tracks: TrackSet, car: CarConfig) -> Driver:
+        """Return the one driver of all of an entry's seats; scripted ones are built for a track."""
         from league.agents import roster
         from league.agents.policy import Policy
 
-        track = tracks.tracks[0].name if who.scripted else ""
-        place = (who.id, track, slot if who.scripted else 0)
+        place = (who.id, tracks.tracks[0].name if who.scripted else "")
         if place not in self._drivers:
             self._drivers[place] = (
                 roster.load(who.scripted, tracks, car)

@@ -17,6 +17,9 @@ from league.replay.replay import PARAMETERS, Replay
 from league.sim.world import World
 from league.track.course import TrackSet
 
+_FOR_GOOD_S = 1e5
+"""What a replay tells as the penalty of a car that is out of the race: longer than any race [s]."""
+
 
 class Recorder:
     """Keeps the steps of one race as it is told them; it looks at the race and never touches it."""
@@ -133,7 +136,7 @@ class Recorder:
             yaw_rate=yaw_rate,
             steering=steering,
             actions=actions.astype(np.float64),
-            penalty_s=book[:, 0].astype(np.float64),
+            penalty_s=np.minimum(book[:, 0].astype(np.float64), _FOR_GOOD_S),  # NaN stays NaN
             ghost=counts[:, 1].astype(np.float64),
             laps=counts[:, 0].astype(np.float64),
             distance=book[:, 1].astype(np.float64),

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import atexit
-import contextlib
 import os
 import subprocess
-import sys
-import tempfile
 import time
-import uuid
 from collections.abc import Sequence
 
 import numpy as np
@@ -21,6 +16,7 @@ from league.race_spec import RaceSpec
 from league.replay.replay import JUMP
 from league.replay.story import PACK
 from league.rerun_view import blueprint, paths, poses, record, shapes
+from league.rerun_view.stream import Stream, has_display
 from league.sim.camera.scene import BOT_COLOUR, BOX_COLOUR, CAR, CAR_COLOURS, WHEEL_RADIUS
 from league.sim.config import ObstacleConfig
 from league.sim.world import World
@@ -28,13 +24,6 @@ from league.track.course import Track
 
 CHASE_SHARE = 0.18
 """How much of the way to its subject the live chase camera goes in one step."""
-
-
-def has_display() -> bool:
-    """Whether a window can be opened here."""
-    if sys.platform in ("darwin", "win32"):
-        return True
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def open_viewer(rrd_path: str | os.PathLike[str]) -> int:
@@ -79,9 +68,7 @@ class Live:
         self._chase: np.ndarray | None = None
         self._before: np.ndarray | None = None
         self._laps = np.zeros(len(self._names), dtype=np.int64)
-        self._child: subprocess.Popen | None = None
-        self._home: tempfile.TemporaryDirectory | None = None
-        self._server: web_viewer.Server | None = None
+        self._stream: Stream | None = None
         self.address = ""
         """Where it can be watched."""
         record.send_scene(recording, track, self._names)
@@ -110,44 +97,16 @@ class Live:
             speed: race seconds per second at most; 0 as fast as the race runs.
             window: the native viewer rather than a web page; by default where there is a display.
         """
-        window = has_display() if window is None else window
-        port = web_viewer.free_port()
-        url = f"rerun+http://{web_viewer.HOST}:{port}/proxy"
-        home = tempfile.TemporaryDirectory(prefix="league-", ignore_cleanup_errors=True)
-        command = [str(web_viewer.rerun_program()), "--bind", web_viewer.HOST, "--port", str(port)]
-        child = subprocess.Popen(
-            command if window else [*command, "--serve-grpc"],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            env=None if window else web_viewer.quiet_environment(home.name),
-            # Ctrl-C is for us alone, and a window stays when the race is over.
-            start_new_session=True,
-        )
+        drivers = tuple(names or [entry.name for entry in spec.entries])
+        layout = blueprint.broadcast(len(drivers), drivers, track.room, cameras=False, live=True)
+        # A race ends, so all of it may be kept.
+        stream = Stream(layout, window=window, memory=None)
         try:
-            web_viewer.wait_until_open(port, child)
-            recording = rr.RecordingStream(paths.APPLICATION, recording_id=str(uuid.uuid4()))
-            layout = blueprint.broadcast(
-                len(spec.entries),
-                tuple(names or [entry.name for entry in spec.entries]),
-                track.room,
-                cameras=False,
-                live=True,
-            )
-            recording.connect_grpc(url, default_blueprint=layout)
-            live = cls(spec, track, recording, names=names, speed=speed)
-            live._home = home
-            atexit.register(live.close)  # no server outlives the race that it shows
-            if window:
-                live.address = url
-            else:
-                live._child = child
-                live._server = web_viewer.serve_stream(url, port)
-                live.address = live._server.url
+            live = cls(spec, track, stream.recording, names=names, speed=speed)
         except BaseException:
-            child.kill()
-            child.wait()
+            stream.close(leave_window=False)
             raise
+        live._stream, live.address = stream, stream.address
         return live
 
     def add(self, world: World) -> None:
@@ -258,25 +217,16 @@ class Live:
 
     def wait(self) -> None:
         """Wait until the watcher has seen enough: until Ctrl-C, where a web page is served."""
-        self._recording.flush()
-        if self._server is not None:
-            self._server.wait()
+        if self._stream is not None:
+            self._stream.wait()
 
     def close(self) -> None:
         """Send what is left and stop serving; a window stays open."""
-        atexit.unregister(self.close)
-        with contextlib.suppress(RuntimeError):  # the viewer may have been closed before us
+        if self._stream is not None:
+            self._stream.close()
+        else:
             self._recording.flush()
             self._recording.disconnect()
-        if self._server is not None:
-            self._server.close()
-            self._server = None
-        if self._child is not None:
-            self._child.kill()
-            self._child.wait()
-            self._child = None
-        if self._home is not None:
-            self._home.cleanup()
 
     def __enter__(self) -> Live:
         return self

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import os
 import subprocess
+import sys
 import tempfile
 import uuid
 
@@ -13,21 +15,34 @@ import rerun.blueprint as rrb
 
 from league import web_viewer
 from league.rerun_view import paths
-from league.rerun_view.live import has_display
 
 MEMORY = "512MiB"
 """What the viewer keeps; the oldest is dropped beyond it, so that it can run for days."""
 
 
+def has_display() -> bool:
+    """Whether a window can be opened here."""
+    if sys.platform in ("darwin", "win32"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
 class Stream:
     """A viewer and what is sent to it; bound to this machine alone."""
 
-    def __init__(self, layout: rrb.Blueprint, *, window: bool | None = None) -> None:
+    def __init__(
+        self,
+        layout: rrb.Blueprint,
+        *,
+        window: bool | None = None,
+        memory: str | None = MEMORY,
+    ) -> None:
         """Open a viewer.
 
         Args:
             layout: what it shows.
             window: the native viewer rather than a web page; by default where there is a display.
+            memory: what it keeps at most; None: the viewer's own limits.
 
         Raises:
             ReplayError: the viewer does not start.
@@ -39,7 +54,7 @@ class Stream:
         self._home = tempfile.TemporaryDirectory(prefix="league-", ignore_cleanup_errors=True)
         self._server: web_viewer.Server | None = None
         self._child = subprocess.Popen(
-            _command(port, window),
+            _command(port, window, memory),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
@@ -57,8 +72,7 @@ class Stream:
                 self._server = web_viewer.serve_stream(url, port)
                 self.address = self._server.url
         except BaseException:
-            self._child.kill()
-            self._child.wait()
+            self._kill()
             self._home.cleanup()
             raise
         atexit.register(self.close)  # no server outlives the program
@@ -68,8 +82,14 @@ class Stream:
         """Whether there is still a viewer: a window may have been closed."""
         return self._child.poll() is None
 
-    def close(self) -> None:
-        """Send what is left and stop serving; a window stays open."""
+    def wait(self) -> None:
+        """Wait until the watcher has seen enough: until Ctrl-C, where a web page is served."""
+        self.recording.flush()
+        if self._server is not None:
+            self._server.wait()
+
+    def close(self, *, leave_window: bool = True) -> None:
+        """Send what is left and stop serving; a window stays open, unless told otherwise."""
         atexit.unregister(self.close)
         with contextlib.suppress(RuntimeError):  # the viewer may have been closed before us
             if self.is_open:
@@ -78,13 +98,17 @@ class Stream:
         if self._server is not None:
             self._server.close()
             self._server = None
-        if not self._window and self.is_open:
-            self._child.kill()
-            self._child.wait()
+        if not (self._window and leave_window):
+            self._kill()
         self._home.cleanup()
 
+    def _kill(self) -> None:
+        self._child.kill()
+        self._child.wait()
 
-def _command(port: int, window: bool) -> list[str]:
+
+def _command(port: int, window: bool, memory: str | None = MEMORY) -> list[str]:
     command = [str(web_viewer.rerun_program()), "--bind", web_viewer.HOST, "--port", str(port)]
-    command += ["--memory-limit", MEMORY, "--server-memory-limit", MEMORY]
+    if memory is not None:
+        command += ["--memory-limit", memory, "--server-memory-limit", memory]
     return command if window else [*command, "--serve-grpc"]

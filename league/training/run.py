@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import json
-import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-import torch
-from pydantic import TypeAdapter, ValidationError
 
 from league import __version__
 from league.agents import checkpoint
@@ -20,15 +16,14 @@ from league.agents.card import Reward as RewardCard
 from league.agents.checkpoint import Checkpoint
 from league.envs.driver import Driver
 from league.envs.rewards import Reward, preset
-from league.errors import ConfigError, LeagueError, PolicyError, brief
-from league.training import courses, worlds
+from league.errors import LeagueError, PolicyError
+from league.training import checks, courses, run_config, run_folder, worlds
 from league.training.history import History
 from league.training.judge import Exam, Judge, Judgement
 from league.training.learner import Learner, Update
+from league.training.run_config import RunConfig
 from league.training.selfplay import SelfPlay, SelfPlayConfig
 from league.training.selfplay.picture import draw as draw_matrix
-from league.training.settings import TrainConfig
-from league.whole_file import replacing
 
 if TYPE_CHECKING:
     from league.evaluation import Evaluation
@@ -37,58 +32,6 @@ if TYPE_CHECKING:
 
 CRITIC_FIRST = 4
 """Updates from which only the critic learns, where the actor begins as another policy."""
-
-
-@dataclass(frozen=True)
-class RunConfig:
-    """All that decides a run; kept beside it as settings.json, so that it can be gone on with."""
-
-    train: TrainConfig = field(default_factory=TrainConfig)
-    """The learner and its worlds."""
-    name: str = "policy"
-    """What the policy is called."""
-    tracks: tuple[str, ...] = ("reinvent_2018",)
-    """Names or files of tracks, or generated:N for N random ones."""
-    reward: str = "progress"
-    """A built-in reward, or the path of a reward file."""
-    minutes: float = 5.0
-    """Longest learning time [min]; 0: without limit."""
-    steps: int = 0
-    """Most decisions to learn from; 0: without limit."""
-    stop_when_complete: int = 0
-    """Stop after so many evaluations in a row with every lap complete; 0: never."""
-    exam_tracks: tuple[str, ...] = ()
-    """Where policies are judged; none: on the tracks of training, or four random ones."""
-    exam_laps: int = 3
-    """Laps of each run of an evaluation."""
-    exam_trials: int = 1
-    """Runs of an evaluation on each track."""
-    exam_every: int = 1
-    """Save points between two evaluations."""
-    exam_opponents: tuple[str, ...] = ()
-    """Who races against the policy in an evaluation."""
-    opponents: tuple[str, ...] = ()
-    """Drivers or checkpoints that race against the learner."""
-    self_play: bool = False
-    """Race against past selves instead."""
-    scripted_share: float = 0.1
-    """Share of self-play that is against scripted drivers, who teach to pass what is slower."""
-    init_from: str = ""
-    """Checkpoint to begin from."""
-    licence: str = "CC-BY-4.0"
-    """Licence of the weights."""
-    command: str = ""
-    """The command line."""
-
-    def __post_init__(self) -> None:
-        known = 0 <= self.minutes < math.inf and self.steps >= 0
-        if not known or not (self.minutes or self.steps):
-            raise ConfigError(
-                f"the run is to last {self.minutes:g} minutes and {self.steps} steps: give one of "
-                "them, more than 0"
-            )
-        if self.exam_every < 1 or self.exam_laps < 1 or self.exam_trials < 1:
-            raise ConfigError("an evaluation needs at least 1 lap, 1 run and 1 save point")
 
 
 @dataclass(frozen=True)
@@ -136,8 +79,8 @@ class Run:
         self._parents: tuple[str, ...] = ()
         self._reward, self._reward_card = _reward(cfg)
         self._spent_s, self._complete = 0.0, 0
-        self._check_card()
-        _check_device(train.device)
+        checks.card(self._card)
+        checks.device(train.device)
         if self._reward is None:
             train = replace(train, reward=preset(cfg.reward))
         tracks = courses.together(self._tracks, train.both_directions, train.device)
@@ -167,11 +110,18 @@ class Run:
         self.history = History()
 
     def resume(self) -> None:
-        """Go on from the folder's state.
+        """Go on from the folder's state, with the settings it was begun with.
+
+        A budget other than the folder's is taken over; the schedules then follow the whole of it.
 
         Raises:
             PolicyError: there is none, or it is of another run.
         """
+        if not (self.folder / "state.pt").exists():
+            raise PolicyError(
+                f"{self.folder / 'state.pt'} cannot be gone on from: the run stopped before its "
+                "first save point, so begin it anew, without --resume"
+            )
         notes = self.learner.restore(self.folder / "state.pt")
         if self._self_play is not None:
             self._self_play.restore(json.loads(notes["self_play"]), self.learner)
@@ -180,12 +130,33 @@ class Run:
         self._best = tuple(notes["best"]) or None
         self.history.close()
         self.history = History.resumed(self.folder / "history.jsonl", self.learner.updates)
+        if not self.cfg.has_budget_of(run_config.settings(self.folder)):
+            self._complete = 0  # whoever gives more time wants more than complete laps
+            if not self.over:
+                run_config.keep(self.cfg, self.folder)  # a kill goes on with it, too
+
+    @property
+    def over(self) -> str:
+        """Why there is nothing more to learn; empty while there is."""
+        return self._over()
+
+    @property
+    def spent_s(self) -> float:
+        """Learning time so far, of earlier parts too [s]."""
+        return self._spent_s
+
+    def close(self) -> None:
+        """Let go of worlds, judge and history; what is not saved is lost."""
+        self._judge.close()
+        self.history.close()
+        self.env.close()
 
     def learn(self, onlookers: Sequence[Onlooker] = ()) -> Outcome:
         """Learn until the budget is spent or all is complete; Ctrl-C saves and raises."""
         if self.learner.updates == 0:
             self._prepare()
-        started, why = time.perf_counter() - self._spent_s, ""
+        # A run that was killed while its last policy was judged has nothing more to learn.
+        started, why = time.perf_counter() - self._spent_s, self._over()
         try:
             while not why:
                 update = self._updated()
@@ -205,9 +176,7 @@ class Run:
             self._save()
             raise
         finally:
-            self._judge.close()
-            self.history.close()
-            self.env.close()
+            self.close()
             for onlooker in onlookers:
                 onlooker.close()
         return Outcome(
@@ -237,10 +206,8 @@ class Run:
                 f"the folder {self.folder} cannot be made ({error.strerror}): give --out a place "
                 "that can be written"
             ) from None
-        with replacing(self.folder / "settings.json", "the settings", PolicyError) as file:
-            file.write_bytes(_SETTINGS.dump_json(self.cfg, indent=2))
-        for name in ("best.pt", "last.pt", "state.pt"):
-            (self.folder / name).unlink(missing_ok=True)
+        run_config.keep(self.cfg, self.folder)
+        run_folder.clear(self.folder)
         if self._self_play is not None:
             self._self_play.begin(self.learner)
         self.history = History(self.folder / "history.jsonl")
@@ -352,48 +319,6 @@ class Run:
             league_version=__version__,
             command=cfg.command,
         )
-
-    def _check_card(self) -> None:
-        """See before anything is learnt that it can be written down."""
-        try:
-            card = self._card()
-        except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            where = ".".join(str(part) for part in first["loc"])
-            raise ConfigError(
-                f"the checkpoint's card refuses the {where} {brief(first['input'])}: "
-                f"{first['msg'].removeprefix('Value error, ')}"
-            ) from None
-        card.weight_shapes  # noqa: B018 (a network that cannot be built is refused here)
-
-
-def settings(folder: Path) -> RunConfig:
-    """Return the settings of the run in a folder.
-
-    Raises:
-        PolicyError: there is no run.
-    """
-    path = folder / "settings.json"
-    try:
-        return _SETTINGS.validate_json(path.read_bytes())
-    except (OSError, ValidationError, ConfigError) as error:
-        raise PolicyError(
-            f"{path} holds no settings of a run ({type(error).__name__}): give the --out of a run "
-            "that was begun, or leave --resume away"
-        ) from None
-
-
-_SETTINGS = TypeAdapter(RunConfig)
-
-
-def _check_device(name: str) -> None:
-    try:
-        torch.zeros(1, device=name)
-    except (RuntimeError, AssertionError):
-        raise ConfigError(
-            f"this machine's torch cannot compute on the device {brief(name)}: give cpu, or cuda "
-            "where there is such a card and a torch that knows it"
-        ) from None
 
 
 def _merit(evaluation: Evaluation) -> tuple[float, ...]:

@@ -54,6 +54,14 @@ class PpoConfig:
         if not all(1e-3 <= noise <= 5 for noise in self.noise):
             raise ConfigError(f"exploration noise is {self.noise}: give 0.001 to 5")
 
+    def refining(self) -> PpoConfig:
+        """Return the settings for going on from a trained policy, which larger steps would spoil.
+
+        With the settings of a beginner a racer of 4.57 s lapped in 5.0 s after 25 minutes of
+        self-play; with these in 4.7 s after 12 (docs/training.md).
+        """
+        return replace(self, learning_rate=(1e-3, 3e-4), noise=(0.15, 0.05))
+
 
 @dataclass(frozen=True)
 class TrainConfig:

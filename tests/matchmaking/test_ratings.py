@@ -156,10 +156,35 @@ def test_learned_prior_is_the_fixed_point_and_near_the_truth():
         assert told.prior_sd == pytest.approx(spread, rel=0.2)
         again = fit(results, RatingSettings(prior_sd=told.prior_sd))
         assert again.elo == pytest.approx(told.elo, abs=1e-6)
-    everyone_ties = [Finish(k, (k % 5, (k + 1) % 5), (1, 1)) for k in range(200)]
+    everyone_ties = [Finish(k, (k % 5, (k + 1) % 5), (1, 1)) for k in range(5000)]
     assert fit(Results.of(everyone_ties)).prior_sd == pytest.approx(20)
+    # A few ties leave more doubt.
+    assert 30 < fit(Results.of(everyone_ties[:200])).prior_sd < 100
     ladder = [Finish(k, (0, 1), (1, 2)) for k in range(2000)]
     assert fit(Results.of(ladder)).prior_sd == pytest.approx(400)
+
+
+def test_learned_prior_of_one_entry_is_the_hand_worked_root():
+    # Without a race the variance is the spread's own, so nothing is learned: 300 Elo stay.
+    assert fit(Results.of([]), entries=range(4)).prior_sd == pytest.approx(300, rel=1e-6)
+
+
+@pytest.mark.parametrize("spread", [80, 200, 350])
+@pytest.mark.parametrize("heats_each", [0.25, 1.0, 4.0])
+def test_intervals_of_a_very_young_league_are_wide_and_flagged(spread, heats_each):
+    generator, inside, sds = np.random.default_rng(11), [], []
+    for _ in range(25):
+        size = int(generator.integers(4, 10))
+        strengths = generator.normal(0, spread, size)
+        grids = random_grids(generator, size, 2, max(1, round(size * heats_each)))
+        told = fit(raced(generator, strengths, grids, front=60), entries=range(size))
+        inside.append(covered(told, strengths).mean())
+        sds.append(told.sd.min())
+        if heats_each <= 1:
+            assert told.provisional.all()
+    # Fields far wider than most are not known as such before they have raced.
+    assert np.mean(inside) >= (0.88 if spread < 300 else 0.75)
+    assert heats_each > 1 or np.median(sds) > 90
 
 
 def season(seed=6):

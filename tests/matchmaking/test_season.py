@@ -196,6 +196,70 @@ def test_an_entry_whose_validation_is_disputed_is_refused(url):
         assert entry.state == "refused" and "deterministic" in entry.reason
 
 
+def test_an_entry_refused_for_a_dispute_comes_back_when_a_third_worker_settles_it(url):
+    with grown(url, 1) as store:
+        planner = Season(store)
+        planner.plan()
+        (claim,) = store.claim("w", 1)
+        rightly = Outcome(claim.heat.key, (RaceOutcome((1, 2), {"n": 1}),))
+        store.complete("w", [rightly])
+        store.complete("v", [Outcome(claim.heat.key, (RaceOutcome((1, 2), {"n": 2}),))])
+        planner.plan()  # refuses it, and cancels its other validation heat
+        assert states(store)["e0"] == "refused" and store.counts()["cancelled"] == 1
+        assert store.retry(claim.heat.key) == claim.number
+        assert states(store)["e0"] == "validating"
+        (again,) = store.claim("x", 1)
+        assert store.complete("x", [Outcome(again.heat.key, rightly.races)]).accepted
+        running.run(store, Crew(store, Coin()), Season(store), heats=4)
+        assert states(store)["e0"] in RATED
+
+
+def test_after_its_first_round_a_league_is_connected_to_the_pinned_anchor(url):
+    anchors = ("centerline", "racing_line", "cautious", "blocker")
+    with new_league(url, anchors=anchors) as store:
+        for number in range(5):
+            submitted(store, f"e{number}", seed=number, owner="garage", senses="blind")
+        # Five entries validate in ten heats; eight rated ones are the fewest that connect nine.
+        running.run(store, Crew(store, Coin()), Season(store, same_owner=True), heats=18)
+        table = standings.of(store)
+        assert len(table.rows) == 9 and table.num_races == 16
+        assert all(row.connected and row.provisional for row in table.rows)
+        assert min(row.high95 - row.low95 for row in table.rows) > 196  # not one is sure yet
+
+
+class Drivers(Coin):
+    """Workers whose races tell laps: the front car drives one in 11 s, the other none."""
+
+    def wait(self, timeout_s: float) -> list[Report]:
+        order = [
+            {"car": 0, "finished": True, "lap_times_s": (11.5, 11.0)},
+            {"car": 1, "finished": False, "lap_times_s": ()},
+        ]
+        return [
+            Report(r.key, Outcome(r.key, tuple(RaceOutcome((1, 2), {"order": order})
+                                               for _ in r.outcome.races)))
+            for r in super().wait(timeout_s) if r.outcome
+        ]  # fmt: skip
+
+
+def test_standings_tell_races_not_finished_and_best_laps_of_accepted_results(url):
+    with grown(url, 2) as store:
+        running.run(store, Crew(store, Drivers()), Season(store), heats=16)
+        table = standings.of(store)
+        track = store.settings.ruleset.tracks[0]
+        for row in table.rows:  # each heat is a race in front and one behind
+            assert row.unfinished == pytest.approx(0.5) and row.best_laps_s == {track: 11.0}
+        heat = next(r for r in store.heats(("done",)) if r.heat.purpose == "rated")
+        quick = {"order": [{"car": 0, "finished": True, "lap_times_s": [1.0]}]}
+        lie = tuple(RaceOutcome((1, 2), quick) for _ in heat.heat.halves)
+        store.complete("liar", [Outcome(heat.heat.key, lie)])
+        assert all(row.best_laps_s == {track: 11.0} for row in standings.of(store).rows)
+        assert standings.of(store).num_races == table.num_races - 2
+    with new_league(f"{url}.new") as store:
+        (row,) = standings.of(store).rows
+        assert row.unfinished is None and row.best_laps_s == {}
+
+
 def test_a_retired_entry_is_paired_no_more_and_keeps_its_results(url):
     with grown(url, 2) as store:
         running.run(store, Crew(store, Coin()), Season(store), heats=40)

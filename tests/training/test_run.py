@@ -11,7 +11,8 @@ from league.agents import checkpoint
 from league.errors import ConfigError, PolicyError, RewardError
 from league.evaluation import evaluate
 from league.training import history
-from league.training.run import Run, RunConfig, settings
+from league.training.run import Run
+from league.training.run_config import RunConfig, settings
 
 CHEERFUL = "def reward_function(params):\n    return 1.0\n"
 GIVES_UP = """count = 0

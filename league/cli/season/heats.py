@@ -66,7 +66,11 @@ class ShowHeat(Reading):
 
 @dataclass
 class Retry(OnLeague):
-    """Put a heat that was given up back into the queue."""
+    """Have a heat raced again that was given up, cancelled, or is in quarantine.
+
+    A dispute is settled if the new result agrees with one of the old ones; so let a machine race it
+    that you trust, and that raced none of them.
+    """
 
     heat: tyro.conf.Positional[str]
     """Its number, or the beginning of its key."""
@@ -75,12 +79,18 @@ class Retry(OnLeague):
         """Run the command."""
         with self.opened() as store:
             record = store.heat(self.heat)
-            if not store.retry(record.heat.key):
+            number = store.retry(record.heat.key)
+            if not number:
                 raise StoreError(
-                    f"heat {record.number} is {record.state}: only heats in error or cancelled "
-                    "ones can be tried again"
+                    f"heat {record.number} is {record.state}: only heats in error, in quarantine "
+                    "or cancelled ones can be tried again"
                 )
-        print(f"Heat {record.number} waits to be raced again.")
+        what = f"Heat {number}"
+        if number != record.number:
+            what += f", which heat {record.number} audited,"
+        print(f"{what} waits to be raced again: `league run` or `league work` does it.")
+        if record.state == "quarantined":
+            print(f"Then `league heat {number}` tells which result was found again, if any.")
         return 0
 
 
@@ -165,11 +175,15 @@ def _show(store: Store, record: HeatRecord, as_json: bool) -> int:
     print(f"Heat {record.number} ({record.heat.purpose}), {record.state}, key {record.heat.key}")
     if record.worker:
         print(f"raced by {record.worker}, try {record.attempts}")
+    disputed = len(results) > len(record.heat.halves)
     for result in results:
         half = record.heat.halves[result.half]
         title = f"Race {result.half + 1} on {half.track}"
         if record.seeds:
             title += f", seed {record.seeds[result.half]}"
+        if disputed:
+            verdict = ", REJECTED" if result.rejected else ""
+            print(f"Result {result.hash[:12]} by {result.worker}{verdict}:")
         table = tables.table(title, "", "entry", "slot", "laps", "time", "off", "crash", "passed")
         for car in result.result["order"]:
             table.add_row(
@@ -183,6 +197,12 @@ def _show(store: Store, record: HeatRecord, as_json: bool) -> int:
                 str(car["overtakes"]),
             )
         tables.console().print(table)
+    if record.state == "quarantined":
+        of = f" of heat {store.heat(record.heat.audits).number}" if record.heat.audits else ""
+        print(
+            f"The results{of} differ, so none counts. `league retry {record.number}` has the races "
+            "run once more: the result that comes again is the one that counts."
+        )
     if record.state == "done" and any(result.replay for result in results):
         print(f"Watch it: league view {record.number}   (the second race: --race 2)")
     if record.traceback:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
     from league.matchmaking.crew import Crew, Ended
     from league.matchmaking.running import Tally
-    from league.matchmaking.standings import Standings
+    from league.matchmaking.standings import Row, Standings
     from league.matchmaking.store import Store
 
 REFIT_EVERY_S = 5.0
@@ -133,20 +134,33 @@ MARKS = {"?": "provisional", "!": "one-sided", "~": "apart"}
 def table(standings: Standings, limit: int | None = None) -> RenderableType:
     """Return the standings as a table that fits 80 columns."""
     drawn = tables.table(
-        "Standings", "", "entry", "owner", "Elo ± 95 %", "", "state", "races", "score", "ranks"
-    )
+        "Standings", "", "entry", "owner", "Elo ± 95 %", "state", "races", "score", "DNF",
+        "best lap", "ranks",
+    )  # fmt: skip
+    drawn.padding = (0, 0)  # the box leaves room enough between columns
     for row in standings.rows[:limit]:
         flags = "?" * row.provisional + "!" * row.one_sided + "~" * (not row.connected)
         ranks = f"{row.best_rank}-{row.worst_rank}" if row.best_rank < row.worst_rank else ""
         drawn.add_row(
             str(row.rank),
-            row.name[:24],
-            row.owner[:14],
-            door.plus_minus(row.elo, row.low95, row.high95),
-            flags,
-            "anchor" if row.anchor else row.state,
+            row.name[:17],
+            row.owner[:6],
+            f"{door.plus_minus(row.elo, row.low95, row.high95)} {flags:2}",
+            "anchor" if row.anchor else SHORT.get(row.state, row.state),
             str(row.races),
-            f"{100 * row.score:.0f} %" if row.races else "",
+            f"{100 * row.score:.0f}%" if row.races else "",
+            "" if row.unfinished is None else f"{100 * row.unfinished:.0f}%",
+            best_lap(row, standings.tracks),
             ranks,
         )
     return drawn
+
+
+SHORT = {"placement": "placing", "provisional": "prov.", "validating": "valid."}
+"""States in fewer letters, where room is scarce."""
+
+
+def best_lap(row: Row, tracks: Sequence[str]) -> str:
+    """Return an entry's best lap on the league's first track, laps of several not being alike."""
+    lap_s = row.best_laps_s.get(tracks[0]) if tracks else None
+    return "" if lap_s is None else tables.clock(lap_s)

@@ -124,8 +124,10 @@ def notes(found: Standings) -> list[str]:
         f"{found.num_races} races under rules {found.ruleset[:12]}; the front of the grid is worth "
         f"{front[0] - front[-1]:+.0f} Elo over its end.",
         "? provisional: sd above 50, listed by Elo - 2 sd   ! won or lost every pair",
-        "ranks: those the intervals allow",
+        "ranks: those the intervals allow   DNF: races not finished",
     ]
+    if len(found.tracks) > 1:
+        lines.append(f"best lap: on {found.tracks[0]}; `league show ENTRY` tells those on others")
     if not found.ratings.all_connected:
         lines.append("~ no chain of races leads to the anchor; such ratings lean on the prior.")
     if found.goodness.rejected:
@@ -166,6 +168,11 @@ def _show(store: Store, entry: Entry, as_json: bool) -> int:
             f"rank {row.rank} ({row.best_rank} to {row.worst_rank}), Elo {rating}, "
             f"{row.races} races"
         )
+        if row.unfinished is not None:
+            laps = [f"{tables.clock(lap_s)} on {track}" for track, lap_s in row.best_laps_s.items()]
+            print(
+                f"not finished: {100 * row.unfinished:.0f} %, best lap: {', '.join(laps) or 'none'}"
+            )
     table = tables.table(
         "Against", "entry", "owner", "Elo", "races", "points", "promised", "residual"
     )

@@ -133,7 +133,7 @@ def _print_tally(store: Store, tally: Tally) -> None:
     if tally.failures or tally.quarantined:
         print(
             f"{tally.failures} tries failed, {tally.errors} heats given up (`league heats --state "
-            f"error`), {tally.quarantined} in quarantine"
+            f"error`), {tally.quarantined} in quarantine (`league heats --state quarantined`)"
         )
 
 

@@ -100,8 +100,13 @@ def _gauntlet(command: Gauntlet) -> int:
         table.add_row(name, str(races), f"{points:g}")
     tables.console().print(table)
     rating = door.plus_minus(found.elo, found.low95, found.high95)
-    print(f"Elo {rating}: that would be rank {found.rank}. Nothing was kept; enter it with")
-    print(f"  league submit {command.checkpoint}")
+    ranks = f" ({found.best_rank} to {found.worst_rank})" if found.provisional else ""
+    print(f"Elo {rating}: that would be rank {found.rank}{ranks}.")
+    if found.one_sided:
+        print("It won, or lost, every race: read the number as a bound.")
+    if found.provisional:
+        print("More rounds tell more surely: --rounds 5")
+    print(f"Nothing was kept; enter it with  league submit {command.checkpoint}")
     return 0
 
 

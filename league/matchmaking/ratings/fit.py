@@ -18,6 +18,11 @@ from league.matchmaking.ratings.table import SIGMAS_95, Ratings
 ANCHOR_ELO = 1000.0
 """Where the anchor is pinned."""
 
+USUAL_SPREAD = 300.0
+"""Spread of a field of drivers before anything is known of it [Elo]."""
+SPREAD_DOUBT = np.log(3.0)
+"""Standard deviation of the logarithm of a field's spread: it is known to a factor of three."""
+
 ENOUGH = 1e-6
 """A Newton step this small [natural units] is the last one: it leaves an error of its square."""
 
@@ -159,17 +164,18 @@ class _Model:
     def learned(self) -> _Posterior:
         """Return the posterior under the spread that the field itself shows.
 
-        The spread is the fixed point of: mean square of the strengths plus their mean posterior
-        variance (the EM step of a variance), found by secants on its logarithm.
+        The spread is the fixed point of the EM step: from the strengths' squares and posterior
+        variances follows the likeliest spread, found by secants on its logarithm. What is known
+        of fields in general keeps it from collapsing where a few races tell nothing of it.
         """
         least, most = self._settings.least_prior_sd, self._settings.most_prior_sd
         bounds = 2 * np.log(least), 2 * np.log(most)
-        spread, last = 2 * np.log(min(max(200.0, least), most)), None
+        spread, last = 2 * np.log(min(max(USUAL_SPREAD, least), most)), None
         for _ in range(60):
             posterior = self.at(float(np.exp(0.5 * spread)))
             strengths = posterior.parameters[: self._evidence.num_entries]
             square = float((strengths**2).mean()) + posterior.system.mean_variance()
-            drift = float(np.log(square * ELO**2)) - spread
+            drift = _likeliest(square * ELO**2, len(strengths)) - spread
             if abs(drift) < 1e-9:
                 return posterior
             step = drift
@@ -184,6 +190,28 @@ class _Model:
                 return posterior
             spread = moved
         return posterior
+
+
+def _likeliest(square: float, size: int) -> float:
+    """Return the likeliest logarithm u of a field's variance, given its strengths' mean square.
+
+    It is where the slope of log Normal(strengths; 0, e^u) + log Normal(u; u0, w^2) is 0,
+
+        size * square * e^-u - size - 2 (u - u0) / w^2 = 0,
+
+    with u0 and w of USUAL_SPREAD and SPREAD_DOUBT (u is twice the logarithm of the spread).
+    """
+    usual, doubt = 2 * np.log(USUAL_SPREAD), 2 * SPREAD_DOUBT
+    # Left of the root of a convex falling curve, from where Newton's steps cannot overshoot.
+    u = min(float(np.log(square)), float(usual))
+    for _ in range(50):
+        pull = size * square * np.exp(-u)
+        slope = pull - size - 2 * (u - usual) / doubt**2
+        step = float(slope / (pull + 2 / doubt**2))
+        u += step
+        if abs(step) < 1e-12:
+            break
+    return u
 
 
 def _table(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,11 +16,21 @@ from league.matchmaking import keys
 from league.matchmaking.store import diary
 from league.matchmaking.store.database import insert_new
 from league.matchmaking.store.queue import chunked
-from league.matchmaking.store.records import Outcome, Races, Received, StoredResult
+from league.matchmaking.store.records import (
+    BEST_MS,
+    FINISHED,
+    TOLD,
+    Outcome,
+    Races,
+    Received,
+    StoredResult,
+)
 from league.matchmaking.store.schema import heats, races, results, rulesets
 
 BLOCK = 1 << 20
 """Races read at a time."""
+NO_TRACK = 255
+"""Stands for a track whose number in the ruleset has no room."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +43,8 @@ class Parcel:
     """Places and result as deflated canonical JSON."""
     places: tuple[int, ...]
     """Of the car in each slot."""
+    runs: tuple[int, ...]
+    """Of the car in each slot; see Races.runs."""
     replay: str | None
     """Digest of the recording."""
 
@@ -48,18 +60,47 @@ def parcels(outcome: Outcome, replays: Sequence[str | None]) -> tuple[Parcel, ..
                 f"the result of heat {outcome.key[:12]} is no plain data ({refusal}): "
                 "give texts, finite numbers, lists and mappings"
             ) from refusal
-        made.append(Parcel(keys.digest(told), zlib.compress(told, 6), race.places, replay))
+        made.append(
+            Parcel(
+                hash=keys.digest(told),
+                document=zlib.compress(told, 6),
+                places=race.places,
+                runs=runs_of(race.result, len(race.places)),
+                replay=replay,
+            )
+        )
     return tuple(made)
 
 
-def packed(heat: int, half: int, grid: Sequence[int], places: Sequence[int]) -> str:
-    """Return a race as 10 + 10 hexadecimal digits per car: heat, half, entries, places.
+def runs_of(result: Mapping[str, Any], cars: int) -> tuple[int, ...]:
+    """Return how each car's race went as Races.runs has it; 0 where a result does not tell."""
+    runs = [0] * cars
+    order = result.get("order")
+    for told in order if isinstance(order, list | tuple) else ():
+        match told:
+            case {"car": int(car), "finished": bool(finished), "lap_times_s": laps} if car < cars:
+                best_ms = round(1000 * min(laps, default=0.0))
+                runs[car] = TOLD | finished * FINISHED | min(best_ms, BEST_MS)
+    return tuple(runs)
 
-    A million of these are joined by the database and read by numpy at once; as rows of columns
-    they would take seconds.
+
+def packed(
+    heat: int,
+    half: int,
+    grid: Sequence[int],
+    places: Sequence[int],
+    *,
+    track: int = NO_TRACK,
+    runs: Sequence[int] = (),
+) -> str:
+    """Return a race in hexadecimal: heat, half, track; its cars' entries, their places, their runs.
+
+    That is 12 digits, and 18 for each car. A million of these are joined by the database and read
+    by numpy at once; as rows of columns they would take seconds.
     """
     entries = "".join(f"{number:08x}" for number in grid)
-    return f"{heat:08x}{half:02x}{entries}{bytes(places).hex()}"
+    went = "".join(f"{run:08x}" for run in runs or (0,) * len(grid))
+    return f"{heat:08x}{half:02x}{track:02x}{entries}{bytes(places).hex()}{went}"
 
 
 @dataclass
@@ -67,11 +108,17 @@ class _Intake:
     """What a batch of results is going to change."""
 
     known: dict[int, set[tuple[int, str]]]
-    """(half, hash) of the results of each heat."""
+    """(half, hash) of the results of each heat that were not rejected."""
+    ever: dict[int, set[tuple[int, str]]]
+    """(half, hash) of all its results, before this batch."""
+    tracks: dict[int, tuple[str, ...]]
+    """Tracks of each ruleset, by its number."""
     new_results: list[dict[str, Any]] = field(default_factory=list)
     new_races: list[dict[str, Any]] = field(default_factory=list)
     done: set[int] = field(default_factory=set)
     disputed: set[int] = field(default_factory=set)
+    settled: dict[int, set[tuple[int, str]]] = field(default_factory=dict)
+    """(half, hash) of the results that a third worker found, too."""
 
 
 def complete(
@@ -83,15 +130,13 @@ def complete(
     """Take in results of heats; the caller must be alone.
 
     A result that is known changes nothing; one that differs from what is known puts its heat in
-    quarantine; one whose lease was lost counts if no other came first.
+    quarantine; one whose lease was lost counts if no other came first. A heat in quarantine that
+    was lent again is settled by a result that agrees with one it has.
     """
     query = sa.select(heats).order_by(heats.c.number).with_for_update()
     rows = {row.key: row for row in chunked(connection, query, heats.c.key, [k for k, _ in batch])}
     targets = sorted({row.audits or row.number for row in rows.values()})
-    stored = sa.select(results.c.heat, results.c.half, results.c.hash)
-    intake = _Intake(known={number: set() for number in targets})
-    for row in chunked(connection, stored, results.c.heat, targets):
-        intake.known[row.heat].add((row.half, row.hash))
+    intake = _intake(connection, targets)
     sorted_out: dict[str, list[str]] = {"accepted": [], "repeated": [], "quarantined": []}
     for key, sent in batch:
         if key not in rows:
@@ -105,7 +150,27 @@ def complete(
     diary.note(connection, now, worker, "complete", "", heats=numbers, **counts)
     for key in received.quarantined:
         diary.note(connection, now, worker, "quarantine", key, of=rows[key].audits)
+    for number, kept in intake.settled.items():
+        hashes = [hash for _, hash in sorted(kept)]
+        diary.note(connection, now, worker, "settle", str(number), kept=hashes)
     return received
+
+
+def _intake(connection: sa.Connection, targets: list[int]) -> _Intake:
+    intake = _Intake(
+        known={number: set() for number in targets},
+        ever={number: set() for number in targets},
+        tracks={
+            row.number: tuple(json.loads(row.settings)["tracks"])
+            for row in connection.execute(sa.select(rulesets.c.number, rulesets.c.settings))
+        },
+    )
+    stored = sa.select(results.c.heat, results.c.half, results.c.hash, results.c.rejected)
+    for row in chunked(connection, stored, results.c.heat, targets):
+        intake.ever[row.heat].add((row.half, row.hash))
+        if not row.rejected:
+            intake.known[row.heat].add((row.half, row.hash))
+    return intake
 
 
 def _judge(intake: _Intake, row: Any, sent: tuple[Parcel, ...], worker: str, now: float) -> str:  # noqa: ANN401
@@ -125,6 +190,20 @@ def _judge(intake: _Intake, row: Any, sent: tuple[Parcel, ...], worker: str, now
         )
     target = row.audits or row.number
     known, came = intake.known[target], {(n, parcel.hash) for n, parcel in enumerate(sent)}
+    ever = intake.ever[target]
+    if ever and not row.audits and came <= ever and target not in intake.settled:
+        # Raced again by whom it was lent to: a third opinion. Anybody else repeats an old one.
+        if row.state == "claimed" and row.worker == worker:
+            intake.settled[target] = intake.known[target] = came
+            intake.new_races += [
+                _race(intake, row, half, grids[half], parcel) for half, parcel in enumerate(sent)
+            ]
+            intake.done.add(target)
+            return "accepted"
+        if not came <= known:
+            return "repeated"  # it was rejected, and stays so
+        if row.state in ("planned", "claimed"):
+            return "quarantined"
     for half, parcel in enumerate(sent):
         if (half, parcel.hash) in known:
             continue
@@ -140,7 +219,7 @@ def _judge(intake: _Intake, row: Any, sent: tuple[Parcel, ...], worker: str, now
             }
         )
         if not known and not row.audits:
-            intake.new_races.append(_race(row, half, grids[half], parcel.places))
+            intake.new_races.append(_race(intake, row, half, grids[half], parcel))
     intake.known[target] = known | came
     if (known and not came <= known) or len(known) > len(sent):
         intake.disputed |= {target, row.number}
@@ -151,14 +230,19 @@ def _judge(intake: _Intake, row: Any, sent: tuple[Parcel, ...], worker: str, now
     return "accepted"
 
 
-def _race(row: Any, half: int, grid: list[int], places: tuple[int, ...]) -> dict[str, Any]:  # noqa: ANN401
+def _race(intake: _Intake, row: Any, half: int, grid: list[int], told: Parcel) -> dict[str, Any]:  # noqa: ANN401
+    name, _ = json.loads(row.halves)[half]
+    tracks = intake.tracks[row.ruleset]
+    track = tracks.index(name) if name in tracks else NO_TRACK
     return {
         "heat": row.number,
         "half": half,
         "ruleset": row.ruleset,
         "rated": row.purpose == "rated",
         "cars": len(grid),
-        "packed": packed(row.number, half, grid, places),
+        "packed": packed(
+            row.number, half, grid, told.places, track=min(track, NO_TRACK), runs=told.runs
+        ),
     }
 
 
@@ -167,6 +251,8 @@ def _write(connection: sa.Connection, intake: _Intake, now: float) -> None:
         connection.execute(insert_new(connection, results), intake.new_results)
     if intake.new_races:
         connection.execute(races.insert(), intake.new_races)
+    for heat, kept in intake.settled.items():
+        _settle(connection, heat, kept)
     finished = {"state": "done", "lease_s": None, "done_s": now}
     if intake.done:
         connection.execute(heats.update().where(heats.c.number.in_(intake.done)).values(**finished))
@@ -176,6 +262,20 @@ def _write(connection: sa.Connection, intake: _Intake, now: float) -> None:
             heats.update().where(heats.c.number.in_(intake.disputed)).values(**disputed)
         )
         connection.execute(races.delete().where(races.c.heat.in_(intake.disputed)))
+
+
+def _settle(connection: sa.Connection, heat: int, kept: set[tuple[int, str]]) -> None:
+    """Keep some results of a heat, reject its others; audits of it that differed are over."""
+    of_heat = results.c.heat == heat
+    connection.execute(results.update().where(of_heat).values(rejected=True))
+    for half, hash in kept:
+        one = of_heat & (results.c.half == half) & (results.c.hash == hash)
+        connection.execute(results.update().where(one).values(rejected=False))
+    connection.execute(
+        heats.update()
+        .where(heats.c.audits == heat, heats.c.state == "quarantined")
+        .values(state="done")
+    )
 
 
 def read_results(connection: sa.Connection, heat: int) -> list[StoredResult]:
@@ -193,6 +293,7 @@ def read_results(connection: sa.Connection, heat: int) -> list[StoredResult]:
                 places=tuple(told["places"]),
                 result=told["result"],
                 replay=row.replay,
+                rejected=row.rejected,
             )
         )
     return found
@@ -226,19 +327,32 @@ def read_races(
 
 
 def _unpacked(text: str, cars: int) -> np.ndarray:
-    row = [("heat", ">u4"), ("half", "u1"), ("entries", ">u4", (cars,)), ("places", "u1", (cars,))]
+    row = [
+        *(("heat", ">u4"), ("half", "u1"), ("track", "u1")),
+        *(("entries", ">u4", (cars,)), ("places", "u1", (cars,)), ("runs", ">u4", (cars,))),
+    ]
     return np.frombuffer(bytes.fromhex(text), dtype=row)
 
 
 def _stacked(pieces: list[np.ndarray], last: int, voided: int) -> Races:
     total = sum(len(piece) for piece in pieces)
     cars = max((piece["entries"].shape[1] for piece in pieces), default=2)
-    heat, half = np.empty(total, np.int64), np.empty(total, np.uint8)
-    entries, places = np.full((total, cars), -1, np.int32), np.zeros((total, cars), np.uint8)
+    races = Races(
+        heat=np.empty(total, np.int64),
+        half=np.empty(total, np.uint8),
+        track=np.empty(total, np.uint8),
+        entries=np.full((total, cars), -1, np.int32),
+        places=np.zeros((total, cars), np.uint8),
+        runs=np.zeros((total, cars), np.uint32),
+        last=last,
+        voided=voided,
+    )
     start = 0
     for piece in pieces:
         end, width = start + len(piece), piece["entries"].shape[1]
-        heat[start:end], half[start:end] = piece["heat"], piece["half"]
-        entries[start:end, :width], places[start:end, :width] = piece["entries"], piece["places"]
+        for name in ("heat", "half", "track"):
+            getattr(races, name)[start:end] = piece[name]
+        for name in ("entries", "places", "runs"):
+            getattr(races, name)[start:end, :width] = piece[name]
         start = end
-    return Races(heat, half, entries, places, last, voided)
+    return races

@@ -190,16 +190,29 @@ def reap(connection: sa.Connection, now: float) -> int:
     return len(rows)
 
 
-def retry(connection: sa.Connection, now: float, key: str) -> bool:
-    """Put a heat that ended as an error or was cancelled back into the queue."""
+RETRIED: tuple[HeatState, ...] = ("error", "cancelled", "quarantined")
+"""States out of which a heat may be raced again."""
+
+
+def retry(connection: sa.Connection, now: float, key: str) -> int:
+    """Put a heat that is an error, cancelled or in quarantine back into the queue.
+
+    Of an audit in quarantine it is the heat that was audited. Returns the number of the heat that
+    waits now, or 0.
+    """
+    query = sa.select(heats.c.number, heats.c.state, heats.c.audits).where(heats.c.key == key)
+    row = connection.execute(query.with_for_update()).one_or_none()
+    if row is None:
+        return 0
+    number = row.audits if row.audits and row.state == "quarantined" else row.number
     changed = connection.execute(
         heats.update()
-        .where(heats.c.key == key, heats.c.state.in_(("error", "cancelled")))
-        .values(state="planned", attempts=0)
+        .where(heats.c.number == number, heats.c.state.in_(RETRIED))
+        .values(state="planned", attempts=0, done_s=None)
     ).rowcount
     if changed:
-        diary.note(connection, now, "league", "retry", key)
-    return bool(changed)
+        diary.note(connection, now, "league", "retry", key, heat=number, was=row.state)
+    return number if changed else 0
 
 
 def cancel(connection: sa.Connection, now: float, entry: int) -> int:

@@ -28,7 +28,11 @@ NEXT: dict[EntryState, tuple[EntryState, ...]] = {
     "retired": (),
     "refused": (),
 }
-"""Where an entry may go from each state; out of the last two there is no way back."""
+"""Where an entry may go from each state; out of the last two there is no way back, except that a
+validation heat in quarantine may be raced again (roll.reopen)."""
+
+TOLD, FINISHED, BEST_MS = 1 << 31, 1 << 30, (1 << 30) - 1
+"""Bits of Races.runs."""
 
 
 @dataclass(frozen=True)
@@ -168,6 +172,8 @@ class StoredResult:
     """The classification."""
     replay: str | None
     """SHA-256 of the recording, a blob."""
+    rejected: bool = False
+    """Whether a third worker found another one of the disputed results."""
 
 
 @dataclass(frozen=True)
@@ -196,11 +202,16 @@ class Races:
     """Number of the heat, (num_races,) int64: races of one heat belong together."""
     half: np.ndarray
     """Which race of the heat, (num_races,) uint8."""
+    track: np.ndarray
+    """Number of the track in the ruleset, 255 for none of them, (num_races,) uint8."""
     entries: np.ndarray
     """Entry numbers in grid order, (num_races, most cars) int32."""
     places: np.ndarray
     """Places in grid order, from 1, equal for a tie, (num_races, most cars) uint8."""
+    runs: np.ndarray
+    """How each car's race went, in grid order: TOLD if that is known, FINISHED if it drove all
+    laps, and its best lap [ms], 0 for none, in BEST_MS, (num_races, most cars) uint32."""
     last: int = 0
     """Ask for races since this number next time."""
     voided: int = 0
-    """How many heats were ever put in quarantine: if it has grown, ask for all races again."""
+    """How many heats are in quarantine: if it has changed, ask for all races again."""

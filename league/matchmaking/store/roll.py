@@ -15,7 +15,7 @@ from league.matchmaking import keys
 from league.matchmaking.store import diary, queue
 from league.matchmaking.store.database import insert_new
 from league.matchmaking.store.records import NEXT, Entry, EntryState
-from league.matchmaking.store.schema import blobs, entries, owners
+from league.matchmaking.store.schema import blobs, entries, heat_entries, heats, owners
 
 
 def submit(
@@ -122,6 +122,30 @@ def move(
         if state in ("retired", "refused"):
             queue.cancel(connection, now, number_of[row.id])
     return len(changes)
+
+
+def reopen(connection: sa.Connection, now: float, heat: int) -> None:
+    """Let entries that were refused for a validation heat wait for it, and their others, again."""
+    theirs = sa.select(heat_entries.c.entry).where(heat_entries.c.heat == heat)
+    validates = sa.exists().where(heats.c.number == heat, heats.c.purpose == "validation")
+    refused = (entries.c.state == "refused") & entries.c.number.in_(theirs) & validates
+    for row in connection.execute(sa.select(entries.c.number, entries.c.id).where(refused)).all():
+        connection.execute(
+            entries.update()
+            .where(entries.c.number == row.number)
+            .values(state="validating", reason="")
+        )
+        others = sa.select(heat_entries.c.heat).where(heat_entries.c.entry == row.number)
+        connection.execute(
+            heats.update()
+            .where(
+                heats.c.number.in_(others),
+                heats.c.purpose == "validation",
+                heats.c.state == "cancelled",
+            )
+            .values(state="planned", attempts=0)
+        )
+        diary.note(connection, now, "league", "validating", row.id, was="refused", heat=heat)
 
 
 class TableBlobs:

@@ -23,9 +23,10 @@ from sqlalchemy import (
     Table,
     Text,
     UniqueConstraint,
+    false,
 )
 
-SCHEMA = "0001"
+SCHEMA = "0002"
 """Version of these tables: the newest revision in migrations/versions."""
 
 # SQLite numbers rows by itself only in a column that is declared INTEGER PRIMARY KEY.
@@ -164,8 +165,10 @@ results = Table(
     Column("received_s", Float(53), nullable=False),
     Column("document", LargeBinary, nullable=False),
     Column("replay", String(64)),
+    Column("rejected", Boolean, nullable=False, server_default=false()),
 )
-"""Every differing result that ever came, as deflated JSON; more than one for a race: a dispute."""
+"""Every differing result that ever came, as deflated JSON; more than one for a race: a dispute,
+unless all but one are `rejected`, because a third worker found the one."""
 
 events = Table(
     "events",

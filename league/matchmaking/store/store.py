@@ -240,10 +240,23 @@ class Store:
         with self._database.writing() as connection:
             return queue.reap(connection, self._database.now(connection))
 
-    def retry(self, key: str) -> bool:
-        """Put a heat that ended as an error back into the queue; return whether it was one."""
+    def retry(self, key: str) -> int:
+        """Have a heat raced again that is an error, cancelled or in quarantine.
+
+        A result that agrees with one of a dispute settles it; another one leaves it in quarantine.
+        An entry that was refused for the dispute waits for the outcome.
+
+        Returns:
+            Number of the heat that waits now: for an audit in quarantine the heat it audited; 0 if
+            there is nothing to race again.
+        """
         with self._database.writing() as connection:
-            return queue.retry(connection, self._database.now(connection), key)
+            self._database.alone(connection)
+            now = self._database.now(connection)
+            number = queue.retry(connection, now, key)
+            if number:
+                roll.reopen(connection, now, number)
+            return number
 
     # What happened
 

@@ -45,9 +45,9 @@ class SelfPlayConfig:
     """Meetings remembered of each opponent."""
     pool_size: int = 48
     """Most members kept."""
-    candidate_every: int = 32
+    candidate_every: int = 16
     """Updates between two candidates; they come at save points."""
-    forced_every: int = 8
+    forced_every: int = 4
     """Every so many candidates one enters without winning."""
     admission: float = 0.55
     """Smallest win rate against every member that is measured, to enter."""

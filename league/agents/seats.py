@@ -1,0 +1,92 @@
+"""Seats: which driver has which cars of which worlds; each driver is asked once for all of its."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+
+import torch
+from torch import Tensor
+
+from league.agents.driver import Driver
+
+Seat = tuple[int, int]
+"""A world and a car in it."""
+Groups = Sequence[Mapping[str, Tensor]]
+"""What each car is told, by name."""
+
+
+class Seats:
+    """Asks drivers for actions; a driver with several seats is told a row for each.
+
+    One question costs a driver hardly more for two rows than for one, and a row's answer does not
+    depend on the others.
+    """
+
+    def __init__(self, drivers: Sequence[Sequence[Driver]]) -> None:
+        """Give each driver its seats.
+
+        Args:
+            drivers: of each world, by car; the same object may have any number of seats.
+        """
+        self._held: dict[int, tuple[Driver, list[Seat]]] = {}
+        for world, field in enumerate(drivers):
+            for car, driver in enumerate(field):
+                self._held.setdefault(id(driver), (driver, []))[1].append((world, car))
+
+    def reset(self) -> None:
+        """Have all drivers forget everything."""
+        for driver, _ in self._held.values():
+            driver.reset(None)
+
+    def ask(
+        self, told: Groups, readings: Sequence[Groups], idle: Collection[Seat]
+    ) -> dict[Seat, Tensor | None]:
+        """Return each seat's action, (2,), or None where the answer is no action.
+
+        Args:
+            told: what all worlds tell of each car, each group (num_worlds, ...).
+            readings: of each world what the sensors of each car read, each group (1, ...).
+            idle: seats whose answers are not wanted; who has only such is not asked. A driver's
+                rows stay the same all along, for its memory's sake.
+        """
+        answers: dict[Seat, Tensor | None] = {}
+        for driver, seats in self._held.values():
+            if all(seat in idle for seat in seats):
+                continue
+            answer = driver.act(_Told(told, readings, seats))
+            answers.update(zip(seats, _actions(answer, len(seats)), strict=True))
+        return answers
+
+
+class _Told(Mapping[str, Tensor]):
+    """The groups of some seats, a row for each; put together when they are asked for."""
+
+    def __init__(self, told: Groups, readings: Sequence[Groups], seats: Sequence[Seat]) -> None:
+        self._told, self._readings, self._seats = told, readings, seats
+
+    def __getitem__(self, name: str) -> Tensor:
+        rows = [
+            self._readings[world][car][name]
+            if name in self._readings[world][car]
+            else self._told[car][name][world : world + 1]
+            for world, car in self._seats
+        ]
+        return rows[0] if len(rows) == 1 else torch.cat(rows)
+
+    def __iter__(self) -> Iterator[str]:
+        world, car = self._seats[0]
+        yield from self._readings[world][car]
+        yield from self._told[car]
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+
+def _actions(answer: object, num_rows: int) -> list[Tensor | None]:
+    """Return the rows of an answer that are actions; the others are None."""
+    if not (
+        isinstance(answer, Tensor) and answer.shape == (num_rows, 2) and answer.is_floating_point()
+    ):
+        return [None] * num_rows
+    fine = (answer.abs() <= 1.0).all(dim=1).tolist()  # False for NaN
+    return [row if good else None for row, good in zip(answer.unbind(), fine, strict=True)]

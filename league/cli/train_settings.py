@@ -1,0 +1,238 @@
+"""What the flags of `league train` ask for, as the settings of a run."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from league.errors import ConfigError, brief
+
+if TYPE_CHECKING:
+    from league.cli.train import Train
+    from league.envs.action_space import ActionSpace
+    from league.sim.config import SensorConfig, Spread
+    from league.training.run_config import RunConfig
+    from league.training.settings import PpoConfig, TrainConfig
+
+
+def config(command: Train) -> RunConfig:
+    """Return the settings of a new run.
+
+    Raises:
+        LeagueError: a flag cannot be understood, or contradicts another.
+    """
+    from league.training.run_config import RunConfig
+
+    _check(command)
+    minutes = command.minutes
+    if minutes is None:
+        minutes = 0.0 if command.steps else 5.0
+    return RunConfig(
+        train=_learner(command),
+        name=command.out.stem,
+        tracks=command.track,
+        reward=command.reward,
+        minutes=minutes,
+        steps=command.steps or 0,
+        stop_when_complete=command.stop_when_complete,
+        exam_tracks=command.exam_track,
+        exam_trials=command.exam_trials,
+        exam_every=command.exam_every,
+        opponents=command.opponents,
+        self_play=command.self_play,
+        scripted_share=command.scripted_share,
+        exam_opponents=command.exam_opponents,
+        init_from=_parent(command.init_from),
+        licence=command.licence,
+        command=_printable(shlex.join(["league", *sys.argv[1:]]))[:2000],
+    )
+
+
+def _check(command: Train) -> None:
+    """Refuse flags that would be ignored, or that contradict each other."""
+    avoiding = (command.kind == "obstacle_avoidance", "--kind obstacle_avoidance")
+    racing = (command.kind == "head_to_head", "--kind head_to_head")
+    needs = {
+        "obstacles": avoiding,
+        "bots": avoiding,
+        "opponents": racing,
+        "self_play": racing,
+        "scripted_share": (command.self_play, "--self-play"),
+        "car_spread": (command.random_cars, "--random-cars"),
+    }
+    blank = type(command)()
+    for name, (there, needed) in needs.items():
+        if not there and getattr(command, name) != getattr(blank, name):
+            flag = f"--{name.replace('_', '-')}"
+            raise ConfigError(f"{flag} means nothing without {needed}: give both, or neither")
+    if command.kind == "head_to_head" and command.self_play == bool(command.opponents):
+        raise ConfigError(
+            "--kind head_to_head needs somebody to race: give either --opponents NAME ... or "
+            "--self-play"
+        )
+    if not 1 <= command.threads <= 1024:
+        raise ConfigError(f"--threads is {command.threads}: give 1 to 1024")
+
+
+def _parent(name: str) -> str:
+    """Return the checkpoint to begin from; a policy of the garage may be given by its name."""
+    from league.agents import garage
+
+    return str(garage.path(name)) if name in garage.names() else name
+
+
+def _printable(text: str) -> str:
+    return "".join(sign if sign.isprintable() else " " for sign in text)
+
+
+def _learner(command: Train) -> TrainConfig:
+    from league.sim.config import LookConfig
+    from league.training.settings import PpoConfig, TrainConfig
+
+    given = {
+        "learning_rate": command.learning_rate,
+        "noise": command.noise,
+        "gamma": command.gamma,
+        "lam": command.lam,
+        "epochs": command.epochs,
+        "mini_batches": command.mini_batches,
+        "steps": command.rollout,
+    }
+    base = PpoConfig().refining() if command.init_from else PpoConfig()
+    if command.hyperparameters is not None:
+        rollout = command.num_worlds * (command.rollout or base.steps)
+        base = _from_deepracer(command.hyperparameters, rollout)
+    from dataclasses import replace
+
+    ppo = replace(base, **{name: value for name, value in given.items() if value is not None})
+    cars = 1
+    if command.kind == "head_to_head":
+        cars += 1 if command.self_play else len(command.opponents)
+    return TrainConfig(
+        kind=command.kind,
+        num_worlds=command.num_worlds,
+        num_cars=cars,
+        seed=command.seed,
+        device=command.device,
+        action_space=parse_actions(command.action_space),
+        sensors=parse_sensors(command.sensors),
+        ppo=ppo,
+        mirror=not command.no_mirror,
+        both_directions=command.both_directions,
+        looks=LookConfig(light=0.3, colour=0.15, noise=6.0, blur=0.6)
+        if command.random_looks
+        else None,
+        spread=_spread(command.car_spread) if command.random_cars else None,
+        obstacles=command.obstacles,
+        bots=command.bots,
+        # So that a save point comes every 10 to 20 s.
+        save_every=max(1, min(8, 16_384 // max(command.num_worlds * ppo.steps, 1))),
+    )
+
+
+def _spread(share: float) -> Spread:
+    """Return how far cars differ: 1 as far as ones of one model do, less in proportion."""
+    from league.sim.config import Spread
+
+    if not 0 < share <= 2:
+        raise ConfigError(f"--car-spread is {share}: give more than 0, at most 2")
+    return Spread(
+        grip=0.15 * share,
+        mass=0.1 * share,
+        latency_s=0.03 * share,
+        steering_offset=0.02 * share,
+        camera_position=0.01 * share,
+        camera_angle=0.02 * share,
+    )
+
+
+def _from_deepracer(path: Path, rollout: int) -> PpoConfig:
+    """Return PPO's settings of a hyperparameters.json; what it does not name stays ours.
+
+    Args:
+        path: the file.
+        rollout: decisions between two updates.
+    """
+    from dataclasses import asdict, replace
+
+    from league.envs.deepracer import hyperparameters
+    from league.training.settings import PpoConfig
+
+    asked, ppo = hyperparameters.read(path), PpoConfig()
+    if asked.lr is not None:
+        ppo = replace(ppo, learning_rate=(asked.lr, asked.lr))
+    if asked.discount_factor is not None:
+        ppo = replace(ppo, gamma=asked.discount_factor)
+    if asked.num_epochs is not None:
+        ppo = replace(ppo, epochs=asked.num_epochs)
+    if asked.batch_size is not None:
+        ppo = replace(ppo, mini_batches=max(1, rollout // asked.batch_size))
+    if asked.beta_entropy is not None:
+        ppo = replace(ppo, entropy=(asked.beta_entropy, asked.beta_entropy))
+    taken = {"lr", "discount_factor", "num_epochs", "batch_size", "beta_entropy", "stack_size"}
+    left = [name for name, value in asdict(asked).items() if value is not None]
+    left = [name for name in left if name not in taken]
+    if left:
+        print(f"{path}: {', '.join(left)} not used here (docs/training.md)", file=sys.stderr)
+    return ppo
+
+
+def parse_actions(text: str) -> ActionSpace:
+    """Return the action space of `0.5-4`, `1-4@25`, `5x2@1.0` or a model_metadata.json.
+
+    Raises:
+        ConfigError: it is none of these.
+    """
+    from league.envs.action_space import ContinuousActions, grid
+
+    if text.endswith(".json"):
+        from league.envs.deepracer import metadata
+
+        return metadata.read(text).action_space
+    number = r"([0-9]{1,3}(?:\.[0-9]{1,6})?)"
+    if found := re.fullmatch(rf"{number}-{number}(?:@{number})?", text):
+        low, high, steering = found.groups()
+        degrees = float(steering or 30.0)
+        return ContinuousActions(-degrees, degrees, float(low), float(high))
+    if found := re.fullmatch(rf"([0-9]{{1,3}})x([0-9]{{1,3}})(?:@{number})?", text):
+        steerings, speeds, fastest = found.groups()
+        return grid(int(steerings), 30.0, int(speeds), float(fastest or 1.0))
+    raise ConfigError(
+        f"--action-space is {brief(text)}: give speeds such as 0.5-4 [m/s], a grid such "
+        "as 5x2@1.0, or a model_metadata.json"
+    )
+
+
+def parse_sensors(names: tuple[str, ...]) -> SensorConfig:
+    """Return what a car carries, of `stereo64x48`, `lidar` and the like or a model_metadata.json.
+
+    Raises:
+        ConfigError: it is none of these, or two of a kind.
+    """
+    from league.sim.config import CameraConfig, LidarConfig, SensorConfig
+
+    if len(names) == 1 and names[0].endswith(".json"):
+        from league.envs.deepracer import metadata
+
+        return metadata.read(names[0]).sensors
+    cameras, lidars = [], []
+    for name in names:
+        if found := re.fullmatch(r"(stereo|mono|left)([0-9]{1,4})x([0-9]{1,4})", name):
+            eyes, width, height = found.groups()
+            cameras.append(CameraConfig(int(width), int(height), eyes=eyes))  # type: ignore
+        elif name in ("lidar", "sectors", "discretised"):
+            lidars.append(LidarConfig(form="ranges" if name == "lidar" else name))  # type: ignore
+        else:
+            raise ConfigError(
+                f"there is no sensor {brief(name)}: give stereoWxH, monoWxH, leftWxH, lidar, "
+                "sectors, discretised, or a model_metadata.json"
+            )
+    if len(cameras) > 1 or len(lidars) > 1:
+        raise ConfigError(
+            f"the sensors {brief(' '.join(names))} hold two of a kind: "
+            "give one camera and one lidar"
+        )
+    return SensorConfig(camera=cameras[0] if cameras else None, lidar=lidars[0] if lidars else None)

@@ -1,0 +1,44 @@
+"""What is looked at before anything is learnt: that the policy can be written down and computed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from pydantic import ValidationError
+
+from league.agents.card import Card
+from league.errors import ConfigError, brief
+
+
+def card(make: Callable[[], Card]) -> None:
+    """See that a checkpoint's card can be made, and its network be built.
+
+    Raises:
+        ConfigError: the card refuses a setting.
+    """
+    try:
+        made = make()
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise ConfigError(
+            f"the checkpoint's card refuses the {where} {brief(first['input'])}: "
+            f"{first['msg'].removeprefix('Value error, ')}"
+        ) from None
+    made.weight_shapes  # noqa: B018 (a network that cannot be built is refused here)
+
+
+def device(name: str) -> None:
+    """See that tensors can live on a device.
+
+    Raises:
+        ConfigError: they cannot.
+    """
+    try:
+        torch.zeros(1, device=name)
+    except (RuntimeError, AssertionError):
+        raise ConfigError(
+            f"this machine's torch cannot compute on the device {brief(name)}: give cpu, or cuda "
+            "where there is such a card and a torch that knows it"
+        ) from None

@@ -1,0 +1,39 @@
+"""The folder of a run: whether it holds one, and how a new run takes its place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from league.errors import PolicyError
+from league.training import history
+
+LEARNT = ("best.pt", "last.pt", "state.pt")
+"""What cannot be had again without learning it again."""
+_PICTURES = ("training.png", "win_matrix.json", "win_matrix.png", "pool/pool.json")
+_MANY = ("pool/*.pt", "tensorboard/events.out.tfevents.*")
+
+
+def is_taken(folder: Path) -> bool:
+    """Whether a run has learnt something there; one that was stopped before that may be lost."""
+    return any((folder / name).exists() for name in LEARNT)
+
+
+def told(folder: Path) -> str:
+    """Return how far the run in a folder has come, as a phrase."""
+    try:
+        rows = history.read(folder / "history.jsonl")
+    except PolicyError:
+        return "a run"
+    updates = [row for row in rows if isinstance(row, history.UpdateRow)]
+    if not updates:
+        return "a run"
+    return f"a run of {updates[-1].samples:,} decisions and {updates[-1].time_s:.0f} s"
+
+
+def clear(folder: Path) -> None:
+    """Remove what an earlier run has left, and nothing else that lies there."""
+    for name in (*LEARNT, *_PICTURES):
+        (folder / name).unlink(missing_ok=True)
+    for pattern in _MANY:
+        for path in folder.glob(pattern):
+            path.unlink(missing_ok=True)
