@@ -21,7 +21,7 @@ from unittest.mock import patch
 
 import torch
 from rsl_rl.storage import RolloutStorage
-from torch import Tensor
+from torch import Tensor, nn
 
 from benchmarks.report import heading, machine
 from league.agents.card import Card
@@ -123,7 +123,7 @@ def _picture(width: int, height: int) -> Change:
     return lambda cfg: replace(cfg, sensors=SensorConfig(camera=camera))
 
 
-def _rows(num_worlds: int, steps: int = 32) -> Change:
+def _rows(num_worlds: int, steps: int = 64) -> Change:
     return lambda cfg: replace(cfg.with_ppo(steps=steps), num_worlds=num_worlds)
 
 
@@ -136,6 +136,11 @@ def _doubled(learner: Learner) -> None:
     learner._alg.symmetry = _Doubling(  # type: ignore
         cfg.sensors, cfg.action_space, cfg.ppo.mini_batches
     )
+
+
+def _loud(learner: Learner) -> None:
+    layers = learner._alg.get_policy().mlp.modules()
+    [layer for layer in layers if isinstance(layer, nn.Linear)][-1].reset_parameters()
 
 
 class _Doubling(mirror.Mirroring):
@@ -158,9 +163,9 @@ VARIATIONS = {
         Variation("no mirror images", lambda cfg: replace(cfg, mirror=False)),
         Variation("mirror images added (rsl-rl)", alter=_doubled),
         Variation("3 epochs x 4 mini-batches", _ppo(epochs=3, mini_batches=4)),
-        Variation("4 epochs x 8", _ppo(epochs=4)),
+        Variation("4 epochs x 8", _ppo(epochs=4, mini_batches=8)),
         Variation("6 epochs x 4", _ppo(mini_batches=4)),
-        Variation("10 epochs x 8", _ppo(epochs=10)),
+        Variation("10 epochs x 16", _ppo(epochs=10)),
         Variation("gamma .9", _ppo(gamma=0.9)),
         Variation("gamma .99, lambda .95", _ppo(gamma=0.99, lam=0.95)),
         Variation("learning rate 1e-3, constant", _ppo(learning_rate=(1e-3, 1e-3))),
@@ -171,16 +176,20 @@ VARIATIONS = {
         Variation("16 worlds", _rows(16)),
         Variation("64 worlds", _rows(64)),
         Variation("128 worlds", _rows(128)),
-        Variation("64 worlds x 16 steps", _rows(64, 16)),
+        Variation("64 worlds x 32 steps", _rows(64, 32)),
         Variation("picture 48x36", _picture(48, 36)),
         Variation("picture 96x72", _picture(96, 72)),
         Variation("strides 3, 2, 2", _network(strides=(3, 2, 2))),
         Variation("value loss clipped", _ppo(value_clip=True)),
         Variation("returns not scaled", alter=_unscaled),
+        Variation("last layer as torch draws it", alter=_loud),
+        Variation("no pull on means", _ppo(pull=0.0)),
         Variation("critic sees what the car sees", critic_sees="senses"),
     ),
     "racer": (
         Variation("base"),
+        Variation("last layer as torch draws it", alter=_loud),
+        Variation("no pull on means", _ppo(pull=0.0)),
         Variation("learning rate 1e-3, constant", _ppo(learning_rate=(1e-3, 1e-3))),
         Variation("noise .5 to .2", _ppo(noise=(0.5, 0.2))),
         Variation("gamma .99, lambda .95", _ppo(gamma=0.99, lam=0.95)),

@@ -24,9 +24,17 @@ def postgres_server() -> Iterator[postgres.Server]:
 
 
 @pytest.fixture
-def new_postgres(postgres_server: postgres.Server) -> Callable[[], str]:
-    """Return a factory of addresses of empty databases."""
-    return postgres_server.database
+def new_postgres(postgres_server: postgres.Server) -> Iterator[Callable[[], str]]:
+    """Return a factory of addresses of empty databases, which are gone after the test."""
+    made: list[str] = []
+
+    def database() -> str:
+        made.append(postgres_server.database())
+        return made[-1]
+
+    yield database
+    for url in made:
+        postgres_server.drop(url)
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])

@@ -60,7 +60,7 @@ def drain(path: Path, dice: random.Random | None, patience_s: float, heats: int)
             crew = subprocess.Popen(WORK, env=environment, stdout=subprocess.DEVNULL)
             try:
                 while crew.poll() is None and left(store) and time.monotonic() < give_up:
-                    kills += struck(store, crew, dice, max(5, heats // 8))
+                    kills += struck(store, crew, dice, max(5, heats // 4))
             finally:
                 crew.kill()
                 crew.wait()
