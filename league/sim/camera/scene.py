@@ -17,16 +17,20 @@ Colour = float | tuple[float, float, float]
 """What a pixel is filled with: a gray value, or red, green and blue."""
 
 CAR_COLOURS: tuple[Rgb, ...] = (
-    (226, 52, 62),  # red
-    (38, 126, 245),  # azure
-    (255, 199, 22),  # yellow
-    (36, 190, 172),  # teal
-    (150, 92, 228),  # violet
-    (255, 126, 24),  # orange
-    (240, 241, 243),  # white
-    (240, 98, 176),  # pink
+    (255, 225, 40),  # yellow
+    (90, 250, 255),  # cyan
+    (246, 247, 249),  # white
+    (255, 196, 120),  # peach
+    (170, 255, 80),  # lime
+    (255, 186, 224),  # pink
+    (214, 200, 255),  # lilac
+    (205, 210, 214),  # silver
 )
-"""Body colour of each car slot; the Rerun viewer and the top view use the same."""
+"""Body colour of each car slot; the Rerun viewer and the top view use the same.
+
+All are bright, and about as bright in gray, which is all that most drivers see: a red or a blue
+body is hardly told from the dark road.
+"""
 
 BOT_COLOUR: Rgb = (148, 156, 166)
 BOX_COLOUR: Rgb = (188, 142, 92)
@@ -249,6 +253,6 @@ def luma(colour: tuple[float, float, float]) -> float:
 
 
 def faded(colour: Rgb) -> Rgb:
-    """Return the colour of a car that stands a penalty: halfway to white."""
-    red, green, blue = ((part + 255) // 2 for part in colour)
+    """Return the colour of a car that stands a penalty: a ghost that need not be avoided is dim."""
+    red, green, blue = ((part + 3 * 58) // 4 for part in colour)
     return red, green, blue
