@@ -19,10 +19,10 @@ Colour = float | tuple[float, float, float]
 CAR_COLOURS: tuple[Rgb, ...] = (
     (255, 225, 40),  # yellow
     (90, 250, 255),  # cyan
+    (255, 186, 224),  # pink
+    (170, 255, 80),  # lime
     (246, 247, 249),  # white
     (255, 196, 120),  # peach
-    (170, 255, 80),  # lime
-    (255, 186, 224),  # pink
     (214, 200, 255),  # lilac
     (205, 210, 214),  # silver
 )
