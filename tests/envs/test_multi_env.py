@@ -231,8 +231,9 @@ def test_pictures_show_the_race_and_change_nothing(view):
         assert data_equivalence(*told, exact=True)
     assert pictures[0].shape == (360, 640, 3) and pictures[0].dtype == np.uint8
     assert not np.array_equal(pictures[0], pictures[-1])
-    red = (pictures[0][..., 0] > 180) & (pictures[0][..., 1] < 90)
-    assert red.sum() > 20  # the first car is red
+    red, green, blue = np.moveaxis(pictures[0], -1, 0)
+    yellow = (red > 180) & (green > 155) & (blue < 90)
+    assert yellow.sum() > 20  # the first car is yellow
 
 
 def test_nothing_is_drawn_where_no_mode_was_chosen():
