@@ -33,7 +33,7 @@ from league.training.learner import Learner
 from league.training.settings import TrainConfig
 
 ROOKIE = (
-    *("train", "--reward", "centerline", "--action-space", "0.5-1", "--num-worlds", "32"),
+    *("train", "--reward", "centerline", "--action-space", "0.5-1", "--num-worlds", "16"),
     *("--minutes", "1", "--plain", "--no-tensorboard"),
 )
 
