@@ -138,7 +138,12 @@ class Run:
     @property
     def over(self) -> str:
         """Why there is nothing more to learn; empty while there is."""
-        return self._over()
+        cfg = self.cfg
+        if cfg.stop_when_complete and self._complete >= cfg.stop_when_complete:
+            return "every lap was complete"
+        if cfg.steps and self.learner.samples >= cfg.steps:
+            return "the steps were driven"
+        return "the time was up" if self._share() >= 1.0 else ""
 
     @property
     def spent_s(self) -> float:
@@ -156,7 +161,7 @@ class Run:
         if self.learner.updates == 0:
             self._prepare()
         # A run that was killed while its last policy was judged has nothing more to learn.
-        started, why = time.perf_counter() - self._spent_s, self._over()
+        started, why = time.perf_counter() - self._spent_s, self.over
         try:
             while not why:
                 update = self._updated()
@@ -166,7 +171,7 @@ class Run:
                     onlooker.update(self.history, update)
                 if self.learner.at_save_point:
                     self._save_point(update, onlookers)
-                why = self._over()
+                why = self.over
             self._finish(onlookers)
         except LeagueError:
             # The user's reward function failed, say: what was learnt stays.
@@ -217,14 +222,6 @@ class Run:
         by_time = self._spent_s / (60.0 * cfg.minutes) if cfg.minutes else 0.0
         by_steps = self.learner.samples / cfg.steps if cfg.steps else 0.0
         return max(by_time, by_steps)
-
-    def _over(self) -> str:
-        cfg = self.cfg
-        if cfg.stop_when_complete and self._complete >= cfg.stop_when_complete:
-            return "every lap was complete"
-        if cfg.steps and self.learner.samples >= cfg.steps:
-            return "the steps were driven"
-        return "the time was up" if self._share() >= 1.0 else ""
 
     def _save_point(self, update: Update, onlookers: Sequence[Onlooker]) -> None:
         self._take(onlookers, wait=False)
