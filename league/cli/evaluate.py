@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 import tyro
 
-from league.cli import tables
+from league.cli import flags, tables
 from league.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -110,14 +110,8 @@ def _check(command: Evaluate) -> None:
         )
     if command.trace is not None and command.trace.is_dir():
         raise ConfigError(f"--trace is {command.trace}, which is a folder: give a file, NAME.csv")
-    if command.kind != "obstacle_avoidance":
-        blank = Evaluate(command.driver)
-        for name in ("obstacles", "bots", "fixed_obstacles"):
-            if getattr(command, name) != getattr(blank, name):
-                raise ConfigError(
-                    f"--{name.replace('_', '-')} means nothing without --kind obstacle_avoidance: "
-                    "give both, or neither"
-                )
+    avoiding = (command.kind == "obstacle_avoidance", "--kind obstacle_avoidance")
+    flags.refuse_ignored(command, dict.fromkeys(("obstacles", "bots", "fixed_obstacles"), avoiding))
     if command.opponents and command.kind != "time_trial":
         raise ConfigError(
             f"--opponents were named for {command.kind}, which is driven alone: "

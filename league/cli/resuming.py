@@ -8,6 +8,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from league.cli import flags
 from league.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -96,12 +97,11 @@ def continued(command: Train, folder: Path, asked: Callable[[Train], RunConfig])
     if command.overwrite:
         raise ConfigError("--resume goes on and --overwrite begins anew: give one of them")
     stored = settings(folder)
-    blank = type(command)()
-    given = [name for name in KEPT if getattr(command, name) != getattr(blank, name)]
+    given = flags.given(command, KEPT)
     if given:
         wanted = asked(replace(command, minutes=1.0, steps=None))
         others = [
-            f"--{name.replace('_', '-')}"
+            flags.spelled(name)
             for name in given
             if attrgetter(KEPT[name])(wanted) != attrgetter(KEPT[name])(stored)
         ]

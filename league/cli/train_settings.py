@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from league.cli import flags
 from league.errors import ConfigError, brief
 
 if TYPE_CHECKING:
@@ -63,11 +64,7 @@ def _check(command: Train) -> None:
         "scripted_share": (command.self_play, "--self-play"),
         "car_spread": (command.random_cars, "--random-cars"),
     }
-    blank = type(command)()
-    for name, (there, needed) in needs.items():
-        if not there and getattr(command, name) != getattr(blank, name):
-            flag = f"--{name.replace('_', '-')}"
-            raise ConfigError(f"{flag} means nothing without {needed}: give both, or neither")
+    flags.refuse_ignored(command, needs)
     if command.kind == "head_to_head" and command.self_play == bool(command.opponents):
         raise ConfigError(
             "--kind head_to_head needs somebody to race: give either --opponents NAME ... or "
