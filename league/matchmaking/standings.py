@@ -329,7 +329,7 @@ class Moment:
 
 
 def history(store: Store, entry: Entry, *, points: int = 20) -> list[Moment]:
-    """Return an entry's rating as it was after evenly many of its heats, the last one now.
+    """Return an entry's rating as it was after evenly many of its heats, and last as it is now.
 
     Each is worked out anew from the races up to then, so later corrections of results count.
     """
@@ -340,8 +340,10 @@ def history(store: Store, entry: Entry, *, points: int = 20) -> list[Moment]:
             f"{brief(entry.name)} has not raced for its rating yet: let the league run first"
         )
     picked = np.unique(np.linspace(0, len(mine) - 1, min(points, len(mine))).round().astype(int))
+    # Others may have raced since its last heat, and their races move its rating too.
+    moments_at = [*mine[picked[:-1]].tolist(), int(races.heat.max())]
     moments = []
-    for heat in mine[picked].tolist():
+    for heat in moments_at:
         fitted = rated(results_of(races, before=heat + 1), entries)
         assert fitted is not None
         at = fitted.index(entry.number)
