@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import fields
+from dataclasses import fields, replace
 from operator import attrgetter
 
 import pytest
@@ -21,6 +21,7 @@ from league.envs.action_space import ContinuousActions, DiscreteActions
 from league.errors import ConfigError, LeagueError
 from league.training import history
 from league.training.run_config import settings
+from league.training.settings import PpoConfig
 
 TINY = (
     *("--track", "reinvent_2018", "--reward", "centerline", "--action-space", "0.5-1"),
@@ -130,6 +131,18 @@ def test_hyperparameters_by_deepracers_names_are_taken(league, tmp_path):
     assert ppo.learning_rate == (0.0004, 0.0004)
     assert ppo.entropy == (0.02, 0.02)
     assert ppo.gamma == 0.97
+
+
+def test_what_the_file_does_not_name_is_as_a_trained_policy_needs_it(league, tmp_path):
+    (tmp_path / "h.json").write_text('{"discount_factor": 0.9}')
+    league("train", *TINY, "--steps", "32", "--out", "a.pt")
+    code, _, err = league(
+        *("train", *TINY, "--steps", "32", "--out", "b.pt"),
+        *("--init-from", "a.pt", "--hyperparameters", "h.json"),
+    )
+    assert (code, err) == (0, "")
+    ppo = settings(tmp_path / "b.run").train.ppo
+    assert ppo == replace(PpoConfig().refining(), gamma=0.9, steps=ppo.steps)
 
 
 def test_flag_beats_the_hyperparameters_file(league, tmp_path):

@@ -100,8 +100,7 @@ def _learner(command: Train) -> TrainConfig:
     }
     base = PpoConfig().refining() if command.init_from else PpoConfig()
     if command.hyperparameters is not None:
-        rollout = command.num_worlds * (command.rollout or base.steps)
-        base = _from_deepracer(command.hyperparameters, rollout)
+        base = _from_deepracer(command.hyperparameters, base, command)
     from dataclasses import replace
 
     ppo = replace(base, **{name: value for name, value in given.items() if value is not None})
@@ -146,19 +145,14 @@ def _spread(share: float) -> Spread:
     )
 
 
-def _from_deepracer(path: Path, rollout: int) -> PpoConfig:
-    """Return PPO's settings of a hyperparameters.json; what it does not name stays ours.
-
-    Args:
-        path: the file.
-        rollout: decisions between two updates.
-    """
+def _from_deepracer(path: Path, ppo: PpoConfig, command: Train) -> PpoConfig:
+    """Return the learner's settings with those that a hyperparameters.json names."""
     from dataclasses import asdict, replace
 
     from league.envs.deepracer import hyperparameters
-    from league.training.settings import PpoConfig
 
-    asked, ppo = hyperparameters.read(path), PpoConfig()
+    asked = hyperparameters.read(path)
+    rollout = command.num_worlds * (command.rollout or ppo.steps)
     if asked.lr is not None:
         ppo = replace(ppo, learning_rate=(asked.lr, asked.lr))
     if asked.discount_factor is not None:
