@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import fields, replace
+from dataclasses import fields
 from operator import attrgetter
 
 import pytest
@@ -142,7 +142,9 @@ def test_what_the_file_does_not_name_is_as_a_trained_policy_needs_it(league, tmp
     )
     assert (code, err) == (0, "")
     ppo = settings(tmp_path / "b.run").train.ppo
-    assert ppo == replace(PpoConfig().refining(), gamma=0.9, steps=ppo.steps)
+    refined = PpoConfig().refining()
+    assert (ppo.learning_rate, ppo.noise) == (refined.learning_rate, refined.noise)
+    assert ppo.gamma == 0.9
 
 
 def test_flag_beats_the_hyperparameters_file(league, tmp_path):
