@@ -271,7 +271,7 @@ def against_bullet(tracks: TrackSet, folder: Path | None = None) -> None:
     slow, fast = math.inf, math.inf
     for _ in range(15):
         slow = min(slow, fastest(tiny.pair, 2))
-        fast = min(fast, fastest(lambda: [renderer.render(world, 0) for _ in range(100)], 2) / 100)
+        fast = min(fast, fastest(lambda: [renderer.render(world, 0) for _ in range(60)], 2) / 60)
     figure("one pair 160x120, PyBullet's software renderer", 1e3 * slow, "ms")
     figure("one pair 160x120, ours, one world a call", 1e3 * fast, "ms")
     figure("ours is faster by", slow / fast, "times", 100)

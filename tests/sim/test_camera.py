@@ -207,3 +207,27 @@ def test_camera_parameters_of_a_car_move_its_horizon():
 
     # 0.05 rad is 126.19 * 0.05 = 6.3 px in the middle of the picture, a little more above it.
     assert 5 <= foot_of_wall(now) - foot_of_wall(tilted) <= 8
+
+
+def test_each_world_of_a_batch_is_seen_from_its_own_mounting():
+    now = world(room(half=3.0), [[(0, 0, 0), (0.8, 0.1, 0.4)]] * 3)
+    up = torch.tensor([[0.0, 0.0], [0.03, 0.0], [0.03, 0.0]])
+    pitch = torch.tensor([[0.0, 0.0], [0.0, 0.0], [0.04, 0.0]])
+    now = replace(now, cars=replace(now.cars, camera_up=up, camera_pitch=pitch))
+    made = CvRenderer(room(half=3.0), settings(2), CameraConfig())
+    together = made.render(now, 0).numpy()
+    for index in range(3):
+        # A renderer that has seen no other mounting.
+        assert np.array_equal(
+            pictures(CvRenderer, row(now, index), room(half=3.0))[0], together[index]
+        )
+        assert not np.array_equal(together[index], together[index - 1])
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.5, 2.5, 4.0])
+def test_no_sky_shows_between_the_floor_and_the_walls(heading):
+    # The floor is drawn up to the farthest wall in view; farther corners are out of view here.
+    now = world(room(half=3.0), [(2.0, 1.5, heading)])
+    painted, cast = (pictures(one, now, room(half=3.0)).astype(int) for one in RENDERERS)
+    sky = 0.299 * 200 + 0.587 * 212 + 0.114 * 222  # 209.6
+    assert not ((abs(painted - sky) < 1) & (abs(cast - sky) > 30)).any()

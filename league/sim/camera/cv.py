@@ -61,8 +61,7 @@ class CvRenderer:
             channels_first = pictures.transpose(0, 1, 4, 2, 3)  # (rows, eyes, 3, height, width)
             pictures = np.ascontiguousarray(channels_first).reshape(-1, *cfg.shape)
         found = torch.from_numpy(pictures)
-        device = world.motion.x.device
-        return found if device.type == "cpu" else found.to(device)
+        return found if world.motion.x.is_cpu else found.to(world.motion.x.device)
 
     def _floor(self, track: int) -> Floor:
         floor = self._floors.get(track)

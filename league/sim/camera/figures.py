@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import cv2
@@ -21,7 +22,7 @@ from league.sim.camera.scene import (
     lit,
     luma,
 )
-from league.sim.camera.shapes import SHAPES, Shape, Wheel
+from league.sim.camera.shapes import SHAPES, Shape, Sight, Wheel
 from league.sim.camera.stage import Thing
 
 NEAR = 0.02
@@ -44,10 +45,10 @@ class _Figure(NamedTuple):
     """(2 * num_eyes + 1, num_vertices): u * Z and v * Z of each eye in 1/16 pixel, and Z."""
     eyes: list[tuple[float, ...]]
     """Each eye in the model's frame: x, y, z, 1."""
-    visible: list[list[bool]]
-    """Which quads each eye sees."""
-    colours: list[Colour | None]
-    """Lit colour of each quad, found when it is first filled."""
+    sight: Sight
+    """What each eye sees, far to near."""
+    colours: dict[int, Colour]
+    """Lit colour of the quads that are seen."""
     rims: dict[tuple[bool, int], Colour]
     """Lit colour of the wheels' caps, by whether they are steered and by side."""
 
@@ -58,8 +59,7 @@ class Figures:
     def __init__(self, lens: Lens, gray: bool) -> None:
         self._lens, self._gray = lens, gray
         self._far = far_from(lens.focal)
-        self._scale = UNIT * lens.focal
-        self._cx, self._cy = UNIT * lens.cx, UNIT * lens.cy
+        self._projection = lru_cache(maxsize=4096)(partial(_projection, lens))
         self._rubber: Colour = luma(RUBBER) if gray else RUBBER
 
     def draw(self, images: list[np.ndarray], pose: Pose, thing: Thing, foot: Footprint) -> None:
@@ -77,8 +77,10 @@ class Figures:
         shape = SHAPES[model]
         points = self._matrix(pose, thing, foot, shape.steered) @ shape.basis
         eyes = self._eyes(pose, thing, foot)
-        visible = (np.array(eyes) @ shape.planes > 0).tolist()
-        figure = _Figure(thing, shape, points, eyes, visible, [None] * len(shape.normals), {})
+        outside = np.array(eyes) @ shape.planes > 0
+        sight = shape.sight(tuple(map(shape.order, eyes)), outside.tobytes())
+        colours = self._colours(thing, shape, sight)
+        figure = _Figure(thing, shape, points, eyes, sight, colours, {})
         if foot.x * pose.pitch_cos > REACH + NEAR or points[-1].min() >= NEAR:
             self._fill(images, figure)
         else:
@@ -86,33 +88,22 @@ class Figures:
 
     def _matrix(self, pose: Pose, thing: Thing, foot: Footprint, steered: bool) -> np.ndarray:
         """Return what maps a shape's basis to u * Z, v * Z for each eye, and Z; (n, 4 or 6)."""
-        scale, cx, cy = self._scale, self._cx, self._cy
-        pitch_cos, pitch_sin = pose.pitch_cos, pose.pitch_sin
-        # Depth Z = ahead * pitch_cos - up * pitch_sin; downward, Y = -ahead * pitch_sin - up *
-        # pitch_cos; to the right, X = -left. So u * Z and v * Z of a way ahead, left and up are:
-        u_ahead, v_ahead = cx * pitch_cos, cy * pitch_cos - scale * pitch_sin
-        u_up, v_up = -cx * pitch_sin, -cy * pitch_sin - scale * pitch_cos
         along, across, upward = thing.scale
-        ways = [
-            (foot.cos * along, foot.sin * along, 0.0),
-            (-foot.sin * across, foot.cos * across, 0.0),
-            (0.0, 0.0, upward),
-            (foot.x, foot.y, -pose.z),
-        ]
+        aheads = [foot.cos * along, -foot.sin * across, 0.0, foot.x]
+        lefts = [foot.sin * along, foot.cos * across, 0.0, foot.y]
+        ups = [0.0, 0.0, upward, -pose.z]
+        ones = [0.0, 0.0, 0.0, 1.0]
         if steered:
             steer_cos, steer_sin = math.cos(thing.steering), math.sin(thing.steering)
             wheel_cos = foot.cos * steer_cos - foot.sin * steer_sin
             wheel_sin = foot.sin * steer_cos + foot.cos * steer_sin
-            ways += ((wheel_cos, wheel_sin, 0.0), (-wheel_sin, wheel_cos, 0.0))
-        across_rows = [u_ahead * a + u_up * up - scale * left for a, left, up in ways]
-        down_row = [v_ahead * a + v_up * up for a, _, up in ways]
-        flat = []
-        for eye in self._lens.eyes:
-            flat += across_rows
-            flat[3 - len(ways)] += scale * eye  # the column of the model's own place
-            flat += down_row
-        flat += [a * pitch_cos - up * pitch_sin for a, _, up in ways]
-        return np.array(flat).reshape(-1, len(ways))
+            aheads += (wheel_cos, -wheel_sin)
+            lefts += (wheel_sin, wheel_cos)
+            ups += (0.0, 0.0)
+            ones += (0.0, 0.0)
+        return self._projection(pose.pitch_cos, pose.pitch_sin) @ np.array(
+            (aheads, lefts, ups, ones)
+        )
 
     def _eyes(self, pose: Pose, thing: Thing, foot: Footprint) -> list[tuple[float, ...]]:
         """Return each eye in the frame of the unstretched model, as (x, y, z, 1)."""
@@ -124,58 +115,53 @@ class Figures:
             found.append((ahead, (foot.cos * dy - foot.sin * dx) / across, pose.z / upward, 1.0))
         return found
 
-    def _colour(self, figure: _Figure, face: int) -> Colour:
-        """Return the lit colour of a quad."""
-        known = figure.colours[face]
-        if known is None:
-            thing = figure.thing
-            nx, ny, nz = figure.shape.normals[face]
-            along, across = nx * thing.cos - ny * thing.sin, nx * thing.sin + ny * thing.cos
-            light = lit(figure.shape.paints[face] or thing.colour, self._gray)
-            known = in_light(light, SUN[0] * along + SUN[1] * across + SUN[2] * nz)
-            figure.colours[face] = known
-        return known
+    def _colours(self, thing: Thing, shape: Shape, sight: Sight) -> dict[int, Colour]:
+        """Return the lit colour of each quad that an eye sees."""
+        sun_x, sun_y, sun_z = SUN
+        ahead, left = sun_x * thing.cos + sun_y * thing.sin, sun_y * thing.cos - sun_x * thing.sin
+        lights = shape.lights(thing.colour, self._gray)
+        colours = {}
+        for face in sight.faces:
+            nx, ny, nz = shape.normals[face]
+            colours[face] = in_light(lights[face], nx * ahead + ny * left + nz * sun_z)
+        return colours
 
     def _fill(self, images: list[np.ndarray], figure: _Figure) -> None:
         """Fill a thing that lies before the camera as a whole."""
-        shape, points = figure.shape, figure.points
+        shape, points, colours, sight = figure.shape, figure.points, figure.colours, figure.sight
         fixed = np.rint(points[:-1] / points[-1]).astype(np.int32)
-        quads = fixed.take(shape.corners(len(images)))  # (num_eyes, num_quads, 4, 2)
+        quads = iter(fixed.take(sight.corners))  # (num_seen, 4, 2), in the order of the parts
         rings = None
-        fill, colours = cv2.fillConvexPoly, figure.colours
-        for index, (image, eye) in enumerate(zip(images, figure.eyes, strict=True)):
-            shown, faces = figure.visible[index], quads[index]
-            for part in shape.far_to_near(eye):
+        for index, (image, parts) in enumerate(zip(images, sight.parts, strict=True)):
+            for part in parts:
                 if isinstance(part, int):
-                    if shown[part]:
-                        fill(
-                            image,
-                            faces[part],
-                            colours[part] or self._colour(figure, part),
-                            8,
-                            SHIFT,
-                        )
+                    cv2.fillConvexPoly(image, next(quads), colours[part], 8, SHIFT)
                     continue
                 if rings is None:
                     rings = fixed.take(shape.rings(len(images)))  # (num_eyes, wheels, ring, 2)
-                ring = rings[index, part.number]
-                fill(image, cv2.convexHull(ring), self._rubber, 8, SHIFT)
-                side = part.side_of(eye, figure.thing.steering)
-                if side:
-                    half = len(ring) // 2
-                    cap = ring[:half] if side > 0 else ring[half:]
-                    fill(image, cap, self._rim(figure, part, side), 8, SHIFT)
+                self._fill_wheel(image, rings[index, part.number], figure, part, index)
+
+    def _fill_wheel(
+        self, image: np.ndarray, ring: np.ndarray, figure: _Figure, wheel: Wheel, eye: int
+    ) -> None:
+        """Fill a wheel's outline with rubber, then the cap that is seen."""
+        cv2.fillConvexPoly(image, cv2.convexHull(ring), self._rubber, 8, SHIFT)
+        side = wheel.side_of(figure.eyes[eye], figure.thing.steering)
+        if side:
+            half = len(ring) // 2
+            cap = ring[:half] if side > 0 else ring[half:]
+            cv2.fillConvexPoly(image, cap, self._rim(figure, wheel, side), 8, SHIFT)
 
     def _fill_cut(self, images: list[np.ndarray], figure: _Figure) -> None:
         """Fill a thing of which a part lies behind the camera: cut each face, then fill it."""
         rows = figure.points.T.tolist()
         shape = figure.shape
-        for index, (image, eye) in enumerate(zip(images, figure.eyes, strict=True)):
-            for part in shape.far_to_near(eye):
+        views = zip(images, figure.eyes, figure.sight.parts, strict=True)
+        for index, (image, eye, parts) in enumerate(views):
+            for part in parts:
                 if isinstance(part, int):
-                    if figure.visible[index][part]:
-                        corners = cut([rows[vertex] for vertex in shape.quads[part]])
-                        _fill_polygon(image, _pixels(corners, index), self._colour(figure, part))
+                    corners = cut([rows[vertex] for vertex in shape.quads[part]])
+                    _fill_polygon(image, _pixels(corners, index), figure.colours[part])
                     continue
                 cuts = [cut([rows[vertex] for vertex in face]) for face in part.faces]
                 outline = _pixels([point for polygon in cuts for point in polygon], index)
@@ -199,6 +185,22 @@ class Figures:
             known = in_light(lit(RIM, self._gray), facing)
             figure.rims[wheel.steered, side] = known
         return known
+
+
+def _projection(lens: Lens, pitch_cos: float, pitch_sin: float) -> np.ndarray:
+    """Return what maps a point ahead, left and up of a camera, and 1, to what Figures draws from.
+
+    The rows give u * Z and v * Z in 1/16 pixel for each eye, then the depth Z; (n, 4).
+    """
+    scale, cx, cy = UNIT * lens.focal, UNIT * lens.cx, UNIT * lens.cy
+    # X = -left, Y = -ahead * sin(pitch) - up * cos(pitch), Z = ahead * cos(pitch) - up * sin(pitch)
+    depth = np.array((pitch_cos, 0.0, -pitch_sin, 0.0))
+    down = np.array((-pitch_sin, 0.0, -pitch_cos, 0.0))
+    rows = []
+    for eye in lens.eyes:
+        rows.append(cx * depth + (0.0, -scale, 0.0, scale * eye))
+        rows.append(cy * depth + scale * down)
+    return np.array([*rows, depth])
 
 
 def cut(polygon: Sequence[Sequence[float]], near: float = NEAR) -> list[list[float]]:

@@ -6,16 +6,17 @@ go to OpenCV in 1/16 pixel.
 """
 
 import math
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from league.sim.camera.figures import NEAR, SHIFT, UNIT, Figures, cut
-from league.sim.camera.ground import Floor, Ground
+from league.sim.camera.ground import Band, Floor, Ground
 from league.sim.camera.lens import Lens, Pose
 from league.sim.camera.order import Footprint, far_to_near
-from league.sim.camera.scene import SKY_COLOUR, WALL_HEIGHT, luma
+from league.sim.camera.scene import SKY_COLOUR, WALL_HEIGHT, Colour, luma
 from league.sim.camera.stage import Thing
 
 _WARP = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
@@ -26,6 +27,21 @@ class _Seen(NamedTuple):
 
     thing: Thing
     foot: Footprint
+
+
+class _Wall(NamedTuple):
+    """What is seen of a wall: its foot from one end to the other, and its colour."""
+
+    ahead: float
+    """Ahead of the camera [m]."""
+    left: float
+    """To the left of the camera [m]."""
+    far_ahead: float
+    """The other end, ahead of the camera [m]."""
+    far_left: float
+    """The other end, to the left of the camera [m]."""
+    colour: Colour
+    """Lit."""
 
 
 class Painter:
@@ -46,6 +62,8 @@ class Painter:
         self._widest = max(abs(eye) for eye in lens.eyes)
         self._sky = luma(SKY_COLOUR) if gray else SKY_COLOUR
         self._figures = Figures(lens, gray)
+        # What depends on the mounting of the camera alone is worked out once.
+        self._rays = lru_cache(maxsize=4096)(partial(_rays, lens))
 
     def paint(self, pictures: np.ndarray, pose: Pose, floor: Floor, things: list[Thing]) -> None:
         """Draw over all of some pictures.
@@ -56,14 +74,13 @@ class Painter:
             floor: the track's floor and which texture each row reads.
             things: what stands in the room.
         """
-        ground = floor.ground
-        images = list(pictures)
-        corners = self._corners(pose, ground)
-        top = self._first_floor_row(pose, max(corner[0] for corner in corners))
+        images = [pictures[eye] for eye in range(len(pictures))]  # faster than list()
+        walls = self._walls_in_view(pose, floor.ground)
+        top = self._first_floor_row(pose, walls)
         if top > 0:
             pictures[:, :top] = self._sky
         self._floor(images, pose, floor, top)
-        self._walls(images, pose, ground, corners)
+        self._walls(images, pose, walls)
         seen = self._in_view(pose, things)
         order = far_to_near([one.foot for one in seen]) if len(seen) > 1 else range(len(seen))
         for index in order:
@@ -71,21 +88,10 @@ class Painter:
 
     # The floor -----------------------------------------------------------------------------
 
-    def _corners(self, pose: Pose, ground: Ground) -> list[tuple[float, float]]:
-        """Return the room's corners ahead and to the left of the camera, counter-clockwise."""
-        x_min, y_min, x_max, y_max = ground.room
-        cos, sin = pose.cos, pose.sin
-        west, east = x_min - pose.x, x_max - pose.x
-        south, north = y_min - pose.y, y_max - pose.y
-        return [
-            (cos * west + sin * south, cos * south - sin * west),
-            (cos * east + sin * south, cos * south - sin * east),
-            (cos * east + sin * north, cos * north - sin * east),
-            (cos * west + sin * north, cos * north - sin * west),
-        ]
-
-    def _first_floor_row(self, pose: Pose, farthest: float) -> int:
+    def _first_floor_row(self, pose: Pose, walls: list[_Wall]) -> int:
+        """Return the row of the farthest floor in view: it reaches to the feet of the walls."""
         lens, cos, sin = self._lens, pose.pitch_cos, pose.pitch_sin
+        farthest = max([max(wall.ahead, wall.far_ahead) for wall in walls], default=0.0)
         depth = farthest * cos + pose.z * sin
         if depth <= NEAR:
             return 0
@@ -93,76 +99,78 @@ class Painter:
         return min(max(int(row), 0), lens.height)
 
     def _floor(self, images: list[np.ndarray], pose: Pose, floor: Floor, top: int) -> None:
-        """Warp the floor into the rows from `top` down.
-
-        With w = focal * sin(pitch) + (row - cy) * cos(pitch), pixel (u, row) sees the floor at
-        height * (focal * cos - (row - cy) * sin) / w ahead and eye - height * (u - cx) / w left.
-        """
-        lens, bands, levels = self._lens, floor.bands, floor.ground.levels
+        """Warp the floor into the rows from `top` down."""
+        levels = floor.ground.levels
         px, py, height, cos, sin, pitch_cos, pitch_sin = pose
-        flat, jobs = [], []
-        for start, stop, number in bands:
-            start = max(start, top)
-            if start >= stop:
-                continue
-            texture, origin_x, origin_y, size = levels[number]
-            row, texel = start - lens.cy, 1.0 / size
-            w = lens.focal * pitch_sin + row * pitch_cos
-            ahead = height * (lens.focal * pitch_cos - row * pitch_sin)
-            # Texel (0, 0) has its centre half a texel from the image's corner.
-            x, y = (px - origin_x) * texel - 0.5, (py - origin_y) * texel - 0.5
-            texel_cos, texel_sin = texel * cos, texel * sin
-            down_x = x * pitch_cos - texel_cos * height * pitch_sin
-            down_y = y * pitch_cos - texel_sin * height * pitch_sin
-            x, y = x * w + texel_cos * ahead, y * w + texel_sin * ahead
-            across_x, across_y = texel_sin * height, -texel_cos * height
-            for image, eye in zip(images, lens.eyes, strict=True):
-                left_row, left = eye * pitch_cos, eye * w + height * lens.cx
-                flat += (across_x, down_x - texel_sin * left_row, x - texel_sin * left)
-                flat += (across_y, down_y + texel_cos * left_row, y + texel_cos * left)
-                flat += (0.0, pitch_cos, w)
-                jobs.append((texture, image[start:stop], (lens.width, stop - start)))
-        for matrix, (texture, rows, size) in zip(
-            np.array(flat).reshape(-1, 3, 3), jobs, strict=True
-        ):
-            cv2.warpPerspective(texture, matrix, size, rows, _WARP)
+        finest = levels[0]
+        jobs, rays = self._rays(
+            height, pitch_cos, pitch_sin, floor.bands, finest.metres_per_pixel, top
+        )
+        # From the camera's plane to texels, whose first has its centre half a texel from the
+        # image's corner; each number is multiplied with the size of a texel.
+        x, y = px - finest.origin_x, py - finest.origin_y
+        texels = np.array(((cos, -sin, x, -0.5), (sin, cos, y, -0.5), (0.0, 0.0, 0.0, 1.0)))
+        matrices = texels @ rays
+        width = self._lens.width
+        for column, (eye, start, stop, level) in enumerate(jobs):
+            matrix = matrices[:, 3 * column : 3 * column + 3]
+            rows = images[eye][start:stop]
+            cv2.warpPerspective(levels[level].image, matrix, (width, stop - start), rows, _WARP)
 
     # The walls -----------------------------------------------------------------------------
 
-    def _walls(self, images: list[np.ndarray], pose: Pose, ground: Ground, corners: list) -> None:
-        # The sides of the view, as upright planes that hold all that is seen from the floor up.
-        # Walls are cut there to keep their pixels few: OpenCV walks along every edge, seen or not.
+    def _walls_in_view(self, pose: Pose, ground: Ground) -> list[_Wall]:
+        """Return what lies of the walls between the sides of the view.
+
+        The sides are upright planes that hold all that is seen from the floor up. Walls are cut
+        there to keep their pixels few: OpenCV walks along every edge, seen or not.
+        """
         slope = self._slope * pose.pitch_cos
         spare = self._slope * pose.z * pose.pitch_sin + self._widest + 1e-3
-        sides = [(slope * ahead + spare, left) for ahead, left in corners]
-        points, sizes, colours = [], [], []
-        for near in range(4):
-            ends = _inside(corners[near], corners[near - 3], sides[near], sides[near - 3])
-            if ends is not None:
-                wall = _upright(pose, *ends)
-                points += wall
-                sizes.append(len(wall))
-                colours.append(ground.walls[near])
-        if not points:
-            return
-        fills = self._project(points)
-        start = 0
-        for size, colour in zip(sizes, colours, strict=True):
-            if size:
-                stop = start + size
-                for image, fill in zip(images, fills, strict=True):
-                    cv2.fillConvexPoly(image, fill[start:stop], colour, 8, SHIFT)
-                start = stop
+        corners = []
+        for ahead, left in _corners(pose, ground.room):
+            reach = slope * ahead + spare
+            corners.append((ahead, left, reach - left, reach + left))
+        found = []
+        for near, colour in enumerate(ground.walls):
+            ahead, left, inside_left, inside_right = corners[near]
+            far_ahead, far_left, far_inside_left, far_inside_right = corners[near - 3]
+            part = _common(inside_left, far_inside_left, inside_right, far_inside_right)
+            if part is not None:
+                start, stop = part
+                along, across = far_ahead - ahead, far_left - left
+                found.append(
+                    _Wall(
+                        ahead + start * along,
+                        left + start * across,
+                        ahead + stop * along,
+                        left + stop * across,
+                        colour,
+                    )
+                )
+        return found
 
-    def _project(self, points: list[tuple[float, float, float]]) -> np.ndarray:
-        """Return camera points as (num_eyes, num_points, 2) in units of 1/16 pixel."""
+    def _walls(self, images: list[np.ndarray], pose: Pose, walls: list[_Wall]) -> None:
+        """Fill the walls, which stand side by side, so in any order."""
         scale, cx, cy = self._scale, self._cx, self._cy
-        seen = [(x, scale / z, y) for x, y, z in points]
-        flat = []
-        for eye in self._lens.eyes:
-            for x, part, y in seen:
-                flat += (cx + (x + eye) * part, cy + y * part)
-        return np.rint(np.array(flat)).astype(np.int32).reshape(-1, len(points), 2)
+        flat, sizes = [], []
+        for wall in walls:
+            seen = []
+            for x, y, z in _upright(pose, wall):
+                part = scale / z
+                seen.append((cx + x * part, part, cy + y * part))
+            sizes.append(len(seen))
+            for eye in self._lens.eyes:
+                for u, part, v in seen:
+                    flat += (u + eye * part, v)
+        points = np.rint(np.array(flat)).astype(np.int32).reshape(-1, 2)
+        start = 0
+        for wall, size in zip(walls, sizes, strict=True):
+            if size:
+                for image in images:
+                    stop = start + size
+                    cv2.fillConvexPoly(image, points[start:stop], wall.colour, 8, SHIFT)
+                    start = stop
 
     # Things --------------------------------------------------------------------------------
 
@@ -192,49 +200,101 @@ class Painter:
         return seen
 
 
-def _inside(one: tuple, other: tuple, side_one: tuple, side_other: tuple) -> tuple | None:
-    """Return the part of a segment of the floor that lies inside both sides of the view, or None.
+class _Job(NamedTuple):
+    """Rows of one eye's picture that read one texture."""
+
+    eye: int
+    start: int
+    stop: int
+    level: int
+
+
+def _rays(
+    lens: Lens,
+    height: float,
+    pitch_cos: float,
+    pitch_sin: float,
+    bands: tuple[Band, ...],
+    finest: float,
+    top: int,
+) -> tuple[list[_Job], np.ndarray]:
+    """Return which warps make a floor, and what maps their pixels to the floor; (4, 3 * num_jobs).
+
+    With w = focal * sin(pitch) + (row - cy) * cos(pitch), pixel (u, row) sees the floor at
+    height * (focal * cos - (row - cy) * sin) / w ahead and eye - height * (u - cx) / w left. Each
+    job's three columns are to be multiplied with u, row - start and 1, and give ahead * w,
+    left * w, w, and w times the size of a texel.
+    """
+    jobs, columns = [], []
+    for start, stop, level in bands:
+        start = max(start, top)
+        if start >= stop:
+            continue
+        row, size = start - lens.cy, finest * 2**level
+        w = lens.focal * pitch_sin + row * pitch_cos
+        ahead = height * (lens.focal * pitch_cos - row * pitch_sin)
+        for index, eye in enumerate(lens.eyes):
+            jobs.append(_Job(index, start, stop, level))
+            columns += (
+                (0.0, -height, 0.0, 0.0),
+                (-height * pitch_sin, eye * pitch_cos, pitch_cos, size * pitch_cos),
+                (ahead, eye * w + height * lens.cx, w, size * w),
+            )
+    return jobs, np.ascontiguousarray(np.array(columns).reshape(-1, 4).T)
+
+
+def _corners(pose: Pose, room: tuple[float, float, float, float]) -> list[tuple[float, float]]:
+    """Return the room's corners ahead and to the left of the camera, counter-clockwise."""
+    x_min, y_min, x_max, y_max = room
+    cos, sin = pose.cos, pose.sin
+    west, east = x_min - pose.x, x_max - pose.x
+    south, north = y_min - pose.y, y_max - pose.y
+    return [
+        (cos * west + sin * south, cos * south - sin * west),
+        (cos * east + sin * south, cos * south - sin * east),
+        (cos * east + sin * north, cos * north - sin * east),
+        (cos * west + sin * north, cos * north - sin * west),
+    ]
+
+
+def _common(
+    one: float, far_one: float, other: float, far_other: float
+) -> tuple[float, float] | None:
+    """Return which part of a segment, from 0 to 1, has both of two linear functions positive.
 
     Args:
-        one: an end: ahead, left.
-        other: the other end.
-        side_one: how far the view reaches to either side there, and how far left it is.
-        side_other: the same of the other end.
+        one: the one function at the start.
+        far_one: the one function at the end.
+        other: the other function at the start.
+        far_other: the other function at the end.
     """
-    reach, left = side_one
-    far_reach, far_left = side_other
     start, stop = 0.0, 1.0
-    for before, after in (
-        (reach - left, far_reach - far_left),
-        (reach + left, far_reach + far_left),
-    ):
-        if before < 0:
-            if after < 0:
-                return None
-            start = max(start, before / (before - after))
-        elif after < 0:
-            stop = min(stop, before / (before - after))
-    if start >= stop:
-        return None
-    dx, dy = other[0] - one[0], other[1] - one[1]
-    return (
-        (one[0] + start * dx, one[1] + start * dy),
-        (one[0] + stop * dx, one[1] + stop * dy),
-    )
+    if one < 0:
+        if far_one < 0:
+            return None
+        start = one / (one - far_one)
+    elif far_one < 0:
+        stop = one / (one - far_one)
+    if other < 0:
+        if far_other < 0:
+            return None
+        start = max(start, other / (other - far_other))
+    elif far_other < 0:
+        stop = min(stop, other / (other - far_other))
+    return (start, stop) if start < stop else None
 
 
-def _upright(pose: Pose, one: tuple, other: tuple) -> list:
-    """Return the wall between two places of the floor as X, Y, Z of the camera's frame."""
+def _upright(pose: Pose, wall: _Wall) -> list:
+    """Return what lies of a wall before the camera as X, Y, Z of the camera's frame."""
     cos, sin, height = pose.pitch_cos, pose.pitch_sin, pose.z
-    ahead, left = one
-    far_ahead, far_left = other
     top, rise = (height - WALL_HEIGHT) * cos, (height - WALL_HEIGHT) * sin
     low, fall = height * cos, height * sin
-    y, z, far_y, far_z = -ahead * sin, ahead * cos, -far_ahead * sin, far_ahead * cos
-    wall = [
-        (-left, low + y, fall + z),
-        (-far_left, low + far_y, fall + far_z),
-        (-far_left, top + far_y, rise + far_z),
-        (-left, top + y, rise + z),
+    y, z = -wall.ahead * sin, wall.ahead * cos
+    far_y, far_z = -wall.far_ahead * sin, wall.far_ahead * cos
+    corners = [
+        (-wall.left, low + y, fall + z),
+        (-wall.far_left, low + far_y, fall + far_z),
+        (-wall.far_left, top + far_y, rise + far_z),
+        (-wall.left, top + y, rise + z),
     ]
-    return wall if min(z, far_z) + min(fall, rise) >= NEAR else cut(wall)
+    return corners if min(z, far_z) + min(fall, rise) >= NEAR else cut(corners)

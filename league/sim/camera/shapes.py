@@ -3,13 +3,24 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from league.sim.camera.order import car_order, far_car_order
-from league.sim.camera.scene import BODY, BOX, CAR, FAR_CAR, HIDDEN, PAINTS, Model, Solid
+from league.sim.camera.scene import (
+    BODY,
+    BOX,
+    CAR,
+    FAR_CAR,
+    HIDDEN,
+    PAINTS,
+    Colour,
+    Model,
+    Solid,
+    lit,
+)
 
 
 class Wheel(NamedTuple):
@@ -41,6 +52,18 @@ Part = int | Wheel
 """What is filled at a time: a row of the quads, or a wheel."""
 
 
+class Sight(NamedTuple):
+    """What some eyes see of a shape."""
+
+    parts: tuple[tuple[Part, ...], ...]
+    """For each eye the quads turned to it and the wheels, far to near."""
+    faces: tuple[int, ...]
+    """Quads that any eye sees."""
+    corners: np.ndarray
+    """Where u and v of these quads' corners lie in (2 * num_eyes, num_vertices) numbers, one eye
+    after the other in the order of its parts; (num_seen, 4, 2)."""
+
+
 @dataclass(frozen=True, eq=False)
 class Shape:
     """One model, ready to be projected."""
@@ -63,32 +86,50 @@ class Shape:
     order: Callable[[tuple[float, ...]], tuple[int, ...]]
     """Gives the solids far to near for an eye in the model's frame."""
 
-    def far_to_near(self, eye: tuple[float, ...]) -> tuple[Part, ...]:
-        """Return the parts far to near for an eye in the model's frame."""
-        return _joined(self, self.order(eye))
+    @lru_cache(maxsize=4096)  # noqa: B019 - the shapes below live as long as the program
+    def sight(self, orders: tuple[tuple[int, ...], ...], outside: bytes) -> Sight:
+        """Return what some eyes see; kept, as there are but few different ways to see a shape.
 
-    @cache  # noqa: B019 - the shapes below live as long as the program
-    def corners(self, num_eyes: int) -> np.ndarray:
-        """Return where the quads' u and v lie in (2 * num_eyes, num_vertices) numbers.
-
-        Shape (num_eyes, num_quads, 4, 2).
+        Args:
+            orders: the solids far to near for each eye.
+            outside: one byte for each eye and quad: 1 if the eye is on the quad's outer side.
         """
-        return self._places(self.quads, num_eyes)
+        num_eyes, num_quads = len(orders), len(self.quads)
+        parts, places, faces = [], [], set()
+        every = self._places(self.quads, num_eyes)
+        for eye, order in enumerate(orders):
+            turned = outside[eye * num_quads : (eye + 1) * num_quads]
+            seen = [
+                part
+                for solid in order
+                for part in self.solids[solid]
+                if isinstance(part, Wheel) or turned[part]
+            ]
+            quads = [part for part in seen if isinstance(part, int)]
+            parts.append(tuple(seen))
+            places.append(every[eye, quads])
+            faces.update(quads)
+        return Sight(tuple(parts), tuple(sorted(faces)), np.concatenate(places))
+
+    @lru_cache(maxsize=256)  # noqa: B019
+    def lights(
+        self, colour: tuple[float, float, float], gray: bool
+    ) -> tuple[tuple[Colour, Colour], ...]:
+        """Return what each quad shows in the shade and what full sun adds, for a body's colour."""
+        return tuple(lit(paint or colour, gray) for paint in self.paints)
 
     @cache  # noqa: B019
     def rings(self, num_eyes: int) -> np.ndarray:
-        """Return the same for the wheels; (num_eyes, num_wheels, ring, 2)."""
+        """Return where u and v of the wheels' vertices lie in (2 * num_eyes, num_vertices) numbers.
+
+        Shape (num_eyes, num_wheels, ring, 2).
+        """
         wheels = [part for parts in self.solids for part in parts if isinstance(part, Wheel)]
         return self._places(np.array([list(wheel.vertices) for wheel in wheels]), num_eyes)
 
     def _places(self, vertices: np.ndarray, num_eyes: int) -> np.ndarray:
         rows = np.arange(2 * num_eyes).reshape(num_eyes, 1, 1, 2)
         return rows * self.basis.shape[1] + vertices[None, :, :, None]
-
-
-@cache
-def _joined(shape: Shape, order: tuple[int, ...]) -> tuple[Part, ...]:
-    return tuple(part for solid in order for part in shape.solids[solid])
 
 
 def _compile(model: Model, order: Callable[[tuple[float, ...]], tuple[int, ...]]) -> Shape:

@@ -46,21 +46,37 @@ class Stage:
     def __init__(
         self, sim: SimConfig, world: World, rows: Tensor | None = None, look: Look | None = None
     ) -> None:
-        def plain(values: Tensor) -> list:
-            return (values if rows is None else values[rows]).tolist()
-
-        motion, obstacles = world.motion, world.obstacles
-        self.track: list[int] = plain(world.track)
+        motion, cars, obstacles = world.motion, world.cars, world.obstacles
+        self._num_cars, self._num_obstacles = world.num_cars, obstacles.x.shape[1]
+        chosen = [
+            world.track,
+            motion.x,
+            motion.y,
+            motion.yaw,
+            motion.steering,
+            world.standing.penalty_s,
+            cars.camera_up,
+            cars.camera_pitch,
+        ]
+        if self._num_obstacles:
+            chosen += (obstacles.x, obstacles.y, obstacles.yaw)
+            chosen += (obstacles.half_length, obstacles.half_width)
+        if rows is not None:
+            chosen = [values[rows] for values in chosen]
+        self.track: list[int]
+        (
+            self.track,
+            self._x,
+            self._y,
+            self._yaw,
+            self._steering,
+            self._penalty,
+            self._up,
+            self._tilt,
+            *self._obstacles,
+        ) = [values.tolist() for values in chosen]
         self._sim = sim
         self._tints = None if look is None else look.tint.tolist()
-        self._x, self._y, self._yaw = plain(motion.x), plain(motion.y), plain(motion.yaw)
-        self._steering, self._penalty = plain(motion.steering), plain(world.standing.penalty_s)
-        self._up, self._tilt = plain(world.cars.camera_up), plain(world.cars.camera_pitch)
-        self._num_cars, self._num_obstacles = world.num_cars, obstacles.x.shape[1]
-        if self._num_obstacles:
-            places = (obstacles.x, obstacles.y, obstacles.yaw)
-            sizes = (obstacles.half_length, obstacles.half_width)
-            self._obstacles = [plain(values) for values in (*places, *sizes)]
 
     def camera(self, row: int, car: int, cfg: CameraConfig) -> Pose:
         """Return where a car's camera is in the world at `row`."""
