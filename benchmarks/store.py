@@ -1,20 +1,26 @@
-"""How fast a league's database is: heats through the queue, and a million races for the rating.
+"""How fast a league's database is: heats through the queue, and a million races for the standings.
 
 Every transaction is on the disk when it returns (SQLite: WAL and synchronous=FULL). A call claims
 or completes a block of heats in one transaction, as workers do; blocks of one are shown beside it.
 """
 
-import random
 import tempfile
 import time
 from pathlib import Path
 
+import numpy as np
+
 from benchmarks.report import figure, heading, machine, seconds
-from league.matchmaking import keys, store
+from league.matchmaking import keys, standings, store
 from league.matchmaking.keys import Ruleset, mirrored
 from league.matchmaking.store import database, history, schema
+from league.matchmaking.store.records import FINISHED, TOLD
 
 RULES = Ruleset()
+ENTRIES = 5000
+"""Entries of the league of a million races."""
+FRONT_WORTH = 150.0
+"""What the front slot is worth in its races [Elo]."""
 RESULT = {"order": [{"car": car, "laps_s": [11.25, 11.5, 11.75]} for car in (0, 1)], "steps": 540}
 
 
@@ -29,7 +35,7 @@ def founded(url: str, entries: int) -> store.Store:
 def queue_rate(league: store.Store, block: int, count: int, draw: int) -> float:
     """Return heats claimed and completed per second, two races and two results each."""
     ids = [entry.id for entry in league.entries()]
-    tracks = (RULES.tracks[0],) * 2
+    tracks = RULES.tracks[0], RULES.tracks[0]
     league.plan([mirrored(RULES.hash, tracks, (ids[0], ids[1]), draw + n) for n in range(count)])
     done, start = 0, time.perf_counter()
     while claims := league.claim("bench", block):
@@ -59,30 +65,46 @@ def sync_s(folder: Path) -> float:
         return seconds(once, repeats=50)
 
 
-def fill(url: str, entries: int, heats: int) -> None:
-    """Write many finished heats at once, past the queue."""
-    there, dice = database.Database(url), random.Random(3)
-    numbers = range(1, entries + 1)
-    with there.writing() as connection:
-        for start in range(0, heats, 50_000):
-            block = range(start + 1, min(start + 50_000, heats) + 1)
-            rows = [_heat(number) for number in block]
-            connection.execute(schema.heats.insert(), rows)
-            grids = [(number, dice.sample(numbers, 2)) for number in block]
-            races = [
-                {
-                    "heat": number,
-                    "half": half,
-                    "ruleset": 1,
-                    "rated": True,
-                    "cars": 2,
-                    "packed": history.packed(number, half, grid[:: 1 - 2 * half], (1, 2)),
-                }
-                for number, grid in grids
-                for half in (0, 1)
-            ]
-            connection.execute(schema.races.insert(), races)
+def fill(url: str, strengths: np.ndarray, heats: int) -> None:
+    """Write many finished heats of two cars at once, past the queue.
+
+    Args:
+        url: a league with as many entries.
+        strengths: of its entries in the order of their numbers [Elo].
+        heats: how many; each is two races, the second with the grid turned round.
+    """
+    there, generator = database.Database(url), np.random.default_rng(3)
+    for start in range(0, heats, 50_000):
+        numbers = list(range(start + 1, min(start + 50_000, heats) + 1))
+        with there.writing() as connection:
+            connection.execute(schema.heats.insert(), [_heat(number) for number in numbers])
+            connection.execute(schema.races.insert(), _races(generator, strengths, numbers))
     there.close()
+
+
+def _races(
+    generator: np.random.Generator, strengths: np.ndarray, numbers: list[int]
+) -> list[dict[str, object]]:
+    """Return two races of each of some heats, between entries drawn from all."""
+    count, size = len(numbers), len(strengths)
+    one = generator.integers(0, size, count)
+    other = (one + generator.integers(1, size, count)) % size
+    lead = (strengths[one] - strengths[other])[:, None] + [FRONT_WORTH, -FRONT_WORTH]
+    won = generator.random((count, 2)) < 1 / (1 + 10 ** (-lead / 400))
+    best_ms = generator.integers(11_000, 13_000, (count, 2, 2)).tolist()
+    grids = np.stack([one, other], axis=1) + 1
+    races = []
+    for number, grid, wins, laps in zip(
+        numbers, grids.tolist(), won.tolist(), best_ms, strict=True
+    ):
+        for half, first in enumerate(wins):
+            turn = 1 - 2 * half
+            places = ((1, 2) if first else (2, 1))[::turn]
+            runs = [TOLD | FINISHED | lap_ms for lap_ms in laps[half]]
+            packed = history.packed(number, half, grid[::turn], places, track=0, runs=runs)
+            told = {"heat": number, "half": half, "ruleset": 1, "rated": True, "cars": 2}
+            races.append({**told, "packed": packed})
+    return races
 
 
 def _heat(number: int) -> dict[str, object]:
@@ -113,15 +135,34 @@ def measure(url: str, name: str, goal: float | None) -> None:
 
 
 def million(url: str, name: str) -> None:
-    """Print how long a million races take to read."""
-    with founded(url, 1000) as league:
-        fill(url, 1000, 500_000)
+    """Print how long a million races take to read, and the standings of their league whole."""
+    strengths = np.random.default_rng(5).normal(0, 200, ENTRIES)
+    with founded(url, ENTRIES) as league:
+        fill(url, strengths, 500_000)
         assert league.races().entries.shape == (1_000_000, 2), "races were lost"
         taken = seconds(league.races, repeats=5)
         figure(f"{name}: 1,000,000 races read for the rating", taken, "s", 1.0, most=True)
         last = league.races().last - 1000
         taken = seconds(lambda: league.races(since=last), repeats=5)
         figure(f"{name}: the newest 1,000 of them", 1e3 * taken, "ms")
+        taken = seconds(lambda: standings.of(league), repeats=5)
+        figure(f"{name}: standings of 5,000 entries, 1,000,000 races", taken, "s", 2.0, most=True)
+        start = time.process_time()
+        table = standings.of(league)
+        figure(f"{name}: the same, processor time", time.process_time() - start, "s")
+    _check(table, strengths)
+
+
+def _check(table: standings.Standings, strengths: np.ndarray) -> None:
+    """Fail unless the standings are those of the strengths that the races were drawn from."""
+    told = table.ratings
+    miss = told.elo - told.elo.mean() - (strengths - strengths.mean())
+    assert np.corrcoef(told.elo, strengths)[0, 1] > 0.98, "the ratings do not follow the strengths"
+    assert abs((np.abs(miss) <= 1.96 * told.sd).mean() - 0.95) < 0.03, "intervals are not honest"
+    lead = told.slot_advantages[0] - told.slot_advantages[1]
+    assert abs(lead - FRONT_WORTH) < 5, "the front slot's worth is wrong"
+    assert len(table.rows) == ENTRIES and table.num_races == 1_000_000, "standings lost something"
+    assert not table.goodness.rejected, "there is no cycle in these races"
 
 
 def main() -> None:

@@ -12,7 +12,8 @@ import numpy as np
 
 from league.errors import ConfigError
 from league.matchmaking.ratings import evidence as ev
-from league.matchmaking.ratings.evidence import ELO
+from league.matchmaking.ratings.evidence import ELO, Evidence
+from league.matchmaking.ratings.field import Field
 from league.matchmaking.ratings.results import Results
 from league.matchmaking.ratings.table import Ratings
 
@@ -74,22 +75,21 @@ class NashMixture:
     """Expected score of each entry against the mixture; 0.5 for those in it, (entries,)."""
 
 
-def goodness_of_fit(results: Results, ratings: Ratings, *, level: float = 0.01) -> Goodness:
+def goodness_of_fit(results: Results | Field, ratings: Ratings, *, level: float = 0.01) -> Goodness:
     """Test whether the head-to-head records agree with the ratings.
 
     Args:
-        results: the races the ratings were made of.
+        results: the races the ratings were made of, or the field they were counted for.
         ratings: what is tested.
         level: false alarms allowed.
     """
     from scipy.special import gammaincc
 
-    index = np.full(int(ratings.entries.max()) + 2, -1)
-    index[ratings.entries] = np.arange(len(ratings.entries))
-    sorted_ = results.distinct()
-    indexed = Results(sorted_.heats, index[sorted_.entries], sorted_.places)
-    found = _pairs(indexed, ratings)
-    dispersion = _dispersion(indexed, ratings)
+    field = results if isinstance(results, Field) else Field.of(results, ratings.entries)
+    if len(field.entries) != len(ratings.entries):
+        raise ValueError("the races name entries that the ratings do not have")
+    found = _pairs(field.evidence, ratings)
+    dispersion = _dispersion(field, ratings)
     found["variance"] *= dispersion
     found["residual"] = (found["points"] - found["expected"]) / np.sqrt(found["variance"])
     judged = found["variance"] >= LEAST_VARIANCE * dispersion
@@ -115,69 +115,78 @@ def goodness_of_fit(results: Results, ratings: Ratings, *, level: float = 0.01) 
     )
 
 
-def _pairs(results: Results, ratings: Ratings) -> dict[str, np.ndarray]:
+def _pairs(evidence: Evidence, ratings: Ratings) -> dict[str, np.ndarray]:
     """Return records of all pairs, whatever slots they met on."""
-    size = len(ratings.entries)
-    strengths, slots = ratings.elo / ELO, ratings.slot_advantages / ELO
-    columns: list[np.ndarray] = []
-    for cells in ev.evidence_of(results, size).cells:
-        chance = ev.chances(cells, strengths, slots)
-        first = cells.one < cells.other
-        low, high = np.minimum(cells.one, cells.other), np.maximum(cells.one, cells.other)
-        points = np.where(first, cells.won, cells.meetings - cells.won)
-        promised = cells.meetings * np.where(first, chance, 1.0 - chance)
-        room = chance * (1.0 - chance)
-        fourth = cells.meetings * room * (1.0 - 6.0 * room)
-        counts = cells.meetings, points, promised, cells.meetings * room, fourth
-        columns.append(np.stack([low * size + high, *counts]))
-    table = np.concatenate(columns, axis=1) if columns else np.zeros((6, 0))
-    keys, which = np.unique(table[0].astype(np.int64), return_inverse=True)
-    sums = [np.bincount(which, column, len(keys)) for column in table[1:]]
+    chance = ev.chances(evidence, ratings.elo / ELO, ratings.slot_advantages / ELO)
+    room = chance * (1.0 - chance)
+    variance = evidence.by_pair(evidence.meetings * room)
+    fourth = evidence.by_pair(evidence.meetings * room * (1.0 - 6.0 * room))
     return {
-        "one": keys // size,
-        "other": keys % size,
-        "races": sums[0],
-        "points": sums[1],
-        "expected": sums[2],
-        "variance": np.maximum(sums[3], 1e-12),
-        "kurtosis": sums[4] / np.maximum(sums[3], 1e-12) ** 2,
+        "one": evidence.one,
+        "other": evidence.other,
+        "races": evidence.by_pair(evidence.meetings),
+        "points": evidence.by_pair(evidence.won),
+        "expected": evidence.by_pair(evidence.meetings * chance),
+        "variance": np.maximum(variance, 1e-12),
+        "kurtosis": fourth / np.maximum(variance, 1e-12) ** 2,
     }
 
 
-def _dispersion(results: Results, ratings: Ratings) -> float:
+def _dispersion(field: Field, ratings: Ratings) -> float:
     """Return how much more heats of one pair scatter around the pair's own mean than races do.
 
     A track that suits one car makes both races of a heat alike; that is no cycle, and must not be
     taken for one.
     """
-    size = len(ratings.entries)
-    strengths, slots = ratings.elo / ELO, ratings.slot_advantages / ELO
-    if not len(results):
+    pair, sums, rooms = _clusters(field, ratings)
+    if not len(pair):
         return 1.0
-    heat = np.cumsum(np.diff(results.heats, prepend=results.heats[0]) != 0)
-    columns = []
-    for a, b in ev.slot_pairs(results):
-        one, other = results.entries[:, a], results.entries[:, b]
-        there = (one >= 0) & (other >= 0)
-        one, other = one[there], other[there]
-        gap = strengths[one] - strengths[other] + slots[a] - slots[b]
-        chance = 1.0 / (1.0 + np.exp(-gap))
-        beyond = ev.score(results.places[there, a], results.places[there, b]) - chance
-        sign = np.where(one < other, 1.0, -1.0)
-        pair = np.minimum(one, other) * size + np.maximum(one, other)
-        columns.append(np.stack([pair, heat[there], sign * beyond, chance * (1.0 - chance)]))
-    pair, heats, beyond, room = np.concatenate(columns, axis=1)
-    keys = pair.astype(np.int64) * (int(heats.max()) + 1) + heats.astype(np.int64)
-    cluster, which = np.unique(keys, return_inverse=True)
-    sums, rooms = np.bincount(which, beyond), np.bincount(which, room)
-    _, of = np.unique(cluster // (int(heats.max()) + 1), return_inverse=True)
+    # Only pairs that met in several heats have a scatter; in a large field they are few.
+    ordered = np.sort(pair)
+    often = np.unique(ordered[1:][ordered[1:] == ordered[:-1]])
+    if not len(often):
+        return 1.0
+    of = np.minimum(np.searchsorted(often, pair), len(often) - 1)
+    met = often[of] == pair
+    of, sums, rooms = of[met], sums[met], rooms[met]
     heats_of = np.bincount(of)
     means = np.bincount(of, sums) / heats_of
     scatter = np.bincount(of, (sums - means[of]) ** 2)
     promised = np.bincount(of, rooms) * (1.0 - 1.0 / heats_of)
-    often = heats_of > 1
-    total = promised[often].sum()
-    return max(1.0, float(scatter[often].sum() / total)) if total > 0 else 1.0
+    total = promised.sum()
+    return max(1.0, float(scatter.sum() / total)) if total > 0 else 1.0
+
+
+def _clusters(field: Field, ratings: Ratings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return each pair's meetings in one heat together: pair, points beyond promise, variance.
+
+    The pair is told by its number among all possible ones.
+    """
+    results, size = field.results, len(ratings.entries)
+    strengths, slots = ratings.elo / ELO, ratings.slot_advantages / ELO
+    heat = np.cumsum(np.diff(results.heats, prepend=results.heats[:1]) != 0)
+    columns = [np.zeros((2, 0))]
+    keys = [np.zeros(0, np.int64)]
+    for a, b in ev.slot_pairs(results):
+        one, other = results.entries[:, a], results.entries[:, b]
+        there = (one >= 0) & (other >= 0)
+        gap = strengths[one] - strengths[other] + (slots[a] - slots[b])
+        chance = 1.0 / (1.0 + np.exp(-gap))
+        beyond = ev.score(results.places[:, a], results.places[:, b]) - chance
+        low, high = np.minimum(one, other), np.maximum(one, other)
+        key = (heat * size + low) * size + high
+        told = np.stack([np.where(one < other, beyond, -beyond), chance * (1.0 - chance)])
+        whole = there.all()
+        keys.append(key if whole else key[there])
+        columns.append(told if whole else told[:, there])
+    key, (beyond, room) = np.concatenate(keys), np.concatenate(columns, axis=1)
+    if (key[1:] < key[:-1]).any():  # in order already where all heats are duels
+        order = np.argsort(key, kind="stable")
+        key, beyond, room = key[order], beyond[order], room[order]
+    starts = np.flatnonzero(np.diff(key, prepend=-1))
+    if not len(starts):
+        return key, beyond, room
+    return key[starts] % size**2, np.add.reduceat(beyond, starts), np.add.reduceat(room, starts)
 
 
 def _freedom(found: dict[str, np.ndarray], judged: np.ndarray, ratings: Ratings) -> float:

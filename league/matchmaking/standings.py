@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from league.errors import StoreError, brief
 from league.matchmaking import ratings
 from league.matchmaking.intransitivity import Goodness, goodness_of_fit
-from league.matchmaking.ratings import Ratings, Results
+from league.matchmaking.ratings import Field, Ratings, Results
+from league.matchmaking.ratings.evidence import points_of
 from league.matchmaking.store import RATED, Entry, EntryState, Races, Store
 from league.matchmaking.store.records import BEST_MS, FINISHED, TOLD
 
@@ -46,7 +48,7 @@ class Row:
     high95: float
     """Upper end of the 95 % interval [Elo]."""
     provisional: bool
-    """Known to worse than sd 50, or not connected."""
+    """Known to worse than sd 50, hardly better than the prior, or not connected."""
     connected: bool
     """Whether a chain of races leads to the anchor."""
     one_sided: bool
@@ -119,13 +121,30 @@ def rated(results: Results, entries: Sequence[Entry], also: Collection[int] = ()
         entries: all entries of the league.
         also: numbers of entries to rate besides those in a rated state and those that raced.
     """
-    raced = set(np.flatnonzero(np.bincount(results.entries.ravel() + 1)[1:]).tolist())
+    field = field_of(results, entries, also)
+    return None if field is None else _fit(field, entries)
+
+
+def field_of(
+    results: Results, entries: Sequence[Entry], also: Collection[int] = ()
+) -> Field | None:
+    """Return who is rated by some results, and the races counted; None without anybody.
+
+    Args:
+        results: the races.
+        entries: all entries of the league.
+        also: numbers of entries to rate besides those in a rated state and those that raced.
+    """
     wanted = {entry.number for entry in entries if entry.state in RATED} | set(also)
-    if not wanted | raced:
-        return None
-    anchors = [e.number for e in entries if e.anchor and e.number in wanted | raced]
-    pinned = min(anchors, default=None)
-    return ratings.fit(results, entries=sorted(wanted), anchor=pinned)
+    field = Field.of(results, sorted(wanted))
+    return field if len(field.entries) else None
+
+
+def _fit(field: Field, entries: Sequence[Entry]) -> Ratings:
+    """Return the fit of a field, pinned to its first anchor."""
+    there = set(field.entries.tolist())
+    pinned = min((e.number for e in entries if e.anchor and e.number in there), default=None)
+    return ratings.rate(field, anchor=pinned)
 
 
 def of(store: Store, ruleset: str | None = None) -> Standings:
@@ -159,54 +178,69 @@ def table(
         StoreError: nobody is rated yet.
     """
     results = results_of(races)
-    fitted = rated(results, entries)
-    if fitted is None:
+    field = field_of(results, entries)
+    if field is None:
         raise StoreError(
             "nobody is rated in this league yet: submit entries with `league submit`, then let "
             "them race with `league run`"
         )
+    fitted = _fit(field, entries)
+    rows = _rows(field, fitted, entries, _Runs.of(races, tracks))
+    goodness = goodness_of_fit(field, fitted)
+    return Standings(rows, fitted, results, goodness, ruleset, len(field.results), tracks)
+
+
+def _rows(field: Field, fitted: Ratings, entries: Sequence[Entry], runs: _Runs) -> tuple[Row, ...]:
     by_number = {entry.number: entry for entry in entries}
-    scores, runs = _scores(results), _Runs.of(races, tracks)
+    pairs, points = points_of(field.evidence)
+    # How many have their whole interval above one's own, and how many below it.
+    above = len(pairs) - np.searchsorted(np.sort(fitted.low95), fitted.high95, side="right")
+    below = np.searchsorted(np.sort(fitted.high95), fitted.low95, side="left")
+    columns = {
+        "elo": fitted.elo,
+        "sd": fitted.sd,
+        "low95": fitted.low95,
+        "high95": fitted.high95,
+        "provisional": fitted.provisional,
+        "connected": fitted.connected,
+        "one_sided": fitted.one_sided,
+        "races": fitted.races,
+        "score": points / np.maximum(pairs, 1),
+    }
     order = fitted.order()
-    rows = tuple(
-        _row(rank, int(index), fitted, by_number, scores, runs)
-        for rank, index in enumerate(order, 1)
+    best = np.minimum(np.arange(len(order)), above[order]) + 1
+    worst = np.maximum(np.arange(len(order)) + 1, len(order) - below[order])
+    table = zip(*(column[order].tolist() for column in columns.values()), strict=True)
+    ranked = zip(fitted.entries[order].tolist(), best.tolist(), worst.tolist(), table, strict=True)
+    return tuple(
+        _row(
+            by_number[number],
+            runs,
+            rank,
+            best_rank,
+            worst_rank,
+            dict(zip(columns, told, strict=True)),
+        )
+        for rank, (number, best_rank, worst_rank, told) in enumerate(ranked, 1)
     )
-    goodness = goodness_of_fit(results, fitted)
-    return Standings(rows, fitted, results, goodness, ruleset, len(results), tracks)
 
 
 def _row(
-    rank: int,
-    index: int,
-    fitted: Ratings,
-    entries: Mapping[int, Entry],
-    scores: Mapping[int, float],
-    runs: _Runs,
+    entry: Entry, runs: _Runs, rank: int, best_rank: int, worst_rank: int, told: dict[str, Any]
 ) -> Row:
-    entry = entries[int(fitted.entries[index])]
-    low, high = float(fitted.low95[index]), float(fitted.high95[index])
     return Row(
         rank=rank,
-        best_rank=min(rank, 1 + int((fitted.low95 > high).sum())),
-        worst_rank=max(rank, len(fitted.entries) - int((fitted.high95 < low).sum())),
+        best_rank=best_rank,
+        worst_rank=worst_rank,
         number=entry.number,
         id=entry.id,
         name=entry.name,
         owner=entry.owner,
         anchor=entry.anchor,
         state=entry.state,
-        elo=float(fitted.elo[index]),
-        sd=float(fitted.sd[index]),
-        low95=low,
-        high95=high,
-        provisional=bool(fitted.provisional[index]),
-        connected=bool(fitted.connected[index]),
-        one_sided=bool(fitted.one_sided[index]),
-        races=int(fitted.races[index]),
-        score=scores.get(entry.number, 0.0),
         unfinished=runs.unfinished(entry.number),
         best_laps_s=runs.best_laps_s(entry.number),
+        **told,
     )
 
 
@@ -251,23 +285,6 @@ class _Runs:
             return {}
         laps = zip(self.tracks, self.best_ms[:, number].tolist(), strict=True)
         return {track: lap_ms / 1000 for track, lap_ms in laps if lap_ms < np.inf}
-
-
-def _scores(results: Results) -> dict[int, float]:
-    """Return the share of opponents each entry came in ahead of."""
-    there = results.entries >= 0
-    size = int(results.entries.max(initial=-1)) + 1
-    points, meetings = np.zeros(size), np.zeros(size)
-    for one in range(results.entries.shape[1]):
-        for other in range(results.entries.shape[1]):
-            both = there[:, one] & there[:, other]
-            if one == other or not both.any():
-                continue
-            ahead = results.places[both, other] - results.places[both, one]
-            who = results.entries[both, one]
-            points += np.bincount(who, 0.5 + 0.5 * np.sign(ahead), size)
-            meetings += np.bincount(who, minlength=size)
-    return {int(who): float(points[who] / meetings[who]) for who in np.flatnonzero(meetings)}
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from fields import raced, random_grids
 
 from league.errors import ConfigError
 from league.matchmaking.intransitivity import equilibrium, goodness_of_fit, nash_average
-from league.matchmaking.ratings import Results, expected_score, fit
+from league.matchmaking.ratings import Field, Results, expected_score, fit, rate
 
 ROCK_PAPER_SCISSORS = np.array([[0, 1, -1], [-1, 0, 1], [1, -1, 0]]) / 2
 
@@ -93,6 +93,50 @@ def test_records_of_pairs_add_up_and_name_the_surprise():
     # Residuals by hand: 60 races near even have a standard deviation of sqrt(60) / 2 = 3.87.
     by_hand = (told.pairs.points[k] - told.pairs.expected[k]) / np.sqrt(15 * told.dispersion)
     assert told.pairs.residual[k] == pytest.approx(by_hand, rel=0.02)
+
+
+def test_records_and_scatter_are_those_counted_race_by_race():
+    generator = np.random.default_rng(9)
+    results = raced(generator, generator.normal(0, 150, 7), random_grids(generator, 7, 4, 30))
+    entries, places = results.entries.copy(), results.places.copy()
+    places[1::2] = places[::2, ::-1]  # both races of a heat end alike, as on a track that suits one
+    entries[::5, 3] = -1  # some races of three
+    places[1::7, 1] = places[1::7, 0]  # some ties
+    # No numbers 0 to 6: the entries are counted by where they stand among the rated ones.
+    names = np.array([2, 3, 5, 8, 13, 21, 34, -1])
+    results = Results(results.heats, names[entries], places)
+    told, ratings = goodness_of_fit(results, fit(results)), fit(results)
+    points, promised, room = {}, {}, {}
+    for heat, grid, place in zip(results.heats, results.entries, places, strict=True):
+        for a, b in itertools.permutations(range(4), 2):
+            if 0 <= grid[a] < grid[b] and grid[b] >= 0:
+                gap = ratings.elo[ratings.index(grid[a])] - ratings.elo[ratings.index(grid[b])]
+                gap += ratings.slot_advantages[a] - ratings.slot_advantages[b]
+                chance, key = expected_score(gap), (grid[a], grid[b], heat)
+                won = 0.5 + 0.5 * np.sign(place[b] - place[a])
+                points[key] = points.get(key, 0) + won
+                promised[key] = promised.get(key, 0) + chance
+                room[key] = room.get(key, 0) + chance * (1 - chance)
+    scatter = least = 0.0
+    for k, pair in enumerate(zip(told.pairs.one, told.pairs.other, strict=True)):
+        keys = [key for key in points if key[:2] == pair]
+        assert told.pairs.points[k] == sum(points[key] for key in keys)
+        assert told.pairs.expected[k] == pytest.approx(sum(promised[key] for key in keys))
+        beyond = [points[key] - promised[key] for key in keys]
+        scatter += sum((x - np.mean(beyond)) ** 2 for x in beyond) if len(keys) > 1 else 0
+        least += sum(room[key] for key in keys) * (1 - 1 / len(keys))
+    assert len(told.pairs.one) == len({key[:2] for key in points})
+    assert told.dispersion == pytest.approx(max(1.0, scatter / least))
+    assert told.dispersion > 1.2
+
+
+def test_a_field_counted_before_is_judged_like_its_races():
+    results = round_robin(np.random.default_rng(6), leads_of(np.zeros(6), 0.85), 20)
+    field = Field.of(results)
+    one, other = goodness_of_fit(field, rate(field)), goodness_of_fit(results, fit(results))
+    assert (one.chi_square, one.dispersion) == (other.chi_square, other.dispersion)
+    with pytest.raises(ValueError, match="do not have"):
+        goodness_of_fit(field, fit(results, entries=[99]))
 
 
 def test_one_race_proves_nothing():

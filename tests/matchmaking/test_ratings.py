@@ -164,6 +164,61 @@ def test_learned_prior_is_the_fixed_point_and_near_the_truth():
     assert fit(Results.of(ladder)).prior_sd == pytest.approx(400)
 
 
+def front_wins(cars, *, entries=20, heats=600):
+    """Return races in which the grid decides all: everybody comes in where it started."""
+    generator = np.random.default_rng(2)
+    grids = random_grids(generator, entries, cars, heats)
+    both = np.stack([grids, grids[:, ::-1]], axis=1).reshape(-1, cars)
+    places = np.broadcast_to(np.arange(cars), both.shape).copy()
+    return Results(np.repeat(np.arange(heats), 2), both, places)
+
+
+@pytest.mark.parametrize("dense_most", [1500, 10])
+@pytest.mark.parametrize("cars", [2, 4])
+def test_a_grid_that_decides_all_is_soon_settled_and_tells_nothing_of_strengths(cars, dense_most):
+    told = fit(front_wins(cars), RatingSettings(dense_most=dense_most))
+    # EM's own steps are as small as what the races tell: 60 of them were not enough.
+    assert told.num_spreads <= 10
+    assert told.elo == pytest.approx(np.full(20, 1000.0), abs=1e-3)
+    assert told.slot_advantages[0] - told.slot_advantages[-1] > 800
+    assert np.isfinite(told.sd).all() and np.isfinite(told.slot_sd).all()
+    # Nothing is known of anybody, however narrow the field is believed to be.
+    assert told.sd == pytest.approx(np.full(20, told.prior_sd), rel=0.1)
+
+
+@pytest.mark.parametrize("noise", [None, "gumbel"])
+def test_learned_prior_is_the_root_of_the_likelihood_by_a_written_out_matrix(noise):
+    # size (mean square + mean variance) / s^2 = size + 2 (log s^2 - log 300^2) / (2 log 3)^2
+    generator = np.random.default_rng(7)
+    grids = random_grids(generator, 20, 2, 600)
+    plain = raced(generator, generator.normal(0, 100, 20), grids, front=80)
+    results = front_wins(2) if noise is None else plain
+    told = fit(results)
+    one, other = results.entries.T
+    lead = told.slot_advantages[0] - told.slot_advantages[1]
+    chance = np.asarray(expected_score(told.elo[one] - told.elo[other] + lead))
+    turns = np.zeros((len(results), 22))
+    for column, sign in ((one, 1), (other, -1), (np.full(len(one), 20), 1), (21, -1)):
+        turns[np.arange(len(one)), column] = sign
+    natural = math.log(10) / 400
+    precision = np.full(22, 1 / (told.prior_sd * natural) ** 2)
+    precision[20:] = 2 / (300 * natural) ** 2
+    told_by_races = (turns * (chance * (1 - chance))[:, None]).T @ turns
+    inverse = np.linalg.inv(told_by_races + np.diag(precision))[:20, :20]
+    square = (((told.elo - 1000) * natural) ** 2).mean() + inverse.diagonal().mean()
+    pull = 2 * (math.log(told.prior_sd**2) - math.log(300**2)) / (2 * math.log(3)) ** 2
+    assert 20 * square * precision[0] == pytest.approx(20 + pull, rel=1e-6)
+    assert told.prior_sd < 200
+
+
+@pytest.mark.parametrize("spread", [30.0, 200.0, 500.0])
+def test_ordinary_fields_settle_their_spread_in_a_few_steps(spread):
+    generator = np.random.default_rng(12)
+    strengths = generator.normal(0, spread, 60)
+    told = fit(raced(generator, strengths, random_grids(generator, 60, 2, 1500), front=100))
+    assert told.num_spreads <= 8
+
+
 def test_learned_prior_of_one_entry_is_the_hand_worked_root():
     # Without a race the variance is the spread's own, so nothing is learned: 300 Elo stay.
     assert fit(Results.of([]), entries=range(4)).prior_sd == pytest.approx(300, rel=1e-6)

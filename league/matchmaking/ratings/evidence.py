@@ -4,11 +4,16 @@ A finishing order of K cars counts as its K (K - 1) / 2 pairs (a composite likel
 cars i on slot a and j on slot b is won by i with the odds exp(x), where
 
     x = strength_i + slot_a - strength_j - slot_b        [natural units: Elo ln(10) / 400]
+
+All meetings of a pair on the same two slots are one cell. A pair is named by its smaller index
+first, whoever stood in front, so that the cells of a pair, and the pairs of an entry, lie side by
+side: one sort of the races is all it takes, and sums run along the table.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -21,36 +26,92 @@ ELO = 400.0 / np.log(10.0)
 
 
 @dataclass(frozen=True)
-class Cells:
-    """Pairs of entries that met on one pair of slots, each counted together."""
+class Evidence:
+    """All that the likelihood needs of the races."""
 
-    slots: tuple[int, int]
-    """The slot in front and the one behind."""
+    num_entries: int
+    """Entries in the field, raced or not."""
+    num_slots: int
+    """Slots of the largest grid."""
     one: np.ndarray
-    """Index of the entry in front, ascending, (cells,)."""
+    """Index of the one entry of each pair that met, ascending, (pairs,)."""
     other: np.ndarray
-    """Index of the entry behind, (cells,)."""
+    """Index of the other, above the one's, ascending for the same one, (pairs,)."""
+    starts: np.ndarray
+    """First cell of each pair, (pairs,)."""
+    sides: np.ndarray
+    """Slot of the one * num_slots + slot of the other, (cells,)."""
     meetings: np.ndarray
     """How often they met so, float, (cells,)."""
     won: np.ndarray
     """Points of the one, a tie half a point, (cells,)."""
 
-
-@dataclass(frozen=True)
-class Evidence:
-    """All that the likelihood needs of the races."""
-
-    cells: tuple[Cells, ...]
-    """One group for each pair of slots that met."""
-    num_entries: int
-    """Entries in the field, raced or not."""
-    num_slots: int
-    """Slots of the largest grid."""
-
     @property
     def size(self) -> int:
         """Number of parameters: the strengths of the entries, then those of the slots."""
         return self.num_entries + self.num_slots
+
+    @cached_property
+    def pair(self) -> np.ndarray:
+        """Pair of each cell, (cells,)."""
+        cells = np.diff(np.append(self.starts, len(self.sides)))
+        return np.repeat(np.arange(len(self.starts)), cells)
+
+    @cached_property
+    def _bounds(self) -> np.ndarray:
+        """First pair of each one, and the end, (entries + 1,), as sparse matrices want it."""
+        return np.searchsorted(self.one, np.arange(self.num_entries + 1)).astype(np.int32)
+
+    @cached_property
+    def _columns(self) -> np.ndarray:
+        return self.other.astype(np.int32)
+
+    @cached_property
+    def _leaders(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the entries that are the one of any pair, and their first pairs."""
+        first = self._bounds[:-1]
+        there = np.flatnonzero(self._bounds[1:] > first)
+        return there, first[there]
+
+    @cached_property
+    def _sides_of_entries(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return where the one and the other of each cell count in a table of entries by sides."""
+        kinds = self.num_slots**2
+        return (
+            (self.one * kinds)[self.pair] + self.sides,
+            (self.other * kinds)[self.pair] + self.sides,
+        )
+
+    def by_pair(self, values: np.ndarray) -> np.ndarray:
+        """Sum the cells' values over each pair, (pairs,)."""
+        return np.bincount(self.pair, values, len(self.starts))
+
+    def by_entry(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Sum the pairs' values over each entry, where it is the one and where it is the other."""
+        ahead = np.zeros(self.num_entries)
+        there, first = self._leaders
+        if len(there):
+            ahead[there] = np.add.reduceat(values, first)
+        return ahead, np.bincount(self.other, values, self.num_entries)
+
+    def by_sides(self, values: np.ndarray) -> np.ndarray:
+        """Sum the cells' values by slot of the one and slot of the other, (slots, slots)."""
+        slots = self.num_slots
+        return np.bincount(self.sides, values, slots * slots).reshape(slots, slots)
+
+    def by_entry_and_sides(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Sum cells' values where an entry is the one, and the other, (entries, slots, slots)."""
+        shape = (self.num_entries, self.num_slots, self.num_slots)
+        ones, others = (
+            np.bincount(where, values, self.num_entries * self.num_slots**2).reshape(shape)
+            for where in self._sides_of_entries
+        )
+        return ones, others
+
+    def graph(self, values: np.ndarray) -> sparse.csr_array:
+        """Return the pairs' values as a matrix by one and other: above its diagonal."""
+        shape = (self.num_entries, self.num_entries)
+        return sparse.csr_array((values, self._columns, self._bounds), shape=shape)
 
 
 @dataclass(frozen=True)
@@ -61,8 +122,8 @@ class Slope:
     """Log-likelihood without its constant."""
     gradient: np.ndarray
     """By strength and slot, (entries + slots,)."""
-    weights: tuple[np.ndarray, ...]
-    """Curvature meetings * p * (1 - p) of each group's cells."""
+    weights: np.ndarray
+    """Curvature meetings * p * (1 - p) of each cell, (cells,)."""
 
 
 def score(places_one: np.ndarray, places_other: np.ndarray) -> np.ndarray:
@@ -77,51 +138,77 @@ def slot_pairs(results: Results) -> list[tuple[int, int]]:
 
 
 def evidence_of(results: Results, num_entries: int) -> Evidence:
-    """Count the pairs of some races, whose entries are indices already."""
-    found = []
+    """Count the pairs of some races, whose entries are indices already.
+
+    One sort counts everything: a meeting is a number whose bits are, from the highest, the one,
+    the other, their slots, and the one's half points.
+    """
+    slots = results.entries.shape[1]
+    entry_bits, slot_bits = (num_entries - 1).bit_length(), (slots - 1).bit_length()
+    bits = 2 * (entry_bits + slot_bits + 1)
+    kind = np.int32 if bits < 32 else np.int64
+    columns = [np.ascontiguousarray(column, dtype=kind) for column in results.entries.T]
+    found = [np.empty(0, dtype=kind)]
     for a, b in slot_pairs(results):
-        one, other = results.entries[:, a], results.entries[:, b]
-        there = (one >= 0) & (other >= 0)
-        points = 1 + np.sign(results.places[:, b] - results.places[:, a])  # 0, 1, 2 half points
-        # One sort counts both meetings and points: the half points are the key's last digit.
-        keys = (one * num_entries + other) * 4 + points
-        keys = np.sort(keys if there.all() else keys[there])
-        if not len(keys):
-            continue
-        pair = keys >> 2
-        starts = np.flatnonzero(np.concatenate([[True], pair[1:] != pair[:-1]]))
-        meetings = np.diff(np.append(starts, len(pair))).astype(float)
-        won = 0.5 * np.add.reduceat(keys & 3, starts)
-        pair = pair[starts]
-        found.append(Cells((a, b), pair // num_entries, pair % num_entries, meetings, won))
-    return Evidence(tuple(found), num_entries, results.entries.shape[1])
+        front, behind = columns[a], columns[b]
+        ahead = results.places[:, b] - results.places[:, a]
+        points = (ahead >= 0).astype(kind) + (ahead > 0)  # 0, 1, 2 half points of the front one
+        named = (front << entry_bits) + behind
+        named = (((named << slot_bits) + a << slot_bits) + b << 2) + points
+        turned = (behind << entry_bits) + front
+        turned = (((turned << slot_bits) + b << slot_bits) + a << 2) + (2 - points)
+        there = (front >= 0) & (behind >= 0)
+        key = np.minimum(named, turned)  # the smaller index is in the highest bits
+        found.append(key if there.all() else key[there])
+    keys = np.sort(np.concatenate(found))
+    cells = keys >> 2
+    starts = _changes(cells)
+    meetings = np.diff(np.append(starts, len(cells))).astype(float)
+    won = 0.5 * np.add.reduceat(keys & 3, starts) if len(starts) else np.zeros(0)
+    cells = cells[starts].astype(np.int64)
+    pairs = cells >> 2 * slot_bits
+    mask = (1 << slot_bits) - 1
+    sides = (cells >> slot_bits & mask) * slots + (cells & mask)
+    starts = _changes(pairs)
+    pairs = pairs[starts]
+    one, other = pairs >> entry_bits, pairs & ((1 << entry_bits) - 1)
+    return Evidence(num_entries, slots, one, other, starts, sides, meetings, won)
 
 
-def chances(cells: Cells, strengths: np.ndarray, slots: np.ndarray) -> np.ndarray:
+def _changes(ascending: np.ndarray) -> np.ndarray:
+    """Return where a new number begins."""
+    new = np.ones(len(ascending), dtype=bool)
+    np.not_equal(ascending[1:], ascending[:-1], out=new[1:])
+    return np.flatnonzero(new)
+
+
+def _leads(evidence: Evidence, strengths: np.ndarray, slots: np.ndarray) -> np.ndarray:
+    """Return x of each cell."""
+    gaps = strengths[evidence.one] - strengths[evidence.other]
+    sides = (slots[:, None] - slots).ravel()
+    return gaps[evidence.pair] + sides[evidence.sides]
+
+
+def chances(evidence: Evidence, strengths: np.ndarray, slots: np.ndarray) -> np.ndarray:
     """Return the chance of the one of each cell."""
-    a, b = cells.slots
-    return _logistic(strengths[cells.one] - strengths[cells.other] + (slots[a] - slots[b]))
+    return _logistic(_leads(evidence, strengths, slots))
 
 
 def slope(evidence: Evidence, parameters: np.ndarray) -> Slope:
     """Return the log-likelihood, its gradient, and the weight of each cell in its curvature."""
     size = evidence.num_entries
-    strengths, slots = parameters[:size], parameters[size:]
-    value, gradient, weights = 0.0, np.zeros(evidence.size), []
-    for cells in evidence.cells:
-        chance = chances(cells, strengths, slots)
-        expected = cells.meetings * chance
-        lost = cells.meetings - cells.won
-        inside = np.clip(chance, 1e-300, 1 - 1e-16)
-        value += float(cells.won @ np.log(inside) + lost @ np.log1p(-inside))
-        beyond = cells.won - expected
-        gradient[:size] += np.bincount(cells.one, beyond, size)
-        gradient[:size] -= np.bincount(cells.other, beyond, size)
-        total = beyond.sum()
-        gradient[size + cells.slots[0]] += total
-        gradient[size + cells.slots[1]] -= total
-        weights.append(expected * (1.0 - chance))
-    return Slope(value, gradient, tuple(weights))
+    x = _leads(evidence, parameters[:size], parameters[size:])
+    # log(1 + e^x) and the chance from e^-|x|, which cannot overflow.
+    small = np.exp(-np.abs(x))
+    bounded = np.maximum(x, 0.0) + np.log1p(small)
+    value = float(evidence.won @ x - evidence.meetings @ bounded)
+    likely = 1.0 / (1.0 + small)  # of whoever is the likelier of the two
+    beyond = evidence.won - evidence.meetings * likely * np.exp(np.minimum(x, 0.0))
+    weights = evidence.meetings * small * likely * likely
+    ahead, behind = evidence.by_entry(evidence.by_pair(beyond))
+    sides = evidence.by_sides(beyond)
+    gradient = np.concatenate([ahead - behind, sides.sum(axis=1) - sides.sum(axis=0)])
+    return Slope(value, gradient, weights)
 
 
 def race_scores(results: Results, strengths: np.ndarray, slots: np.ndarray) -> np.ndarray:
@@ -131,10 +218,11 @@ def race_scores(results: Results, strengths: np.ndarray, slots: np.ndarray) -> n
     for its slot. A heat's slope is the sum over its races: the clusters of the robust covariance.
     """
     found = np.zeros(results.entries.shape)
+    shown = [strengths[column] + slots[a] for a, column in enumerate(results.entries.T)]
     for a, b in slot_pairs(results):
         one, other = results.entries[:, a], results.entries[:, b]
-        chance = _logistic(strengths[one] - strengths[other] + (slots[a] - slots[b]))
-        beyond = score(results.places[:, a], results.places[:, b]) - chance
+        beyond = score(results.places[:, a], results.places[:, b])
+        beyond -= _logistic(shown[a] - shown[b])
         beyond *= (one >= 0) & (other >= 0)
         found[:, a] += beyond
         found[:, b] -= beyond
@@ -143,23 +231,15 @@ def race_scores(results: Results, strengths: np.ndarray, slots: np.ndarray) -> n
 
 def groups(evidence: Evidence) -> np.ndarray:
     """Return the group of each entry: entries of two groups have no chain of races between them."""
-    shape = (evidence.num_entries, evidence.num_entries)
-    one = np.concatenate([np.empty(0, dtype=np.int64), *(c.one for c in evidence.cells)])
-    other = np.concatenate([np.empty(0, dtype=np.int64), *(c.other for c in evidence.cells)])
-    graph = sparse.coo_array((np.ones(len(one)), (one, other)), shape=shape)
+    graph = evidence.graph(np.ones(len(evidence.one)))
     return csgraph.connected_components(graph, directed=False)[1]
 
 
 def points_of(evidence: Evidence) -> tuple[np.ndarray, np.ndarray]:
     """Return the pairs each entry was in and the points it made in them, (entries,) both."""
-    size = evidence.num_entries
-    pairs, points = np.zeros(size), np.zeros(size)
-    for cells in evidence.cells:
-        pairs += np.bincount(cells.one, cells.meetings, size)
-        pairs += np.bincount(cells.other, cells.meetings, size)
-        points += np.bincount(cells.one, cells.won, size)
-        points += np.bincount(cells.other, cells.meetings - cells.won, size)
-    return pairs, points
+    met, won = evidence.by_pair(evidence.meetings), evidence.by_pair(evidence.won)
+    ahead, behind = evidence.by_entry(met)
+    return ahead + behind, evidence.by_entry(won)[0] + evidence.by_entry(met - won)[1]
 
 
 def _logistic(x: np.ndarray) -> np.ndarray:

@@ -11,7 +11,8 @@ from league.errors import ConfigError
 from league.matchmaking.ratings import evidence as ev
 from league.matchmaking.ratings import intervals, systems
 from league.matchmaking.ratings.evidence import ELO, Evidence
-from league.matchmaking.ratings.results import NOBODY, Results
+from league.matchmaking.ratings.field import Field
+from league.matchmaking.ratings.results import Results
 from league.matchmaking.ratings.systems import Maker, Squares, System
 from league.matchmaking.ratings.table import SIGMAS_95, Ratings
 
@@ -25,6 +26,16 @@ SPREAD_DOUBT = np.log(3.0)
 
 ENOUGH = 1e-6
 """A Newton step this small [natural units] is the last one: it leaves an error of its square."""
+ENOUGH_FAR = 1e-3
+"""The same while the spread of the field is still far from settled."""
+MOST_SPREADS = 40
+"""Spreads that are tried at most."""
+FAR = 2.0
+"""The logarithm of a field's variance is moved by this at most in one step."""
+NEAR = 0.1
+"""After a step of that logarithm this small the next spread is as good as settled."""
+SETTLED = 1e-5
+"""A step of that logarithm this small is the last one: Newton leaves a thousandth of it."""
 
 
 @dataclass(frozen=True)
@@ -75,34 +86,32 @@ def fit(
     Raises:
         ConfigError: nobody to rate, an anchor that is not in the field, contradicting results.
     """
+    return rate(Field.of(results, entries), settings, anchor=anchor)
+
+
+def rate(
+    field: Field, settings: RatingSettings | None = None, *, anchor: int | None = None
+) -> Ratings:
+    """Rate a field whose races are counted already.
+
+    Args:
+        field: the races.
+        settings: the league's choices.
+        anchor: the entry that is 1000.
+
+    Raises:
+        ConfigError: nobody to rate, or an anchor that is not in the field.
+    """
     settings = settings or RatingSettings()
-    results = results.distinct()
-    names, results, races = _numbered(results, entries)
-    if not len(names):
+    if not len(field.entries):
         raise ConfigError("there are no entries to rate: submit one, or give results")
-    if anchor is not None and anchor not in names:
+    if anchor is not None and anchor not in field.entries:
         raise ConfigError(f"anchor {anchor} is not in the field: name one of its entries")
-    evidence = ev.evidence_of(results, len(names))
-    model = _Model(evidence, settings)
+    model = _Model(field.evidence, settings)
     posterior = model.learned() if settings.prior_sd is None else model.at(settings.prior_sd)
     prior = model.prior(posterior.prior_sd)
-    squares = systems.squares(results, evidence, posterior.parameters, prior)
-    return _table(names, races, results, evidence, posterior, squares, settings, anchor)
-
-
-def _numbered(results: Results, extra: Iterable[int]) -> tuple[np.ndarray, Results, np.ndarray]:
-    """Return the entries' numbers, the results by index into them, and the races of each."""
-    wanted = np.fromiter(extra, dtype=np.int64)
-    top = int(max(results.entries.max(initial=NOBODY), wanted.max(initial=NOBODY))) + 1
-    there = results.entries.ravel()
-    whole = bool(there.min(initial=0) >= 0)
-    counts = np.bincount(there if whole else there[there >= 0], minlength=top)
-    known = counts > 0
-    known[wanted] = True
-    names = np.flatnonzero(known)
-    index = np.full(top + 1, NOBODY)  # its last place is where -1 looks
-    index[names] = np.arange(len(names))
-    return names, Results(results.heats, index[results.entries], results.places), counts[names]
+    squares = systems.squares(field.results, field.evidence, posterior.parameters, prior)
+    return _table(field, posterior, squares, settings, anchor)
 
 
 @dataclass(frozen=True)
@@ -117,6 +126,8 @@ class _Posterior:
     """Spread of the strengths [Elo]."""
     weights: np.ndarray
     """What each entry counts in the field's average, (entries,)."""
+    num_spreads: int
+    """Spreads tried up to this one."""
 
 
 class _Model:
@@ -126,6 +137,7 @@ class _Model:
         self._evidence, self._settings = evidence, settings
         self._make: Maker = systems.maker(evidence, dense_most=settings.dense_most)
         self._last = np.zeros(evidence.size)
+        self._num_spreads = 0
 
     def prior(self, prior_sd: float) -> np.ndarray:
         """Return the precision of each parameter."""
@@ -134,21 +146,25 @@ class _Model:
         precisions[self._evidence.num_entries :] = 2.0 * (ELO / self._settings.slot_sd) ** 2
         return precisions
 
-    def at(self, prior_sd: float) -> _Posterior:
-        """Climb to the best parameters under a prior."""
+    def at(self, prior_sd: float, enough: float = ENOUGH) -> _Posterior:
+        """Climb to the best parameters under a prior, until a step is small enough."""
         prior, at = self.prior(prior_sd), self._last
+        self._num_spreads += 1
         seen = ev.slope(self._evidence, at)
         value = seen.value - 0.5 * float(prior @ at**2)
+        far = 1.0
         for _ in range(100):
             system = self._make(seen.weights, prior)
             gradient = seen.gradient - prior * at
-            step = system.solve(gradient, within=1e-5)
+            # A step that is followed by others need not be exact: the next one's error is its
+            # square anyway.
+            step = system.solve(gradient, within=min(1e-2, max(1e-6, 1e-2 * far)))
             promised = float(gradient @ step)
             far = float(np.abs(step).max())
-            if far < ENOUGH:
+            if far < enough:
                 self._last = at + step
                 counts = intervals.field_weights(self._evidence, seen.weights)
-                return _Posterior(self._last, system, prior_sd, counts)
+                return _Posterior(self._last, system, prior_sd, counts, self._num_spreads)
             length = min(1.0, 4.0 / far)
             while True:
                 tried = at + length * step
@@ -165,31 +181,59 @@ class _Model:
         """Return the posterior under the spread that the field itself shows.
 
         The spread is the fixed point of the EM step: from the strengths' squares and posterior
-        variances follows the likeliest spread, found by secants on its logarithm. What is known
-        of fields in general keeps it from collapsing where a few races tell nothing of it.
+        variances follows the likeliest spread. What is known of fields in general keeps it from
+        collapsing where a few races tell nothing of it.
+
+        Where races tell little of the strengths (the front slot decides them all), the EM step is
+        tiny everywhere, near the fixed point or not: it moves by what the races tell of it. So
+        the root of its drift is sought, by Newton's steps on the logarithm of the variance.
         """
-        least, most = self._settings.least_prior_sd, self._settings.most_prior_sd
-        bounds = 2 * np.log(least), 2 * np.log(most)
-        spread, last = 2 * np.log(min(max(USUAL_SPREAD, least), most)), None
-        for _ in range(60):
-            posterior = self.at(float(np.exp(0.5 * spread)))
-            strengths = posterior.parameters[: self._evidence.num_entries]
-            square = float((strengths**2).mean()) + posterior.system.mean_variance()
-            drift = _likeliest(square * ELO**2, len(strengths)) - spread
-            if abs(drift) < 1e-9:
+        limits = self._settings.least_prior_sd, self._settings.most_prior_sd
+        bounds = low, high = tuple(float(2 * np.log(limit)) for limit in limits)
+        spread = float(np.clip(2 * np.log(USUAL_SPREAD), low, high))
+        enough, last = ENOUGH_FAR, None
+        for _ in range(MOST_SPREADS):
+            posterior = self.at(float(np.exp(0.5 * spread)), enough)
+            drift, bend, towards = self._drift(posterior, spread)
+            low, high = (spread, high) if drift > 0 else (low, spread)
+            if last is not None and (abs(spread - last[0]) < NEAR or drift * last[1] < 0):
+                # What probes say of a slope is rough; what two drifts around it say is not.
+                between = (drift - last[1]) / ((spread - last[0]) or np.inf)
+                bend = between if between < 0 else bend
+            last = spread, drift
+            step = float(np.clip(drift / max(-bend, 1e-12), -FAR, FAR))
+            end = high if drift > 0 else low
+            if abs(step) >= abs(end - spread):  # beyond what was tried before: half the way there
+                step = end - spread if end in bounds else 0.5 * (end - spread)
+            moved = spread + step
+            # The next spread's best parameters lie along their slope.
+            self._last = self._last + (moved - spread) * towards
+            if moved == spread and enough == ENOUGH:  # at a limit
                 return posterior
-            step = drift
-            if last is not None and drift != last[1]:
-                secant = -drift * (spread - last[0]) / (drift - last[1])
-                # A secant that points back, or far beyond, is of a curve too bent: the EM step.
-                if 0 < secant / drift < 100:
-                    step = secant
-            last = (spread, drift)
-            moved = float(np.clip(spread + step, *bounds))
-            if abs(moved - spread) < 1e-9:
-                return posterior
-            spread = moved
-        return posterior
+            spread, near = moved, abs(moved - spread)
+            if near < SETTLED and enough == ENOUGH:
+                break
+            if near < NEAR and enough == ENOUGH_FAR:
+                enough, (low, high) = ENOUGH, bounds  # signs of a rough drift may be wrong
+        return self.at(float(np.exp(0.5 * spread)))
+
+    def _drift(self, posterior: _Posterior, spread: float) -> tuple[float, float, np.ndarray]:
+        """Return the EM step, its slope by the logarithm of the variance, and the parameters'."""
+        size = self._evidence.num_entries
+        strengths = posterior.parameters[:size]
+        precision = np.exp(-spread) * ELO**2
+        held = np.zeros(self._evidence.size)
+        held[:size] = precision * strengths
+        # The prior lets go of the strengths: d strengths = H^-1 (precision strengths) du,
+        # and of their variances: d H^-1 = H^-1 precision H^-1 du.
+        towards = posterior.system.solve(held, within=1e-4)
+        variance, twice = posterior.system.mean_variance()
+        square = float((strengths**2).mean()) + variance
+        rise = 2.0 * float(strengths @ towards[:size]) / size + precision * twice
+        likeliest = _likeliest(square * ELO**2, size)
+        data = size * square * ELO**2 * np.exp(-likeliest)
+        share = data / (data + 2 / (2 * SPREAD_DOUBT) ** 2)
+        return likeliest - spread, share * rise / square - 1.0, towards
 
 
 def _likeliest(square: float, size: int) -> float:
@@ -215,25 +259,22 @@ def _likeliest(square: float, size: int) -> float:
 
 
 def _table(
-    names: np.ndarray,
-    races: np.ndarray,
-    results: Results,
-    evidence: Evidence,
+    field: Field,
     posterior: _Posterior,
     squares: Squares,
     settings: RatingSettings,
     anchor: int | None,
 ) -> Ratings:
     """Put a posterior into Elo, with intervals and flags."""
-    size = len(names)
+    names, races, size = field.entries, field.races, len(field.entries)
     strengths, slots = posterior.parameters[:size], posterior.parameters[size:]
     zero = strengths[np.searchsorted(names, anchor)] if anchor is not None else 0.0
     elo = ANCHOR_ELO + ELO * (strengths - zero)
     system = posterior.system
     variances = intervals.variances(system, squares, posterior.weights)
     sd = ELO * np.sqrt(variances.strengths)
-    pairs, points = ev.points_of(evidence)
-    group = ev.groups(evidence)
+    pairs, points = ev.points_of(field.evidence)
+    group = ev.groups(field.evidence)
     if anchor is not None:
         home = group[np.searchsorted(names, anchor)]
     else:
@@ -257,6 +298,7 @@ def _table(
         slot_sd=ELO * np.sqrt(intervals.slot_variances(system, squares)),
         prior_sd=posterior.prior_sd,
         anchor=anchor,
-        num_races=len(results),
+        num_races=len(field.results),
+        num_spreads=posterior.num_spreads,
         gap_variances=gap_variances,
     )

@@ -25,15 +25,12 @@ class Variances:
     """Robust variance over the model's, on average over the field."""
 
 
-def field_weights(evidence: Evidence, weights: tuple[np.ndarray, ...]) -> np.ndarray:
+def field_weights(evidence: Evidence, weights: np.ndarray) -> np.ndarray:
     """Return how much each entry counts in the field's average: by what its races tell, sum 1.
 
     No weight is above a half, as each pair counts for both of its entries.
     """
-    told = np.zeros(evidence.num_entries)
-    for cells, weight in zip(evidence.cells, weights, strict=True):
-        told += np.bincount(cells.one, weight, evidence.num_entries)
-        told += np.bincount(cells.other, weight, evidence.num_entries)
+    told = np.add(*evidence.by_entry(evidence.by_pair(weights)))
     total = told.sum()
     return told / total if total > 0 else told
 

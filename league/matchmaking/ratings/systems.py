@@ -35,8 +35,8 @@ class System(Protocol):
         """Return H^-1 right."""
         ...
 
-    def mean_variance(self) -> float:
-        """Return the mean diagonal of H^-1 over the entries."""
+    def mean_variance(self) -> tuple[float, float]:
+        """Return the mean diagonals of H^-1 and of its square, all over the entries alone."""
         ...
 
     def variances(self, squares: Squares) -> tuple[np.ndarray, np.ndarray]:
@@ -46,10 +46,12 @@ class System(Protocol):
 
 @dataclass(frozen=True)
 class Squares:
-    """The middle of the sandwich, J + prior, in blocks."""
+    """The middle of the sandwich, J + prior, by blocks; that of the strengths by its factor."""
 
-    entries: sparse.csr_array
-    """By strength and strength, (entries, entries)."""
+    scores: sparse.csr_array
+    """Slope of each heat by strength, each entry once, (heats, entries)."""
+    prior: np.ndarray
+    """Precisions of the strengths, (entries,)."""
     border: np.ndarray
     """By strength and slot, (entries, slots)."""
     corner: np.ndarray
@@ -62,21 +64,31 @@ class Squares:
         """Number of parameters."""
         return sum(self.border.shape)
 
+    def diagonal(self) -> np.ndarray:
+        """Return the diagonal by strength, (entries,)."""
+        squares = np.bincount(self.scores.indices, self.scores.data**2, len(self.prior))
+        return squares + self.prior
+
     def table(self) -> np.ndarray:
         """Return it as one dense table."""
-        above = np.concatenate([self.entries.toarray(), self.border], axis=1)
+        entries = (self.scores.T.tocsr() @ self.scores).toarray() + np.diag(self.prior)
+        above = np.concatenate([entries, self.border], axis=1)
         return np.concatenate([above, np.concatenate([self.border.T, self.corner], axis=1)])
+
+    def entries_times(self, vectors: np.ndarray) -> np.ndarray:
+        """Return the product of the strengths' block with some columns, (entries, columns)."""
+        return self.scores.T @ (self.scores @ vectors) + self.prior[:, None] * vectors
 
     def times(self, vectors: np.ndarray) -> np.ndarray:
         """Return the product with some columns, (entries + slots, columns)."""
         size = len(self.border)
         entries, slots = vectors[:size], vectors[size:]
-        above = self.entries @ entries + self.border @ slots
+        above = self.entries_times(entries) + self.border @ slots
         return np.concatenate([above, self.border.T @ entries + self.corner @ slots])
 
 
 def squares(results: Results, evidence: Evidence, at: np.ndarray, prior: np.ndarray) -> Squares:
-    """Sum the squares of the slopes of heats; the races must be sorted by heat."""
+    """Sum the squared slopes of the heats, which must be sorted by heat."""
     size = evidence.num_entries
     scores = race_scores(results, at[:size], at[size:])
     starts = np.flatnonzero(np.diff(results.heats, prepend=results.heats[:1] - 1))
@@ -87,62 +99,56 @@ def squares(results: Results, evidence: Evidence, at: np.ndarray, prior: np.ndar
     shape = (len(starts), size)
     heats = sparse.csr_array((scores.ravel(), columns, bounds), shape=shape)
     heats.sum_duplicates()
-    across = heats.T.tocsr()
     return Squares(
-        entries=sparse.csr_array(across @ heats + sparse.diags_array(prior[:size])),
-        border=across @ slots,
+        scores=heats,
+        prior=prior[:size],
+        border=heats.T @ slots,
         corner=slots.T @ slots + np.diag(prior[size:]),
         heats=np.bincount(heats.indices, minlength=size),
     )
 
 
-Maker = Callable[[tuple[np.ndarray, ...], np.ndarray], System]
-"""Makes the system of some cells' weights and the prior's precisions."""
+Maker = Callable[[np.ndarray, np.ndarray], System]
+"""Makes the system of the cells' weights and the prior's precisions."""
 
 
 def maker(evidence: Evidence, *, dense_most: int = DENSE_MOST) -> Maker:
     """Return what makes the system that suits the size of the field."""
-    if evidence.num_entries <= dense_most:
-        return lambda weights, prior: Dense(evidence, weights, prior)
-    pattern = Pattern(evidence)
-    return lambda weights, prior: Sparse(evidence, pattern, weights, prior)
+    suited = Dense if evidence.num_entries <= dense_most else Sparse
+    return lambda weights, prior: suited(evidence, weights, prior)
 
 
 def _margins(
-    evidence: Evidence, weights: tuple[np.ndarray, ...], prior: np.ndarray
+    evidence: Evidence, weights: np.ndarray, met: np.ndarray, prior: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return all of H but the strengths' off-diagonals: their diagonal, the border, the corner."""
-    size, slots = evidence.num_entries, evidence.num_slots
-    diagonal, border = prior[:size].copy(), np.zeros((size, slots))
-    corner = np.diag(prior[size:])
-    for cells, weight in zip(evidence.cells, weights, strict=True):
-        a, b = cells.slots
-        ahead = np.bincount(cells.one, weight, size)
-        behind = np.bincount(cells.other, weight, size)
-        diagonal += ahead + behind
-        border[:, a] += ahead - behind
-        border[:, b] -= ahead - behind
-        total = weight.sum()
-        corner[[a, b], [a, b]] += total
-        corner[[a, b], [b, a]] -= total
-    return diagonal, border, corner
+    """Return all of H but the strengths' off-diagonals: their diagonal, the border, the corner.
+
+    Args:
+        evidence: the races.
+        weights: curvature of each cell.
+        met: the same by pair.
+        prior: precisions.
+    """
+    ahead, behind = evidence.by_entry(met)
+    ones, others = evidence.by_entry_and_sides(weights)
+    # The opponent's slot counts against the own one.
+    border = (ones - others).sum(axis=2) - (ones - others).sum(axis=1)
+    sides = ones.sum(axis=0)
+    size = evidence.num_entries
+    corner = np.diag(prior[size:] + sides.sum(axis=1) + sides.sum(axis=0)) - sides - sides.T
+    return prior[:size] + ahead + behind, border, corner
 
 
 class Dense:
     """H as a table, and its Cholesky factor."""
 
-    def __init__(
-        self, evidence: Evidence, weights: tuple[np.ndarray, ...], prior: np.ndarray
-    ) -> None:
-        size = evidence.num_entries
-        flat = np.zeros(size * size)
-        for cells, weight in zip(evidence.cells, weights, strict=True):
-            flat[cells.one * size + cells.other] -= weight  # a group names no pair twice
-        table = np.empty((evidence.size, evidence.size))
-        inner = flat.reshape(size, size)
-        np.add(inner, inner.T, out=table[:size, :size])
-        diagonal, table[:size, size:], table[size:, size:] = _margins(evidence, weights, prior)
-        table[size:, :size] = table[:size, size:].T
+    def __init__(self, evidence: Evidence, weights: np.ndarray, prior: np.ndarray) -> None:
+        size, met = evidence.num_entries, evidence.by_pair(weights)
+        table = np.zeros((evidence.size, evidence.size))
+        table[evidence.other, evidence.one] = -met  # only the lower triangle is read
+        margins = _margins(evidence, weights, met, prior)
+        diagonal, border, table[size:, size:] = margins
+        table[size:, :size] = border.T
         table[range(size), range(size)] += diagonal
         self._size = size
         self._factor = linalg.cho_factor(table, lower=True, overwrite_a=True, check_finite=False)
@@ -159,9 +165,12 @@ class Dense:
             self._below = np.asarray(potri(self._factor[0], lower=1)[0])
         return self._below
 
-    def mean_variance(self) -> float:
-        """Return the mean diagonal of H^-1 over the entries."""
-        return float(self._inverse().diagonal()[: self._size].mean())
+    def mean_variance(self) -> tuple[float, float]:
+        """Return the mean diagonals of H^-1 and of its square over the entries."""
+        inner = np.tril(self._inverse()[: self._size, : self._size])
+        diagonal = inner.diagonal()
+        twice = 2.0 * float((inner**2).sum()) - float(diagonal @ diagonal)
+        return float(diagonal.mean()), twice / self._size
 
     def variances(self, squares: Squares) -> tuple[np.ndarray, np.ndarray]:
         """Return the diagonals of H^-1 and of the sandwich over the entries."""
@@ -173,53 +182,27 @@ class Dense:
         return inverse.diagonal()[:size].copy(), robust
 
 
-class Pattern:
-    """Which pairs of a large field met at all, as a sparse matrix whose numbers come later."""
-
-    def __init__(self, evidence: Evidence) -> None:
-        size = evidence.num_entries
-        low = [
-            np.minimum(c.one, c.other) * size + np.maximum(c.one, c.other) for c in evidence.cells
-        ]
-        keys = np.concatenate([np.empty(0, dtype=np.int64), *low])
-        pairs, self._pair_of_cell = np.unique(keys, return_inverse=True)
-        self._num_pairs = len(pairs)
-        one, other = pairs // size, pairs % size
-        number = np.arange(len(pairs))
-        both = np.concatenate([one, other]), np.concatenate([other, one])
-        shape = (size, size)
-        numbered = sparse.csr_array((np.concatenate([number, number]), both), shape=shape)
-        self._pair_of_place = np.asarray(numbered.data, dtype=np.int64)
-        self._indices, self._indptr, self._shape = numbered.indices, numbered.indptr, shape
-
-    def filled(self, weights: tuple[np.ndarray, ...]) -> sparse.csr_array:
-        """Return the weight of each pair that met, in both triangles."""
-        values = np.concatenate([np.empty(0), *weights])
-        pairs = np.bincount(self._pair_of_cell, values, self._num_pairs)
-        numbers = pairs[self._pair_of_place]
-        return sparse.csr_array((numbers, self._indices, self._indptr), shape=self._shape)
-
-
 class Sparse:
     """H as a sparse matrix with a narrow border, solved by conjugate gradients."""
 
-    def __init__(
-        self,
-        evidence: Evidence,
-        pattern: Pattern,
-        weights: tuple[np.ndarray, ...],
-        prior: np.ndarray,
-    ) -> None:
-        self._met = pattern.filled(weights)
-        self._diagonal, self._border, self._corner = _margins(evidence, weights, prior)
+    def __init__(self, evidence: Evidence, weights: np.ndarray, prior: np.ndarray) -> None:
+        met = evidence.by_pair(weights)
+        self._above = evidence.graph(met)
+        self._below = self._above.T
+        self._diagonal, self._border, self._corner = _margins(evidence, weights, met, prior)
         self._all = np.concatenate([self._diagonal, self._corner.diagonal()])
         self._level = 1.0 / prior[0]
+        self._first: tuple[np.ndarray, np.ndarray] | None = None
+
+    def _met(self, entries: np.ndarray) -> np.ndarray:
+        """Return the pairs' weights, in both triangles, times some columns."""
+        return self._above @ entries + self._below @ entries
 
     def times(self, vectors: np.ndarray) -> np.ndarray:
         """Return H times some columns."""
         size = len(self._diagonal)
         entries, slots = vectors[:size], vectors[size:]
-        above = self._diagonal[:, None] * entries - self._met @ entries + self._border @ slots
+        above = self._diagonal[:, None] * entries - self._met(entries) + self._border @ slots
         return np.concatenate([above, self._border.T @ entries + self._corner @ slots])
 
     def solve(self, right: np.ndarray, *, within: float = 1e-8) -> np.ndarray:
@@ -242,11 +225,15 @@ class Sparse:
             along = scaled + (energy / np.maximum(before, 1e-300)) * along
         return found.reshape(right.shape)
 
-    def mean_variance(self) -> float:
-        """Return the mean diagonal of H^-1 over the entries, by probes."""
-        probes = self._probes(np.random.default_rng(0))
-        left_over = (probes * self._left_over(probes, self._solve_entries(probes))).mean()
-        return float(left_over + (1.0 / self._diagonal).mean()) + self._level / len(probes)
+    def mean_variance(self) -> tuple[float, float]:
+        """Return the mean diagonals of H^-1 and of its square over the entries, by probes."""
+        probes, solved = self._first_probes()
+        left_over = (probes * self._left_over(probes, solved)).mean()
+        level = self._level / len(probes)
+        once = float(left_over + (1.0 / self._diagonal).mean()) + level
+        # Of the square, the level is known exactly, too, and what probes see of it is left out.
+        apart = solved[: len(probes)] - self._level * probes.mean(axis=0)
+        return once, float((apart**2).mean()) + self._level * level
 
     def variances(self, squares: Squares) -> tuple[np.ndarray, np.ndarray]:
         """Return the diagonals of H^-1 and of the sandwich over the entries.
@@ -258,20 +245,18 @@ class Sparse:
         """
         size = len(self._diagonal)
         first = 1.0 / self._diagonal[:, None]
-        apart = sparse.csr_array(
-            squares.entries + self._met - sparse.diags_array(self._diagonal)
-        )  # E
         model = self._level / size + first[:, 0]
-        robust = model + first[:, 0] ** 2 * apart.diagonal()
+        robust = model + first[:, 0] ** 2 * (squares.diagonal() - self._diagonal)
         generator = np.random.default_rng(0)  # the same signs at each fit: it is a pure function
         seen: list[np.ndarray] = []
         for _ in range(BATCHES):
             probes = self._probes(generator)
-            solved = self._solve_entries(probes)
+            solved = self._solve_entries(probes) if seen else self._first_probes()[1]
             more = probes * self._left_over(probes, solved)
             twice = self.solve(squares.times(solved) - self.times(solved), within=1e-3)[:size]
-            near = first * (apart @ (first * probes))
-            seen.append(np.stack([more, more + probes * (twice - near)]))
+            scaled = first * probes
+            apart = squares.entries_times(scaled) + self._met(scaled) - probes  # E @ scaled
+            seen.append(np.stack([more, more + probes * (twice - first * apart)]))
             told = np.concatenate(seen, axis=2)
             noise = told.std(axis=2) / np.sqrt(told.shape[2])
             found = np.stack([model, robust]) + told.mean(axis=2)
@@ -279,6 +264,13 @@ class Sparse:
                 break
         # No variance is below the one with all others known.
         return np.maximum(found[0], first[:, 0]), found[1]
+
+    def _first_probes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the first batch of probes and what solves them."""
+        if self._first is None:
+            probes = self._probes(np.random.default_rng(0))
+            self._first = probes, self._solve_entries(probes)
+        return self._first
 
     def _probes(self, generator: np.random.Generator) -> np.ndarray:
         return generator.choice([-1.0, 1.0], size=(len(self._diagonal), PROBES))
@@ -292,5 +284,5 @@ class Sparse:
         """Return H^-1 probes less what is known of it in closed form."""
         first = 1.0 / self._diagonal[:, None]
         known = first * probes + self._level * probes.mean(axis=0)
-        near = first * (self._met @ (first * probes))  # has nothing on its diagonal
+        near = first * self._met(first * probes)  # has nothing on its diagonal
         return solved[: len(probes)] - known - near

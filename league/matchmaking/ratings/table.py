@@ -54,7 +54,10 @@ class Ratings:
     races: np.ndarray
     """Races started, (entries,)."""
     provisional: np.ndarray
-    """True while sd is above 50, or the entry is not connected, (entries,)."""
+    """True while sd is above 50 or 0.85 of the field's spread, or it is not connected, (entries,).
+
+    In a narrow field, and where the grid decides the races, a small sd is the prior's own.
+    """
     connected: np.ndarray
     """False where no chain of races leads to the anchor (or the largest group), (entries,)."""
     one_sided: np.ndarray
@@ -69,6 +72,8 @@ class Ratings:
     """Entry pinned to 1000; without one the field's mean is."""
     num_races: int
     """Races that counted."""
+    num_spreads: int
+    """Spreads of the field tried before the likeliest was found."""
     gap_variances: Callable[[np.ndarray, np.ndarray], np.ndarray] = field(repr=False, compare=False)
     """Variances [Elo^2] of rating differences, from two arrays of indices into `entries`."""
 
@@ -115,7 +120,10 @@ class Ratings:
         ]
 
     def order(self) -> np.ndarray:
-        """Return indices from best to worst; provisional ones by rating - 2 sd."""
-        return np.argsort(
-            -np.where(self.provisional, self.elo - 2 * self.sd, self.elo), kind="stable"
-        )
+        """Return indices from best to worst; provisional ones by rating - 2 sd.
+
+        Equals stay in the order of their numbers: rounding, which depends on the order in which
+        races were read, must not turn them over.
+        """
+        shown = np.where(self.provisional, self.elo - 2 * self.sd, self.elo)
+        return np.argsort(-np.round(shown, 6), kind="stable")

@@ -308,25 +308,39 @@ def read_races(
     voided = connection.scalar(
         sa.select(sa.func.count()).select_from(heats).where(heats.c.state == "quarantined")
     )
-    joined = [
-        sa.func.aggregate_strings(races.c.packed, "").filter(races.c.cars == cars)
-        for cars in range(1, keys.MAX_CARS + 1)
-    ]
+    joined = sa.func.aggregate_strings(races.c.packed, " ")
     pieces: list[np.ndarray] = []
     assert last is not None
     for start in range(since, last, BLOCK):
-        query = sa.select(*joined).where(
+        query = sa.select(joined).where(
             races.c.number > start,
             races.c.number <= min(start + BLOCK, last),
             races.c.ruleset == rules,
             *([races.c.rated] if rated else []),
         )
-        texts = connection.execute(query).one()
-        pieces += [_unpacked(text, cars) for cars, text in enumerate(texts, 1) if text]
+        pieces += _unpacked(connection.scalar(query) or "")
     return _stacked(pieces, max(last, since), voided or 0)
 
 
-def _unpacked(text: str, cars: int) -> np.ndarray:
+def _unpacked(text: str) -> list[np.ndarray]:
+    """Return races from their packed texts with spaces between, those of as many cars together."""
+    if not text:
+        return []
+    width = text.index(" ") if " " in text else len(text)
+    gaps = np.frombuffer(text.encode("ascii"), np.uint8)[width :: width + 1]
+    blocks = [text]
+    if (len(text) + 1) % (width + 1) or (gaps != ord(" ")).any() or text.count(" ") != len(gaps):
+        by_width: dict[int, list[str]] = {}
+        for one in text.split(" "):
+            by_width.setdefault(len(one), []).append(one)
+        blocks = [" ".join(by_width[width]) for width in sorted(by_width)]
+    return [_alike(block) for block in blocks]
+
+
+def _alike(text: str) -> np.ndarray:
+    """Return races of as many cars each from their packed texts with spaces between."""
+    width = text.index(" ") if " " in text else len(text)
+    cars = (width - 12) // 18
     row = [
         *(("heat", ">u4"), ("half", "u1"), ("track", "u1")),
         *(("entries", ">u4", (cars,)), ("places", "u1", (cars,)), ("runs", ">u4", (cars,))),
