@@ -75,6 +75,19 @@ def test_standings_fit_80_columns(told, monkeypatch):
     assert max(map(len, text.splitlines()[:8])) <= 80 and "…" not in text
 
 
+def test_heats_fit_80_columns(told, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    text = told("heats", "--limit", "100")
+    assert "validation" in text and "…" not in text and max(map(len, text.splitlines())) <= 80
+
+
+def test_a_rating_apart_from_the_anchor_has_its_sign_explained(told, tmp_path):
+    url = f"sqlite:///{tmp_path / 'new.db'}"
+    told("init", "--league", url, "--anchors", "centerline", "cautious")
+    text = told("standings", "--league", url)
+    assert "~" in text and "no chain of races leads to the anchor" in text
+
+
 def test_a_heat_in_quarantine_shows_both_results_and_can_be_raced_again(told, league):
     from league.matchmaking.store import Outcome, RaceOutcome, Store
 
@@ -203,6 +216,9 @@ def test_a_wrong_name_gives_the_nearest_ones(told, capsys):
         (["audit", "--sample", "some"], "--sample 'some' is no share"),
         (["audit", "--sample", "0%"], "more than 0"),
         (["run", "--heats", "0"], "give 1 or more"),
+        (["heats", "--limit", "0"], "give 1 or more"),
+        (["standings", "--top", "-3"], "give 1 or more"),
+        (["history", "ann", "--points", "0"], "give 1 or more"),
         (["run", "--workers", "-1"], "give 1 to "),
         (["audit", "--workers", "-1"], "give 1 to "),
         (["compare", "ann", "bob", "--elo0", "9", "--elo1", "1"], "elo1 must be the larger"),

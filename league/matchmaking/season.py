@@ -99,6 +99,8 @@ class Season:
     def plan(self) -> int:
         """Plan the next round if it is due, and move entries; return how many heats are new."""
         rules = self._store.settings.ruleset
+        if self._still_early(rules.hash):
+            return 0
         latest = self._find_latest(rules.hash)
         if latest.earlier_open:
             return 0
@@ -107,6 +109,15 @@ class Season:
         if latest.open:
             return 0
         return self._store.plan(self._planned(rules, latest, None))
+
+    def _still_early(self, ruleset: str) -> bool:
+        """Return whether a heat before the latest known round is open, so that no round is due.
+
+        It is asked after every heat, and nearly always so: reading one heat tells, where the
+        rounds in the queue are hundreds of heats in a large league.
+        """
+        first = _season_heats(self._store.heats(("planned", "claimed"), limit=1), ruleset)
+        return bool(first) and first[0].number < self._latest.first
 
     def _find_latest(self, ruleset: str) -> Round:
         """Return the newest round; what is known of it from last time saves reading."""

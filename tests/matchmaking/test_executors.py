@@ -15,6 +15,7 @@ from season_kit import SHORT, new_league, submitted
 from league.errors import ConfigError
 from league.matchmaking import executors, keys
 from league.matchmaking.crew import contestant
+from league.matchmaking.executors import processes
 from league.matchmaking.executors.processes import Processes
 from league.matchmaking.worker import Job, Pit, Report
 
@@ -84,6 +85,27 @@ def test_a_process_that_died_idle_is_replaced_before_it_is_given_a_job(job):
         assert done.key == job.key
 
 
+def test_a_worker_that_dies_while_it_starts_costs_the_heat_no_try(job):
+    with closing(Processes(1)) as executor:
+        executor.offer(job)
+        os.kill(executor.pids[0], signal.SIGKILL)  # it is still loading torch
+        (done,) = reports(executor, 1)
+        assert done.key == job.key and done.outcome is not None
+
+
+def test_where_no_worker_can_start_the_run_ends_with_a_sentence(job, monkeypatch):
+    monkeypatch.setattr(processes, "_work", _cannot_start)
+    with closing(Processes(1)) as executor:
+        executor.offer(job)
+        with pytest.raises(ConfigError, match=r"3 worker processes in a row .* \(exit code 3\)"):
+            reports(executor, 1, patience_s=60.0)
+
+
+def _cannot_start(pipe: object, parent: int) -> None:
+    """Stand for a worker whose libraries cannot be loaded."""
+    os._exit(3)
+
+
 def test_workers_end_with_their_executor(job):
     executor = Processes(2)
     pids = executor.pids
@@ -115,8 +137,9 @@ def test_without_ray_its_executor_says_how_to_install_it(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")  # Ray's own
-def test_a_killed_ray_actor_is_told_of_and_replaced(job):
+def test_a_killed_ray_actor_is_told_of_and_replaced(job, capfd):
     pytest.importorskip("ray", reason='Ray is not installed: pip install ".[cluster]"')
     with closing(executors.make("ray", 2)) as executor:
         executor.first_pid = executor.pids[0]
         check_killed_worker(executor, job)
+    assert capfd.readouterr().out == ""  # tables and JSON go there, and are piped on

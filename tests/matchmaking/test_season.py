@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import sqlite3
 
 import numpy as np
 import pytest
@@ -303,6 +304,36 @@ def test_the_last_moment_of_a_history_is_the_present(url):
             widths = [moment.high95 - moment.low95 for moment in moments]
             assert min(widths) > 0
             assert widths[-1] == pytest.approx(row.high95 - row.low95)
+
+
+def test_standings_do_not_depend_on_the_order_of_the_rows_in_the_database(url):
+    with grown(url, 6) as store:
+        running.run(store, Crew(store, Coin()), Season(store), heats=40)
+        before = standings.of(store)
+        with sqlite3.connect(url.removeprefix("sqlite:///")) as database:
+            rows = database.execute("SELECT * FROM races").fetchall()
+            database.execute("DELETE FROM races")
+            for number, place in enumerate(np.random.default_rng(0).permutation(len(rows)), 1):
+                row = (number, *rows[place][1:])
+                database.execute(f"INSERT INTO races VALUES ({','.join('?' * len(row))})", row)
+        assert store.races().heat.tolist() != sorted(store.races().heat)
+        after = standings.of(store)
+    assert after.num_races == before.num_races > 40
+    for one, other in zip(before.rows, after.rows, strict=True):
+        for name, value in vars(one).items():
+            same = getattr(other, name)
+            assert same == (pytest.approx(value, abs=1e-6) if isinstance(value, float) else value)
+
+
+def test_ranks_that_an_entry_may_have_leave_out_those_whose_interval_is_apart(url):
+    with grown(url, 4) as store:
+        running.run(store, Crew(store, Coin()), Season(store), heats=30)
+        rows = standings.of(store).rows
+    for row in rows:
+        above = sum(other.low95 > row.high95 for other in rows)
+        below = sum(other.high95 < row.low95 for other in rows)
+        assert row.best_rank == min(row.rank, 1 + above)
+        assert row.worst_rank == max(row.rank, len(rows) - below)
 
 
 def test_standings_of_nobody_say_what_to_do(url):

@@ -260,6 +260,11 @@ def test_a_disk_without_room_is_told_and_the_league_goes_on_when_there_is_some(t
     _sound(path)
 
 
+def test_a_database_that_does_not_exist_is_told_in_a_sentence(postgres_server):
+    with pytest.raises(StoreError, match="names a database that does not exist: make it with"):
+        store.create(postgres_server.url("nobody_made_this"))
+
+
 def _bulky(claims, size=2000):
     """Return results that take room: noise does not deflate."""
     noise = random.Random(5)

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import resource
 import sqlite3
+import time
 from contextlib import closing
 from dataclasses import replace
 
+import psycopg
 import pytest
 from season_kit import SHORT, Here, new_league, submitted
 
-from league.matchmaking import keys
-from league.matchmaking.crew import Crew, contestant
+from league.errors import StoreError
+from league.matchmaking import keys, season
+from league.matchmaking.crew import Crew, Ended, contestant
 from league.matchmaking.keys import Half
 from league.matchmaking.ratings import Run, places_of
-from league.matchmaking.store import Store
+from league.matchmaking.store import Store, create
 from league.matchmaking.worker import Job, Pit, Report, places
 from league.race_spec import CarResult, Entry, Event, RaceResult, RaceSpec
 from league.replay import format as replay_format
@@ -181,3 +185,77 @@ def test_a_heat_of_another_physics_is_not_raced(league, monkeypatch):
     monkeypatch.setattr("league.matchmaking.worker.PHYSICS", "2")
     (ended,) = Crew(league, Here()).step(0.0)
     assert ended.became == "planned" and "use the version" in ended.report.traceback
+
+
+class HereUntilFull(Here):
+    """Workers at whose end no file may grow any more: the limit stands for the disk.
+
+    Python ignores the signal that comes with it, so a write fails as on a full disk.
+    """
+
+    def wait(self, timeout_s: float) -> list[Report]:
+        reports = super().wait(timeout_s)
+        most = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
+        resource.setrlimit(resource.RLIMIT_FSIZE, (10, most))
+        return reports
+
+
+def test_no_room_for_recordings_is_told_and_the_heat_is_raced_again_when_there_is(tmp_path):
+    """Only the recordings' folder is full: the database could be written, and must not be."""
+    blobs = tmp_path / "blobs"
+    url = f"sqlite:///{tmp_path / 'league.db'}"
+    with create(url, ruleset=SHORT, blobs=str(blobs)) as store:
+        season.found(store, ["centerline"])
+        _one_heat(store)
+        before = resource.getrlimit(resource.RLIMIT_FSIZE)
+        try:
+            with pytest.raises(StoreError, match=r"cannot be written .* has room"):
+                Crew(store, HereUntilFull(), lease_s=0.05).step(0.0)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        assert store.counts() == {"claimed": 1} and not len(store.races().heat)
+        assert [path for path in blobs.rglob(".*")] == []  # no part of a file is left
+        _raced_by_another(store)
+        assert store.blobs.has(store.results(1)[0].replay or "")
+
+
+FULL = """
+CREATE FUNCTION full_disk() RETURNS trigger AS $$ BEGIN
+    RAISE EXCEPTION 'could not extend file' USING ERRCODE = 'disk_full';
+END $$ LANGUAGE plpgsql;
+CREATE TRIGGER full_disk BEFORE INSERT ON results EXECUTE FUNCTION full_disk()
+"""
+"""Have PostgreSQL answer as it does when it finds no room for results."""
+
+
+def test_a_full_postgresql_is_told_and_the_heat_is_raced_again_when_there_is_room(new_postgres):
+    url = new_postgres()
+    with new_league(url) as store, psycopg.connect(url, autocommit=True) as server:
+        _one_heat(store)
+        told = len(store.events())
+        server.execute(FULL)
+        sentence = "cannot grow, the server's disk is full: free some space; nothing was changed$"
+        with pytest.raises(StoreError, match=sentence):
+            Crew(store, Here(), lease_s=0.05).step(0.0)
+        assert store.counts() == {"claimed": 1} and not len(store.races().heat)
+        assert [event.action for event in store.events()[told:]] == ["claim"]
+        server.execute("DROP TRIGGER full_disk ON results")
+        _raced_by_another(store)
+
+
+def _one_heat(store: Store) -> None:
+    submitted(store, "ann", senses="blind")
+    one, other = (entry.id for entry in store.entries())
+    track = "reinvent_2018"
+    store.plan([keys.mirrored(SHORT.hash, (track, track), (one, other))])
+
+
+def _raced_by_another(store: Store) -> None:
+    """Race the one heat that was left, once its lease is over; it is its second try."""
+    ended: list[Ended] = []
+    heir, give_up = Crew(store, Here()), time.monotonic() + 30
+    while not ended and time.monotonic() < give_up:
+        ended = heir.step(0.0)
+        time.sleep(0.01)
+    assert [one.became for one in ended] == ["accepted"]
+    assert store.heat(1).attempts == 2 and len(store.races().heat) == 2

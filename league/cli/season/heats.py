@@ -31,15 +31,19 @@ class Heats(Reading):
 
     def run(self) -> int:
         """Run the command."""
+        if self.limit < 1:
+            raise ConfigError(f"--limit {self.limit}: give 1 or more")
         with self.opened() as store:
             numbers = [store.entry(self.entry).number] if self.entry else []
             states = None if self.state == "all" else (self.state,)
-            records = store.heats(states, entries=numbers)[-max(1, self.limit) :]
+            records = store.heats(states, entries=numbers)[-self.limit :]
             names = door.names(store.entries())
         if self.json:
             door.print_json([_told(record, names) for record in records])
             return 0
         table = tables.table("Heats", "heat", "grid", "purpose", "state", "track", "done")
+        table.padding = (0, 0)  # the box leaves room enough between columns
+        table.columns[1].no_wrap = False  # eight names do not fit one line
         for record in records:
             half = record.heat.halves[0]
             grid = " - ".join(names[id] for id in half.grid)

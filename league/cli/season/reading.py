@@ -10,7 +10,7 @@ import tyro
 from league.cli import tables
 from league.cli.season import door
 from league.cli.season.door import Reading
-from league.errors import StoreError
+from league.errors import ConfigError, StoreError
 
 if TYPE_CHECKING:
     from league.matchmaking.standings import Standings
@@ -29,6 +29,8 @@ class ShowStandings(Reading):
         from league.cli.season import page
         from league.matchmaking import standings
 
+        if self.top is not None and self.top < 1:
+            raise ConfigError(f"--top {self.top}: give 1 or more")
         with self.opened() as store:
             found = standings.of(store)
         if self.json:
@@ -81,9 +83,11 @@ class History(Reading):
         """Run the command."""
         from league.matchmaking import standings
 
+        if self.points < 1:
+            raise ConfigError(f"--points {self.points}: give 1 or more")
         with self.opened() as store:
             entry = store.entry(self.entry)
-            moments = standings.history(store, entry, points=max(1, self.points))
+            moments = standings.history(store, entry, points=self.points)
         if self.json:
             door.print_json(moments)
             return 0
@@ -128,7 +132,7 @@ def notes(found: Standings) -> list[str]:
     ]
     if len(found.tracks) > 1:
         lines.append(f"best lap: on {found.tracks[0]}; `league show ENTRY` tells those on others")
-    if not found.ratings.all_connected:
+    if not all(row.connected for row in found.rows):
         lines.append("~ no chain of races leads to the anchor; such ratings lean on the prior.")
     if found.goodness.rejected:
         lines.append(

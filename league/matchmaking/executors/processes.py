@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import signal
@@ -11,11 +12,15 @@ from multiprocessing import connection
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 
+from league.errors import ConfigError
 from league.matchmaking.executors.executor import JOB_LIMIT_S
 from league.matchmaking.worker import Job, Report
 
 # A forked child would inherit torch's threads and the database's connections.
 _SPAWN = multiprocessing.get_context("spawn")
+
+STARTS = 3
+"""Workers in a row that may die before they are ready; then it is not chance."""
 
 
 @dataclass
@@ -24,6 +29,7 @@ class _Seat:
 
     process: BaseProcess
     pipe: Connection
+    ready: bool = False
     job: Job | None = None
     since_s: float = 0.0
 
@@ -33,6 +39,7 @@ class Processes:
 
     def __init__(self, num_workers: int, *, job_limit_s: float = JOB_LIMIT_S) -> None:
         self._limit_s = job_limit_s
+        self._stillborn = 0
         self._seats = [_started() for _ in range(num_workers)]
 
     @property
@@ -53,24 +60,24 @@ class Processes:
     def offer(self, job: Job) -> None:
         """Give a job to a worker that is free."""
         for number, seat in enumerate(self._seats):
-            if seat.job is not None:
-                continue
-            try:
-                seat.pipe.send(job)
-            except OSError:  # it died while it had nothing to do
-                self._seats[number] = seat = self._replaced(seat)
-                seat.pipe.send(job)
-            seat.job, seat.since_s = job, time.monotonic()
-            return
+            if seat.job is None:
+                self._give(number, job)
+                return
         raise ValueError("no worker is free: ask `free` first")
 
     def wait(self, timeout_s: float) -> list[Report]:
-        """Return what has come to an end; the job of a worker that died counts as failed."""
+        """Return what has come to an end; the job of a worker that died counts as failed.
+
+        Raises:
+            ConfigError: no worker can be started on this machine.
+        """
         busy = {seat.pipe: number for number, seat in enumerate(self._seats) if seat.job}
         reports = []
         for pipe in connection.wait(list(busy), timeout_s) if busy else ():
             assert isinstance(pipe, Connection)
-            reports.append(self._read(busy[pipe]))
+            report = self._read(busy[pipe])
+            if report is not None:
+                reports.append(report)
         if not busy:
             time.sleep(timeout_s)
         for number, seat in enumerate(self._seats):
@@ -87,15 +94,45 @@ class Processes:
             seat.process.join(5.0)
         self._seats = []
 
-    def _read(self, number: int) -> Report:
+    def _give(self, number: int, job: Job) -> None:
         seat = self._seats[number]
         try:
-            report: Report = seat.pipe.recv()
+            seat.pipe.send(job)
+        except OSError:  # it died while it had nothing to do
+            self._seats[number] = seat = self._replaced(seat)
+            seat.pipe.send(job)
+        seat.job, seat.since_s = job, time.monotonic()
+
+    def _read(self, number: int) -> Report | None:
+        """Return what a worker says of its job; None if it has only just begun."""
+        seat = self._seats[number]
+        assert seat.job is not None
+        try:
+            report: Report | None = seat.pipe.recv()
         except (EOFError, OSError):
             seat.process.join(5.0)
-            return self._ended(number, f"died with exit code {seat.process.exitcode}")
-        seat.job = None
+            if seat.ready:
+                return self._ended(number, f"died with exit code {seat.process.exitcode}")
+            self._start_again(number, seat.job)
+            return None
+        if report is None:
+            seat.ready, self._stillborn = True, 0
+        else:
+            seat.job = None
         return report
+
+    def _start_again(self, number: int, job: Job) -> None:
+        """Replace a worker that died before it looked at its job: that is no try at the heat."""
+        seat = self._seats[number]
+        self._stillborn += 1
+        if self._stillborn >= STARTS:
+            raise ConfigError(
+                f"{STARTS} worker processes in a row ended before their first race (exit code "
+                f"{seat.process.exitcode}): look at their messages above, or give fewer --workers "
+                "if memory is short"
+            )
+        self._seats[number] = self._replaced(seat)
+        self._give(number, job)
 
     def _ended(self, number: int, how: str) -> Report:
         """Replace a worker and say what became of its job."""
@@ -134,6 +171,8 @@ def _work(pipe: Connection, parent: int) -> None:
 
     torch.set_num_threads(1)  # the other cores have workers of their own
     pit = Pit()
+    with contextlib.suppress(OSError):
+        pipe.send(None)  # ready: what goes wrong from here on is a job's affair
     while True:
         try:
             job = pipe.recv()

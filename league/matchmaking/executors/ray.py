@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import time
 from dataclasses import dataclass
@@ -142,4 +143,24 @@ def _ray() -> Any:  # noqa: ANN401
             "--executor ray was asked for and Ray is not installed: run pip install "
             '"racing-league[cluster]"'
         ) from missing
+    # Its news are not ours to tell; what fails is raised.
+    logging.getLogger("ray").setLevel(logging.ERROR)
+    _keep_stdout(ray)
     return ray
+
+
+def _keep_stdout(ray: Any) -> None:  # noqa: ANN401
+    """Send what Ray prints about an actor's death to stderr: stdout is for results.
+
+    Ray has no setting for it, so this reaches into it; a Ray built otherwise is left as it is.
+    """
+    worker = getattr(ray._private, "worker", None)
+    prints = getattr(worker, "print_to_stdstream", None)
+    if prints is None or getattr(prints, "league", False):
+        return
+
+    def to_stderr(data: dict[str, Any], *settings: Any, **named: Any) -> None:  # noqa: ANN401
+        prints({**data, "is_err": True}, *settings, **named)
+
+    to_stderr.league = True  # pyright: ignore[reportFunctionMemberAccess]
+    worker.print_to_stdstream = to_stderr

@@ -197,8 +197,26 @@ _POSTGRES = {
     "28P01": "refused the password: check the user and password in the address",
     "28000": "refused the user: check the user in the address and the server's pg_hba.conf",
     "42501": "refuses this user ({reason}): grant the rights, or use another user",
+    "57P01": "is shutting down: try again when the server runs; nothing was changed",
+    "57P02": "has crashed: look at the server's log, and try again when it runs",
+    "57P03": "is starting or recovering: try again in a moment",
+    "25006": "can only be read ({reason}): use the primary server",
+    "58030": "cannot be written or read ({reason}): check the server's disk; nothing was changed",
     "53300": "has no free connections: use fewer workers, or raise max_connections",
 }
+
+_UNTOLD = {
+    "password authentication failed": "28P01",
+    "no password supplied": "28P01",
+    "no pg_hba.conf entry": "28000",
+    'role "': "28000",
+    'database "': "3D000",
+    "too many clients": "53300",
+    "shutting down": "57P01",
+    "starting up": "57P03",
+    "recovery": "57P03",
+}
+"""What a refused connection says, whose error carries no state: the state that it means."""
 
 
 def _sentence(refusal: BaseException | None) -> str:
@@ -207,6 +225,9 @@ def _sentence(refusal: BaseException | None) -> str:
     reason = " ".join((first[0] if first else type(refusal).__name__).split())[:200]
     name = getattr(refusal, "sqlite_errorname", None)
     state = getattr(refusal, "sqlstate", None)
+    if name is None and state is None and "FATAL:" in reason:
+        said = reason.split("FATAL:", 1)[1]
+        state = next((state for part, state in _UNTOLD.items() if part in said), None)
     if name is not None:
         known = next((text for code, text in _SQLITE.items() if name.startswith(code)), None)
     elif state is not None:
