@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
@@ -125,13 +126,15 @@ def run(
     return run_together([Contest(spec, track, drivers, record, watch)])[0]
 
 
-def run_together(contests: Sequence[Contest]) -> list[Finished]:
+def run_together(contests: Sequence[Contest], *, patience_s: float = math.inf) -> list[Finished]:
     """Run races as one batch: each goes, to the bit, as it would alone, and the whole is faster.
 
     A driver that is in several of them, as one object, is asked once a step for all of its cars.
 
     Args:
         contests: races of the same settings but for track, seed and drivers.
+        patience_s: processor time that a driver may take for an answer [s]; a later one is as good
+            as none. The clock then has a say in the race: give far more than drivers need.
 
     Raises:
         LeagueError: as `run`; or the races are not alike.
@@ -151,7 +154,8 @@ def run_together(contests: Sequence[Contest]) -> list[Finished]:
     courses = [one.track or files.load(one.spec.track) for one in contests]
     field = [_drivers(one, course, sim.car) for one, course in zip(contests, courses, strict=True)]
     with torch.inference_mode():
-        return _Batch(contests, courses, field, EnvConfig(sim, solver, reward=_UNPAID)).run()
+        seats = Seats(field, patience_s)
+        return _Batch(contests, courses, field, seats, EnvConfig(sim, solver, reward=_UNPAID)).run()
 
 
 def _drivers(contest: Contest, course: Track, car: CarConfig) -> Sequence[Driver]:
@@ -172,13 +176,14 @@ class _Batch:
         contests: Sequence[Contest],
         courses: Sequence[Track],
         field: Sequence[Sequence[Driver]],
+        seats: Seats,
         cfg: EnvConfig,
     ) -> None:
         different = {id(course): course for course in courses}
         rows = torch.tensor([list(different).index(id(course)) for course in courses])
         tracks = TrackSet.of(*different.values())
         self._env = RaceEnv(tracks, cfg, num_worlds=len(contests), track_index=rows)
-        self._seats = Seats(field)
+        self._seats = seats
         self._races = [
             _Race(contest, tracks, replace(cfg, sensors=tuple(one.sensors for one in drivers)))
             for contest, drivers in zip(contests, field, strict=True)
@@ -207,7 +212,7 @@ class _Batch:
         return self._env.world if len(self._races) == 1 else row(self._env.world, index)
 
     def _actions(self, told: Observations) -> Tensor:
-        """Ask the drivers; an answer that is no action is replaced by the last good one."""
+        """Ask the drivers; an answer that is late or no action is replaced by the last good one."""
         answers = self._seats.ask(told, [race.readings for race in self._races], self._idle)
         actions = self._env.last_action.clone()
         for seat, answer in answers.items():

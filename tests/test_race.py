@@ -1,6 +1,7 @@
 """One race, from its spec to the classification."""
 
 import math
+import time
 from dataclasses import dataclass, field
 
 import pytest
@@ -160,6 +161,24 @@ def test_driver_that_keeps_failing_is_retired_and_the_others_race_on():
     assert result.order[0].finished
     assert not result.order[1].finished
     assert kinds(result).count("driver_fault") == race.FAULTS_TO_END
+
+
+def test_an_answer_that_comes_too_late_is_as_good_as_none():
+    class Slow(Follower):
+        def act(self, observations):
+            answer = super().act(observations)
+            until = time.thread_time() + 0.06
+            while time.thread_time() < until:
+                pass
+            return answer
+
+    late = race.run_together([contest((Slow("late"), Follower("fine")))], patience_s=0.05)
+    none = race.run_together(
+        [contest((Follower("late", answers=["no"] * 100), Follower("fine")))], patience_s=0.05
+    )
+    assert late[0].result == none[0].result
+    assert kinds(late[0].result).count("driver_fault") == race.FAULTS_TO_END
+    assert [car.name for car in late[0].result.order] == ["fine", "late"]
 
 
 def test_race_ends_when_all_drivers_are_retired():

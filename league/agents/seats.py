@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from time import thread_time
 
 import torch
 from torch import Tensor
@@ -22,12 +24,15 @@ class Seats:
     depend on the others.
     """
 
-    def __init__(self, drivers: Sequence[Sequence[Driver]]) -> None:
+    def __init__(self, drivers: Sequence[Sequence[Driver]], patience_s: float = math.inf) -> None:
         """Give each driver its seats.
 
         Args:
             drivers: of each world, by car; the same object may have any number of seats.
+            patience_s: processor time of this thread that a driver may take for an answer [s]; what
+                comes later is no action. Other programs on the machine do not use it up.
         """
+        self._patience_s = patience_s
         self._held: dict[int, tuple[Driver, list[Seat]]] = {}
         for world, field in enumerate(drivers):
             for car, driver in enumerate(field):
@@ -41,7 +46,7 @@ class Seats:
     def ask(
         self, told: Groups, readings: Sequence[Groups], idle: Collection[Seat]
     ) -> dict[Seat, Tensor | None]:
-        """Return each seat's action, (2,), or None where the answer is no action.
+        """Return each seat's action, (2,), or None where the answer is no action or is late.
 
         Args:
             told: what all worlds tell of each car, each group (num_worlds, ...).
@@ -53,7 +58,10 @@ class Seats:
         for driver, seats in self._held.values():
             if all(seat in idle for seat in seats):
                 continue
+            asked_s = thread_time()
             answer = driver.act(_Told(told, readings, seats))
+            if thread_time() - asked_s > self._patience_s:
+                answer = None
             answers.update(zip(seats, _actions(answer, len(seats)), strict=True))
         return answers
 

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
 KEPT = 64
 """Drivers and checkpoints that a worker keeps ready."""
+TOO_LATE_S = 2.0
+"""Processor time after which an answer is too late [s]: eighty times what a submission may take, so
+that whether an honest driver is late never depends on the machine."""
 
 
 @dataclass(frozen=True)
@@ -116,9 +119,8 @@ class Pit:
         """Race all halves at once, as one batch: each goes as it would alone."""
         from league import race
 
-        return race.run_together(
-            [self._contest(job, *one) for one in zip(job.halves, job.seeds, strict=True)]
-        )
+        contests = [self._contest(job, *one) for one in zip(job.halves, job.seeds, strict=True)]
+        return race.run_together(contests, patience_s=TOO_LATE_S)
 
     def _contest(self, job: Job, half: Half, seed: int) -> Contest:
         from league import race
