@@ -165,7 +165,7 @@ def test_a_race_of_the_league_can_be_watched(told, tmp_path):
 def test_an_audit_runs_heats_again_and_finds_that_they_agree(told):
     waiting = json.loads(told("heats", "--state", "planned", "--json", "--limit", "100"))
     text = told("audit", "--sample", "1%", "--seed", "1", "--workers", "1")
-    assert "1 heats were run again: 1 agree, 0 differ." in text
+    assert "1 heat was run again: 1 agree, 0 differ." in text
     assert waiting == json.loads(told("heats", "--state", "planned", "--json", "--limit", "100"))
 
 
@@ -260,6 +260,8 @@ def test_a_run_races_what_was_submitted_and_says_what_it_did(tmp_path, monkeypat
 
     checkpoint.save(tmp_path / "a.pt", make_checkpoint("blind", name="a"))
     assert main(["submit", str(tmp_path / "a.pt"), "--owner", "ann"]) == 0
+    assert main(["submit", str(tmp_path / "a.pt"), "--owner", "ann", "--name", "b"]) == 0
+    assert "entered already, as a; b is not a new entry" in capsys.readouterr().out
     assert main(["run", "--workers", "1", "--heats", "3"]) == 0
     out = capsys.readouterr().out
     assert "(validation) a - a" in out and "(rated)" in out and "3 heats, 4 races" in out

@@ -191,6 +191,8 @@ def _submit(command: Submit) -> int:
                 f"{nearest_names(command.driver, list(roster.NAMES))}; or give a checkpoint, "
                 "FILE.pt"
             )
+    if entry.name != name:
+        print(f"These weights are entered already, as {entry.name}; {name} is not a new entry.")
     print(f"{entry.name} by {entry.owner}: entry {entry.id[:12]}, {entry.state}")
     if entry.state == "pending":
         print("It races itself and an anchor first: `league run`, then `league entries`.")

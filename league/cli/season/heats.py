@@ -138,7 +138,8 @@ def _audit(command: Audit) -> int:
             differ = trials.audit(store, executor, audits, watch=watch)
         finally:
             executor.close()
-    print(f"{len(audits)} heats were run again: {len(audits) - differ} agree, {differ} differ.")
+    heats = "1 heat was" if len(audits) == 1 else f"{len(audits)} heats were"
+    print(f"{heats} run again: {len(audits) - differ} agree, {differ} differ.")
     return 1 if differ else 0
 
 
