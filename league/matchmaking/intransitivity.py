@@ -86,7 +86,7 @@ def goodness_of_fit(results: Results | Field, ratings: Ratings, *, level: float 
     from scipy.special import gammaincc
 
     field = results if isinstance(results, Field) else Field.of(results, ratings.entries)
-    if len(field.entries) != len(ratings.entries):
+    if not np.array_equal(field.entries, ratings.entries):
         raise ValueError("the races name entries that the ratings do not have")
     found = _pairs(field.evidence, ratings)
     dispersion = _dispersion(field, ratings)

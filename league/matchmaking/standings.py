@@ -48,7 +48,7 @@ class Row:
     high95: float
     """Upper end of the 95 % interval [Elo]."""
     provisional: bool
-    """Known to worse than sd 50, hardly better than the prior, or not connected."""
+    """Known to worse than sd 50, or not connected."""
     connected: bool
     """Whether a chain of races leads to the anchor."""
     one_sided: bool

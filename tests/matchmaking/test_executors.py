@@ -22,6 +22,10 @@ from league.matchmaking.worker import Job, Pit, Report
 ENDLESS = replace(SHORT, laps=1000, max_time_s=36_000.0)
 
 
+LARGE = b"x" * 1_000_000
+"""Weights that no pipe takes up before somebody reads."""
+
+
 @pytest.fixture
 def job(tmp_path) -> Job:
     with new_league(f"sqlite:///{tmp_path / 'league.db'}") as store:
@@ -95,10 +99,11 @@ def test_a_worker_that_dies_while_it_starts_costs_the_heat_no_try(job):
 
 def test_where_no_worker_can_start_the_run_ends_with_a_sentence(job, monkeypatch):
     monkeypatch.setattr(processes, "_work", _cannot_start)
+    field = {id: replace(who, weights=LARGE) for id, who in job.field.items()}
     with closing(Processes(1)) as executor:
-        executor.offer(job)
+        executor.offer(replace(job, field=field))
         with pytest.raises(ConfigError, match=r"3 worker processes in a row .* \(exit code 3\)"):
-            reports(executor, 1, patience_s=60.0)
+            reports(executor, 1)
 
 
 def _cannot_start(pipe: object, parent: int) -> None:

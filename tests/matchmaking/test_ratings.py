@@ -353,6 +353,23 @@ def test_small_fields_among_larger_ones_leave_slots_empty():
     assert told.elo[0] > told.elo[2]
 
 
+def test_empty_slots_are_nobodys_heats():
+    generator = np.random.default_rng(3)
+    small = raced(generator, np.zeros(6), random_grids(generator, 6, 2, 60))
+    large = raced(generator, np.zeros(6), random_grids(generator, 6, 4, 4))
+    wide = ((0, 0), (0, 2))
+    entries = np.concatenate([np.pad(small.entries, wide, constant_values=-1), large.entries])
+    places = np.concatenate([np.pad(small.places, wide), large.places])
+    heats = np.concatenate([small.heats, large.heats + 1000])
+    told = fit(Results(heats, entries, places))
+    turned = fit(Results(heats, np.where(entries < 0, -1, 5 - entries), places))
+    assert told.sd == pytest.approx(turned.sd[::-1], abs=1e-6)
+
+
+def test_a_large_field_without_races_keeps_the_usual_spread():
+    assert fit(Results.of([]), entries=range(1600)).prior_sd == pytest.approx(300.0)
+
+
 def test_large_fields_rate_alike_by_iteration():
     generator = np.random.default_rng(9)
     strengths = np.sort(generator.normal(0, 200, 300))

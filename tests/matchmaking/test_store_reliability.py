@@ -19,6 +19,7 @@ import pytest
 
 from league.errors import StoreError
 from league.matchmaking import store
+from league.matchmaking.store import database
 
 SPAWN = multiprocessing.get_context("spawn")
 
@@ -263,6 +264,23 @@ def test_a_disk_without_room_is_told_and_the_league_goes_on_when_there_is_some(t
 def test_a_database_that_does_not_exist_is_told_in_a_sentence(postgres_server):
     with pytest.raises(StoreError, match="names a database that does not exist: make it with"):
         store.create(postgres_server.url("nobody_made_this"))
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        ('FATAL:  database "a" does not exist', "does not exist: make it"),
+        ('FATAL:  permission denied for database "a"', "refuses this user"),
+        ('FATAL:  too many connections for database "a"', "has no free connections"),
+        ('FATAL:  too many connections for role "bob"', "has no free connections"),
+        ("FATAL:  remaining connection slots are reserved for roles", "has no free connections"),
+        ('FATAL:  role "bob" does not exist', "refused the user"),
+        ("FATAL:  the database system is starting up", "is starting or recovering"),
+        ('FATAL:  database "a" is not currently accepting connections', "cannot be reached"),
+    ],
+)
+def test_a_refused_connection_is_told_by_its_cause(said, told):
+    assert told in database._sentence(ConnectionError(f"connection failed: {said}"))
 
 
 def _bulky(claims, size=2000):

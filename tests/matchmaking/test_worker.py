@@ -201,7 +201,7 @@ class HereUntilFull(Here):
 
 
 def test_no_room_for_recordings_is_told_and_the_heat_is_raced_again_when_there_is(tmp_path):
-    """Only the recordings' folder is full: the database could be written, and must not be."""
+    """Recordings come first: a heat is not done before its recording is safe."""
     blobs = tmp_path / "blobs"
     url = f"sqlite:///{tmp_path / 'league.db'}"
     with create(url, ruleset=SHORT, blobs=str(blobs)) as store:

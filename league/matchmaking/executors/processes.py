@@ -20,18 +20,21 @@ from league.matchmaking.worker import Job, Report
 _SPAWN = multiprocessing.get_context("spawn")
 
 STARTS = 3
-"""Workers in a row that may die before they are ready; then it is not chance."""
+"""So many workers of a seat, one after the other, that die before they are ready are no chance."""
 
 
 @dataclass
 class _Seat:
-    """One worker."""
+    """One worker, or the next one in its place."""
 
     process: BaseProcess
     pipe: Connection
     ready: bool = False
+    """Whether it waits for jobs: before, it gets none, for a large one would fill the pipe."""
     job: Job | None = None
     since_s: float = 0.0
+    deaths: int = 0
+    """Workers in a row that died here before they were ready."""
 
 
 class Processes:
@@ -39,7 +42,6 @@ class Processes:
 
     def __init__(self, num_workers: int, *, job_limit_s: float = JOB_LIMIT_S) -> None:
         self._limit_s = job_limit_s
-        self._stillborn = 0
         self._seats = [_started() for _ in range(num_workers)]
 
     @property
@@ -59,11 +61,12 @@ class Processes:
 
     def offer(self, job: Job) -> None:
         """Give a job to a worker that is free."""
-        for number, seat in enumerate(self._seats):
-            if seat.job is None:
-                self._give(number, job)
-                return
-        raise ValueError("no worker is free: ask `free` first")
+        seat = next((seat for seat in self._seats if seat.job is None), None)
+        if seat is None:
+            raise ValueError("no worker is free: ask `free` first")
+        seat.job, seat.since_s = job, time.monotonic()
+        if seat.ready:
+            self._send(seat)
 
     def wait(self, timeout_s: float) -> list[Report]:
         """Return what has come to an end; the job of a worker that died counts as failed.
@@ -75,15 +78,16 @@ class Processes:
         reports = []
         for pipe in connection.wait(list(busy), timeout_s) if busy else ():
             assert isinstance(pipe, Connection)
-            report = self._read(busy[pipe])
+            report = self._read(self._seats[busy[pipe]])
             if report is not None:
                 reports.append(report)
         if not busy:
             time.sleep(timeout_s)
-        for number, seat in enumerate(self._seats):
-            if seat.job and time.monotonic() - seat.since_s > self._limit_s:
-                reports.append(self._ended(number, f"took longer than {self._limit_s:.0f} s"))
-        return reports
+        now_s = time.monotonic()
+        stuck = [seat for seat in self._seats if seat.job and now_s - seat.since_s > self._limit_s]
+        return reports + [
+            self._ended(one, f"took longer than {self._limit_s:.0f} s") for one in stuck
+        ]
 
     def close(self) -> None:
         """End the workers."""
@@ -94,49 +98,44 @@ class Processes:
             seat.process.join(5.0)
         self._seats = []
 
-    def _give(self, number: int, job: Job) -> None:
-        seat = self._seats[number]
-        try:
-            seat.pipe.send(job)
-        except OSError:  # it died while it had nothing to do
-            self._seats[number] = seat = self._replaced(seat)
-            seat.pipe.send(job)
-        seat.job, seat.since_s = job, time.monotonic()
-
-    def _read(self, number: int) -> Report | None:
-        """Return what a worker says of its job; None if it has only just begun."""
-        seat = self._seats[number]
+    def _send(self, seat: _Seat) -> None:
         assert seat.job is not None
+        try:
+            seat.pipe.send(seat.job)
+        except OSError:  # it died while it had nothing to do
+            self._replace(seat)
+
+    def _read(self, seat: _Seat) -> Report | None:
+        """Return what became of a worker's job; None if it has only just begun, or begins anew."""
         try:
             report: Report | None = seat.pipe.recv()
         except (EOFError, OSError):
             seat.process.join(5.0)
             if seat.ready:
-                return self._ended(number, f"died with exit code {seat.process.exitcode}")
-            self._start_again(number, seat.job)
+                return self._ended(seat, f"died with exit code {seat.process.exitcode}")
+            self._start_again(seat)
             return None
         if report is None:
-            seat.ready, self._stillborn = True, 0
+            seat.ready, seat.deaths = True, 0
+            self._send(seat)
         else:
             seat.job = None
         return report
 
-    def _start_again(self, number: int, job: Job) -> None:
-        """Replace a worker that died before it looked at its job: that is no try at the heat."""
-        seat = self._seats[number]
-        self._stillborn += 1
-        if self._stillborn >= STARTS:
+    def _start_again(self, seat: _Seat) -> None:
+        """Replace a worker that died before it was given its job: that is no try at the heat."""
+        code = seat.process.exitcode
+        if code != -signal.SIGINT:  # Ctrl-C reaches those, too, that cannot ignore it yet
+            seat.deaths += 1
+        if seat.deaths >= STARTS:
             raise ConfigError(
                 f"{STARTS} worker processes in a row ended before their first race (exit code "
-                f"{seat.process.exitcode}): look at their messages above, or give fewer --workers "
-                "if memory is short"
+                f"{code}): look at their messages above, or give fewer --workers if memory is short"
             )
-        self._seats[number] = self._replaced(seat)
-        self._give(number, job)
+        self._replace(seat)
 
-    def _ended(self, number: int, how: str) -> Report:
+    def _ended(self, seat: _Seat, how: str) -> Report:
         """Replace a worker and say what became of its job."""
-        seat = self._seats[number]
         assert seat.job is not None
         report = Report(
             seat.job.key,
@@ -144,14 +143,17 @@ class Processes:
             f"worker process {seat.process.pid} {how} while it raced heat {seat.job.number}",
             time.monotonic() - seat.since_s,
         )
-        self._seats[number] = self._replaced(seat)
+        self._replace(seat)
+        seat.job = None
         return report
 
-    def _replaced(self, seat: _Seat) -> _Seat:
+    def _replace(self, seat: _Seat) -> None:
+        """Put another worker into a seat; the seat's job waits for it."""
         seat.pipe.close()
         seat.process.kill()
         seat.process.join(5.0)
-        return _started()
+        fresh = _started()
+        seat.process, seat.pipe, seat.ready = fresh.process, fresh.pipe, False
 
 
 def _started() -> _Seat:

@@ -156,7 +156,7 @@ def _keep_stdout(ray: Any) -> None:  # noqa: ANN401
     """
     worker = getattr(ray._private, "worker", None)
     prints = getattr(worker, "print_to_stdstream", None)
-    if prints is None or getattr(prints, "league", False):
+    if worker is None or prints is None or getattr(prints, "league", False):
         return
 
     def to_stderr(data: dict[str, Any], *settings: Any, **named: Any) -> None:  # noqa: ANN401

@@ -35,7 +35,7 @@ FAR = 2.0
 NEAR = 0.1
 """After a step of that logarithm this small the next spread is as good as settled."""
 SETTLED = 1e-5
-"""A step of that logarithm this small is the last one: Newton leaves a thousandth of it."""
+"""A step of that logarithm this small is the last one."""
 
 
 @dataclass(frozen=True)

@@ -88,16 +88,17 @@ class Squares:
 
 
 def squares(results: Results, evidence: Evidence, at: np.ndarray, prior: np.ndarray) -> Squares:
-    """Sum the squared slopes of the heats, which must be sorted by heat."""
+    """Sum the squared slopes of the heats; races must be sorted by heat."""
     size = evidence.num_entries
     scores = race_scores(results, at[:size], at[size:])
     starts = np.flatnonzero(np.diff(results.heats, prepend=results.heats[:1] - 1))
     slots = np.add.reduceat(scores, starts, axis=0) if len(starts) else scores
     # One row a heat; an entry that stands in it twice (once a race) is summed by the product.
-    bounds = np.append(starts, len(results)) * scores.shape[1]
-    columns = np.maximum(results.entries, 0).ravel()
+    there = results.entries >= 0
+    before = np.append(0, np.cumsum(there.sum(axis=1)))  # cars that stood in earlier races
+    bounds = before[np.append(starts, len(results))]
     shape = (len(starts), size)
-    heats = sparse.csr_array((scores.ravel(), columns, bounds), shape=shape)
+    heats = sparse.csr_array((scores[there], results.entries[there], bounds), shape=shape)
     heats.sum_duplicates()
     return Squares(
         scores=heats,
@@ -227,6 +228,8 @@ class Sparse:
 
     def mean_variance(self) -> tuple[float, float]:
         """Return the mean diagonals of H^-1 and of its square over the entries, by probes."""
+        if not self._above.nnz:  # nobody has met: what is known is the prior, exactly
+            return self._level, self._level**2
         probes, solved = self._first_probes()
         left_over = (probes * self._left_over(probes, solved)).mean()
         level = self._level / len(probes)

@@ -54,10 +54,7 @@ class Ratings:
     races: np.ndarray
     """Races started, (entries,)."""
     provisional: np.ndarray
-    """True while sd is above 50 or 0.85 of the field's spread, or it is not connected, (entries,).
-
-    In a narrow field, and where the grid decides the races, a small sd is the prior's own.
-    """
+    """True while sd is above 50, or the entry is not connected, (entries,)."""
     connected: np.ndarray
     """False where no chain of races leads to the anchor (or the largest group), (entries,)."""
     one_sided: np.ndarray

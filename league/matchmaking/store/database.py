@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 import random
+import re
 import sqlite3
 import time
 from collections.abc import Callable, Iterator
@@ -206,17 +207,15 @@ _POSTGRES = {
 }
 
 _UNTOLD = {
-    "password authentication failed": "28P01",
-    "no password supplied": "28P01",
-    "no pg_hba.conf entry": "28000",
-    'role "': "28000",
-    'database "': "3D000",
-    "too many clients": "53300",
+    "password authentication failed|no password supplied": "28P01",
+    'no pg_hba.conf entry|role ".*" (does not exist|is not permitted to log in)': "28000",
+    'database ".*" does not exist': "3D000",
+    "permission denied for database": "42501",
+    "too many (clients|connections)|connection slots are reserved": "53300",
     "shutting down": "57P01",
-    "starting up": "57P03",
-    "recovery": "57P03",
+    "starting up|in recovery mode": "57P03",
 }
-"""What a refused connection says, whose error carries no state: the state that it means."""
+"""What a refused connection says (a pattern), whose error carries no state: the state it means."""
 
 
 def _sentence(refusal: BaseException | None) -> str:
@@ -227,7 +226,7 @@ def _sentence(refusal: BaseException | None) -> str:
     state = getattr(refusal, "sqlstate", None)
     if name is None and state is None and "FATAL:" in reason:
         said = reason.split("FATAL:", 1)[1]
-        state = next((state for part, state in _UNTOLD.items() if part in said), None)
+        state = next((state for text, state in _UNTOLD.items() if re.search(text, said)), None)
     if name is not None:
         known = next((text for code, text in _SQLITE.items() if name.startswith(code)), None)
     elif state is not None:
