@@ -23,7 +23,7 @@ dodger() {  # six boxes at random places
 }
 duelist() {  # the racer, after half an hour of racing its own past and slower cars
     train duelist --kind head_to_head --self-play --init-from garage/racer.pt --reward race \
-        --action-space 1-4 --minutes 25 --scripted-share 0.5 --random-cars --car-spread 0.1 \
+        --action-space 1-4 --minutes 25 --scripted-share 0.3 --random-cars --car-spread 0.1 \
         --exam-every 8
 }
 globetrotter() {  # random tracks only, with random cars and looks: drives any track at first sight
