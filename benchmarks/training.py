@@ -78,7 +78,7 @@ def rookies(seeds: tuple[int, ...] = (1, 2, 3)) -> None:
         times = 1 if evaluations == 1 else evaluations
         middle = statistics.median(run.wall_s for run in runs)
         name = f"rookie: command to prompt, 3 of 3 laps {times}x in a row"
-        figure(name, middle, "s", 25, most=True)
+        figure(name, middle, "s", 25 if evaluations == 1 else None, most=True)
         samples = statistics.median(run.samples for run in runs)
         figure("rookie: decisions learnt from", samples, "")
 
