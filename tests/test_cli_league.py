@@ -128,6 +128,20 @@ def test_an_entry_is_shown_with_its_records(told):
     assert "Against" in told("show", "ann")
 
 
+def test_head_to_head_of_nobody_in_particular_is_the_matrix_with_residuals(told, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    pairs = json.loads(told("h2h", "--json"))
+    assert len(pairs) == 3 and {pair["one"] for pair in pairs} <= {"ann", "bob", "centerline"}
+    met = [pair for pair in pairs if pair["races"]]
+    assert met and all(0 <= pair["points"] <= pair["races"] for pair in met)
+    text = told("h2h")
+    for pair in met:
+        assert f"{pair['points']:g}/{pair['races']}" in text
+        assert f"{pair['races'] - pair['points']:g}/{pair['races']}" in text
+        assert f"{pair['residual']:+.1f}" in text
+    assert "…" not in text
+
+
 def test_head_to_head_tells_the_difference_with_its_interval(told):
     found = json.loads(told("h2h", "ann", "centerline", "--json"))
     gap = found["difference"]
@@ -227,6 +241,8 @@ def test_a_wrong_name_gives_the_nearest_ones(told, capsys):
         (["view", "999"], "no heat of this league"),
         (["view", "1", "--race", "7"], "no replay of race 7"),
         (["h2h", "ann", "ann"], "name two entries"),
+        (["h2h", "ann"], "only 'ann' was given: name two entries"),
+        (["h2h", "--top", "1"], "--top 1: give 2 or more"),
         (["compare", "ann", "ann"], "the same driver"),
         (["submit", "nobody"], "there is no driver 'nobody'"),
         (["export"], "nothing was named to export"),

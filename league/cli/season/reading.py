@@ -13,7 +13,7 @@ from league.cli.season.door import Reading
 from league.errors import ConfigError, StoreError
 
 if TYPE_CHECKING:
-    from league.matchmaking.standings import Standings
+    from league.matchmaking.standings import Record, Standings
     from league.matchmaking.store import Entry, Store
 
 
@@ -57,16 +57,30 @@ class Show(Reading):
 
 @dataclass
 class HeadToHead(Reading):
-    """Compare two entries: who is stronger, how sure that is, and their meetings."""
+    """Compare two entries: who is stronger, how sure that is, and their meetings.
 
-    one: tyro.conf.Positional[str]
+    Without names: all of the best ones against each other, and where the ratings miss something.
+    """
+
+    one: tyro.conf.Positional[str] = ""
     """Name or id."""
-    other: tyro.conf.Positional[str]
+    other: tyro.conf.Positional[str] = ""
     """Name or id."""
+    top: int = 8
+    """So many of the best, where no names are given."""
 
     def run(self) -> int:
         """Run the command."""
+        if self.top < 2:
+            raise ConfigError(f"--top {self.top}: give 2 or more")
+        if self.one and not self.other:
+            raise ConfigError(
+                f"only {self.one!r} was given: name two entries to compare them, or none for the "
+                "matrix of the best"
+            )
         with self.opened() as store:
+            if not self.one:
+                return _matrix(store, self.top, self.json)
             return _h2h(store, store.entry(self.one), store.entry(self.other), self.json)
 
 
@@ -137,7 +151,7 @@ def notes(found: Standings) -> list[str]:
     if found.goodness.rejected:
         lines.append(
             "One number a driver does not explain these results (p = "
-            f"{found.goodness.p_value:.1g}): look at `league show ENTRY` for whom it beats."
+            f"{found.goodness.p_value:.1g}): `league h2h` shows who beats whom."
         )
     return lines
 
@@ -220,6 +234,46 @@ def _h2h(store: Store, one: Entry, other: Entry, as_json: bool) -> int:
     )
     print("Heats: " + (", ".join(map(str, heats[-20:])) or "none"))
     return 0
+
+
+def _matrix(store: Store, top: int, as_json: bool) -> int:
+    from itertools import combinations
+
+    from league.matchmaking import standings
+
+    found = standings.of(store)
+    rows = found.rows[:top]
+    pairs = list(combinations(rows, 2))
+    forth = [standings.record(found, one.number, other.number) for one, other in pairs]
+    if as_json:
+        door.print_json(
+            [
+                {"one": one.name, "other": other.name, "points": record.points} | door.plain(record)
+                for (one, other), record in zip(pairs, forth, strict=True)
+            ]
+        )
+        return 0
+    back = [standings.record(found, other.number, one.number) for one, other in pairs]
+    cells = {}
+    for (one, other), mine, theirs in zip(pairs, forth, back, strict=True):
+        cells[one.rank, other.rank], cells[other.rank, one.rank] = _cell(mine), _cell(theirs)
+    table = tables.table("Head to head", "", "entry", *(str(row.rank) for row in rows))
+    for row in rows:
+        met = [cells.get((row.rank, other.rank), "") for other in rows]
+        table.add_row(str(row.rank), row.name[:14], *met)
+    tables.console().print(table)
+    print("points of races; below: (points - promised) / standard deviation, * beyond 3")
+    if found.goodness.rejected:
+        print("One number a driver does not explain these results: see `league standings`.")
+    return 0
+
+
+def _cell(record: Record) -> str:
+    """Return points, races and residual of a pair; nothing if they never met."""
+    if not record.races:
+        return ""
+    sign = "*" if abs(record.residual) > 3 else ""
+    return f"{record.points:g}/{record.races}\n{record.residual:+.1f}{sign}"
 
 
 COMMANDS = {"standings": ShowStandings, "show": Show, "h2h": HeadToHead, "history": History}
