@@ -45,3 +45,14 @@ def refuse_ignored(command: DataclassInstance, needs: Mapping[str, tuple[bool, s
             raise ConfigError(
                 f"{spelled(name)} means nothing without {needed}: give both, or neither"
             )
+
+
+def at_least(command: DataclassInstance, name: str, least: int) -> None:
+    """Refuse a field that is smaller than what makes sense.
+
+    Raises:
+        ConfigError: it is.
+    """
+    value = getattr(command, name)
+    if value is not None and value < least:
+        raise ConfigError(f"{spelled(name)} {value}: give {least} or more")

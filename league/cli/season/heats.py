@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import tyro
 
-from league.cli import tables
+from league.cli import flags, tables
 from league.cli.season import door
 from league.cli.season.door import OnLeague, Reading
 from league.errors import ConfigError, StoreError, brief
@@ -31,8 +31,7 @@ class Heats(Reading):
 
     def run(self) -> int:
         """Run the command."""
-        if self.limit < 1:
-            raise ConfigError(f"--limit {self.limit}: give 1 or more")
+        flags.at_least(self, "limit", 1)
         with self.opened() as store:
             numbers = [store.entry(self.entry).number] if self.entry else []
             states = None if self.state == "all" else (self.state,)

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import tyro
 
-from league.cli import tables
+from league.cli import flags, tables
 from league.cli.season import door
 from league.cli.season.door import Reading
 from league.errors import ConfigError, StoreError
 
 if TYPE_CHECKING:
-    from league.matchmaking.standings import Record, Standings
+    from league.matchmaking.standings import Standings
     from league.matchmaking.store import Entry, Store
 
 
@@ -29,8 +29,7 @@ class ShowStandings(Reading):
         from league.cli.season import page
         from league.matchmaking import standings
 
-        if self.top is not None and self.top < 1:
-            raise ConfigError(f"--top {self.top}: give 1 or more")
+        flags.at_least(self, "top", 1)
         with self.opened() as store:
             found = standings.of(store)
         if self.json:
@@ -71,8 +70,7 @@ class HeadToHead(Reading):
 
     def run(self) -> int:
         """Run the command."""
-        if self.top < 2:
-            raise ConfigError(f"--top {self.top}: give 2 or more")
+        flags.at_least(self, "top", 2)
         if self.one and not self.other:
             raise ConfigError(
                 f"only {self.one!r} was given: name two entries to compare them, or none for the "
@@ -97,8 +95,7 @@ class History(Reading):
         """Run the command."""
         from league.matchmaking import standings
 
-        if self.points < 1:
-            raise ConfigError(f"--points {self.points}: give 1 or more")
+        flags.at_least(self, "points", 1)
         with self.opened() as store:
             entry = store.entry(self.entry)
             moments = standings.history(store, entry, points=self.points)
@@ -253,10 +250,12 @@ def _matrix(store: Store, top: int, as_json: bool) -> int:
             ]
         )
         return 0
-    back = [standings.record(found, other.number, one.number) for one, other in pairs]
     cells = {}
-    for (one, other), mine, theirs in zip(pairs, forth, back, strict=True):
-        cells[one.rank, other.rank], cells[other.rank, one.rank] = _cell(mine), _cell(theirs)
+    for (one, other), record in zip(pairs, forth, strict=True):
+        if record.races:
+            left = record.races - record.points
+            cells[one.rank, other.rank] = _cell(record.points, record.races, record.residual)
+            cells[other.rank, one.rank] = _cell(left, record.races, -record.residual)
     table = tables.table("Head to head", "", "entry", *(str(row.rank) for row in rows))
     for row in rows:
         met = [cells.get((row.rank, other.rank), "") for other in rows]
@@ -268,12 +267,9 @@ def _matrix(store: Store, top: int, as_json: bool) -> int:
     return 0
 
 
-def _cell(record: Record) -> str:
-    """Return points, races and residual of a pair; nothing if they never met."""
-    if not record.races:
-        return ""
-    sign = "*" if abs(record.residual) > 3 else ""
-    return f"{record.points:g}/{record.races}\n{record.residual:+.1f}{sign}"
+def _cell(points: float, races: int, residual: float) -> str:
+    """Return points, races and residual of a pair that met."""
+    return f"{points:g}/{races}\n{residual:+.1f}{'*' if abs(residual) > 3 else ''}"
 
 
 COMMANDS = {"standings": ShowStandings, "show": Show, "h2h": HeadToHead, "history": History}

@@ -74,11 +74,11 @@ class Processes:
         Raises:
             ConfigError: no worker can be started on this machine.
         """
-        busy = {seat.pipe: number for number, seat in enumerate(self._seats) if seat.job}
+        busy = {seat.pipe: seat for seat in self._seats if seat.job}
         reports = []
         for pipe in connection.wait(list(busy), timeout_s) if busy else ():
             assert isinstance(pipe, Connection)
-            report = self._read(self._seats[busy[pipe]])
+            report = self._read(busy[pipe])
             if report is not None:
                 reports.append(report)
         if not busy:
