@@ -15,7 +15,7 @@ import torch
 from benchmarks.report import figure, heading, machine
 from league.sim import grid
 from league.sim.camera import scene
-from league.sim.camera.cv import CvRenderer
+from league.sim.camera.paint import PaintRenderer
 from league.sim.camera.ray import RayRenderer
 from league.sim.config import CameraConfig, SimConfig
 from league.sim.world import Obstacles, World, row
@@ -110,7 +110,7 @@ def speed(tracks: TrackSet) -> None:
         camera = CameraConfig(width=width, height=height)
         for num_worlds in (1, 64):
             sim, world = one_ahead(tracks, 64)
-            renderer = CvRenderer(tracks, sim, camera)
+            renderer = PaintRenderer(tracks, sim, camera)
             seen, alone = renderer.render(world, 0), renderer.render(behind(world), 0)
             check_car_is_seen(seen, alone)
             if num_worlds == 64:
@@ -255,7 +255,7 @@ def against_bullet(tracks: TrackSet, folder: Path | None = None) -> None:
     camera = CameraConfig()
     sim, worlds = one_ahead(tracks, 8)
     world = row(worlds, 0)
-    renderer = CvRenderer(tracks, sim, camera)
+    renderer = PaintRenderer(tracks, sim, camera)
     check_car_is_seen(renderer.render(world, 0), renderer.render(behind(world), 0))
     tiny, tiny_empty = (TinyScene(tracks, one, camera) for one in (world, behind(world)))
     theirs, bare = (np.stack(one.pair()) for one in (tiny, tiny_empty))
@@ -285,7 +285,7 @@ def agreement(tracks: TrackSet) -> None:
     sim, world = random_scenes(tracks, SCENES)
     for width, height in ((160, 120), (64, 48)):
         camera = CameraConfig(width=width, height=height)
-        painted = CvRenderer(tracks, sim, camera).render(world, 0).numpy()
+        painted = PaintRenderer(tracks, sim, camera).render(world, 0).numpy()
         cast = RayRenderer(tracks, sim, camera).render(world, 0).numpy()
         square = np.ones((3, 3), np.uint8)
         flat = cast.reshape(-1, height, width)

@@ -43,8 +43,8 @@ class EnvConfig:
     """Who integrates it."""
     sensors: tuple[SensorConfig, ...] = (SensorConfig(),)
     """What each car carries; one entry serves all cars."""
-    camera_path: Literal["cv", "ray"] = "cv"
-    """OpenCV on the CPU, or torch ray casting on any device."""
+    camera_path: Literal["paint", "ray"] = "paint"
+    """Compiled painting on the CPU, or torch ray casting on any device."""
     looks: LookConfig | None = None
     """Light, colour, noise and blur drawn for each race; None: the plain picture."""
     mode: Literal["race", "training"] = "race"

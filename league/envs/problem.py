@@ -49,8 +49,8 @@ class Settings(TypedDict, total=False):
     """In a race a mistake costs penalty seconds; in training it ends the car's episode."""
     sim: SimConfig | None
     """All other settings of the world: car, rules, obstacles, contacts, randomisation."""
-    camera_path: Literal["cv", "ray"]
-    """OpenCV on the CPU, or torch ray casting."""
+    camera_path: Literal["paint", "ray"]
+    """Compiled painting on the CPU, or torch ray casting."""
     looks: LookConfig | None
     """Light, colour, noise and blur drawn for each race; None: the plain picture."""
 
@@ -79,7 +79,7 @@ def configure(
     reward: RewardConfig | None = None,
     mode: Mode = "race",
     sim: SimConfig | None = None,
-    camera_path: Literal["cv", "ray"] = "cv",
+    camera_path: Literal["paint", "ray"] = "paint",
     looks: LookConfig | None = None,
     restarting: tuple[int, ...] | None = None,
 ) -> EnvConfig:
@@ -105,7 +105,7 @@ def configure(
     _known("kind", kind, get_args(RaceKind))
     _known("solver", solver, get_args(SolverName))
     _known("mode", mode, get_args(Mode))
-    _known("camera_path", camera_path, ("cv", "ray"))
+    _known("camera_path", camera_path, ("paint", "ray"))
     _whole("laps", laps, 1)
     if num_cars is None:
         num_cars = 2 if kind == "head_to_head" else 1

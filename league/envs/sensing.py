@@ -125,7 +125,7 @@ class Sensing:
             if self._cfg.camera_path == "ray":
                 from league.sim.camera.ray import RayRenderer as Chosen
             else:
-                from league.sim.camera.cv import CvRenderer as Chosen
+                from league.sim.camera.paint import PaintRenderer as Chosen
             made = Chosen(self._tracks, self._cfg.sim, camera, self._cfg.looks)
             self._renderers[camera] = made
         return self._renderers[camera]

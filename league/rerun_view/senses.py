@@ -11,7 +11,7 @@ import rerun as rr
 from league.replay import Replay
 from league.rerun_view import paths
 from league.sim import lidar
-from league.sim.camera.cv import CvRenderer
+from league.sim.camera.paint import PaintRenderer
 from league.sim.camera.scene import CAR_COLOURS
 from league.sim.config import CameraConfig, LidarConfig
 from league.video.mp4 import Coding, Mp4, interleaved
@@ -85,7 +85,7 @@ def send_eyes(recording: rr.RecordingStream, replay: Replay) -> None:
 
 def _film(replay: Replay, slot: int) -> tuple[bytes, bytes]:
     """Return what a car's left and right eye saw, as two MP4 files."""
-    renderer = CvRenderer(replay.tracks, replay.sim, EYE_CAMERA)
+    renderer = PaintRenderer(replay.tracks, replay.sim, EYE_CAMERA)
     films = (io.BytesIO(), io.BytesIO())
     with (
         Mp4(films[0], replay.step_hz, EYE_CODING) as left,

@@ -30,7 +30,7 @@ def env_config(cfg: TrainConfig) -> EnvConfig:
         sim=sim,
         solver="planar",
         sensors=(cfg.sensors,) * cfg.num_cars,
-        camera_path="cv" if cfg.device == "cpu" else "ray",
+        camera_path="paint" if cfg.device == "cpu" else "ray",
         looks=cfg.looks,
         mode="training",
         reward=cfg.reward,

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from league.errors import ReplayError
 from league.replay import Replay, story
-from league.sim.camera.cv import CvRenderer
+from league.sim.camera.paint import PaintRenderer
 from league.sim.config import CameraConfig
 from league.sim.world import World
 from league.video.hud import Hud
@@ -63,7 +63,7 @@ class Film:
             up=ABOVE,
             pitch=TILT,
         )
-        self._renderer = CvRenderer(replay.tracks, replay.sim, camera)
+        self._renderer = PaintRenderer(replay.tracks, replay.sim, camera)
         self._hud = Hud(replay, width, height)
         self._path = story.chase_path(replay)
 

@@ -8,14 +8,14 @@ import pytest
 import torch
 from looking import FOCAL, random_scenes, room, settings, world
 
-from league.sim.camera.cv import CvRenderer
 from league.sim.camera.lens import Lens
+from league.sim.camera.paint import PaintRenderer
 from league.sim.camera.ray import RayRenderer
 from league.sim.config import CameraConfig
 from league.sim.world import row
 from league.track.course import TrackSet
 
-RENDERERS = [CvRenderer, RayRenderer]
+RENDERERS = [PaintRenderer, RayRenderer]
 FAR_AWAY = (-5.0, -5.0, 0.0)
 
 
@@ -153,14 +153,14 @@ def test_shape_is_the_one_the_configuration_tells(renderer, camera):
 
 def test_left_eye_alone_is_the_left_eye_of_the_pair():
     now = world(room(), [(0, 0, 0), (0.8, 0.1, 0.4)])
-    pair = pictures(CvRenderer, now)
-    assert np.array_equal(pictures(CvRenderer, now, eyes="left")[:, 0], pair[:, 0])
+    pair = pictures(PaintRenderer, now)
+    assert np.array_equal(pictures(PaintRenderer, now, eyes="left")[:, 0], pair[:, 0])
 
 
 def test_colour_picture_turned_gray_is_the_gray_picture():
     now = world(room(), [(0, 0, 0), (0.8, 0.1, 0.4)])
-    red, green, blue = pictures(CvRenderer, now, colour=True, eyes="mono")[0].astype(float)
-    gray = pictures(CvRenderer, now, eyes="mono")[0, 0]
+    red, green, blue = pictures(PaintRenderer, now, colour=True, eyes="mono")[0].astype(float)
+    gray = pictures(PaintRenderer, now, eyes="mono")[0, 0]
     assert np.abs(0.299 * red + 0.587 * green + 0.114 * blue - gray).max() < 2.5
 
 
@@ -202,7 +202,7 @@ def test_camera_parameters_of_a_car_move_its_horizon():
     tilted = replace(now, cars=replace(now.cars, camera_pitch=torch.tensor([[0.05]])))
 
     def foot_of_wall(which) -> int:
-        column = pictures(CvRenderer, which, room(half=3.0))[0, 0, :, 80].astype(int)
+        column = pictures(PaintRenderer, which, room(half=3.0))[0, 0, :, 80].astype(int)
         return int(np.abs(np.diff(column))[5:60].argmax())
 
     # 0.05 rad is 126.19 * 0.05 = 6.3 px in the middle of the picture, a little more above it.
@@ -214,12 +214,12 @@ def test_each_world_of_a_batch_is_seen_from_its_own_mounting():
     up = torch.tensor([[0.0, 0.0], [0.03, 0.0], [0.03, 0.0]])
     pitch = torch.tensor([[0.0, 0.0], [0.0, 0.0], [0.04, 0.0]])
     now = replace(now, cars=replace(now.cars, camera_up=up, camera_pitch=pitch))
-    made = CvRenderer(room(half=3.0), settings(2), CameraConfig())
+    made = PaintRenderer(room(half=3.0), settings(2), CameraConfig())
     together = made.render(now, 0).numpy()
     for index in range(3):
         # A renderer that has seen no other mounting.
         assert np.array_equal(
-            pictures(CvRenderer, row(now, index), room(half=3.0))[0], together[index]
+            pictures(PaintRenderer, row(now, index), room(half=3.0))[0], together[index]
         )
         assert not np.array_equal(together[index], together[index - 1])
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from looking import random_scenes, room, settings, world
 
-from league.sim.camera.cv import CvRenderer
+from league.sim.camera.paint import PaintRenderer
 from league.sim.camera.ray import RayRenderer
 from league.sim.config import CameraConfig, LookConfig
 
@@ -16,7 +16,7 @@ spread by less than this, in every channel."""
 
 def both(now, tracks, looks=None, **camera) -> tuple[np.ndarray, np.ndarray]:
     parts = (tracks, settings(now.num_cars), CameraConfig(**camera), looks)
-    painted = CvRenderer(*parts).render(now, 0).numpy()
+    painted = PaintRenderer(*parts).render(now, 0).numpy()
     cast = RayRenderer(*parts).render(now, 0).numpy()
     return painted, cast
 

@@ -8,12 +8,12 @@ import torch
 from looking import random_scenes, room, settings, world
 
 from league.errors import ConfigError
-from league.sim.camera.cv import CvRenderer
+from league.sim.camera.paint import PaintRenderer
 from league.sim.camera.ray import RayRenderer
 from league.sim.config import CameraConfig, LookConfig
 from league.sim.world import row
 
-RENDERERS = [CvRenderer, RayRenderer]
+RENDERERS = [PaintRenderer, RayRenderer]
 SMALL = CameraConfig(width=64, height=48)
 ALL = LookConfig(light=0.3, colour=0.3, noise=8.0, blur=0.7)
 
@@ -45,9 +45,9 @@ def test_worlds_with_other_seeds_look_different(renderer):
 
 def test_light_is_one_gain_for_a_whole_race():
     now = world(room(half=3.0), [(0, 0, 0)])
-    plain = look_at(CvRenderer, now, None).numpy().astype(float)
-    bright = look_at(CvRenderer, now, LookConfig(light=0.3)).numpy().astype(float)
-    later = look_at(CvRenderer, replace(now, step=now.step + 9), LookConfig(light=0.3))
+    plain = look_at(PaintRenderer, now, None).numpy().astype(float)
+    bright = look_at(PaintRenderer, now, LookConfig(light=0.3)).numpy().astype(float)
+    later = look_at(PaintRenderer, replace(now, step=now.step + 9), LookConfig(light=0.3))
     gain = bright.sum() / plain.sum()
     assert 0.7 <= gain <= 1.3 and abs(gain - 1) > 0.01
     assert np.abs(bright - np.minimum(plain * gain, 255)).max() < 2
@@ -56,9 +56,9 @@ def test_light_is_one_gain_for_a_whole_race():
 
 def test_noise_has_the_drawn_strength_and_is_new_in_every_picture():
     now = world(room(half=3.0), [[(0, 0, 0)]] * 8)
-    plain = look_at(CvRenderer, now, None).numpy().astype(float)
-    noisy = look_at(CvRenderer, now, LookConfig(noise=10.0)).numpy()
-    later = look_at(CvRenderer, replace(now, step=now.step + 1), LookConfig(noise=10.0)).numpy()
+    plain = look_at(PaintRenderer, now, None).numpy().astype(float)
+    noisy = look_at(PaintRenderer, now, LookConfig(noise=10.0)).numpy()
+    later = look_at(PaintRenderer, replace(now, step=now.step + 1), LookConfig(noise=10.0)).numpy()
     spread = (noisy - plain).std(axis=(1, 2, 3))
     assert spread.min() > 0 and spread.max() <= 10.3 and spread.max() > 4
     assert np.abs((noisy - plain).mean()) < 0.3
@@ -67,8 +67,8 @@ def test_noise_has_the_drawn_strength_and_is_new_in_every_picture():
 
 def test_blur_smooths():
     now = world(room(half=3.0), [[(0, 0, 0)]] * 4)
-    plain = look_at(CvRenderer, now, None).numpy().astype(float)
-    soft = look_at(CvRenderer, now, LookConfig(blur=0.8)).numpy().astype(float)
+    plain = look_at(PaintRenderer, now, None).numpy().astype(float)
+    soft = look_at(PaintRenderer, now, LookConfig(blur=0.8)).numpy().astype(float)
     rough = np.abs(np.diff(plain, axis=3)).mean(axis=(1, 2, 3))
     smooth = np.abs(np.diff(soft, axis=3)).mean(axis=(1, 2, 3))
     assert (smooth < rough).all()

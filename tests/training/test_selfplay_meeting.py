@@ -12,7 +12,7 @@ from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
 from league.errors import ConfigError
 from league.sim import grid, meeting
-from league.sim.camera.cv import CvRenderer
+from league.sim.camera.paint import PaintRenderer
 from league.sim.config import CameraConfig, SimConfig
 from league.sim.meeting_config import Meeting
 from league.sim.world import row
@@ -84,12 +84,14 @@ def test_whom_the_learner_is_alone_without_it_does_not_see():
         single.motion,
         **{name: getattr(both.motion, name)[:, :1] for name in ("x", "y", "yaw", "steering")},
     )
-    seen = CvRenderer(RING, sim(), camera, None).render(both, 0)
-    unseen = CvRenderer(RING, SimConfig(), camera, None).render(replace(single, motion=motion), 0)
+    seen = PaintRenderer(RING, sim(), camera, None).render(both, 0)
+    unseen = PaintRenderer(RING, SimConfig(), camera, None).render(
+        replace(single, motion=motion), 0
+    )
     assert torch.equal(seen, unseen)
     # The same picture with another car near it is another picture.
     near = env(ON_THE_ROAD, num_worlds=8).world
-    beside = CvRenderer(RING, sim(), camera, None).render(near, 0)
+    beside = PaintRenderer(RING, sim(), camera, None).render(near, 0)
     assert not torch.equal(seen, beside)
 
 

@@ -2,15 +2,16 @@
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import cv2
 import numpy as np
 
+from league.sim.camera import raster
 from league.sim.camera.lens import Lens
-from league.sim.camera.scene import SUN, Colour, in_light, lit
+from league.sim.camera.scene import SUN, WALL_HEIGHT, Colour, in_light, lit, three
 from league.track import paint
 from league.track.course import Track
 
@@ -50,6 +51,27 @@ class Ground:
     """x_min, y_min, x_max, y_max of the wall [m]."""
     walls: tuple[Colour, ...]
     """Lit colour of the wall at y_min, x_max, y_max, x_min."""
+
+    @cached_property
+    def textures(self) -> tuple[raster.Texture, ...]:
+        """The levels as the painter takes them."""
+        return tuple(
+            raster.Texture(
+                level.image.reshape(-1),
+                level.image.shape[1],
+                level.origin_x,
+                level.origin_y,
+                level.metres_per_pixel,
+            )
+            for level in self.levels
+        )
+
+    @cached_property
+    def enclosure(self) -> raster.Room:
+        """The walls as the painter takes them."""
+        colours = np.rint([three(one) for one in self.walls]).astype(np.uint8)
+        x_min, y_min, x_max, y_max = map(float, self.room)
+        return raster.Room(x_min, y_min, x_max, y_max, WALL_HEIGHT, colours)
 
 
 class Band(NamedTuple):

@@ -11,6 +11,9 @@ from typing import NamedTuple
 
 from league.sim.config import CameraConfig
 
+NEAR = 0.02
+"""Nothing nearer to a camera's plane than this is seen [m]."""
+
 MIN_HEIGHT = 0.01
 """No camera sinks lower than this above the floor [m]."""
 

@@ -1,7 +1,7 @@
 """RayRenderer: the same pictures by casting a ray for each pixel, in torch, on any device.
 
-It shares the shapes, textures and colours with the OpenCV path but none of its projection, clipping
-or painting, so that each can be held against the other.
+It shares the shapes, textures and colours with the painted path but none of its projection,
+clipping or painting, so that each can be held against the other.
 """
 
 import math
@@ -13,8 +13,8 @@ from torch import Tensor
 
 from league.sim.camera import looks as look_room
 from league.sim.camera import scene
-from league.sim.camera.figures import NEAR
 from league.sim.camera.ground import Floor
+from league.sim.camera.lens import NEAR
 from league.sim.camera.setting import Setting
 from league.sim.camera.stage import Stage, Thing
 from league.sim.config import CameraConfig, LookConfig, SimConfig

@@ -252,6 +252,11 @@ def luma(colour: tuple[float, float, float]) -> float:
     return LUMA[0] * colour[0] + LUMA[1] * colour[1] + LUMA[2] * colour[2]
 
 
+def three(colour: Colour) -> tuple[float, float, float]:
+    """Return a colour as three numbers, of which a gray one fills the first."""
+    return colour if isinstance(colour, tuple) else (colour, 0.0, 0.0)
+
+
 def faded(colour: Rgb) -> Rgb:
     """Return the colour of a car that stands a penalty: a ghost that need not be avoided is dim."""
     red, green, blue = ((part + 3 * 58) // 4 for part in colour)

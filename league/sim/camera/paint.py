@@ -1,4 +1,4 @@
-"""CvRenderer: what the cars of a batch see, painted with OpenCV on the CPU."""
+"""PaintRenderer: what the cars of a batch see, painted on the CPU."""
 
 import cv2
 import numpy as np
@@ -14,7 +14,7 @@ from league.sim.world import World
 from league.track.course import TrackSet
 
 
-class CvRenderer:
+class PaintRenderer:
     """Renders one camera of one car in many worlds, one world after the other.
 
     Args:

@@ -1,0 +1,530 @@
+"""Compiled painting: a floor from its texture, then walls and things as convex polygons.
+
+Numba compiles these functions when they are first called, and keeps the machine code on disk. It
+looks for changes in this file alone, so all that is compiled stands here, and everything
+that other files know (shapes, colours, sizes) comes as an argument.
+
+A pixel belongs to a polygon if its centre lies inside: neighbours share no pixel and leave none
+out.
+"""
+
+# Numba gives its types a meaning that the checker does not know.
+# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numba import int32, njit, uint8, uint32
+
+_Function = TypeVar("_Function", bound=Callable)
+
+MODEL, X, Y, COS, SIN, STEERING, ALONG, ACROSS, UPWARD, SHADE, SUNLIT = (*range(10), 12)
+"""Columns of a thing: those of stage.Thing, with its colour as three numbers in the shade and three
+that full sun adds."""
+THING_COLUMNS = 15
+
+
+def _compiled(function: _Function) -> _Function:
+    """Compile a function that is called from Python; kept on disk wherever there is a place."""
+    try:
+        return njit(cache=True, error_model="numpy")(function)
+    except RuntimeError:  # no folder can be written
+        return njit(error_model="numpy")(function)
+
+
+_inner = njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+"""Compiles a function that only compiled ones call."""
+
+
+class Optics(NamedTuple):
+    """A lens as plain numbers, and what it draws with."""
+
+    focal: float
+    """[px]."""
+    cx: float
+    """Column of the optical axis [px]."""
+    cy: float
+    """Row of the optical axis [px]."""
+    eyes: np.ndarray
+    """(num_eyes,): how far each sits to the left of the middle [m]."""
+    channels: int
+    """1 for gray, 3 for RGB."""
+    near: float
+    """Nothing nearer than this is seen [m]."""
+
+
+class Texture(NamedTuple):
+    """One picture of a floor."""
+
+    texels: np.ndarray
+    """(rows * columns * channels,) uint8; rows grow with +y."""
+    columns: int
+    """Texels across."""
+    origin_x: float
+    """World x of the left edge [m]."""
+    origin_y: float
+    """World y of the lower edge [m]."""
+    size: float
+    """Of a texel [m]."""
+
+
+class Room(NamedTuple):
+    """The walls round a track."""
+
+    x_min: float
+    y_min: float
+    x_max: float
+    y_max: float
+    height: float
+    """Of the walls [m]."""
+    colours: np.ndarray
+    """(4, 3) uint8: the wall at y_min, x_max, y_max, x_min; in gray the first number counts."""
+
+
+class Models(NamedTuple):
+    """The shapes of all models, one after the other; see shapes.py, which makes them."""
+
+    vertices: np.ndarray
+    """(num_vertices, 3): in the model's frame, of steered solids from their pivot [m]."""
+    corners: np.ndarray
+    """(num_corners,) int64: vertices of each face, in order round it."""
+    faces: np.ndarray
+    """(num_faces, 3) int64: first corner, one past the last, and paint; -1 is the thing's own."""
+    planes: np.ndarray
+    """(num_faces, 4): outward normal and offset in the frame of the vertices."""
+    solids: np.ndarray
+    """(num_solids, 5) int64: first vertex, one past the last, first face, one past the last, and 1
+    if steered."""
+    pivots: np.ndarray
+    """(num_solids, 2): where a steered solid turns [m]."""
+    parting: np.ndarray
+    """(num_solids, largest number of solids, 4): plane n . p = d with the first solid at n . p <= d
+    and the second one, by its number in the model, beyond."""
+    models: np.ndarray
+    """(num_models, 3) int64: first solid, one past the last, and what it becomes when it is far."""
+    sizes: np.ndarray
+    """(num_models, 2): half length and half width of the footprint [m]."""
+    paints: np.ndarray
+    """(num_paints, 6): what a paint shows in the shade, and what full sun adds."""
+    sun: np.ndarray
+    """(3,): unit vector towards the sun, world frame."""
+
+
+# Pixels --------------------------------------------------------------------------------------
+
+
+@_compiled
+def warp(pictures, start, stop, texture, optics, view):
+    """Draw the floor into some rows of each eye's picture, bilinear.
+
+    A camera never rolls, so along a row the place in the texture moves by equal steps: 16 bits of
+    fraction in whole numbers, which processors do many at a time.
+
+    Args:
+        pictures: (num_eyes, height, width * channels) uint8.
+        start: first row, below the horizon.
+        stop: one past the last row.
+        texture: what lies on the floor.
+        optics: the lens.
+        view: where the camera is, a lens.Pose.
+    """
+    channels, columns, texels = optics.channels, texture.columns, texture.texels
+    width = pictures.shape[2] // channels
+    corner, share = np.empty(width, np.uint32), np.empty(width, np.uint32)
+    last_column = int32(columns - 2)
+    last_row = int32(texels.size // (columns * channels) - 2)
+    across_texels = int32(columns)
+    unit = 65536.0 / texture.size
+    for row in range(start, stop):
+        down = row - optics.cy
+        fall = max(optics.focal * view.pitch_sin + down * view.pitch_cos, 1e-6)
+        ahead = view.z * (optics.focal * view.pitch_cos - down * view.pitch_sin) / fall
+        across = view.z / fall
+        dx, dy = _fixed(unit * view.sin * across), _fixed(-unit * view.cos * across)
+        for eye, beside in enumerate(optics.eyes):
+            left = beside + across * optics.cx
+            world_x = view.x + view.cos * ahead - view.sin * left
+            world_y = view.y + view.sin * ahead + view.cos * left
+            x = _fixed(unit * (world_x - texture.origin_x) - 32768)
+            y = _fixed(unit * (world_y - texture.origin_y) - 32768)
+            for u in range(width):
+                here_x, here_y = int32(x + int32(u) * dx), int32(y + int32(u) * dy)
+                column = min(max(int32(here_x >> 16), int32(0)), last_column)
+                line = min(max(int32(here_y >> 16), int32(0)), last_row)
+                corner[u] = uint32(line * across_texels + column)
+                share[u] = uint32((here_x >> 8) & 255) | (uint32((here_y >> 8) & 255) << uint32(16))
+            _blend(pictures[eye, row], channels, texels, columns, corner, share)
+
+
+@_inner
+def _fixed(number):
+    """Return a number as int32; floor so far away that it does not fit lies behind a wall."""
+    return int32(min(max(number, -2147483000.0), 2147483000.0))
+
+
+@_inner
+def _blend(out, channels, texels, columns, corner, share):
+    """Mix four texels for each pixel of a row; gather them first, as only the rest vectorises."""
+    if channels == 1:
+        for u in range(len(corner)):
+            corner[u] = _four(texels, corner[u], uint32(columns), uint32(1))
+        for u in range(len(corner)):
+            out[u] = _mixed(corner[u], share[u])
+        return
+    four, step = np.empty(len(corner), np.uint32), uint32(channels)
+    for channel in range(channels):
+        for u in range(len(corner)):
+            four[u] = _four(texels[channel:], corner[u] * step, uint32(columns) * step, step)
+        for u in range(len(corner)):
+            out[u * channels + channel] = _mixed(four[u], share[u])
+
+
+@_inner
+def _four(texels, here, stride, step):
+    """Return a texel, those to its right and above it, and the one to its upper right."""
+    return (
+        uint32(texels[here])
+        | (uint32(texels[here + step]) << uint32(8))
+        | (uint32(texels[here + stride]) << uint32(16))
+        | (uint32(texels[here + stride + step]) << uint32(24))
+    )
+
+
+@_inner
+def _mixed(four, share):
+    """Return the mean of four bytes, weighted by 8 bits across and 8 bits upwards."""
+    right, up = share & uint32(255), share >> uint32(16)
+    left_pair, right_pair = four & uint32(0x00FF00FF), (four >> uint32(8)) & uint32(0x00FF00FF)
+    pair = left_pair * (uint32(256) - right) + right_pair * right
+    low, high = pair & uint32(0xFFFF), pair >> uint32(16)
+    return uint8((low * (uint32(256) - up) + high * up + uint32(32768)) >> uint32(16))
+
+
+@_inner
+def _fill(picture, channels, points, count, colour, spans):
+    """Fill a convex polygon of (u, v) pixels; (height, width * channels), spans (height, 2)."""
+    height, width = len(picture), picture.shape[1] // channels
+    first, last = height, 0
+    for k in range(count):
+        before = count - 1 if k == 0 else k - 1
+        u, v, far_u, far_v = points[before, 0], points[before, 1], points[k, 0], points[k, 1]
+        if v > far_v:  # from top to bottom, so that faces agree on the edge they share
+            u, v, far_u, far_v = far_u, far_v, u, v
+        top, bottom = _row(v, height), _row(far_v, height)
+        if top >= bottom:
+            continue
+        slope = (far_u - u) / (far_v - v)
+        for row in range(top, bottom):
+            if row < first or row >= last:
+                spans[row, 0], spans[row, 1] = math.inf, -math.inf
+            at = u + (row - v) * slope
+            spans[row, 0], spans[row, 1] = min(spans[row, 0], at), max(spans[row, 1], at)
+        # A convex outline meets rows one after the other, so those seen are always in one piece.
+        first, last = min(first, top), max(last, bottom)
+    for row in range(first, last):
+        left, right = _row(spans[row, 0], width), _row(spans[row, 1], width)
+        if channels == 1:
+            picture[row, left:right].fill(colour[0])
+        else:
+            for u in range(left, right):
+                for channel in range(channels):
+                    picture[row, u * channels + channel] = colour[channel]
+
+
+@_inner
+def _row(at, size):
+    """Return the first whole number that is not less, within 0 and size."""
+    return int(min(max(math.ceil(at), 0.0), float(size)))
+
+
+@_inner
+def _polygon(pictures, eye, points, count, colour, optics, scratch):
+    """Cut a polygon of X, Y, Z in the camera's frame at the near plane, project it and fill it."""
+    pixels, spans = scratch
+    shift = optics.eyes[eye]
+    seen = 0
+    for k in range(count):
+        before = count - 1 if k == 0 else k - 1
+        z, last_z = points[k, 2], points[before, 2]
+        if (z >= optics.near) != (last_z >= optics.near):
+            part = (optics.near - last_z) / (z - last_z)
+            x = points[before, 0] + part * (points[k, 0] - points[before, 0])
+            y = points[before, 1] + part * (points[k, 1] - points[before, 1])
+            scale = optics.focal / optics.near
+            pixels[seen, 0] = optics.cx + (x + shift) * scale
+            pixels[seen, 1] = optics.cy + y * scale
+            seen += 1
+        if z >= optics.near:
+            scale = optics.focal / z
+            pixels[seen, 0] = optics.cx + (points[k, 0] + shift) * scale
+            pixels[seen, 1] = optics.cy + points[k, 1] * scale
+            seen += 1
+    if seen >= 3:
+        _fill(pictures[eye], optics.channels, pixels, seen, colour, spans)
+
+
+# The room ------------------------------------------------------------------------------------
+
+
+@_compiled
+def draw(pictures, optics, view, room, things, far, models):
+    """Draw the walls round a room, then the things in it, far to near.
+
+    Args:
+        pictures: (num_eyes, height, width * channels) uint8, the floor and the sky already there.
+        optics: the lens.
+        view: where the camera is, a lens.Pose.
+        room: the walls.
+        things: (num_things, THING_COLUMNS).
+        far: things farther than this become what they are when far [m].
+        models: the shapes.
+    """
+    scratch = np.empty((32, 2)), np.empty((pictures.shape[1], 2))
+    _walls(pictures, optics, view, room, scratch)
+    feet = np.empty((len(things), 6))
+    chosen = np.empty(len(things), np.int64)
+    seen = 0
+    slope = pictures.shape[2] / optics.channels / 2 / optics.focal
+    for number in range(len(things)):
+        if _stand(feet[seen], things[number], view, optics, slope, models):
+            chosen[seen] = number
+            seen += 1
+    for place in _far_to_near(feet[:seen]):
+        thing, foot = things[chosen[place]], feet[place]
+        _thing(pictures, optics, view, thing, foot, far, models, scratch)
+
+
+@_inner
+def _walls(pictures, optics, view, room, scratch):
+    """Draw the walls, which stand side by side, so in any order."""
+    corners = (
+        (room.x_min, room.y_min),
+        (room.x_max, room.y_min),
+        (room.x_max, room.y_max),
+        (room.x_min, room.y_max),
+    )
+    points = np.empty((4, 3))
+    for side in range(4):
+        colour = room.colours[side]
+        for k in range(4):
+            x, y = corners[side if k in (0, 3) else (side + 1) % 4]
+            _camera(points, k, x, y, room.height if k >= 2 else 0.0, view)
+        for eye in range(len(optics.eyes)):
+            _polygon(pictures, eye, points, len(points), colour, optics, scratch)
+
+
+@_inner
+def _camera(points, k, x, y, z, view):
+    """Write a point of the world as X, Y, Z of the camera's frame."""
+    dx, dy = x - view.x, y - view.y
+    ahead, up = view.cos * dx + view.sin * dy, z - view.z
+    points[k, 0] = view.sin * dx - view.cos * dy
+    points[k, 1] = -ahead * view.pitch_sin - up * view.pitch_cos
+    points[k, 2] = ahead * view.pitch_cos - up * view.pitch_sin
+
+
+@_inner
+def _lit(colour, light, facing):
+    """Write the colour of a face that the sun meets at an angle of this cosine."""
+    for channel in range(3):
+        full = light[channel] + max(facing, 0.0) * light[3 + channel]
+        colour[channel] = uint8(min(full + 0.5, 255.0))
+
+
+# Things --------------------------------------------------------------------------------------
+
+
+@_inner
+def _stand(foot, thing, view, optics, slope, models):
+    """Write where a thing stands before the camera; return whether it may be seen.
+
+    A footprint is x ahead, y to the left, cosine and sine of its turn, half length and half width.
+    """
+    dx, dy = thing[X] - view.x, thing[Y] - view.y
+    x, y = view.cos * dx + view.sin * dy, view.cos * dy - view.sin * dx
+    size = models.sizes[int(thing[MODEL])]
+    half_length, half_width = size[0] * thing[ALONG], size[1] * thing[ACROSS]
+    foot[0], foot[1] = x, y
+    foot[2] = thing[COS] * view.cos + thing[SIN] * view.sin
+    foot[3] = thing[SIN] * view.cos - thing[COS] * view.sin
+    foot[4], foot[5] = half_length, half_width
+    reach = half_length + half_width
+    depth = x * view.pitch_cos + view.z * view.pitch_sin
+    widest = max(abs(optics.eyes[0]), abs(optics.eyes[-1]))
+    aside = abs(y) - widest - reach * math.sqrt(1 + slope * slope)
+    return depth + reach >= optics.near and aside <= slope * depth
+
+
+@_inner
+def _thing(pictures, optics, view, thing, foot, far, models, scratch):
+    """Draw one thing: for each eye its solids, far to near, and of each the faces turned to it."""
+    model = int(thing[MODEL])
+    if math.hypot(foot[0], foot[1]) > far:
+        model = models.models[model, 2]
+    first, last = models.models[model, 0], models.models[model, 1]
+    base = models.solids[first, 0]
+    place = np.empty((models.solids[last - 1, 1] - base, 3))
+    for solid in range(first, last):
+        _project(place, base, solid, thing, foot, view, models)
+    points, colour = np.empty((16, 3)), np.empty(3, np.uint8)
+    for eye, beside in enumerate(optics.eyes):
+        # The eye in the frame of the unstretched model.
+        dx, dy = -foot[0], beside - foot[1]
+        ahead = (foot[2] * dx + foot[3] * dy) / thing[ALONG]
+        left = (foot[2] * dy - foot[3] * dx) / thing[ACROSS]
+        up = view.z / thing[UPWARD]
+        for number in _order(first, last, ahead, left, up, models):
+            solid = first + number
+            eye_x, eye_y, sun_cos, sun_sin = ahead, left, thing[COS], thing[SIN]
+            if models.solids[solid, 4]:
+                cos, sin = math.cos(thing[STEERING]), math.sin(thing[STEERING])
+                dx, dy = ahead - models.pivots[solid, 0], left - models.pivots[solid, 1]
+                eye_x, eye_y = cos * dx + sin * dy, cos * dy - sin * dx
+                sun_cos, sun_sin = cos * sun_cos - sin * sun_sin, sin * sun_cos + cos * sun_sin
+            sun_x = models.sun[0] * sun_cos + models.sun[1] * sun_sin
+            sun_y = models.sun[1] * sun_cos - models.sun[0] * sun_sin
+            for face in range(models.solids[solid, 2], models.solids[solid, 3]):
+                plane = models.planes[face]
+                if plane[0] * eye_x + plane[1] * eye_y + plane[2] * up <= plane[3]:
+                    continue
+                facing = plane[0] * sun_x + plane[1] * sun_y + plane[2] * models.sun[2]
+                paint = models.faces[face, 2]
+                light = thing[SHADE:] if paint < 0 else models.paints[paint]
+                _lit(colour, light, facing)
+                count = models.faces[face, 1] - models.faces[face, 0]
+                for k in range(count):
+                    vertex = models.corners[models.faces[face, 0] + k] - base
+                    for axis in range(3):
+                        points[k, axis] = place[vertex, axis]
+                _polygon(pictures, eye, points, count, colour, optics, scratch)
+
+
+@_inner
+def _project(place, base, solid, thing, foot, view, models):
+    """Write the vertices of a solid as X, Y, Z of the camera's frame."""
+    steered = models.solids[solid, 4] != 0
+    cos, sin = math.cos(thing[STEERING]), math.sin(thing[STEERING])
+    for vertex in range(models.solids[solid, 0], models.solids[solid, 1]):
+        row = models.vertices[vertex]
+        x, y = row[0], row[1]
+        if steered:
+            x, y = cos * x - sin * y, sin * x + cos * y
+            x, y = x + models.pivots[solid, 0], y + models.pivots[solid, 1]
+        x, y, up = x * thing[ALONG], y * thing[ACROSS], row[2] * thing[UPWARD] - view.z
+        ahead = foot[0] + foot[2] * x - foot[3] * y
+        place[vertex - base, 0] = -(foot[1] + foot[3] * x + foot[2] * y)
+        place[vertex - base, 1] = -ahead * view.pitch_sin - up * view.pitch_cos
+        place[vertex - base, 2] = ahead * view.pitch_cos - up * view.pitch_sin
+
+
+# What hides what -----------------------------------------------------------------------------
+
+
+@_inner
+def _order(first, last, x, y, z, models):
+    """Return the solids of a model, far to near, for an eye in the model's frame.
+
+    Of two solids the nearer one lies on the eye's side of the plane that parts them.
+    """
+    count = last - first
+    before = np.zeros((count, count), np.bool_)
+    for one in range(count):
+        for other in range(count):
+            plane = models.parting[first + one, other]
+            here = plane[0] * x + plane[1] * y + plane[2] * z <= plane[3]
+            before[other, one] = other != one and here
+    return _painted(before, np.zeros(count))
+
+
+@_inner
+def _far_to_near(feet):
+    """Return the order in which things must be painted, as indices.
+
+    Things are taken by distance, farthest first, unless one left over lies behind the next: two
+    rectangles that do not overlap are parted by a side of one of them, and the one on the camera's
+    side of it is the nearer one.
+
+    Args:
+        feet: (num_things, 6), the footprints of _stand, for a camera at (0, 0) that looks along +x.
+    """
+    count = len(feet)
+    before, distance = np.zeros((count, count), np.bool_), np.empty(count)
+    for one in range(count):
+        distance[one] = feet[one, 0] ** 2 + feet[one, 1] ** 2
+        low, high = _bearings(feet[one])
+        for other in range(count):
+            other_low, other_high = _bearings(feet[other])
+            if other != one and other_low < high and low < other_high:
+                before[other, one] = _compare(feet[other], feet[one]) < 0
+    return _painted(before, distance)
+
+
+@_inner
+def _painted(before, distance):
+    """Return an order in which nothing comes too early; where they go in a circle, the farthest.
+
+    Args:
+        before: (count, count): whether the first is to be painted before the second.
+        distance: (count,): of those that are free to come the farthest is taken.
+    """
+    count = len(distance)
+    order, left = np.empty(count, np.int64), np.ones(count, np.bool_)
+    for place in range(count):
+        choice, choice_free = -1, False
+        for one in range(count):
+            if left[one]:
+                free = True
+                for other in range(count):
+                    if left[other] and before[other, one]:
+                        free = False
+                better = choice < 0 or distance[one] > distance[choice]
+                if (free and not choice_free) or (free == choice_free and better):
+                    choice, choice_free = one, free
+        order[place] = choice
+        left[choice] = False
+    return order
+
+
+@_inner
+def _bearings(foot):
+    """Return the least and the greatest y / x of a rectangle; all, if it is not wholly ahead."""
+    ahead_x, ahead_y = foot[2] * foot[4], foot[3] * foot[4]
+    left_x, left_y = -foot[3] * foot[5], foot[2] * foot[5]
+    low, high = math.inf, -math.inf
+    if foot[0] - abs(ahead_x) - abs(left_x) < 0.1:
+        return high, low
+    for a in (-1, 1):
+        for b in (-1, 1):
+            slope = (foot[1] + a * ahead_y + b * left_y) / (foot[0] + a * ahead_x + b * left_x)
+            low, high = min(low, slope), max(high, slope)
+    spare = 0.05 / foot[0]  # the eyes sit beside the middle
+    return low - spare, high + spare
+
+
+@_inner
+def _compare(one, other):
+    """Return -1 if `one` must be painted before `other`, 1 if after, 0 if they overlap."""
+    side = _parted(one, other)
+    return side if side else -_parted(other, one)
+
+
+@_inner
+def _parted(one, other):
+    """Return -1 if a side of `one` parts the two with the camera beyond it, 1 if before it."""
+    dx, dy = other[0] - one[0], other[1] - one[1]
+    turn_cos = abs(one[2] * other[2] + one[3] * other[3])
+    turn_sin = abs(one[2] * other[3] - one[3] * other[2])
+    for side in range(2):
+        nx, ny, half = one[2], one[3], one[4]
+        spread = turn_cos * other[4] + turn_sin * other[5]
+        if side:
+            nx, ny, half = -one[3], one[2], one[5]
+            spread = turn_sin * other[4] + turn_cos * other[5]
+        gap = nx * dx + ny * dy
+        if abs(gap) >= half + spread - 1e-3:
+            camera = -(nx * one[0] + ny * one[1])
+            beyond = camera > half if gap > 0 else camera < -half
+            return -1 if beyond else 1
+    return 0
