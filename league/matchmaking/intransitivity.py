@@ -170,8 +170,7 @@ def _clusters(field: Field, ratings: Ratings) -> tuple[np.ndarray, np.ndarray, n
     for a, b in ev.slot_pairs(results):
         one, other = results.entries[:, a], results.entries[:, b]
         there = (one >= 0) & (other >= 0)
-        gap = strengths[one] - strengths[other] + (slots[a] - slots[b])
-        chance = 1.0 / (1.0 + np.exp(-gap))
+        chance = ev.logistic(strengths[one] - strengths[other] + (slots[a] - slots[b]))
         beyond = ev.score(results.places[:, a], results.places[:, b]) - chance
         low, high = np.minimum(one, other), np.maximum(one, other)
         key = (heat * size + low) * size + high
@@ -183,7 +182,7 @@ def _clusters(field: Field, ratings: Ratings) -> tuple[np.ndarray, np.ndarray, n
     if (key[1:] < key[:-1]).any():  # in order already where all heats are duels
         order = np.argsort(key, kind="stable")
         key, beyond, room = key[order], beyond[order], room[order]
-    starts = np.flatnonzero(np.diff(key, prepend=-1))
+    starts = ev.changes(key)
     if not len(starts):
         return key, beyond, room
     return key[starts] % size**2, np.add.reduceat(beyond, starts), np.add.reduceat(room, starts)

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+from league.cli import flags
 from league.cli.season.door import OnLeague
 from league.errors import ConfigError
 
@@ -91,8 +92,7 @@ def _run(command: Work, *, plans: bool, same_owner: bool) -> int:
 
 
 def _check(command: Work) -> None:
-    if command.heats is not None and command.heats < 1:
-        raise ConfigError(f"--heats {command.heats}: give 1 or more")
+    flags.at_least(command, "heats", 1)
     if command.minutes is not None and not command.minutes > 0:
         raise ConfigError(f"--minutes {command.minutes}: give more than 0")
     if not 1 <= command.lease_s <= 3600:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
-from league.cli import tables
+from league.cli import flags, tables
 from league.cli.season import door
 from league.cli.season.door import Reading
 from league.errors import ConfigError
@@ -70,10 +70,8 @@ def _gauntlet(command: Gauntlet) -> int:
     from league.agents import checkpoint
     from league.matchmaking import executors, trials
 
-    if command.rounds < 1 or command.opponents < 1:
-        raise ConfigError(
-            f"{command.rounds} rounds against {command.opponents} opponents: give 1 or more of each"
-        )
+    flags.at_least(command, "rounds", 1)
+    flags.at_least(command, "opponents", 1)
     given = checkpoint.load(command.checkpoint)
     with command.opened() as store:
         field = trials.opponents(store, most=command.opponents)
@@ -114,8 +112,7 @@ def _compare(command: Compare) -> int:
     from league.matchmaking import executors, trials
     from league.matchmaking.sequential import SequentialSettings
 
-    if command.heats < 1:
-        raise ConfigError(f"--heats {command.heats}: give 1 or more")
+    flags.at_least(command, "heats", 1)
     with command.opened() as store:
         one, other = (_contestant(store, given) for given in (command.one, command.other))
         if one.id == other.id:

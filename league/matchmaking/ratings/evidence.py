@@ -162,20 +162,20 @@ def evidence_of(results: Results, num_entries: int) -> Evidence:
         found.append(key if there.all() else key[there])
     keys = np.sort(np.concatenate(found))
     cells = keys >> 2
-    starts = _changes(cells)
+    starts = changes(cells)
     meetings = np.diff(np.append(starts, len(cells))).astype(float)
     won = 0.5 * np.add.reduceat(keys & 3, starts) if len(starts) else np.zeros(0)
     cells = cells[starts].astype(np.int64)
     pairs = cells >> 2 * slot_bits
     mask = (1 << slot_bits) - 1
     sides = (cells >> slot_bits & mask) * slots + (cells & mask)
-    starts = _changes(pairs)
+    starts = changes(pairs)
     pairs = pairs[starts]
     one, other = pairs >> entry_bits, pairs & ((1 << entry_bits) - 1)
     return Evidence(num_entries, slots, one, other, starts, sides, meetings, won)
 
 
-def _changes(ascending: np.ndarray) -> np.ndarray:
+def changes(ascending: np.ndarray) -> np.ndarray:
     """Return where a new number begins."""
     new = np.ones(len(ascending), dtype=bool)
     np.not_equal(ascending[1:], ascending[:-1], out=new[1:])
@@ -191,7 +191,7 @@ def _leads(evidence: Evidence, strengths: np.ndarray, slots: np.ndarray) -> np.n
 
 def chances(evidence: Evidence, strengths: np.ndarray, slots: np.ndarray) -> np.ndarray:
     """Return the chance of the one of each cell."""
-    return _logistic(_leads(evidence, strengths, slots))
+    return logistic(_leads(evidence, strengths, slots))
 
 
 def slope(evidence: Evidence, parameters: np.ndarray) -> Slope:
@@ -222,7 +222,7 @@ def race_scores(results: Results, strengths: np.ndarray, slots: np.ndarray) -> n
     for a, b in slot_pairs(results):
         one, other = results.entries[:, a], results.entries[:, b]
         beyond = score(results.places[:, a], results.places[:, b])
-        beyond -= _logistic(shown[a] - shown[b])
+        beyond -= logistic(shown[a] - shown[b])
         beyond *= (one >= 0) & (other >= 0)
         found[:, a] += beyond
         found[:, b] -= beyond
@@ -242,6 +242,7 @@ def points_of(evidence: Evidence) -> tuple[np.ndarray, np.ndarray]:
     return ahead + behind, evidence.by_entry(won)[0] + evidence.by_entry(met - won)[1]
 
 
-def _logistic(x: np.ndarray) -> np.ndarray:
+def logistic(x: np.ndarray) -> np.ndarray:
+    """Return 1 / (1 + e^-x)."""
     with np.errstate(over="ignore"):
         return 1.0 / (1.0 + np.exp(-x))

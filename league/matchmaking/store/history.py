@@ -326,7 +326,7 @@ def _unpacked(text: str) -> list[np.ndarray]:
     """Return races from their packed texts with spaces between, those of as many cars together."""
     if not text:
         return []
-    width = text.index(" ") if " " in text else len(text)
+    width = _width(text)
     gaps = np.frombuffer(text.encode("ascii"), np.uint8)[width :: width + 1]
     blocks = [text]
     if (len(text) + 1) % (width + 1) or (gaps != ord(" ")).any() or text.count(" ") != len(gaps):
@@ -337,10 +337,14 @@ def _unpacked(text: str) -> list[np.ndarray]:
     return [_alike(block) for block in blocks]
 
 
+def _width(text: str) -> int:
+    """Return the length of the first of several packed texts."""
+    return text.index(" ") if " " in text else len(text)
+
+
 def _alike(text: str) -> np.ndarray:
     """Return races of as many cars each from their packed texts with spaces between."""
-    width = text.index(" ") if " " in text else len(text)
-    cars = (width - 12) // 18
+    cars = (_width(text) - 12) // 18
     row = [
         *(("heat", ">u4"), ("half", "u1"), ("track", "u1")),
         *(("entries", ">u4", (cars,)), ("places", "u1", (cars,)), ("runs", ">u4", (cars,))),
