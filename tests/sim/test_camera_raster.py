@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numba import njit
 
 from league.sim.camera import raster
-from league.sim.camera.lens import Pose
-from league.sim.camera.scene import CAR, FAR_CAR
+from league.sim.camera.scene import CAR, DECK, FAR_CAR
 from league.sim.camera.shapes import MODELS, models
 
 
@@ -17,9 +17,9 @@ def optics(channels=1, eyes=(0.0,), focal=10.0, cx=4.5, cy=4.5):
     return raster.Optics(focal, cx, cy, np.array(eyes), channels, 0.02)
 
 
-def level(z=1.0) -> Pose:
+def level(z=1.0) -> raster.View:
     """Return a camera at the origin that looks along +x, level."""
-    return Pose(0.0, 0.0, z, 1.0, 0.0, 1.0, 0.0)
+    return raster.View(0.0, 0.0, z, 1.0, 0.0, 1.0, 0.0)
 
 
 def room(colours=(10, 20, 30, 40), half=5.0, height=2.0):
@@ -56,7 +56,7 @@ def test_a_wall_fills_the_pixels_whose_centres_it_covers():
 
 def test_walls_that_meet_in_a_corner_leave_no_pixel_between_them():
     # Turned by 45 degrees the corner at (5, 5) is straight ahead.
-    turned = Pose(0.0, 0.0, 1.0, math.sqrt(0.5), math.sqrt(0.5), 1.0, 0.0)
+    turned = raster.View(0.0, 0.0, 1.0, math.sqrt(0.5), math.sqrt(0.5), 1.0, 0.0)
     seen = drawn(pose=turned)[4, :, 0]
     assert set(seen[:5].tolist()) == {30} and set(seen[5:].tolist()) == {20}
 
@@ -93,7 +93,7 @@ def test_floor_is_the_bilinear_mean_of_four_texels(channels):
     draw = np.random.default_rng(4)
     image = draw.integers(0, 256, (20, 20, channels), dtype=np.uint8)
     texture = raster.Texture(image.reshape(-1), 20, 0.0, 0.0, 0.1)
-    down = Pose(1.025, 1.05, 1.0, 1.0, 0.0, 0.0, 1.0)
+    down = raster.View(1.025, 1.05, 1.0, 1.0, 0.0, 0.0, 1.0)
     pictures = np.zeros((1, 9, 9 * channels), np.uint8)
     raster.warp(pictures, 0, 9, texture, optics(channels, cx=4.0, cy=4.0), down)
     # Row 4, column 4 is the camera's own foot: texel (1.025 / 0.1 - 0.5, 1.05 / 0.1 - 0.5). Rows go
@@ -116,18 +116,45 @@ def test_floor_beyond_the_texture_repeats_its_rim_and_reads_nothing_outside():
     assert (pictures == 77).all()
 
 
-def test_wheels_are_parted_from_the_rest_of_the_car_whichever_way_they_steer():
+@njit
+def ordered(first, last, x, y, z, tables):
+    return raster._order(first, last, x, y, z, tables)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_solids_are_painted_behind_what_their_parting_plane_puts_before_them(model):
+    tables = models(True)
+    first, last, _ = tables.models[MODELS.index(model)]
+    draw = np.random.default_rng(2)
+    eyes = draw.uniform((-2, -2, 0.01), (2, 2, 0.5), (400, 3))
+    # Eyes that lie in a plane that parts two solids see neither before the other.
+    eyes[::5, 2], eyes[1::5, 1] = DECK, 0.044
+    for eye in eyes:
+        order = ordered(first, last, *eye, tables).tolist()
+        assert sorted(order) == list(range(last - first))
+        for one in range(last - first):
+            for other in range(last - first):
+                plane = tables.parting[first + one, other]
+                # The second lies beyond the plane, and the eye on the side of the first.
+                if one != other and plane[:3] @ eye < plane[3] - 1e-9:
+                    assert order.index(other) < order.index(one)
+
+
+def test_planes_part_a_car_whichever_way_its_wheels_stand():
     tables = models(True)
     first, last, far = tables.models[MODELS.index(CAR)]
     assert far == MODELS.index(FAR_CAR)
-    for one in range(last - first):
-        for other in range(last - first):
-            if one != other:
+    for angle in (-math.radians(30), 0.1, math.radians(30)):
+        turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+        for one in range(last - first):
+            start, stop, *_, steered = tables.solids[first + one]
+            points = tables.vertices[start:stop].copy()
+            if steered:
+                points[:, :2] = points[:, :2] @ turn + tables.pivots[first + one]
+            for other in range(last - first):
                 plane = tables.parting[first + one, other]
-                reverse = tables.parting[first + other, one]
-                assert np.linalg.norm(plane[:3]) == pytest.approx(1.0)
-                # Both ways round the eye must be told the same: one of the two comes first.
-                assert plane == pytest.approx(-reverse)
+                if one != other:
+                    assert (points @ plane[:3] <= plane[3] + 1e-6).all()
 
 
 def test_what_is_compiled_takes_nothing_from_files_whose_change_the_cache_would_miss():

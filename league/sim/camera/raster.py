@@ -25,6 +25,9 @@ MODEL, X, Y, COS, SIN, STEERING, ALONG, ACROSS, UPWARD, SHADE, SUNLIT = (*range(
 that full sun adds."""
 THING_COLUMNS = 15
 
+MOST_CORNERS = 16
+"""Of a face."""
+
 
 def _compiled(function: _Function) -> _Function:
     """Compile a function that is called from Python; kept on disk wherever there is a place."""
@@ -36,6 +39,21 @@ def _compiled(function: _Function) -> _Function:
 
 _inner = njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 """Compiles a function that only compiled ones call."""
+
+
+# Code on disk names the classes below: who renames one, or a field, renames `warp` and `draw` too.
+
+
+class View(NamedTuple):
+    """Where a camera is, as lens.Pose tells it: x, y, z, cosine and sine of its yaw and pitch."""
+
+    x: float
+    y: float
+    z: float
+    cos: float
+    sin: float
+    pitch_cos: float
+    pitch_sin: float
 
 
 class Optics(NamedTuple):
@@ -128,7 +146,7 @@ def warp(pictures, start, stop, texture, optics, view):
         stop: one past the last row.
         texture: what lies on the floor.
         optics: the lens.
-        view: where the camera is, a lens.Pose.
+        view: where the camera is.
     """
     channels, columns, texels = optics.channels, texture.columns, texture.texels
     width = pictures.shape[2] // channels
@@ -275,13 +293,13 @@ def draw(pictures, optics, view, room, things, far, models):
     Args:
         pictures: (num_eyes, height, width * channels) uint8, the floor and the sky already there.
         optics: the lens.
-        view: where the camera is, a lens.Pose.
+        view: where the camera is.
         room: the walls.
         things: (num_things, THING_COLUMNS).
         far: things farther than this become what they are when far [m].
         models: the shapes.
     """
-    scratch = np.empty((32, 2)), np.empty((pictures.shape[1], 2))
+    scratch = np.empty((2 * MOST_CORNERS, 2)), np.empty((pictures.shape[1], 2))
     _walls(pictures, optics, view, room, scratch)
     feet = np.empty((len(things), 6))
     chosen = np.empty(len(things), np.int64)
@@ -368,7 +386,7 @@ def _thing(pictures, optics, view, thing, foot, far, models, scratch):
     place = np.empty((models.solids[last - 1, 1] - base, 3))
     for solid in range(first, last):
         _project(place, base, solid, thing, foot, view, models)
-    points, colour = np.empty((16, 3)), np.empty(3, np.uint8)
+    points, colour = np.empty((MOST_CORNERS, 3)), np.empty(3, np.uint8)
     for eye, beside in enumerate(optics.eyes):
         # The eye in the frame of the unstretched model.
         dx, dy = -foot[0], beside - foot[1]
@@ -433,7 +451,7 @@ def _order(first, last, x, y, z, models):
     for one in range(count):
         for other in range(count):
             plane = models.parting[first + one, other]
-            here = plane[0] * x + plane[1] * y + plane[2] * z <= plane[3]
+            here = plane[0] * x + plane[1] * y + plane[2] * z < plane[3]
             before[other, one] = other != one and here
     return _painted(before, np.zeros(count))
 

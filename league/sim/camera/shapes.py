@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from league.sim.camera.raster import Models
+from league.sim.camera import raster
 from league.sim.camera.scene import (
     BOX,
     CAR,
@@ -26,14 +26,17 @@ MODELS: tuple[Model, ...] = (CAR, FAR_CAR, BOX)
 """Every model there is; a thing tells its own by the place in this list."""
 _WHEN_FAR = {CAR: FAR_CAR}
 _MAX_STEERING = math.radians(30)
+_TOUCH = 1e-6
+"""Solids nearer than this touch each other [m]."""
 _FLAT_RUBBER = len(PAINTS)
 """The paint of a wheel's tread: round, so no one light fits it."""
 
 
 @cache
-def models(gray: bool) -> Models:
+def models(gray: bool) -> raster.Models:
     """Return the tables of every model, for gray pictures or for RGB."""
     solids = [solid for model in MODELS for solid in model.solids]
+    assert max(len(face) for solid in solids for face in solid.faces) <= raster.MOST_CORNERS
     vertices = np.concatenate([solid.vertices for solid in solids])
     first_vertex = np.cumsum([0, *(len(solid.vertices) for solid in solids)])
     corners, faces, planes, rows = [], [], [], []
@@ -49,7 +52,7 @@ def models(gray: bool) -> Models:
         stop = start + len(solid.vertices)
         rows.append((start, stop, first_face, len(faces), int(solid.pivot is not None)))
     first_solid = np.cumsum([0, *(len(model.solids) for model in MODELS)])
-    return Models(
+    return raster.Models(
         vertices=vertices,
         corners=np.array(corners),
         faces=np.array(faces),
@@ -88,26 +91,49 @@ def _flat(colour: tuple[float, float, float], gray: bool) -> tuple[float, ...]:
 
 
 def _parting() -> np.ndarray:
-    """Return the planes that part the solids of each model; see Models.parting.
-
-    They are faces of solids that are not steered, and part the two whichever way the wheels stand.
-    """
+    """Return the planes that part the solids of each model; see Models.parting."""
     most = max(len(model.solids) for model in MODELS)
     found = []
     for model in MODELS:
+        # Faces of solids that are not steered: they stand where they stand.
         planes = [solid.planes for solid in model.solids if solid.pivot is None]
         both = np.concatenate([*planes, *(-one for one in planes)])
-        # The reach of each solid along each normal: least and greatest of n . p - d.
-        reach = [_along(both, solid) for solid in model.solids]
-        number = len(model.solids)
-        rows = np.zeros((number, most, 4))
-        for one, other in itertools.combinations(range(number), 2):
-            gap = np.minimum(-reach[one][1], reach[other][0])
-            best = int(gap.argmax())
-            assert gap[best] > -1e-6, f"no face parts solids {one} and {other}"
-            rows[one, other], rows[other, one] = both[best], -both[best]
+        low, high = map(np.array, zip(*(_along(both, one) for one in model.solids), strict=True))
+        rows = np.zeros((len(model.solids), most, 4))
+        _part(rows, list(range(len(model.solids))), both, low, high)
         found += list(rows)
     return np.array(found)
+
+
+def _part(
+    rows: np.ndarray, group: list[int], planes: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> None:
+    """Part a group of solids by one plane, then each half: so what hides what has no circles.
+
+    A binary space partition, after Fuchs, Kedem and Naylor (1980), that never cuts a solid.
+
+    Args:
+        rows: (num_solids, largest number of solids, 4), to be filled in.
+        group: the solids.
+        planes: (num_planes, 4) to choose from.
+        low: (num_solids, num_planes): least n . p - d of each solid.
+        high: (num_solids, num_planes): the greatest.
+    """
+    if len(group) < 2:
+        return
+    choices = []
+    for number in range(len(planes)):
+        near = [one for one in group if high[one, number] <= _TOUCH]
+        beyond = [one for one in group if low[one, number] >= -_TOUCH]
+        if near and beyond and len(near) + len(beyond) == len(group):
+            gap = min(-high[near, number].max(), low[beyond, number].min())
+            choices.append((gap, number, near, beyond))
+    assert choices, f"no face parts the solids {group}"
+    _, number, near, beyond = max(choices, key=lambda choice: choice[0])
+    for one, other in itertools.product(near, beyond):
+        rows[one, other], rows[other, one] = planes[number], -planes[number]
+    _part(rows, near, planes, low, high)
+    _part(rows, beyond, planes, low, high)
 
 
 def _along(planes: np.ndarray, solid: Solid) -> tuple[np.ndarray, np.ndarray]:
