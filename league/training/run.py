@@ -19,10 +19,11 @@ from league.envs.rewards import Reward, preset
 from league.errors import LeagueError, PolicyError
 from league.training import checks, courses, run_config, run_folder, worlds
 from league.training.history import History
-from league.training.judge import Exam, Judge, Judgement
+from league.training.judge import Exam, Judge, Judgement, judged
 from league.training.learner import Learner, Update
 from league.training.run_config import RunConfig
 from league.training.selfplay import SelfPlay, SelfPlayConfig
+from league.training.selfplay.matrix import FINAL
 from league.training.selfplay.picture import draw as draw_matrix
 
 if TYPE_CHECKING:
@@ -252,15 +253,19 @@ class Run:
             merit = (float(found.number), *merit)
         best = self._best is None or merit > self._best
         if best:
-            self._best, self._best_evaluation = merit, evaluation
-            results = {"updates": float(found.number), **evaluation.summary}
-            card = policy.card.model_copy(update={"results": results})
-            checkpoint.save(self.folder / "best.pt", replace(policy, card=card, text=""))
+            self._best = merit
+            self._keep_best(policy, found.number, evaluation)
         self.history.add_evaluation(
             evaluation, time_s=self._spent_s, took_s=waited_s, best=best, number=found.number
         )
         for onlooker in onlookers:
             onlooker.evaluated(self.history, evaluation)
+
+    def _keep_best(self, policy: Checkpoint, updates: int, evaluation: Evaluation) -> None:
+        self._best_evaluation = evaluation
+        results = {"updates": float(updates), **evaluation.summary}
+        card = policy.card.model_copy(update={"results": results})
+        checkpoint.save(self.folder / "best.pt", replace(policy, card=card, text=""))
 
     def _finish(self, onlookers: Sequence[Onlooker]) -> None:
         """Judge the last policy too, wait for all judgements, and write down what came of them."""
@@ -272,10 +277,19 @@ class Run:
         while self._waiting and not complete:
             self._take(onlookers, wait=True)
         if self._self_play is not None:
-            found = self._self_play.report(self._checkpoint())
-            found.write(self.folder / "win_matrix.json")
-            draw_matrix(found, self.folder / "win_matrix.png")
+            self._crown(self._self_play)
         self._save()
+
+    def _crown(self, self_play: SelfPlay) -> None:
+        """Race the policy against its past; whoever wins most of these races is the best."""
+        found = self_play.report(self._checkpoint())
+        found.write(self.folder / "win_matrix.json")
+        draw_matrix(found, self.folder / "win_matrix.png")
+        if found.champion != FINAL:
+            updates, kept = self_play.snapshot(found.champion)
+            policy = replace(kept, card=self._card(kept.card.steps), text="")
+            evaluation = judged(_exam(self.cfg, self._tracks), policy)
+            self._keep_best(policy, updates, evaluation)
 
     @property
     def _judged(self) -> set[int]:

@@ -7,9 +7,11 @@ import shutil
 from dataclasses import replace
 
 import pytest
+import small
 import torch
 from scenes import make_ring
 
+from league.agents import checkpoint
 from league.agents.card import Card
 from league.agents.checkpoint import Checkpoint
 from league.agents.network import Actor, NetworkConfig, from_learner
@@ -22,9 +24,11 @@ from league.errors import ConfigError, PolicyError
 from league.sim.config import CarConfig, SensorConfig, SimConfig
 from league.sim.meeting_config import Meeting
 from league.track.course import TrackSet
+from league.training import run as run_room
 from league.training import worlds
 from league.training.learner import Learner
 from league.training.selfplay import SelfPlay, SelfPlayConfig, duels, opponent
+from league.training.selfplay.matrix import WinMatrix
 from league.training.selfplay.opponent import NOBODY, Field, Opponent
 from league.training.selfplay.pool import Pool, spread
 from league.training.selfplay.records import DRAWN, LOST, WON, Records
@@ -273,6 +277,42 @@ def test_the_report_races_everybody_and_can_be_looked_at(tmp_path):
     assert kept["smallest_win_rate_against_the_past"] == found.smallest
     picture.draw(found, tmp_path / "matrix.png")
     assert (tmp_path / "matrix.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_champion_wins_most_and_of_equals_the_newest():
+    def matrix(*rows):
+        names = ("centerline", "parent", "000016", "000032", "final")
+        return WinMatrix(names, 2, rows, (0.0,) * 5, (0.0,) * 5, (None,) * 5)
+
+    parent = (1.0, None, 1.0, 1.0, 1.0)  # the parent is no past self, however it wins
+    best = (1.0, 0.0, None, 0.5, 0.75)
+    worse = (0.75, 0.0, 0.5, None, 0.5)
+    rest = (None, 0.0, 0.0, 0.25, 0.5)
+    assert matrix(rest, parent, best, worse, (0.5, 0.0, 0.25, 0.5, None)).champion == "000016"
+    assert matrix(rest, parent, worse, worse, (0.5, 0.0, 0.5, 0.75, None)).champion == "final"
+
+
+def test_the_best_of_a_run_is_whoever_wins_the_matrix(tmp_path, monkeypatch):
+    small_pool = SelfPlayConfig(candidate_every=2, forced_every=1, races=2, matrix_races=2)
+    monkeypatch.setattr(run_room, "SelfPlayConfig", lambda: small_pool)
+    cfg = small.cfg(updates=4, train=small.train(kind="head_to_head", num_cars=2), self_play=True)
+
+    def learnt(folder, champion) -> tuple:
+        monkeypatch.setattr(WinMatrix, "champion", champion)
+        run = small.run(folder, cfg)
+        outcome = run.learn()
+        assert json.loads((folder / "win_matrix.json").read_text())["champion"] == champion
+        return outcome, checkpoint.load(folder / "best.pt")
+
+    outcome, best = learnt(tmp_path / "early", "000002")
+    assert best.card.results["updates"] == 2 and best.card.steps == 2 * small.SAMPLES
+    assert small.equal(tmp_path / "early" / "best.pt", tmp_path / "early" / "pool" / "000002.pt")
+    assert not small.equal(tmp_path / "early" / "best.pt", tmp_path / "early" / "last.pt")
+    assert outcome.evaluation is not None
+    assert best.card.results.items() >= outcome.evaluation.summary.items()
+    _, best = learnt(tmp_path / "late", "final")
+    assert best.card.results["updates"] == 4
+    assert small.equal(tmp_path / "late" / "best.pt", tmp_path / "late" / "last.pt")
 
 
 def test_a_parent_with_other_sensors_is_refused(tmp_path):

@@ -14,10 +14,13 @@ from league.sim.config import CarConfig
 from league.track.course import TrackSet
 from league.training.selfplay import duels
 from league.training.selfplay.duels import Score
+from league.training.selfplay.pool import PARENT
 from league.training.selfplay.settings import SelfPlayConfig
 from league.whole_file import replacing
 
 SCRIPTED = ("centerline",)
+FINAL = "final"
+"""What the trained driver is called."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,25 @@ class WinMatrix:
         """Smallest win rate of the trained driver against its past; None without a past."""
         return min(self.past.values(), default=None)
 
+    @property
+    def champion(self) -> str:
+        """Who of the snapshots and the trained driver wins most; of equals the newest.
+
+        What a learner can do comes and goes between snapshots, and the last one need not be the
+        best of them.
+        """
+
+        def merit(place: int) -> tuple[float, int]:
+            rates = [rate for rate in self.wins[place] if rate is not None]
+            return round(sum(rates) / len(rates), 6), place
+
+        own = [
+            place
+            for place, name in enumerate(self.names)
+            if name not in SCRIPTED and name != PARENT
+        ]
+        return self.names[max(own, key=merit)]
+
     def write(self, path: Path) -> None:
         """Write it as JSON, with the figures that sum it up."""
         told = {
@@ -58,6 +80,7 @@ class WinMatrix:
             "races_of_each_pair": self.races,
             "win_rates": self.wins,
             "smallest_win_rate_against_the_past": self.smallest,
+            "champion": self.champion,
             "contacts_per_km": self.contacts_per_km,
             "off_tracks_per_km": self.off_tracks_per_km,
             "clean_lap_s": self.clean_lap_s,

@@ -166,8 +166,13 @@ class SelfPlay:
         if len(self._tracks.tracks) == 1:
             drivers["centerline"] = roster.load("centerline", self._tracks, self._car)
         drivers |= {member.name: self._policy(member) for member in chosen}
-        drivers["final"] = self._built(weights, "final")
+        drivers[matrix.FINAL] = self._built(weights, matrix.FINAL)
         return matrix.measure(self._tracks, self._car, drivers, self._cfg, seed=seed)
+
+    def snapshot(self, name: str) -> tuple[int, Checkpoint]:
+        """Return a member of the pool by name: the updates after which it was taken, and it."""
+        member = next(one for one in self.pool.members if one.name == name)
+        return member.updates, self.pool.load(member)
 
     def _candidate(self, learner: Learner) -> bool:
         """Have the learner's weights race for a place in the pool."""
