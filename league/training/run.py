@@ -97,7 +97,7 @@ class Run:
                 tracks,
                 train,
                 self._card(),
-                cfg=SelfPlayConfig().with_scripted(cfg.scripted_share),
+                cfg=SelfPlayConfig(held_back=cfg.held_back).with_scripted(cfg.scripted_share),
                 parent=self._parent,
             )
             opponents = self._self_play.drivers()

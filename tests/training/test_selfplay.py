@@ -169,6 +169,27 @@ def test_who_leaves_the_road_has_lost_the_meeting(learner, other, result):
     assert told.count(result) > 0.7 * len(told)
 
 
+def test_an_opponent_that_is_held_back_drives_slower_and_its_meetings_do_not_count():
+    records = Records(10_000)
+    seat = Opponent(1, SensorConfig(), 64, 1, records)
+    seat.choose_from(Field(("it",), (Constant(1.0, 0.5),), (1.0,), held_back=1.0, slowest=0.6), 0)
+    cfg = EnvConfig(
+        sim=SimConfig(kind="head_to_head", num_cars=2),
+        mode="training",
+        meeting=Meeting(alone=0.0, standing=0.0),
+    )
+    env = RacingVecEnv(RING, cfg, num_worlds=64, opponents={1: seat})
+    for _ in range(25):  # full lock: the opponent leaves the road, and the learner would have won
+        env.step(torch.tensor([0.17, -0.5]).expand(64, 2).clone())
+    assert records.meetings("it") == 0
+    actions = seat.act({"state": torch.zeros(64, SIZE)})
+    # (0.5 + 1) * 0.6 - 1 = -0.1 at least, and 0.5 at most.
+    assert bool((actions[:, 0] == 1.0).all())
+    assert -0.1 <= float(actions[:, 1].min()) < 0.0 and 0.4 < float(actions[:, 1].max()) <= 0.5
+    seat.choose_from(Field(("it",), (Constant(1.0, 0.5),), (1.0,)), 0)
+    assert bool((seat.act({"state": torch.zeros(64, SIZE)})[:, 1] == 0.5).all())
+
+
 def members(pool: Pool, updates: list[int]) -> None:
     for number in updates:
         pool.add(blind(), number, forced=False, measured=None)
@@ -323,7 +344,12 @@ def test_a_parent_with_other_sensors_is_refused(tmp_path):
 
 @pytest.mark.parametrize(
     ("wrong", "said"),
-    [({"newest": 0.9}, "add up to 1"), ({"races": 3}, "even number"), ({"rivals": 0}, "at least")],
+    [
+        ({"newest": 0.9}, "add up to 1"),
+        ({"races": 3}, "even number"),
+        ({"rivals": 0}, "at least"),
+        ({"held_back": 1.5}, "a share from 0 to 1"),
+    ],
 )
 def test_settings_that_make_no_sense_are_refused(wrong, said):
     with pytest.raises(ConfigError, match=said):

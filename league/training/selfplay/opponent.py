@@ -18,7 +18,7 @@ from league.training.selfplay.seats import Seats, awake
 NOBODY = -1
 CLEAR_GAIN = 0.162
 """Gain that decides a meeting which no mistake decides [m]: half a car, as for a pass."""
-_MEMBER = 411
+_MEMBER, _HELD, _PACE = 411, 412, 413
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,10 @@ class Field:
     """Of each opponent; for this car alone, if they remember anything."""
     shares: tuple[float, ...]
     """How often each is drawn; they add up to 1."""
+    held_back: float = 0.0
+    """Share of the draws in which an opponent drives slower than it could."""
+    slowest: float = 1.0
+    """Share of its own speed that it then drives at least."""
 
 
 class Opponent(Seats):
@@ -84,6 +88,8 @@ class Opponent(Seats):
             picked = torch.searchsorted(edges, drawn.to(torch.float64), right=True)
             self.who = self.who.clone()
             self.who[rows] = picked.clamp(max=len(self._field.names) - 1)
+            self._pace = self._pace.clone()
+            self._pace[rows] = self._paces(rows)
         self._gained = self._gained.clone()
         self._gained[rows] = 0.0
         self._count += 1
@@ -91,13 +97,17 @@ class Opponent(Seats):
     def act(self, observations) -> Tensor:  # noqa: ANN001
         """Return actions [steering, speed] in [-1, 1], float32 (num_rows, 2)."""
         self._awake = awake(observations["state"])
-        return super().act(observations)
+        actions = super().act(observations)
+        # Speeds are told from -1, (nearly) standing, to 1.
+        speed = (actions[:, 1] + 1.0) * self._pace - 1.0
+        return torch.stack([actions[:, 0], speed], dim=1)
 
     def watch(self, car: int, step: Step) -> None:
         """Count what the learner, car 0, gained in a step, and meetings that ended with it."""
         seen = step.verdict
         self._gained = self._gained + seen.advance[:, 0] - seen.advance[:, car]
-        over = step.began[:, car] & self._awake & (self.who != NOBODY)
+        # Who was held back was beaten by that, maybe: it says nothing of the two.
+        over = step.began[:, car] & self._awake & (self.who != NOBODY) & (self._pace == 1.0)
         if not bool(over.any()):
             return
         mine, other = seen.mistake[:, 0], seen.mistake[:, car]
@@ -108,8 +118,16 @@ class Opponent(Seats):
             result = WON if merit > 1 else LOST if merit < -1 else DRAWN
             self._records.add(self._field.names[who], result)
 
+    def _paces(self, rows: Tensor) -> Tensor:
+        """Draw which share of its own speed an opponent drives in these rows."""
+        field = self._field
+        held = draws.uniform(self._seed, _HELD, self._count, self._car, rows) < field.held_back
+        drawn = draws.uniform(self._seed, _PACE, self._count, self._car, rows)
+        return torch.where(held, field.slowest + (1.0 - field.slowest) * drawn, 1.0)
+
     def _sit_nobody(self) -> None:
         self.who = torch.full((self._num_rows,), NOBODY)
+        self._pace = torch.ones(self._num_rows)
         self._gained = torch.zeros(self._num_rows)
         self._awake = torch.zeros(self._num_rows, dtype=torch.bool)
 

@@ -236,6 +236,8 @@ class SelfPlay:
                     *(kept * share for share in each),
                     *(cfg.scripted / len(scripted) for _ in scripted),
                 ),
+                held_back=cfg.held_back,
+                slowest=cfg.slowest,
             )
             seat.choose_from(field, learner.updates * _DRAWS_OF_AN_UPDATE)
 

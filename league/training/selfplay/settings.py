@@ -41,6 +41,11 @@ class SelfPlayConfig:
     """Share against scripted drivers; only where all worlds are on one track."""
     scripted_drivers: tuple[str, ...] = ("centerline",)
     """Their names."""
+    held_back: float = 0.0
+    """Share of episodes in which the opponent, whoever it is, drives slower than it could: cars of
+    like pace never pass each other, so from them alone nobody learns how to."""
+    slowest: float = 0.6
+    """Share of its own speed that an opponent who is held back drives at least."""
     window: int = 400
     """Meetings remembered of each opponent."""
     pool_size: int = 48
@@ -81,6 +86,9 @@ class SelfPlayConfig:
             raise ConfigError(
                 f"the shares of opponents are {shares}: give four from 0 to 1 that add up to 1"
             )
+        for name in ("held_back", "slowest"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ConfigError(f"{name} is {getattr(self, name)}: give a share from 0 to 1")
         for name in ("races", "matrix_races"):
             if getattr(self, name) < 2 or getattr(self, name) % 2:
                 raise ConfigError(
