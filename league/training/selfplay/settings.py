@@ -44,7 +44,7 @@ class SelfPlayConfig:
     held_back: float = 0.0
     """Share of episodes in which the opponent, whoever it is, drives slower than it could: cars of
     like pace never pass each other, so from them alone nobody learns how to."""
-    slowest: float = 0.6
+    slowest: float = 0.5
     """Share of its own speed that an opponent who is held back drives at least."""
     window: int = 400
     """Meetings remembered of each opponent."""
