@@ -315,7 +315,7 @@ def test_champion_wins_most_and_of_equals_the_newest():
 
 def test_the_best_of_a_run_is_whoever_wins_the_matrix(tmp_path, monkeypatch):
     small_pool = SelfPlayConfig(candidate_every=2, forced_every=1, races=2, matrix_races=2)
-    monkeypatch.setattr(run_room, "SelfPlayConfig", lambda: small_pool)
+    monkeypatch.setattr(run_room, "SelfPlayConfig", lambda **given: replace(small_pool, **given))
     cfg = small.cfg(updates=4, train=small.train(kind="head_to_head", num_cars=2), self_play=True)
 
     def learnt(folder, champion) -> tuple:
