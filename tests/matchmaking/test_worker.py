@@ -182,7 +182,7 @@ def test_a_damaged_blob_fails_its_heat_and_not_the_season(league, tmp_path):
 def test_a_heat_of_another_physics_is_not_raced(league, monkeypatch):
     given = job(league, "centerline", "bob")
     league.plan([keys.mirrored(SHORT.hash, ("reinvent_2018",) * 2, tuple(given.field))])
-    monkeypatch.setattr("league.matchmaking.worker.PHYSICS", "2")
+    monkeypatch.setattr("league.matchmaking.worker.PHYSICS", "another")
     (ended,) = Crew(league, Here()).step(0.0)
     assert ended.became == "planned" and "use the version" in ended.report.traceback
 
