@@ -67,7 +67,8 @@ class Run:
         """
         self.cfg, self.folder = cfg, folder
         self._tracks = courses.load(cfg.tracks)
-        self._judge = Judge(_exam(cfg, self._tracks), beside=beside)
+        self._exam = _exam(cfg, self._tracks)
+        self._judge = Judge(self._exam, beside=beside)
         try:
             self._begin()
         except BaseException:
@@ -288,7 +289,7 @@ class Run:
         if found.champion != FINAL:
             updates, kept = self_play.snapshot(found.champion)
             policy = replace(kept, card=self._card(kept.card.steps), text="")
-            evaluation = judged(_exam(self.cfg, self._tracks), policy)
+            evaluation = judged(self._exam, policy)
             self._keep_best(policy, updates, evaluation)
 
     @property

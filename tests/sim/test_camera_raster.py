@@ -17,9 +17,9 @@ def optics(channels=1, eyes=(0.0,), focal=10.0, cx=4.5, cy=4.5):
     return raster.Optics(focal, cx, cy, np.array(eyes), channels, 0.02)
 
 
-def level(z=1.0) -> raster.View:
+def level(z=1.0) -> raster.Pose:
     """Return a camera at the origin that looks along +x, level."""
-    return raster.View(0.0, 0.0, z, 1.0, 0.0, 1.0, 0.0)
+    return raster.Pose(0.0, 0.0, z, 1.0, 0.0, 1.0, 0.0)
 
 
 def room(colours=(10, 20, 30, 40), half=5.0, height=2.0):
@@ -56,7 +56,7 @@ def test_a_wall_fills_the_pixels_whose_centres_it_covers():
 
 def test_walls_that_meet_in_a_corner_leave_no_pixel_between_them():
     # Turned by 45 degrees the corner at (5, 5) is straight ahead.
-    turned = raster.View(0.0, 0.0, 1.0, math.sqrt(0.5), math.sqrt(0.5), 1.0, 0.0)
+    turned = raster.Pose(0.0, 0.0, 1.0, math.sqrt(0.5), math.sqrt(0.5), 1.0, 0.0)
     seen = drawn(pose=turned)[4, :, 0]
     assert set(seen[:5].tolist()) == {30} and set(seen[5:].tolist()) == {20}
 
@@ -93,7 +93,7 @@ def test_floor_is_the_bilinear_mean_of_four_texels(channels):
     draw = np.random.default_rng(4)
     image = draw.integers(0, 256, (20, 20, channels), dtype=np.uint8)
     texture = raster.Texture(image.reshape(-1), 20, 0.0, 0.0, 0.1)
-    down = raster.View(1.025, 1.05, 1.0, 1.0, 0.0, 0.0, 1.0)
+    down = raster.Pose(1.025, 1.05, 1.0, 1.0, 0.0, 0.0, 1.0)
     pictures = np.zeros((1, 9, 9 * channels), np.uint8)
     raster.warp(pictures, 0, 9, texture, optics(channels, cx=4.0, cy=4.0), down)
     # Row 4, column 4 is the camera's own foot: texel (1.025 / 0.1 - 0.5, 1.05 / 0.1 - 0.5). Rows go

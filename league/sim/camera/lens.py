@@ -7,8 +7,8 @@ seen in one pixel row lie at the same depth. Pixel (0, 0) has its centre at (0, 
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
+from league.sim.camera.raster import Pose
 from league.sim.config import CameraConfig
 
 NEAR = 0.02
@@ -63,25 +63,6 @@ class Lens:
         """Return the width of a floor pixel in this row [m]; infinite above the horizon."""
         fall = self.focal * math.sin(pitch) + (row - self.cy) * math.cos(pitch)
         return height / fall if fall > 0 else math.inf
-
-
-class Pose(NamedTuple):
-    """Where a camera is; for a pair, the middle between the eyes."""
-
-    x: float
-    """World frame [m]."""
-    y: float
-    """World frame [m]."""
-    z: float
-    """Above the floor [m]."""
-    cos: float
-    """Cosine of the yaw."""
-    sin: float
-    """Sine of the yaw."""
-    pitch_cos: float
-    """Cosine of the downward tilt."""
-    pitch_sin: float
-    """Sine of the downward tilt."""
 
 
 def mounted(cfg: CameraConfig, x: float, y: float, yaw: float, up: float, tilt: float) -> Pose:

@@ -40,15 +40,14 @@ class Painter:
         ground = floor.ground
         top = self._first_floor_row(pose, ground.room)
         pictures[:, :top] = self._sky
-        view = raster.View(*pose)
         flat = pictures.reshape(len(pictures), self._lens.height, -1)
         for start, stop, level in floor.bands:
             if stop > top:
                 texture = ground.textures[level]
-                raster.warp(flat, max(start, top), stop, texture, self._optics, view)
+                raster.warp(flat, max(start, top), stop, texture, self._optics, pose)
         rows = [self._row(thing) for thing in things]
         table = np.array(rows).reshape(-1, raster.THING_COLUMNS)
-        raster.draw(flat, self._optics, view, ground.enclosure, table, self._far, self._models)
+        raster.draw(flat, self._optics, pose, ground.enclosure, table, self._far, self._models)
 
     def _first_floor_row(self, pose: Pose, room: tuple[float, float, float, float]) -> int:
         """Return the row of the farthest floor in view: no floor lies beyond the room's corners."""

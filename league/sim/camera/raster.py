@@ -44,16 +44,23 @@ _inner = njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=Tru
 # Code on disk names the classes below: who renames one, or a field, renames `warp` and `draw` too.
 
 
-class View(NamedTuple):
-    """Where a camera is, as lens.Pose tells it: x, y, z, cosine and sine of its yaw and pitch."""
+class Pose(NamedTuple):
+    """Where a camera is; for a pair, the middle between the eyes."""
 
     x: float
+    """World frame [m]."""
     y: float
+    """World frame [m]."""
     z: float
+    """Above the floor [m]."""
     cos: float
+    """Cosine of the yaw."""
     sin: float
+    """Sine of the yaw."""
     pitch_cos: float
+    """Cosine of the downward tilt."""
     pitch_sin: float
+    """Sine of the downward tilt."""
 
 
 class Optics(NamedTuple):

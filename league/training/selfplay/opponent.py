@@ -88,8 +88,9 @@ class Opponent(Seats):
             picked = torch.searchsorted(edges, drawn.to(torch.float64), right=True)
             self.who = self.who.clone()
             self.who[rows] = picked.clamp(max=len(self._field.names) - 1)
-            self._pace = self._pace.clone()
-            self._pace[rows] = self._paces(rows)
+            if self._field.held_back:
+                self._pace = self._pace.clone()
+                self._pace[rows] = self._paces(rows)
         self._gained = self._gained.clone()
         self._gained[rows] = 0.0
         self._count += 1
@@ -98,6 +99,8 @@ class Opponent(Seats):
         """Return actions [steering, speed] in [-1, 1], float32 (num_rows, 2)."""
         self._awake = awake(observations["state"])
         actions = super().act(observations)
+        if not self._field.held_back:
+            return actions
         # Speeds are told from -1, (nearly) standing, to 1.
         speed = (actions[:, 1] + 1.0) * self._pace - 1.0
         return torch.stack([actions[:, 0], speed], dim=1)
