@@ -101,6 +101,8 @@ def _learner(command: Train) -> TrainConfig:
         "steps": command.rollout,
     }
     base = PpoConfig().refining() if command.init_from else PpoConfig()
+    if command.kind == "head_to_head":
+        base = base.racing()
     if command.hyperparameters is not None:
         base = _from_deepracer(command.hyperparameters, base, command)
     from dataclasses import replace

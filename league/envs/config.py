@@ -20,6 +20,8 @@ class RewardConfig:
     """For each complete lap."""
     overtake: float = 0.0
     """For each car passed on the road."""
+    gain: float = 0.0
+    """For each metre gained on a car that is near, whether ahead or behind."""
     off_track: float = -1.0
     """For leaving the road."""
     crash: float = -1.0

@@ -16,15 +16,15 @@ class Meeting:
 
     alone: float = 0.2
     """Share of car 0's episodes that it drives alone."""
-    standing: float = 0.35
+    standing: float = 0.2
     """Share that begins at rest on the starting grid, in any slot."""
-    rolling: float = 0.7
+    rolling: float = 0.9
     """Share of the rest that begins at speed; the others at rest."""
-    reach: float = 2.5
+    reach: float = 1.5
     """Farthest the others are put ahead of or behind car 0, along the track [m]."""
-    room: float = 1.0
+    room: float = 0.6
     """Nearest a car is put that joins while car 0 is driving [m]."""
-    lost: float = 5.0
+    lost: float = 4.0
     """A car farther away than this along the track begins anew near car 0 [m]."""
     top_speed: float = 3.5
     """Fastest rolling start [m/s]; before bends it is what the grip allows."""

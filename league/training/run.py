@@ -200,7 +200,7 @@ class Run:
             # A critic that knows nothing yet would spoil what the parent knows.
             self.learner.begin(dict(self._parent.weights))
         if self._self_play is not None:
-            self._self_play.after_update(self.learner)
+            self._self_play.after_update(self.learner, self._share())
             update = replace(update, log=update.log | self._self_play.log())
         return update
 

@@ -55,6 +55,8 @@ def test_centerline_pays_by_the_three_bands(ring, lateral, reward):
         ("crash", [(3.0, 0.1), (3.3, 0.1)], [(3.1, 0.1), (3.4, 0.1)], ((0, 1),), [1, 0]),
         ("contact", [(3.0, 0.1), (3.3, 0.1)], [(3.1, 0.1), (3.4, 0.1)], ((0, 1),), [0, 1]),
         ("overtake", [(3.0, 0.2), (3.1, -0.2)], [(3.3, 0.2), (3.1, -0.2)], (), [1, -1]),
+        # Nobody is near a car 1.6 m ahead, and across the start line 0.4 m is near.
+        ("gain", [(3.0, 0.2), (4.4, -0.2)], [(3.25, 0.2), (4.85, -0.2)], (), [0, 0]),
     ],
 )
 def test_event_pays_its_weight_to_whom_it_happened(ring, name, start, end, pairs, wanted):
@@ -63,8 +65,15 @@ def test_event_pays_its_weight_to_whom_it_happened(ring, name, start, end, pairs
     assert list(terms) == [name]
 
 
+def test_gain_is_what_one_car_drove_more_than_those_near_it(ring):
+    lap = float(ring().length[0])
+    start, end = [(lap - 0.3, 0.1), (0.1, -0.1)], [(lap - 0.05, 0.1), (0.2, -0.1)]
+    total, _ = told(ring(), replace(NOTHING, gain=2.0), start, end, ())
+    assert total[0].tolist() == pytest.approx([2.0 * 0.15, -2.0 * 0.15], abs=1e-4)
+
+
 def test_total_is_the_sum_of_what_is_logged(ring):
-    cfg = RewardConfig(1.0, 0.5, 2.0, 3.0, -4.0, -5.0, -6.0)
+    cfg = RewardConfig(1.0, 0.5, 2.0, 3.0, 1.5, -4.0, -5.0, -6.0)
     start, end = [(11.9, 0.1), (12.1, 0.1)], [(12.05, 0.1), (12.3, 0.1)]
     total, terms = told(ring(), cfg, start, end, ((0, 1),))
     assert terms.keys() == {
@@ -72,6 +81,7 @@ def test_total_is_the_sum_of_what_is_logged(ring):
         "centerline",
         "lap",
         "overtake",
+        "gain",
         "off_track",
         "crash",
         "contact",

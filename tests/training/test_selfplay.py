@@ -172,7 +172,9 @@ def test_who_leaves_the_road_has_lost_the_meeting(learner, other, result):
 def test_an_opponent_that_is_held_back_drives_slower_and_its_meetings_do_not_count():
     records = Records(10_000)
     seat = Opponent(1, SensorConfig(), 64, 1, records)
-    seat.choose_from(Field(("it",), (Constant(1.0, 0.5),), (1.0,), held_back=1.0, slowest=0.6), 0)
+    seat.choose_from(
+        Field(("it",), (Constant(1.0, 0.5),), (1.0,), held_back=1.0, held_to=(0.6, 1.0)), 0
+    )
     cfg = EnvConfig(
         sim=SimConfig(kind="head_to_head", num_cars=2),
         mode="training",
@@ -260,17 +262,17 @@ def test_resume_equals_a_run_that_was_never_interrupted(tmp_path):
     play, learner = playing(tmp_path / "run", blind())
     play.begin(learner)
     learner.update(0.0)
-    play.after_update(learner)
+    play.after_update(learner, 0.5)
     learner.save(tmp_path / "state.pt", {})
     kept = json.loads(json.dumps(play.state()))
     shutil.copytree(tmp_path / "run", tmp_path / "copy")
     learner.update(0.0)
-    play.after_update(learner)
+    play.after_update(learner, 0.5)
     again, fresh = playing(tmp_path / "copy")
     fresh.restore(tmp_path / "state.pt")
     again.restore(kept, fresh)
     fresh.update(0.0)
-    again.after_update(fresh)
+    again.after_update(fresh, 0.5)
     assert again.state() == play.state()
     there = fresh.weights()
     assert all(torch.equal(value, there[name]) for name, value in learner.weights().items())
@@ -282,7 +284,7 @@ def test_the_report_races_everybody_and_can_be_looked_at(tmp_path):
     play, learner = playing(tmp_path, blind())
     play.begin(learner)
     learner.update(0.0)
-    assert play.after_update(learner) == (len(play.pool.members) == 2)
+    assert play.after_update(learner, 0.5) == (len(play.pool.members) == 2)
     told = json.loads((tmp_path / "pool" / "pool.json").read_text())
     assert told[0]["name"] == "parent"
     found = play.report(blind(3))

@@ -33,8 +33,8 @@ class Field:
     """How often each is drawn; they add up to 1."""
     held_back: float = 0.0
     """Share of the draws in which an opponent drives slower than it could."""
-    slowest: float = 1.0
-    """Share of its own speed that it then drives at least."""
+    held_to: tuple[float, float] = (1.0, 1.0)
+    """Least and largest share of its own speed that it then drives."""
 
 
 class Opponent(Seats):
@@ -126,7 +126,8 @@ class Opponent(Seats):
         field = self._field
         held = draws.uniform(self._seed, _HELD, self._count, self._car, rows) < field.held_back
         drawn = draws.uniform(self._seed, _PACE, self._count, self._car, rows)
-        return torch.where(held, field.slowest + (1.0 - field.slowest) * drawn, 1.0)
+        least, most = field.held_to
+        return torch.where(held, least + (most - least) * drawn, 1.0)
 
     def _sit_nobody(self) -> None:
         self.who = torch.full((self._num_rows,), NOBODY)

@@ -26,7 +26,7 @@ from league.training.selfplay.settings import SelfPlayConfig
 from league.training.settings import TrainConfig
 
 NEWEST = "newest"
-STATE_FORMAT = 1
+STATE_FORMAT = 2
 _DRAWS_OF_AN_UPDATE = 1 << 20
 
 
@@ -73,7 +73,7 @@ class SelfPlay:
         self.records = Records(self._cfg.window)
         self.pool = Pool(Path(folder) / "pool", self._cfg.pool_size)
         self._policies: dict[str, Policy] = {}
-        self._candidates = 0
+        self._candidates, self._done = 0, 0.0
         self._seats = {
             car: Opponent(car, train.sensors, train.num_worlds, train.seed, self.records)
             for car in range(1, train.num_cars)
@@ -96,14 +96,19 @@ class SelfPlay:
             self.pool.add(self._parent, 0, forced=True, measured=None)
         self._seat(learner)
 
-    def after_update(self, learner: Learner) -> bool:
+    def after_update(self, learner: Learner, done: float) -> bool:
         """Renew the newest opponent, and maybe the pool, at a save point; call after each update.
+
+        Args:
+            learner: who races.
+            done: share of the run's budget that is used up.
 
         Returns:
             Whether a snapshot entered the pool.
         """
         if not learner.at_save_point:
             return False
+        self._done = min(max(done, 0.0), 1.0)
         self.pool.sweep()
         entered = False
         if learner.updates // self._cfg.candidate_every > self._candidates:
@@ -120,6 +125,7 @@ class SelfPlay:
             "members": self.pool.state(),
             "records": self.records.state(),
             "candidates": self._candidates,
+            "done": self._done,
         }
 
     def restore(self, state: Mapping[str, Any], learner: Learner) -> None:
@@ -133,7 +139,7 @@ class SelfPlay:
                 raise KeyError("format")
             self.pool.restore(state["members"])
             self.records.restore(state["records"])
-            self._candidates = int(state["candidates"])
+            self._candidates, self._done = int(state["candidates"]), float(state["done"])
         except (KeyError, TypeError, ValueError) as error:
             raise PolicyError(
                 f"the state of self-play cannot be gone on from ({type(error).__name__}): "
@@ -237,7 +243,7 @@ class SelfPlay:
                     *(cfg.scripted / len(scripted) for _ in scripted),
                 ),
                 held_back=cfg.held_back,
-                slowest=cfg.slowest,
+                held_to=cfg.held_to(self._done),
             )
             seat.choose_from(field, learner.updates * _DRAWS_OF_AN_UPDATE)
 

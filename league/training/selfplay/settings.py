@@ -44,8 +44,10 @@ class SelfPlayConfig:
     held_back: float = 0.0
     """Share of episodes in which the opponent, whoever it is, drives slower than it could: cars of
     like pace never pass each other, so from them alone nobody learns how to."""
-    slowest: float = 0.5
-    """Share of its own speed that an opponent who is held back drives at least."""
+    held_to_first: tuple[float, float] = (0.4, 0.6)
+    """Least and largest share of its own speed that such an opponent drives, as the run begins."""
+    held_to_last: tuple[float, float] = (0.6, 0.9)
+    """The same as the run ends; what is learnt on slow cars is then learnt on faster ones."""
     window: int = 400
     """Meetings remembered of each opponent."""
     pool_size: int = 48
@@ -80,15 +82,22 @@ class SelfPlayConfig:
             scripted=share,
         )
 
+    def held_to(self, done: float) -> tuple[float, float]:
+        """Return least and largest pace of who is held back, when so much of the run is done."""
+        first, last = self.held_to_first, self.held_to_last
+        return first[0] + done * (last[0] - first[0]), first[1] + done * (last[1] - first[1])
+
     def __post_init__(self) -> None:
         shares = (self.newest, self.prioritised, self.hardest, self.scripted)
         if min(shares) < 0 or abs(sum(shares) - 1.0) > 1e-6:
             raise ConfigError(
                 f"the shares of opponents are {shares}: give four from 0 to 1 that add up to 1"
             )
-        for name in ("held_back", "slowest"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ConfigError(f"{name} is {getattr(self, name)}: give a share from 0 to 1")
+        if not 0 <= self.held_back <= 1:
+            raise ConfigError(f"held_back is {self.held_back}: give a share from 0 to 1")
+        for name in ("held_to_first", "held_to_last"):
+            if not 0 <= (ends := getattr(self, name))[0] <= ends[1] <= 1:
+                raise ConfigError(f"{name} is {ends}: give two shares of a speed that rise")
         for name in ("races", "matrix_races"):
             if getattr(self, name) < 2 or getattr(self, name) % 2:
                 raise ConfigError(
