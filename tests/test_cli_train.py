@@ -183,7 +183,6 @@ def test_flag_beats_the_hyperparameters_file(league, tmp_path):
         (["--bots"], "--bots means nothing without --kind obstacle_avoidance"),
         (["--obstacles", "3"], "--obstacles means nothing without --kind obstacle_avoidance"),
         (["--scripted-share", "0.5"], "--scripted-share means nothing without --self-play"),
-        (["--held-back", "0.5"], "--held-back means nothing without --self-play"),
         (["--car-spread", "0.5"], "--car-spread means nothing without --random-cars"),
         (["--threads", "0"], "--threads is 0: give 1 to 1024"),
         (["--stop-when-complete", "-1"], "stop_when_complete is -1: give 0, which is never"),

@@ -60,6 +60,7 @@ class LineDriver:
         self.name, self.sensors = name, SensorConfig()
         line = _line(track, car, style.margin, style.grip)
         self._car, self._style = car, style
+        self._pace: float | Tensor = style.pace
         self._path = Path.of(line, track)
         self._steering = PreviewSteering.of(car)
         self._transfer = Limits.of(car).transfer
@@ -157,13 +158,13 @@ class LineDriver:
         self, road: Horizon, shift: Tensor, bends: Tensor, speed: Tensor, limit: Tensor
     ) -> Tensor:
         """Return the speed to ask for [m/s]."""
-        car, pace = self._car, self._style.pace
+        car = self._car
         # Beside the line the plan changes at every step: keep grip and speed in hand.
         beside = torch.clamp(shift.abs() / 0.1, max=1.0)
         grip = self._grip * (1.0 - self._style.reserve * beside)
         corner = torch.sqrt(grip / torch.clamp(bends.abs(), min=1e-3))
         line = road.speed * torch.sqrt(1.0 - self._style.reserve * beside)
-        allowed = pace * torch.minimum(line, corner)
+        allowed = self._pace * torch.minimum(line, corner)
         squared = list((allowed * allowed).unbind(dim=1))
         for node in reversed(range(NODES - 1)):
             most = squared[node + 1] + 2.0 * 0.8 * car.max_braking * NODE_GAP

@@ -30,7 +30,6 @@ KEPT = {
     "opponents": "opponents",
     "self_play": "self_play",
     "scripted_share": "scripted_share",
-    "held_back": "held_back",
     "hyperparameters": "train.ppo",
     "init_from": "init_from",
     "seed": "train.seed",

@@ -44,8 +44,6 @@ class Train:
     """Race against past selves, in head_to_head."""
     scripted_share: float = 0.1
     """Share of self-play against scripted drivers, who teach to pass what is slower."""
-    held_back: float = 0.0
-    """Share of self-play in which the opponent drives slower than it could."""
     hyperparameters: Path | None = None
     """A hyperparameters.json with DeepRacer's names."""
     resume: bool = False

@@ -45,7 +45,6 @@ def config(command: Train) -> RunConfig:
         opponents=command.opponents,
         self_play=command.self_play,
         scripted_share=command.scripted_share,
-        held_back=command.held_back,
         exam_opponents=command.exam_opponents,
         init_from=_parent(command.init_from),
         licence=command.licence,
@@ -63,7 +62,6 @@ def _check(command: Train) -> None:
         "opponents": racing,
         "self_play": racing,
         "scripted_share": (command.self_play, "--self-play"),
-        "held_back": (command.self_play, "--self-play"),
         "car_spread": (command.random_cars, "--random-cars"),
     }
     flags.refuse_ignored(command, needs)

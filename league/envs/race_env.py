@@ -14,6 +14,7 @@ from league.envs.sensing import Sensing
 from league.errors import ActionError, ConfigError, WorldError
 from league.sim import draws, grid, meeting, obstacles, referee, solvers
 from league.sim.config import SimConfig
+from league.sim.meeting_config import Meeting
 from league.sim.referee import Verdict
 from league.sim.world import Control, World, select
 from league.track.course import TrackSet
@@ -123,6 +124,10 @@ class RaceEnv:
         """Pretend that episodes began earlier or later, so that not all end at the same time."""
         assert steps.shape == self._episode_steps.shape
         self._episode_steps = steps.to(self._episode_steps)
+
+    def meet(self, how: Meeting) -> None:
+        """Have cars meet in another way from the next episodes on; see `EnvConfig.meeting`."""
+        self.cfg = replace(self.cfg, meeting=how)
 
     @property
     def longest_episode(self) -> int:

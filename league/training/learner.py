@@ -118,7 +118,7 @@ class Learner:
         self.updates += 1
         self.samples += self.env.num_envs * self.cfg.ppo.steps
         if self.updates % self.cfg.save_every == 0:
-            self._start_rows_anew()
+            self.start_rows_anew()
         return Update(
             number=self.updates,
             samples=self.samples,
@@ -177,10 +177,10 @@ class Learner:
                 f"{path} cannot be gone on from ({type(error).__name__}): give the run the "
                 "settings it was begun with, or begin anew with another --out"
             ) from None
-        self._start_rows_anew()
+        self.start_rows_anew()
         return notes
 
-    def _start_rows_anew(self) -> None:
+    def start_rows_anew(self) -> None:
         """Begin all episodes anew, from a seed that only the number of updates decides."""
         with torch.inference_mode():
             seed = self.cfg.seed * 1_000_003 + self.updates

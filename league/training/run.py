@@ -98,7 +98,7 @@ class Run:
                 tracks,
                 train,
                 self._card(),
-                cfg=SelfPlayConfig(held_back=cfg.held_back).with_scripted(cfg.scripted_share),
+                cfg=SelfPlayConfig().with_scripted(cfg.scripted_share),
                 parent=self._parent,
             )
             opponents = self._self_play.drivers()

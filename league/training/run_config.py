@@ -47,8 +47,6 @@ class RunConfig:
     """Race against past selves instead."""
     scripted_share: float = 0.1
     """Share of self-play that is against scripted drivers, who teach to pass what is slower."""
-    held_back: float = 0.0
-    """Share of self-play in which the opponent drives slower than it could."""
     init_from: str = ""
     """Checkpoint to begin from."""
     licence: str = "CC-BY-4.0"

@@ -18,7 +18,8 @@ from league.agents.network import Actor, NetworkConfig, from_learner
 from league.agents.policy import Policy
 from league.agents.scripted import CenterlineDriver
 from league.envs.config import EnvConfig
-from league.envs.state import SIZE
+from league.envs.race_env import RaceEnv
+from league.envs.state import INDEX, SIZE
 from league.envs.vec_env import RacingVecEnv
 from league.errors import ConfigError, PolicyError
 from league.sim.config import CarConfig, SensorConfig, SimConfig
@@ -30,6 +31,7 @@ from league.training.learner import Learner
 from league.training.selfplay import SelfPlay, SelfPlayConfig, duels, opponent
 from league.training.selfplay.matrix import WinMatrix
 from league.training.selfplay.opponent import NOBODY, Field, Opponent
+from league.training.selfplay.pacer import Pacer
 from league.training.selfplay.pool import Pool, spread
 from league.training.selfplay.records import DRAWN, LOST, WON, Records
 from league.training.selfplay.seats import Seats
@@ -169,27 +171,43 @@ def test_who_leaves_the_road_has_lost_the_meeting(learner, other, result):
     assert told.count(result) > 0.7 * len(told)
 
 
-def test_an_opponent_that_is_held_back_drives_slower_and_its_meetings_do_not_count():
-    records = Records(10_000)
-    seat = Opponent(1, SensorConfig(), 64, 1, records)
-    seat.choose_from(
-        Field(("it",), (Constant(1.0, 0.5),), (1.0,), held_back=1.0, held_to=(0.6, 1.0)), 0
-    )
-    cfg = EnvConfig(
-        sim=SimConfig(kind="head_to_head", num_cars=2),
-        mode="training",
-        meeting=Meeting(alone=0.0, standing=0.0),
-    )
-    env = RacingVecEnv(RING, cfg, num_worlds=64, opponents={1: seat})
-    for _ in range(25):  # full lock: the opponent leaves the road, and the learner would have won
-        env.step(torch.tensor([0.17, -0.5]).expand(64, 2).clone())
-    assert records.meetings("it") == 0
-    actions = seat.act({"state": torch.zeros(64, SIZE)})
-    # (0.5 + 1) * 0.6 - 1 = -0.1 at least, and 0.5 at most.
-    assert bool((actions[:, 0] == 1.0).all())
-    assert -0.1 <= float(actions[:, 1].min()) < 0.0 and 0.4 < float(actions[:, 1].max()) <= 0.5
-    seat.choose_from(Field(("it",), (Constant(1.0, 0.5),), (1.0,)), 0)
-    assert bool((seat.act({"state": torch.zeros(64, SIZE)})[:, 1] == 0.5).all())
+def paced(low: float, high: float, steps: int = 60) -> tuple[Pacer, torch.Tensor]:
+    """Return a pacer and how far it came in each of 32 worlds [m]."""
+    pacer = Pacer(RING.tracks[0], CAR, seed=1, number=1)
+    pacer.keep_between((low, high), 7)
+    env = RaceEnv(RING, EnvConfig(sim=SimConfig()), num_worlds=32, seed=3)
+    told, driven = env.reset(seed=3), torch.zeros(32)
+    for _ in range(steps):
+        taken = env.step(pacer.act(told[0]).unsqueeze(1))
+        assert not bool(taken.verdict.mistake.any())
+        told, driven = taken.observations, driven + taken.verdict.advance[:, 0]
+    return pacer, driven
+
+
+def test_a_pacer_drives_the_line_at_a_share_of_its_pace_that_is_drawn_for_each_row():
+    (_, full), (pacer, slow) = paced(1.0, 1.0), paced(0.4, 0.6)
+    share = slow / full
+    # All start from rest, so the slow ones lose less than their share of the pace.
+    assert 0.4 <= float(share.min()) < 0.52 and 0.56 < float(share.max()) <= 0.7
+    assert torch.equal(slow, paced(0.4, 0.6)[1])
+    state = torch.zeros(32, SIZE)
+    state[:, INDEX["speed_ahead"]], state[:, INDEX["curvature_0.25m"]] = 1.7, 0.5
+    before = pacer.act({"state": state})[:, 1]
+    pacer.reset(torch.arange(32) < 16)
+    after = pacer.act({"state": state})[:, 1]
+    assert torch.equal(before[16:], after[16:]) and not torch.equal(before[:16], after[:16])
+
+
+def test_a_pacer_looks_at_nobody():
+    state = torch.zeros(4, SIZE)
+    state[:, INDEX["speed_ahead"]] = 2.0
+    behind = state.clone()
+    behind[:, INDEX["car_0_present"]], behind[:, INDEX["car_0_gap"]] = 1.0, 0.4
+    asked = []
+    for told in (state, behind):
+        pacer = Pacer(RING.tracks[0], CAR, seed=1, number=1)
+        asked.append(pacer.act({"state": told}))
+    assert torch.equal(*asked)
 
 
 def members(pool: Pool, updates: list[int]) -> None:
@@ -350,7 +368,8 @@ def test_a_parent_with_other_sensors_is_refused(tmp_path):
         ({"newest": 0.9}, "add up to 1"),
         ({"races": 3}, "even number"),
         ({"rivals": 0}, "at least"),
-        ({"held_back": 1.5}, "a share from 0 to 1"),
+        ({"pacers": 1.5}, "a share from 0 to 1"),
+        ({"last_paces": (0.9, 0.6)}, "that rise"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(wrong, said):

@@ -18,7 +18,7 @@ from league.training.selfplay.seats import Seats, awake
 NOBODY = -1
 CLEAR_GAIN = 0.162
 """Gain that decides a meeting which no mistake decides [m]: half a car, as for a pass."""
-_MEMBER, _HELD, _PACE = 411, 412, 413
+_MEMBER = 411
 
 
 @dataclass(frozen=True)
@@ -31,10 +31,6 @@ class Field:
     """Of each opponent; for this car alone, if they remember anything."""
     shares: tuple[float, ...]
     """How often each is drawn; they add up to 1."""
-    held_back: float = 0.0
-    """Share of the draws in which an opponent drives slower than it could."""
-    held_to: tuple[float, float] = (1.0, 1.0)
-    """Least and largest share of its own speed that it then drives."""
 
 
 class Opponent(Seats):
@@ -88,9 +84,6 @@ class Opponent(Seats):
             picked = torch.searchsorted(edges, drawn.to(torch.float64), right=True)
             self.who = self.who.clone()
             self.who[rows] = picked.clamp(max=len(self._field.names) - 1)
-            if self._field.held_back:
-                self._pace = self._pace.clone()
-                self._pace[rows] = self._paces(rows)
         self._gained = self._gained.clone()
         self._gained[rows] = 0.0
         self._count += 1
@@ -98,19 +91,13 @@ class Opponent(Seats):
     def act(self, observations) -> Tensor:  # noqa: ANN001
         """Return actions [steering, speed] in [-1, 1], float32 (num_rows, 2)."""
         self._awake = awake(observations["state"])
-        actions = super().act(observations)
-        if not self._field.held_back:
-            return actions
-        # Speeds are told from -1, (nearly) standing, to 1.
-        speed = (actions[:, 1] + 1.0) * self._pace - 1.0
-        return torch.stack([actions[:, 0], speed], dim=1)
+        return super().act(observations)
 
     def watch(self, car: int, step: Step) -> None:
         """Count what the learner, car 0, gained in a step, and meetings that ended with it."""
         seen = step.verdict
         self._gained = self._gained + seen.advance[:, 0] - seen.advance[:, car]
-        # Who was held back was beaten by that, maybe: it says nothing of the two.
-        over = step.began[:, car] & self._awake & (self.who != NOBODY) & (self._pace == 1.0)
+        over = step.began[:, car] & self._awake & (self.who != NOBODY)
         if not bool(over.any()):
             return
         mine, other = seen.mistake[:, 0], seen.mistake[:, car]
@@ -121,17 +108,8 @@ class Opponent(Seats):
             result = WON if merit > 1 else LOST if merit < -1 else DRAWN
             self._records.add(self._field.names[who], result)
 
-    def _paces(self, rows: Tensor) -> Tensor:
-        """Draw which share of its own speed an opponent drives in these rows."""
-        field = self._field
-        held = draws.uniform(self._seed, _HELD, self._count, self._car, rows) < field.held_back
-        drawn = draws.uniform(self._seed, _PACE, self._count, self._car, rows)
-        least, most = field.held_to
-        return torch.where(held, least + (most - least) * drawn, 1.0)
-
     def _sit_nobody(self) -> None:
         self.who = torch.full((self._num_rows,), NOBODY)
-        self._pace = torch.ones(self._num_rows)
         self._gained = torch.zeros(self._num_rows)
         self._awake = torch.zeros(self._num_rows, dtype=torch.bool)
 

@@ -20,6 +20,7 @@ from league.training.learner import Learner
 from league.training.selfplay import duels, matrix, opponent
 from league.training.selfplay.matrix import WinMatrix
 from league.training.selfplay.opponent import Field, Opponent
+from league.training.selfplay.pacer import Pacer
 from league.training.selfplay.pool import PARENT, Member, Pool, spread
 from league.training.selfplay.records import Records
 from league.training.selfplay.settings import SelfPlayConfig
@@ -81,10 +82,7 @@ class SelfPlay:
         self._car = worlds.env_config(train).sim.car
         # A driver that remembers is one car's alone; with several tracks there are none.
         one_track = len(tracks.tracks) == 1 and self._cfg.scripted > 0
-        names = self._cfg.scripted_drivers if one_track else ()
-        self._scripted = {
-            car: [roster.load(name, tracks, self._car) for name in names] for car in self._seats
-        }
+        self._scripted = {car: self._teachers(car) if one_track else {} for car in self._seats}
 
     def drivers(self) -> Mapping[int, Driver]:
         """Return who drives each car but the learner's."""
@@ -224,8 +222,12 @@ class SelfPlay:
         newest = self._built(self._snapshot(learner), NEWEST)
         members = [self._policy(member) for member in self.pool.members]
         cfg, rates = self._cfg, self._win_rates()
+        first = learner.updates * _DRAWS_OF_AN_UPDATE
         for car, seat in self._seats.items():
             scripted = self._scripted[car]
+            for driver in scripted:
+                if isinstance(driver, Pacer):
+                    driver.keep_between(cfg.paces(self._done), first)
             own = 1.0 - cfg.scripted
             part, each = opponent.shares(
                 [rates[member.name] for member in self.pool.members],
@@ -240,12 +242,20 @@ class SelfPlay:
                 shares=(
                     kept * part,
                     *(kept * share for share in each),
-                    *(cfg.scripted / len(scripted) for _ in scripted),
+                    *(cfg.scripted * share for share in scripted.values()),
                 ),
-                held_back=cfg.held_back,
-                held_to=cfg.held_to(self._done),
             )
-            seat.choose_from(field, learner.updates * _DRAWS_OF_AN_UPDATE)
+            seat.choose_from(field, first)
+        # Anew, so that a run that goes on from here begins with the same meetings.
+        learner.env.race_env.meet(cfg.meeting(self._done))
+        learner.start_rows_anew()
+
+    def _teachers(self, car: int) -> dict[Driver, float]:
+        """Return the scripted drivers of a car, each with its part of their share."""
+        pacers = self._cfg.pacers
+        pacer = Pacer(self._tracks.tracks[0], self._car, self._train.seed, car)
+        slow = roster.load("centerline", self._tracks, self._car)
+        return {slow: 1.0 - pacers, pacer: pacers}
 
     def _snapshot(self, learner: Learner) -> Checkpoint:
         return Checkpoint(

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 from league.errors import ConfigError
 from league.sim.config import Spread
+from league.sim.meeting_config import Meeting
 
 
 @dataclass(frozen=True)
@@ -39,15 +40,15 @@ class SelfPlayConfig:
     """Share against the member with the smallest win rate."""
     scripted: float = 0.10
     """Share against scripted drivers; only where all worlds are on one track."""
-    scripted_drivers: tuple[str, ...] = ("centerline",)
-    """Their names."""
-    held_back: float = 0.0
-    """Share of episodes in which the opponent, whoever it is, drives slower than it could: cars of
-    like pace never pass each other, so from them alone nobody learns how to."""
-    held_to_first: tuple[float, float] = (0.4, 0.6)
-    """Least and largest share of its own speed that such an opponent drives, as the run begins."""
-    held_to_last: tuple[float, float] = (0.6, 0.9)
-    """The same as the run ends; what is learnt on slow cars is then learnt on faster ones."""
+    pacers: float = 0.75
+    """Part of that share that pacers have, the rest is `centerline`'s."""
+    first_paces: tuple[float, float] = (0.4, 0.6)
+    """Least and largest share of the racing line's pace that pacers drive as the run begins."""
+    last_paces: tuple[float, float] = (0.6, 0.9)
+    """The same as it ends: what is learnt on slow cars is learnt again on faster ones."""
+    warm_up: float = 0.2
+    """Part of the run, at its start, in which the learner drives alone but for starting grids: who
+    is slow itself hardly ever comes near enough to others to learn how to pass them."""
     window: int = 400
     """Meetings remembered of each opponent."""
     pool_size: int = 48
@@ -82,9 +83,17 @@ class SelfPlayConfig:
             scripted=share,
         )
 
-    def held_to(self, done: float) -> tuple[float, float]:
-        """Return least and largest pace of who is held back, when so much of the run is done."""
-        first, last = self.held_to_first, self.held_to_last
+    def meeting(self, done: float) -> Meeting:
+        """Return how cars meet when so much of the run is done."""
+        usual = Meeting()
+        if done >= self.warm_up:
+            return usual
+        return replace(usual, alone=1.0 - usual.standing)
+
+    def paces(self, done: float) -> tuple[float, float]:
+        """Return least and largest pace of pacers, as shares, when so much of the run is done."""
+        first, last = self.first_paces, self.last_paces
+        done = max(done - self.warm_up, 0.0) / max(1.0 - self.warm_up, 1e-9)
         return first[0] + done * (last[0] - first[0]), first[1] + done * (last[1] - first[1])
 
     def __post_init__(self) -> None:
@@ -93,11 +102,12 @@ class SelfPlayConfig:
             raise ConfigError(
                 f"the shares of opponents are {shares}: give four from 0 to 1 that add up to 1"
             )
-        if not 0 <= self.held_back <= 1:
-            raise ConfigError(f"held_back is {self.held_back}: give a share from 0 to 1")
-        for name in ("held_to_first", "held_to_last"):
-            if not 0 <= (ends := getattr(self, name))[0] <= ends[1] <= 1:
-                raise ConfigError(f"{name} is {ends}: give two shares of a speed that rise")
+        for name in ("pacers", "warm_up"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ConfigError(f"{name} is {getattr(self, name)}: give a share from 0 to 1")
+        for name in ("first_paces", "last_paces"):
+            if not 0.1 <= (ends := getattr(self, name))[0] <= ends[1] <= 1:
+                raise ConfigError(f"{name} is {ends}: give two shares from 0.1 to 1 that rise")
         for name in ("races", "matrix_races"):
             if getattr(self, name) < 2 or getattr(self, name) % 2:
                 raise ConfigError(

@@ -1,0 +1,68 @@
+"""Who teaches to pass: a car on the racing line, slower than it could be, that looks at nobody."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from league.agents.scripted import LineDriver, Style
+from league.envs.state import INDEX, NEIGHBOURS
+from league.sim import draws
+from league.sim.config import CarConfig
+from league.track.course import Track
+
+_PACE = 413
+_PRESENT = [INDEX[f"car_{rank}_present"] for rank in range(NEIGHBOURS)]
+
+
+class Pacer(LineDriver):
+    """Drives the racing line at a share of its pace, drawn for each row when it is reset.
+
+    Among cars of like pace there is nothing to pass, so of them alone nobody learns how to; a
+    trained policy that is slowed down leaves the road, because it never drove like that.
+    """
+
+    def __init__(self, track: Track, car: CarConfig, seed: int, number: int) -> None:
+        """Seek the line.
+
+        Args:
+            track: the course.
+            car: what it drives.
+            seed: makes the draws.
+            number: of its car in each world; another car is another draw.
+        """
+        super().__init__("pacer", track, car, Style())
+        self._seed, self._number = torch.tensor(seed), number
+        self._between, self._count = (1.0, 1.0), 0
+        self._shares = torch.zeros(0)
+
+    def keep_between(self, paces: tuple[float, float], count: int) -> None:
+        """Draw shares between these from now on; `count` is the number of the first draw."""
+        self._between, self._count = paces, count
+
+    def reset(self, rows: Tensor | None) -> None:
+        """Draw another pace in these rows, and forget what was driven."""
+        super().reset(rows)
+        self._count += 1
+        if rows is None:
+            self._shares = torch.zeros(0)
+        elif len(self._shares):
+            rows = rows.nonzero()[:, 0] if rows.dtype == torch.bool else rows
+            self._shares = self._shares.clone()
+            self._shares[rows] = self._drawn(rows)
+
+    def act(self, observations: Mapping[str, Tensor]) -> Tensor:
+        """Return actions from the `state` group."""
+        state = observations["state"].clone()
+        if len(self._shares) != len(state):
+            self._shares = self._drawn(torch.arange(len(state)))
+        state[:, _PRESENT] = 0.0
+        self._pace = self._shares.unsqueeze(1)
+        return super().act({"state": state})
+
+    def _drawn(self, rows: Tensor) -> Tensor:
+        least, most = self._between
+        share = draws.uniform(self._seed, _PACE, self._count, self._number, rows)
+        return least + (most - least) * share
