@@ -10,7 +10,7 @@ import pytest
 
 HOUSE = Path(__file__).parents[1] / "league"
 FLOORS = {
-    "league": 1, "geometry": 1, "errors": 1, "whole_file": 1,
+    "league": 1, "geometry": 1, "errors": 1, "whole_file": 1, "compiled": 1,
     "track": 2,
     "sim": 3,
     "race_spec": 4, "envs": 4, "replay": 4,
@@ -24,6 +24,7 @@ FLOORS = {
 HEAVY = {
     "rerun": ("rerun_view",),
     "pybullet": ("sim.bullet",),
+    "numba": ("compiled", "sim.camera.raster"),
     "pettingzoo": ("envs.multi_env",),
     "rsl_rl": ("envs.vec_env", "training"),
     "tensordict": ("envs.vec_env", "training"),

@@ -1,8 +1,6 @@
-"""The compiled painter by hand-worked pixels, and what its cache on disk must not miss."""
+"""The compiled painter by hand-worked pixels."""
 
-import ast
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -155,28 +153,3 @@ def test_planes_part_a_car_whichever_way_its_wheels_stand():
                 plane = tables.parting[first + one, other]
                 if one != other:
                     assert (points @ plane[:3] <= plane[3] + 1e-6).all()
-
-
-def test_what_is_compiled_takes_nothing_from_files_whose_change_the_cache_would_miss():
-    tree = ast.parse(Path(raster.__file__).read_text(encoding="utf-8"))
-    found = {
-        (node.module if isinstance(node, ast.ImportFrom) else alias.name).split(".")[0]
-        for node in ast.walk(tree)
-        if isinstance(node, (ast.Import, ast.ImportFrom))
-        for alias in node.names
-    }
-    assert found == {"math", "collections", "typing", "numpy", "numba"}
-
-
-def test_without_a_folder_to_write_to_it_compiles_all_the_same(monkeypatch):
-    asked = []
-
-    def njit(**settings):
-        asked.append(settings)
-        if settings.get("cache"):
-            raise RuntimeError("cannot cache function: no locator available")
-        return lambda function: function
-
-    monkeypatch.setattr(raster, "njit", njit)
-    assert raster._compiled(len) is len
-    assert len(asked) == 2 and "cache" not in asked[1]

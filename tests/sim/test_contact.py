@@ -1,67 +1,73 @@
 import math
+from types import SimpleNamespace
 
+import numpy as np
 import open_floor
 import pytest
 import torch
 
-from league.sim import near
+from league.sim import collision, near
 from league.sim.config import ContactConfig
-from league.sim.manifold import Pose, find_manifold
+
+BOX = (0.162, 0.098, 0.0, 0.0)
 
 
-def pose(x, y, yaw, half_length=0.162, half_width=0.098):
-    one = torch.ones(1)
-    return Pose(
-        one * x, one * y, one * math.cos(yaw), one * math.sin(yaw), one * half_length,
-        one * half_width,
+def meet(one, two):
+    """Return whether two cars' boxes at x, y, yaw lie opposite, and what `manifold` tells."""
+    told = []
+    for x, y, yaw in (one, two):
+        turn = np.array([math.cos(yaw), math.sin(yaw)], np.float32)
+        told += [np.array([x, y, yaw, 0, 0, 0], np.float32), turn, np.array(BOX, np.float32)]
+    out = np.zeros(14, np.float32)
+    exists = collision.manifold.py_func(*told, out)
+    return exists, SimpleNamespace(
+        normal=out[:2], gap=out[2:4], first_x=out[4:6], first_y=out[6:8], second_x=out[8:10],
+        second_y=out[10:12],
     )  # fmt: skip
 
 
 def test_boxes_nose_to_tail_touch_at_both_corners():
-    m = find_manifold(pose(0, 0, 0), pose(0.334, 0, 0))
-    assert (m.normal_x.item(), m.normal_y.item()) == (1.0, 0.0)
+    exists, m = meet((0, 0, 0), (0.334, 0, 0))
+    assert exists and m.normal.tolist() == [1.0, 0.0]
     # 0.334 - 2 * 0.162 = 0.010 apart, all across the width.
-    assert m.gap.flatten().tolist() == pytest.approx([0.010, 0.010], abs=1e-6)
-    assert m.first_x.flatten().tolist() == pytest.approx([0.167, 0.167], abs=1e-6)
-    assert m.first_y.flatten().tolist() == pytest.approx([-0.098, 0.098], abs=1e-6)
-    assert m.second_x.flatten().tolist() == pytest.approx([-0.167, -0.167], abs=1e-6)
-    assert m.exists.all()
+    assert m.gap.tolist() == pytest.approx([0.010, 0.010], abs=1e-6)
+    assert m.first_x.tolist() == pytest.approx([0.167, 0.167], abs=1e-6)
+    assert m.first_y.tolist() == pytest.approx([-0.098, 0.098], abs=1e-6)
+    assert m.second_x.tolist() == pytest.approx([-0.167, -0.167], abs=1e-6)
 
 
 def test_shifted_boxes_side_by_side_touch_where_they_overlap():
-    m = find_manifold(pose(0, 0, 0), pose(0.1, -0.19, 0))
-    assert (m.normal_x.item(), m.normal_y.item()) == (0.0, -1.0)
-    assert m.gap.flatten().tolist() == pytest.approx([-0.006, -0.006], abs=1e-6)
+    _, m = meet((0, 0, 0), (0.1, -0.19, 0))
+    assert m.normal.tolist() == [0.0, -1.0]
+    assert m.gap.tolist() == pytest.approx([-0.006, -0.006], abs=1e-6)
     # The faces share x from 0.1 - 0.162 to 0.162.
-    assert sorted(m.first_x.flatten().tolist()) == pytest.approx([-0.062, 0.162], abs=1e-6)
+    assert sorted(m.first_x.tolist()) == pytest.approx([-0.062, 0.162], abs=1e-6)
 
 
 def test_corner_into_a_side_is_one_deep_point():
     reach = math.hypot(0.162, 0.098)
     corner = math.atan2(0.098, 0.162)
     # The second box stands on its corner, 0.002 m inside the first one's left side.
-    m = find_manifold(pose(0, 0, 0), pose(0, 0.098 + reach - 0.002, -math.pi / 2 - corner))
-    assert m.normal_y.item() == pytest.approx(1.0)
-    shallow, deep = sorted(m.gap.flatten().tolist(), reverse=True)
+    _, m = meet((0, 0, 0), (0, 0.098 + reach - 0.002, -math.pi / 2 - corner))
+    assert m.normal[1] == pytest.approx(1.0)
+    shallow, deep = sorted(m.gap.tolist(), reverse=True)
     assert deep == pytest.approx(-0.002, abs=1e-5)
     assert shallow > 0.05
 
 
 def test_boxes_past_each_others_corner_have_no_contact():
-    m = find_manifold(pose(0, 0, 0), pose(0.33, 0.2, 0))
-    assert not m.exists.any()
+    exists, _ = meet((0, 0, 0), (0.33, 0.2, 0))
+    assert not exists
 
 
 def test_manifold_turns_with_the_pair():
     turn = 1.1
     c, s = math.cos(turn), math.sin(turn)
-    flat = find_manifold(pose(0, 0, 0.2), pose(0.25, 0.12, 0.9))
-    turned = find_manifold(
-        pose(0, 0, 0.2 + turn), pose(c * 0.25 - s * 0.12, s * 0.25 + c * 0.12, 0.9 + turn)
-    )
-    torch.testing.assert_close(turned.gap, flat.gap, atol=1e-6, rtol=0)
-    expected = c * flat.normal_x - s * flat.normal_y
-    torch.testing.assert_close(turned.normal_x, expected, atol=1e-6, rtol=0)
+    _, flat = meet((0, 0, 0.2), (0.25, 0.12, 0.9))
+    _, turned = meet((0, 0, 0.2 + turn), (c * 0.25 - s * 0.12, s * 0.25 + c * 0.12, 0.9 + turn))
+    assert turned.gap.tolist() == pytest.approx(flat.gap.tolist(), abs=1e-6)
+    x, y = flat.normal
+    assert turned.normal.tolist() == pytest.approx([c * x - s * y, s * x + c * y], abs=1e-6)
 
 
 @pytest.mark.parametrize("num_cars", [2, 3, 5, 8])

@@ -1,8 +1,7 @@
 """Compiled painting: a floor from its texture, then walls and things as convex polygons.
 
-Numba compiles these functions when they are first called, and keeps the machine code on disk. It
-looks for changes in this file alone, so all that is compiled stands here, and everything
-that other files know (shapes, colours, sizes) comes as an argument.
+Everything that other files know (shapes, colours, sizes) comes as an argument (league/compiled.py
+says why).
 
 A pixel belongs to a polygon if its centre lies inside: neighbours share no pixel and leave none
 out.
@@ -12,13 +11,12 @@ out.
 # pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
 
 import math
-from collections.abc import Callable
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
-from numba import int32, njit, uint8, uint32
+from numba import int32, uint8, uint32
 
-_Function = TypeVar("_Function", bound=Callable)
+from league.compiled import compiled, inner
 
 MODEL, X, Y, COS, SIN, STEERING, ALONG, ACROSS, UPWARD, SHADE, SUNLIT = (*range(10), 12)
 """Columns of a thing: those of stage.Thing, with its colour as three numbers in the shade and three
@@ -27,18 +25,6 @@ THING_COLUMNS = 15
 
 MOST_CORNERS = 16
 """Of a face."""
-
-
-def _compiled(function: _Function) -> _Function:
-    """Compile a function that is called from Python; kept on disk wherever there is a place."""
-    try:
-        return njit(cache=True, error_model="numpy")(function)
-    except RuntimeError:  # no folder can be written
-        return njit(error_model="numpy")(function)
-
-
-_inner = njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-"""Compiles a function that only compiled ones call."""
 
 
 # Code on disk names the classes below: who renames one, or a field, renames `warp` and `draw` too.
@@ -140,7 +126,7 @@ class Models(NamedTuple):
 # Pixels --------------------------------------------------------------------------------------
 
 
-@_compiled
+@compiled
 def warp(pictures, start, stop, texture, optics, view):
     """Draw the floor into some rows of each eye's picture, bilinear.
 
@@ -183,13 +169,13 @@ def warp(pictures, start, stop, texture, optics, view):
             _blend(pictures[eye, row], channels, texels, columns, corner, share)
 
 
-@_inner
+@inner
 def _fixed(number):
     """Return a number as int32; floor so far away that it does not fit lies behind a wall."""
     return int32(min(max(number, -2147483000.0), 2147483000.0))
 
 
-@_inner
+@inner
 def _blend(out, channels, texels, columns, corner, share):
     """Mix four texels for each pixel of a row; gather them first, as only the rest vectorises."""
     if channels == 1:
@@ -206,7 +192,7 @@ def _blend(out, channels, texels, columns, corner, share):
             out[u * channels + channel] = _mixed(four[u], share[u])
 
 
-@_inner
+@inner
 def _four(texels, here, stride, step):
     """Return a texel, those to its right and above it, and the one to its upper right."""
     return (
@@ -217,7 +203,7 @@ def _four(texels, here, stride, step):
     )
 
 
-@_inner
+@inner
 def _mixed(four, share):
     """Return the mean of four bytes, weighted by 8 bits across and 8 bits upwards."""
     right, up = share & uint32(255), share >> uint32(16)
@@ -227,7 +213,7 @@ def _mixed(four, share):
     return uint8((low * (uint32(256) - up) + high * up + uint32(32768)) >> uint32(16))
 
 
-@_inner
+@inner
 def _fill(picture, channels, points, count, colour, spans):
     """Fill a convex polygon of (u, v) pixels; (height, width * channels), spans (height, 2)."""
     height, width = len(picture), picture.shape[1] // channels
@@ -258,13 +244,13 @@ def _fill(picture, channels, points, count, colour, spans):
                     picture[row, u * channels + channel] = colour[channel]
 
 
-@_inner
+@inner
 def _row(at, size):
     """Return the first whole number that is not less, within 0 and size."""
     return int(min(max(math.ceil(at), 0.0), float(size)))
 
 
-@_inner
+@inner
 def _polygon(pictures, eye, points, count, colour, optics, scratch):
     """Cut a polygon of X, Y, Z in the camera's frame at the near plane, project it and fill it."""
     pixels, spans = scratch
@@ -293,7 +279,7 @@ def _polygon(pictures, eye, points, count, colour, optics, scratch):
 # The room ------------------------------------------------------------------------------------
 
 
-@_compiled
+@compiled
 def draw(pictures, optics, view, room, things, far, models):
     """Draw the walls round a room, then the things in it, far to near.
 
@@ -321,7 +307,7 @@ def draw(pictures, optics, view, room, things, far, models):
         _thing(pictures, optics, view, thing, foot, far, models, scratch)
 
 
-@_inner
+@inner
 def _walls(pictures, optics, view, room, scratch):
     """Draw the walls, which stand side by side, so in any order."""
     corners = (
@@ -340,7 +326,7 @@ def _walls(pictures, optics, view, room, scratch):
             _polygon(pictures, eye, points, len(points), colour, optics, scratch)
 
 
-@_inner
+@inner
 def _camera(points, k, x, y, z, view):
     """Write a point of the world as X, Y, Z of the camera's frame."""
     dx, dy = x - view.x, y - view.y
@@ -350,7 +336,7 @@ def _camera(points, k, x, y, z, view):
     points[k, 2] = ahead * view.pitch_cos - up * view.pitch_sin
 
 
-@_inner
+@inner
 def _lit(colour, light, facing):
     """Write the colour of a face that the sun meets at an angle of this cosine."""
     for channel in range(3):
@@ -361,7 +347,7 @@ def _lit(colour, light, facing):
 # Things --------------------------------------------------------------------------------------
 
 
-@_inner
+@inner
 def _stand(foot, thing, view, optics, slope, models):
     """Write where a thing stands before the camera; return whether it may be seen.
 
@@ -382,7 +368,7 @@ def _stand(foot, thing, view, optics, slope, models):
     return depth + reach >= optics.near and aside <= slope * depth
 
 
-@_inner
+@inner
 def _thing(pictures, optics, view, thing, foot, far, models, scratch):
     """Draw one thing: for each eye its solids, far to near, and of each the faces turned to it."""
     model = int(thing[MODEL])
@@ -426,7 +412,7 @@ def _thing(pictures, optics, view, thing, foot, far, models, scratch):
                 _polygon(pictures, eye, points, count, colour, optics, scratch)
 
 
-@_inner
+@inner
 def _project(place, base, solid, thing, foot, view, models):
     """Write the vertices of a solid as X, Y, Z of the camera's frame."""
     steered = models.solids[solid, 4] != 0
@@ -447,7 +433,7 @@ def _project(place, base, solid, thing, foot, view, models):
 # What hides what -----------------------------------------------------------------------------
 
 
-@_inner
+@inner
 def _order(first, last, x, y, z, models):
     """Return the solids of a model, far to near, for an eye in the model's frame.
 
@@ -463,7 +449,7 @@ def _order(first, last, x, y, z, models):
     return _painted(before, np.zeros(count))
 
 
-@_inner
+@inner
 def _far_to_near(feet):
     """Return the order in which things must be painted, as indices.
 
@@ -486,7 +472,7 @@ def _far_to_near(feet):
     return _painted(before, distance)
 
 
-@_inner
+@inner
 def _painted(before, distance):
     """Return an order in which nothing comes too early; where they go in a circle, the farthest.
 
@@ -512,7 +498,7 @@ def _painted(before, distance):
     return order
 
 
-@_inner
+@inner
 def _bearings(foot):
     """Return the least and the greatest y / x of a rectangle; all, if it is not wholly ahead."""
     ahead_x, ahead_y = foot[2] * foot[4], foot[3] * foot[4]
@@ -528,14 +514,14 @@ def _bearings(foot):
     return low - spare, high + spare
 
 
-@_inner
+@inner
 def _compare(one, other):
     """Return -1 if `one` must be painted before `other`, 1 if after, 0 if they overlap."""
     side = _parted(one, other)
     return side if side else -_parted(other, one)
 
 
-@_inner
+@inner
 def _parted(one, other):
     """Return -1 if a side of `one` parts the two with the camera beyond it, 1 if before it."""
     dx, dy = other[0] - one[0], other[1] - one[1]
