@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from torch import Tensor
 
@@ -14,14 +14,8 @@ from league.sim.config import CameraConfig
 from league.sim.world import World
 from league.track.course import TrackSet
 
-
-class Renderer(Protocol):
-    """Draws what one car sees; two exist, cv and ray."""
-
-    def render(self, world: World, car: int, rows: Tensor | None = None) -> Tensor:
-        """Return uint8 pictures of some worlds, (num_rows, channels, height, width)."""
-        ...
-
+if TYPE_CHECKING:  # OpenCV and Numba come late
+    from league.sim.camera.renderer import Renderer
 
 Reading = Callable[[World, Tensor | None], Tensor]
 

@@ -114,6 +114,14 @@ def test_members_are_drawn_by_the_square_of_the_loss_rate():
     )
 
 
+def test_the_parent_is_met_however_often_it_is_beaten():
+    mix = {"newest": 0.3, "prioritised": 0.4, "hardest": 0.1, "parent": 0.2}
+    newest, members = opponent.shares([1.0, 0.0], **mix)
+    assert newest == 0.3
+    assert members == pytest.approx([0.4 * 0.0025 / 1.0025 + 0.2, 0.4 / 1.0025 + 0.1])
+    assert opponent.shares([], **mix) == (pytest.approx(1.0), [])
+
+
 def test_a_member_that_always_loses_is_still_met_now_and_then():
     _, members = opponent.shares([1.0, 0.0], newest=0.35, prioritised=0.45, hardest=0.1)
     assert members[0] == pytest.approx(0.45 * 0.0025 / 1.0025)

@@ -15,10 +15,9 @@ from league.sim.camera import looks as look_room
 from league.sim.camera import scene
 from league.sim.camera.ground import Floor
 from league.sim.camera.lens import NEAR
-from league.sim.camera.setting import Setting
+from league.sim.camera.renderer import Renderer
 from league.sim.camera.stage import Stage, Thing
 from league.sim.config import CameraConfig, LookConfig, SimConfig
-from league.sim.world import World
 from league.track.course import TrackSet
 
 _FAR = 1e9
@@ -86,15 +85,8 @@ class _Body:
     """(num_rows, 3)."""
 
 
-class RayRenderer:
-    """Renders one camera of one car in many worlds at once.
-
-    Args:
-        tracks: the tracks of the worlds; pictures are made on their device.
-        sim: settings of the worlds.
-        camera: the camera.
-        looks: randomisation of the pictures, if any.
-    """
+class RayRenderer(Renderer):
+    """Casts the rays of many worlds at once, on the tracks' device."""
 
     def __init__(
         self,
@@ -103,23 +95,13 @@ class RayRenderer:
         camera: CameraConfig,
         looks: LookConfig | None = None,
     ) -> None:
-        self._setting = Setting.of(tracks, sim, camera, looks)
+        """Keep the device; see Renderer."""
+        super().__init__(tracks, sim, camera, looks)
         self._device = tracks.device
         self._floors: dict[int, tuple[Floor, list[Tensor]]] = {}
 
-    def render(self, world: World, car: int, rows: Tensor | None = None) -> Tensor:
-        """Return the pictures of one car; uint8, (num_rows, channels, height, width).
-
-        Channels are left gray, right gray; in colour the left eye's red, green, blue, then the
-        right eye's.
-
-        Args:
-            world: the batch.
-            car: slot of the car that looks.
-            rows: worlds to render, int64; None for all.
-        """
-        cfg = self._setting.camera
-        stage, look = self._setting.stage(world, rows, car)
+    def _draw(self, stage: Stage, car: int, look: look_room.Look | None) -> Tensor:
+        cfg = self._camera
         pixels = cfg.num_eyes * cfg.height * cfg.width
         size = max(1, _PIXELS_AT_ONCE.get(self._device.type, 1 << 20) // pixels)
         found = torch.zeros((len(stage.track), *cfg.shape), dtype=torch.uint8, device=self._device)
@@ -129,7 +111,7 @@ class RayRenderer:
         return found
 
     def _render(self, stage: Stage, car: int, rows: range, look: look_room.Look | None) -> Tensor:
-        cfg = self._setting.camera
+        cfg = self._camera
         poses = self._tensor([stage.camera(row, car, cfg) for row in rows])
         rays = self._rays(poses)
         depth, pictures = self._room([stage.track[row] for row in rows], poses, rays)
@@ -137,7 +119,7 @@ class RayRenderer:
             body = self._body(poses, slot)
             if body.model is scene.CAR:
                 distance = torch.sqrt(body.x * body.x + body.y * body.y)
-                is_far = distance > scene.far_from(self._setting.lens.focal)
+                is_far = distance > scene.far_from(self._lens.focal)
                 for model, mask in ((scene.CAR, ~is_far), (scene.FAR_CAR, is_far)):
                     depth, pictures = self._meet(
                         rays, replace(body, model=model), mask, depth, pictures
@@ -157,7 +139,7 @@ class RayRenderer:
     # The room ------------------------------------------------------------------------------
 
     def _rays(self, poses: Tensor) -> _Rays:
-        lens = self._setting.lens
+        lens = self._lens
         height, pitch_cos, pitch_sin = (poses[:, index].reshape(-1, 1, 1, 1) for index in (2, 5, 6))
         across = (torch.arange(lens.width, device=self._device) - lens.cx) / lens.focal
         down = (torch.arange(lens.height, device=self._device) - lens.cy) / lens.focal
@@ -180,7 +162,7 @@ class RayRenderer:
         inside = rays.turned(-(cos * x + sin * y), sin * x - cos * y, cos, -sin)
         index = torch.tensor(tracks, device=self._device)
         x_min, y_min, x_max, y_max = (
-            part.reshape(-1, 1, 1, 1) for part in self._setting.tracks.room[index].unbind(1)
+            part.reshape(-1, 1, 1, 1) for part in self._tracks.room[index].unbind(1)
         )
         far = torch.full_like(inside.x, _FAR)
         to_x = torch.where(inside.ahead > 0, x_max - inside.x, x_min - inside.x) / inside.ahead
@@ -197,9 +179,9 @@ class RayRenderer:
         on_x = torch.where(inside.ahead > 0, 1, 3)
         side = torch.where(to_x < to_y, on_x, torch.where(inside.left > 0, 2, 0))
         side = torch.where(is_wall, side, 4)
-        channels = 3 if self._setting.camera.colour else 1
+        channels = 3 if self._camera.colour else 1
         pictures = torch.empty((*far.shape, channels), device=self._device)
-        sky = scene.SKY_COLOUR if self._setting.camera.colour else scene.luma(scene.SKY_COLOUR)
+        sky = scene.SKY_COLOUR if self._camera.colour else scene.luma(scene.SKY_COLOUR)
         for track in sorted(set(tracks)):
             here = (index == track).nonzero()[:, 0]
             floor, textures = self._floor(track)
@@ -211,8 +193,8 @@ class RayRenderer:
 
     def _floor(self, track: int) -> tuple[Floor, list[Tensor]]:
         if track not in self._floors:
-            floor = self._setting.floor(track)
-            channels = 3 if self._setting.camera.colour else 1
+            floor = self._painted(track)
+            channels = 3 if self._camera.colour else 1
             textures = [
                 torch.from_numpy(level.image).to(self._device).reshape(-1, channels)
                 for level in floor.ground.levels
@@ -299,7 +281,7 @@ class RayRenderer:
                 facing = torch.clamp(nx * sun_x + ny * sun_y + nz * scene.SUN[2], min=0)
                 sun = self._tensor(scene.DIFFUSE) * facing.unsqueeze(1)
                 base = base * (scene.AMBIENT + sun)
-            if not self._setting.camera.colour:
+            if not self._camera.colour:
                 red, green, blue = base.unbind(1)
                 parts = scene.LUMA
                 base = (parts[0] * red + parts[1] * green + parts[2] * blue).unsqueeze(1)

@@ -115,7 +115,12 @@ class Opponent(Seats):
 
 
 def shares(
-    win_rates: Sequence[float], *, newest: float, prioritised: float, hardest: float
+    win_rates: Sequence[float],
+    *,
+    newest: float,
+    prioritised: float,
+    hardest: float,
+    parent: float = 0.0,
 ) -> tuple[float, list[float]]:
     """Return the share of the newest self, and of each member of the pool (facts 2.2).
 
@@ -124,11 +129,13 @@ def shares(
         newest: share of the newest; it is all there is without members.
         prioritised: share of members in proportion to (1 - win rate) squared.
         hardest: share of the member with the smallest win rate.
+        parent: share of the first member, if that is the learner's parent.
     """
     if not win_rates:
-        return newest + prioritised + hardest, []
+        return newest + prioritised + hardest + parent, []
     # Nobody is never drawn: what is not met can be forgotten unnoticed.
     losses = [max(1.0 - rate, 0.05) ** 2 for rate in win_rates]
     members = [prioritised * loss / sum(losses) for loss in losses]
     members[min(range(len(win_rates)), key=win_rates.__getitem__)] += hardest
+    members[0] += parent
     return newest, members

@@ -229,11 +229,13 @@ class SelfPlay:
                 if isinstance(driver, Pacer):
                     driver.keep_between(cfg.paces(self._done), first)
             own = 1.0 - cfg.scripted
+            begun = bool(members) and self.pool.members[0].name == PARENT
             part, each = opponent.shares(
                 [rates[member.name] for member in self.pool.members],
-                newest=cfg.newest / own,
+                newest=(cfg.newest + (0.0 if begun else cfg.parent)) / own,
                 prioritised=cfg.prioritised / own,
                 hardest=cfg.hardest / own,
+                parent=cfg.parent / own if begun else 0.0,
             )
             kept = own if scripted else 1.0
             field = Field(

@@ -32,15 +32,17 @@ class DuelConfig:
 class SelfPlayConfig:
     """How opponents are drawn, and what is kept of the past."""
 
-    newest: float = 0.35
+    newest: float = 0.25
     """Share of episodes against the learner's own weights of the last save point."""
-    prioritised: float = 0.45
+    prioritised: float = 0.25
     """Share against members of the pool, each in proportion to (1 - win rate) squared."""
     hardest: float = 0.10
     """Share against the member with the smallest win rate."""
-    scripted: float = 0.10
+    parent: float = 0.20
+    """Share against the policy that the learner began from; without one it is the newest's."""
+    scripted: float = 0.20
     """Share against scripted drivers; only where all worlds are on one track."""
-    pacers: float = 0.75
+    pacers: float = 0.85
     """Part of that share that pacers have, the rest is `centerline`'s."""
     first_paces: tuple[float, float] = (0.4, 0.6)
     """Least and largest share of the racing line's pace that pacers drive as the run begins."""
@@ -80,6 +82,7 @@ class SelfPlayConfig:
             newest=self.newest * rest,
             prioritised=self.prioritised * rest,
             hardest=self.hardest * rest,
+            parent=self.parent * rest,
             scripted=share,
         )
 
@@ -97,10 +100,10 @@ class SelfPlayConfig:
         return first[0] + done * (last[0] - first[0]), first[1] + done * (last[1] - first[1])
 
     def __post_init__(self) -> None:
-        shares = (self.newest, self.prioritised, self.hardest, self.scripted)
+        shares = (self.newest, self.prioritised, self.hardest, self.parent, self.scripted)
         if min(shares) < 0 or abs(sum(shares) - 1.0) > 1e-6:
             raise ConfigError(
-                f"the shares of opponents are {shares}: give four from 0 to 1 that add up to 1"
+                f"the shares of opponents are {shares}: give five from 0 to 1 that add up to 1"
             )
         for name in ("pacers", "warm_up"):
             if not 0 <= getattr(self, name) <= 1:

@@ -1,0 +1,68 @@
+"""Renderer: one camera of one kind of race, and what both ways to make its pictures do first."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+from torch import Tensor
+
+from league.sim.camera import looks as looks_room
+from league.sim.camera.ground import Floor, floor_of
+from league.sim.camera.lens import Lens
+from league.sim.camera.looks import Look
+from league.sim.camera.stage import Stage
+from league.sim.config import CameraConfig, LookConfig, SimConfig
+from league.sim.world import World
+from league.track.course import TrackSet
+
+
+class Renderer(ABC):
+    """Makes the pictures of one camera of one car in many worlds.
+
+    There are two: `PaintRenderer` for the CPU, and `RayRenderer` for any device.
+    """
+
+    def __init__(
+        self,
+        tracks: TrackSet,
+        sim: SimConfig,
+        camera: CameraConfig,
+        looks: LookConfig | None = None,
+    ) -> None:
+        """Work out the lens.
+
+        Args:
+            tracks: the tracks of the worlds.
+            sim: settings of the worlds.
+            camera: the camera.
+            looks: randomisation of the pictures, if any.
+        """
+        self._tracks, self._sim, self._camera = tracks, sim, camera
+        self._looks = None if looks is None or looks.is_plain else looks
+        self._lens = Lens.of(camera)
+
+    def render(self, world: World, car: int, rows: Tensor | None = None) -> Tensor:
+        """Return the pictures of one car; uint8, (num_rows, channels, height, width).
+
+        Channels are left gray, right gray; in colour the left eye's red, green, blue, then the
+        right eye's.
+
+        Args:
+            world: the batch.
+            car: slot of the car that looks.
+            rows: worlds to render, int64; None for all.
+        """
+        look = None
+        if self._looks is not None:
+            look = looks_room.draw(self._looks, world, rows, car, self._camera.colour)
+        pictures = self._draw(Stage(self._sim, world, rows, look), car, look)
+        return pictures.to(world.motion.x.device)
+
+    @abstractmethod
+    def _draw(self, stage: Stage, car: int, look: Look | None) -> Tensor:
+        """Return the pictures of a car of all worlds of a stage, on whatever device."""
+
+    def _painted(self, track: int) -> Floor:
+        """Return the painted floor of a track as this camera needs it."""
+        cfg = self._camera
+        return floor_of(self._tracks.tracks[track], self._lens, cfg.up, cfg.pitch, cfg.colour)
