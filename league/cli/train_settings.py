@@ -118,6 +118,7 @@ def _learner(command: Train) -> TrainConfig:
         action_space=parse_actions(command.action_space),
         sensors=parse_sensors(command.sensors),
         ppo=ppo,
+        critic_hidden=(256, 256) if command.kind == "head_to_head" else (128, 128),
         mirror=not command.no_mirror,
         both_directions=command.both_directions,
         looks=LookConfig(light=0.3, colour=0.15, noise=6.0, blur=0.6)

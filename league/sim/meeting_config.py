@@ -16,7 +16,7 @@ class Meeting:
 
     alone: float = 0.2
     """Share of car 0's episodes that it drives alone."""
-    standing: float = 0.2
+    standing: float = 0.35
     """Share that begins at rest on the starting grid, in any slot."""
     rolling: float = 0.9
     """Share of the rest that begins at speed; the others at rest."""

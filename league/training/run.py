@@ -195,7 +195,10 @@ class Run:
         )
 
     def _updated(self) -> Update:
-        update = self.learner.update(self._share())
+        share = self._share()
+        if self._self_play is not None:
+            share = self._self_play.schedule(share)
+        update = self.learner.update(share)
         if self._parent is not None and update.number <= CRITIC_FIRST:
             # A critic that knows nothing yet would spoil what the parent knows.
             self.learner.begin(dict(self._parent.weights))

@@ -370,9 +370,38 @@ def test_a_parent_with_other_sensors_is_refused(tmp_path):
         SelfPlay(tmp_path, RING, cfg, CARD, parent=blind())
 
 
+def test_schedules_run_through_once_for_the_warm_up_and_once_for_the_rest():
+    cfg = SelfPlayConfig(warm_up=0.2, first_paces=(0.4, 0.6), last_paces=(0.6, 0.9))
+    told = [cfg.schedule(done) for done in (0.0, 0.1, 0.2, 0.6, 1.0)]
+    assert told == pytest.approx([0.0, 0.5, 0.0, 0.5, 1.0])
+    assert cfg.paces(0.1) == cfg.paces(0.2) == pytest.approx((0.4, 0.6))
+    assert cfg.paces(0.6) == pytest.approx((0.5, 0.75))
+    assert cfg.meeting(0.1).alone == pytest.approx(1.0 - Meeting().standing)
+    assert cfg.meeting(0.2) == Meeting()
+
+
+@pytest.mark.parametrize("parent", [None, 1])
+def test_whoever_is_missing_leaves_its_share_to_the_others(tmp_path, parent):
+    play, learner = playing(tmp_path, parent and blind(parent))
+    play.begin(learner)
+    field = play.drivers()[1]._field
+    assert sum(field.shares) == pytest.approx(1.0)
+    told = dict(zip(field.names, field.shares, strict=True))
+    cfg = SHORT
+    if parent is None:
+        assert set(told) == {"newest", "centerline", "pacer"}
+        own = cfg.newest + cfg.prioritised + cfg.hardest
+        assert told["newest"] == pytest.approx(own / (own + cfg.scripted))
+    else:
+        assert told["newest"] == pytest.approx(cfg.newest)
+        assert told["parent"] == pytest.approx(cfg.prioritised + cfg.hardest + cfg.parent)
+    assert told["pacer"] == pytest.approx(told["centerline"] * cfg.pacers / (1 - cfg.pacers))
+
+
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
+        ({"warm_up": 1.0}, "below 1"),
         ({"newest": 0.9}, "add up to 1"),
         ({"races": 3}, "even number"),
         ({"rivals": 0}, "at least"),

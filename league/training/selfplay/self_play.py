@@ -116,6 +116,10 @@ class SelfPlay:
         self.pool.write(self._win_rates())
         return entered
 
+    def schedule(self, done: float) -> float:
+        """Return where the learner's schedules stand when this share of the budget is used up."""
+        return self._cfg.schedule(min(max(done, 0.0), 1.0))
+
     def state(self) -> dict[str, Any]:
         """Return all that is remembered but the files of the pool, JSON-able."""
         return {
@@ -228,24 +232,20 @@ class SelfPlay:
             for driver in scripted:
                 if isinstance(driver, Pacer):
                     driver.keep_between(cfg.paces(self._done), first)
-            own = 1.0 - cfg.scripted
             begun = bool(members) and self.pool.members[0].name == PARENT
             part, each = opponent.shares(
                 [rates[member.name] for member in self.pool.members],
-                newest=(cfg.newest + (0.0 if begun else cfg.parent)) / own,
-                prioritised=cfg.prioritised / own,
-                hardest=cfg.hardest / own,
-                parent=cfg.parent / own if begun else 0.0,
+                newest=cfg.newest,
+                prioritised=cfg.prioritised,
+                hardest=cfg.hardest,
+                parent=cfg.parent if begun else 0.0,
             )
-            kept = own if scripted else 1.0
+            weights = (part, *each, *(cfg.scripted * share for share in scripted.values()))
             field = Field(
                 names=(NEWEST, *(m.name for m in self.pool.members), *(d.name for d in scripted)),
                 drivers=(newest, *members, *scripted),
-                shares=(
-                    kept * part,
-                    *(kept * share for share in each),
-                    *(cfg.scripted * share for share in scripted.values()),
-                ),
+                # Who is missing, a parent or scripted drivers, leaves its share to all others.
+                shares=tuple(weight / sum(weights) for weight in weights),
             )
             seat.choose_from(field, first)
         # Anew, so that a run that goes on from here begins with the same meetings.

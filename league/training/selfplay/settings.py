@@ -32,14 +32,14 @@ class DuelConfig:
 class SelfPlayConfig:
     """How opponents are drawn, and what is kept of the past."""
 
-    newest: float = 0.25
+    newest: float = 0.10
     """Share of episodes against the learner's own weights of the last save point."""
-    prioritised: float = 0.25
+    prioritised: float = 0.14
     """Share against members of the pool, each in proportion to (1 - win rate) squared."""
-    hardest: float = 0.10
+    hardest: float = 0.06
     """Share against the member with the smallest win rate."""
-    parent: float = 0.20
-    """Share against the policy that the learner began from; without one it is the newest's."""
+    parent: float = 0.50
+    """Share against the policy that the learner began from, where there is one."""
     scripted: float = 0.20
     """Share against scripted drivers; only where all worlds are on one track."""
     pacers: float = 0.85
@@ -48,9 +48,10 @@ class SelfPlayConfig:
     """Least and largest share of the racing line's pace that pacers drive as the run begins."""
     last_paces: tuple[float, float] = (0.6, 0.9)
     """The same as it ends: what is learnt on slow cars is learnt again on faster ones."""
-    warm_up: float = 0.2
+    warm_up: float = 0.3
     """Part of the run, at its start, in which the learner drives alone but for starting grids: who
-    is slow itself hardly ever comes near enough to others to learn how to pass them."""
+    does not drive well alone does not learn to pass. The learner's schedules run through once for
+    this part and once for the rest."""
     window: int = 400
     """Meetings remembered of each opponent."""
     pool_size: int = 48
@@ -93,10 +94,16 @@ class SelfPlayConfig:
             return usual
         return replace(usual, alone=1.0 - usual.standing)
 
+    def schedule(self, done: float) -> float:
+        """Return how much of the warm-up, or else of the rest, is done: 0 to 1 twice."""
+        if done < self.warm_up:
+            return done / self.warm_up
+        return (done - self.warm_up) / (1.0 - self.warm_up)
+
     def paces(self, done: float) -> tuple[float, float]:
         """Return least and largest pace of pacers, as shares, when so much of the run is done."""
         first, last = self.first_paces, self.last_paces
-        done = max(done - self.warm_up, 0.0) / max(1.0 - self.warm_up, 1e-9)
+        done = 0.0 if done < self.warm_up else self.schedule(done)
         return first[0] + done * (last[0] - first[0]), first[1] + done * (last[1] - first[1])
 
     def __post_init__(self) -> None:
@@ -105,9 +112,10 @@ class SelfPlayConfig:
             raise ConfigError(
                 f"the shares of opponents are {shares}: give five from 0 to 1 that add up to 1"
             )
-        for name in ("pacers", "warm_up"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ConfigError(f"{name} is {getattr(self, name)}: give a share from 0 to 1")
+        if not 0 <= self.pacers <= 1:
+            raise ConfigError(f"pacers is {self.pacers}: give a share from 0 to 1")
+        if not 0 <= self.warm_up < 1:
+            raise ConfigError(f"warm_up is {self.warm_up}: give a share from 0 to below 1")
         for name in ("first_paces", "last_paces"):
             if not 0.1 <= (ends := getattr(self, name))[0] <= ends[1] <= 1:
                 raise ConfigError(f"{name} is {ends}: give two shares from 0.1 to 1 that rise")
