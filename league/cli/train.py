@@ -42,7 +42,7 @@ class Train:
     """Drivers or checkpoints to race against, in head_to_head."""
     self_play: bool = False
     """Race against past selves, in head_to_head."""
-    scripted_share: float = 0.1
+    scripted_share: float = 0.2
     """Share of self-play against scripted drivers, who teach to pass what is slower."""
     hyperparameters: Path | None = None
     """A hyperparameters.json with DeepRacer's names."""

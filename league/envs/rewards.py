@@ -18,7 +18,7 @@ PRESETS = {
     "progress": RewardConfig(progress=3.0, off_track=-3.0, crash=-3.0),
     "race": RewardConfig(progress=3.0, overtake=3.0, gain=1.5, off_track=-3.0, crash=-3.0),
 }
-"""Ready weights by name: at most about 1 for a step (4 m/s are 0.27 m, or 0.8), so that a learner
+"""Ready weights by name: of order 1 for a step (4 m/s are 0.27 m, or 0.8), so that a learner
 that discounts by 0.99 sees returns of some tens; a mistake costs what a second of racing earns."""
 
 
@@ -137,13 +137,15 @@ def overtake(tracks: TrackSet, world: World, verdict: Verdict) -> Tensor:
 
 
 def gain(tracks: TrackSet, world: World, verdict: Verdict) -> Tensor:
-    """Metres gained in this step on each other car within 1.5 m along the track, of all of them.
+    """Metres gained in this step on each other car within 1.5 m along the track, summed over them.
 
     A pass that pays only once it is done is hardly ever found by chance; this pays on the way to
     it. After Fuchs et al., "Super-Human Performance in Gran Turismo Sport" (2021), and Song et al.,
     "Autonomous Overtaking in Gran Turismo Sport" (2021), section IV.
     """
-    s, moving = world.standing.s, world.standing.penalty_s == 0
+    book = world.standing
+    s = book.s
+    moving = (book.penalty_s == 0) & ~verdict.released & torch.isinf(book.finish_s)
     away = tracks.signed_gap(world.track, s.unsqueeze(2), s.unsqueeze(1)).abs()
     near = (away < _NEAR) & moving.unsqueeze(1) & moving.unsqueeze(2)
     more = verdict.advance.unsqueeze(2) - verdict.advance.unsqueeze(1)  # [w, i, j]: i than j

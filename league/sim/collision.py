@@ -33,7 +33,7 @@ FASTEST_MEND = np.float32(0.005)
 SWEEPS = 2
 """Times friction and pressure answer each other when a pair is worked."""
 REPEATS = 2
-"""Further times that pairs are worked which share a body that moves with another acting pair."""
+"""Further times that pairs are worked which share a car with another acting pair."""
 _TOGETHER = np.float32(1e-3)
 """Two points that almost coincide cannot share the load."""
 _ZERO, _HALF, _ONE, _TWO = (np.float32(number) for number in (0.0, 0.5, 1.0, 2.0))

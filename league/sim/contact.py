@@ -57,7 +57,8 @@ class Resolver:
         self._first, self._second = seats[:num_pairs], seats[num_pairs:]
         if fixed:
             # A fixed body sits behind the cars, has no inverse mass and turns as it did.
-            things = np.concatenate(fixed, 1).T
+            # Row by row in memory: for another order all would be compiled anew.
+            things = np.ascontiguousarray(np.concatenate(fixed, 1).T)
             numbers = np.arange(len(things)) + len(self._near)
             self._second = np.concatenate((self._second, numbers))
             self._fixed = np.pad(things[:, :5], ((0, 0), (0, 1)))

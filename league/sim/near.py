@@ -1,7 +1,7 @@
 """Which boxes may touch within a control step: pairs of cars, cars and obstacles, cars and walls.
 
-Pairs come in rounds in which no car occurs twice, so that a round can be worked elementwise; a
-round of cars is one of a round-robin tournament, obstacles and walls have a round each.
+Pairs come in rounds in which no car occurs twice, which gives them their order: a round of cars is
+one of a round-robin tournament, obstacles and walls have a round each.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ class RunConfig:
     """Drivers or checkpoints that race against the learner."""
     self_play: bool = False
     """Race against past selves instead."""
-    scripted_share: float = 0.1
+    scripted_share: float = 0.2
     """Share of self-play that is against scripted drivers, who teach to pass what is slower."""
     init_from: str = ""
     """Checkpoint to begin from."""

@@ -72,6 +72,23 @@ def test_gain_is_what_one_car_drove_more_than_those_near_it(ring):
     assert total[0].tolist() == pytest.approx([2.0 * 0.15, -2.0 * 0.15], abs=1e-4)
 
 
+def test_nobody_gains_on_a_car_that_stands_or_is_home(ring):
+    tracks = ring()
+    before = put_cars(tracks, TWO, [(3.0, 0.1), (3.5, -0.1)])
+    after = go_to(tracks, before, [(3.25, 0.1), (3.5, -0.1)])
+    verdict, standing = referee.judge(tracks, TWO, before, after, touch(after))
+    second = torch.tensor([[False, True]])
+    for changed, told in (
+        (replace(standing, penalty_s=torch.where(second, 1.0, 0.0)), verdict),
+        (replace(standing, finish_s=torch.where(second, 9.0, torch.inf)), verdict),
+        (standing, replace(verdict, released=second)),
+    ):
+        world = replace(after, standing=changed)
+        assert rewards.gain(tracks, world, told).tolist() == [[0.0, 0.0]]
+    free = rewards.gain(tracks, replace(after, standing=standing), verdict)
+    assert free[0].tolist() == pytest.approx([0.25, -0.25], abs=1e-4)
+
+
 def test_total_is_the_sum_of_what_is_logged(ring):
     cfg = RewardConfig(1.0, 0.5, 2.0, 3.0, 1.5, -4.0, -5.0, -6.0)
     start, end = [(11.9, 0.1), (12.1, 0.1)], [(12.05, 0.1), (12.3, 0.1)]

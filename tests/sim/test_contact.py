@@ -138,3 +138,11 @@ def test_far_cars_are_no_pairs():
     sim = open_floor.settings(3)
     now = open_floor.world(sim, x=[0.0, 1.5, 3.0])
     assert near.find_rounds(now, now.standing.ghost, sim, open_floor.floor()) == []
+
+
+def test_a_lone_car_in_a_corner_meets_the_code_that_is_compiled_already():
+    place = open_floor.WALL - 0.162
+    crash(0.0, 0.0, x=[0.0, 0.4], velocity_x=[1.0, -1.0])
+    known = list(collision.part.signatures)
+    crash(0.0, 0.0, steps=1, x=[place, 0.0], y=[place, 0.0], velocity_x=[1.0, 0.0])
+    assert collision.part.signatures == known

@@ -390,8 +390,7 @@ def test_whoever_is_missing_leaves_its_share_to_the_others(tmp_path, parent):
     cfg = SHORT
     if parent is None:
         assert set(told) == {"newest", "centerline", "pacer"}
-        own = cfg.newest + cfg.prioritised + cfg.hardest
-        assert told["newest"] == pytest.approx(own / (own + cfg.scripted))
+        assert told["newest"] == pytest.approx(1.0 - cfg.scripted)
     else:
         assert told["newest"] == pytest.approx(cfg.newest)
         assert told["parent"] == pytest.approx(cfg.prioritised + cfg.hardest + cfg.parent)
@@ -402,6 +401,7 @@ def test_whoever_is_missing_leaves_its_share_to_the_others(tmp_path, parent):
     ("wrong", "said"),
     [
         ({"warm_up": 1.0}, "below 1"),
+        ({"newest": 0.0, "parent": 0.6}, "nobody else"),
         ({"newest": 0.9}, "add up to 1"),
         ({"races": 3}, "even number"),
         ({"rivals": 0}, "at least"),

@@ -93,7 +93,11 @@ _FIELDS = tuple(Verdict.__dataclass_fields__)
 
 
 def _verdicts(replay: Replay) -> Verdict:
-    """Return what the referee found in each frame; the first, on the grid, is empty."""
+    """Return what the referee found in each frame; the first, on the grid, is empty.
+
+    A record does not tell how far a car came in the step in which it crashed: that step counts as
+    none, so a built-in reward's gains on it and by it there differ from what the race paid.
+    """
     crashed_car, crashed_obstacle = _with_whom(replay)
     crashed = (crashed_car != NOBODY) | (crashed_obstacle != NOBODY)
     moved = torch.from_numpy(np.diff(replay.columns.distance, axis=0, prepend=0.0))

@@ -117,8 +117,14 @@ class SelfPlay:
         return entered
 
     def schedule(self, done: float) -> float:
-        """Return where the learner's schedules stand when this share of the budget is used up."""
-        return self._cfg.schedule(min(max(done, 0.0), 1.0))
+        """Return where the learner's schedules stand when this share of the budget is used up.
+
+        They begin anew when meetings change, which is at a save point.
+        """
+        warm_up, done = self._cfg.warm_up, min(max(done, 0.0), 1.0)
+        if self._done < warm_up:
+            return min(done / warm_up, 1.0)
+        return self._cfg.schedule(max(done, warm_up))
 
     def state(self) -> dict[str, Any]:
         """Return all that is remembered but the files of the pool, JSON-able."""
@@ -240,12 +246,16 @@ class SelfPlay:
                 hardest=cfg.hardest,
                 parent=cfg.parent if begun else 0.0,
             )
-            weights = (part, *each, *(cfg.scripted * share for share in scripted.values()))
+            # Without a parent, or scripted drivers, the others have their share in proportion.
+            own = (1.0 - cfg.scripted if scripted else 1.0) / (part + sum(each))
             field = Field(
                 names=(NEWEST, *(m.name for m in self.pool.members), *(d.name for d in scripted)),
                 drivers=(newest, *members, *scripted),
-                # Who is missing, a parent or scripted drivers, leaves its share to all others.
-                shares=tuple(weight / sum(weights) for weight in weights),
+                shares=(
+                    own * part,
+                    *(own * share for share in each),
+                    *(cfg.scripted * share for share in scripted.values()),
+                ),
             )
             seat.choose_from(field, first)
         # Anew, so that a run that goes on from here begins with the same meetings.

@@ -119,6 +119,8 @@ class SelfPlayConfig:
         for name in ("first_paces", "last_paces"):
             if not 0.1 <= (ends := getattr(self, name))[0] <= ends[1] <= 1:
                 raise ConfigError(f"{name} is {ends}: give two shares from 0.1 to 1 that rise")
+        if not self.newest:
+            raise ConfigError("newest is 0: give a share, at first there is nobody else")
         for name in ("races", "matrix_races"):
             if getattr(self, name) < 2 or getattr(self, name) % 2:
                 raise ConfigError(
