@@ -124,14 +124,20 @@ def dodger(found: Found, races: int = 50) -> None:
     _lap("dodger: mean lap, penalties included", seen.mean_lap_s)
 
 
+def novice(found: Found) -> None:
+    """Three laps after a minute of training."""
+    seen = evaluate(str(found["novice"]), HOME, laps=3)
+    figure("novice: complete laps of 3", seen.complete_laps, "laps", 3)
+    _lap("novice: best flying lap", seen.best_flying_s)
+
+
 def duelist(found: Found, races: int = 200) -> None:
     """Mirrored races against its parent, against the centreline, and against its own past."""
     tracks, car = TrackSet.of(files.load(HOME)), CarConfig()
     mine = roster.policy(str(found["duelist"]), tracks, car, exact=False)
     rivals: dict[str, tuple[Driver, float]] = {}
-    if "racer" in found:
-        racer_ = roster.policy(str(found["racer"]), tracks, car, exact=False)
-        rivals["racer"] = racer_, 0.65
+    if "novice" in found:  # its parent
+        rivals["novice"] = roster.policy(str(found["novice"]), tracks, car, exact=False), 0.65
     rivals["centerline"] = roster.load("centerline", tracks, car), 0.95
     for name, (rival, goal) in rivals.items():
         won, score = _win_rate(tracks, mine, rival, races)
@@ -141,7 +147,7 @@ def duelist(found: Found, races: int = 200) -> None:
     rates = {}
     for path in past:
         rival = roster.policy(str(path), tracks, car, exact=False)
-        rates[path.stem] = _win_rate(tracks, mine, rival, 40)[0]
+        rates[path.stem] = _win_rate(tracks, mine, rival, races)[0]
     if rates:
         worst = min(rates, key=rates.__getitem__)
         print("against its past: " + ", ".join(f"{n} {rate:.2f}" for n, rate in rates.items()))
@@ -172,6 +178,7 @@ ASKED: dict[str, Callable[[Found], None]] = {
     "rookie": rookie,
     "racer": racer,
     "dodger": dodger,
+    "novice": novice,
     "duelist": duelist,
     "globetrotter": globetrotter,
 }

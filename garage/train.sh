@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The commands that made the policies in this folder, about 95 minutes in all on two cores.
-# Usage: garage/train.sh [rookie racer dodger duelist globetrotter ...]
+# Usage: garage/train.sh [rookie racer dodger novice duelist globetrotter ...]
 set -euo pipefail
 cd "$(dirname "$0")/.."
 export OMP_WAIT_POLICY=PASSIVE
@@ -21,16 +21,18 @@ dodger() {  # six boxes at random places
     train dodger --kind obstacle_avoidance --action-space 0.5-3 --minutes 10 \
         --exam-trials 8 --exam-every 2
 }
-duelist() {  # the racer, after half an hour of racing its own past and slower cars
-    train duelist --kind head_to_head --self-play --init-from garage/racer.pt --reward race \
-        --action-space 1-4 --minutes 25 --scripted-share 0.3 --random-cars --car-spread 0.1 \
-        --exam-every 8
+novice() {  # a minute of time trial: the duelist's parent
+    train novice --action-space 1-4 --minutes 1
+}
+duelist() {  # the novice, after racing its own past, pacers and the novice itself
+    train duelist --kind head_to_head --self-play --init-from garage/novice.pt --reward race \
+        --action-space 1-4 --minutes 24 --scripted-share 0.6 --exam-every 8
 }
 globetrotter() {  # random tracks only, with random cars and looks: drives any track at first sight
     train globetrotter --track generated:768 --action-space 0.5-3 --num-worlds 128 \
         --random-cars --random-looks --minutes 40 --noise 0.5 0.1 --exam-every 2
 }
 
-for policy in "${@:-rookie racer dodger duelist globetrotter}"; do
+for policy in "${@:-rookie racer dodger novice duelist globetrotter}"; do
     for name in $policy; do "$name"; done
 done

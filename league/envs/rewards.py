@@ -16,10 +16,12 @@ from league.track.course import TrackSet
 PRESETS = {
     "centerline": RewardConfig(progress=0.0, centerline=1.0, off_track=0.0, crash=0.0),
     "progress": RewardConfig(progress=3.0, off_track=-3.0, crash=-3.0),
-    "race": RewardConfig(progress=3.0, overtake=3.0, gain=1.5, off_track=-3.0, crash=-3.0),
+    "race": RewardConfig(progress=1.0, overtake=10.0, gain=4.0, off_track=-1.0, crash=-2.0),
 }
 """Ready weights by name: of order 1 for a step (4 m/s are 0.27 m, or 0.8), so that a learner
-that discounts by 0.99 sees returns of some tens; a mistake costs what a second of racing earns."""
+that discounts by 0.99 sees returns of some tens; a mistake costs what a second of racing earns. In
+`race` little is paid for progress: a mistake ends the episode and with it all that would have been
+earned, and where that is more than a pass earns nobody tries one (docs/self_play.md)."""
 
 
 class Reward(Protocol):
