@@ -298,7 +298,8 @@ def test_the_last_moment_of_a_history_is_the_present(url):
         assert any(row.number not in last for row in table.rows)  # others raced after its last
         for row in table.rows:
             moments = standings.history(store, store.entry(row.name), points=5)
-            assert len(moments) == 5 and moments[-1].races == row.races
+            # Both races of a heat are one moment.
+            assert len(moments) == min(5, row.races // 2) and moments[-1].races == row.races
             assert [m.heat for m in moments] == sorted({m.heat for m in moments})
             # Widths need not fall from the first moment on: the prior is learnt from little there.
             widths = [moment.high95 - moment.low95 for moment in moments]
