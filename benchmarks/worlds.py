@@ -62,6 +62,7 @@ def main() -> None:
     print(machine())
     print("One torch thread: below some 30,000 cars a second one costs more than it brings.\n")
     torch.set_num_threads(1)
+    rate(4096, 2)  # memory that is asked for the first time comes slowly
     figure("4,096 worlds x 2 cars, on one core", rate(4096, 2), "car-steps/s", 500_000)
     print("\n| worlds | cars | car-steps/s | us per car-step | ms per step |")
     print("|--:|--:|--:|--:|--:|")
