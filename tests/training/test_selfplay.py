@@ -338,7 +338,24 @@ def test_champion_wins_most_and_of_equals_the_newest():
     worse = (0.75, 0.0, 0.5, None, 0.5)
     rest = (None, 0.0, 0.0, 0.25, 0.5)
     assert matrix(rest, parent, best, worse, (0.5, 0.0, 0.25, 0.5, None)).champion == "000016"
-    assert matrix(rest, parent, worse, worse, (0.5, 0.0, 0.5, 0.75, None)).champion == "final"
+    assert matrix(rest, parent, worse, worse, (0.75, 0.0, 0.5, 0.5, None)).champion == "final"
+
+
+def test_champion_is_not_decided_among_selves_alone():
+    names = ("centerline", "parent", "000064", "000128", "final")
+    wins = (  # a run of the duelist: of like pace, selves win by their slots, and by chance
+        (None, 0.38, 0.44, 0.13, 0.06),
+        (0.62, None, 0.50, 0.50, 0.31),
+        (0.56, 0.50, None, 0.50, 0.56),
+        (0.87, 0.50, 0.50, None, 0.56),
+        (0.94, 0.69, 0.44, 0.44, None),
+    )
+    rows = (0.0,) * 5, (0.0,) * 5, (None,) * 5
+    assert WinMatrix(names, 16, wins, *rows).champion == "final"
+    # Alone with the run's past, without a parent or scripted drivers, selves must decide.
+    alone = tuple(row[2:] for row in wins[2:])
+    assert WinMatrix(names[2:], 16, alone, *(row[:3] for row in rows)).champion == "000128"
+    assert WinMatrix(("final",), 16, ((None,),), (0.0,), (0.0,), (None,)).champion == "final"
 
 
 def test_the_best_of_a_run_is_whoever_wins_the_matrix(tmp_path, monkeypatch):

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
+from statistics import fmean
 
 from league.agents.driver import Driver
 from league.errors import PolicyError
@@ -59,19 +60,23 @@ class WinMatrix:
         """Who of the snapshots and the trained driver wins most; of equals the newest.
 
         What a learner can do comes and goes between snapshots, and the last one need not be the
-        best of them.
+        best of them. Scripted drivers, the parent and the other snapshots count a third each:
+        among selves of like pace the slot decides, so their races alone tell little.
         """
+        place_of = range(len(self.names))
+        scripted = {place for place in place_of if self.names[place] in SCRIPTED}
+        parent = {place for place in place_of if self.names[place] == PARENT}
+        selves = set(place_of) - scripted - parent
 
         def merit(place: int) -> tuple[float, int]:
-            rates = [rate for rate in self.wins[place] if rate is not None]
-            return round(sum(rates) / len(rates), 6), place
+            rates = [
+                fmean(rate for other in group if (rate := self.wins[place][other]) is not None)
+                for group in (scripted, parent, selves)
+                if group - {place}
+            ]
+            return round(fmean(rates or [0.0]), 6), place
 
-        own = [
-            place
-            for place, name in enumerate(self.names)
-            if name not in SCRIPTED and name != PARENT
-        ]
-        return self.names[max(own, key=merit)]
+        return self.names[max(selves, key=merit)]
 
     def write(self, path: Path) -> None:
         """Write it as JSON, with the figures that sum it up."""
