@@ -15,8 +15,8 @@ FILES = [
 ]
 
 
-def test_painter_and_contacts_are_compiled():
-    assert [path.name for path in FILES] == ["raster.py", "collision.py"]
+def test_painter_contacts_and_what_rewards_are_told_are_compiled():
+    assert [path.name for path in FILES] == ["telling.py", "raster.py", "collision.py"]
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)

@@ -12,11 +12,11 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from league.envs.action_space import ActionSpace, DiscreteActions
+from league.envs.deepracer import telling
 from league.envs.deepracer.lines import Lines
 from league.errors import ConfigError
 from league.evaluation.runs import Moment
@@ -125,14 +125,14 @@ class Trace:
         """Return a row with its place on the lap worked out."""
         track = moment.tracks.tracks[0]
         assert self._lines is not None
-        pair = self._lines.closest_waypoints(np.zeros(1, dtype=np.int64), np.array([row["nose_s"]]))
+        pair = telling.closest_waypoints(self._lines.courses, 0, row["nose_s"])
         # The referee counts laps where the base is; the original's progress is that of the nose.
         on_lap = row["distance"] - row["laps"] * row["lap_length"]
         progress = 100.0 * (on_lap + row["nose_ahead"]) / row["lap_length"]
         return {
             **row,
             "progress": round(min(max(progress, 0.0), 100.0), 6),
-            "closest_waypoint": nearer(self._lines.waypoints[0], pair[0], row["X"], row["Y"]),
+            "closest_waypoint": nearer(self._lines.waypoints[0], pair, row["X"], row["Y"]),
             "track_len": round(track.length, 6),
             "all_wheels_on_track": bool(row["all_wheels_on_track"]),
         }

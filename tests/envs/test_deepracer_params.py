@@ -3,10 +3,12 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from scenes import go_to, make_square, put_cars, touch
 
+from league.envs.deepracer import telling
 from league.envs.deepracer.lines import Lines
 from league.envs.deepracer.situation import KEYS, Situations
 from league.sim import referee
@@ -198,8 +200,8 @@ def test_progress_is_100_when_the_lap_is_complete_and_then_begins_anew(ring):
     # As if it had been round: the book knows of 11.9 m.
     place = put_cars(ring(), two_laps, [(11.9, 0.0)])
     told.world = replace(told.world, motion=place.motion, standing=place.standing)
-    told.situations._fresh[:] = False
-    told.situations._lead[:] = NOSE
+    memory = told.situations._memory
+    memory.fresh[:], memory.lead[:] = False, NOSE
     before, at, after = (told.step([(s, 0.0)])[0] for s in (11.95, 12.05, 12.17))
     assert before["progress"] == pytest.approx(100 * 11.95 / 12, abs=2e-3)
     assert at["progress"] == 100.0
@@ -210,8 +212,8 @@ def test_progress_is_100_when_the_lap_is_complete_and_then_begins_anew(ring):
 def test_progress_is_held_below_100_until_the_lap_is_counted(ring):
     told = Told(ring(), TWO, [(-0.75, 0.0), (-3.0, 0.0)])
     place = put_cars(ring(), TWO, [(11.8, 0.0), (6.0, 0.0)])
-    told.situations._fresh[:] = False
-    told.situations._lead[:], told.situations._start[:] = NOSE, -0.75
+    memory = told.situations._memory
+    memory.fresh[:], memory.lead[:], memory.start[:] = False, NOSE, -0.75
     told.world = replace(told.world, motion=place.motion, standing=place.standing)
     params = told.step([(11.9, 0.0), (6.1, 0.0)])[0]  # 12.65 m since the grid
     assert 99.999 < params["progress"] < 100.0
@@ -311,13 +313,12 @@ def test_places_are_found_as_the_tracks_themselves_find_them():
     x, y, frame = tracks.at(index, s)
     x, y = x - 0.3 * frame.sin, y + 0.3 * frame.cos
     wanted = tracks.project(index, x, y, s + 0.1)
-    found = Lines.of(tracks).project(
-        torch.zeros(200, dtype=torch.int64).numpy(),
-        *(one[0].double().numpy() for one in (x, y, s + 0.1)),
-    )
-    assert found.s == pytest.approx(wanted.s[0].numpy(), abs=1e-4)
-    assert found.lateral == pytest.approx(wanted.lateral[0].numpy(), abs=1e-5)
-    assert found.left == pytest.approx(wanted.left[0].numpy(), abs=1e-5)
+    courses = Lines.of(tracks).courses
+    places = zip(*(one[0].tolist() for one in (x, y, s + 0.1)), strict=True)
+    found = np.array([telling.project(courses, 0, *place) for place in places])
+    assert found[:, 0] == pytest.approx(wanted.s[0].numpy(), abs=1e-4)
+    assert found[:, 1] == pytest.approx(wanted.lateral[0].numpy(), abs=1e-5)
+    assert found[:, 2] == pytest.approx(wanted.left[0].numpy(), abs=1e-5)
 
 
 def test_speed_of_an_object_counts_both_axes(ring):

@@ -61,9 +61,7 @@ class UserReward:
         rows = self._situations.rows(tracks, before, world, verdict)
         reward = torch.zeros(verdict.advance.shape)
         paid = reward.numpy()
-        for place, car, params in zip(
-            rows.world.tolist(), rows.car.tolist(), rows.params, strict=True
-        ):
+        for place, car, params in zip(rows.world, rows.car, rows.params, strict=True):
             paid[place, car] = self._call(place, car, params)
         reward = reward.to(verdict.advance.device)
         return reward, {TERM: reward}

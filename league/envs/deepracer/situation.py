@@ -1,6 +1,6 @@
 """Situations: what the worlds look like to reward functions, one dict of 27 keys for each row.
 
-All rows are worked out at once in numpy and handed out as plain Python: floats, bools, ints, lists.
+All rows are worked out by compiled code and handed out as plain Python: floats, bools, ints, lists.
 The meaning of each key is told in docs/rewards.md; sources: facts sections 1.2 and 11.
 """
 
@@ -14,10 +14,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from league.envs.deepracer.camera import seen
-from league.envs.deepracer.lines import Lines, Places
+from league.envs.deepracer import telling
+from league.envs.deepracer.lines import Lines
 from league.errors import ConfigError
-from league.sim.config import CarConfig, SimConfig
+from league.sim.config import CameraConfig, CarConfig, SimConfig
 from league.sim.referee import Verdict
 from league.sim.world import World
 from league.track.course import TrackSet
@@ -54,56 +54,19 @@ KEYS = (
 """Every key of `params`, by name."""
 
 Params = dict[str, object]
-_BELOW_100 = math.nextafter(100.0, 0.0)
-_DEGREES = 180.0 / math.pi
+_OF_OBJECTS = tuple(name for name in KEYS if name.startswith("objects_"))
 
 
 @dataclass(frozen=True)
 class Rows:
     """Some cars of some worlds, and what each is told."""
 
-    world: np.ndarray
-    """World of each row, int64, (num_rows,)."""
-    car: np.ndarray
-    """Car of each row, int64, (num_rows,)."""
+    world: list[int]
+    """World of each row."""
+    car: list[int]
+    """Car of each row."""
     params: list[Params]
     """What each row's function is called with; nobody else holds any list in it."""
-
-
-@dataclass(frozen=True)
-class _Cars:
-    """All cars as arrays, (num_worlds, num_cars)."""
-
-    x: np.ndarray
-    y: np.ndarray
-    yaw: np.ndarray
-    velocity_x: np.ndarray
-    velocity_y: np.ndarray
-    s: np.ndarray
-    lateral: np.ndarray
-    distance: np.ndarray
-    steering: np.ndarray
-    speed: np.ndarray
-
-    @classmethod
-    def of(cls, world: World) -> _Cars:
-        body, book, asked = world.motion, world.standing, world.control
-        # Stacked first, so that a GPU is asked once.
-        both = torch.stack(
-            (
-                body.x,
-                body.y,
-                body.yaw,
-                body.velocity_x,
-                body.velocity_y,
-                book.s,
-                book.lateral,
-                book.distance,
-                asked.steering,
-                asked.speed,
-            )
-        )
-        return cls(*both.cpu().numpy().astype(np.float64))
 
 
 class Situations:
@@ -120,8 +83,9 @@ class Situations:
             sim: the world's settings.
             cars: which cars are paid.
         """
-        self._car, self._step_dt, self._cars = sim.car, sim.step_dt, tuple(cars)
-        self._steps = np.zeros((0, 0), dtype=np.int64)
+        self._step_dt, self._cars = sim.step_dt, tuple(cars)
+        self._body, self._eye = _body(sim.car), _eye(CameraConfig())
+        self._memory: telling.Memory | None = None
         self._known: TrackSet | None = None
 
     def restart(self, who: Tensor) -> None:
@@ -131,25 +95,26 @@ class Situations:
             ConfigError: a paid car that is not there.
         """
         begun = who.cpu().numpy()
-        if self._steps.shape != begun.shape:
-            self._fit(*begun.shape)
-        self._steps[begun] = 0
-        self._fresh |= begun
+        if self._memory is None or self._memory.steps.shape != begun.shape:
+            self._memory = self._begun(*begun.shape)
+        self._memory.steps[begun] = 0
+        self._memory.fresh[begun] = True
 
-    def _fit(self, num_worlds: int, num_cars: int) -> None:
+    def _begun(self, num_worlds: int, num_cars: int) -> telling.Memory:
         strangers = [car for car in self._cars if not 0 <= car < num_cars]
         if strangers:
             raise ConfigError(
                 f"car {strangers[0]} is to be paid: there are {num_cars} cars, from 0"
             )
         shape = (num_worlds, num_cars)
-        self._steps = np.zeros(shape, dtype=np.int64)
-        self._fresh = np.ones(shape, dtype=bool)
-        self._lead, self._start = np.zeros(shape), np.zeros(shape)
         self._paid = np.zeros(shape, dtype=bool)
         self._paid[:, list(self._cars)] = True
-        others = [[other for other in range(num_cars) if other != car] for car in range(num_cars)]
-        self._others = np.array(others, dtype=np.int64).reshape(num_cars, num_cars - 1)
+        return telling.Memory(
+            steps=np.zeros(shape, dtype=np.int64),
+            fresh=np.ones(shape, dtype=bool),
+            lead=np.zeros(shape),
+            start=np.zeros(shape),
+        )
 
     def rows(self, tracks: TrackSet, before: World, world: World, verdict: Verdict) -> Rows:
         """Return what each paid car is told of a step; cars that stand a penalty are left out.
@@ -162,191 +127,129 @@ class Situations:
         """
         if tracks is not self._known:
             self._lines, self._known = Lines.of(tracks), tracks
-        book = before.standing
-        stopped = ((book.penalty_s > 0) | (book.finish_s < torch.inf)).cpu().numpy()
-        where, which = (self._paid & ~stopped).nonzero()
-        if not len(where):
-            return Rows(where, which, [])
-        track = world.track.cpu().numpy()[where]
-        self._note_starts(before, where, which, track)
-        self._steps[where, which] += 1
-        cars, crashed = _Cars.of(world), verdict.crashed.cpu().numpy()[where, which]
-        lap = verdict.lap.cpu().numpy()[where, which]
-        nose, wheels = self._project(cars, where, which, track)
-        columns = self._own(cars, where, which, track, nose)
-        columns |= {
-            "is_crashed": crashed.tolist(),
-            "progress": self._progress(before, cars, where, which, track, nose, lap),
-            "sim_time": (world.step.cpu().numpy()[where] * self._step_dt).tolist(),
-            "steps": self._steps[where, which].tolist(),
-            **_on_road(wheels, len(where)),
-            **self._objects(world, cars, where, which, track, nose),
-        }
-        self._steps[where[lap], which[lap]] = 0
-        told = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-        return Rows(where, which, told)
-
-    def _note_starts(
-        self, before: World, where: np.ndarray, which: np.ndarray, track: np.ndarray
-    ) -> None:
-        """Note where an episode began: how far the base had driven, and the nose before it."""
-        fresh = self._fresh[where, which]
-        if not fresh.any():
-            return
-        where, which, track = where[fresh], which[fresh], track[fresh]
-        cars = _Cars.of(before)
-        nose, _ = self._project(cars, where, which, track)
-        gap = nose.s - cars.s[where, which]
-        self._lead[where, which] = self._lines.short_way(track, gap)
-        self._start[where, which] = cars.distance[where, which]
-        self._fresh[where, which] = False
-
-    def _project(
-        self, cars: _Cars, where: np.ndarray, which: np.ndarray, track: np.ndarray
-    ) -> tuple[Places, Places]:
-        """Find each row's nose, (num_rows,), and its four wheels, (4 * num_rows,)."""
-        along, across = _points(self._car)
-        x, y, yaw = (getattr(cars, name)[where, which] for name in ("x", "y", "yaw"))
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        point_x = (x + np.outer(along, cos) - np.outer(across, sin)).reshape(-1)
-        point_y = (y + np.outer(along, sin) + np.outer(across, cos)).reshape(-1)
-        many = len(along)
-        near = np.tile(cars.s[where, which], many)
-        found = self._lines.project(np.tile(track, many), point_x, point_y, near)
-        rows = len(where)
-        nose, wheels = (
-            Places(*(getattr(found, name)[part] for name in ("s", "lateral", "left", "right")))
-            for part in (slice(0, rows), slice(rows, None))
+        memory, lines, body = self._memory, self._lines, self._body
+        assert memory is not None
+        book, track = before.standing, _array(world.track)
+        asked = telling.whom_to_tell(self._paid, _array(book.penalty_s), _array(book.finish_s))
+        if not len(asked):
+            return Rows([], [], [])
+        if memory.fresh.any():
+            telling.note_starts(lines.courses, body, memory, _cars(before), track, asked)
+        cars, clock = _cars(world), _array(world.step) * self._step_dt
+        own = telling.tell_of_itself(
+            *(lines.courses, body, memory, cars, track),
+            *(_array(book.laps), _array(verdict.lap), _array(verdict.crashed), clock, asked),
         )
-        return nose, wheels
-
-    def _own(
-        self,
-        cars: _Cars,
-        where: np.ndarray,
-        which: np.ndarray,
-        track: np.ndarray,
-        nose: Places,
-    ) -> dict[str, list]:
-        """Return the columns about the car itself and its track."""
-        lines = self._lines
-        yaw = cars.yaw[where, which]
-        heading = yaw * _DEGREES
-        return {
-            # Rounded to where single precision ends, so that a choice of 15 deg is told as 15.0.
-            "steering_angle": np.round(cars.steering[where, which] * _DEGREES, 4).tolist(),
-            "speed": np.round(cars.speed[where, which], 4).tolist(),
-            "x": (cars.x[where, which] + self._car.nose * np.cos(yaw)).tolist(),
-            "y": (cars.y[where, which] + self._car.nose * np.sin(yaw)).tolist(),
-            "heading": np.where(heading <= -180.0, 180.0, heading).tolist(),
-            "distance_from_center": np.abs(nose.lateral).tolist(),
-            "projection_distance": nose.s.tolist(),
-            "is_left_of_center": (nose.left - nose.lateral < nose.right + nose.lateral).tolist(),
-            "track_width": (nose.left + nose.right).tolist(),
-            "track_length": lines.length[track].tolist(),
-            "is_reversed": lines.clockwise[track].tolist(),
-            "waypoints": [lines.waypoints[one][:] for one in track.tolist()],
-            "closest_waypoints": lines.closest_waypoints(track, nose.s),
-        }
-
-    def _progress(
-        self,
-        before: World,
-        cars: _Cars,
-        where: np.ndarray,
-        which: np.ndarray,
-        track: np.ndarray,
-        nose: Places,
-        lap: np.ndarray,
-    ) -> list[float]:
-        """Return how much of a lap the nose has driven since the episode began [%].
-
-        Held just below 100 until the referee has counted the lap, so that 100 is told once.
-        """
-        lead = self._lines.short_way(track, nose.s - cars.s[where, which])
-        driven = cars.distance[where, which] - self._start[where, which]
-        length = self._lines.lap[track]
-        share = 100.0 * (driven + lead - self._lead[where, which]) / length
-        if lap.any():
-            laps = before.standing.laps.cpu().numpy()[where, which] + 1
-            begins = np.where(lap, laps * length, self._start[where, which])
-            self._start[where, which] = begins
-        return np.where(lap, 100.0, np.minimum(share, _BELOW_100)).tolist()
+        told = zip(own.tolist(), self._objects(world, cars, track, own, asked), strict=True)
+        params = [_params(lines, *row) for row in told]
+        return Rows(asked[:, 0].tolist(), asked[:, 1].tolist(), params)
 
     def _objects(
-        self,
-        world: World,
-        cars: _Cars,
-        where: np.ndarray,
-        which: np.ndarray,
-        track: np.ndarray,
-        nose: Places,
-    ) -> dict[str, list]:
-        """Return the columns about boxes, bots and other cars, in this order."""
-        things, lines = world.obstacles, self._lines
-        rows, count = len(where), things.x.shape[1] + self._others.shape[1]
-        if not count:
-            return _no_objects(rows)
-        names = ("x", "y", "yaw", "velocity_x", "velocity_y", "s", "lateral")
-        boxes = torch.stack([getattr(things, name) for name in names]).cpu().numpy()
-        rivals = self._others[which]  # (num_rows, num_cars - 1)
-        x, y, yaw, velocity_x, velocity_y, s, lateral = (
-            np.concatenate([boxes[place][where], getattr(cars, name)[where[:, None], rivals]], 1)
-            for place, name in enumerate(names)
-        )  # (num_rows, count)
-        wide = np.broadcast_to(track[:, None], s.shape)
-        s = np.where(lines.closed[wide], np.mod(s, lines.length[wide]), s)
-        nose_s = nose.s[:, None]
-        ahead = lines.ahead(wide, s, nose_s)
-        # On a loop everything is somewhere ahead; on a straight what is behind comes last.
-        following = np.where(ahead > 0, ahead, np.inf).argmin(axis=1)
-        behind = lines.ahead(wide, nose_s, s)
-        behind = np.where(ahead == lines.length[wide], 0.0, behind)
-        last = np.where(behind >= 0, behind, np.inf).argmin(axis=1)
-        heading = yaw * _DEGREES
-        half_length = np.full(s.shape, self._car.length / 2)
-        half_width = np.full(s.shape, self._car.width / 2)
-        boxed = things.x.shape[1]
-        if boxed:
-            half_length[:, :boxed] = things.half_length.cpu().numpy()[where]
-            half_width[:, :boxed] = things.half_width.cpu().numpy()[where]
-        pick = (np.arange(rows), following)
-        in_camera = seen(
-            *(getattr(cars, name)[where, which] for name in ("x", "y", "yaw")),
-            *(one[pick] for one in (x, y, yaw, half_length, half_width)),
+        self, world: World, cars: np.ndarray, track: np.ndarray, own: np.ndarray, asked: np.ndarray
+    ) -> list[Params]:
+        """Return what each row is told of boxes, bots and other cars, in this order."""
+        if world.obstacles.x.shape[1] + cars.shape[2] == 1:
+            return [_no_objects() for _ in asked]
+        nose = own[:, telling.PROJECTION].copy()
+        told, place, left, closest, seen = telling.tell_of_objects(
+            *(self._lines.courses, self._body, self._eye, cars),
+            *(_obstacles(world), track, nose, asked),
         )
-        return {
-            "closest_objects": np.stack([last, following], axis=1).tolist(),
-            "object_in_camera": in_camera.tolist(),
-            "objects_distance": s.tolist(),
-            "objects_distance_from_center": np.abs(lateral).tolist(),
-            "objects_heading": np.where(heading <= -180.0, 180.0, heading).tolist(),
-            "objects_left_of_center": (lateral > 0).tolist(),
-            "objects_location": np.stack([x, y], axis=2).tolist(),
-            "objects_speed": np.sqrt(velocity_x**2 + velocity_y**2).tolist(),
-        }
+        rows = (told.tolist(), place.tolist(), left.tolist(), closest.tolist(), seen.tolist())
+        return [
+            {
+                "closest_objects": last_and_next,
+                "object_in_camera": in_picture,
+                "objects_distance": s,
+                "objects_distance_from_center": distance,
+                "objects_heading": heading,
+                "objects_left_of_center": on_left,
+                "objects_location": where,
+                "objects_speed": speed,
+            }
+            for (s, distance, heading, speed), where, on_left, last_and_next, in_picture in zip(
+                *rows, strict=True
+            )
+        ]
 
 
-def _points(car: CarConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Return nose and wheel centres in the body frame: ahead and to the left [m], (5,)."""
-    half_base, half_track = car.wheelbase / 2, car.wheel_track / 2
-    along = np.array([car.nose, half_base, half_base, -half_base, -half_base])
-    return along, np.array([0.0, half_track, -half_track, half_track, -half_track])
-
-
-def _on_road(wheels: Places, rows: int) -> dict[str, list]:
-    on = (wheels.lateral <= wheels.left) & (wheels.lateral >= -wheels.right)
-    on = np.reshape(on, (4, rows))
+def _params(lines: Lines, own: list[float], objects: Params) -> Params:
+    """Return what a car is told, of itself and of objects."""
+    track = int(own[telling.TRACK])
     return {
-        "all_wheels_on_track": np.all(on, axis=0).tolist(),
-        "is_offtrack": np.logical_not(np.any(on, axis=0)).tolist(),
+        "all_wheels_on_track": own[telling.ALL_ON_ROAD] > 0,
+        "closest_waypoints": [int(own[telling.BEHIND]), int(own[telling.FOLLOWING])],
+        "distance_from_center": own[telling.DISTANCE],
+        "heading": own[telling.HEADING],
+        "is_crashed": own[telling.CRASHED] > 0,
+        "is_left_of_center": own[telling.IS_LEFT] > 0,
+        "is_offtrack": own[telling.NONE_ON_ROAD] > 0,
+        "is_reversed": lines.clockwise[track],
+        "progress": own[telling.PROGRESS],
+        "projection_distance": own[telling.PROJECTION],
+        "sim_time": own[telling.SIM_TIME],
+        "speed": own[telling.SPEED],
+        "steering_angle": own[telling.STEERING],
+        "steps": int(own[telling.STEPS]),
+        "track_length": own[telling.LENGTH],
+        "track_width": own[telling.WIDTH],
+        "waypoints": lines.waypoints[track][:],
+        "x": own[telling.X],
+        "y": own[telling.Y],
+        **objects,
     }
 
 
-def _no_objects(rows: int) -> dict[str, list]:
-    lists = [name for name in KEYS if name.startswith("objects_")]
+def _no_objects() -> Params:
     return {
-        "closest_objects": [[0, 0] for _ in range(rows)],
-        "object_in_camera": [False] * rows,
-        **{name: [[] for _ in range(rows)] for name in lists},
+        "closest_objects": [0, 0],
+        "object_in_camera": False,
+        **{name: [] for name in _OF_OBJECTS},
     }
+
+
+def _array(values: Tensor) -> np.ndarray:
+    return values.cpu().numpy()
+
+
+def _cars(world: World) -> np.ndarray:
+    """Return the table of all cars, as compiled code takes it."""
+    body, book, asked = world.motion, world.standing, world.control
+    return _table(
+        *(body.x, body.y, body.yaw, body.velocity_x, body.velocity_y, book.s, book.lateral),
+        *(book.distance, asked.steering, asked.speed),
+    )
+
+
+def _obstacles(world: World) -> np.ndarray:
+    """Return the table of all obstacles, as compiled code takes it."""
+    box = world.obstacles
+    return _table(
+        *(box.x, box.y, box.yaw, box.velocity_x, box.velocity_y, box.s, box.lateral),
+        *(box.half_length, box.half_width),
+    )
+
+
+def _table(*rows: Tensor) -> np.ndarray:
+    # Stacked first, so that a GPU is asked once.
+    return torch.stack(rows).cpu().numpy().astype(np.float64)
+
+
+def _body(car: CarConfig) -> telling.Body:
+    return telling.Body(
+        nose=car.nose,
+        half_base=car.wheelbase / 2,
+        half_track=car.wheel_track / 2,
+        half_length=car.length / 2,
+        half_width=car.width / 2,
+    )
+
+
+def _eye(camera: CameraConfig) -> telling.Eye:
+    return telling.Eye(
+        forward=camera.forward,
+        up=camera.up,
+        dip=math.cos(camera.pitch),
+        rise=math.sin(camera.pitch),
+        tan=math.tan(camera.field_of_view / 2),
+    )
