@@ -2,8 +2,6 @@
 
 import math
 import tempfile
-import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +10,7 @@ import numpy as np
 import pybullet
 import torch
 
-from benchmarks.report import figure, heading, machine
+from benchmarks.report import fastest, figure, heading, machine
 from league.sim import grid
 from league.sim.camera import scene
 from league.sim.camera.paint import PaintRenderer
@@ -25,17 +23,6 @@ from league.track.course import TrackSet
 SCENES = 200
 EDGE = 12
 """A pixel is away from edges if the 3 x 3 pixels round it, in the ray's picture, spread by less."""
-
-
-def fastest(action: Callable[[], object], repeats: int = 40) -> float:
-    """Return the least wall time of an action [s]: what the machine does when nobody else asks."""
-    action()
-    best = math.inf
-    for _ in range(repeats):
-        start = time.perf_counter()
-        action()
-        best = min(best, time.perf_counter() - start)
-    return best
 
 
 def one_ahead(tracks: TrackSet, num_worlds: int) -> tuple[SimConfig, World]:
@@ -105,7 +92,7 @@ def random_scenes(tracks: TrackSet, number: int) -> tuple[SimConfig, World]:
 
 
 def speed(tracks: TrackSet) -> None:
-    """Print pairs per second, one world a call and 64 worlds a call."""
+    """Print pairs per second at the fastest of 40, one world a call and 64 worlds a call."""
     for width, height, goal in ((160, 120, 3_000), (64, 48, 12_000)):
         camera = CameraConfig(width=width, height=height)
         for num_worlds in (1, 64):

@@ -8,38 +8,63 @@ from pathlib import Path
 
 import torch
 
+from benchmarks.cameras import TinyScene, one_ahead
 from benchmarks.report import figure, heading, machine, seconds
 from league import race
 from league.agents import roster
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
 from league.race_spec import Entry, RaceSpec
-from league.sim.config import CameraConfig, SensorConfig, SimConfig
+from league.sim.config import CameraConfig, SensorConfig, SimConfig, SolverName
 from league.track import files
 from league.track.course import TrackSet
 
 
-def stereo_rate(solver: str, num_worlds: int, width: int, height: int, steps: int) -> float:
-    """Return simulated car-seconds per wall second of two-car races with stereo cameras."""
+def stereo_rate(
+    solver: SolverName,
+    num_worlds: int,
+    width: int,
+    height: int,
+    steps: int,
+    *,
+    by_pybullet: bool = False,
+) -> float:
+    """Return simulated car-seconds per wall second of two-car races with stereo cameras.
+
+    Args:
+        solver: physics.
+        num_worlds: races side by side.
+        width: of a picture [px].
+        height: of a picture [px].
+        steps: control steps to time.
+        by_pybullet: whether PyBullet's software renderer makes the pictures instead of ours, of
+            a scene that stands still.
+    """
     tracks = TrackSet.of(files.load("reinvent_2018"))
     sim = SimConfig(kind="head_to_head", num_cars=2)
     camera = CameraConfig(width=width, height=height)
-    cfg = EnvConfig(sim=sim, solver=solver, sensors=(SensorConfig(camera=camera),))
+    sensors = SensorConfig(camera=None if by_pybullet else camera)
+    cfg = EnvConfig(sim=sim, solver=solver, sensors=(sensors,))
     env = RaceEnv(tracks, cfg, num_worlds=num_worlds)
     drivers = [roster.load(name, tracks, sim.car) for name in ("racing_line", "centerline")]
     told = env.reset(seed=1)
+    tiny = TinyScene(tracks, one_ahead(tracks, 1)[1], camera) if by_pybullet else None
 
     def drive() -> None:
         nonlocal told
         for _ in range(steps):
+            if tiny is not None:
+                tiny.pair(), tiny.pair()
             actions = torch.stack([d.act(o) for d, o in zip(drivers, told, strict=True)], dim=1)
             told = env.step(actions).observations
 
     taken = seconds(drive, repeats=3)
-    picture = told[0]["stereo"].float()
+    picture = told[0]["stereo"].float() if tiny is None else torch.tensor(tiny.pair()[0]).float()
     assert picture.std() > 5, "the picture is blank"
     assert float(env.world.standing.distance.min()) > 1.0, "the cars did not drive"
     env.close()
+    if tiny is not None:
+        tiny.close()
     return num_worlds * 2 * steps / 15 / taken
 
 
@@ -57,18 +82,22 @@ def three_laps(folder: Path) -> float:
     return finished.result.race_s / taken
 
 
+def python(*arguments: str) -> float:
+    """Return how long a process of Python takes [s]."""
+    command = [sys.executable, *arguments]
+    return seconds(lambda: subprocess.run(command, check=True, capture_output=True))
+
+
 def main() -> None:
     """Print the figures."""
     heading("Races")
     print(machine())
     torch.set_num_threads(1)
     unit = "car-s per wall s"
-    figure(
-        "Bullet, 1 world, two cars, stereo 160x120",
-        stereo_rate("bullet", 1, 160, 120, 60),
-        unit,
-        16,
-    )
+    ours = stereo_rate("bullet", 1, 160, 120, 60)
+    figure("Bullet, 1 world, two cars, stereo 160x120", ours, unit, 16)
+    theirs = stereo_rate("bullet", 1, 160, 120, 15, by_pybullet=True)
+    figure("  against the same with PyBullet's pictures", ours / theirs, "times")
     figure(
         "planar, 64 worlds, two cars, stereo 64x48",
         stereo_rate("planar", 64, 64, 48, 15),
@@ -77,12 +106,9 @@ def main() -> None:
     )
     with tempfile.TemporaryDirectory() as folder:
         figure("three laps in Bullet with replay", three_laps(Path(folder)), "x real time", 8)
-    help_s = seconds(
-        lambda: subprocess.run(
-            [sys.executable, "-m", "league.cli", "--help"], check=True, capture_output=True
-        )
-    )
+    help_s, bare_s = python("-m", "league.cli", "--help"), python("-c", "pass")
     figure("league --help", help_s, "s", 0.3, most=True)
+    figure("  against Python that does nothing", help_s / bare_s, "times")
 
 
 if __name__ == "__main__":

@@ -57,3 +57,22 @@ def seconds(action: Callable[[], object], repeats: int = 5) -> float:
         action()
         taken.append(time.perf_counter() - start)
     return statistics.median(taken)
+
+
+def fastest(action: Callable[[], object], repeats: int = 40) -> float:
+    """Return the least wall time of an action [s]: what it costs when nobody else runs."""
+    action()
+    taken = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        action()
+        taken.append(time.perf_counter() - start)
+    return min(taken)
+
+
+def product(num_worlds: int, num_cars: int) -> float:
+    """Return the time of one elementwise product of that shape [s], the yardstick of tables."""
+    import torch
+
+    one = torch.rand(num_worlds, num_cars)
+    return fastest(lambda: [one * one for _ in range(20)], 30) / 20

@@ -5,15 +5,13 @@ contacts are found and solved. Without contact the paths must agree; in contact 
 """
 
 import math
-import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from benchmarks.report import figure, heading, machine
+from benchmarks.report import fastest, figure, heading, machine, product
 from league.sim import grid, solvers
 from league.sim.config import SimConfig, SolverName
 from league.sim.world import Control, Motion, World
@@ -138,22 +136,6 @@ def shoves() -> None:
     figure("shoves: same car ahead in both solvers", same, f"of {SHOVES}", 85)
     gap = (lead[0] - lead[1]).abs()
     figure("shoves: median difference of the lead", gap.median().item() * 100, "cm")
-
-
-def fastest(action: Callable[[], object], repeats: int) -> float:
-    """Return the least wall time of an action [s]: what it costs when nothing else runs."""
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        action()
-        times.append(time.perf_counter() - start)
-    return min(times)
-
-
-def product(num_worlds: int, num_cars: int) -> float:
-    """Return the seconds of one product of two tensors of that shape, measured side by side."""
-    one = torch.rand(num_worlds, num_cars)
-    return fastest(lambda: [one * one for _ in range(20)], 30) / 20
 
 
 def stepping(name: SolverName, num_worlds: int, num_cars: int, *, close: bool = False) -> float:

@@ -1,8 +1,11 @@
 """How fast worlds step: planar worlds without cameras, from 1 to 16,384, and by number of cars."""
 
+import multiprocessing
+from multiprocessing.synchronize import Barrier
+
 import torch
 
-from benchmarks.report import figure, heading, machine, seconds
+from benchmarks.report import figure, heading, machine, product, seconds
 from league.envs.config import EnvConfig
 from league.envs.race_env import Observations, RaceEnv
 from league.envs.state import INDEX
@@ -37,11 +40,16 @@ def follow(told: Observations) -> torch.Tensor:
     return torch.stack(actions, dim=1)
 
 
-def rate(num_worlds: int, num_cars: int) -> float:
+def rate(num_worlds: int, num_cars: int, together: Barrier | None = None) -> float:
     """Return car-steps per second of whole environment steps: physics, referee, reward, state.
 
     The cars are driven round the track and run into each other now and then, so contacts,
     restarts and the little driver's own few operations are in the figure.
+
+    Args:
+        num_worlds: worlds.
+        num_cars: cars in each.
+        together: what to wait at before the clock starts, if others are timed at once.
     """
     env, told = make(num_worlds, num_cars)
 
@@ -50,10 +58,32 @@ def rate(num_worlds: int, num_cars: int) -> float:
         for _ in range(STEPS):
             told = env.step(follow(told)).observations
 
+    drive()  # memory that is asked for the first time comes slowly
+    if together is not None:
+        together.wait()
     taken = seconds(drive, repeats=3 if num_worlds > 4096 else 7)
     fastest = max(float(groups["state"][:, INDEX["speed_ahead"]].max()) for groups in told)
     assert 1.0 < fastest < 4.1, f"the fastest car moves at {fastest} m/s"
     return num_worlds * num_cars * STEPS / taken
+
+
+_TOGETHER: list[Barrier] = []
+
+
+def _begin(together: Barrier) -> None:
+    torch.set_num_threads(1)
+    _TOGETHER.append(together)
+
+
+def _half(num_worlds: int) -> float:
+    return rate(num_worlds, 2, _TOGETHER[0])
+
+
+def on_two_cores(num_worlds: int) -> float:
+    """Return car-steps per second of worlds of two cars, half of them in each of two processes."""
+    context = multiprocessing.get_context("spawn")
+    with context.Pool(2, _begin, (context.Barrier(2),)) as pool:
+        return sum(pool.map(_half, [num_worlds // 2] * 2, chunksize=1))
 
 
 def main() -> None:
@@ -62,16 +92,24 @@ def main() -> None:
     print(machine())
     print("One torch thread: below some 30,000 cars a second one costs more than it brings.\n")
     torch.set_num_threads(1)
-    rate(4096, 2)  # memory that is asked for the first time comes slowly
-    figure("4,096 worlds x 2 cars, on one core", rate(4096, 2), "car-steps/s", 500_000)
-    print("\n| worlds | cars | car-steps/s | us per car-step | ms per step |")
-    print("|--:|--:|--:|--:|--:|")
+    rate(4096, 2)
+    one = rate(4096, 2)
+    two = on_two_cores(4096)
+    figure("4,096 worlds x 2 cars, on one core", one, "car-steps/s")
+    figure("4,096 worlds x 2 cars, on two cores", two, "car-steps/s", 500_000)
+    figure("  against one core", two / one, "times")
+    print(
+        "\n| worlds | cars | car-steps/s | us per car-step | ms per step | products of that shape |"
+    )
+    print("|--:|--:|--:|--:|--:|--:|")
     sizes = [(worlds, 2) for worlds in (1, 4, 16, 64, 256, 1024, 4096, 16384)]
     for worlds, cars in [*sizes, (1024, 1), (1024, 4), (1024, 8)]:
         steps = rate(worlds, cars)
         step_ms = 1000 * worlds * cars / steps
+        products = step_ms / 1000 / product(worlds, cars)
         print(
-            f"| {worlds:,} | {cars} | {steps:,.0f} | {1e6 / steps:.2f} | {step_ms:.2f} |",
+            f"| {worlds:,} | {cars} | {steps:,.0f} | {1e6 / steps:.2f} | {step_ms:.2f} "
+            f"| {products:,.0f} |",
             flush=True,
         )
 

@@ -88,8 +88,28 @@ def checked(settings: Mapping[str, Any]) -> RaceSpec:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
     where = ".".join(str(part)[:40] for part in first["loc"]) or "the spec"
-    reason = first["msg"].replace("\n", " ")
-    raise ConfigError(f"{where} is {_briefly(first['input'])}: {reason[:200]}")
+    if first["type"] == "missing":
+        raise ConfigError(f"the race lacks the field {where}: say what it is to be")
+    if first["type"] == "extra_forbidden":
+        raise ConfigError(
+            f"{where} is no field of a race: they are {', '.join(RaceSpec.model_fields)}"
+        )
+    if first["loc"] == ("entries",) and isinstance(first["input"], (list, tuple)):
+        raise ConfigError(f"{len(first['input'])} drivers were named: give 1 to 8")
+    reason = _wanted(where) or first["msg"].replace("\n", " ")[:200]
+    raise ConfigError(f"{where} is {_briefly(first['input'])}: {reason}")
+
+
+def _wanted(name: str) -> str:
+    """Return what a setting may be, if it is a number within limits or one of a few words."""
+    about = RaceSpec.model_json_schema()["properties"].get(name, {})
+    if "enum" in about:
+        return f"choose one of {', '.join(about['enum'])}"
+    if "minimum" not in about:
+        return ""
+    number = "a whole number" if about["type"] == "integer" else "a number"
+    largest = about.get("maximum") or f"below {about['exclusiveMaximum']}"
+    return f"give {number} from {about['minimum']} to {largest}"
 
 
 def _briefly(given: object) -> str:

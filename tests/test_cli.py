@@ -35,15 +35,27 @@ def test_race_prints_a_classification_and_succeeds(league):
 
 def test_classification_is_readable_where_the_width_is_not_known():
     # As in a log of CI: no terminal, 80 columns. Names and times must not be cut off.
-    command = [sys.executable, "-m", "league.cli", "race", "racing_line", "centerline", *SHORT]
+    ran = run_without_terminal("race", "racing_line", "centerline", *SHORT)
+    assert "racing_line" in ran.stdout
+    assert len(re.findall(r"\d:\d\d\.\d{3}", ran.stdout)) >= 4
+    assert "…" not in ran.stdout
+
+
+def test_tracks_are_readable_where_the_width_is_not_known():
+    ran = run_without_terminal("tracks")
+    line = next(line for line in ran.stdout.splitlines() if "reinvent_2018" in line)
+    assert line.split()[-4:] == ["17.71", "0.762", "0.77", "counter-clockwise"]
+    assert "…" not in ran.stdout
+
+
+def run_without_terminal(*arguments):
+    command = [sys.executable, "-m", "league.cli", *arguments]
     settings = {key: value for key, value in os.environ.items() if key not in ("COLUMNS", "LINES")}
     ran = subprocess.run(
         command, capture_output=True, text=True, env=settings, cwd=Path(__file__).parents[1]
     )
     assert ran.returncode == 0
-    assert "racing_line" in ran.stdout
-    assert len(re.findall(r"\d:\d\d\.\d{3}", ran.stdout)) >= 4
-    assert "…" not in ran.stdout
+    return ran
 
 
 def test_json_of_a_race_is_its_result(league):
@@ -62,15 +74,47 @@ def test_race_leaves_a_replay_and_says_where(league, tmp_path):
     assert code == 0
     (left,) = (tmp_path / "replays").iterdir()
     assert f"Replay: {left.relative_to(tmp_path)}" in out
+    assert "(watch it: league view)" in out
     code, out, _ = league("verify", str(left))
     assert code == 0
+
+
+def test_races_that_differ_have_replays_of_their_own_and_the_same_race_has_one(league, tmp_path):
+    one = ["race", "centerline", "--laps", "1", "--solver", "planar"]
+    course = tmp_path / "peanut.yaml"  # another track of a name that is known
+    shipped = Path(__file__).parents[1] / "tracks" / "peanut.yaml"
+    course.write_text(shipped.read_text().replace("width: 0.61", "width: 0.8"))
+    for asked in (one, [*one, "--ranking", "best"], [*one, "--track", "peanut"], one):
+        assert league(*asked)[0] == 0
+    assert league(*one, "--track", str(course))[0] == 0
+    assert len(list((tmp_path / "replays").iterdir())) == 4
+
+
+def test_film_that_is_not_to_be_an_mp4_is_refused(league, tmp_path):
+    league("race", "centerline", "--laps", "1", "--solver", "planar", "--replay", "a.race")
+    code, _, err = league("video", "a.race", "a.race")
+    assert code == 2 and is_one_sentence(err) and ".mp4" in err
+    assert league("verify", "a.race")[0] == 0
+
+
+def test_view_without_a_name_takes_the_newest_replay(league, tmp_path):
+    code, _, err = league("view", "--rrd", "newest.rrd")
+    assert code == 2 and is_one_sentence(err) and "race first" in err
+    for seed in ("1", "2"):
+        league("race", "centerline", "--laps", "1", "--solver", "planar", "--seed", seed)
+    older, newer = sorted((tmp_path / "replays").iterdir())
+    os.utime(older, (1, 1))
+    assert league("view", "--no-cameras", "--rrd", "newest.rrd")[0] == 0
+    assert league("view", str(newer), "--no-cameras", "--rrd", "named.rrd")[0] == 0
+    newest, named = (tmp_path / name for name in ("newest.rrd", "named.rrd"))
+    assert abs(newest.stat().st_size - named.stat().st_size) < 200  # ids differ
 
 
 def test_tracks_and_drivers_are_listed(league):
     code, out, _ = league("tracks")
     assert code == 0
     assert "reinvent_2018" in out
-    assert "17.71 m" in out
+    assert "17.71" in out
     code, out, _ = league("tracks", "list", "--json")
     assert code == 0
     assert len(json.loads(out)) >= 12
@@ -91,7 +135,7 @@ def test_tracks_and_drivers_are_listed(league):
         (["race", "centerline", "--kind", "head_to_head"], "2 to 8"),
         (["race", "centerline", "cautious", "--kind", "time_trial"], "driven alone"),
         (["race", "centerline", "blocker", "--kind", "obstacle_avoidance"], "driven alone"),
-        (["race", *["centerline"] * 9], "at most 8"),
+        (["race", *["centerline"] * 9], "give 1 to 8"),
         (["race", "centerline", "--laps", "0"], "laps"),
         (["race", "centerline", "--laps", "-3"], "laps"),
         (["race", "centerline", "--laps", "100000"], "laps"),
@@ -102,6 +146,7 @@ def test_tracks_and_drivers_are_listed(league):
         (["race", "x" * 300], "name"),
         (["tracks", "show", "peanutt"], "peanut"),
         (["tracks", "import", "missing.npy"], "missing.npy"),
+        (["tracks", "generate", "--count", "0"], "count"),
         (["verify", "missing.race"], "missing.race"),
         (["view", "missing.race", "--rrd", "out.rrd"], "missing.race"),
     ],

@@ -93,11 +93,12 @@ def test_settings_without_a_field_of_drivers_are_refused(settings):
     assert one_sentence(refusal.value)
 
 
-@pytest.mark.parametrize("seed", range(25))
+@pytest.mark.parametrize("seed", range(300))
 def test_random_specs_that_are_accepted_can_be_raced(seed):
     dice = random.Random(1000 + seed)
+    longest = 1.0 if seed % 12 == 0 else 0.1
     while True:
-        settings = settings_of(dice) | {"max_time_s": dice.choice((0.05, 0.5, 1.0))}
+        settings = settings_of(dice) | {"max_time_s": dice.choice((0.05, 0.5 * longest, longest))}
         try:
             spec = checked(settings)
             race.sim_config(spec)

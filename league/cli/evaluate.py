@@ -178,7 +178,7 @@ def _keep_replay(command: Evaluate, track: str) -> None:
     """Drive the first run once more, as a race that is recorded: the same race to the bit."""
     from league import race
     from league import replay as replays
-    from league.cli.race import entries, replay_path
+    from league.cli.race import entries, replay_path, told
     from league.race_spec import checked
     from league.track import files
 
@@ -198,9 +198,9 @@ def _keep_replay(command: Evaluate, track: str) -> None:
     )
     recorded = race.run(spec, track=course).replay
     assert recorded is not None
-    path = replays.write(recorded, replay_path(command.replay, spec))
+    path = replays.write(recorded, replay_path(command.replay, spec, course))
     if not command.json:
-        print(f"Replay: {path}   (watch it: league view {path})")
+        print(told(path))
 
 
 def print_table(done: Evaluation) -> None:

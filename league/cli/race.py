@@ -69,7 +69,7 @@ def _race(command: Race) -> int:
     track = files.load(command.track)
     spec = _spec(command, track.name)
     keep = command.replay != "none"
-    path = replay_path(command.replay, spec) if keep else None
+    path = replay_path(command.replay, spec, track) if keep else None
     live = _live(spec, track) if command.watch else None
     quiet = command.json or not sys.stderr.isatty()
     with tables.progress(disable=quiet) as progress:
@@ -86,12 +86,12 @@ def _race(command: Race) -> int:
 
         replays.write(finished.replay, path)
     if command.json:
-        told = finished.result.model_dump(mode="json")
-        print(json.dumps({**told, "replay": str(path) if path else None}, indent=2))
+        result = finished.result.model_dump(mode="json")
+        print(json.dumps({**result, "replay": str(path) if path else None}, indent=2))
     else:
         _print_classification(finished.result)
         if path is not None:
-            print(f"Replay: {path}   (watch it: league view {path})")
+            print(told(path))
     if live is not None:
         sys.stdout.flush()
         live.wait()
@@ -150,12 +150,28 @@ def labels(drivers: Sequence[str]) -> list[str]:
     ]
 
 
-def replay_path(wish: str, spec: RaceSpec) -> Path:
-    """Return where a replay goes: the file that was named, or one in the folder."""
+def replay_path(wish: str, spec: RaceSpec, track: Track) -> Path:
+    """Return where a replay goes: the file that was named, or one in the folder.
+
+    Its name ends in a few letters that only the same race has, so that none takes another's place.
+    """
+    import hashlib
+
+    from league.track import files
+
     if wish.endswith(".race"):
         return Path(wish)
     names = "-".join(entry.name.replace("/", "_") for entry in spec.entries)[:80]
-    return Path(wish) / f"{spec.track}-{names}-{spec.kind}-{spec.seed}.race"
+    # Where a checkpoint lies decides nothing; its digest is in the spec.
+    asked = spec.model_dump_json(exclude={"entries": {"__all__": {"path"}}}) + files.dump(track)
+    mark = hashlib.sha256(asked.encode()).hexdigest()[:6]
+    return Path(wish) / f"{spec.track}-{names}-{spec.kind}-{spec.seed}-{mark}.race"
+
+
+def told(replay: Path) -> str:
+    """Return the line that says where a replay is, and how to watch it."""
+    newest = replay.parent == Path("replays")  # where `league view` looks by itself
+    return f"Replay: {replay}   (watch it: league view{'' if newest else f' {replay}'})"
 
 
 def _live(spec: RaceSpec, track: Track) -> Live:

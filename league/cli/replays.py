@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 class View(OnLeague):
     """Open a replay, or a race of a league, in the Rerun viewer."""
 
-    replay: tyro.conf.Positional[Path]
-    """The replay file, or the number of a league's heat."""
+    replay: tyro.conf.Positional[Path | None] = None
+    """The replay file, or the number of a league's heat; by default the newest in replays/."""
     race: int = 1
     """Which race of the heat."""
     save: Path | None = None
@@ -30,8 +30,8 @@ class View(OnLeague):
     """Serve the web viewer on this machine only and print its address."""
     rrd: Path | None = None
     """Only write the Rerun recording to this file."""
-    cameras: bool = True
-    """Render what each car saw."""
+    no_cameras: bool = False
+    """Leave out what each car saw."""
 
     def run(self) -> int:
         """Run the command."""
@@ -52,6 +52,8 @@ class Video:
         from league import replay as replays
         from league import video
 
+        if self.out.suffix.lower() != ".mp4":
+            raise ReplayError(f"the film {self.out} would be an MP4: give a name that ends in .mp4")
         with tables.progress() as progress:
             task = progress.add_task("Rendering", total=1.0)
             video.render(
@@ -88,14 +90,25 @@ class Verify:
         return 0 if agreement.agrees else 1
 
 
-def _recorded(command: View) -> Replay:
+def _newest() -> Path:
+    """Return the replay that was written last."""
+    found = sorted(Path("replays").glob("*.race"), key=lambda path: path.stat().st_mtime)
+    if not found:
+        raise ReplayError(
+            "there is no replay in replays/ yet: race first, say `league race racing_line "
+            "centerline`, or name a replay file"
+        )
+    return found[-1]
+
+
+def _recorded(command: View, path: Path) -> Replay:
     """Return the replay of a file; what is no file and looks like a heat is one of a league."""
     from league import replay as replays
     from league.replay import format as replay_format
 
-    given = str(command.replay)
-    if command.replay.exists() or not set(given) <= set("0123456789abcdef"):
-        return replays.read(command.replay)
+    given = str(path)
+    if path.exists() or not set(given) <= set("0123456789abcdef"):
+        return replays.read(path)
     with command.opened() as store:
         record = store.heat(given)
         kept = {result.half + 1: result.replay for result in store.results(record.number)}
@@ -114,17 +127,18 @@ def _view(command: View) -> int:
     from league import replay as replays
     from league import rerun_view
 
-    recorded = _recorded(command)
+    replay = command.replay or _newest()
+    recorded = _recorded(command, replay)
     if command.save is not None:
         print(f"Replay: {replays.write(recorded, command.save)}")
         return 0
     if command.rrd is not None:
-        rerun_view.save(recorded, command.rrd, cameras=command.cameras)
+        rerun_view.save(recorded, command.rrd, cameras=not command.no_cameras)
         print(f"Recording: {command.rrd}")
         return 0
     with tempfile.TemporaryDirectory(prefix="league-") as folder:
-        path = Path(folder) / f"{command.replay.stem}.rrd"
-        rerun_view.save(recorded, path, cameras=command.cameras)
+        path = Path(folder) / f"{replay.stem}.rrd"
+        rerun_view.save(recorded, path, cameras=not command.no_cameras)
         if not command.web:
             return rerun_view.open_viewer(path)
         from league import web_viewer

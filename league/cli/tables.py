@@ -37,7 +37,7 @@ def table(title: str, *columns: str) -> Table:
         pad_edge=False,
     )
     for number, column in enumerate(columns):
-        left = number < 2 or column in ("title", "direction", "how it drives")
+        left = number < 2 or column in ("title", "driven", "how it drives")
         sentences = column == "how it drives"
         table.add_column(column, justify="left" if left else "right", no_wrap=not sentences)
     return table

@@ -29,19 +29,18 @@ class ListTracks:
         if self.json:
             print(json.dumps(reports, indent=2))
             return 0
-        table = tables.table(
-            "Tracks", "name", "title", "length", "width", "direction", "min radius"
-        )
+        table = tables.table("Tracks", "name", "title", "length", "width", "radius", "driven")
         for one in reports:
             table.add_row(
                 str(one["name"]),
                 str(one["title"]),
-                f"{one['length']} m",
-                f"{one['width']} m",
+                f"{one['length']:.2f}",
+                f"{one['width']:.3f}",
+                f"{one['min_radius']:.2f}",
                 str(one["direction"]),
-                f"{one['min_radius']} m",
             )
         tables.console().print(table)
+        print("Lengths, widths and smallest radii in metres.")
         return 0
 
 
@@ -115,6 +114,8 @@ class GenerateTracks:
         """Run the command."""
         from league.track import files, generate
 
+        if self.count < 1:
+            raise TrackError(f"{self.count} tracks were asked for: give a count of at least 1")
         direction = None if self.direction == "any" else self.direction
         for seed in range(self.seed, self.seed + self.count):
             track = generate.generate(

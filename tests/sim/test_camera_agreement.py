@@ -1,4 +1,4 @@
-"""The fast pictures against the second opinion: OpenCV's painting and a ray for every pixel."""
+"""The fast pictures against the second opinion: the compiled painter and a ray for every pixel."""
 
 import cv2
 import numpy as np
