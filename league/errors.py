@@ -49,5 +49,8 @@ def brief(given: object) -> str:
     """Return what was given as it fits into one line of an error message."""
     import reprlib
 
-    line = " ".join(reprlib.repr(given).split())
+    try:
+        line = " ".join(reprlib.repr(given).split())
+    except ValueError:  # Python writes no whole number of more than 4,300 digits
+        line = f"a {type(given).__name__} too long to write"
     return line if len(line) <= 80 else f"{line[:77]}..."

@@ -6,13 +6,12 @@ reason.
 
 from __future__ import annotations
 
-import reprlib
 from collections.abc import Mapping
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from league.errors import ConfigError
+from league.errors import ConfigError, brief
 from league.sim.config import RaceKind, SolverName
 
 EventKind = Literal[
@@ -97,7 +96,7 @@ def checked(settings: Mapping[str, Any]) -> RaceSpec:
     if first["loc"] == ("entries",) and isinstance(first["input"], (list, tuple)):
         raise ConfigError(f"{len(first['input'])} drivers were named: give 1 to 8")
     reason = _wanted(where) or first["msg"].replace("\n", " ")[:200]
-    raise ConfigError(f"{where} is {_briefly(first['input'])}: {reason}")
+    raise ConfigError(f"{where} is {brief(first['input'])}: {reason}")
 
 
 def _wanted(name: str) -> str:
@@ -110,13 +109,6 @@ def _wanted(name: str) -> str:
     number = "a whole number" if about["type"] == "integer" else "a number"
     largest = about.get("maximum") or f"below {about['exclusiveMaximum']}"
     return f"give {number} from {about['minimum']} to {largest}"
-
-
-def _briefly(given: object) -> str:
-    short = reprlib.Repr()
-    short.maxdict = short.maxlist = short.maxtuple = 1
-    short.maxstring = short.maxother = short.maxlong = 60
-    return short.repr(given).replace("\n", " ")
 
 
 class Event(_Data):

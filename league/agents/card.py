@@ -45,8 +45,6 @@ def _check_camera(camera: CameraConfig) -> None:
 
 
 def _check_lidar(lidar: LidarConfig) -> None:
-    if not 0 < lidar.half_angle <= math.pi:
-        raise ValueError(f"half_angle is {lidar.half_angle} rad: give more than 0, at most pi")
     if not (lidar.max_range <= 100 and 0 < lidar.clip <= 100 and 0 <= lidar.noise <= 1):
         raise ValueError("a range of the lidar is beyond 100 m, or its noise beyond 1 m")
     if not (1 <= lidar.sectors <= 256 and 1 <= lidar.bins <= 64):

@@ -70,8 +70,8 @@ class Path:
     """Columns s minus its even share, then those of a Horizon after `ahead`."""
 
     @classmethod
-    def of(cls, line: RacingLine, track: Track) -> Path:
-        """Build the tables of a line on its track."""
+    def of(cls, line: RacingLine, track: Track, *, device: torch.device | str = "cpu") -> Path:
+        """Build the tables of a line on its track, on a device."""
         step = track.length / (len(line.s) if line.closed else len(line.s) - 1)
         run = np.concatenate([[0.0], np.cumsum(line.stretch * step)])
         run = run if line.closed else run[:-1]
@@ -109,8 +109,8 @@ class Path:
             closed=line.closed,
             length=track.length,
             total=total,
-            by_s=torch.tensor(np.stack(beside, axis=1), dtype=torch.float32),
-            by_distance=torch.tensor(np.stack(ahead, axis=1), dtype=torch.float32),
+            by_s=_table(beside, device),
+            by_distance=_table(ahead, device),
         )
 
     def beside(self, s: Tensor) -> Place:
@@ -135,6 +135,10 @@ class Path:
         part = (cell - low).unsqueeze(-1)
         mixed = table[low] + (table[low + 1] - table[low]) * part
         return mixed.unbind(dim=-1)
+
+
+def _table(columns: list[np.ndarray], device: torch.device | str) -> Tensor:
+    return torch.tensor(np.stack(columns, axis=1), dtype=torch.float32, device=device)
 
 
 def read_nodes(values: Tensor, distance: Tensor) -> Tensor:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import torch
+
 from league.agents import garage
 from league.agents.driver import Driver
 from league.agents.scripted import CenterlineDriver, LineDriver, Style
@@ -20,11 +22,15 @@ NAMES: dict[str, str] = {
 }
 """Scripted drivers and what each does."""
 
-_BUILD: dict[str, Callable[[Track, CarConfig], Driver]] = {
-    "blocker": lambda track, car: LineDriver(
-        "blocker", track, car, Style(pace=0.85, grip=0.9, margin=0.08, blocks=True)
+_BUILD: dict[str, Callable[[Track, CarConfig, torch.device], Driver]] = {
+    "blocker": lambda track, car, device: LineDriver(
+        "blocker",
+        track,
+        car,
+        Style(pace=0.85, grip=0.9, margin=0.08, blocks=True),
+        device=device,
     ),
-    "cautious": lambda track, car: LineDriver(
+    "cautious": lambda track, car, device: LineDriver(
         "cautious",
         track,
         car,
@@ -37,9 +43,14 @@ _BUILD: dict[str, Callable[[Track, CarConfig], Driver]] = {
                 clearance=0.1, edge=0.04, approach=2.6, braking=2.0, gap=0.3, freer_side=True
             ),
         ),
+        device=device,
     ),
-    "centerline": lambda track, car: CenterlineDriver("centerline", track, car),
-    "racing_line": lambda track, car: LineDriver("racing_line", track, car, Style()),
+    "centerline": lambda track, car, device: CenterlineDriver(
+        "centerline", track, car, device=device
+    ),
+    "racing_line": lambda track, car, device: LineDriver(
+        "racing_line", track, car, Style(), device=device
+    ),
 }
 
 
@@ -49,7 +60,8 @@ def load(name_or_path: str, tracks: TrackSet, car: CarConfig) -> Driver:
     Args:
         name_or_path: name of a scripted driver or of a policy in the garage, or a checkpoint,
             which ends in .pt.
-        tracks: the set; a scripted driver needs it to hold one track.
+        tracks: the set, which says on what device to decide; a scripted driver needs it to hold
+            one track.
         car: the car it will drive.
 
     Raises:
@@ -71,7 +83,7 @@ def load(name_or_path: str, tracks: TrackSet, car: CarConfig) -> Driver:
             f"{name_or_path!r} was asked to drive {len(tracks.tracks)} tracks at once: scripted "
             "drivers are built for one; give a set of one track"
         )
-    return _BUILD[name_or_path](tracks.tracks[0], car)
+    return _BUILD[name_or_path](tracks.tracks[0], car, tracks.device)
 
 
 def policy(path: str, tracks: TrackSet, car: CarConfig, *, exact: bool = True) -> Driver:

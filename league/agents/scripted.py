@@ -55,14 +55,22 @@ def _line(track: Track, car: CarConfig, margin: float, grip: float) -> RacingLin
 class LineDriver:
     """Follows the fastest line by preview steering, goes round others, brakes where it cannot."""
 
-    def __init__(self, name: str, track: Track, car: CarConfig, style: Style) -> None:
-        """Seek the line of a track and build the tables."""
+    def __init__(
+        self,
+        name: str,
+        track: Track,
+        car: CarConfig,
+        style: Style,
+        *,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        """Seek the line of a track and build the tables, on the device of the worlds."""
         self.name, self.sensors = name, SensorConfig()
         line = _line(track, car, style.margin, style.grip)
         self._car, self._style = car, style
         self._pace: float | Tensor = style.pace
-        self._path = Path.of(line, track)
-        self._steering = PreviewSteering.of(car)
+        self._path = Path.of(line, track, device=device)
+        self._steering = PreviewSteering.of(car, device=device)
         self._transfer = Limits.of(car).transfer
         self._grip = style.grip * car.grip * GRAVITY
         self._target = torch.zeros(0)
@@ -191,11 +199,19 @@ class LineDriver:
 class CenterlineDriver:
     """The honest beginner: chases a point of the centreline, goes round boxes, waits for cars."""
 
-    def __init__(self, name: str, track: Track, car: CarConfig) -> None:
-        """Build the speed that suits the bends."""
+    def __init__(
+        self,
+        name: str,
+        track: Track,
+        car: CarConfig,
+        *,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        """Build the speed that suits the bends, on the device of the worlds."""
         self.name, self.sensors = name, SensorConfig()
         self._car = car
-        self._path = Path.of(center_line(track, car, share=0.35, top_speed=2.0), track)
+        line = center_line(track, car, share=0.35, top_speed=2.0)
+        self._path = Path.of(line, track, device=device)
 
     def reset(self, rows: Tensor | None) -> None:
         """Forget nothing: it remembers nothing."""

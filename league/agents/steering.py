@@ -70,11 +70,17 @@ class PreviewSteering:
     """float32 (num_speeds, 5 + STEPS): by state, then by each coming step's curvature."""
 
     @classmethod
-    def of(cls, car: CarConfig, weights: Weights | None = None) -> PreviewSteering:
-        """Work out the gains for a car."""
+    def of(
+        cls,
+        car: CarConfig,
+        weights: Weights | None = None,
+        *,
+        device: torch.device | str = "cpu",
+    ) -> PreviewSteering:
+        """Work out the gains for a car; the table lies on a device."""
         speeds = np.arange(SLOWEST, car.max_speed + 1e-6 + SPEED_STEP, SPEED_STEP)
         rows = [_gains(car, float(speed), weights or Weights()) for speed in speeds]
-        return cls(torch.tensor(np.stack(rows), dtype=torch.float32))
+        return cls(torch.tensor(np.stack(rows), dtype=torch.float32, device=device))
 
     def target(self, errors: Errors, bends: Tensor) -> Tensor:
         """Return the new steering target [rad], (num_rows,).

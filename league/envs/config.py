@@ -4,30 +4,38 @@ from dataclasses import dataclass, field, fields
 from typing import Literal
 
 from league.errors import ConfigError
+from league.sim.checks import check, ranged
 from league.sim.config import LookConfig, SensorConfig, SimConfig, SolverName
 from league.sim.meeting_config import Meeting
+
+
+def _weight(default: float) -> float:
+    return ranged(default, -1e6, 1e6)
 
 
 @dataclass(frozen=True)
 class RewardConfig:
     """Weights of the built-in reward terms (league/envs/rewards.py)."""
 
-    progress: float = 1.0
+    progress: float = _weight(1.0)
     """For each metre along the track, signed."""
-    centerline: float = 0.0
+    centerline: float = _weight(0.0)
     """For each step, by the classic three bands about the centreline."""
-    lap: float = 0.0
+    lap: float = _weight(0.0)
     """For each complete lap."""
-    overtake: float = 0.0
+    overtake: float = _weight(0.0)
     """For each car passed on the road."""
-    gain: float = 0.0
+    gain: float = _weight(0.0)
     """For each metre gained on a car that is near, whether ahead or behind."""
-    off_track: float = -1.0
+    off_track: float = _weight(-1.0)
     """For leaving the road."""
-    crash: float = -1.0
+    crash: float = _weight(-1.0)
     """For a contact to blame for."""
-    contact: float = 0.0
+    contact: float = _weight(0.0)
     """For being hit by another car."""
+
+    def __post_init__(self) -> None:
+        check(self, "reward")
 
     @property
     def terms(self) -> tuple[str, ...]:
@@ -53,7 +61,7 @@ class EnvConfig:
     """In a race a mistake costs penalty seconds; in training it ends the car's episode."""
     reward: RewardConfig = field(default_factory=RewardConfig)
     """Weights of the reward terms."""
-    episode_s: float = 60.0
+    episode_s: float = ranged(60.0, 0.001, 1e6)
     """Longest episode in training [s]."""
     restarting: tuple[int, ...] | None = None
     """Cars that start their next episode by themselves, in training; None: all. Any other car is
@@ -63,6 +71,7 @@ class EnvConfig:
     episodes on a free stretch anywhere."""
 
     def __post_init__(self) -> None:
+        check(self, "environment")
         if len(self.sensors) not in (1, self.sim.num_cars):
             raise ConfigError(
                 f"{len(self.sensors)} sensor settings for {self.sim.num_cars} cars: "
@@ -79,10 +88,6 @@ class EnvConfig:
         if strangers:
             raise ConfigError(
                 f"restarting names car {strangers[0]}: there are {self.sim.num_cars} cars, from 0"
-            )
-        if not 0 < self.episode_s <= 1e6:  # False for NaN
-            raise ConfigError(
-                f"episode_s is {self.episode_s}: give more than 0 seconds, at most 1e6"
             )
 
     def sensors_of(self, car: int) -> SensorConfig:

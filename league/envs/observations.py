@@ -8,6 +8,9 @@ state   float32 (SIZE,)                   the truth, for critics and scripted dr
 
 from __future__ import annotations
 
+from fractions import Fraction
+from functools import cache
+
 import torch
 from torch import Tensor
 
@@ -22,6 +25,7 @@ MOTION_FIELDS = ("speed", "yaw_rate", "steering", "last_steering", "last_speed")
 MOTION_SCALE = (4.0, 8.0, 0.5236)
 """Speed [m/s], yaw rate [rad/s] and steering [rad] that are told as 1."""
 _PASSED = -0.35
+_LARGEST_DIVISOR = 10**6  # of a sensor's rate as a fraction [1/s]
 
 
 def motion(world: World, last_action: Tensor, car: int) -> Tensor:
@@ -94,11 +98,17 @@ def due(rate_hz: float, step_hz: int, step: Tensor) -> Tensor:
         step_hz: control steps per second.
         step: control steps since the start of each race, int64, (num_worlds,).
     """
-    share = min(rate_hz / step_hz, 1.0)
-    # The first step at or after each multiple of the sensor's period, and the start.
-    count = torch.floor(step.to(torch.float64) * share + 1e-9)
-    before = torch.floor((step - 1).to(torch.float64) * share + 1e-9)
-    return (count != before) | (step == 0)
+    readings, steps = _share(rate_hz, step_hz)
+    # The first step at or after each multiple of the sensor's period, and the start: where
+    # floor(step readings / steps) grows. Whole numbers stay exact, and every device has them.
+    return (step * readings % steps < readings) | (step == 0)
+
+
+@cache
+def _share(rate_hz: float, step_hz: int) -> tuple[int, int]:
+    """Return in how many of how many control steps a sensor has something new."""
+    share = Fraction(min(rate_hz, step_hz)).limit_denominator(_LARGEST_DIVISOR) / step_hz
+    return share.numerator, share.denominator
 
 
 def effective_rate_hz(rate_hz: float, step_hz: int) -> float:

@@ -17,12 +17,17 @@ from league.envs.driver import Driver
 from league.envs.opponents import Opponents, check_field, named
 from league.envs.race_env import Observations, RaceEnv, Step
 from league.envs.rewards import Reward
-from league.errors import ActionError, ConfigError
+from league.errors import ActionError, ConfigError, brief
 from league.sim.config import SensorConfig
 from league.sim.world import World
 from league.track.course import TrackSet
 
 MISTAKES = ("off_track", "crashed", "immobilised", "reversed")
+NUMBERS = (
+    *(torch.float32, torch.float64, torch.float16, torch.bfloat16),
+    *(torch.int64, torch.int32, torch.int16, torch.int8, torch.uint8),
+)
+"""What actions may be made of."""
 
 
 class RacingVecEnv(VecEnv):
@@ -133,16 +138,10 @@ class RacingVecEnv(VecEnv):
             `driven`, laps that each row has driven in its episode, before any restart.
 
         Raises:
-            ActionError: actions of the wrong shape, or NaN.
+            ActionError: no tensor of numbers, the wrong shape, NaN or infinity.
         """
-        expected = (self.num_envs, self.num_actions)
-        if tuple(actions.shape) != expected:
-            raise ActionError(
-                f"actions have shape {tuple(actions.shape)}: expected {expected}, (rows, actions)"
-            )
+        actions = self._checked(actions)
         if self.action_space is not None:
-            if not bool(torch.isfinite(actions).all()):
-                raise ActionError("an action is NaN or infinite: give finite numbers")
             actions = to_actions(self.action_space, actions, self.cfg.sim.car)
         driven = self._env.last_action.clone()
         driven[:, self._columns] = (
@@ -182,6 +181,26 @@ class RacingVecEnv(VecEnv):
     def close(self) -> None:
         """Give back what the solver holds."""
         self._env.close()
+
+    def _checked(self, actions: Tensor) -> Tensor:
+        expected = (self.num_envs, self.num_actions)
+        if not isinstance(actions, Tensor) or actions.dtype not in NUMBERS:
+            raise ActionError(
+                f"actions are {brief(actions)}: expected a tensor of real numbers of shape "
+                f"{expected}, (rows, actions)"
+            )
+        if tuple(actions.shape) != expected:
+            raise ActionError(
+                f"actions have shape {tuple(actions.shape)}: expected {expected}, (rows, actions)"
+            )
+        finite = torch.isfinite(actions)
+        if not bool(finite.all()):
+            row = int((~finite).any(dim=1).nonzero()[0])
+            raise ActionError(
+                f"the action of row {row} is {brief(actions[row].tolist())}: give finite numbers"
+            )
+        # With its gradient, every step would hold on to all before it.
+        return actions.detach()
 
     def _rows(self, values: Tensor) -> Tensor:
         return values[:, self._columns].reshape(self.num_envs, *values.shape[2:])

@@ -57,7 +57,7 @@ class Recorder:
         if self._first is not None:
             raise ValueError("this recorder has started already: make a new one for each race")
         self._first = world
-        self._keep(world, torch.zeros((world.num_cars, NUM_ACTIONS)))
+        self._keep(world, world.motion.x.new_zeros((world.num_cars, NUM_ACTIONS)))
 
     def add(self, world: World, actions: Tensor) -> None:
         """Keep the world after one control step and the actions that led to it.

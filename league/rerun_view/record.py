@@ -275,8 +275,7 @@ def classification(replay: Replay) -> str:
     result, spec = replay.result, replay.spec
     kind = spec.kind.replace("_", " ")
     lines = [
-        f"# {replay.track.title}",
-        f"**{kind}**, {laps(spec.laps)}, {spec.solver}, seed {spec.seed}",
+        f"**{replay.track.title}**: {kind}, {laps(spec.laps)}, {spec.solver}, seed {spec.seed}",
         "",
         "| | driver | total | best lap | penalties |",
         "|---:|:---|---:|---:|---:|",

@@ -4,112 +4,119 @@ Sources: "facts" are figures of the original (Gazebo URDF and rules of AWS DeepR
 argued in docs/physics.md.
 """
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
-from league.errors import ConfigError
+from league.errors import ConfigError, brief
+from league.sim.checks import check, is_number, ranged
 
 RaceKind = Literal["time_trial", "obstacle_avoidance", "head_to_head"]
 SolverName = Literal["planar", "bullet"]
 MAX_CARS = 8
 
 
-def _check_range(name: str, value: float, low: float, high: float) -> None:
-    if not low <= value <= high:  # False for NaN
-        raise ConfigError(f"{name} is {value}: give {low:g} to {high:g}")
-
-
 @dataclass(frozen=True)
 class CarConfig:
     """One car's body, drive, steering and tyres."""
 
-    wheelbase: float = 0.164
+    wheelbase: float = ranged(0.164, 0.01, 10.0)
     """Distance between the axles [m]."""
-    wheel_track: float = 0.16
+    wheel_track: float = ranged(0.16, 0.01, 10.0)
     """Distance between left and right wheel centres [m]."""
-    wheel_radius: float = 0.035
+    wheel_radius: float = ranged(0.035, 0.001, 10.0)
     """Radius of a wheel [m]."""
-    length: float = 0.324
+    length: float = ranged(0.324, 0.01, 10.0)
     """Length of the footprint [m], centred on the base, which is midway between the axles."""
-    width: float = 0.196
+    width: float = ranged(0.196, 0.01, 10.0)
     """Width of the footprint [m]."""
-    height: float = 0.194
+    height: float = ranged(0.194, 0.01, 10.0)
     """Height of the body [m]."""
-    nose: float = 0.14
+    nose: float = ranged(0.14, -10.0, 10.0)
     """How far the reference point of x, y and progress lies ahead of the base [m]."""
-    mass: float = 8.2
+    mass: float = ranged(8.2, 0.01, 1e4)
     """Mass [kg] (facts: 8.22 with stereo cameras and lidar)."""
-    yaw_inertia: float = 0.085
+    yaw_inertia: float = ranged(0.085, 1e-6, 1e5)
     """Moment of inertia about the vertical [kg m^2]."""
-    mass_height: float = 0.05
+    mass_height: float = ranged(0.05, 0.0, 10.0)
     """Height of the centre of mass above the ground [m]; sets the load moved by braking."""
-    grip: float = 0.7
+    grip: float = ranged(0.7, 0.01, 10.0)
     """Friction coefficient between tyre and road."""
-    cornering_stiffness: float = 12.0
+    cornering_stiffness: float = ranged(12.0, 0.0, 1000.0)
     """Lateral force per load and per unit slip at small slip [1/rad]."""
-    max_steering: float = 0.5235987755982988
+    max_steering: float = ranged(0.5235987755982988, 0.01, 1.5)
     """Largest steering angle to either side [rad] (30 deg)."""
-    steering_rate: float = 7.0
+    steering_rate: float = ranged(7.0, 0.01, 1e6)
     """Fastest change of the steering angle [rad/s]."""
-    min_speed: float = 0.1
+    min_speed: float = ranged(0.1, 0.0, 100.0)
     """Smallest speed command [m/s]; there is no reverse."""
-    max_speed: float = 4.0
+    max_speed: float = ranged(4.0, 0.01, 100.0)
     """Largest speed command [m/s]."""
-    max_acceleration: float = 4.0
+    max_acceleration: float = ranged(4.0, 0.01, 1000.0)
     """Largest acceleration of the drive [m/s^2]."""
-    max_braking: float = 5.0
+    max_braking: float = ranged(5.0, 0.01, 1000.0)
     """Largest deceleration of the drive [m/s^2]."""
-    speed_gain: float = 12.0
+    speed_gain: float = ranged(12.0, 0.01, 1e6)
     """Acceleration asked per unit of speed error [1/s]."""
-    latency_s: float = 0.0
+    latency_s: float = ranged(0.0, 0.0, 1.0)
     """Time from an action to the servos [s], up to one control step."""
+
+    def __post_init__(self) -> None:
+        check(self, "car")
+        if not self.min_speed < self.max_speed:
+            raise ConfigError(
+                f"car speeds from {self.min_speed} to {self.max_speed} m/s are no range: "
+                "min_speed must lie below max_speed"
+            )
+        # Less than any body has (a uniform one: 1 / 12), and forces would turn it without bound.
+        least = 0.001 * self.mass * (self.length**2 + self.width**2 + self.wheelbase**2)
+        if self.yaw_inertia < least:
+            raise ConfigError(
+                f"car yaw_inertia is {self.yaw_inertia}: give at least {least:.3g} for a mass of "
+                f"{self.mass} kg and this size"
+            )
 
 
 @dataclass(frozen=True)
 class ContactConfig:
     """How bodies touch."""
 
-    friction: float = 0.3
+    friction: float = ranged(0.3, 0.0, 10.0)
     """Friction coefficient between two bodies."""
-    restitution: float = 0.15
+    restitution: float = ranged(0.15, 0.0, 1.0)
     """Share of the approach speed that comes back."""
+
+    def __post_init__(self) -> None:
+        check(self, "contact")
 
 
 @dataclass(frozen=True)
 class CameraConfig:
     """A pair of parallel cameras, or one (facts section 3)."""
 
-    width: int = 160
+    width: int = ranged(160, 8, 1920)
     """Pixels across."""
-    height: int = 120
+    height: int = ranged(120, 8, 1080)
     """Pixels down."""
     colour: bool = False
     """RGB instead of gray."""
     eyes: Literal["stereo", "left", "mono"] = "stereo"
     """Both eyes, the left one alone, or one in the middle."""
-    field_of_view: float = 1.13
+    field_of_view: float = ranged(1.13, 0.1, 2.6)
     """Horizontal field of view [rad] (64.7 deg)."""
-    forward: float = 0.145
+    forward: float = ranged(0.145, -10.0, 10.0)
     """Ahead of the base [m]."""
-    up: float = 0.130
+    up: float = ranged(0.130, 0.0, 10.0)
     """Above the ground [m]."""
-    pitch: float = 0.2617993877991494
+    pitch: float = ranged(0.2617993877991494, -math.pi / 2, math.pi / 2)
     """Downward tilt [rad] (15 deg)."""
-    baseline: float = 0.060
+    baseline: float = ranged(0.060, 0.0, 1.0)
     """Distance between the eyes [m]."""
-    rate_hz: float = 15.0
+    rate_hz: float = ranged(15.0, 0.001, 1000.0)
     """New pictures per second; at most one for each control step."""
 
     def __post_init__(self) -> None:
-        if not (8 <= self.width <= 1920 and 8 <= self.height <= 1080):
-            raise ConfigError(
-                f"camera size {self.width}x{self.height} is out of range: "
-                "give 8 to 1920 pixels across and 8 to 1080 down"
-            )
-        if not 0 < self.rate_hz <= 1000:
-            raise ConfigError(f"camera rate_hz is {self.rate_hz}: give 0 (not itself) to 1000")
-        if not 0.1 <= self.field_of_view <= 2.6:
-            raise ConfigError(f"field_of_view is {self.field_of_view} rad: give 0.1 to 2.6")
+        check(self, "camera")
 
     @property
     def num_eyes(self) -> int:
@@ -129,21 +136,17 @@ class LookConfig:
     Light, colours and blur are drawn once for each race, noise for each picture.
     """
 
-    light: float = 0.0
+    light: float = ranged(0.0, 0.0, 0.95)
     """Share by which a picture is brighter or darker (0.3: 70 % to 130 %)."""
-    colour: float = 0.0
+    colour: float = ranged(0.0, 0.0, 0.95)
     """Share by which red, green and blue of each body, and of each colour picture, differ."""
-    noise: float = 0.0
+    noise: float = ranged(0.0, 0.0, 64.0)
     """Largest standard deviation of a pixel, of 255."""
-    blur: float = 0.0
+    blur: float = ranged(0.0, 0.0, 0.8)
     """Largest standard deviation of the blur [px], up to 0.8."""
 
     def __post_init__(self) -> None:
-        limits = {"light": 0.95, "colour": 0.95, "noise": 64.0, "blur": 0.8}
-        for name, limit in limits.items():
-            value = getattr(self, name)
-            if not 0 <= value <= limit:
-                raise ConfigError(f"look {name} is {value}: give 0 to {limit}")
+        check(self, "look")
 
     @property
     def is_plain(self) -> bool:
@@ -155,41 +158,38 @@ class LookConfig:
 class LidarConfig:
     """A flat scan that looks to the rear and is blind ahead (facts section 3)."""
 
-    beams: int = 64
+    beams: int = ranged(64, 1, 4096)
     """Number of beams, spread evenly from -half_angle to +half_angle about the rear."""
-    half_angle: float = 2.6179938779914944
+    half_angle: float = ranged(2.6179938779914944, 0.001, math.pi)
     """Half of the scan about the rear [rad] (150 deg)."""
-    forward: float = 0.0291
+    forward: float = ranged(0.0291, -10.0, 10.0)
     """Ahead of the base [m]."""
-    up: float = 0.185
+    up: float = ranged(0.185, 0.0, 10.0)
     """Above the ground [m]."""
-    min_range: float = 0.15
+    min_range: float = ranged(0.15, 0.0, 1e6)
     """Shortest range told [m]."""
-    max_range: float = 12.0
+    max_range: float = ranged(12.0, 0.0, 1e6)
     """Longest range told [m]."""
-    noise: float = 0.01
+    noise: float = ranged(0.01, 0.0, 100.0)
     """Standard deviation of a range [m]."""
-    rate_hz: float = 10.0
+    rate_hz: float = ranged(10.0, 0.001, 1000.0)
     """Scans per second."""
     form: Literal["ranges", "sectors", "discretised"] = "ranges"
     """ranges [m], or 1 for each sector with something within 0.5 m, or one-hot bins per sector."""
-    sectors: int = 8
+    sectors: int = ranged(8, 1, 4096)
     """Number of sectors of the two coarse forms; divides beams."""
-    bins: int = 8
+    bins: int = ranged(8, 1, 1024)
     """Bins per sector of the discretised form."""
-    clip: float = 2.0
+    clip: float = ranged(2.0, 0.001, 1e6)
     """Range covered by the bins [m]."""
 
     def __post_init__(self) -> None:
-        if not 1 <= self.beams <= 4096:
-            raise ConfigError(f"lidar beams is {self.beams}: give 1 to 4096")
-        if self.form != "ranges" and (self.sectors < 1 or self.beams % self.sectors):
+        check(self, "lidar")
+        if self.form != "ranges" and self.beams % self.sectors:
             raise ConfigError(
                 f"lidar sectors is {self.sectors}, which does not divide {self.beams} beams"
             )
-        if not 0 < self.rate_hz <= 1000:
-            raise ConfigError(f"lidar rate_hz is {self.rate_hz}: give more than 0 and at most 1000")
-        if not 0 <= self.min_range < self.max_range:
+        if not self.min_range < self.max_range:
             raise ConfigError(
                 f"lidar ranges {self.min_range} to {self.max_range} m are empty: "
                 "min_range must lie below max_range"
@@ -211,6 +211,9 @@ class SensorConfig:
     lidar: LidarConfig | None = None
     """Its lidar, if any."""
 
+    def __post_init__(self) -> None:
+        check(self, "sensor")
+
     @classmethod
     def full(cls, width: int = 160, height: int = 120) -> "SensorConfig":
         """Stereo cameras of the given size and the rear lidar."""
@@ -221,7 +224,7 @@ class SensorConfig:
 class ObstacleConfig:
     """Boxes or slow bot cars on the track (facts section 5.1)."""
 
-    count: int = 6
+    count: int = ranged(6, 0, 32)
     """How many."""
     kind: Literal["box", "bot"] = "box"
     """A standing box, or a car that follows a lane at constant speed."""
@@ -229,85 +232,72 @@ class ObstacleConfig:
     """Random places and lanes for each race; otherwise even spacing and alternating lanes."""
     places: tuple[tuple[float, float], ...] = ()
     """Fixed places instead: (fraction of the lap, lane: +1 left to -1 right)."""
-    min_distance: float = 2.0
+    min_distance: float = ranged(2.0, 0.0, 100.0)
     """Smallest distance between two of them along the track [m], as far as the lap allows."""
-    speed: float = 0.5
+    speed: float = ranged(0.5, 0.0, 12.0)
     """Speed of a bot car [m/s]."""
     lane_change: bool = True
     """Whether bot cars change lanes every 3 to 5 s, over 1 m."""
-    length: float = 0.4
+    length: float = ranged(0.4, 0.01, 2.0)
     """Length of a box along the track [m]."""
-    width: float = 0.3
+    width: float = ranged(0.3, 0.01, 2.0)
     """Width of a box across the track [m]."""
-    height: float = 0.25
+    height: float = ranged(0.25, 0.01, 2.0)
     """Height of a box [m]."""
 
     def __post_init__(self) -> None:
-        if not 0 <= self.count <= 32:
-            raise ConfigError(f"obstacle count is {self.count}: give 0 to 32")
+        check(self, "obstacle")
+        if not isinstance(self.places, tuple | list) or not all(map(_is_place, self.places)):
+            raise ConfigError(
+                f"obstacle places are {brief(self.places)}: give (fraction of the lap from 0 to 1, "
+                "lane from -1 to 1) for each"
+            )
         if self.places and len(self.places) != self.count:
             raise ConfigError(
                 f"{len(self.places)} places for {self.count} obstacles: give one place for each"
             )
-        for name, low, high in (
-            ("min_distance", 0.0, 100.0),
-            ("speed", 0.0, 12.0),
-            ("length", 0.01, 2.0),
-            ("width", 0.01, 2.0),
-            ("height", 0.01, 2.0),
-        ):
-            _check_range(f"obstacle {name}", getattr(self, name), low, high)
+
+
+def _is_place(given: object) -> bool:
+    match given:
+        case [fraction, lane]:
+            return is_number(fraction, 0.0, 1.0) and is_number(lane, -1.0, 1.0)
+    return False
 
 
 @dataclass(frozen=True)
 class RaceRules:
     """What ends a stretch, what it costs and how the order is made (facts section 5)."""
 
-    laps: int = 3
+    laps: int = ranged(3, 1, 1000)
     """Laps to drive."""
     ranking: Literal["total", "best", "average"] = "total"
     """Order by total time, best lap or average lap."""
-    off_track_penalty_s: float = 2.0
+    off_track_penalty_s: float = ranged(2.0, 0.0, 600.0)
     """Seconds frozen after all four wheels left the road."""
-    crash_penalty_s: float = 5.0
+    crash_penalty_s: float = ranged(5.0, 0.0, 600.0)
     """Seconds frozen for a contact the car is to blame for."""
-    reversed_penalty_s: float = 2.0
+    reversed_penalty_s: float = ranged(2.0, 0.0, 600.0)
     """Seconds frozen after driving backwards."""
-    immobilised_penalty_s: float = 2.0
+    immobilised_penalty_s: float = ranged(2.0, 0.0, 600.0)
     """Seconds frozen after standing still."""
-    patience_steps: int = 15
+    patience_steps: int = ranged(15, 1, 10_000)
     """Steps in a row without movement, or backwards, before the rule fires."""
-    still_distance: float = 0.0003
+    still_distance: float = ranged(0.0003, 0.0, 1.0)
     """Movement per step that counts as standing still [m]."""
-    grid_gap: float = 0.75
+    grid_gap: float = ranged(0.75, 0.2, 10.0)
     """Distance between two places of the starting grid along the track [m]."""
-    overtake_margin: float = 0.162
+    overtake_margin: float = ranged(0.162, 0.0, 10.0)
     """How far ahead a car must be before it has passed another [m] (half a car)."""
-    bot_stop_s: float = 2.0
+    bot_stop_s: float = ranged(2.0, 0.0, 600.0)
     """How long bot cars stand after they ran into a car ahead of them [s]."""
-    put_back_behind: float = 1.0
+    put_back_behind: float = ranged(1.0, 0.0, 10.0)
     """Where a crashed car is put back: this far behind what it hit [m]."""
-    max_time_s: float = 0.0
+    max_time_s: float = ranged(0.0, 0.0, 1e6)
     """The race is stopped after this time [s]; 0: 30 s plus the laps at 0.25 m/s."""
 
     def __post_init__(self) -> None:
-        if not 1 <= self.laps <= 1000:
-            raise ConfigError(f"laps is {self.laps}: give 1 to 1000")
-        for name in ("off_track", "crash", "reversed", "immobilised"):
-            value = getattr(self, f"{name}_penalty_s")
-            if not 0 <= value <= 600:
-                raise ConfigError(f"{name}_penalty_s is {value}: give 0 to 600 seconds")
-        for name, low, high in (
-            ("patience_steps", 1, 10_000),
-            ("still_distance", 0.0, 1.0),
-            # Cars stand in two lanes, so two in one lane are two gaps apart.
-            ("grid_gap", 0.2, 10.0),
-            ("overtake_margin", 0.0, 10.0),
-            ("bot_stop_s", 0.0, 600.0),
-            ("put_back_behind", 0.0, 10.0),
-            ("max_time_s", 0.0, 1e6),
-        ):
-            _check_range(name, getattr(self, name), low, high)
+        check(self)
 
 
 @dataclass(frozen=True)
@@ -317,18 +307,21 @@ class Spread:
     Shares are of the setting (0.2: 80 % to 120 %), all others absolute, all uniform.
     """
 
-    grip: float = 0.0
+    grip: float = ranged(0.0, 0.0, 0.95)
     """Share of the grip."""
-    mass: float = 0.0
+    mass: float = ranged(0.0, 0.0, 0.95)
     """Share of the mass."""
-    latency_s: float = 0.0
+    latency_s: float = ranged(0.0, 0.0, 1.0)
     """Largest extra latency [s]."""
-    steering_offset: float = 0.0
+    steering_offset: float = ranged(0.0, 0.0, 0.5)
     """Largest error of the steering's zero [rad]."""
-    camera_position: float = 0.0
+    camera_position: float = ranged(0.0, 0.0, 1.0)
     """Largest shift of the camera in height [m]."""
-    camera_angle: float = 0.0
+    camera_angle: float = ranged(0.0, 0.0, 0.5)
     """Largest tilt of the camera in pitch [rad]."""
+
+    def __post_init__(self) -> None:
+        check(self, "spread")
 
 
 @dataclass(frozen=True)
@@ -337,11 +330,11 @@ class SimConfig:
 
     kind: RaceKind = "time_trial"
     """Alone, with obstacles, or against other cars."""
-    num_cars: int = 1
+    num_cars: int = ranged(1, 1, MAX_CARS)
     """Cars in each world."""
-    step_hz: int = 15
+    step_hz: int = ranged(15, 1, 1000)
     """Control steps per second; exactly this, whatever the machine does."""
-    decimation: int = 8
+    decimation: int = ranged(8, 1, 1000)
     """Physics steps in each control step."""
     car: CarConfig = field(default_factory=CarConfig)
     """The cars."""
@@ -355,8 +348,7 @@ class SimConfig:
     """Randomisation of the cars."""
 
     def __post_init__(self) -> None:
-        if not 1 <= self.num_cars <= MAX_CARS:
-            raise ConfigError(f"num_cars is {self.num_cars}: give 1 to {MAX_CARS}")
+        check(self)
         if self.kind == "head_to_head" and self.num_cars < 2:
             raise ConfigError("a head_to_head race has 1 car: give 2 to 8")
         if self.kind != "head_to_head" and self.num_cars != 1:

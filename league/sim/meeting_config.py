@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from league.errors import ConfigError
+from league.sim.checks import check, ranged
 
 
 @dataclass(frozen=True)
@@ -14,39 +15,32 @@ class Meeting:
     behind, begins its next one near car 0, which drives on.
     """
 
-    alone: float = 0.2
+    alone: float = ranged(0.2, 0.0, 1.0)
     """Share of car 0's episodes that it drives alone."""
-    standing: float = 0.35
+    standing: float = ranged(0.35, 0.0, 1.0)
     """Share that begins at rest on the starting grid, in any slot."""
-    rolling: float = 0.9
+    rolling: float = ranged(0.9, 0.0, 1.0)
     """Share of the rest that begins at speed; the others at rest."""
-    reach: float = 1.5
+    reach: float = ranged(1.5, 0.5, 1000.0)
     """Farthest the others are put ahead of or behind car 0, along the track [m]."""
-    room: float = 0.6
+    room: float = ranged(0.6, 0.5, 1000.0)
     """Nearest a car is put that joins while car 0 is driving [m]."""
-    lost: float = 4.0
+    lost: float = ranged(4.0, 0.5, 1000.0)
     """A car farther away than this along the track begins anew near car 0 [m]."""
-    top_speed: float = 3.5
+    top_speed: float = ranged(3.5, 0.0, 12.0)
     """Fastest rolling start [m/s]; before bends it is what the grip allows."""
-    pace: float = 0.15
+    pace: float = ranged(0.15, 0.0, 0.5)
     """Share by which each car's speed differs at a rolling start."""
 
     def __post_init__(self) -> None:
-        for name in ("alone", "standing", "rolling"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ConfigError(f"meeting {name} is {getattr(self, name)}: give 0 to 1")
+        check(self, "meeting")
         if self.alone + self.standing > 1:
             raise ConfigError(
                 f"meeting alone and standing are {self.alone} and {self.standing}: "
                 "give shares whose sum is at most 1"
             )
-        if not 0.5 <= self.room < self.reach < self.lost <= 1000:
+        if not self.room < self.reach < self.lost:
             raise ConfigError(
                 f"meeting room, reach and lost are {self.room}, {self.reach} and {self.lost}: "
-                "give metres that grow, from 0.5 on"
-            )
-        if not (0 <= self.top_speed <= 12 and 0 <= self.pace <= 0.5):
-            raise ConfigError(
-                f"meeting top_speed and pace are {self.top_speed} and {self.pace}: "
-                "give 0 to 12 m/s and 0 to 0.5"
+                "give metres that grow"
             )

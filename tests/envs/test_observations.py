@@ -129,3 +129,15 @@ def test_curvature_ahead_is_held_at_the_end_of_an_open_track():
     tracks, sim = TrackSet.of(make_straight()), field(1)
     told = seen(tracks, sim, put_cars(tracks, sim, [(9.0, 0.0)]))
     assert told["curvature_6m"] == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("rate_hz", [*range(1, 16), 0.3, 3.7, 7.5, 14.9, 60])
+@pytest.mark.parametrize("step_hz", [10, 15, 30])
+def test_sensors_are_due_at_the_same_steps_as_ever(rate_hz, step_hz):
+    step = torch.arange(100_001)
+    # As races have been recorded: in float64, a little after each multiple of the period.
+    share = min(rate_hz / step_hz, 1.0)
+    count, before = (torch.floor(at.double() * share + 1e-9) for at in (step, step - 1))
+    assert torch.equal(
+        observations.due(float(rate_hz), step_hz, step), (count != before) | (step == 0)
+    )

@@ -1,12 +1,14 @@
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 from scenes import follow_center, make_ring
 from vec_env_kit import check_rows_are_apart, check_steps, check_vec_env
 
+from league.envs.action_space import ActionSpace, ContinuousActions, DiscreteActions, grid
 from league.envs.config import EnvConfig, RewardConfig
-from league.envs.vec_env import RacingVecEnv
+from league.envs.vec_env import NUMBERS, RacingVecEnv
 from league.errors import ActionError, ConfigError, PolicyError
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig, SimConfig
 from league.track.course import TrackSet
@@ -35,6 +37,7 @@ def build(
     learners: tuple[int, ...] = (0,),
     opponents: dict | None = None,
     sensors: SensorConfig | tuple[SensorConfig, ...] = SMALL,
+    action_space: ActionSpace | None = None,
     seed: int = 3,
     **settings: object,
 ) -> RacingVecEnv:
@@ -55,6 +58,7 @@ def build(
         num_worlds=num_worlds,
         learners=learners,
         opponents=opponents,
+        action_space=action_space,
         seed=seed,
     )
 
@@ -196,13 +200,63 @@ def test_one_driver_object_cannot_drive_two_cars():
         build(1, cars=3, opponents={1: driver, 2: driver})
 
 
+@pytest.mark.parametrize("space", [None, ContinuousActions()])
 @pytest.mark.parametrize(
-    "actions", [torch.full((1, 2), torch.nan), torch.zeros(2, 2), torch.zeros(1, 3)]
+    ("actions", "sentence"),
+    [
+        (torch.full((1, 2), torch.nan), r"the action of row 0 is \[nan, nan\]"),
+        (torch.tensor([[0.0, torch.inf]]), r"row 0 is \[0.0, inf\]: give finite numbers"),
+        (torch.tensor([[-torch.inf, 0.0]]), "give finite numbers"),
+        (torch.zeros(2, 2), r"shape \(2, 2\): expected \(1, 2\)"),
+        (torch.zeros(1, 3), r"shape \(1, 3\)"),
+        (torch.zeros(2), r"shape \(2,\)"),
+        (torch.zeros(1, 2, dtype=torch.bool), "expected a tensor of real numbers"),
+        (torch.zeros(1, 2, dtype=torch.complex64), "expected a tensor of real numbers"),
+        (torch.zeros(1, 2).to(torch.float8_e4m3fn), "expected a tensor of real numbers"),
+        ([[0.0, 0.0]], r"actions are \[\[0.0, 0.0\]\]: expected a tensor"),
+        (np.zeros((1, 2), np.float32), "expected a tensor"),
+        (None, "actions are None: expected a tensor"),
+    ],
 )
-def test_actions_that_are_none_are_refused(actions):
-    env = build(1, sensors=SensorConfig())
-    with pytest.raises(ActionError):
+def test_actions_that_are_none_are_refused(actions, sentence, space):
+    env = build(1, sensors=SensorConfig(), action_space=space)
+    before = env.race_env.world
+    with pytest.raises(ActionError, match=sentence) as refusal:
         env.step(actions)
+    assert "\n" not in str(refusal.value)
+    assert env.race_env.world is before
+
+
+def test_the_refusal_names_the_row_that_left_the_numbers():
+    actions = torch.zeros(3, 2)
+    actions[1, 0] = torch.nan
+    with pytest.raises(ActionError, match="the action of row 1 is"):
+        build(3, sensors=SensorConfig()).step(actions)
+
+
+@pytest.mark.parametrize("dtype", NUMBERS)
+@pytest.mark.parametrize("space", [None, ContinuousActions(), grid(3, 30, 2, 3)])
+def test_actions_may_be_of_any_numbers(dtype, space):
+    env = build(2, sensors=SensorConfig(), action_space=space)
+    env.step(torch.ones(2, env.num_actions).to(dtype))
+    # Full left and the largest speed, or the first choice: 30 deg and half of 3 m/s.
+    speed = 1.0 if not isinstance(space, DiscreteActions) else 2 * (1.5 - 0.1) / 3.9 - 1
+    asked = env.race_env.last_action[:, 0].tolist()
+    assert asked == [pytest.approx([1.0, speed], abs=0.02)] * 2
+
+
+@pytest.mark.parametrize("size", [1.5, 1e30])
+def test_finite_actions_beyond_the_range_are_cut_off_there(size):
+    env = build(1, sensors=SensorConfig())
+    env.step(torch.tensor([[size, -size]], dtype=torch.float64))
+    assert env.race_env.last_action.tolist() == [[[1.0, -1.0]]]
+
+
+def test_no_step_holds_on_to_a_gradient():
+    env = build(1, sensors=SensorConfig())
+    obs, rewards, *_ = env.step(torch.zeros(1, 2, requires_grad=True))
+    assert not env.race_env.last_action.requires_grad
+    assert not rewards.requires_grad and not obs["motion"].requires_grad
 
 
 class ForgetsWhy(RacingVecEnv):

@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
+from league import race
 from league.errors import TrackError
+from league.race_spec import Entry, RaceSpec
 from league.track import files, importer, spline
 
 SHARED = Path(__file__).parents[3] / "shared" / "tracks"
@@ -95,6 +97,50 @@ def test_repeated_rows_and_rows_out_of_square_change_little(tmp_path):
     left = np.linalg.norm(skew.left - skew.center, axis=1)
     np.testing.assert_allclose(left, 0.4, atol=0.06)
     assert skew.width == pytest.approx(clean.width, abs=0.005)
+
+
+def _clockwise() -> np.ndarray:
+    """A clover, bending both ways, driven clockwise; row 0 at the end, another one twice."""
+    angle = -np.linspace(0, 2 * np.pi, 120)
+    radius = 2.5 + 0.4 * np.cos(3 * angle)
+    center = radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    center[-1] = center[0]
+    left = spline.left_normal(center[:-1], closed=True)
+    left = 0.4 * np.concatenate([left, left[:1]])
+    rows = np.concatenate([center, center - left, center + left], axis=1)
+    return np.insert(rows, 30, rows[30], axis=0)
+
+
+def _out_of_square() -> np.ndarray:
+    """The ring with both borders' rows slid along them, one ahead and one back."""
+    rows = _rows(120)[:-1]
+    rows[:, 2:4] = np.roll(rows[:, 2:4], -4, axis=0)
+    rows[:, 4:6] = np.roll(rows[:, 4:6], 3, axis=0)
+    return np.concatenate([rows, rows[:1]])
+
+
+def _straight() -> np.ndarray:
+    """Six metres towards the south-west, 0.76 m wide, with both ends open."""
+    along, left = np.array([-0.8, -0.6]), np.array([0.6, -0.8])
+    center = 5.0 + np.linspace(0, 6, 61)[:, None] * along
+    return np.concatenate([center, center + 0.38 * left, center - 0.38 * left], axis=1)
+
+
+@pytest.mark.parametrize("driver", ["centerline", "racing_line"])
+@pytest.mark.parametrize(
+    ("make", "direction"),
+    [(_clockwise, "clockwise"), (_out_of_square, "counter-clockwise"), (_straight, "open")],
+)
+def test_imported_tracks_are_driven_to_the_end(tmp_path, driver, make, direction):
+    rows = make()
+    track = importer.read_npy(_write(tmp_path / "made.npy", rows))
+    assert track.direction == direction
+    given = np.linalg.norm(np.diff(rows[:, :2], axis=0), axis=1).sum()
+    assert track.length == pytest.approx(given, abs=0.05)
+    spec = RaceSpec(kind="time_trial", entries=(Entry(name=driver),), laps=1)
+    (car,) = race.run(spec, track=track, record=False).result.order
+    assert car.finished and car.laps == 1
+    assert (car.off_tracks, car.crashes, car.immobilised, car.reversed) == (0, 0, 0, 0)
 
 
 def test_an_inner_border_that_loops_in_a_tight_bend_is_cut_clean():

@@ -389,7 +389,7 @@ def test_a_parent_with_other_sensors_is_refused(tmp_path):
 
 def test_schedules_run_through_once_for_the_warm_up_and_once_for_the_rest():
     cfg = SelfPlayConfig(warm_up=0.2, first_paces=(0.4, 0.6), last_paces=(0.6, 0.9))
-    told = [cfg.schedule(done) for done in (0.0, 0.1, 0.2, 0.6, 1.0)]
+    told = [cfg.part_done(done) for done in (0.0, 0.1, 0.2, 0.6, 1.0)]
     assert told == pytest.approx([0.0, 0.5, 0.0, 0.5, 1.0])
     assert cfg.paces(0.1) == cfg.paces(0.2) == pytest.approx((0.4, 0.6))
     assert cfg.paces(0.6) == pytest.approx((0.5, 0.75))

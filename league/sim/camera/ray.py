@@ -7,6 +7,7 @@ clipping or painting, so that each can be held against the other.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -17,8 +18,6 @@ from league.sim.camera.ground import Floor
 from league.sim.camera.lens import NEAR
 from league.sim.camera.renderer import Renderer
 from league.sim.camera.stage import Stage, Thing
-from league.sim.config import CameraConfig, LookConfig, SimConfig
-from league.track.course import TrackSet
 
 _FAR = 1e9
 _PIXELS_AT_ONCE = {"cpu": 1 << 20, "cuda": 1 << 25}
@@ -88,17 +87,14 @@ class _Body:
 class RayRenderer(Renderer):
     """Casts the rays of many worlds at once, on the tracks' device."""
 
-    def __init__(
-        self,
-        tracks: TrackSet,
-        sim: SimConfig,
-        camera: CameraConfig,
-        looks: LookConfig | None = None,
-    ) -> None:
-        """Keep the device; see Renderer."""
-        super().__init__(tracks, sim, camera, looks)
-        self._device = tracks.device
-        self._floors: dict[int, tuple[Floor, list[Tensor]]] = {}
+    @property
+    def _device(self) -> torch.device:
+        return self._tracks.device
+
+    @cached_property
+    def _textures(self) -> dict[int, list[Tensor]]:
+        """Levels of each track's floor, once they were asked for."""
+        return {}
 
     def _draw(self, stage: Stage, car: int, look: look_room.Look | None) -> Tensor:
         cfg = self._camera
@@ -184,23 +180,22 @@ class RayRenderer(Renderer):
         sky = scene.SKY_COLOUR if self._camera.colour else scene.luma(scene.SKY_COLOUR)
         for track in sorted(set(tracks)):
             here = (index == track).nonzero()[:, 0]
-            floor, textures = self._floor(track)
+            floor, textures = self._floor(track), self._textures_of(track)
             backs = self._tensor([*floor.ground.walls, sky]).reshape(5, channels)
             ground = self._sample(floor, textures, floor_x[here], floor_y[here])
             on_floor = is_floor[here].unsqueeze(-1)
             pictures[here] = torch.where(on_floor, ground, backs[side[here]])
         return depth, pictures
 
-    def _floor(self, track: int) -> tuple[Floor, list[Tensor]]:
-        if track not in self._floors:
-            floor = self._painted(track)
+    def _textures_of(self, track: int) -> list[Tensor]:
+        """Return the levels of a track's floor, finest first, each (num_texels, channels)."""
+        if track not in self._textures:
             channels = 3 if self._camera.colour else 1
-            textures = [
+            self._textures[track] = [
                 torch.from_numpy(level.image).to(self._device).reshape(-1, channels)
-                for level in floor.ground.levels
+                for level in self._floor(track).ground.levels
             ]
-            self._floors[track] = (floor, textures)
-        return self._floors[track]
+        return self._textures[track]
 
     def _sample(self, floor: Floor, textures: list[Tensor], x: Tensor, y: Tensor) -> Tensor:
         """Return the floor's colour at places in the world, bilinear; (..., channels)."""

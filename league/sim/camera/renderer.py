@@ -40,6 +40,7 @@ class Renderer(ABC):
         self._tracks, self._sim, self._camera = tracks, sim, camera
         self._looks = None if looks is None or looks.is_plain else looks
         self._lens = Lens.of(camera)
+        self._floors: dict[int, Floor] = {}
 
     def render(self, world: World, car: int, rows: Tensor | None = None) -> Tensor:
         """Return the pictures of one car; uint8, (num_rows, channels, height, width).
@@ -62,7 +63,9 @@ class Renderer(ABC):
     def _draw(self, stage: Stage, car: int, look: Look | None) -> Tensor:
         """Return the pictures of a car of all worlds of a stage, on whatever device."""
 
-    def _painted(self, track: int) -> Floor:
+    def _floor(self, track: int) -> Floor:
         """Return the painted floor of a track as this camera needs it."""
-        cfg = self._camera
-        return floor_of(self._tracks.tracks[track], self._lens, cfg.up, cfg.pitch, cfg.colour)
+        if track not in self._floors:
+            cfg, course = self._camera, self._tracks.tracks[track]
+            self._floors[track] = floor_of(course, self._lens, cfg.up, cfg.pitch, cfg.colour)
+        return self._floors[track]

@@ -162,7 +162,7 @@ def _drive(
     sim = SimConfig(
         kind="head_to_head", num_cars=2, car=car, rules=rules(tracks, cfg), spread=cfg.spread
     )
-    number = torch.tensor([race.seed for race in races])
+    number = torch.tensor([race.seed for race in races], device=tracks.device)
     seeds = draws.bits(torch.full_like(number, seed), _RACE_SEED, number) & (2**62 - 1)
     carried = sensors_for(drivers)
     env = RaceEnv(
@@ -173,10 +173,10 @@ def _drive(
     )
     with torch.inference_mode():
         told = env.reset(seeds=seeds)
-        book = _Book(len(races))
+        book = _Book(len(races), tracks.device)
         seats = []
         for slot in (0, 1):
-            who = torch.tensor([race.slots[slot] for race in races])
+            who = torch.tensor([race.slots[slot] for race in races], device=tracks.device)
             seats.append(_seated(drivers, who, slot))
         while not bool(book.over.all()):
             actions = torch.stack([seat.act(told[slot]) for slot, seat in enumerate(seats)], dim=1)
@@ -200,13 +200,13 @@ def _seated(drivers: Sequence[Driver], who: Tensor, slot: int) -> Seats:
 class _Book:
     """What the referee found, until each race is decided."""
 
-    def __init__(self, num_races: int) -> None:
-        shape = (num_races, 2)
-        self.over = torch.zeros(num_races, dtype=torch.bool)
-        self._count = {name: torch.zeros(shape) for name in ("crashed", "was_hit", "off_track")}
-        self._metres = torch.zeros(shape)
-        self._wins = torch.full(shape, 0.5)
-        self._dirty = torch.ones(shape, dtype=torch.bool)  # the first lap is no flying one
+    def __init__(self, num_races: int, device: torch.device) -> None:
+        self._metres = torch.zeros((num_races, 2), device=device)
+        self._wins = torch.full_like(self._metres, 0.5)
+        counted = ("crashed", "was_hit", "off_track")
+        self._count = {name: torch.zeros_like(self._metres) for name in counted}
+        self._dirty = torch.ones_like(self._metres, dtype=torch.bool)  # lap 1 is no flying one
+        self.over = torch.zeros(num_races, dtype=torch.bool, device=device)
         self._laps: list[tuple[list[float], list[float]]] = [([], []) for _ in range(num_races)]
 
     def note(self, world: World, step: Step) -> None:

@@ -42,7 +42,14 @@ class Opponent(Seats):
     """
 
     def __init__(
-        self, car: int, sensors: SensorConfig, num_rows: int, seed: int, records: Records
+        self,
+        car: int,
+        sensors: SensorConfig,
+        num_rows: int,
+        seed: int,
+        records: Records,
+        *,
+        device: torch.device | str = "cpu",
     ) -> None:
         """Begin with nobody to draw.
 
@@ -52,10 +59,11 @@ class Opponent(Seats):
             num_rows: number of worlds.
             seed: makes the draws.
             records: where results go.
+            device: of the worlds.
         """
         super().__init__(f"past selves {car}", sensors, ())
         self._car, self._num_rows, self._records = car, num_rows, records
-        self._seed = torch.tensor(seed)
+        self._seed, self._device = torch.tensor(seed), device
         self._count = 0
         self._field = Field((), (), ())
         self._sit_nobody()
@@ -76,14 +84,11 @@ class Opponent(Seats):
             rows = rows.nonzero()[:, 0]
         if rows is None:
             self._sit_nobody()
-            rows = torch.arange(self._num_rows)
+            rows = torch.arange(self._num_rows, device=self._device)
         super().reset(rows)
         if self._field.names:
-            edges = torch.tensor(self._field.shares, dtype=torch.float64).cumsum(0)
-            drawn = draws.uniform(self._seed, _MEMBER, self._count, self._car, rows)
-            picked = torch.searchsorted(edges, drawn.to(torch.float64), right=True)
             self.who = self.who.clone()
-            self.who[rows] = picked.clamp(max=len(self._field.names) - 1)
+            self.who[rows] = self._drawn(rows.to("cpu")).to(self._device)
         self._gained = self._gained.clone()
         self._gained[rows] = 0.0
         self._count += 1
@@ -108,10 +113,17 @@ class Opponent(Seats):
             result = WON if merit > 1 else LOST if merit < -1 else DRAWN
             self._records.add(self._field.names[who], result)
 
+    def _drawn(self, rows: Tensor) -> Tensor:
+        """Return who drives these rows; on the CPU, for not all devices have float64."""
+        edges = torch.tensor(self._field.shares, dtype=torch.float64).cumsum(0)
+        drawn = draws.uniform(self._seed, _MEMBER, self._count, self._car, rows)
+        picked = torch.searchsorted(edges, drawn.to(torch.float64), right=True)
+        return picked.clamp(max=len(self._field.names) - 1)
+
     def _sit_nobody(self) -> None:
-        self.who = torch.full((self._num_rows,), NOBODY)
-        self._gained = torch.zeros(self._num_rows)
-        self._awake = torch.zeros(self._num_rows, dtype=torch.bool)
+        self.who = torch.full((self._num_rows,), NOBODY, device=self._device)
+        self._gained = torch.zeros(self._num_rows, device=self._device)
+        self._awake = torch.zeros(self._num_rows, dtype=torch.bool, device=self._device)
 
 
 def shares(

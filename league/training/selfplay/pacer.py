@@ -24,7 +24,15 @@ class Pacer(LineDriver):
     trained policy that is slowed down leaves the road, because it never drove like that.
     """
 
-    def __init__(self, track: Track, car: CarConfig, seed: int, number: int) -> None:
+    def __init__(
+        self,
+        track: Track,
+        car: CarConfig,
+        seed: int,
+        number: int,
+        *,
+        device: torch.device | str = "cpu",
+    ) -> None:
         """Seek the line.
 
         Args:
@@ -32,8 +40,9 @@ class Pacer(LineDriver):
             car: what it drives.
             seed: makes the draws.
             number: of its car in each world; another car is another draw.
+            device: of the worlds.
         """
-        super().__init__("pacer", track, car, Style())
+        super().__init__("pacer", track, car, Style(), device=device)
         self._seed, self._number = torch.tensor(seed), number
         self._between, self._count = (1.0, 1.0), 0
         self._shares = torch.zeros(0)
@@ -57,7 +66,7 @@ class Pacer(LineDriver):
         """Return actions from the `state` group."""
         state = observations["state"].clone()
         if len(self._shares) != len(state):
-            self._shares = self._drawn(torch.arange(len(state)))
+            self._shares = self._drawn(torch.arange(len(state), device=state.device))
         state[:, _PRESENT] = 0.0
         self._pace = self._shares.unsqueeze(1)
         return super().act({"state": state})

@@ -76,7 +76,10 @@ class SelfPlay:
         self._policies: dict[str, Policy] = {}
         self._candidates, self._done = 0, 0.0
         self._seats = {
-            car: Opponent(car, train.sensors, train.num_worlds, train.seed, self.records)
+            car: Opponent(
+                *(car, train.sensors, train.num_worlds, train.seed, self.records),
+                device=tracks.device,
+            )
             for car in range(1, train.num_cars)
         }
         self._car = worlds.env_config(train).sim.car
@@ -124,7 +127,7 @@ class SelfPlay:
         warm_up, done = self._cfg.warm_up, min(max(done, 0.0), 1.0)
         if self._done < warm_up:
             return min(done / warm_up, 1.0)
-        return self._cfg.schedule(max(done, warm_up))
+        return self._cfg.part_done(max(done, warm_up))
 
     def state(self) -> dict[str, Any]:
         """Return all that is remembered but the files of the pool, JSON-able."""
@@ -265,7 +268,8 @@ class SelfPlay:
     def _teachers(self, car: int) -> dict[Driver, float]:
         """Return the scripted drivers of a car, each with its part of their share."""
         pacers = self._cfg.pacers
-        pacer = Pacer(self._tracks.tracks[0], self._car, self._train.seed, car)
+        tracks, seed = self._tracks, self._train.seed
+        pacer = Pacer(tracks.tracks[0], self._car, seed, car, device=tracks.device)
         slow = roster.load("centerline", self._tracks, self._car)
         return {slow: 1.0 - pacers, pacer: pacers}
 
@@ -282,7 +286,8 @@ class SelfPlay:
     def _built(self, kept: Checkpoint, name: str) -> Policy:
         # A new network draws first weights from torch's generator, with which the learner explores.
         with torch.random.fork_rng(devices=[]):
-            return Policy(kept, self._car, name=name, exact=False)
+            device = self._tracks.device
+            return Policy(kept, self._car, name=name, exact=False, device=device)
 
     def _win_rates(self) -> dict[str, float]:
         names = [NEWEST, *(member.name for member in self.pool.members)]

@@ -94,7 +94,7 @@ class SelfPlayConfig:
             return usual
         return replace(usual, alone=1.0 - usual.standing)
 
-    def schedule(self, done: float) -> float:
+    def part_done(self, done: float) -> float:
         """Return how much of the warm-up, or else of the rest, is done: 0 to 1 twice."""
         if done < self.warm_up:
             return done / self.warm_up
@@ -103,7 +103,7 @@ class SelfPlayConfig:
     def paces(self, done: float) -> tuple[float, float]:
         """Return least and largest pace of pacers, as shares, when so much of the run is done."""
         first, last = self.first_paces, self.last_paces
-        done = 0.0 if done < self.warm_up else self.schedule(done)
+        done = 0.0 if done < self.warm_up else self.part_done(done)
         return first[0] + done * (last[0] - first[0]), first[1] + done * (last[1] - first[1])
 
     def __post_init__(self) -> None:

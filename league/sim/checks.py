@@ -1,0 +1,68 @@
+"""Settings are checked as they are made: each of its field's kind, each number in its range."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import field, fields
+from types import UnionType
+from typing import TYPE_CHECKING, Literal, TypeVar, get_args, get_origin
+
+import numpy as np
+
+from league.errors import ConfigError, brief
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Number = TypeVar("Number", int, float)
+Whole = int | np.integer
+Real = Whole | float | np.floating
+
+
+def ranged(default: Number, low: float, high: float) -> Number:
+    """Return a field of a dataclass that `check` keeps from low to high, both included."""
+    return field(default=default, metadata={"range": (low, high)})
+
+
+def check(cfg: DataclassInstance, what: str = "") -> None:
+    """Refuse a field that holds another kind than its type says, or a number out of its range.
+
+    Tuples are left to their own class.
+
+    Args:
+        cfg: the settings; their types are written without quotes.
+        what: said before the field's name.
+
+    Raises:
+        ConfigError: a field cannot be what it is.
+    """
+    for item in fields(cfg):
+        value = getattr(cfg, item.name)
+        wanted = _wanted(item.type, value, *item.metadata.get("range", (-math.inf, math.inf)))
+        if wanted:
+            raise ConfigError(f"{f'{what} {item.name}'.strip()} is {brief(value)}: {wanted}")
+
+
+def is_number(value: object, low: float, high: float) -> bool:
+    """Whether a value is a real number from low to high; NaN is not."""
+    return isinstance(value, Real) and not isinstance(value, bool) and bool(low <= value <= high)
+
+
+def _wanted(kind: object, value: object, low: float, high: float) -> str:
+    """Return what is wanted instead of a value, or nothing where the value is right."""
+    if kind is int:
+        fits = isinstance(value, Whole) and is_number(value, low, high)
+        return "" if fits else f"give a whole number, {low:g} to {high:g}"
+    if kind is float:
+        return "" if is_number(value, low, high) else f"give {low:g} to {high:g}"
+    if kind is bool:
+        return "" if isinstance(value, bool) else "give True or False"
+    if get_origin(kind) is Literal:
+        known = get_args(kind)
+        fits = isinstance(value, str) and value in known
+        return "" if fits else f"choose one of {', '.join(known)}"
+    kinds = get_args(kind) if isinstance(kind, UnionType) else (kind,)
+    plain = tuple(each for each in kinds if isinstance(each, type))
+    if len(plain) == len(kinds) and not isinstance(value, plain):
+        return f"give a {' or '.join(each.__name__.removesuffix('Type') for each in plain)}"
+    return ""

@@ -1,0 +1,85 @@
+"""Actions of unknown origin at two doors, Gymnasium's and rsl-rl's; each steps or is refused."""
+
+import random
+
+import numpy as np
+import pytest
+import torch
+from scenes import make_ring
+
+from league.envs.action_space import ContinuousActions, grid
+from league.envs.config import EnvConfig
+from league.envs.single_env import SingleEnv
+from league.envs.vec_env import RacingVecEnv
+from league.errors import ActionError
+from league.track.course import TrackSet
+
+JUNK = (
+    None, True, 0, 0.5, 10**400, "0", b"1", 1j, [], {}, (), set(), object(), len, [[0.0], [0.0, 1]],
+    [[0.1, 0.2]], ["0", "1"], [10**400, 0], [None, 0], {"steering": 0, "speed": 1},
+    np.zeros(0), np.zeros((3, 3)), np.array(["0", "1"]), np.ones(2, bool), np.ones(2, complex),
+    torch.zeros(0), torch.zeros(2, 2, 2), torch.tensor(0.5),
+)  # fmt: skip
+STRANGE = (0.0, -0.0, 1.5, 5e-324, 1e30, 1e308, np.nan, np.inf, -np.inf)
+FORMATS = (torch.float32, torch.float64, torch.float16, torch.bfloat16, torch.int64, torch.uint8)
+NO_FORMATS = (torch.bool, torch.complex64, torch.float8_e4m3fn)
+
+
+def numbers(dice, *shape):
+    """Return a tensor in double precision, most of it from -1 to 1, now and then misshapen."""
+    if dice.random() < 0.2:
+        shape = dice.choice([(), (0,), (1,), (3,), (1, 2), (2, 1), (3, 3)])
+    values = torch.zeros(shape, dtype=torch.float64).apply_(lambda _: dice.uniform(-1, 1))
+    if values.numel() and dice.random() < 0.4:
+        values.view(-1)[dice.randrange(values.numel())] = dice.choice(STRANGE)
+    return values
+
+
+def readable(error):
+    said = str(error)
+    return 10 < len(said) < 400 and "\n" not in said
+
+
+def test_two_thousand_random_actions_at_gymnasiums_door_step_or_are_refused():
+    env = SingleEnv(make_ring(), sensors=())
+    env.reset(seed=0)
+    dice = random.Random(0)
+    steps = refused = 0
+    for _ in range(2000):
+        made = numbers(dice, 2)
+        action = dice.choice([made, made.to(torch.float32), made.numpy(), made.tolist()])
+        try:
+            told, reward, *over, _ = env.step(dice.choice(JUNK) if dice.random() < 0.2 else action)
+        except ActionError as error:
+            assert readable(error)
+            refused += 1
+            continue
+        steps += 1
+        assert np.isfinite(reward) and np.isfinite(told["motion"]).all()
+        if over[0] or over[1]:
+            env.reset()
+    assert steps > 500 and refused > 500
+
+
+@pytest.mark.parametrize("space", [None, ContinuousActions(), grid(3, 30, 2, 3)])
+def test_thousand_random_actions_at_rsl_rls_door_step_or_are_refused(space):
+    cfg = EnvConfig(mode="training", episode_s=4.0)
+    env = RacingVecEnv(TrackSet.of(make_ring()), cfg, num_worlds=2, action_space=space)
+    dice = random.Random(0)
+    steps = refused = 0
+    for _ in range(1000):
+        made = numbers(dice, env.num_envs, env.num_actions)
+        formats = NO_FORMATS if dice.random() < 0.1 else FORMATS
+        action = made.to(dice.choice(formats))
+        junk = dice.choice([*JUNK, made.numpy(), made.tolist()])
+        try:
+            obs, rewards, *_ = env.step(junk if dice.random() < 0.2 else action)
+        except ActionError as error:
+            assert readable(error)
+            refused += 1
+            continue
+        steps += 1
+        driven = env.race_env.last_action
+        assert torch.isfinite(rewards).all() and bool((driven.abs() <= 1).all())
+        assert torch.isfinite(obs["motion"]).all() and torch.isfinite(obs["state"]).all()
+    assert steps > 250 and refused > 250
