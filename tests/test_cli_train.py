@@ -176,7 +176,7 @@ def test_flag_beats_the_hyperparameters_file(league, tmp_path):
         (["--action-space", "none.json"], "none.json"),
         (["--sensors", "sonar"], "there is no sensor 'sonar': give stereoWxH"),
         (["--sensors", "lidar", "sectors"], "two of a kind"),
-        (["--sensors", "stereo4x4"], "4x4"),
+        (["--sensors", "stereo4x4"], "camera width is 4"),
         (["--opponents", "centerline"], "--opponents means nothing without --kind head_to_head"),
         (["--self-play"], "--self-play means nothing without --kind head_to_head"),
         (["--kind", "head_to_head"], "give either --opponents NAME ... or --self-play"),
