@@ -51,7 +51,7 @@ def broadcast(
             name="Events",
             columns=rrb.TextLogColumns(text_log_columns=["Body"]),
         ),
-        row_shares=[1.1 + 0.22 * num_cars, 1, 1, 1, 1.2],
+        row_shares=[1.5 + 0.2 * num_cars, 1, 1, 1, 1.2],
     )
     return rrb.Blueprint(
         rrb.Horizontal(

@@ -286,7 +286,8 @@ def classification(replay: Replay) -> str:
         penalty = f"{car.penalty_s:g} s" if car.penalty_s else ""
         lines.append(f"| **{car.place}** | {plain(car.name)} | {total} | {best} | {penalty} |")
     if result.lead_changes:
-        lines += ["", f"{result.lead_changes} changes of the lead"]
+        changes = "change" if result.lead_changes == 1 else "changes"
+        lines += ["", f"{result.lead_changes} {changes} of the lead"]
     return "\n".join(lines)
 
 
