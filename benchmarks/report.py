@@ -50,24 +50,22 @@ def machine() -> str:
 
 def seconds(action: Callable[[], object], repeats: int = 5) -> float:
     """Return the median wall time of an action [s], after one call to warm up."""
-    action()
-    taken = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        action()
-        taken.append(time.perf_counter() - start)
-    return statistics.median(taken)
+    return statistics.median(_times(action, repeats))
 
 
 def fastest(action: Callable[[], object], repeats: int = 40) -> float:
     """Return the least wall time of an action [s]: what it costs when nobody else runs."""
+    return min(_times(action, repeats))
+
+
+def _times(action: Callable[[], object], repeats: int) -> list[float]:
     action()
     taken = []
     for _ in range(repeats):
         start = time.perf_counter()
         action()
         taken.append(time.perf_counter() - start)
-    return min(taken)
+    return taken
 
 
 def product(num_worlds: int, num_cars: int) -> float:

@@ -58,7 +58,6 @@ def rate(num_worlds: int, num_cars: int, together: Barrier | None = None) -> flo
         for _ in range(STEPS):
             told = env.step(follow(told)).observations
 
-    drive()  # memory that is asked for the first time comes slowly
     if together is not None:
         together.wait()
     taken = seconds(drive, repeats=3 if num_worlds > 4096 else 7)
@@ -92,7 +91,7 @@ def main() -> None:
     print(machine())
     print("One torch thread: below some 30,000 cars a second one costs more than it brings.\n")
     torch.set_num_threads(1)
-    rate(4096, 2)
+    rate(4096, 2)  # memory that is asked for the first time comes slowly
     one = rate(4096, 2)
     two = on_two_cores(4096)
     figure("4,096 worlds x 2 cars, on one core", one, "car-steps/s")

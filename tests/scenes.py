@@ -11,12 +11,29 @@ import torch
 from league.envs.state import INDEX
 from league.geometry import heading_of, wrap_angle
 from league.sim import grid
-from league.sim.config import SimConfig
+from league.sim.config import (
+    CameraConfig,
+    CarConfig,
+    ContactConfig,
+    LidarConfig,
+    LookConfig,
+    ObstacleConfig,
+    RaceRules,
+    SensorConfig,
+    SimConfig,
+    Spread,
+)
+from league.sim.meeting_config import Meeting
 from league.sim.world import Contacts, World
 from league.track.course import Track, TrackSet
 
 torch.set_num_threads(1)
 
+SETTINGS = (
+    CameraConfig, CarConfig, ContactConfig, LidarConfig, LookConfig, Meeting, ObstacleConfig,
+    RaceRules, SensorConfig, SimConfig, Spread,
+)  # fmt: skip
+"""All classes of settings of a world."""
 RING_LENGTH = 12.0
 """Length of the ring: 240 points, 5 cm apart."""
 

@@ -10,7 +10,7 @@ from typing import Literal, get_args, get_origin
 import numpy as np
 import pytest
 import torch
-from scenes import make_ring
+from scenes import SETTINGS, make_ring
 
 from league.envs.config import EnvConfig, RewardConfig
 from league.envs.race_env import RaceEnv
@@ -27,13 +27,9 @@ from league.sim.config import (
     SimConfig,
     Spread,
 )
-from league.sim.meeting_config import Meeting
 from league.track.course import TrackSet
 
-CLASSES = (
-    CameraConfig, CarConfig, ContactConfig, LidarConfig, LookConfig, Meeting, ObstacleConfig,
-    RaceRules, RewardConfig, SensorConfig, SimConfig, Spread,
-)  # fmt: skip
+CLASSES = (*SETTINGS, RewardConfig)
 JUNK = (
     None, True, False, -1, 2**63, -(10**400), -0.5, 1e308, 5e-324, math.nan, math.inf, -math.inf,
     "", "0.5", "x" * 10_000, "three\nlines\n", b"bytes", (), [], {}, [0.5], ((0.5, 0.0),), object(),

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-import torch
-
 from league.agents import garage
 from league.agents.driver import Driver
 from league.agents.scripted import CenterlineDriver, LineDriver, Style
 from league.agents.traffic import Manners
 from league.errors import PolicyError, nearest_names
 from league.sim.config import CarConfig
-from league.track.course import Track, TrackSet
+from league.track.course import TrackSet
 
 NAMES: dict[str, str] = {
     "blocker": "drives the racing line a little slower and moves in front of the car behind it",
@@ -22,36 +18,20 @@ NAMES: dict[str, str] = {
 }
 """Scripted drivers and what each does."""
 
-_BUILD: dict[str, Callable[[Track, CarConfig, torch.device], Driver]] = {
-    "blocker": lambda track, car, device: LineDriver(
-        "blocker",
-        track,
-        car,
-        Style(pace=0.85, grip=0.9, margin=0.08, blocks=True),
-        device=device,
-    ),
-    "cautious": lambda track, car, device: LineDriver(
-        "cautious",
-        track,
-        car,
-        Style(
-            pace=0.75,
-            grip=0.85,
-            margin=0.12,
-            reserve=0.25,
-            manners=Manners(
-                clearance=0.1, edge=0.04, approach=2.6, braking=2.0, gap=0.3, freer_side=True
-            ),
+_STYLES: dict[str, Style] = {
+    "blocker": Style(pace=0.85, grip=0.9, margin=0.08, blocks=True),
+    "cautious": Style(
+        pace=0.75,
+        grip=0.85,
+        margin=0.12,
+        reserve=0.25,
+        manners=Manners(
+            clearance=0.1, edge=0.04, approach=2.6, braking=2.0, gap=0.3, freer_side=True
         ),
-        device=device,
     ),
-    "centerline": lambda track, car, device: CenterlineDriver(
-        "centerline", track, car, device=device
-    ),
-    "racing_line": lambda track, car, device: LineDriver(
-        "racing_line", track, car, Style(), device=device
-    ),
+    "racing_line": Style(),
 }
+"""How those drive that follow the racing line."""
 
 
 def load(name_or_path: str, tracks: TrackSet, car: CarConfig) -> Driver:
@@ -83,7 +63,10 @@ def load(name_or_path: str, tracks: TrackSet, car: CarConfig) -> Driver:
             f"{name_or_path!r} was asked to drive {len(tracks.tracks)} tracks at once: scripted "
             "drivers are built for one; give a set of one track"
         )
-    return _BUILD[name_or_path](tracks.tracks[0], car, tracks.device)
+    track, device = tracks.tracks[0], tracks.device
+    if name_or_path in _STYLES:
+        return LineDriver(name_or_path, track, car, _STYLES[name_or_path], device=device)
+    return CenterlineDriver(name_or_path, track, car, device=device)
 
 
 def policy(path: str, tracks: TrackSet, car: CarConfig, *, exact: bool = True) -> Driver:

@@ -6,6 +6,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 import torch
+from scenes import SETTINGS
 
 from league.errors import ConfigError
 from league.sim import grid
@@ -14,23 +15,17 @@ from league.sim.config import (
     CarConfig,
     ContactConfig,
     LidarConfig,
-    LookConfig,
     ObstacleConfig,
     RaceRules,
     SensorConfig,
     SimConfig,
     Spread,
 )
-from league.sim.meeting_config import Meeting
 
-CLASSES = (
-    CameraConfig, CarConfig, ContactConfig, LidarConfig, LookConfig, Meeting, ObstacleConfig,
-    RaceRules, SensorConfig, SimConfig, Spread,
-)  # fmt: skip
-NUMBERS = [(made, item) for made in CLASSES for item in fields(made) if item.type in (int, float)]
+NUMBERS = [(made, item) for made in SETTINGS for item in fields(made) if item.type in (int, float)]
 CHOICES = [
     (made, item)
-    for made in CLASSES
+    for made in SETTINGS
     for item in fields(made)
     if item.type not in (int, float) and item.name != "places"
 ]
