@@ -15,7 +15,7 @@ from league.sim.world import Control, Motion, World, put, row, select
 from league.track.course import TrackSet
 
 _SPOT, _SIDE, _KIND, _SLOT, _ROLL, _PACE, _OWN_PACE, _GAP, _LANE = range(221, 230)
-_CANDIDATES = 12
+_CANDIDATES = 24
 _LANES = 0.7
 _LOOK = (0.0, 0.4, 0.8, 1.2)
 _GRAVITY = 9.81
@@ -74,7 +74,7 @@ def _restart(tracks: TrackSet, sim: SimConfig, cfg: Meeting, world: World, who: 
 def _near(tracks: TrackSet, cfg: Meeting, world: World, who: Tensor) -> tuple[Tensor, Tensor]:
     """Draw places on the road for all that begin, near car 0, on nobody's place.
 
-    Of twelve places the first is taken that is clear of everybody, or else the clearest.
+    Of 24 places the first is taken that is clear of everybody, or else the clearest.
     """
     book, first = world.standing, who[:, :1]
     drawn = draws.uniform(world.seed, _SPOT, world.step) * tracks.length[world.track]
@@ -98,10 +98,12 @@ def _near(tracks: TrackSet, cfg: Meeting, world: World, who: Tensor) -> tuple[Te
 def _candidates(
     tracks: TrackSet, cfg: Meeting, world: World, car: int, about: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Draw twelve places for a car: along the track and across [m], (num_worlds, 12)."""
+    """Draw 24 places for a car: along the track and across [m], (num_worlds, 24)."""
     seed, step = world.seed.unsqueeze(1), world.step.unsqueeze(1)
     attempt = torch.arange(_CANDIDATES, device=about.device)
-    gap = (2.0 * draws.uniform(seed, _GAP, step, car, attempt) - 1.0) * cfg.reach
+    drawn = draws.uniform(seed, _GAP, step, car, attempt)
+    behind = 1.0 - cfg.ahead
+    gap = (drawn - behind) / torch.where(drawn < behind, behind, cfg.ahead) * cfg.reach
     length, closed = (each[world.track].unsqueeze(1) for each in (tracks.length, tracks.closed))
     place = about + gap
     place = torch.where(closed, place, torch.minimum(torch.clamp(place, min=0.2), length - 0.5))

@@ -23,9 +23,11 @@ class Meeting:
     """Share of the rest that begins at speed; the others at rest."""
     reach: float = ranged(1.5, 0.5, 1000.0)
     """Farthest the others are put ahead of or behind car 0, along the track [m]."""
+    ahead: float = ranged(0.8, 0.0, 1.0)
+    """Share of those places that lie ahead: there is more to learn from a car in one's way."""
     room: float = ranged(0.6, 0.5, 1000.0)
     """Nearest a car is put that joins while car 0 is driving [m]."""
-    lost: float = ranged(4.0, 0.5, 1000.0)
+    lost: float = ranged(2.5, 0.5, 1000.0)
     """A car farther away than this along the track begins anew near car 0 [m]."""
     top_speed: float = ranged(3.5, 0.0, 12.0)
     """Fastest rolling start [m/s]; before bends it is what the grip allows."""

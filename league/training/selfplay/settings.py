@@ -46,7 +46,7 @@ class SelfPlayConfig:
     """Part of that share that pacers have, the rest is `centerline`'s."""
     first_paces: tuple[float, float] = (0.4, 0.6)
     """Least and largest share of the racing line's pace that pacers drive as the run begins."""
-    last_paces: tuple[float, float] = (0.6, 0.9)
+    last_paces: tuple[float, float] = (0.55, 0.8)
     """The same as it ends: what is learnt on slow cars is learnt again on faster ones."""
     warm_up: float = 0.3
     """Part of the run, at its start, in which the learner drives alone but for starting grids: who
