@@ -10,6 +10,7 @@ over speed.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -78,9 +79,8 @@ class PreviewSteering:
         device: torch.device | str = "cpu",
     ) -> PreviewSteering:
         """Work out the gains for a car; the table lies on a device."""
-        speeds = np.arange(SLOWEST, car.max_speed + 1e-6 + SPEED_STEP, SPEED_STEP)
-        rows = [_gains(car, float(speed), weights or Weights()) for speed in speeds]
-        return cls(torch.tensor(np.stack(rows), dtype=torch.float32, device=device))
+        gains = _gains(car, weights or Weights())
+        return cls(torch.tensor(gains, dtype=torch.float32, device=device))
 
     def target(self, errors: Errors, bends: Tensor) -> Tensor:
         """Return the new steering target [rad], (num_rows,).
@@ -107,30 +107,37 @@ class PreviewSteering:
         return target
 
 
-def _gains(car: CarConfig, speed: float, weights: Weights) -> np.ndarray:
-    """Return the gains at one speed, (5 + STEPS,)."""
+@lru_cache(maxsize=8)
+def _gains(car: CarConfig, weights: Weights) -> np.ndarray:
+    """Return the gains at all speeds of the table, (num_speeds, 5 + STEPS); once for each car."""
+    speed = np.arange(SLOWEST, car.max_speed + 1e-6 + SPEED_STEP, SPEED_STEP)
     a, b, bend = _model(car, speed)
-    course = np.array([[0.0, 1.0, 1.0 / speed, 0.0, 0.0]])
-    q = weights.course * course.T @ course
-    q[0, 0] += weights.lateral
+    course = np.zeros((len(speed), 1, 5))
+    course[:, 0, 1], course[:, 0, 2] = 1.0, 1.0 / speed
+    q = weights.course * _turned(course) @ course
+    q[:, 0, 0] += weights.lateral
     # Turning takes more steering at low speed: let it cost less there.
-    r = np.array([[weights.change * min(1.0, speed / FAST) ** 2]])
+    r = (weights.change * np.minimum(1.0, speed / FAST) ** 2)[:, None, None]
     p = q.copy()
     for _ in range(400):  # Riccati recursion: plain, and the same bits every time
-        gain = np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)
-        p = q + a.T @ p @ (a - b @ gain)
-        p = (p + p.T) / 2
-    gain = np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)
+        gain = np.linalg.solve(r + _turned(b) @ p @ b, _turned(b) @ p @ a)
+        p = q + _turned(a) @ p @ (a - b @ gain)
+        p = (p + _turned(p)) / 2
+    gain = np.linalg.solve(r + _turned(b) @ p @ b, _turned(b) @ p @ a)
     closed, ahead = a - b @ gain, p @ bend
     preview = []
     for _ in range(STEPS):
-        preview.append(float(np.linalg.solve(r + b.T @ p @ b, b.T @ ahead)[0, 0]))
-        ahead = closed.T @ ahead
-    return np.concatenate([-gain[0], -np.array(preview)])
+        preview.append(np.linalg.solve(r + _turned(b) @ p @ b, _turned(b) @ ahead)[:, 0])
+        ahead = _turned(closed) @ ahead
+    return np.concatenate([-gain[:, 0], *(-one for one in preview)], axis=1)
 
 
-def _model(car: CarConfig, speed: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return x' = A x + B (change of target) + C (curvature) over one control step.
+def _turned(matrices: np.ndarray) -> np.ndarray:
+    return matrices.swapaxes(1, 2)
+
+
+def _model(car: CarConfig, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return x' = A x + B (change of target) + C (curvature) over one control step, at each speed.
 
     Continuous, with axle stiffness K, mass m, inertia I, half wheelbase l, curvature k:
         e' = v h + w        h' = r - v k
@@ -138,18 +145,18 @@ def _model(car: CarConfig, speed: float) -> tuple[np.ndarray, np.ndarray, np.nda
     """
     arm, mass, inertia = car.wheelbase / 2, car.mass, car.yaw_inertia
     stiffness = STIFFNESS_SHARE * car.cornering_stiffness * mass * GRAVITY / 2
-    drift = np.zeros((6, 6))  # e, h, w, r, d, k
-    drift[0, 1], drift[0, 2] = speed, 1.0
-    drift[1, 3], drift[1, 5] = 1.0, -speed
-    drift[2, 2], drift[2, 3] = -2 * stiffness / (mass * speed), -speed
-    drift[2, 4] = stiffness / mass
-    drift[3, 3] = -2 * stiffness * arm**2 / (inertia * speed)
-    drift[3, 4] = stiffness * arm / inertia
+    drift = np.zeros((len(speed), 6, 6))  # e, h, w, r, d, k
+    drift[:, 0, 1], drift[:, 0, 2] = speed, 1.0
+    drift[:, 1, 3], drift[:, 1, 5] = 1.0, -speed
+    drift[:, 2, 2], drift[:, 2, 3] = -2 * stiffness / (mass * speed), -speed
+    drift[:, 2, 4] = stiffness / mass
+    drift[:, 3, 3] = -2 * stiffness * arm**2 / (inertia * speed)
+    drift[:, 3, 4] = stiffness * arm / inertia
     whole = expm(drift * STEP_DT)
     # The new target acts only after the latency and, on average, half of the wheels' turning.
     late = min(car.latency_s + 0.004, STEP_DT)
     rest = expm(drift * (STEP_DT - late))
-    a, bend = whole[:5, :5], whole[:5, 5:6]
-    b = rest[:5, 4:5].copy()
-    b[4, 0] = 1.0
+    a, bend = whole[:, :5, :5], whole[:, :5, 5:6]
+    b = rest[:, :5, 4:5].copy()
+    b[:, 4, 0] = 1.0
     return a, b, bend
