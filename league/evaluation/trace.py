@@ -125,7 +125,7 @@ class Trace:
         """Return a row with its place on the lap worked out."""
         track = moment.tracks.tracks[0]
         assert self._lines is not None
-        pair = telling.closest_waypoints(self._lines.courses, 0, row["nose_s"])
+        pair = telling.closest_waypoints(self._lines.measures[0], row["nose_s"])
         # The referee counts laps where the base is; the original's progress is that of the nose.
         on_lap = row["distance"] - row["laps"] * row["lap_length"]
         progress = 100.0 * (on_lap + row["nose_ahead"]) / row["lap_length"]

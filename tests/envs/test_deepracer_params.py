@@ -201,7 +201,7 @@ def test_progress_is_100_when_the_lap_is_complete_and_then_begins_anew(ring):
     place = put_cars(ring(), two_laps, [(11.9, 0.0)])
     told.world = replace(told.world, motion=place.motion, standing=place.standing)
     memory = told.situations._memory
-    memory.fresh[:], memory.lead[:] = False, NOSE
+    memory["fresh"], memory["lead"] = False, NOSE
     before, at, after = (told.step([(s, 0.0)])[0] for s in (11.95, 12.05, 12.17))
     assert before["progress"] == pytest.approx(100 * 11.95 / 12, abs=2e-3)
     assert at["progress"] == 100.0
@@ -213,7 +213,7 @@ def test_progress_is_held_below_100_until_the_lap_is_counted(ring):
     told = Told(ring(), TWO, [(-0.75, 0.0), (-3.0, 0.0)])
     place = put_cars(ring(), TWO, [(11.8, 0.0), (6.0, 0.0)])
     memory = told.situations._memory
-    memory.fresh[:], memory.lead[:], memory.start[:] = False, NOSE, -0.75
+    memory["fresh"][:], memory["lead"][:], memory["start"][:] = False, NOSE, -0.75
     told.world = replace(told.world, motion=place.motion, standing=place.standing)
     params = told.step([(11.9, 0.0), (6.1, 0.0)])[0]  # 12.65 m since the grid
     assert 99.999 < params["progress"] < 100.0
@@ -313,9 +313,9 @@ def test_places_are_found_as_the_tracks_themselves_find_them():
     x, y, frame = tracks.at(index, s)
     x, y = x - 0.3 * frame.sin, y + 0.3 * frame.cos
     wanted = tracks.project(index, x, y, s + 0.1)
-    courses = Lines.of(tracks).courses
+    lines = Lines.of(tracks)
     places = zip(*(one[0].tolist() for one in (x, y, s + 0.1)), strict=True)
-    found = np.array([telling.project(courses, 0, *place) for place in places])
+    found = np.array([telling.project(lines.rows, lines.measures[0], *place) for place in places])
     assert found[:, 0] == pytest.approx(wanted.s[0].numpy(), abs=1e-4)
     assert found[:, 1] == pytest.approx(wanted.lateral[0].numpy(), abs=1e-5)
     assert found[:, 2] == pytest.approx(wanted.left[0].numpy(), abs=1e-5)

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from league.envs.deepracer.telling import Courses
+from league.envs.deepracer.telling import MEASURES
 from league.sim import referee
 from league.track.course import Track, TrackSet
 
@@ -22,8 +22,10 @@ Point = tuple[float, float]
 class Lines:
     """A TrackSet as reward functions are told of it; arrays have one entry for each track."""
 
-    courses: Courses
-    """What is looked up."""
+    rows: np.ndarray
+    """The points of all tracks, as `telling.tell` takes them."""
+    measures: np.ndarray
+    """MEASURES of each track."""
     clockwise: list[bool]
     """Whether each is driven clockwise."""
     waypoints: tuple[list[Point], ...]
@@ -35,17 +37,17 @@ class Lines:
     def of(cls, tracks: TrackSet) -> Lines:
         """Make the tables."""
         number = torch.arange(len(tracks.tracks), device=tracks.device)
+        measures = np.zeros(len(tracks.tracks), dtype=MEASURES)
+        measures["first"] = np.arange(len(tracks.tracks)) * tracks.num_points
+        measures["last"] = tracks.count.cpu().numpy() - 1
+        measures["spacing"] = _wide(tracks.spacing)
+        measures["length"] = _wide(tracks.length)
+        measures["lap"] = _wide(referee.lap_length(tracks, number)[:, 0])
+        measures["closed"] = tracks.closed.cpu().numpy()
+        measures["steps"] = [_steps(track) for track in tracks.tracks]
         return cls(
-            courses=Courses(
-                rows=_wide(tracks.rows),
-                first=np.arange(len(tracks.tracks)) * tracks.num_points,
-                last=tracks.count.cpu().numpy() - 1,
-                spacing=_wide(tracks.spacing),
-                length=_wide(tracks.length),
-                lap=_wide(referee.lap_length(tracks, number)[:, 0]),
-                closed=tracks.closed.cpu().numpy(),
-                steps=np.array([_steps(track) for track in tracks.tracks]),
-            ),
+            rows=_wide(tracks.rows),
+            measures=measures,
             clockwise=[track.direction == "clockwise" for track in tracks.tracks],
             waypoints=tuple(_waypoints(track) for track in tracks.tracks),
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -59,11 +60,10 @@ class UserReward:
             RewardError: the user's code fails, or answers with no number from -1e5 to 1e5.
         """
         rows = self._situations.rows(tracks, before, world, verdict)
-        reward = torch.zeros(verdict.advance.shape)
-        paid = reward.numpy()
+        paid = np.zeros(verdict.advance.shape, dtype=np.float32)
         for place, car, params in zip(rows.world, rows.car, rows.params, strict=True):
             paid[place, car] = self._call(place, car, params)
-        reward = reward.to(verdict.advance.device)
+        reward = torch.from_numpy(paid).to(verdict.advance.device)
         return reward, {TERM: reward}
 
     def _call(self, world: int, car: int, params: Params) -> float:

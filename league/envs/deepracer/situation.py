@@ -19,7 +19,7 @@ from league.envs.deepracer.lines import Lines
 from league.errors import ConfigError
 from league.sim.config import CameraConfig, CarConfig, SimConfig
 from league.sim.referee import Verdict
-from league.sim.world import World
+from league.sim.world import Standing, World
 from league.track.course import TrackSet
 
 KEYS = (
@@ -54,7 +54,6 @@ KEYS = (
 """Every key of `params`, by name."""
 
 Params = dict[str, object]
-_OF_OBJECTS = tuple(name for name in KEYS if name.startswith("objects_"))
 
 
 @dataclass(frozen=True)
@@ -84,8 +83,8 @@ class Situations:
             cars: which cars are paid.
         """
         self._step_dt, self._cars = sim.step_dt, tuple(cars)
-        self._body, self._eye = _body(sim.car), _eye(CameraConfig())
-        self._memory: telling.Memory | None = None
+        self._body = _body(sim.car, CameraConfig())
+        self._memory: np.ndarray | None = None
         self._known: TrackSet | None = None
 
     def restart(self, who: Tensor) -> None:
@@ -95,26 +94,21 @@ class Situations:
             ConfigError: a paid car that is not there.
         """
         begun = who.cpu().numpy()
-        if self._memory is None or self._memory.steps.shape != begun.shape:
+        if self._memory is None or self._memory.shape != begun.shape:
             self._memory = self._begun(*begun.shape)
-        self._memory.steps[begun] = 0
-        self._memory.fresh[begun] = True
+        self._memory["steps"][begun] = 0
+        self._memory["fresh"][begun] = self._to_note = True
 
-    def _begun(self, num_worlds: int, num_cars: int) -> telling.Memory:
+    def _begun(self, num_worlds: int, num_cars: int) -> np.ndarray:
         strangers = [car for car in self._cars if not 0 <= car < num_cars]
         if strangers:
             raise ConfigError(
                 f"car {strangers[0]} is to be paid: there are {num_cars} cars, from 0"
             )
-        shape = (num_worlds, num_cars)
-        self._paid = np.zeros(shape, dtype=bool)
-        self._paid[:, list(self._cars)] = True
-        return telling.Memory(
-            steps=np.zeros(shape, dtype=np.int64),
-            fresh=np.ones(shape, dtype=bool),
-            lead=np.zeros(shape),
-            start=np.zeros(shape),
-        )
+        memory = np.zeros((num_worlds, num_cars), dtype=telling.MEMORY)
+        memory["paid"][:, list(self._cars)] = True
+        memory["fresh"] = True
+        return memory
 
     def rows(self, tracks: TrackSet, before: World, world: World, verdict: Verdict) -> Rows:
         """Return what each paid car is told of a step; cars that stand a penalty are left out.
@@ -127,57 +121,31 @@ class Situations:
         """
         if tracks is not self._known:
             self._lines, self._known = Lines.of(tracks), tracks
-        memory, lines, body = self._memory, self._lines, self._body
+        memory, lines, track = self._memory, self._lines, _array(world.track)
         assert memory is not None
-        book, track = before.standing, _array(world.track)
-        asked = telling.whom_to_tell(self._paid, _array(book.penalty_s), _array(book.finish_s))
-        if not len(asked):
-            return Rows([], [], [])
-        if memory.fresh.any():
-            telling.note_starts(lines.courses, body, memory, _cars(before), track, asked)
-        cars, clock = _cars(world), _array(world.step) * self._step_dt
-        own = telling.tell_of_itself(
-            *(lines.courses, body, memory, cars, track),
-            *(_array(book.laps), _array(verdict.lap), _array(verdict.crashed), clock, asked),
+        known = (lines.rows, lines.measures, self._body, memory)
+        book = before.standing
+        if self._to_note:
+            self._to_note = telling.note_starts(*known, _cars(before, book), track)
+        own, others = telling.tell(
+            *(*known, _cars(world, book), _obstacles(world), track),
+            *(_array(book.laps), _array(verdict.lap), _array(verdict.crashed)),
+            *(_array(world.step), self._step_dt),
         )
-        told = zip(own.tolist(), self._objects(world, cars, track, own, asked), strict=True)
-        params = [_params(lines, *row) for row in told]
-        return Rows(asked[:, 0].tolist(), asked[:, 1].tolist(), params)
-
-    def _objects(
-        self, world: World, cars: np.ndarray, track: np.ndarray, own: np.ndarray, asked: np.ndarray
-    ) -> list[Params]:
-        """Return what each row is told of boxes, bots and other cars, in this order."""
-        if world.obstacles.x.shape[1] + cars.shape[2] == 1:
-            return [_no_objects() for _ in asked]
-        nose = own[:, telling.PROJECTION].copy()
-        told, place, left, closest, seen = telling.tell_of_objects(
-            *(self._lines.courses, self._body, self._eye, cars),
-            *(_obstacles(world), track, nose, asked),
+        told = own.tolist()
+        return Rows(
+            world=[int(row[telling.WORLD]) for row in told],
+            car=[int(row[telling.CAR]) for row in told],
+            params=[_params(lines, *row) for row in zip(told, others.tolist(), strict=True)],
         )
-        rows = (told.tolist(), place.tolist(), left.tolist(), closest.tolist(), seen.tolist())
-        return [
-            {
-                "closest_objects": last_and_next,
-                "object_in_camera": in_picture,
-                "objects_distance": s,
-                "objects_distance_from_center": distance,
-                "objects_heading": heading,
-                "objects_left_of_center": on_left,
-                "objects_location": where,
-                "objects_speed": speed,
-            }
-            for (s, distance, heading, speed), where, on_left, last_and_next, in_picture in zip(
-                *rows, strict=True
-            )
-        ]
 
 
-def _params(lines: Lines, own: list[float], objects: Params) -> Params:
-    """Return what a car is told, of itself and of objects."""
+def _params(lines: Lines, own: list[float], others: list[list[float]]) -> Params:
+    """Return what a car is told: of itself, and of boxes, bots and other cars, in this order."""
     track = int(own[telling.TRACK])
     return {
         "all_wheels_on_track": own[telling.ALL_ON_ROAD] > 0,
+        "closest_objects": [int(own[telling.LAST_OBJECT]), int(own[telling.NEXT_OBJECT])],
         "closest_waypoints": [int(own[telling.BEHIND]), int(own[telling.FOLLOWING])],
         "distance_from_center": own[telling.DISTANCE],
         "heading": own[telling.HEADING],
@@ -185,6 +153,15 @@ def _params(lines: Lines, own: list[float], objects: Params) -> Params:
         "is_left_of_center": own[telling.IS_LEFT] > 0,
         "is_offtrack": own[telling.NONE_ON_ROAD] > 0,
         "is_reversed": lines.clockwise[track],
+        "object_in_camera": own[telling.SEES_NEXT] > 0,
+        "objects_distance": others[telling.OBJECT_S],
+        "objects_distance_from_center": others[telling.OBJECT_DISTANCE],
+        "objects_heading": others[telling.OBJECT_HEADING],
+        "objects_left_of_center": [left > 0 for left in others[telling.OBJECT_IS_LEFT]],
+        "objects_location": [
+            [x, y] for x, y in zip(others[telling.OBJECT_X], others[telling.OBJECT_Y], strict=True)
+        ],
+        "objects_speed": others[telling.OBJECT_SPEED],
         "progress": own[telling.PROGRESS],
         "projection_distance": own[telling.PROJECTION],
         "sim_time": own[telling.SIM_TIME],
@@ -196,34 +173,27 @@ def _params(lines: Lines, own: list[float], objects: Params) -> Params:
         "waypoints": lines.waypoints[track][:],
         "x": own[telling.X],
         "y": own[telling.Y],
-        **objects,
-    }
-
-
-def _no_objects() -> Params:
-    return {
-        "closest_objects": [0, 0],
-        "object_in_camera": False,
-        **{name: [] for name in _OF_OBJECTS},
     }
 
 
 def _array(values: Tensor) -> np.ndarray:
-    return values.cpu().numpy()
+    return (values if values.is_cpu else values.cpu()).numpy()
 
 
-def _cars(world: World) -> np.ndarray:
+def _cars(world: World, before: Standing) -> np.ndarray:
     """Return the table of all cars, as compiled code takes it."""
     body, book, asked = world.motion, world.standing, world.control
     return _table(
         *(body.x, body.y, body.yaw, body.velocity_x, body.velocity_y, book.s, book.lateral),
-        *(book.distance, asked.steering, asked.speed),
+        *(book.distance, asked.steering, asked.speed, before.penalty_s, before.finish_s),
     )
 
 
 def _obstacles(world: World) -> np.ndarray:
     """Return the table of all obstacles, as compiled code takes it."""
     box = world.obstacles
+    if not box.x.shape[1]:
+        return np.empty((9, *box.x.shape))
     return _table(
         *(box.x, box.y, box.yaw, box.velocity_x, box.velocity_y, box.s, box.lateral),
         *(box.half_length, box.half_width),
@@ -231,25 +201,16 @@ def _obstacles(world: World) -> np.ndarray:
 
 
 def _table(*rows: Tensor) -> np.ndarray:
-    # Stacked first, so that a GPU is asked once.
-    return torch.stack(rows).cpu().numpy().astype(np.float64)
+    # Stacked first: one piece is handed over faster than twelve, and a GPU is asked once.
+    return _array(torch.stack(rows)).astype(np.float64)
 
 
-def _body(car: CarConfig) -> telling.Body:
-    return telling.Body(
-        nose=car.nose,
-        half_base=car.wheelbase / 2,
-        half_track=car.wheel_track / 2,
-        half_length=car.length / 2,
-        half_width=car.width / 2,
-    )
-
-
-def _eye(camera: CameraConfig) -> telling.Eye:
-    return telling.Eye(
-        forward=camera.forward,
-        up=camera.up,
-        dip=math.cos(camera.pitch),
-        rise=math.sin(camera.pitch),
-        tan=math.tan(camera.field_of_view / 2),
-    )
+def _body(car: CarConfig, camera: CameraConfig) -> np.ndarray:
+    body = np.zeros(1, dtype=telling.BODY)
+    body["nose"] = car.nose
+    body["half_base"], body["half_track"] = car.wheelbase / 2, car.wheel_track / 2
+    body["half_length"], body["half_width"] = car.length / 2, car.width / 2
+    body["eye_forward"], body["eye_up"] = camera.forward, camera.up
+    body["eye_dip"], body["eye_rise"] = math.cos(camera.pitch), math.sin(camera.pitch)
+    body["eye_tan"] = math.tan(camera.field_of_view / 2)
+    return body

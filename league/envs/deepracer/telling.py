@@ -8,27 +8,29 @@ a batched library spends all its time on getting started. docs/rewards.md tells 
 # pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from league.compiled import compiled, inner
 
-(STEERING, SPEED, X, Y, HEADING) = range(5)
-(DISTANCE, PROJECTION, WIDTH, LENGTH, PROGRESS, SIM_TIME, STEPS) = range(5, 12)
-(IS_LEFT, ALL_ON_ROAD, NONE_ON_ROAD, CRASHED, TRACK, BEHIND, FOLLOWING) = range(12, 19)
-NUM_OWN = 19
-"""Columns of what a car is told of itself; the last seven are truths, and numbers of its track and
-of waypoints."""
+(WORLD, CAR, STEERING, SPEED, X, Y, HEADING) = range(7)
+(DISTANCE, PROJECTION, WIDTH, LENGTH, PROGRESS, SIM_TIME, STEPS) = range(7, 14)
+(IS_LEFT, ALL_ON_ROAD, NONE_ON_ROAD, CRASHED) = range(14, 18)
+(TRACK, BEHIND, FOLLOWING, LAST_OBJECT, NEXT_OBJECT, SEES_NEXT) = range(18, 24)
+NUM_OWN = 24
+"""Columns of what a car is told of itself: whose row it is, numbers, truths, and numbers of its
+track, of waypoints and of objects."""
 
 (OBJECT_S, OBJECT_DISTANCE, OBJECT_HEADING, OBJECT_SPEED) = range(4)
-NUM_OF_OBJECT = 4
-"""Rows of what a car is told of each object, beside where it is and whether it is on the left."""
+(OBJECT_X, OBJECT_Y, OBJECT_IS_LEFT) = range(4, 7)
+NUM_OF_OBJECT = 7
+"""Rows of what a car is told of each object."""
 
 _X, _Y, _YAW, _VELOCITY_X, _VELOCITY_Y, _S, _LATERAL = range(7)
 """Rows of the tables of cars and of obstacles."""
-_DRIVEN, _STEERING, _SPEED = 7, 8, 9
-"""Further rows of cars: how far they have driven, and what was asked for."""
+_DRIVEN, _STEERING, _SPEED, _PENALTY, _FINISH = range(7, 12)
+"""Further rows of cars: how far they have driven, and what was asked for; before the step, how long
+they stood still yet, and when they finished."""
 _HALF_LENGTH, _HALF_WIDTH = 7, 8
 """Further rows of obstacles."""
 
@@ -39,227 +41,191 @@ _NEAR, _FAR = 0.2, 300.0
 _HEIGHT = 0.2
 """How tall an object is taken to be [m]: a car is 0.19, a box 0.25."""
 
-
-class Courses(NamedTuple):
-    """Tracks as tables; all but the first have one entry for each track."""
-
-    rows: np.ndarray
-    """x, y, cos, sin, curvature, left, right of each point of the centreline, then their change to
-    the next one, (num_tracks * num_points, 14); see TrackSet.rows."""
-    first: np.ndarray
-    """Row of each track's first point, int64."""
-    last: np.ndarray
-    """Points of each track but one, int64."""
-    spacing: np.ndarray
-    """Distance between two points [m]."""
-    length: np.ndarray
-    """Length of the centreline [m]."""
-    lap: np.ndarray
-    """What counts as a lap [m]: the length, but of an open track a little less."""
-    closed: np.ndarray
-    """Whether the track is a loop."""
-    steps: np.ndarray
-    """Stretches between two waypoints, int64."""
-
-
-class Body(NamedTuple):
-    """A car's measures [m]."""
-
-    nose: float
-    half_base: float
-    half_track: float
-    half_length: float
-    half_width: float
-
-
-class Eye(NamedTuple):
-    """One camera in the middle at 4:3, whatever the car carries."""
-
-    forward: float
-    """Ahead of the base [m]."""
-    up: float
-    """Above the road [m]."""
-    dip: float
-    """Cosine of the angle by which it looks down."""
-    rise: float
-    """Sine of it."""
-    tan: float
-    """Tangent of half the angle it is wide."""
-
-
-class Memory(NamedTuple):
-    """What is known of each car's episode, (num_worlds, num_cars)."""
-
-    steps: np.ndarray
-    """Steps driven, int64."""
-    fresh: np.ndarray
-    """Whether its beginning has not been noted yet."""
-    lead: np.ndarray
-    """How far the nose was ahead of the base as it began, along the track [m]."""
-    start: np.ndarray
-    """How far the base had driven as it began [m]."""
+# Records, because each array or number that is handed over costs a quarter of a microsecond.
+MEASURES = np.dtype(
+    [
+        ("first", "i8"),  # row of the track's first point
+        ("last", "i8"),  # points but one
+        ("spacing", "f8"),  # distance between two points [m]
+        ("length", "f8"),  # length of the centreline [m]
+        ("lap", "f8"),  # what counts as a lap [m]: the length, but of an open track a little less
+        ("closed", "?"),  # whether the track is a loop
+        ("steps", "i8"),  # stretches between two waypoints
+    ]
+)
+"""What is known of each track."""
+BODY = np.dtype(
+    [
+        ("nose", "f8"),  # ahead of the base [m]
+        ("half_base", "f8"),  # half the wheelbase [m]
+        ("half_track", "f8"),  # half the distance of left and right wheels [m]
+        ("half_length", "f8"),  # [m]
+        ("half_width", "f8"),  # [m]
+        ("eye_forward", "f8"),  # the eye ahead of the base [m]
+        ("eye_up", "f8"),  # the eye above the road [m]
+        ("eye_dip", "f8"),  # cosine of the angle by which it looks down
+        ("eye_rise", "f8"),  # sine of it
+        ("eye_tan", "f8"),  # tangent of half the angle it is wide
+    ]
+)
+"""A car's measures, and one camera in the middle at 4:3, whatever the car carries."""
+MEMORY = np.dtype(
+    [
+        ("paid", "?"),  # whether the car has a reward function at all
+        ("steps", "i8"),  # steps driven
+        ("fresh", "?"),  # whether the beginning has not been noted yet
+        ("lead", "f8"),  # how far the nose was ahead of the base as it began, along the track [m]
+        ("start", "f8"),  # how far the base had driven as it began [m]
+    ]
+)
+"""What is known of a car and of its episode."""
 
 
 @compiled
-def whom_to_tell(paid, penalty_s, finish_s):  # noqa: ANN001, ANN201
-    """Return world and car of each paid car that stands no penalty and has not finished.
-
-    Args:
-        paid: whether a car is paid, bool (num_worlds, num_cars).
-        penalty_s: how long it stands still yet [s].
-        finish_s: when it finished [s], infinity before.
+def note_starts(rows, measures, bodies, memory, cars, track):  # noqa: ANN001, ANN201
+    """Note where the episodes of fresh cars begin; `tell` says what the arguments are.
 
     Returns:
-        World and car of each, int64 (num_rows, 2).
+        Whether there are cars left to note: those that stand a penalty or have finished.
     """
-    asked, number = np.empty((paid.size, 2), np.int64), 0
-    for world in range(paid.shape[0]):
-        for car in range(paid.shape[1]):
-            stopped = penalty_s[world, car] > 0.0 or finish_s[world, car] < math.inf
-            if paid[world, car] and not stopped:
-                asked[number, 0], asked[number, 1] = world, car
-                number += 1
-    return asked[:number].copy()
+    body, left = bodies[0], False
+    for world in range(memory.shape[0]):
+        for car in range(memory.shape[1]):
+            known, its, road = memory[world, car], cars[:, world, car], measures[track[world]]
+            if not (known.paid and known.fresh):
+                continue
+            if _stopped(its):
+                left = True
+                continue
+            nose = _nose(rows, road, body, its)[2]
+            known.lead = _short_way(road, nose - its[_S])
+            known.start = its[_DRIVEN]
+            known.fresh = False
+    return left
 
 
 @compiled
-def note_starts(course, body, memory, cars, track, asked):  # noqa: ANN001, ANN201
-    """Note where the episodes of fresh cars begin.
+def tell(rows, measures, bodies, memory, cars, obstacles, track, laps, lap, crashed, step, step_dt):  # noqa: ANN001, ANN201
+    """Return what each paid car is told that stands no penalty and has not finished.
 
     Args:
-        course: Courses.
-        body: Body.
-        memory: Memory, which is changed.
-        cars: the cars before their first step, float64 (10, num_worlds, num_cars).
-        track: track of each world, int64 (num_worlds,).
-        asked: world and car of each row, int64 (num_rows, 2).
-    """
-    for number in range(len(asked)):
-        world, car = asked[number, 0], asked[number, 1]
-        if memory.fresh[world, car]:
-            on, s = track[world], cars[_S, world, car]
-            nose = _nose(course, body, on, cars[:, world, car])[2]
-            memory.lead[world, car] = _short_way(course, on, nose - s)
-            memory.start[world, car] = cars[_DRIVEN, world, car]
-            memory.fresh[world, car] = False
-
-
-@compiled
-def tell_of_itself(course, body, memory, cars, track, laps, lap, crashed, clock, asked):  # noqa: ANN001, ANN201
-    """Return what each car is told of itself, float64 (num_rows, NUM_OWN), and count its steps.
-
-    Args:
-        course: Courses.
-        body: Body.
-        memory: Memory, which is changed: an episode ends with a lap.
-        cars: all cars after the step, float64 (10, num_worlds, num_cars).
+        rows: x, y, cos, sin, curvature, left, right of each point of the centrelines, then their
+            change to the next one, (num_tracks * num_points, 14); see TrackSet.rows.
+        measures: MEASURES of each track, (num_tracks,).
+        bodies: BODY of all cars, (1,).
+        memory: MEMORY of each car, (num_worlds, num_cars); steps are counted in it, and a lap ends
+            an episode.
+        cars: all cars after the step, float64 (12, num_worlds, num_cars).
+        obstacles: float64 (9, num_worlds, num_obstacles).
         track: track of each world, int64 (num_worlds,).
         laps: laps of each car before the step, int64 (num_worlds, num_cars).
         lap: whether each completes one, bool.
         crashed: whether each has crashed, bool.
-        clock: time of each world [s], float64 (num_worlds,).
-        asked: world and car of each row, int64 (num_rows, 2).
-    """
-    told = np.empty((len(asked), NUM_OWN))
-    for number in range(len(asked)):
-        world, car = asked[number, 0], asked[number, 1]
-        row, its, on = told[number], cars[:, world, car], track[world]
-        x, y, s, lateral, left, right = _nose(course, body, on, its)
-        row[X], row[Y], row[HEADING] = x, y, _heading(its[_YAW])
-        row[STEERING], row[SPEED] = _rounded(its[_STEERING] * _DEGREES), _rounded(its[_SPEED])
-        row[DISTANCE], row[PROJECTION] = abs(lateral), s
-        row[WIDTH], row[LENGTH] = left + right, course.length[on]
-        row[IS_LEFT] = left - lateral < right + lateral
-        row[ALL_ON_ROAD], row[NONE_ON_ROAD] = _on_road(course, body, on, its)
-        row[CRASHED], row[TRACK] = crashed[world, car], on
-        row[BEHIND], row[FOLLOWING] = closest_waypoints(course, on, s)
-        memory.steps[world, car] += 1
-        row[STEPS], row[SIM_TIME] = memory.steps[world, car], clock[world]
-        # Held just below 100 until the referee has counted the lap, so that 100 is told once.
-        if lap[world, car]:
-            row[PROGRESS] = 100.0
-            memory.steps[world, car] = 0
-            memory.start[world, car] = (laps[world, car] + 1) * course.lap[on]
-        else:
-            lead = _short_way(course, on, s - its[_S]) - memory.lead[world, car]
-            driven = its[_DRIVEN] - memory.start[world, car] + lead
-            row[PROGRESS] = min(100.0 * driven / course.lap[on], _BELOW_100)
-    return told
-
-
-@compiled
-def tell_of_objects(course, body, eye, cars, obstacles, track, nose, asked):  # noqa: ANN001, ANN201
-    """Return what each car is told of obstacles and of all other cars, in this order.
-
-    Args:
-        course: Courses.
-        body: Body.
-        eye: Eye.
-        cars: float64 (10, num_worlds, num_cars).
-        obstacles: float64 (9, num_worlds, num_obstacles).
-        track: track of each world, int64 (num_worlds,).
-        nose: where each row's nose is along its track [m], float64 (num_rows,).
-        asked: world and car of each row, int64 (num_rows, 2).
+        step: steps of each world, int64 (num_worlds,).
+        step_dt: duration of one [s].
 
     Returns:
-        Of each object OBJECT_S and so on, float64 (num_rows, NUM_OF_OBJECT, num_objects); where it
-        is [m], float64 (num_rows, num_objects, 2); whether it is on the left of the centreline,
-        bool (num_rows, num_objects); the last and the next object, int64 (num_rows, 2); whether the
-        next one is in the camera's picture, bool (num_rows,).
+        What each car is told of itself, float64 (num_rows, NUM_OWN), and of obstacles and all other
+        cars, in this order, float64 (num_rows, NUM_OF_OBJECT, num_objects).
     """
-    num_rows, num_obstacles = len(asked), obstacles.shape[2]
-    count = num_obstacles + cars.shape[2] - 1
-    told = np.empty((num_rows, NUM_OF_OBJECT, count))
-    place, left = np.empty((num_rows, count, 2)), np.empty((num_rows, count), np.bool_)
-    closest, in_picture = np.zeros((num_rows, 2), np.int64), np.zeros(num_rows, np.bool_)
-    for number in range(num_rows):
-        world, car = asked[number, 0], asked[number, 1]
-        on = track[world]
-        length, closed = course.length[on], course.closed[on]
-        smallest_behind = smallest_ahead = math.inf
-        for which in range(count):
-            it = _object(cars, obstacles, world, car, which)
-            s = it[_S] % length if closed else it[_S]
-            told[number, OBJECT_S, which] = s
-            told[number, OBJECT_DISTANCE, which] = abs(it[_LATERAL])
-            told[number, OBJECT_HEADING, which] = _heading(it[_YAW])
-            told[number, OBJECT_SPEED, which] = math.sqrt(
-                it[_VELOCITY_X] ** 2 + it[_VELOCITY_Y] ** 2
-            )
-            place[number, which, 0], place[number, which, 1] = it[_X], it[_Y]
-            left[number, which] = it[_LATERAL] > 0.0
-            # On a loop everything is somewhere ahead; on a straight what is behind comes last.
-            ahead = _ahead(course, on, s - nose[number])
-            behind = 0.0 if ahead == length else _ahead(course, on, nose[number] - s)
-            if 0.0 <= behind < smallest_behind:
-                smallest_behind, closest[number, 0] = behind, which
-            if 0.0 < ahead < smallest_ahead:
-                smallest_ahead, closest[number, 1] = ahead, which
-        which = closest[number, 1]
+    num_obstacles, body = obstacles.shape[2], bodies[0]
+    own = np.empty((memory.size, NUM_OWN))
+    others = np.empty((memory.size, NUM_OF_OBJECT, num_obstacles + memory.shape[1] - 1))
+    number = 0
+    for world in range(memory.shape[0]):
+        for car in range(memory.shape[1]):
+            known, its, road = memory[world, car], cars[:, world, car], measures[track[world]]
+            if not known.paid or _stopped(its):
+                continue
+            row = own[number]
+            row[WORLD], row[CAR], row[TRACK] = world, car, track[world]
+            row[CRASHED], row[SIM_TIME] = crashed[world, car], step[world] * step_dt
+            _tell_of_itself(rows, road, body, its, row)
+            _tell_of_episode(road, known, its, laps[world, car], lap[world, car], row)
+            _tell_of_objects(road, body, cars, obstacles, world, car, row, others[number])
+            number += 1
+    return own[:number], others[:number]
+
+
+@inner
+def _stopped(its):  # noqa: ANN001, ANN202
+    """Return whether a car stands a penalty or has finished."""
+    return its[_PENALTY] > 0.0 or its[_FINISH] < math.inf
+
+
+@inner
+def _tell_of_itself(rows, road, body, its, row):  # noqa: ANN001, ANN202
+    x, y, s, lateral, left, right = _nose(rows, road, body, its)
+    row[X], row[Y], row[HEADING] = x, y, _heading(its[_YAW])
+    row[STEERING], row[SPEED] = _rounded(its[_STEERING] * _DEGREES), _rounded(its[_SPEED])
+    row[DISTANCE], row[PROJECTION] = abs(lateral), s
+    row[WIDTH], row[LENGTH] = left + right, road.length
+    row[IS_LEFT] = left - lateral < right + lateral
+    row[ALL_ON_ROAD], row[NONE_ON_ROAD] = _on_road(rows, road, body, its)
+    row[BEHIND], row[FOLLOWING] = closest_waypoints(road, s)
+
+
+@inner
+def _tell_of_episode(road, known, its, laps, lap, row):  # noqa: ANN001, ANN202
+    known.steps += 1
+    row[STEPS] = known.steps
+    # Held just below 100 until the referee has counted the lap, so that 100 is told once.
+    if lap:
+        row[PROGRESS] = 100.0
+        known.steps = 0
+        known.start = (laps + 1) * road.lap
+    else:
+        lead = _short_way(road, row[PROJECTION] - its[_S]) - known.lead
+        driven = its[_DRIVEN] - known.start + lead
+        row[PROGRESS] = min(100.0 * driven / road.lap, _BELOW_100)
+
+
+@inner
+def _tell_of_objects(road, body, cars, obstacles, world, car, row, told):  # noqa: ANN001, ANN202
+    """Tell of each object, of the last and the next one, and whether that is in the picture."""
+    num_obstacles, count, nose = obstacles.shape[2], told.shape[1], row[PROJECTION]
+    length, closed = road.length, road.closed
+    row[LAST_OBJECT] = row[NEXT_OBJECT] = row[SEES_NEXT] = 0
+    smallest_behind = smallest_ahead = math.inf
+    for which in range(count):
+        it = _object(cars, obstacles, world, car, which)
+        s = it[_S] % length if closed else it[_S]
+        told[OBJECT_S, which], told[OBJECT_DISTANCE, which] = s, abs(it[_LATERAL])
+        told[OBJECT_HEADING, which] = _heading(it[_YAW])
+        told[OBJECT_SPEED, which] = math.sqrt(it[_VELOCITY_X] ** 2 + it[_VELOCITY_Y] ** 2)
+        told[OBJECT_X, which], told[OBJECT_Y, which] = it[_X], it[_Y]
+        told[OBJECT_IS_LEFT, which] = it[_LATERAL] > 0.0
+        # On a loop everything is somewhere ahead; on a straight what is behind comes last.
+        ahead = _ahead(road, s - nose)
+        behind = 0.0 if ahead == length else _ahead(road, nose - s)
+        if 0.0 <= behind < smallest_behind:
+            smallest_behind, row[LAST_OBJECT] = behind, which
+        if 0.0 < ahead < smallest_ahead:
+            smallest_ahead, row[NEXT_OBJECT] = ahead, which
+    if count:
+        which = int(row[NEXT_OBJECT])
         boxed, it = which < num_obstacles, _object(cars, obstacles, world, car, which)
         half_length = obstacles[_HALF_LENGTH, world, which] if boxed else body.half_length
         half_width = obstacles[_HALF_WIDTH, world, which] if boxed else body.half_width
-        in_picture[number] = _seen(eye, cars[:, world, car], it, half_length, half_width)
-    return told, place, left, closest, in_picture
+        row[SEES_NEXT] = _seen(body, cars[:, world, car], it, half_length, half_width)
 
 
 @compiled
-def closest_waypoints(course, track, s):  # noqa: ANN001, ANN201
+def closest_waypoints(road, s):  # noqa: ANN001, ANN201
     """Return the waypoint at or behind a place, and the next one; after the last comes 0."""
-    steps = course.steps[track]
     # The tiny share keeps a place right at a waypoint from falling behind it by rounding.
-    behind = math.floor(s / course.length[track] * steps + 1e-6)
-    behind = min(max(behind, 0), steps)
-    return behind, 0 if behind >= steps else behind + 1
+    behind = math.floor(s / road.length * road.steps + 1e-6)
+    behind = min(max(behind, 0), road.steps)
+    return behind, 0 if behind >= road.steps else behind + 1
 
 
 @compiled
-def project(course, track, x, y, near):  # noqa: ANN001, ANN201
+def project(rows, road, x, y, near):  # noqa: ANN001, ANN201
     """Find a point on the centreline by Newton's method; TrackSet.project for one point.
 
     Args:
-        course: Courses.
-        track: number of the track.
+        rows: see `tell`.
+        road: MEASURES of one track.
         x: [m].
         y: [m].
         near: last known distance along the centreline [m].
@@ -270,14 +236,14 @@ def project(course, track, x, y, near):  # noqa: ANN001, ANN201
     """
     s = near
     for _ in range(3):
-        s, row, share = _row(course, track, s)
+        s, row, share = _row(rows, road, s)
         cos, sin = row[2] + row[9] * share, row[3] + row[10] * share
         dx, dy = x - (row[0] + row[7] * share), y - (row[1] + row[8] * share)
         across = dy * cos - dx * sin
         bend = row[4] + row[11] * share
         step = (dx * cos + dy * sin) / max(1.0 - bend * across, 0.3)
         s += min(max(step, -0.5), 0.5)
-    s, row, share = _row(course, track, s)
+    s, row, share = _row(rows, road, s)
     cos, sin = row[2] + row[9] * share, row[3] + row[10] * share
     dx, dy = x - (row[0] + row[7] * share), y - (row[1] + row[8] * share)
     lateral = (dy * cos - dx * sin) / math.sqrt(cos * cos + sin * sin)
@@ -285,26 +251,25 @@ def project(course, track, x, y, near):  # noqa: ANN001, ANN201
 
 
 @inner
-def _row(course, track, s):  # noqa: ANN001, ANN202
+def _row(rows, road, s):  # noqa: ANN001, ANN202
     """Return s wrapped, the row of the table before it, and the share of the way to the next."""
-    length = course.length[track]
-    s = s % length if course.closed[track] else min(max(s, 0.0), length)
-    place = s / course.spacing[track]
-    low = min(int(place), course.last[track])
-    return s, course.rows[course.first[track] + low], min(max(place - low, 0.0), 1.0)
+    s = s % road.length if road.closed else min(max(s, 0.0), road.length)
+    place = s / road.spacing
+    low = min(int(place), road.last)
+    return s, rows[road.first + low], min(max(place - low, 0.0), 1.0)
 
 
 @inner
-def _nose(course, body, track, its):  # noqa: ANN001, ANN202
+def _nose(rows, road, body, its):  # noqa: ANN001, ANN202
     """Return where a car's nose is, x and y [m], and what `project` says of it."""
     x = its[_X] + body.nose * math.cos(its[_YAW])
     y = its[_Y] + body.nose * math.sin(its[_YAW])
-    s, lateral, left, right = project(course, track, x, y, its[_S])
+    s, lateral, left, right = project(rows, road, x, y, its[_S])
     return x, y, s, lateral, left, right
 
 
 @inner
-def _on_road(course, body, track, its):  # noqa: ANN001, ANN202
+def _on_road(rows, road, body, its):  # noqa: ANN001, ANN202
     """Return whether all four wheels are on the road, and whether none is."""
     cos, sin = math.cos(its[_YAW]), math.sin(its[_YAW])
     wheels = 0
@@ -312,26 +277,24 @@ def _on_road(course, body, track, its):  # noqa: ANN001, ANN202
         for across in (body.half_track, -body.half_track):
             x = its[_X] + along * cos - across * sin
             y = its[_Y] + along * sin + across * cos
-            _, lateral, left, right = project(course, track, x, y, its[_S])
+            _, lateral, left, right = project(rows, road, x, y, its[_S])
             wheels += -right <= lateral <= left
     return wheels == 4, wheels == 0
 
 
 @inner
-def _short_way(course, track, gap):  # noqa: ANN001, ANN202
+def _short_way(road, gap):  # noqa: ANN001, ANN202
     """Return a difference of two places the shorter way round [m]."""
-    length = course.length[track]
-    return gap - np.rint(gap / length) * length if course.closed[track] else gap
+    return gap - np.rint(gap / road.length) * road.length if road.closed else gap
 
 
 @inner
-def _ahead(course, track, gap):  # noqa: ANN001, ANN202
+def _ahead(road, gap):  # noqa: ANN001, ANN202
     """Return a difference of two places as a way ahead [m]: on a loop in (0, length]."""
-    if not course.closed[track]:
+    if not road.closed:
         return gap
-    length = course.length[track]
-    around = gap % length
-    return length if around <= 0.0 else around
+    around = gap % road.length
+    return road.length if around <= 0.0 else around
 
 
 @inner
@@ -357,7 +320,7 @@ def _rounded(number):  # noqa: ANN001, ANN202
 
 
 @inner
-def _seen(eye, its, box, half_length, half_width):  # noqa: ANN001, ANN202
+def _seen(body, its, box, half_length, half_width):  # noqa: ANN001, ANN202
     """Return whether the centre or a corner of an object is inside a car's view.
 
     What hides behind another object is seen all the same, as in the original.
@@ -368,13 +331,13 @@ def _seen(eye, its, box, half_length, half_width):  # noqa: ANN001, ANN202
         along, across = along * half_length, across * half_width
         dx = box[_X] + along * box_cos - across * box_sin - its[_X]
         dy = box[_Y] + along * box_sin + across * box_cos - its[_Y]
-        forward = dx * cos + dy * sin - eye.forward
+        forward = dx * cos + dy * sin - body.eye_forward
         left = dy * cos - dx * sin
         for height in (0.0, _HEIGHT / 2, _HEIGHT):
-            up = height - eye.up
-            depth = forward * eye.dip - up * eye.rise
-            above = forward * eye.rise + up * eye.dip
-            half = depth * eye.tan
+            up = height - body.eye_up
+            depth = forward * body.eye_dip - up * body.eye_rise
+            above = forward * body.eye_rise + up * body.eye_dip
+            half = depth * body.eye_tan
             if _NEAR < depth < _FAR and abs(left) <= half and abs(above) <= 0.75 * half:
                 return True
     return False
