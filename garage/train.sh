@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The commands that made the policies in this folder, about 95 minutes in all on two cores.
+# The commands that made the policies in this folder, about 100 minutes in all on two cores.
 # Usage: garage/train.sh [rookie racer dodger novice duelist globetrotter ...]
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -8,7 +8,8 @@ export OMP_WAIT_POLICY=PASSIVE
 train() {  # train NAME FLAG ...: anew, into this folder
     local name=$1
     shift
-    .venv/bin/league train --out "garage/$name.pt" --overwrite --seed 1 --plain "$@"
+    [[ " $* " == *" --seed "* ]] || set -- --seed 1 "$@"
+    .venv/bin/league train --out "garage/$name.pt" --overwrite --plain "$@"
 }
 rookie() {  # the classic reward at walking pace: laps in well under a minute
     train rookie --reward centerline --action-space 0.5-1 --num-worlds 16 \
@@ -22,11 +23,11 @@ dodger() {  # six boxes at random places
         --exam-trials 8 --exam-every 2
 }
 novice() {  # a minute of time trial: the duelist's parent
-    train novice --action-space 1-4 --minutes 1
+    train novice --seed 2 --action-space 1-4 --minutes 1
 }
-duelist() {  # the novice, after racing its own past, pacers and the novice itself
-    train duelist --kind head_to_head --self-play --init-from garage/novice.pt --reward race \
-        --action-space 1-4 --minutes 24 --scripted-share 0.6 --exam-every 8
+duelist() {  # the novice, after half an hour of racing its own past, pacers and the novice itself
+    train duelist --seed 2 --kind head_to_head --self-play --init-from garage/novice.pt --reward race \
+        --action-space 1-4 --minutes 0 --steps 1750000 --scripted-share 0.6 --exam-every 8
 }
 globetrotter() {  # random tracks only, with random cars and looks: drives any track at first sight
     train globetrotter --track generated:768 --action-space 0.5-3 --num-worlds 128 \

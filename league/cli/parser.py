@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import gc
 import os
 import sys
 from functools import reduce
@@ -34,6 +36,8 @@ ROOMS = (
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; return its exit code."""
+    # All goes at once in the end: to look for cycles first takes a second with torch in memory.
+    atexit.register(gc.freeze)
     try:
         return _parsed(arguments).run()
     except LeagueError as error:

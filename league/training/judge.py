@@ -157,6 +157,11 @@ class Judge:
             self._waiting -= 1
         return found
 
+    def come(self) -> tuple[Judgement, ...]:
+        """Return the judgements that have come; they stay, to be taken later."""
+        self._done = self.take()
+        return tuple(self._done)
+
     def close(self) -> None:
         """Stop it, whatever it is doing."""
         if self._process is not None:

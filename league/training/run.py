@@ -173,6 +173,8 @@ class Run:
                     onlooker.update(self.history, update)
                 if self.learner.at_save_point:
                     self._save_point(update, onlookers)
+                elif self._learnt_all():
+                    self._take(onlookers, wait=False)
                 why = self.over
             self._finish(onlookers)
         except LeagueError:
@@ -237,6 +239,18 @@ class Run:
             self._take(onlookers, wait=False)
         # Last, so that the state knows of the best.pt that lies beside it.
         self._save()
+
+    def _learnt_all(self) -> bool:
+        """Whether a judgement has come that ends the run.
+
+        All others wait for a save point: a run that is killed before it would lose them.
+        """
+        in_a_row = self._complete
+        for judgement in self._judge.come() if self.cfg.stop_when_complete else ():
+            in_a_row = in_a_row + 1 if judgement.evaluation.all_complete else 0
+            if in_a_row >= self.cfg.stop_when_complete:
+                return True
+        return False
 
     def _hand(self, number: int) -> None:
         self._waiting[number] = self._checkpoint()

@@ -10,7 +10,7 @@ import torch
 from league.agents import checkpoint
 from league.errors import ConfigError, PolicyError, RewardError
 from league.evaluation import evaluate
-from league.training import history
+from league.training import history, judge
 from league.training.run import Run
 from league.training.run_config import RunConfig, settings
 
@@ -45,13 +45,12 @@ def test_run_ends_when_its_time_is_up(tmp_path):
     assert outcome.samples == small.SAMPLES  # 0.6 ms are over after one update
 
 
+def passed(exam, found):
+    """A scripted driver takes the exam, so that a lap is complete before anything is learnt."""
+    return evaluate("centerline", exam.tracks[0], laps=1, mode="episode", solver="planar")
+
+
 def test_run_ends_after_evaluations_with_every_lap_complete(tmp_path, monkeypatch):
-    from league.training import judge
-
-    # A scripted driver takes the exam, so that a lap is complete before anything is learnt.
-    def passed(exam, found):
-        return evaluate("centerline", exam.tracks[0], laps=1, mode="episode", solver="planar")
-
     monkeypatch.setattr(judge, "judged", passed)
     onlooker = small.Onlooker()
     run = small.run(tmp_path, small.cfg(updates=100, stop_when_complete=2))
@@ -61,6 +60,42 @@ def test_run_ends_after_evaluations_with_every_lap_complete(tmp_path, monkeypatc
     assert len(onlooker.evaluations) == 2
     assert outcome.evaluation is not None
     assert outcome.evaluation.all_complete
+
+
+def late(run: Run, number: int) -> small.Onlooker:
+    """Have what the judge is handed judged only after an update; return who says so."""
+    kept, hand = [], run._judge.hand
+    run._judge.hand = lambda *told: kept.append(told)
+
+    def after(update) -> None:
+        if update.number == number:
+            run._judge.hand = hand
+            hand(*kept[0])
+
+    return small.Onlooker(after)
+
+
+def test_judgement_that_ends_the_run_does_not_wait_for_a_save_point(tmp_path, monkeypatch):
+    monkeypatch.setattr(judge, "judged", passed)
+    asked = small.cfg(updates=100, stop_when_complete=1, train=small.train(save_every=4))
+    run = small.run(tmp_path, asked)
+    onlooker = late(run, 5)
+    assert run.learn([onlooker]).why == "every lap was complete"
+    assert onlooker.updates == [1, 2, 3, 4, 5]
+    best = checkpoint.load(tmp_path / "best.pt").card
+    assert best.results["updates"] == 4.0 and best.results["completion"] == 100.0
+    again = small.run(tmp_path, asked)
+    again.resume()
+    assert again.over == "every lap was complete"
+    again.close()
+
+
+def test_judgement_that_does_not_end_the_run_waits_for_a_save_point(tmp_path):
+    asked = small.cfg(updates=8, stop_when_complete=1, train=small.train(save_every=4))
+    run = small.run(tmp_path, asked)
+    run.learn([late(run, 5)])
+    rows = [type(row).__name__ for row in history.read(tmp_path / "history.jsonl")]
+    assert rows[:8] == ["UpdateRow"] * 8 and rows[8] == "EvaluationRow"
 
 
 def test_folder_holds_best_last_state_settings_and_history(tmp_path):

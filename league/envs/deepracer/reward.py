@@ -63,7 +63,9 @@ class UserReward:
         paid = np.zeros(verdict.advance.shape, dtype=np.float32)
         for place, car, params in zip(rows.world, rows.car, rows.params, strict=True):
             paid[place, car] = self._call(place, car, params)
-        reward = torch.from_numpy(paid).to(verdict.advance.device)
+        reward = torch.from_numpy(paid)
+        if not verdict.advance.is_cpu:
+            reward = reward.to(verdict.advance.device)
         return reward, {TERM: reward}
 
     def _call(self, world: int, car: int, params: Params) -> float:
