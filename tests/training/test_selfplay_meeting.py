@@ -53,6 +53,13 @@ def test_all_begin_near_the_learner_on_the_road_and_touch_nobody(num_cars):
     assert not bool(step.verdict.crashed.any() | step.verdict.off_track.any())
 
 
+@pytest.mark.parametrize("ahead", [0.0, 0.5, 0.8, 1.0])
+def test_as_many_begin_ahead_of_the_learner_as_is_asked(ahead):
+    gap = gaps(env(replace(ON_THE_ROAD, ahead=ahead), num_worlds=500).world)
+    assert float((gap > 0).float().mean()) == pytest.approx(ahead, abs=0.06)
+    assert 1.2 < float(gap.abs().max()) <= ON_THE_ROAD.reach
+
+
 def test_nine_of_ten_begin_at_like_speeds_along_the_track():
     world = env(ON_THE_ROAD, num_worlds=400).world
     _, _, frame = RING.at(world.track, world.standing.s)
