@@ -74,7 +74,7 @@ def _restart(tracks: TrackSet, sim: SimConfig, cfg: Meeting, world: World, who: 
 def _near(tracks: TrackSet, cfg: Meeting, world: World, who: Tensor) -> tuple[Tensor, Tensor]:
     """Draw places on the road for all that begin, near car 0, on nobody's place.
 
-    Of 24 places the first is taken that is clear of everybody, or else the clearest.
+    Of `_CANDIDATES` places the first is taken that is clear of everybody, or else the clearest.
     """
     book, first = world.standing, who[:, :1]
     drawn = draws.uniform(world.seed, _SPOT, world.step) * tracks.length[world.track]
@@ -98,7 +98,7 @@ def _near(tracks: TrackSet, cfg: Meeting, world: World, who: Tensor) -> tuple[Te
 def _candidates(
     tracks: TrackSet, cfg: Meeting, world: World, car: int, about: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Draw 24 places for a car: along the track and across [m], (num_worlds, 24)."""
+    """Draw places for a car: along the track and across [m], (num_worlds, _CANDIDATES)."""
     seed, step = world.seed.unsqueeze(1), world.step.unsqueeze(1)
     attempt = torch.arange(_CANDIDATES, device=about.device)
     drawn = draws.uniform(seed, _GAP, step, car, attempt)

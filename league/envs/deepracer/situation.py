@@ -84,6 +84,7 @@ class Situations:
         self._step_dt, self._cars = sim.step_dt, tuple(cars)
         self._body = _body(sim.car, CameraConfig())
         self._memory: np.ndarray | None = None
+        self._to_note = False
         self._known: TrackSet | None = None
 
     def restart(self, who: Tensor) -> None:
@@ -96,7 +97,8 @@ class Situations:
         if self._memory is None or self._memory.shape != begun.shape:
             self._memory = self._begun(*begun.shape)
         self._memory["steps"][begun] = 0
-        self._memory["fresh"][begun] = self._to_note = True
+        self._memory["fresh"][begun] = True
+        self._to_note = True
 
     def _begun(self, num_worlds: int, num_cars: int) -> np.ndarray:
         strangers = [car for car in self._cars if not 0 <= car < num_cars]
