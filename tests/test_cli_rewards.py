@@ -1,6 +1,7 @@
 """`league reward check` and `league reward score` as a user meets them."""
 
 import json
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -84,6 +85,10 @@ def test_check_stops_a_call_that_does_not_come_back(tmp_path):
     path.write_text("def reward_function(params):\n    while True:\n        pass\n")
     with pytest.raises(RewardError, match=r"mine\.py, line [23]: still running after 0\.2 s"):
         check.check(path, time_limit_s=0.2)
+    for thread in threading.enumerate():
+        if thread.name == "reward":
+            thread.join(5)
+            assert not thread.is_alive(), "the loop still takes half of Python's time"
 
 
 def test_score_prints_totals_and_draws_both(recorded, tmp_path, capsys):

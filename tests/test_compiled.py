@@ -15,8 +15,9 @@ FILES = [
 ]
 
 
-def test_painter_contacts_and_what_rewards_are_told_are_compiled():
-    assert [path.name for path in FILES] == ["telling.py", "raster.py", "collision.py"]
+def test_painter_contacts_tyres_places_and_what_rewards_are_told_are_compiled():
+    names = ["telling.py", "raster.py", "collision.py", "tyres.py", "along.py"]
+    assert [path.name for path in FILES] == names
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)

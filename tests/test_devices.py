@@ -34,7 +34,9 @@ from league.replay import Recorder, Replay
 from league.sim.config import CameraConfig, CarConfig, LidarConfig, SensorConfig, SimConfig
 from league.sim.meeting_config import Meeting
 from league.sim.planar import PlanarSolver
-from league.sim.world import World
+from league.sim.vehicle import forces
+from league.sim.world import CarParameters, Motion, World
+from league.track import files
 from league.track.course import TrackSet
 from league.training.episodes import Episodes
 from league.training.selfplay import duels
@@ -263,6 +265,48 @@ def test_a_policy_drives_worlds_of_another_device():
 
     def run(device: str) -> object:
         return race(device, lambda tracks: {0: Policy(kept, CAR, device=tracks.device)}, steps=4)
+
+    check_both(run)
+
+
+def random(*shape: int, size: float, seed: int) -> Tensor:
+    return size * torch.randn(shape, generator=torch.Generator().manual_seed(seed))
+
+
+@pytest.mark.parametrize("num_worlds", [1, 5, 200])
+def test_places_along_tracks_are_compiled_on_the_cpu_to_the_bits_of_another_device(num_worlds):
+    names = ("reinvent_2018", "needle_pass", "thread_lane")
+    tracks = [make_straight(), *map(files.load, names)]
+    index = torch.arange(num_worlds) % len(tracks)
+
+    def run(device: str) -> object:
+        courses = TrackSet.of(*tracks, device=device)
+        track = index.to(device)
+        s = random(num_worlds, 3, size=40.0, seed=1).to(device)
+        x, y, frame = courses.at(track, s)
+        aside = (random(num_worlds, 3, size=0.3, seed=seed).to(device) for seed in (2, 3, 4))
+        near = [place + shift for place, shift in zip((x, y, s), aside, strict=True)]
+        return x, y, frame, courses.project(track, *near)
+
+    check_both(run)
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.02, 2.0])
+def test_tyres_are_compiled_on_the_cpu_to_the_bits_of_another_device(speed):
+    shape, names = (500, 2), ("velocity_x", "velocity_y", "yaw_rate")
+
+    def run(device: str) -> object:
+        def drawn(size: float, seed: int, middle: float = 0.0) -> Tensor:
+            return (middle + random(*shape, size=size, seed=seed)).to(device)
+
+        moving = {name: drawn(speed, seed) for seed, name in enumerate(names)}
+        still = {"x": drawn(1.0, 3), "y": drawn(1.0, 4)}
+        motion = Motion(**moving, **still, yaw=drawn(3.0, 5), steering=drawn(0.3, 6))
+        rest = {name: drawn(0.0, 7) for name in ("latency_s", "camera_up", "camera_pitch")}
+        grip, mass = drawn(0.05, 8, 0.7), drawn(0.5, 9, 8.2)
+        cars = CarParameters(grip=grip, mass=mass, steering_offset=drawn(0.02, 10), **rest)
+        asked = drawn(0.6, 11), drawn(speed, 12).abs()
+        return forces(motion, *asked, cars, CAR, 1 / 120)
 
     check_both(run)
 

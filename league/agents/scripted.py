@@ -116,10 +116,9 @@ class LineDriver:
         shift = planned.lateral - road.lateral
         limit = planned.speed
         # Whoever has just stood a penalty passes the next body slowly.
-        near = (others.present & (others.gap > -0.4) & (others.gap < 1.5)).to(speed.dtype)
-        careful = self._care > 0
-        for column in near.unbind(dim=1):
-            limit = torch.where(careful & (column > 0), torch.clamp(limit, max=_CAREFUL), limit)
+        near = others.present & (others.gap > -0.4) & (others.gap < 1.5)
+        careful = (self._care > 0) & near.any(dim=1)
+        limit = torch.where(careful, torch.clamp(limit, max=_CAREFUL), limit)
         # From where the last step left it, a shift grows no faster than a car can follow, and fades
         # more slowly, because what was passed is no longer told.
         ahead = torch.arange(NODES, dtype=torch.float32, device=state.device) * NODE_GAP

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -24,6 +25,9 @@ CORNERS = 0.035
 
 MOST_ROOM = 0.4
 """More room than this beside a body counts no more [m]."""
+
+_FREE = 99.0
+"""Largest speed where nothing is in the way [m/s]."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +72,11 @@ class Others:
     """Bool, (things,)."""
     widths: Tensor
     """Distance across the track within which bodies touch [m], (things,)."""
+
+    @cached_property
+    def somewhere(self) -> list[int]:
+        """Those that are near any car; the others change nothing."""
+        return self.present.any(dim=0).nonzero()[:, 0].tolist()
 
     @classmethod
     def told(cls, state: Tensor) -> Others:
@@ -133,7 +142,7 @@ def plan(
     corners = CORNERS * road.curvature.abs()
     target = wished
     # Far ones first, so that the nearest has the last word; slots of the state are by nearness.
-    for thing in reversed(range(others.gap.shape[1])):
+    for thing in reversed(others.somewhere):
         closing = torch.clamp(1.0 - others.speed[:, thing] / own, min=0.08)
         apart = others.widths[thing] + manners.clearance + corners
         weight = _weight(others, thing, road, closing, manners)
@@ -209,6 +218,8 @@ def largest_speed(
         own: its speed, at least 1 [m/s], (num_rows,).
         manners: distances to keep.
     """
+    if not others.somewhere:
+        return torch.full_like(own, _FREE)
     closing = torch.clamp(1.0 - others.speed / own.unsqueeze(1), min=0.08)
     before = torch.clamp(others.gap - others.reach, min=0.0)
     meeting = before / closing
@@ -219,7 +230,7 @@ def largest_speed(
     limit = torch.sqrt(others.speed**2 + 2.0 * manners.braking * free)
     # Nothing left: fall behind a little.
     limit = torch.where(free > 0, limit, 0.7 * others.speed)
-    limit = torch.where(in_way, limit, 99.0)
+    limit = torch.where(in_way, limit, _FREE)
     least = limit[:, 0]
     for column in limit.unbind(dim=1)[1:]:
         least = torch.minimum(least, column)

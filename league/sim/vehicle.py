@@ -13,7 +13,9 @@ energy out of the car, at every speed, down to rest. docs/physics.md has equatio
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -94,6 +96,16 @@ class Vehicle:
 
     def push(self, motion: Motion, steering_target: Tensor, speed_target: Tensor) -> Push:
         """Return what acts on the cars for one physics step."""
+        if motion.yaw.is_cpu:
+            return self._compiled.push(motion, steering_target, speed_target)
+        return self.push_in_torch(motion, steering_target, speed_target)
+
+    @cached_property
+    def _compiled(self) -> _Compiled:
+        return _Compiled.of(self)
+
+    def push_in_torch(self, motion: Motion, steering_target: Tensor, speed_target: Tensor) -> Push:
+        """Return the same by torch alone, on any device."""
         cfg, arm = self.cfg, self.cfg.wheelbase / 2
         steering = self._steer(motion.steering, steering_target)
         angles = torch.stack((motion.yaw, steering))
@@ -145,6 +157,41 @@ class Vehicle:
         force = rest * ease * z * (size * (size - 3.0) + 3.0)
         most = sliding.abs() * self.cap
         return drive, torch.clamp(-force, -most, most)
+
+
+@dataclass(frozen=True)
+class _Compiled:
+    """A Vehicle as tables, and who works with them."""
+
+    cars: np.ndarray
+    """As `tyres.push` takes them."""
+    steering: tuple[np.float32, np.float32]
+    """As `tyres.steer` takes them."""
+    settings: np.ndarray
+    """As `tyres.push` takes them."""
+
+    @classmethod
+    def of(cls, vehicle: Vehicle) -> _Compiled:
+        cfg = vehicle.cfg
+        rows = (vehicle.steering_offset, vehicle.grip, vehicle.half_weight, vehicle.half_mass)
+        rows = (*rows, vehicle.transfer, vehicle.slope, vehicle.cap)
+        limits = (cfg.max_braking, cfg.max_acceleration, DRIVE_SHARE, SLIP_FLOOR)
+        return cls(
+            cars=torch.stack(rows).numpy().reshape(len(rows), -1),
+            steering=(np.float32(cfg.max_steering), np.float32(vehicle.max_turn)),
+            settings=np.array((cfg.wheelbase / 2, vehicle.gain, *limits), np.float32),
+        )
+
+    def push(self, motion: Motion, steering_target: Tensor, speed_target: Tensor) -> Push:
+        from league.sim import tyres  # late: Numba takes a while
+
+        told = (motion.yaw, motion.velocity_x, motion.velocity_y, motion.yaw_rate, motion.steering)
+        told = (*told, steering_target, speed_target)
+        rows = torch.stack(told).numpy().reshape(len(told), -1)
+        angles = torch.from_numpy(tyres.steer(rows, self.cars, *self.steering))
+        cos, sin = torch.cos(angles).numpy(), torch.sin(angles).numpy()
+        pushed = torch.from_numpy(tyres.push(rows, cos, sin, self.cars, self.settings))
+        return Push(*torch.cat((pushed, angles[1:])).reshape(4, *motion.yaw.shape).unbind())
 
 
 def forces(

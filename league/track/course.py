@@ -21,6 +21,9 @@ SPACING = 0.05
 ROOM_MARGIN = 0.84
 """Distance from the road's bounding box to the wall round the room [m] (facts 3.1: 0.76-0.92)."""
 
+_SEARCHES = 3
+"""Steps of Newton's method in a projection."""
+
 Rgb = tuple[int, int, int]
 
 
@@ -245,8 +248,18 @@ class TrackSet:
             y: points [m].
             near_s: last known s of each point [m], same shape.
         """
-        s = near_s
-        for _ in range(3):
+        s = self._nearest(index, x, y, near_s)
+        cx, cy, frame = self.at(index, s)
+        return replace(frame, lateral=(y - cy) * frame.cos - (x - cx) * frame.sin)
+
+    def _nearest(self, index: Tensor, x: Tensor, y: Tensor, s: Tensor) -> Tensor:
+        if s.is_cpu:
+            from league.track import along  # late: Numba takes a while
+
+            told = torch.stack((x, y, s)).numpy().reshape(3, -1)
+            found = along.nearest(self._tables, self.num_points, _host(index), told, _SEARCHES)
+            return torch.from_numpy(found).reshape(s.shape)
+        for _ in range(_SEARCHES):
             s, (cx, cy, cos, sin, curvature, _, _) = self._mixed(index, s)
             dx, dy = x - cx, y - cy
             along = dx * cos + dy * sin
@@ -255,8 +268,7 @@ class TrackSet:
             # sin are a little short of unit length between two points only shortens the step.
             step = along / torch.clamp(1 - curvature * across, min=0.3)
             s = s + torch.clamp(step, -0.5, 0.5)
-        cx, cy, frame = self.at(index, s)
-        return replace(frame, lateral=(y - cy) * frame.cos - (x - cx) * frame.sin)
+        return s
 
     def locate(self, index: Tensor, x: Tensor, y: Tensor) -> Projection:
         """Project points of which nothing is known: the nearest centre point, then `project`.
@@ -299,6 +311,13 @@ class TrackSet:
 
     def _mixed(self, index: Tensor, s: Tensor) -> tuple[Tensor, tuple[Tensor, ...]]:
         """Return s wrapped, and the seven columns of the table interpolated there."""
+        if s.is_cpu:
+            from league.track import along  # late: Numba takes a while
+
+            places = _host(s).reshape(-1)
+            there = along.interpolated(self._tables, self.num_points, _host(index), places)
+            wrapped, *columns = torch.from_numpy(there).reshape(8, *s.shape).unbind()
+            return wrapped, tuple(columns)
         length = self._of(self.length, index, s)
         # Rounding can make the remainder of a small negative number equal to the length.
         wrapped = torch.remainder(s, length)
@@ -315,6 +334,12 @@ class TrackSet:
         return wrapped, mixed.reshape(7, *s.shape).unbind(0)
 
     @cached_property
+    def _tables(self) -> tuple[np.ndarray, ...]:
+        """What compiled code reads."""
+        tables = (self.rows, self.count, self.length, self.spacing, self.closed)
+        return tuple(table.numpy() for table in tables)
+
+    @cached_property
     def _curvature(self) -> Tensor:
         return self.rows[:, 4].contiguous()
 
@@ -327,6 +352,11 @@ class TrackSet:
         if len(self.tracks) == 1:
             return per_track  # of shape (1,): it broadcasts, to the same bits
         return _like(per_track.index_select(0, index), points)
+
+
+def _host(tensor: Tensor) -> np.ndarray:
+    """Return numpy's view of a tensor on the CPU, row by row as compiled code wants it."""
+    return tensor.contiguous().numpy()
 
 
 def _rows(track: Track, num_points: int) -> Tensor:

@@ -65,7 +65,9 @@ def slippery(now: World) -> World:
 
 
 def control(now: World, steering: list, speed: list) -> Control:
-    return Control(table(steering, now.num_worlds), table(speed, now.num_worlds))
+    """One control for all cars, or one for each of a world, or a row for each world."""
+    asked = (table(rows, now.num_worlds).expand_as(now.motion.x) for rows in (steering, speed))
+    return Control(*asked)
 
 
 def drive(physics, now: World, asked: Control, steps: int) -> list:

@@ -80,6 +80,10 @@ class _Watched(dict):
         return super().get(key, default)
 
 
+class _Stopped(BaseException):
+    """Thrown into the thread that runs the user's code, to end it."""
+
+
 @dataclass
 class _Progress:
     """What the thread that runs the user's code has done, for the one that waits."""
@@ -198,7 +202,7 @@ def _stuck(source: Source, thread: threading.Thread, limit_s: float) -> RewardEr
         frame = frame.f_back
     # Ends a loop in Python at its next line; one inside a C library ends with the program.
     ctypes.pythonapi.PyThreadState_SetAsyncExc(
-        ctypes.c_ulong(thread.ident), ctypes.py_object(SystemExit)
+        ctypes.c_ulong(thread.ident), ctypes.py_object(_Stopped)
     )
     return RewardError(
         f"{source.path}, line {line or 1}: still running after {limit_s:g} s: a call must come "
