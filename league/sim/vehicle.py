@@ -8,6 +8,9 @@ friction circle.
 No force may do more in one physics step than stop the motion it opposes: each is held to `cap` =
 min(mass, inertia / b^2) / (2 dt) times its speed. The four directions together then only ever take
 energy out of the car, at every speed, down to rest. docs/physics.md has equations and proof.
+
+Written twice: in torch for any device, and in tyres.py, to the same bits, as a compiled loop for
+the CPU, where torch would spend most of a race of few cars on calling itself.
 """
 
 from __future__ import annotations
@@ -98,14 +101,14 @@ class Vehicle:
         """Return what acts on the cars for one physics step."""
         if motion.yaw.is_cpu:
             return self._compiled.push(motion, steering_target, speed_target)
-        return self.push_in_torch(motion, steering_target, speed_target)
+        return self._push_in_torch(motion, steering_target, speed_target)
 
     @cached_property
     def _compiled(self) -> _Compiled:
         return _Compiled.of(self)
 
-    def push_in_torch(self, motion: Motion, steering_target: Tensor, speed_target: Tensor) -> Push:
-        """Return the same by torch alone, on any device."""
+    def _push_in_torch(self, motion: Motion, steering_target: Tensor, speed_target: Tensor) -> Push:
+        """Return the same, on any device."""
         cfg, arm = self.cfg, self.cfg.wheelbase / 2
         steering = self._steer(motion.steering, steering_target)
         angles = torch.stack((motion.yaw, steering))
