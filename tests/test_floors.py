@@ -4,6 +4,7 @@ import ast
 import json
 import subprocess
 import sys
+from functools import lru_cache
 from pathlib import Path
 
 import pytest
@@ -52,6 +53,7 @@ LOADED_LATE = (
 )
 
 
+@lru_cache
 def modules() -> dict[str, ast.Module]:
     """Return the tree of every room, by its name without `league.`."""
     found = {}
