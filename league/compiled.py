@@ -17,11 +17,14 @@ _Function = TypeVar("_Function", bound=Callable)
 
 
 def compiled(function: _Function) -> _Function:
-    """Compile a function that is called from Python; kept on disk wherever there is a place."""
+    """Compile a function that is called from Python; kept on disk wherever there is a place.
+
+    Other threads run meanwhile: the films of two cars' eyes are painted side by side.
+    """
     try:
-        return njit(cache=True, error_model="numpy")(function)
+        return njit(cache=True, nogil=True, error_model="numpy")(function)
     except RuntimeError:  # no folder can be written
-        return njit(error_model="numpy")(function)
+        return njit(nogil=True, error_model="numpy")(function)
 
 
 inner = njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
