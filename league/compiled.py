@@ -2,7 +2,7 @@
 
 Numba looks for changes in a function's own file alone, so a file of compiled functions imports
 nothing of ours but this one (a test holds it to that), and whatever other files know comes as an
-argument.
+argument. What is on disk does not notice either when the settings below change.
 """
 
 # Numba gives its types a meaning that the checker does not know.

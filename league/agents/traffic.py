@@ -75,7 +75,7 @@ class Others:
 
     @cached_property
     def somewhere(self) -> list[int]:
-        """Those that are near any car; the others change nothing."""
+        """Columns that hold something near any row's car; the others change nothing."""
         return self.present.any(dim=0).nonzero()[:, 0].tolist()
 
     @classmethod

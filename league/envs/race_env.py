@@ -82,7 +82,7 @@ class RaceEnv:
         self.tracks, self.cfg, self.num_worlds = tracks, cfg, num_worlds
         self._track = torch.arange(num_worlds, device=tracks.device) % len(tracks.tracks)
         if track_index is not None:
-            self._track = track_index.to(tracks.device)
+            self._track = self._tracks_of_worlds(track_index)
         self._solver = solvers.make(cfg.solver, cfg.sim, tracks, num_worlds)
         self._sensing = Sensing(tracks, cfg)
         self._reward = reward or BuiltIn(cfg.reward)
@@ -150,7 +150,7 @@ class RaceEnv:
         """
         self._check_open()
         if track_index is not None:
-            self._track = track_index.to(self.tracks.device)
+            self._track = self._tracks_of_worlds(track_index)
         self._begin(self._seed + 1 if seed is None else seed, seeds)
         return self._observe()
 
@@ -208,6 +208,15 @@ class RaceEnv:
 
         self._world, self._last_action = world, actions
         return Step(self._observe(), reward, terminated, truncated, verdict, terms, began)
+
+    def _tracks_of_worlds(self, index: Tensor) -> Tensor:
+        number = len(self.tracks.tracks)
+        if index.shape != (self.num_worlds,) or bool(((index < 0) | (index >= number)).any()):
+            raise ValueError(
+                f"track_index is {index.tolist()}: give each of the {self.num_worlds} worlds the "
+                f"number of its track, 0 to {number - 1}"
+            )
+        return index.to(self.tracks.device, torch.int64)
 
     def retire(self, car: int | slice, world: int | slice = slice(None)) -> None:
         """End one car's race, in all worlds or one: it is frozen for good, and in nobody's way."""

@@ -191,6 +191,8 @@ class _Compiled:
         told = (motion.yaw, motion.velocity_x, motion.velocity_y, motion.yaw_rate, motion.steering)
         told = (*told, steering_target, speed_target)
         rows = torch.stack(told).numpy().reshape(len(told), -1)
+        if rows.shape != self.cars.shape:
+            raise ValueError(f"{rows.shape[1]} cars move, of {self.cars.shape[1]} cars' parameters")
         angles = torch.from_numpy(tyres.steer(rows, self.cars, *self.steering))
         cos, sin = torch.cos(angles).numpy(), torch.sin(angles).numpy()
         pushed = torch.from_numpy(tyres.push(rows, cos, sin, self.cars, self.settings))

@@ -1,7 +1,8 @@
 """Compiled: places along a centreline, and how they are sought, for tables on the CPU.
 
 course.py has the same in torch, for any device. Numbers are float32 and are rounded after each
-operation, in the same order as there, so both agree to the last bit.
+operation, in the same order as there, so both agree to the last bit. Only here what is not a number
+stays one; torch refuses to look it up.
 """
 
 # Numba gives its types a meaning that the checker does not know.
@@ -22,10 +23,14 @@ def interpolated(tables, num_points, track, s):  # noqa: ANN001, ANN201
         tables: of a TrackSet: rows, count, length, spacing, closed.
         num_points: rows of each track.
         track: of each world, int64 (num_worlds,).
-        s: places along it [m], float32 (num_places,); as many for each world.
+        s: places along it [m], float32 (num_places,); of the first world, then of the next, as
+            many of each.
+
+    Raises:
+        IndexError: a world is on no track of the set, or has fewer places than another.
     """
     out = np.empty((8, len(s)), np.float32)
-    each = max(1, len(s) // max(1, len(track)))
+    each = _places_of_each(len(s), track, tables)
     for point in range(len(s)):
         there = _mixed(tables, num_points, track[point // each], s[point])
         for column in range(8):
@@ -35,18 +40,21 @@ def interpolated(tables, num_points, track, s):  # noqa: ANN001, ANN201
 
 @compiled
 def nearest(tables, num_points, track, told, times):  # noqa: ANN001, ANN201
-    """Return the places along the centreline that are nearest to points [m], (num_points,).
+    """Return the places along the centreline that are nearest to points [m], (num_places,).
 
     Args:
         tables: as of `interpolated`.
         num_points: as of `interpolated`.
         track: as of `interpolated`.
         told: x, y of the points and where they were last seen along the track [m], float32
-            (3, num_points).
+            (3, num_places).
         times: steps of Newton's method, see `TrackSet.project`.
+
+    Raises:
+        IndexError: as of `interpolated`.
     """
     out = np.empty(told.shape[1], np.float32)
-    each = max(1, told.shape[1] // max(1, len(track)))
+    each = _places_of_each(told.shape[1], track, tables)
     for point in range(told.shape[1]):
         x, y, s = told[0, point], told[1, point], told[2, point]
         for _ in range(times):
@@ -63,6 +71,17 @@ def nearest(tables, num_points, track, told, times):  # noqa: ANN001, ANN201
 
 
 @inner
+def _places_of_each(number, track, tables):  # noqa: ANN001, ANN202
+    """Return how many places each world has, once it is sure that no table is read beside."""
+    for world in range(len(track)):
+        if not 0 <= track[world] < len(tables[1]):
+            raise IndexError("a world is on a track that the set does not have")
+    if number % max(1, len(track)):
+        raise IndexError("worlds have different numbers of places")
+    return max(1, number // max(1, len(track)))
+
+
+@inner
 def _mixed(tables, num_points, track, s):  # noqa: ANN001, ANN202
     """Return s wrapped, and the seven columns of the table there."""
     rows, count, length, spacing, closed = tables
@@ -76,10 +95,10 @@ def _mixed(tables, num_points, track, s):  # noqa: ANN001, ANN202
     else:
         wrapped = _clamp(s, _ZERO, length[track])
     place = wrapped / spacing[track]
-    low = min(np.int64(place), count[track] - 1)
+    # What is not a number has no row: it takes the first, and stays what it is.
+    low = min(np.int64(place), count[track] - 1) if place >= _ZERO else 0
     part = _clamp(place - np.float32(low), _ZERO, _ONE)
-    # What is not a number has no row, and stays what it is.
-    row = rows[track * num_points + max(low, 0)]
+    row = rows[track * num_points + low]
     return (
         wrapped,
         row[0] + row[7] * part,

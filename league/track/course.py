@@ -253,6 +253,7 @@ class TrackSet:
         return replace(frame, lateral=(y - cy) * frame.cos - (x - cx) * frame.sin)
 
     def _nearest(self, index: Tensor, x: Tensor, y: Tensor, s: Tensor) -> Tensor:
+        """Return the places nearest to points that were last seen at s [m]."""
         if s.is_cpu:
             from league.track import along  # late: Numba takes a while
 
@@ -262,11 +263,11 @@ class TrackSet:
         for _ in range(_SEARCHES):
             s, (cx, cy, cos, sin, curvature, _, _) = self._mixed(index, s)
             dx, dy = x - cx, y - cy
-            along = dx * cos + dy * sin
-            across = dy * cos - dx * sin
-            # d(along)/ds = 1 - curvature * across; held positive inside tight turns. That cos and
-            # sin are a little short of unit length between two points only shortens the step.
-            step = along / torch.clamp(1 - curvature * across, min=0.3)
+            before, across = dx * cos + dy * sin, dy * cos - dx * sin
+            # A metre of s takes 1 - curvature * across off it; held positive inside tight turns.
+            # That cos and sin are a little short of unit length between two points only shortens
+            # the step.
+            step = before / torch.clamp(1 - curvature * across, min=0.3)
             s = s + torch.clamp(step, -0.5, 0.5)
         return s
 

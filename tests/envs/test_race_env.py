@@ -369,3 +369,9 @@ def test_rewards_that_weigh_nothing_are_not_told(race_env):
     told = drive(env, 5)
     assert list(told.log) == ["progress"]
     assert torch.equal(told.rewards, told.verdict.advance * 2.0)
+
+
+@pytest.mark.parametrize("index", [[0, 1], [-1, 0], [0]])
+def test_worlds_on_tracks_that_are_not_there_are_refused(race_env, index):
+    with pytest.raises(ValueError, match=r"track_index is .*: give each of the 2 worlds .* 0 to 0"):
+        race_env(num_worlds=2).reset(track_index=torch.tensor(index))

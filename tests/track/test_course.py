@@ -194,3 +194,15 @@ def test_reversed_straight_is_driven_from_its_far_end():
     np.testing.assert_array_equal(back.center, track.center[::-1])
     np.testing.assert_array_equal(back.left, track.right[::-1])
     assert back.direction == "open"
+
+
+@pytest.mark.parametrize("index", [[0, 1], [0, -1], [0, 0, 0]])
+def test_a_world_on_no_track_of_the_set_is_an_error_and_no_wild_reading(index):
+    tracks = TrackSet.of(shapes.circle())
+    places = torch.ones(2, 2)
+    for look in (
+        lambda: tracks.at(torch.tensor(index), places),
+        lambda: tracks.project(torch.tensor(index), places, places, places),
+    ):
+        with pytest.raises(IndexError):
+            look()

@@ -200,7 +200,8 @@ def _stuck(source: Source, thread: threading.Thread, limit_s: float) -> RewardEr
         if frame.f_code.co_filename == str(source.path):
             line = frame.f_lineno
         frame = frame.f_back
-    # Ends a loop in Python at its next line; one inside a C library ends with the program.
+    # Ends a loop in Python at its next line; one inside a C library, or one that catches whatever
+    # is thrown, ends with the program.
     ctypes.pythonapi.PyThreadState_SetAsyncExc(
         ctypes.c_ulong(thread.ident), ctypes.py_object(_Stopped)
     )

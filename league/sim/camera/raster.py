@@ -1,6 +1,6 @@
 """Compiled painting: a floor from its texture, then walls and things as convex polygons.
 
-Everything that other files know (shapes, colours, sizes) comes as an argument (league/compiled.py
+All that other files know (shapes, colours, sizes) comes as an argument (league/compiled.py
 says why).
 
 A pixel belongs to a polygon if its centre lies inside: neighbours share no pixel and leave none
