@@ -67,9 +67,20 @@ def test_an_id_may_name_its_package_instead():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_the_package_declares_its_entry_point():
+def test_the_ids_are_found_through_the_packages_entry_point_alone():
+    code = (
+        "import gymnasium; from importlib.metadata import entry_points;"
+        f"ids = {list(IDS)}; assert not set(ids) & set(gymnasium.registry);"
+        "(point,) = entry_points(group='gymnasium.envs', name='league');"
+        "point.load()(); assert set(ids) <= set(gymnasium.registry);"
+        "gymnasium.make(ids[0], sensors=()).reset(seed=0)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_registering_twice_does_no_harm():
     (point,) = entry_points(group="gymnasium.envs", name="league")
-    point.load()()  # a second time does no harm
+    point.load()()
     assert set(IDS) <= set(gymnasium.registry)
 
 
