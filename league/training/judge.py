@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import multiprocessing
 import os
 import queue
-import signal
-import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+from league import side_process
 from league.agents import roster
 from league.agents.checkpoint import Checkpoint
 from league.agents.policy import Policy
@@ -103,27 +101,19 @@ class Judge:
     """A process that judges what it is handed, in order; learning does not wait for it."""
 
     def __init__(self, exam: Exam, *, beside: bool = True) -> None:
-        """Start it.
+        """Have it ready; its process starts with the first policy.
 
         Args:
             exam: what every policy is asked to do.
             beside: whether to judge in a process of its own, or at once in this one.
         """
         self._exam, self._waiting, self._done = exam, 0, []
-        self._process = None
+        self._beside, self._process = beside, None
         if beside:
-            # Not forked: torch's threads do not survive that.
-            context = multiprocessing.get_context("spawn")
-            self._orders, self._answers = context.Queue(), context.Queue()
+            side_process.prepare(__name__)
+            self._orders, self._answers = side_process.CONTEXT.Queue(), side_process.CONTEXT.Queue()
             # Left unread, an order would keep this process from ending.
             self._orders.cancel_join_thread()
-            self._process = context.Process(
-                target=_work,
-                args=(exam, self._orders, self._answers, os.getpid()),
-                daemon=True,
-            )
-            with _deaf():
-                self._process.start()
 
     @property
     def waiting(self) -> int:
@@ -131,12 +121,18 @@ class Judge:
         return self._waiting
 
     def hand(self, number: int, checkpoint: Checkpoint) -> None:
-        """Hand over a policy as it was after an update."""
-        if self._process is None:
+        """Hand over a policy as it was after an update.
+
+        Raises:
+            ConfigError: no process can be started.
+        """
+        if not self._beside:
             started = time.perf_counter()
             evaluation = judged(self._exam, checkpoint)
             self._done.append(Judgement(number, evaluation, time.perf_counter() - started))
             return
+        if self._process is None:
+            self._process = side_process.start(_work, self._exam, self._orders, self._answers)
         self._waiting += 1
         # As arrays: torch would hand tensors over as shared memory, which has to outlive us.
         weights = {name: value.numpy() for name, value in checkpoint.weights.items()}
@@ -167,9 +163,10 @@ class Judge:
         if self._process is not None:
             self._process.terminate()
             self._process.join(5.0)
+            self._process = None
+        if self._beside:
             self._orders.close()
             self._answers.close()
-            self._process = None
 
     def _next(self, wait: bool) -> Judgement:
         assert self._process is not None
@@ -192,26 +189,13 @@ class Judge:
             return answer
 
 
-@contextlib.contextmanager
-def _deaf() -> Iterator[None]:
-    """Start processes that do not hear Ctrl-C, from their first moment; it is the learner's."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-def _work(
-    exam: Exam, orders: multiprocessing.Queue, answers: multiprocessing.Queue, parent: int
-) -> None:
+def _work(exam: Exam, orders: multiprocessing.Queue, answers: multiprocessing.Queue) -> None:
     """Judge until stopped."""
     import torch
 
-    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    # Reading its orders would not tell that the learner was killed: a half-written one is waited
+    # for, for ever.
+    side_process.end_with_parent()
     torch.set_num_threads(1)
     os.nice(10)  # where cores are few, learning goes first
     while True:
@@ -224,13 +208,3 @@ def _work(
             answers.put(str(error))
             return
         answers.put(Judgement(number, evaluation, time.perf_counter() - started))
-
-
-def _end_with(parent: int) -> None:
-    """End this process at once when the learner has been killed.
-
-    Reading its orders would not tell: a half-written one is waited for, for ever.
-    """
-    while os.getppid() == parent:
-        time.sleep(0.5)
-    os._exit(1)

@@ -106,7 +106,7 @@ def test_where_no_worker_can_start_the_run_ends_with_a_sentence(job, monkeypatch
             reports(executor, 1)
 
 
-def _cannot_start(pipe: object, parent: int) -> None:
+def _cannot_start(pipe: object) -> None:
     """Stand for a worker whose libraries cannot be loaded."""
     os._exit(3)
 

@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
-import os
-import signal
 import time
 from dataclasses import dataclass
 from multiprocessing import connection
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 
+from league import side_process
 from league.errors import ConfigError
 from league.matchmaking.executors.executor import JOB_LIMIT_S
 from league.matchmaking.worker import Job, Report
 
-# A forked child would inherit torch's threads and the database's connections.
-_SPAWN = multiprocessing.get_context("spawn")
-
 STARTS = 3
 """So many workers of a seat, one after the other, that die before they are ready are no chance."""
+
+_NEEDED = (
+    "league.agents.policy",
+    "league.agents.roster",
+    "league.matchmaking.submission",
+    "league.matchmaking.worker",
+    "league.race",
+)
+"""What a worker imports."""
 
 
 @dataclass
@@ -42,6 +46,7 @@ class Processes:
 
     def __init__(self, num_workers: int, *, job_limit_s: float = JOB_LIMIT_S) -> None:
         self._limit_s = job_limit_s
+        side_process.prepare(*_NEEDED)
         self._seats = [_started() for _ in range(num_workers)]
 
     @property
@@ -125,8 +130,7 @@ class Processes:
     def _start_again(self, seat: _Seat) -> None:
         """Replace a worker that died before it was given its job: that is no try at the heat."""
         code = seat.process.exitcode
-        if code != -signal.SIGINT:  # Ctrl-C reaches those, too, that cannot ignore it yet
-            seat.deaths += 1
+        seat.deaths += 1
         if seat.deaths >= STARTS:
             raise ConfigError(
                 f"{STARTS} worker processes in a row ended before their first race (exit code "
@@ -157,16 +161,14 @@ class Processes:
 
 
 def _started() -> _Seat:
-    ours, theirs = _SPAWN.Pipe()
-    process = _SPAWN.Process(target=_work, args=(theirs, os.getpid()), daemon=True)
-    process.start()
+    ours, theirs = side_process.CONTEXT.Pipe()
+    process = side_process.start(_work, theirs)
     theirs.close()  # so that reading ends when the worker does
     return _Seat(process, ours)
 
 
-def _work(pipe: Connection, parent: int) -> None:
+def _work(pipe: Connection) -> None:
     """Race jobs until the pipe ends, as it does when the matchmaker dies."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the matchmaker
     import torch
 
     from league.matchmaking.worker import Pit
@@ -181,7 +183,7 @@ def _work(pipe: Connection, parent: int) -> None:
         except (EOFError, OSError):
             return
         report = pit.race(job)
-        if os.getppid() != parent:
+        if side_process.orphaned():
             return
         try:
             pipe.send(report)
