@@ -11,7 +11,7 @@ import pytest
 
 HOUSE = Path(__file__).parents[1] / "league"
 FLOORS = {
-    "league": 1, "geometry": 1, "errors": 1, "whole_file": 1, "compiled": 1,
+    "league": 1, "geometry": 1, "errors": 1, "whole_file": 1, "compiled": 1, "side_process": 1,
     "track": 2,
     "sim": 3,
     "race_spec": 4, "envs": 4, "replay": 4,

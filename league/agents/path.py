@@ -68,6 +68,8 @@ class Path:
     """Columns distance, lateral, heading; a closed one repeats its first row at the end."""
     by_distance: Tensor
     """Columns s minus its even share, then those of a Horizon after `ahead`."""
+    nodes: Tensor
+    """How far ahead of a car a horizon's nodes lie along the line [m], (NODES,)."""
 
     @classmethod
     def of(cls, line: RacingLine, track: Track, *, device: torch.device | str = "cpu") -> Path:
@@ -111,6 +113,7 @@ class Path:
             total=total,
             by_s=_table(beside, device),
             by_distance=_table(ahead, device),
+            nodes=torch.arange(NODES, dtype=torch.float32, device=device) * NODE_GAP,
         )
 
     def beside(self, s: Tensor) -> Place:
@@ -120,10 +123,9 @@ class Path:
 
     def ahead_of(self, place: Place) -> Horizon:
         """Return the line ahead of these places."""
-        steps = torch.arange(NODES, dtype=torch.float32, device=place.distance.device) * NODE_GAP
-        distance = place.distance.unsqueeze(1) + steps
+        distance = place.distance.unsqueeze(1) + self.nodes
         uneven, *others = self._read(self.by_distance, distance, self.total)
-        ahead = uneven - uneven[:, :1] + steps * (self.length / self.total)
+        ahead = uneven - uneven[:, :1] + self.nodes * (self.length / self.total)
         return Horizon(ahead, *others)
 
     def _read(self, table: Tensor, where: Tensor, end: float) -> tuple[Tensor, ...]:

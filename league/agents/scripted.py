@@ -121,9 +121,8 @@ class LineDriver:
         limit = torch.where(careful, torch.clamp(limit, max=_CAREFUL), limit)
         # From where the last step left it, a shift grows no faster than a car can follow, and fades
         # more slowly, because what was passed is no longer told.
-        ahead = torch.arange(NODES, dtype=torch.float32, device=state.device) * NODE_GAP
         held = self._shift.unsqueeze(1)
-        grow, fade = 0.03 + _GROW * ahead, 0.02 + _FADE * ahead
+        grow, fade = 0.03 + _GROW * self._path.nodes, 0.02 + _FADE * self._path.nodes
         down = torch.where((held > 0) & (shift >= 0), fade, grow)
         up = torch.where((held < 0) & (shift <= 0), fade, grow)
         shift = torch.minimum(torch.maximum(shift, held - down), held + up)

@@ -100,10 +100,11 @@ class PreviewSteering:
             errors.yaw_rate,
             errors.steering,
         )
+        told = torch.cat([torch.stack(state, dim=1), bends], dim=1)
         # Explicit adds: a sum's order, and so its last bits, may depend on the batch.
         target = errors.steering
-        for column, value in enumerate((*state, *bends.unbind(dim=1))):
-            target = target + gain[:, column] * value
+        for change in (gain * told).unbind(dim=1):
+            target = target + change
         return target
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import torch
 from torch import Tensor
@@ -81,27 +81,27 @@ class Others:
     @classmethod
     def told(cls, state: Tensor) -> Others:
         """Read them from the `state` group."""
-
-        def column(of_car: str, of_obstacle: str | None) -> Tensor:
-            cars = [state[:, INDEX[f"car_{k}_{of_car}"]] for k in range(NEIGHBOURS)]
-            things = [
-                state[:, INDEX[f"obstacle_{k}_{of_obstacle}"]]
-                if of_obstacle
-                else torch.zeros_like(cars[0])
-                for k in range(NEAR_OBSTACLES)
-            ]
-            return torch.stack(cars + things, dim=1)
-
+        cars = partial(_columns, state, "car", NEIGHBOURS)
+        boxes = partial(_columns, state, "obstacle", NEAR_OBSTACLES)
+        # Whoever stands a penalty is a ghost: one drives through it.
+        there = (cars("present") > 0.5) & (cars("frozen") < 0.5)
+        speed = torch.clamp(cars("speed"), min=0.0)
         return cls(
-            gap=column("gap", "gap"),
-            lateral=column("lateral", "lateral"),
-            speed=torch.clamp(column("speed", None), min=0.0),
-            # Whoever stands a penalty is a ghost: one drives through it.
-            present=(column("present", "present") > 0.5) & (column("frozen", None) < 0.5),
+            gap=torch.cat([cars("gap"), boxes("gap")], dim=1),
+            lateral=torch.cat([cars("lateral"), boxes("lateral")], dim=1),
+            speed=torch.cat([speed, torch.zeros_like(boxes("gap"))], dim=1),
+            present=torch.cat([there, boxes("present") > 0.5], dim=1),
             reach=state.new_tensor([CAR_REACH] * NEIGHBOURS + [BOX_REACH] * NEAR_OBSTACLES),
             is_box=state.new_tensor([0.0] * NEIGHBOURS + [1.0] * NEAR_OBSTACLES) > 0.5,
             widths=state.new_tensor([CAR_WIDTHS] * NEIGHBOURS + [BOX_WIDTHS] * NEAR_OBSTACLES),
         )
+
+
+def _columns(state: Tensor, things: str, count: int, what: str) -> Tensor:
+    """Return what the `state` group tells of each of its cars or obstacles, (num_rows, count)."""
+    first, second = (INDEX[f"{things}_{rank}_{what}"] for rank in (0, 1))
+    step = second - first
+    return state[:, first : first + count * step : step]
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,8 +230,4 @@ def largest_speed(
     limit = torch.sqrt(others.speed**2 + 2.0 * manners.braking * free)
     # Nothing left: fall behind a little.
     limit = torch.where(free > 0, limit, 0.7 * others.speed)
-    limit = torch.where(in_way, limit, _FREE)
-    least = limit[:, 0]
-    for column in limit.unbind(dim=1)[1:]:
-        least = torch.minimum(least, column)
-    return least
+    return torch.where(in_way, limit, _FREE).amin(dim=1)

@@ -94,7 +94,7 @@ def test_racing_line_stays_on_every_shipped_track():
 
 
 def test_slower_drivers_get_round_hairpins_narrow_roads_and_clockwise_ones():
-    names = ("needle_pass", "thread_lane", "broad_street")
+    names = ("needle_pass", "thread_lane")
     starts = product(map(files.load, names), ("centerline", "cautious", "blocker"))
     assert not clumsy(list(starts), laps=1)
 
@@ -107,7 +107,8 @@ def test_community_tracks_are_driven_round():
 
 
 def test_drivers_have_the_pace_their_names_promise():
-    pace = {name: float(alone(reinvent(), name, laps=2).best_lap_s) for name in roster.NAMES}
+    book = tour([(reinvent(), name) for name in roster.NAMES], laps=2)
+    pace = dict(zip(roster.NAMES, book.best_lap_s[:, 0].tolist(), strict=True))
     assert pace["racing_line"] < pace["blocker"] < pace["cautious"] < pace["centerline"]
 
 
@@ -129,7 +130,7 @@ def test_racing_line_passes_most_fields_of_boxes():
 
 @pytest.mark.parametrize("slow", ["centerline", "cautious"])
 def test_racing_line_overtakes_a_slower_car_without_ramming_it(slow):
-    sim = SimConfig(kind="head_to_head", num_cars=2, rules=RaceRules(laps=3))
+    sim = SimConfig(kind="head_to_head", num_cars=2, rules=RaceRules(laps=2))
     book = drive(files.load("broad_street"), [slow, "racing_line"], sim)
     assert int(book.crashes.sum()) == 0
     assert int(book.overtakes[0, 1]) >= 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import random
 import shutil
@@ -44,9 +45,13 @@ def planned(path: Path, heats: int) -> None:
         )
 
 
-def workers_of(pid: int) -> list[int]:
-    children = Path(f"/proc/{pid}/task/{pid}/children")
-    return [int(child) for child in children.read_text().split()] if children.exists() else []
+def below(pid: int) -> list[int]:
+    """Return the processes of a crew: its workers, and what they were forked off from."""
+    try:
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    except OSError:  # no Linux, or it is gone
+        return []
+    return [one for child in map(int, children) for one in (child, *below(child))]
 
 
 def drain(path: Path, dice: random.Random | None, patience_s: float, heats: int) -> int:
@@ -60,7 +65,7 @@ def drain(path: Path, dice: random.Random | None, patience_s: float, heats: int)
             crew = subprocess.Popen(WORK, env=environment, stdout=subprocess.DEVNULL)
             try:
                 while crew.poll() is None and left(store) and time.monotonic() < give_up:
-                    kills += struck(store, crew, dice, max(5, heats // 4))
+                    kills += struck(store, crew, dice, max(5, heats // 6))
             finally:
                 crew.kill()
                 crew.wait()
@@ -68,7 +73,7 @@ def drain(path: Path, dice: random.Random | None, patience_s: float, heats: int)
 
 
 def struck(store: Store, crew: subprocess.Popen, dice: random.Random | None, most: int) -> bool:
-    """Wait for some results, then kill a worker or the process that hands the heats out."""
+    """Wait for some results, then kill one of the crew or whoever hands the heats out."""
     if dice is None:
         time.sleep(0.2)
         return False
@@ -76,9 +81,10 @@ def struck(store: Store, crew: subprocess.Popen, dice: random.Random | None, mos
     while crew.poll() is None and left(store) and store.counts().get("done", 0) < wanted:
         time.sleep(0.05)
     time.sleep(dice.uniform(0.0, 0.4))
-    victims = workers_of(crew.pid)
+    victims = below(crew.pid)
     if victims and dice.random() < 0.6:
-        os.kill(dice.choice(victims), signal.SIGKILL)
+        with contextlib.suppress(ProcessLookupError):  # a worker may come to its end first
+            os.kill(dice.choice(victims), signal.SIGKILL)
     else:
         crew.kill()
         crew.wait()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import random
 import shutil
@@ -20,8 +19,7 @@ import pytest
 from league.errors import StoreError
 from league.matchmaking import store
 from league.matchmaking.store import database
-
-SPAWN = multiprocessing.get_context("spawn")
+from league.side_process import CONTEXT
 
 
 def _killed_while_holding(url, worker):
@@ -34,7 +32,7 @@ def test_four_processes_never_get_the_same_heat(url):
     with leagues.founded(url) as league:
         heats = leagues.duels(league, 120)
         league.plan(heats)
-        with ProcessPoolExecutor(4, mp_context=SPAWN) as pool:
+        with ProcessPoolExecutor(4, mp_context=CONTEXT) as pool:
             jobs = [pool.submit(leagues.work, url, f"w{n}", 3, 0.002) for n in range(4)]
             shares = [job.result(timeout=120) for job in jobs]
         claimed = [key for share in shares for key in share]
@@ -66,7 +64,7 @@ def test_threads_share_a_store(url):
 def test_heats_of_a_killed_worker_are_raced_by_another(url):
     with leagues.founded(url) as league:
         league.plan(leagues.duels(league, 12))
-        process = SPAWN.Process(target=_killed_while_holding, args=(url, "doomed"))
+        process = CONTEXT.Process(target=_killed_while_holding, args=(url, "doomed"))
         process.start()
         process.join(60)
         assert process.exitcode == -signal.SIGKILL

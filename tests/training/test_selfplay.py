@@ -359,7 +359,7 @@ def test_champion_is_not_decided_among_selves_alone():
 
 
 def test_the_best_of_a_run_is_whoever_wins_the_matrix(tmp_path, monkeypatch):
-    small_pool = SelfPlayConfig(candidate_every=2, forced_every=1, races=2, matrix_races=2)
+    small_pool = replace(SHORT, candidate_every=2, forced_every=1)
     monkeypatch.setattr(run_room, "SelfPlayConfig", lambda **given: replace(small_pool, **given))
     cfg = small.cfg(updates=4, train=small.train(kind="head_to_head", num_cars=2), self_play=True)
 

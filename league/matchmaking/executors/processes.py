@@ -23,6 +23,8 @@ _NEEDED = (
     "league.matchmaking.submission",
     "league.matchmaking.worker",
     "league.race",
+    "league.sim.bullet",
+    "league.sim.camera.paint",
 )
 """What a worker imports."""
 
