@@ -19,7 +19,9 @@ from multiprocessing.process import BaseProcess
 from league.errors import ConfigError
 
 _SERVED = sys.platform == "linux"
-CONTEXT = multiprocessing.get_context("forkserver" if _SERVED else "spawn")
+CONTEXT = (
+    multiprocessing.get_context("forkserver") if _SERVED else multiprocessing.get_context("spawn")
+)
 """Makes the pipes and queues that such processes are handed."""
 
 
