@@ -13,6 +13,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from multiprocessing.process import BaseProcess
 
@@ -25,14 +26,21 @@ CONTEXT = (
 """Makes the pipes and queues that such processes are handed."""
 
 
-def prepare(*modules: str) -> None:
-    """Begin to load what processes to come will import, without waiting for it.
+_LOADED = (
+    "league.agents.policy",
+    "league.agents.roster",
+    "league.evaluation",
+    "league.race",
+    "league.sim.bullet",
+    "league.sim.camera.paint",
+)
+"""What such processes import, and what takes them seconds without a server."""
 
-    Args:
-        modules: their full names; those of this program's first call are loaded.
-    """
+
+def prepare() -> None:
+    """Begin to load what processes to come will import, without waiting for it."""
     if _SERVED:
-        CONTEXT.set_forkserver_preload(list(modules))
+        CONTEXT.set_forkserver_preload(list(_LOADED))
         _serve()
 
 
@@ -48,12 +56,11 @@ def start(target: Callable[..., None], *arguments: object) -> BaseProcess:
     """
     process = CONTEXT.Process(target=target, args=arguments, daemon=True)
     try:
-        if _SERVED:
-            _serve()
-            process.start()
-        else:
-            with _deaf():
-                process.start()
+        try:
+            _begin(process)
+        except (EOFError, ConnectionError):  # the server has just died: let that be noticed
+            time.sleep(0.1)
+            _begin(process)
     except (EOFError, OSError) as error:
         raise ConfigError(
             "no process could be started beside this one: look at the messages above, and whether "
@@ -78,6 +85,15 @@ def end_with_parent() -> None:
             os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+
+
+def _begin(process: BaseProcess) -> None:
+    if _SERVED:
+        _serve()
+        process.start()
+    else:
+        with _deaf():
+            process.start()
 
 
 def _serve() -> None:

@@ -11,13 +11,13 @@ import pytest
 
 HOUSE = Path(__file__).parents[1] / "league"
 FLOORS = {
-    "league": 1, "geometry": 1, "errors": 1, "whole_file": 1, "compiled": 1, "side_process": 1,
+    "league": 1, "geometry": 1, "errors": 1, "whole_file": 1, "compiled": 1,
     "track": 2,
     "sim": 3,
     "race_spec": 4, "envs": 4, "replay": 4,
     "agents": 5, "rerun_view": 5, "video": 5, "web_viewer": 5,
     "race": 6,
-    "evaluation": 6.5, "training": 6.7,
+    "evaluation": 6.5, "side_process": 6.6, "training": 6.7,
     "matchmaking": 7,
     "web": 8,
     "cli": 9, "__main__": 9,

@@ -22,6 +22,11 @@ def tell(pipe: Connection) -> None:
     pipe.recv()
 
 
+@pytest.fixture(autouse=True)
+def prepared() -> None:
+    side_process.prepare()
+
+
 def told() -> tuple[int, int, bool, bool]:
     """Return what a fresh process says of itself, once it has ended."""
     ours, theirs = side_process.CONTEXT.Pipe()

@@ -18,8 +18,6 @@ from league.evaluation import Evaluation, evaluate
 from league.sim.config import ObstacleConfig, RaceKind, SimConfig
 from league.track.course import Track, TrackSet
 
-_NEEDED = ("league.sim.bullet", "league.sim.camera.paint")
-"""What a judge imports late."""
 PATIENCE_S = 600.0
 """Longest wait for one judgement [s]."""
 
@@ -112,7 +110,7 @@ class Judge:
         self._exam, self._waiting, self._done = exam, 0, []
         self._beside, self._process = beside, None
         if beside:
-            side_process.prepare(__name__, *_NEEDED)
+            side_process.prepare()
             self._orders, self._answers = side_process.CONTEXT.Queue(), side_process.CONTEXT.Queue()
             # Left unread, an order would keep this process from ending.
             self._orders.cancel_join_thread()

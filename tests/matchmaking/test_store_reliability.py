@@ -19,7 +19,12 @@ import pytest
 from league.errors import StoreError
 from league.matchmaking import store
 from league.matchmaking.store import database
-from league.side_process import CONTEXT
+from league.side_process import CONTEXT, prepare
+
+
+@pytest.fixture(autouse=True, scope="module")
+def prepared():
+    prepare()
 
 
 def _killed_while_holding(url, worker):

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+from dataclasses import replace
 
 import pytest
 from small import untrained
@@ -88,7 +89,7 @@ def test_judge_that_can_be_told_nothing_says_why(monkeypatch):
 
 def test_judge_that_takes_too_long_is_given_up(monkeypatch):
     monkeypatch.setattr(judge, "PATIENCE_S", 0.0)
-    one = Judge(EXAM)
+    one = Judge(replace(EXAM, trials=500))
     try:
         one.hand(1, untrained())
         with pytest.raises(PolicyError, match="the process that evaluates"):

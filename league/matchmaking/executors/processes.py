@@ -17,17 +17,6 @@ from league.matchmaking.worker import Job, Report
 STARTS = 3
 """So many workers of a seat, one after the other, that die before they are ready are no chance."""
 
-_NEEDED = (
-    "league.agents.policy",
-    "league.agents.roster",
-    "league.matchmaking.submission",
-    "league.matchmaking.worker",
-    "league.race",
-    "league.sim.bullet",
-    "league.sim.camera.paint",
-)
-"""What a worker imports."""
-
 
 @dataclass
 class _Seat:
@@ -48,7 +37,7 @@ class Processes:
 
     def __init__(self, num_workers: int, *, job_limit_s: float = JOB_LIMIT_S) -> None:
         self._limit_s = job_limit_s
-        side_process.prepare(*_NEEDED)
+        side_process.prepare()
         self._seats = [_started() for _ in range(num_workers)]
 
     @property
