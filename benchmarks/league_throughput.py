@@ -1,23 +1,29 @@
 """How many rated duels a league races in a day, with camera policies, and where the time goes."""
 
 import cProfile
+import multiprocessing
 import os
 import pstats
 import statistics
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from contextlib import closing
+from math import nan
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import torch
 
 from benchmarks.report import figure, heading, machine
-from league import race
+from league import race, side_process
 from league.agents import checkpoint
 from league.agents.checkpoint import Checkpoint
 from league.matchmaking import executors, running, season, submission
 from league.matchmaking.crew import Crew, contestant
+from league.matchmaking.executors import processes
 from league.matchmaking.keys import Half, Heat, Ruleset, mirrored
 from league.matchmaking.store import Store, create
 from league.matchmaking.worker import Job, Pit
@@ -125,11 +131,58 @@ def throughput(store: Store, seconds: float, workers: int) -> None:
     figure("heats raced", tally.heats, "heats")
 
 
+def _memory(pid: int) -> float:
+    """Return the memory of a process, of what it shares its part [MB]; NaN where nobody tells."""
+    rollup = Path(f"/proc/{pid}/smaps_rollup")
+    return float(rollup.read_text().split("Pss:")[1].split()[0]) / 1024 if rollup.exists() else nan
+
+
+def _started(count: int, start: Callable[..., BaseProcess]) -> tuple[float, float]:
+    """Return how long workers take to be ready [s], and their memory with any server's [MB]."""
+    began, pipes, workers = time.perf_counter(), [], []
+    for _ in range(count):
+        ours, theirs = side_process.CONTEXT.Pipe()
+        workers.append(start(processes._work, theirs).pid)
+        theirs.close()
+        pipes.append(ours)
+    assert [pipe.recv() for pipe in pipes] == [None] * count
+    taken = time.perf_counter() - began
+    parents = {
+        int(Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[1]) for pid in workers
+    } - {os.getpid()}
+    memory = sum(map(_memory, {*workers, *parents}))
+    for pipe in pipes:
+        pipe.close()
+    return taken, memory
+
+
+def starting(workers: int = 4) -> None:
+    """Print how soon workers are ready, beside processes that each load torch for themselves."""
+    spawning = multiprocessing.get_context("spawn")
+
+    def alone(target: Callable[..., None], pipe: Connection) -> BaseProcess:
+        process = spawning.Process(target=target, args=(pipe,), daemon=True)
+        process.start()
+        return process
+
+    each_s, each_mb = _started(workers, alone)
+    side_process.prepare()
+    first_s, _ = _started(1, side_process.start)
+    served_s, served_mb = _started(workers, side_process.start)
+    print(f"{workers} workers, all ready; the first of a server after {first_s:.2f} s:")
+    figure("  each loads torch for itself", each_s, "s")
+    figure("  forked off a server that has", served_s, "s")
+    figure("  how much sooner", each_s / served_s, "x")
+    figure("  memory of the first kind", each_mb, "MB")
+    figure("  memory of the second, the server's too", served_mb, "MB")
+
+
 def main() -> None:
     """Print the figures."""
     heading("The league's throughput")
     print(machine())
     torch.set_num_threads(1)
+    starting()
     drivers = policies([path for path in sys.argv[1:] if path.endswith(".pt")])
     if len(drivers) < 2:
         print("not measured: there is no camera policy in garage/, name one: FILE.pt")

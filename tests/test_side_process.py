@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -14,12 +15,7 @@ import pytest
 from league import side_process
 from league.errors import ConfigError
 
-
-def tell(pipe: Connection) -> None:
-    """Say who this is, then wait to be asked to end."""
-    deaf = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
-    pipe.send((os.getpid(), os.getppid(), deaf, side_process.orphaned()))
-    pipe.recv()
+on_linux = pytest.mark.skipif(sys.platform != "linux", reason="only Linux has a server and /proc")
 
 
 @pytest.fixture(autouse=True)
@@ -27,8 +23,15 @@ def prepared() -> None:
     side_process.prepare()
 
 
-def told() -> tuple[int, int, bool, bool]:
-    """Return what a fresh process says of itself, once it has ended."""
+def tell(pipe: Connection) -> None:
+    """Say who this is after a Ctrl-C, then wait to be asked to end."""
+    os.kill(os.getpid(), signal.SIGINT)
+    pipe.send((os.getpid(), os.getppid()))
+    pipe.recv()
+
+
+def told() -> tuple[int, int]:
+    """Return the number of a fresh process that has ended, and of whom forked it off."""
     ours, theirs = side_process.CONTEXT.Pipe()
     process = side_process.start(tell, theirs)
     theirs.close()
@@ -39,28 +42,71 @@ def told() -> tuple[int, int, bool, bool]:
     return answer
 
 
-def alive(pid: int) -> bool:
+def stuck(pipe: Connection) -> None:
+    pipe.send((os.getpid(), os.getppid()))
+    while True:
+        time.sleep(1.0)
+
+
+def gone(pid: int) -> bool:
+    """Return whether a process comes to its end within half a minute."""
+    give_up = time.monotonic() + 30.0
+    while time.monotonic() < give_up:
+        try:
+            if " Z " in Path(f"/proc/{pid}/stat").read_text():
+                return True
+        except OSError:
+            return True
+        time.sleep(0.02)
+    return False
+
+
+def test_a_process_survives_ctrl_c_which_is_heard_here_as_before():
+    def mine(_number: object, _frame: object) -> None:
+        heard.append(True)
+
+    heard: list[bool] = []
+    before = signal.signal(signal.SIGINT, mine)
     try:
-        return " Z " not in Path(f"/proc/{pid}/stat").read_text()
-    except FileNotFoundError:
-        return False
+        assert told()[0] != os.getpid()
+        os.kill(os.getpid(), signal.SIGINT)
+        assert heard == [True]
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
-def test_a_process_is_deaf_to_ctrl_c_and_knows_its_parent():
-    pid, _, deaf, orphaned = told()
-    assert pid != os.getpid()
-    assert deaf and not orphaned
-    assert signal.getsignal(signal.SIGINT) is not signal.SIG_IGN
-    assert not side_process.orphaned()
+def test_a_ctrl_c_while_one_is_started_is_heard_a_bit_later():
+    heard: list[bool] = []
+    before = signal.signal(signal.SIGINT, lambda *_: heard.append(True))
+    try:
+        with side_process._deaf():
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.01)
+            assert not heard
+        assert heard == [True]
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="only Linux has a server")
-def test_a_server_that_was_killed_is_started_again():
-    _, server, _, _ = told()
+def test_a_process_started_from_a_thread_survives_ctrl_c_too():
+    found: list[tuple[int, int]] = []
+    thread = threading.Thread(target=lambda: found.append(told()))
+    thread.start()
+    thread.join(60.0)
+    assert len(found) == 1
+
+
+@on_linux
+def test_when_the_server_is_killed_all_end_and_the_next_start_makes_another():
+    ours, theirs = side_process.CONTEXT.Pipe()
+    side_process.start(stuck, theirs)
+    theirs.close()
+    pid, server = ours.recv()
     assert server != os.getpid()
     os.kill(server, signal.SIGKILL)
-    _, other, _, _ = told()
+    _, other = told()
     assert other not in (server, os.getpid())
+    assert gone(pid)
 
 
 def test_where_none_can_be_started_there_is_one_sentence(monkeypatch):
@@ -72,36 +118,38 @@ def test_where_none_can_be_started_there_is_one_sentence(monkeypatch):
         side_process.start(tell, None)
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
-def test_a_process_ends_with_the_one_that_started_it(tmp_path):
-    (tmp_path / "endless.py").write_text(
+@on_linux
+def test_stuck_ones_end_with_their_parent_and_nothing_comes_from_the_working_folder(tmp_path):
+    program, here = tmp_path / "program", tmp_path / "here"
+    program.mkdir()
+    here.mkdir()
+    for library in ("random", "torch", "league"):
+        (here / f"{library}.py").write_text("raise OSError('not the library')")
+    (program / "endless.py").write_text(
         textwrap.dedent(
             """
-            import os, signal, time
+            import os, signal, sys, time
             from league import side_process
 
-            def endless(pipe):
-                side_process.end_with_parent()
-                pipe.send(os.getpid())
+            def stuck(pipe):
+                pipe.send((os.getpid(), os.getppid(), "torch" in sys.modules))
                 while True:
                     time.sleep(1.0)
 
             if __name__ == "__main__":
+                side_process.prepare()
                 ours, theirs = side_process.CONTEXT.Pipe()
-                side_process.start(endless, theirs)
-                print(ours.recv(), flush=True)
+                side_process.start(stuck, theirs)
+                print(*ours.recv(), flush=True)
                 os.kill(os.getpid(), signal.SIGKILL)
             """
         )
     )
     killed = subprocess.Popen(
-        [sys.executable, str(tmp_path / "endless.py")], stdout=subprocess.PIPE, text=True
+        [sys.executable, str(program / "endless.py")], cwd=here, stdout=subprocess.PIPE, text=True
     )
-    assert killed.stdout is not None
-    pid = int(killed.stdout.readline())
-    assert killed.wait(30.0) == -signal.SIGKILL
-    killed.stdout.close()
-    give_up = time.monotonic() + 30.0
-    while alive(pid) and time.monotonic() < give_up:
-        time.sleep(0.05)
-    assert not alive(pid)
+    told, _ = killed.communicate(timeout=60.0)
+    assert killed.returncode == -signal.SIGKILL
+    pid, server, loaded = told.split()
+    assert loaded == "True"
+    assert gone(int(pid)) and gone(int(server))

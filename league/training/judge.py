@@ -98,7 +98,7 @@ def joined(found: Sequence[Evaluation]) -> Evaluation:
 
 
 class Judge:
-    """A process that judges what it is handed, in order; learning does not wait for it."""
+    """A process that judges what it is handed, in order, while learning goes on."""
 
     def __init__(self, exam: Exam, *, beside: bool = True) -> None:
         """Have it ready; its process starts with the first policy.
@@ -193,9 +193,6 @@ def _work(exam: Exam, orders: multiprocessing.Queue, answers: multiprocessing.Qu
     """Judge until stopped."""
     import torch
 
-    # Reading its orders would not tell that the learner was killed: a half-written one is waited
-    # for, for ever.
-    side_process.end_with_parent()
     torch.set_num_threads(1)
     os.nice(10)  # where cores are few, learning goes first
     while True:

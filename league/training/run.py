@@ -68,14 +68,9 @@ class Run:
         self.cfg, self.folder = cfg, folder
         self._tracks = courses.load(cfg.tracks)
         self._exam = _exam(cfg, self._tracks)
-        self._judge = Judge(self._exam, beside=beside)
-        try:
-            self._begin()
-        except BaseException:
-            self._judge.close()
-            raise
+        self._begin(beside)
 
-    def _begin(self) -> None:
+    def _begin(self, beside: bool) -> None:
         cfg = self.cfg
         train = cfg.train
         self._parents: tuple[str, ...] = ()
@@ -102,6 +97,8 @@ class Run:
                 parent=self._parent,
             )
             opponents = self._self_play.drivers()
+        # After what is refused at once, and before what takes seconds: it loads meanwhile.
+        self._judge = Judge(self._exam, beside=beside)
         self.env = worlds.make(tracks, train, opponents=opponents, reward=self._reward)
         self.learner = Learner(self.env, train)
         if self._parent is not None:

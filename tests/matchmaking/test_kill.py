@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import random
 import shutil
@@ -83,8 +82,10 @@ def struck(store: Store, crew: subprocess.Popen, dice: random.Random | None, mos
     time.sleep(dice.uniform(0.0, 0.4))
     victims = below(crew.pid)
     if victims and dice.random() < 0.6:
-        with contextlib.suppress(ProcessLookupError):  # a worker may come to its end first
+        try:
             os.kill(dice.choice(victims), signal.SIGKILL)
+        except ProcessLookupError:  # a worker may come to its end first
+            return False
     else:
         crew.kill()
         crew.wait()

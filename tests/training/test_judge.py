@@ -128,5 +128,6 @@ def test_program_ends_although_policies_are_still_waiting(tmp_path):
 def test_ctrl_c_is_heard_as_before_once_the_judge_runs():
     before = signal.getsignal(signal.SIGINT)
     one = Judge(EXAM)
+    one.hand(1, untrained())
     one.close()
     assert signal.getsignal(signal.SIGINT) is before

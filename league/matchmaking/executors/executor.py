@@ -14,7 +14,7 @@ JOB_LIMIT_S = 1800.0
 """A heat that takes longer than this is stuck: its worker is ended [s]."""
 
 WORKERS_PER_CORE = 4
-"""Processes of one machine at most, for each of its cores: each loads torch and takes 0.4 GB."""
+"""Processes of one machine at most, for each of its cores."""
 MOST_ACTORS = 4096
 """Actors of a cluster at most."""
 
