@@ -398,7 +398,7 @@ def wait_for_updates(folder, number: int, process: subprocess.Popen) -> None:
 
 
 @pytest.mark.slow
-def test_killed_training_goes_on_from_its_last_save_point(tmp_path):
+def test_killed_training_goes_on_from_its_last_save_point(league, tmp_path):
     process = started(tmp_path, "--steps", "100000")
     wait_for_updates(tmp_path, 12, process)
     process.send_signal(signal.SIGKILL)
@@ -409,9 +409,8 @@ def test_killed_training_goes_on_from_its_last_save_point(tmp_path):
     # Not 100,000 decisions in a test: the settings are those of the run, so it is told to end.
     cfg = (folder / "settings.json").read_text().replace('"steps": 100000', '"steps": 640')
     (folder / "settings.json").write_text(cfg)
-    again = started(tmp_path, "--resume")
-    out, err = again.communicate(timeout=300)
-    assert again.returncode == 0, err
+    code, out, err = league("train", *TINY, "--out", "long.pt", "--resume")
+    assert code == 0, err
     assert "stopped because the steps were driven" in out
     rows = [r for r in history.read(folder / "history.jsonl") if isinstance(r, history.UpdateRow)]
     assert [row.number for row in rows] == list(range(1, len(rows) + 1))

@@ -19,7 +19,7 @@ from league.matchmaking import standings
 from league.matchmaking.keys import Half, Heat
 from league.matchmaking.store import Store
 
-WORK = [sys.executable, "-m", "league.cli", "work", "--lease-s", "5", "--workers", "2", "--plain"]
+WORK = [sys.executable, "-m", "league.cli", "work", "--lease-s", "3", "--workers", "2", "--plain"]
 
 
 RULES = replace(SHORT, max_time_s=0.3)

@@ -106,11 +106,13 @@ def test_program_ends_although_policies_are_still_waiting(tmp_path):
             f"""
             import sys
             sys.path.insert(0, {os.path.dirname(__file__)!r})
+            from league import side_process
             from league.track import files
             from league.training.judge import Exam, Judge
             from small import CAMERA, untrained
 
             if __name__ == "__main__":
+                side_process.LOADED = ()  # so that there is little to wait for
                 judge = Judge(Exam(tracks=(files.load("reinvent_2018"),)))
                 for number in range(20):
                     judge.hand(number, untrained(CAMERA))
