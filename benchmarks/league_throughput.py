@@ -132,27 +132,34 @@ def throughput(store: Store, seconds: float, workers: int) -> None:
 
 
 def _memory(pid: int) -> float:
-    """Return the memory of a process, of what it shares its part [MB]; NaN where nobody tells."""
-    rollup = Path(f"/proc/{pid}/smaps_rollup")
-    return float(rollup.read_text().split("Pss:")[1].split()[0]) / 1024 if rollup.exists() else nan
+    """Return the memory of a process, of what it shares its part [MB]."""
+    told = Path(f"/proc/{pid}/smaps_rollup").read_text()
+    return float(told.split("Pss:")[1].split()[0]) / 1024
+
+
+def _parent(pid: int) -> int:
+    return int(Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[1])
 
 
 def _started(count: int, start: Callable[..., BaseProcess]) -> tuple[float, float]:
-    """Return how long workers take to be ready [s], and their memory with any server's [MB]."""
+    """Return how long workers take to be ready [s], and their memory with any server's [MB].
+
+    The memory is not a number where /proc does not tell it.
+    """
     began, pipes, workers = time.perf_counter(), [], []
     for _ in range(count):
         ours, theirs = side_process.CONTEXT.Pipe()
-        workers.append(start(processes._work, theirs).pid)
+        workers.append(start(processes._work, theirs))
         theirs.close()
         pipes.append(ours)
     assert [pipe.recv() for pipe in pipes] == [None] * count
-    taken = time.perf_counter() - began
-    parents = {
-        int(Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[1]) for pid in workers
-    } - {os.getpid()}
-    memory = sum(map(_memory, {*workers, *parents}))
-    for pipe in pipes:
+    taken, memory = time.perf_counter() - began, nan
+    if sys.platform == "linux":
+        pids = {worker.pid for worker in workers}
+        memory = sum(map(_memory, pids | {*map(_parent, pids)} - {os.getpid()}))
+    for pipe, worker in zip(pipes, workers, strict=True):
         pipe.close()
+        worker.join()
     return taken, memory
 
 

@@ -27,7 +27,6 @@ LOADED = (
     "league.cli",
     "league.evaluation",
     "league.matchmaking.executors.processes",
-    "league.matchmaking.worker",
     "league.race",
     "league.sim.bullet",
     "league.sim.camera.paint",
@@ -51,7 +50,6 @@ def prepare() -> None:
         ConfigError: no process can be started on this machine.
     """
     if _SERVED:
-        CONTEXT.set_forkserver_preload(list(LOADED))
         with _told():
             _serve()
 
@@ -107,9 +105,10 @@ def _begin(process: BaseProcess) -> None:
 
 
 def _serve() -> None:
-    """See that the server runs."""
+    """See that the server runs, or loads what is needed."""
     from multiprocessing import forkserver
 
+    CONTEXT.set_forkserver_preload(list(LOADED))
     with _deaf(), _nothing_from_here():
         forkserver.ensure_running()
 

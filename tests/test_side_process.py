@@ -18,11 +18,6 @@ from league.errors import ConfigError
 on_linux = pytest.mark.skipif(sys.platform != "linux", reason="only Linux has a server and /proc")
 
 
-@pytest.fixture(autouse=True)
-def prepared() -> None:
-    side_process.prepare()
-
-
 def tell(pipe: Connection) -> None:
     """Say who this is after a Ctrl-C, then wait to be asked to end."""
     os.kill(os.getpid(), signal.SIGINT)

@@ -68,10 +68,6 @@ class Run:
         self.cfg, self.folder = cfg, folder
         self._tracks = courses.load(cfg.tracks)
         self._exam = _exam(cfg, self._tracks)
-        self._begin(beside)
-
-    def _begin(self, beside: bool) -> None:
-        cfg = self.cfg
         train = cfg.train
         self._parents: tuple[str, ...] = ()
         self._reward, self._reward_card = _reward(cfg)

@@ -37,7 +37,6 @@ class Processes:
 
     def __init__(self, num_workers: int, *, job_limit_s: float = JOB_LIMIT_S) -> None:
         self._limit_s = job_limit_s
-        side_process.prepare()
         self._seats = [_started() for _ in range(num_workers)]
 
     @property
