@@ -34,13 +34,3 @@ def heading_of(x: Tensor, y: Tensor) -> Tensor:
     sign = torch.where(y < 0, -torch.ones_like(y), torch.ones_like(y))
     backward = sign * math.pi - 2 * torch.atan(y / torch.clamp(r - x, min=1e-30))
     return torch.where(x >= 0, forward, backward)
-
-
-def box_corners(
-    x: Tensor, y: Tensor, cos: Tensor, sin: Tensor, half_length: Tensor, half_width: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Return the corners of a rectangle, counter-clockwise from front left; shapes (..., 4)."""
-    along = torch.stack([half_length, -half_length, -half_length, half_length], dim=-1)
-    across = torch.stack([half_width, half_width, -half_width, -half_width], dim=-1)
-    dx, dy = rotate(along, across, cos.unsqueeze(-1), sin.unsqueeze(-1))
-    return x.unsqueeze(-1) + dx, y.unsqueeze(-1) + dy

@@ -55,13 +55,6 @@ def test_heading_along_the_axes_is_exact(x, y, heading):
     assert float(told) == pytest.approx(heading, abs=1e-7)
 
 
-def test_corners_go_round_from_front_left():
-    one = torch.ones(1)
-    x, y = geometry.box_corners(one * 10, one * 20, one * 0, one, one * 2, one)  # facing +y
-    assert x[0].tolist() == [9, 9, 11, 11]
-    assert y[0].tolist() == [22, 18, 18, 22]
-
-
 def test_an_element_has_the_same_bits_alone_and_in_a_batch():
     x, y = torch.randn(4097, generator=torch.Generator().manual_seed(1)), torch.randn(4097)
     together = geometry.wrap_angle(3 * geometry.heading_of(x, y))

@@ -214,10 +214,6 @@ class History:
             self._file.close()
             self._file = None
 
-    def _samples_after(self, number: int) -> int:
-        found = (row.samples for row in reversed(self.updates) if row.number == number)
-        return next(found, 0)
-
     def _keep(self, row: Row) -> None:
         if isinstance(row, UpdateRow):
             self.updates.append(row)

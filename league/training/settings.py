@@ -130,11 +130,6 @@ class TrainConfig:
             raise ConfigError(f"save_every is {self.save_every}: give at least 1")
 
     @property
-    def mirrors(self) -> bool:
-        """Whether mirror images are learnt from."""
-        return self.mirror and self.action_space.is_mirrored
-
-    @property
     def samples(self) -> int:
         """Decisions between two updates."""
         return self.num_worlds * self.ppo.steps

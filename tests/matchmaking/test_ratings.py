@@ -314,7 +314,6 @@ def test_split_field_is_finite_and_flagged():
     apart = [(0, 1, k % 2) for k in range(200)] + [(2, 3, k % 2) for k in range(100)]
     told = fit(Results.of(duels(*apart)), anchor=0)
     assert list(told.connected) == [True, True, False, False]
-    assert not told.all_connected
     assert told.provisional[2:].all()
     assert np.isfinite(told.low95).all()
     together = told.difference(2, 3).sd

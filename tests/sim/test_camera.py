@@ -43,17 +43,11 @@ def test_lens_has_the_focal_length_and_horizon_of_the_original():
     assert lens.horizon(math.radians(15)) == pytest.approx(25.69, abs=0.01)
 
 
-def test_ground_row_is_the_hand_worked_one():
-    # 1 m ahead of a camera 0.13 m up: depth 1 * 0.9659 + 0.13 * 0.2588 = 0.9996, below the axis
-    # 0.13 * 0.9659 - 1 * 0.2588 = -0.1333; 59.5 + 126.19 * -0.1333 / 0.9996 = 42.68
-    assert Lens.of(CameraConfig()).ground_row(1.0, 0.13, math.radians(15)) == pytest.approx(
-        42.68, abs=0.02
-    )
-
-
 @pytest.mark.parametrize("renderer", RENDERERS)
 def test_foot_of_a_box_straight_ahead_is_at_the_hand_worked_row(renderer):
-    # The camera is 0.145 m ahead of the base; the near face 1 m farther: row 42.68.
+    # The camera is 0.145 m ahead of the base and 0.13 m up; the near face is 1 m farther: depth
+    # 1 * 0.9659 + 0.13 * 0.2588 = 0.9996, below the axis 0.13 * 0.9659 - 1 * 0.2588 = -0.1333;
+    # row 59.5 + 126.19 * -0.1333 / 0.9996 = 42.68.
     box = (0.145 + 1 + 0.15, 0, 0, 0.15, 0.2)
     empty = pictures(renderer, world(room(), [(0, 0, 0)]), eyes="mono")[0, 0]
     filled = pictures(renderer, world(room(), [(0, 0, 0)], [box]), eyes="mono")[0, 0]

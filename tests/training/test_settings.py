@@ -3,7 +3,6 @@
 import pytest
 import small
 
-from league.envs.action_space import ContinuousActions, DiscreteActions
 from league.errors import ConfigError
 from league.training.settings import PpoConfig, TrainConfig
 
@@ -47,14 +46,6 @@ def test_more_mini_batches_than_decisions_are_refused():
     with pytest.raises(ConfigError, match="8 decisions cannot be split into 9 mini-batches"):
         TrainConfig(num_worlds=2, ppo=PpoConfig(steps=4, mini_batches=9))
     assert TrainConfig(num_worlds=2, ppo=PpoConfig(steps=4, mini_batches=8)).samples == 8
-
-
-def test_mirror_images_are_learnt_from_only_where_actions_have_one():
-    assert small.train().mirrors
-    assert not small.train(mirror=False).mirrors
-    assert not small.train(action_space=ContinuousActions(-30.0, 20.0, 0.5, 1.0)).mirrors
-    one_sided = DiscreteActions(((0.0, 1.0), (20.0, 1.0)))
-    assert not small.train(action_space=one_sided).mirrors
 
 
 def test_with_ppo_changes_the_learner_and_nothing_else():

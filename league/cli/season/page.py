@@ -127,10 +127,6 @@ class Page:
         return Group(*parts)
 
 
-MARKS = {"?": "provisional", "!": "one-sided", "~": "apart"}
-"""What stands behind a rating."""
-
-
 def table(standings: Standings, limit: int | None = None) -> RenderableType:
     """Return the standings as a table that fits 80 columns."""
     drawn = tables.table(

@@ -74,11 +74,6 @@ class Ratings:
     gap_variances: Callable[[np.ndarray, np.ndarray], np.ndarray] = field(repr=False, compare=False)
     """Variances [Elo^2] of rating differences, from two arrays of indices into `entries`."""
 
-    @property
-    def all_connected(self) -> bool:
-        """True if every entry that raced can be compared with every other."""
-        return bool(self.connected[self.races > 0].all())
-
     def index(self, entry: int) -> int:
         """Return where an entry stands in the tables.
 

@@ -53,12 +53,6 @@ class Lens:
         """Return the row of the horizon [px] for a camera tilted down by pitch [rad]."""
         return self.cy - self.focal * math.tan(pitch)
 
-    def ground_row(self, ahead: float, height: float, pitch: float) -> float:
-        """Return the row [px] of a floor point `ahead` [m] of a camera at this height [m]."""
-        cos, sin = math.cos(pitch), math.sin(pitch)
-        depth = ahead * cos + height * sin
-        return self.cy + self.focal * (height * cos - ahead * sin) / depth
-
     def metres_per_pixel(self, row: float, height: float, pitch: float) -> float:
         """Return the width of a floor pixel in this row [m]; infinite above the horizon."""
         fall = self.focal * math.sin(pitch) + (row - self.cy) * math.cos(pitch)
