@@ -349,6 +349,18 @@ def test_parse_sensors_reads_cameras_and_lidars():
     assert parse_sensors(()).camera is None
 
 
+def test_who_asks_for_sac_is_told_that_ppo_trains(tmp_path, capsys):
+    file = tmp_path / "model_metadata.json"
+    ranges = {"steering_angle": {"low": -20, "high": 20}, "speed": {"low": 1, "high": 2}}
+    file.write_text(json.dumps({"action_space": ranges, "action_space_type": "continuous"}))
+    assert parse_actions(str(file)) == ContinuousActions(-20.0, 20.0, 1.0, 2.0)
+    assert capsys.readouterr().err == ""
+    asked = json.loads(file.read_text()) | {"training_algorithm": "sac"}
+    file.write_text(json.dumps(asked))
+    parse_actions(str(file))
+    assert capsys.readouterr().err == f"{file}: asks for sac; the league trains by clipped PPO\n"
+
+
 def test_any_text_as_action_space_is_an_action_space_or_one_sentence():
     draw = random.Random(7)
     pieces = ["0.5", "4", "-", "@", "x", "30", "1e9", "nan", "inf", " ", "-1", "٣", "9" * 500, ""]

@@ -185,7 +185,11 @@ def parse_actions(text: str) -> ActionSpace:
     if text.endswith(".json"):
         from league.envs.deepracer import metadata
 
-        return metadata.read(text).action_space
+        found = metadata.read(text)
+        if not found.trains_here:
+            asked = found.training_algorithm
+            print(f"{text}: asks for {asked}; the league trains by clipped PPO", file=sys.stderr)
+        return found.action_space
     number = r"([0-9]{1,3}(?:\.[0-9]{1,6})?)"
     if found := re.fullmatch(rf"{number}-{number}(?:@{number})?", text):
         low, high, steering = found.groups()
