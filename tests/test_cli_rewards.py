@@ -91,6 +91,37 @@ def test_check_stops_a_call_that_does_not_come_back(tmp_path):
             assert not thread.is_alive(), "the loop still takes half of Python's time"
 
 
+@pytest.mark.parametrize(
+    ("body", "keys", "unknown"),
+    [
+        ("mine = dict(params); return mine['speed']", 27, ()),
+        ("mine = {**params}; return mine['speed']", 27, ()),
+        ("return sum(1 for key, value in params.items() if value is True)", 27, ()),
+        ("params['mine'] = params['speed']; return params['mine']", 1, ()),
+        ("return params.pop('speed')", 1, ()),
+        ("return len([key for key in params])", 0, ()),
+        ("return params.copy().get('sped', 1.0)", 27, ()),
+        ("return params.get('sped', 1.0)", 0, ("sped",)),
+    ],
+)
+def test_check_tells_what_is_read_however_it_is_read(tmp_path, body, keys, unknown):
+    path = tmp_path / "mine.py"
+    path.write_text(f"def reward_function(params):\n    {body}\n")
+    report = check.check(path)
+    assert not report.failures
+    assert (len(report.keys), report.unknown_keys) == (keys, unknown)
+
+
+def test_a_fault_is_told_once_with_the_drives_on_which_it_came(tmp_path, capsys):
+    path = tmp_path / "mine.py"
+    path.write_text("def reward_function(params):\n    return None\n")
+    assert command.CheckReward(path).run() == 1
+    failed = [line for line in capsys.readouterr().out.split("Fails: ")[1:]]
+    assert len(failed) == 1
+    assert "line 2: reward_function returned None (alone: a whole lap, steps 1)" in failed[0]
+    assert "(and on 5 more drives)" in failed[0]
+
+
 def test_score_prints_totals_and_draws_both(recorded, tmp_path, capsys):
     _, path = recorded
     out = tmp_path / "new" / "two.png"

@@ -96,6 +96,9 @@ def test_model_metadata_sets_actions_and_sensors(league, tmp_path):
     )
     asked = ("--action-space", "model_metadata.json", "--sensors", "model_metadata.json")
     code, _, err = league("train", *TINY, *asked, "--steps", "32", "--out", "d.pt")
+    alone = config(Train(action_space=str(tmp_path / "model_metadata.json")))
+    assert alone.train.sensors == checkpoint.load(tmp_path / "d.pt").card.sensor_config
+    assert config(Train()).train.sensors == parse_sensors(("stereo64x48",))
     assert (code, err) == (0, "")
     card = checkpoint.load(tmp_path / "d.pt").card
     assert card.action_space == DiscreteActions(((-20.0, 0.8), (0.0, 1.0), (20.0, 0.8)))
@@ -314,6 +317,7 @@ def test_five_minutes_are_the_budget_unless_another_is_given():
 def test_reward_file_that_fails_names_its_line_and_the_checkpoint_is_kept(league, tmp_path):
     (tmp_path / "mine.py").write_text(
         "count = 0\n\ndef reward_function(params):\n    global count\n    count += 1\n"
+        "    print('call', count)\n"
         "    return 1.0 / (30 - count)\n"
     )
     code, _, err = league(
@@ -321,7 +325,11 @@ def test_reward_file_that_fails_names_its_line_and_the_checkpoint_is_kept(league
     )
     assert code == 2
     assert "mine.py" in err
-    assert "line 6" in err
+    assert "line 7" in err
+    assert err.splitlines()[-3] == "  call 30"
+    kept = "Kept: m.run/last.pt; mend the file, and go on with --resume."
+    assert err.splitlines()[-2] == kept
+    assert len((tmp_path / "m.run" / "printed.txt").read_text().splitlines()) == 4 * 29 + 1
     # The 30th call of each car divides by nought: three updates of 8 steps were done.
     assert checkpoint.load(tmp_path / "m.run" / "last.pt").card.steps == 3 * 32
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -120,15 +121,28 @@ def _print_report(report: Report) -> None:
         table.add_row(*_row(one))
     tables.console().print(table)
     print(f"Keys read ({len(report.keys)} of 27): {', '.join(report.keys) or 'none'}")
-    for failure in dict.fromkeys(one.failure for one in report.failures):
+    for failure in _failures(report):
         print(f"Fails: {failure}")
     for warning in report.warnings:
         print(f"Note: {warning}")
-    printed = list(report.source.printed)
+    printed = report.source.prints.lines
     if printed:
         print(f"It prints; the last {min(len(printed), _PRINTED)} lines:")
         for line in printed[-_PRINTED:]:
             print(f"  {line[:160]}")
+
+
+def _failures(report: Report) -> list[str]:
+    """Return each fault once, with the first drive on which it came."""
+    found: dict[str, list[str]] = {}
+    for one in report.failures:
+        failure = one.failure or ""
+        fault = re.sub(rf" \({re.escape(one.title)}, steps \d+\)", "", failure)
+        found.setdefault(fault, []).append(failure)
+    return [
+        failure + (f" (and on {len(others)} more drives)" if others else "")
+        for failure, *others in found.values()
+    ]
 
 
 def _row(one: Tried) -> tuple[str, ...]:
@@ -153,7 +167,7 @@ def _as_json(report: Report) -> dict[str, object]:
         "keys": report.keys,
         "unknown_keys": report.unknown_keys,
         "warnings": report.warnings,
-        "printed": list(report.source.printed),
+        "printed": report.source.prints.lines,
         "drives": [
             {
                 "title": one.title,

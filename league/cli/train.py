@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from league.cli import resuming, train_settings
-from league.errors import ConfigError
+from league.errors import ConfigError, RewardError
 
 if TYPE_CHECKING:
     from league.training.onlooker import Onlooker
@@ -36,8 +36,9 @@ class Train:
     action_space: str = "0.5-4"
     """Speeds LOW-HIGH [m/s] or LOW-HIGH@DEG for other than 30 deg of steering; NxM@SPEED for the
     classic grid of N steering angles and M speeds; or a model_metadata.json."""
-    sensors: tuple[str, ...] = ("stereo64x48",)
-    """stereoWxH, monoWxH, leftWxH, lidar, sectors, discretised; or a model_metadata.json."""
+    sensors: tuple[str, ...] | None = None
+    """stereoWxH, monoWxH, leftWxH, lidar, sectors, discretised; or a model_metadata.json. By
+    default what the model_metadata.json of --action-space says, or else stereo64x48."""
     opponents: tuple[str, ...] = ()
     """Drivers or checkpoints to race against, in head_to_head."""
     self_play: bool = False
@@ -140,8 +141,25 @@ def _train(command: Train) -> int:
                 said = "Stopped before anything was learnt."
             print(f"\n{said}", file=sys.stderr)
             return 130
+        except RewardError:
+            _tell_kept(folder)
+            raise
     _report(command, outcome)
     return 0
+
+
+def _tell_kept(folder: Path) -> None:
+    """Say what is left of a run whose reward function has failed."""
+    from league.training.run_folder import PRINTED
+
+    printed = folder / PRINTED
+    if printed.exists():
+        print(f"The last lines it printed (more of them: {printed}):", file=sys.stderr)
+        for line in printed.read_text(encoding="utf-8").splitlines()[-5:]:
+            print(f"  {line[:160]}", file=sys.stderr)
+    if (folder / "state.pt").exists():
+        kept = folder / "last.pt"
+        print(f"Kept: {kept}; mend the file, and go on with --resume.", file=sys.stderr)
 
 
 def _resume(command: Train, run: Run) -> None:

@@ -116,7 +116,7 @@ def _learner(command: Train) -> TrainConfig:
         seed=command.seed,
         device=command.device,
         action_space=parse_actions(command.action_space),
-        sensors=parse_sensors(command.sensors),
+        sensors=parse_sensors(_sensors(command)),
         ppo=ppo,
         critic_hidden=(256, 256) if command.kind == "head_to_head" else (128, 128),
         mirror=not command.no_mirror,
@@ -130,6 +130,14 @@ def _learner(command: Train) -> TrainConfig:
         # So that a save point comes every 10 to 20 s.
         save_every=max(1, min(8, 16_384 // max(command.num_worlds * ppo.steps, 1))),
     )
+
+
+def _sensors(command: Train) -> tuple[str, ...]:
+    """Return what was asked for; a model_metadata.json that sets the actions sets this too."""
+    if command.sensors is not None:
+        return command.sensors
+    asked = command.action_space
+    return (asked if asked.endswith(".json") else "stereo64x48",)
 
 
 def _spread(share: float) -> Spread:
@@ -186,9 +194,8 @@ def parse_actions(text: str) -> ActionSpace:
         from league.envs.deepracer import metadata
 
         found = metadata.read(text)
-        if not found.trains_here:
-            asked = found.training_algorithm
-            print(f"{text}: asks for {asked}; the league trains by clipped PPO", file=sys.stderr)
+        for note in found.notes:
+            print(f"{text}: {note}", file=sys.stderr)
         return found.action_space
     number = r"([0-9]{1,3}(?:\.[0-9]{1,6})?)"
     if found := re.fullmatch(rf"{number}-{number}(?:@{number})?", text):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter, defaultdict, deque
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -73,9 +74,12 @@ class DiscreteActions:
             raise ConfigError(
                 f"the action space has {len(self.choices)} choices: give 2 to {MAX_CHOICES}"
             )
-        for steering, speed in self.choices:
-            _check_steering(steering)
-            _check_speed(speed)
+        for number, (steering, speed) in enumerate(self.choices):
+            try:
+                _check_steering(steering)
+                _check_speed(speed)
+            except ConfigError as error:
+                raise ConfigError(f"choice {number}: {error}") from None
 
     @property
     def size(self) -> int:
@@ -85,11 +89,16 @@ class DiscreteActions:
     @property
     def is_mirrored(self) -> bool:
         """Whether each choice has its mirror image among the choices."""
-        return all((-steering, speed) in self.choices for steering, speed in self.choices)
+        mirrored = Counter((-steering, speed) for steering, speed in self.choices)
+        return mirrored == Counter(self.choices)
 
     def mirror(self, outputs: Tensor) -> Tensor:
         """Return scores with those of left and right choices swapped, (num_rows, size)."""
-        swapped = [self.choices.index((-steering, speed)) for steering, speed in self.choices]
+        # A choice may stand there twice, to weigh more: the first is the image of the first.
+        places: dict[tuple[float, float], deque[int]] = defaultdict(deque)
+        for number, choice in enumerate(self.choices):
+            places[choice].append(number)
+        swapped = [places[(-steering, speed)].popleft() for steering, speed in self.choices]
         return outputs[:, swapped]
 
     def controls(self, outputs: Tensor) -> tuple[Tensor, Tensor]:

@@ -25,6 +25,7 @@ from league.training.run_config import RunConfig
 from league.training.selfplay import SelfPlay, SelfPlayConfig
 from league.training.selfplay.matrix import FINAL
 from league.training.selfplay.picture import draw as draw_matrix
+from league.whole_file import replacing
 
 if TYPE_CHECKING:
     from league.evaluation import Evaluation
@@ -319,6 +320,11 @@ class Run:
         if self._self_play is not None:
             notes["self_play"] = json.dumps(self._self_play.state())
         self.learner.save(self.folder / "state.pt", notes)
+        printed = getattr(self._reward, "printed", ())  # of a reward file, not of a built-in one
+        if printed:
+            path = self.folder / run_folder.PRINTED
+            with replacing(path, "what the reward function printed", PolicyError) as file:
+                file.write_text("".join(f"{line}\n" for line in printed), encoding="utf-8")
 
     def _checkpoint(self) -> Checkpoint:
         return Checkpoint(self._card(self.learner.samples), self.learner.weights())

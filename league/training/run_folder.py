@@ -9,7 +9,9 @@ from league.training import history
 
 LEARNT = ("best.pt", "last.pt", "state.pt")
 """What cannot be had again without learning it again."""
-_PICTURES = ("training.png", "win_matrix.json", "win_matrix.png", "pool/pool.json")
+PRINTED = "printed.txt"
+"""The last lines that a reward function has printed."""
+_PICTURES = (PRINTED, "training.png", "win_matrix.json", "win_matrix.png", "pool/pool.json")
 _MANY = ("pool/*.pt", "tensorboard/events.out.tfevents.*")
 
 

@@ -22,7 +22,7 @@ def test_oldest_file_means_what_it_meant():
     assert camera is not None
     assert (camera.eyes, camera.width, camera.height, camera.colour) == ("mono", 160, 120, False)
     assert found.sensors.lidar is None
-    assert found.trains_here
+    assert found.notes == ()
 
 
 def test_file_with_sensors_and_no_version_is_of_version_2():
@@ -70,7 +70,19 @@ def test_lidars_by_their_names():
 
 def test_sac_is_read_but_not_trained_here():
     given = {"action_space": RANGES, "action_space_type": "continuous", "training_algorithm": "sac"}
-    assert not metadata.parse(given).trains_here
+    assert metadata.parse(given).notes == ("asks for sac; the league trains by clipped PPO",)
+
+
+def test_models_of_2019_ask_for_8_and_drive_4_as_in_the_original():
+    fast = [{"steering_angle": a, "speed": v} for a, v in [(-30, 2.0), (0, 8.0), (30, 5.33)]]
+    found = metadata.parse({"action_space": fast})
+    assert found.action_space == DiscreteActions(((-30.0, 2.0), (0.0, 4.0), (30.0, 4.0)))
+    assert found.notes == ("asks for 8 m/s; cars drive at most 4",)
+    ranges = {"steering_angle": {"low": -20, "high": 20}, "speed": {"low": 1, "high": 6}}
+    found = metadata.parse({"action_space": ranges, "action_space_type": "continuous"})
+    assert found.action_space == ContinuousActions(-20.0, 20.0, 1.0, 4.0)
+    with pytest.raises(ConfigError, match=r"choice 1: a speed is 8\.1 m/s: give 0\.1 to 4"):
+        metadata.parse({"action_space": [*TWO[:1], {"steering_angle": 0, "speed": 8.1}]})
 
 
 @pytest.mark.parametrize(
@@ -80,7 +92,7 @@ def test_sac_is_read_but_not_trained_here():
         ({"action_space": TWO[:1]}, "1 choices"),
         ({"action_space": [{"speed": 1.0}] * 2}, "steering_angle is missing"),
         ({"action_space": [TWO[0], {"steering_angle": 31, "speed": 1}]}, "31"),
-        ({"action_space": [TWO[0], {"steering_angle": 0, "speed": 8}]}, "8.0 m/s"),
+        ({"action_space": [TWO[0], {"steering_angle": 0, "speed": 9}]}, "9.0 m/s"),
         ({"action_space": [TWO[0], {"steering_angle": 0, "speed": float("nan")}]}, "nan"),
         ({"action_space": RANGES}, "an object of ranges"),
         ({"action_space_type": "continuous"}, "is a list"),

@@ -1,6 +1,9 @@
 """Reward files run unchanged: private state, captured print, and errors that name the line."""
 
+import gc
+import hashlib
 import re
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,13 +13,15 @@ from scenes import follow_center, make_ring
 
 from league.envs import rewards
 from league.envs.config import EnvConfig, RewardConfig
-from league.envs.deepracer import check, user_reward
+from league.envs.deepracer import UserReward, check, user_reward
+from league.envs.deepracer.source import Source
 from league.envs.race_env import RaceEnv
 from league.errors import ConfigError, LeagueError, RewardError
 from league.sim.config import RaceRules, SimConfig
 from league.track.course import TrackSet
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
+END = b"def reward_function(params):\n    return 1\n"
 ALONE = SimConfig(rules=RaceRules(laps=1))
 TWO = SimConfig(kind="head_to_head", num_cars=2)
 
@@ -153,12 +158,28 @@ def test_penalty_is_paid_nothing_and_the_function_is_not_called(reward_file):
             2,
             "AttributeError",
         ),
-        ("x = 1\ndef reward_function(params):\n    return float('nan')\n", 2, "returned nan"),
-        ("def reward_function(params):\n    return float('-inf')\n", 1, "returned -inf"),
-        ("def reward_function(params):\n    return 100001\n", 1, "returned 100001"),
+        ("x = 1\ndef reward_function(params):\n    return float('nan')\n", 3, "returned nan"),
+        ("def reward_function(params):\n    return float('-inf')\n", 2, "returned -inf"),
+        ("def reward_function(params):\n    return 100001\n", 2, "returned 100001"),
         ("def reward_function(params):\n    pass\n", 1, "returned None"),
-        ("def reward_function(params):\n    return '1.0'\n", 1, "returned '1.0'"),
-        ("def reward_function(params):\n    return [1.0]\n", 1, "returned [1.0]"),
+        ("def reward_function(params):\n    return '1.0'\n", 2, "returned '1.0'"),
+        ("def reward_function(params):\n    return [1.0]\n", 2, "returned [1.0]"),
+        (
+            "def reward_function(params):\n    if params:\n        return None\n    return 1\n",
+            1,
+            "returned None",
+        ),
+        (
+            "class Mine:\n    def __call__(self, params):\n        return None\n"
+            "reward_function = Mine()\n",
+            3,
+            "returned None",
+        ),
+        (
+            "class Stop(BaseException):\n    pass\ndef reward_function(params):\n    raise Stop\n",
+            4,
+            "Stop (",
+        ),
     ],
 )
 def test_failing_step_names_file_line_and_what_it_was(reward_file, text, line, says):
@@ -174,7 +195,9 @@ def test_failing_step_names_file_line_and_what_it_was(reward_file, text, line, s
     assert isinstance(caught.value, LeagueError)
 
 
-@pytest.mark.parametrize("value", ["True", "7", "-1e5", "numpy.float32(0.5)", "numpy.array(2.0)"])
+@pytest.mark.parametrize(
+    "value", ["True", "7", "-1e5", "numpy.float32(0.5)", "numpy.array(2.0)", "numpy.ones((1, 1))"]
+)
 def test_whatever_float_takes_is_a_reward(reward_file, value):
     env, _ = env_with(
         reward_file(f"import numpy\ndef reward_function(params):\n    return {value}")
@@ -205,6 +228,86 @@ def test_file_that_cannot_be_run_is_refused_in_one_sentence(reward_file, text, s
         user_reward(reward_file(text), 1)
     assert re.search(says, str(caught.value))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("line", "hinted"),
+    [
+        ("return SPEED['sped']", False),  # of a dict of its own
+        ("return params['sped']", True),
+        ("return params['waypoints'][5000]", False),
+        ("return params['objects_location'][0][0]", True),
+    ],
+)
+def test_a_hint_is_given_only_for_what_it_is_about(reward_file, line, hinted):
+    env, _ = env_with(reward_file(f"SPEED = {{}}\ndef reward_function(params):\n    {line}\n"))
+    with pytest.raises(RewardError) as caught:
+        env.step(torch.zeros(1, 1, 2))
+    assert str(caught.value).endswith("steps 1)") != hinted
+
+
+def test_a_helper_beside_the_file_is_not_to_be_installed(reward_file, tmp_path):
+    (tmp_path / "my_utils.py").write_text("")
+    with pytest.raises(RewardError, match=r"stands alone, so move into it what my_utils\.py holds"):
+        user_reward(reward_file("import my_utils\n"), 1)
+
+
+def test_a_call_that_does_not_come_back_ends_with_its_line(reward_file):
+    text = "count = 0\ndef reward_function(params):\n    while params['steps'] > 1:\n        pass\n"
+    path = reward_file(f"{text}    return 1.0\n")
+    cfg = EnvConfig(sim=ALONE, mode="training")
+    paid = UserReward(Source.read(path), ALONE, 2, (0,), time_limit_s=0.3)
+    env = RaceEnv(TrackSet.of(make_ring()), cfg, num_worlds=2, reward=paid)
+    env.reset(seed=1)
+    env.step(torch.zeros(2, 1, 2))
+    with pytest.raises(RewardError, match=r"reward\.py, line [34]: still running after 0\.3 s"):
+        env.step(torch.zeros(2, 1, 2))
+    # Nothing is left that would be thrown later.
+    assert sum(range(10_000)) == 49_995_000
+
+
+def test_a_file_that_does_not_come_back_from_being_loaded_ends_with_its_line(reward_file):
+    path = reward_file("def reward_function(params):\n    return 1\n\nwhile True:\n    pass\n")
+    with pytest.raises(RewardError, match=r"line [45]: still running after 0\.2 s"):
+        UserReward(Source.read(path), ALONE, 1, (0,), time_limit_s=0.2)
+
+
+def test_what_a_file_defines_can_look_itself_up(reward_file):
+    text = (
+        "from __future__ import annotations\nimport pickle\nfrom dataclasses import dataclass\n\n"
+        "class Memory:\n    seen = 0\n\n"
+        "def reward_function(params):\n    @dataclass\n    class Point:\n        x: float\n"
+        "    return Point(1.0).x + pickle.loads(pickle.dumps(Memory())).seen\n"
+    )
+    before = set(sys.modules)
+    env, paid = env_with(reward_file(text))
+    drive(env, 1)
+    assert len([name for name in set(sys.modules) - before if "reward_function" in name]) == 1
+    del env, paid
+    gc.collect()
+    assert not [name for name in set(sys.modules) - before if "reward_function" in name]
+
+
+def test_prints_without_an_end_are_one_line_and_long_ones_are_cut(reward_file):
+    text = (
+        "def reward_function(params):\n    for n in range(3):\n        print(n, end=' ')\n"
+        "    print()\n    print('x' * 5000)\n    return 1\n"
+    )
+    env, paid = env_with(reward_file(text))
+    drive(env, 2)
+    assert paid.printed == ("0 1 2 ", "x" * 2000) * 2
+
+
+def test_a_file_in_another_encoding_is_read_as_it_says(tmp_path):
+    path = tmp_path / "latin.py"
+    path.write_bytes("# -*- coding: latin-1 -*-\nNAME = 'Zo\xe9'\n".encode("latin-1") + END)
+    source = Source.read(path)
+    assert source.text.splitlines()[1] == "NAME = 'Zo\xe9'"
+    assert source.digest == hashlib.sha256(path.read_bytes()).hexdigest()
+    for start in (b"\xef\xbb\xbf", b""):
+        path.write_bytes(start + b"x = 1\r\n" + END)
+        assert Source.read(path).digest == hashlib.sha256(path.read_bytes()).hexdigest()
+        assert UserReward(Source.read(path), ALONE, 1, (0,)).printed == ()
 
 
 def test_missing_and_foreign_files_are_refused(tmp_path):
@@ -257,7 +360,11 @@ def test_recorded_drives_show_the_first_and_last_steps_of_all_kinds():
     assert shown["alone: a lap, clockwise"][-1]["is_reversed"] is True
     assert shown["boxes: into one"][-1]["is_crashed"] is True
     assert shown["cars: into the one ahead"][-1]["is_crashed"] is True
-    assert any(one["closest_objects"] == [0, 0] for one in shown["cars: passing one"])
+    passing = shown["cars: passing one"]
+    rival = [one["objects_distance"][0] - one["projection_distance"] for one in passing]
+    assert rival[10] > 0 > rival[60]  # ahead, then behind
+    assert not any(one["is_crashed"] for one in passing)
+    assert passing[-1]["progress"] == 100.0
 
 
 def test_built_in_reward_is_what_an_environment_pays_by_default():

@@ -168,6 +168,15 @@ def test_only_cars_with_a_mirror_image_learn_from_it():
     assert not mirror.applies(both, DiscreteActions(((30.0, 1.0), (0.0, 1.0))))
 
 
+def test_a_choice_that_stands_there_twice_has_an_image_each_time():
+    left, ahead, right = (30.0, 1.0), (0.0, 1.0), (-30.0, 1.0)
+    space = DiscreteActions((left, ahead, ahead, right))
+    scores = torch.tensor([[1.0, 2.0, 3.0, 4.0]])
+    assert space.is_mirrored
+    assert space.mirror(scores).tolist() == [[4.0, 2.0, 3.0, 1.0]]
+    assert not DiscreteActions((left, left, ahead, right)).is_mirrored
+
+
 def test_every_decision_is_learnt_from_both_ways_round():
     parts = 4
     mirroring = mirror.Mirroring(SensorConfig(), ContinuousActions(), parts)

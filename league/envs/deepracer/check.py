@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import statistics
-import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import ItemsView, Iterator, Sequence, ValuesView
 from dataclasses import dataclass, field
 
 from league.envs.deepracer.recorded import Drive, drives
 from league.envs.deepracer.situation import KEYS, Params
 from league.envs.deepracer.source import Function, Source
+from league.envs.deepracer.watchdog import NOT_ITS_OWN, end, stuck
 from league.errors import RewardError
 
 TIME_LIMIT_S = 5.0
@@ -65,23 +64,45 @@ class Report:
 
 
 class _Watched(dict):
-    """Params that note what is read of them."""
+    """Params that note what is read of them, but for what the user's own code has put there."""
 
     def __init__(self, params: Params, read: set[str]) -> None:
         super().__init__(params)
-        self._read = read
+        self._read, self._own = read, set()
+
+    def _note(self, *keys: str) -> None:
+        self._read.update(key for key in keys if key not in self._own)
 
     def __getitem__(self, key: str) -> object:
-        self._read.add(key)
+        self._note(key)
         return super().__getitem__(key)
 
+    def __setitem__(self, key: str, value: object) -> None:
+        self._own.add(key)
+        super().__setitem__(key, value)
+
     def get(self, key: str, default: object = None) -> object:
-        self._read.add(key)
+        self._note(key)
         return super().get(key, default)
 
+    def pop(self, key: str, *default: object) -> object:
+        self._note(key)
+        return super().pop(key, *default)
 
-class _Stopped(BaseException):
-    """Thrown into the thread that runs the user's code, to end it."""
+    def __iter__(self) -> Iterator[str]:
+        # Not dict's own, or `dict(params)` would copy all without asking for anything.
+        return iter(super().keys())
+
+    def items(self) -> ItemsView:
+        self._note(*self)
+        return super().items()
+
+    def values(self) -> ValuesView:
+        self._note(*self)
+        return super().values()
+
+    def copy(self) -> dict:
+        return dict(self)
 
 
 @dataclass
@@ -121,7 +142,10 @@ def check(path: str | os.PathLike[str], *, time_limit_s: float = TIME_LIMIT_S) -
     while not told.done:
         thread.join(0.02)
         if not told.done and time.monotonic() - told.call_began > time_limit_s:
-            raise _stuck(source, thread, time_limit_s)
+            assert thread.ident is not None
+            found = stuck(str(source.path), thread.ident, time_limit_s)
+            end(thread.ident)
+            raise found
     if told.error is not None:
         raise told.error
     assert told.result is not None
@@ -159,7 +183,9 @@ def _try(
         except RewardError as error:
             failure = str(error)
             break
-        except (Exception, SystemExit) as error:
+        except NOT_ITS_OWN:
+            raise
+        except BaseException as error:
             failure = str(source.failed(error, when, params))
             break
     return Tried(
@@ -190,22 +216,3 @@ def _warnings(tried: Sequence[Tried], keys: Sequence[str], unknown: Sequence[str
     if slow > 1000:
         said.append(f"it takes {slow / 1000:.1f} ms a call: training will wait for it")
     return said
-
-
-def _stuck(source: Source, thread: threading.Thread, limit_s: float) -> RewardError:
-    """Stop the thread, and return where it was."""
-    assert thread.ident is not None
-    frame, line = sys._current_frames().get(thread.ident), None
-    while frame is not None and line is None:
-        if frame.f_code.co_filename == str(source.path):
-            line = frame.f_lineno
-        frame = frame.f_back
-    # Ends a loop in Python at its next line; one inside a C library, or one that catches whatever
-    # is thrown, ends with the program.
-    ctypes.pythonapi.PyThreadState_SetAsyncExc(
-        ctypes.c_ulong(thread.ident), ctypes.py_object(_Stopped)
-    )
-    return RewardError(
-        f"{source.path}, line {line or 1}: still running after {limit_s:g} s: a call must come "
-        "back at once, look for a loop that does not end"
-    )

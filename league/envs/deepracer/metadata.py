@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from league.envs.action_space import ActionSpace, ContinuousActions, DiscreteActions
+from league.envs.action_space import MAX_SPEED, ActionSpace, ContinuousActions, DiscreteActions
 from league.envs.deepracer.json_file import load, reason
 from league.errors import ConfigError, brief, nearest_names
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig
@@ -33,6 +33,8 @@ _CAMERAS = {
 }
 _LIDARS = ("LIDAR", "SECTOR_LIDAR", "DISCRETIZED_SECTOR_LIDAR")
 _SECTORS = (1, 2, 4, 8, 16, 32, 64)
+_FASTEST_ASKED = 8.0
+"""Speed that could be asked for in 2019 [m/s]."""
 _LIDAR_REACH = 1.0
 """Range beyond which the original's plain LIDAR tells nothing [m]."""
 
@@ -53,11 +55,8 @@ class Metadata:
     """How it was trained; the league trains by clipped PPO only."""
     neural_network: str = NETWORKS[0]
     """Which of the original's networks; the league's own are chosen by its training settings."""
-
-    @property
-    def trains_here(self) -> bool:
-        """Whether the league has the algorithm; `sac` is read, but only PPO is trained."""
-        return self.training_algorithm == "clipped_ppo"
+    notes: tuple[str, ...] = ()
+    """What the league does otherwise than the file asks."""
 
 
 class _Strict(BaseModel):
@@ -133,14 +132,16 @@ def parse(given: Mapping[str, Any], name: str = "model_metadata") -> Metadata:
     except ValidationError as error:
         raise ConfigError(f"{name}: {reason(error)}") from None
     try:
+        action_space = _action_space(file, kind)
         return Metadata(
-            action_space=_action_space(file, kind),
+            action_space=action_space,
             sensors=_sensors(file.sensor or ["observation"], file.lidar_config),
             version=_version(file),
             training_algorithm=_one_of(  # type: ignore
                 "training_algorithm", file.training_algorithm, ("clipped_ppo", "sac")
             ),
             neural_network=_one_of("neural_network", file.neural_network, NETWORKS),
+            notes=_notes(file),
         )
     except ConfigError as error:
         raise ConfigError(f"{name}: {error}") from None
@@ -159,15 +160,33 @@ def _action_space(file: _DiscreteFile | _ContinuousFile, kind: str) -> ActionSpa
         return ContinuousActions(
             steering_low=space.steering_angle.low,
             steering_high=space.steering_angle.high,
-            speed_low=space.speed.low,
-            speed_high=space.speed.high,
+            speed_low=_clipped(space.speed.low),
+            speed_high=_clipped(space.speed.high),
         )
     if file.training_algorithm == "sac":
         raise ConfigError(
             "training_algorithm is sac with discrete actions: sac takes continuous ones"
         )
     # The place in the list counts, as in the original; an index may stand beside it.
-    return DiscreteActions(tuple((one.steering_angle, one.speed) for one in file.action_space))
+    return DiscreteActions(
+        tuple((one.steering_angle, _clipped(one.speed)) for one in file.action_space)
+    )
+
+
+def _clipped(speed: float) -> float:
+    """Return a speed as the original drove it: models of 2019 ask for up to 8 m/s, and get 4."""
+    return MAX_SPEED if MAX_SPEED < speed <= _FASTEST_ASKED else speed
+
+
+def _notes(file: _DiscreteFile | _ContinuousFile) -> tuple[str, ...]:
+    asked = file.action_space
+    speeds = [one.speed for one in asked] if isinstance(asked, list) else [asked.speed.high]
+    notes = []
+    if file.training_algorithm == "sac":
+        notes.append("asks for sac; the league trains by clipped PPO")
+    if max(speeds) > MAX_SPEED:
+        notes.append(f"asks for {max(speeds):g} m/s; cars drive at most {MAX_SPEED:g}")
+    return tuple(notes)
 
 
 def _sensors(names: list[str], lidar: _Lidar | None) -> SensorConfig:

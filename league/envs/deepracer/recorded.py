@@ -70,7 +70,7 @@ def drives() -> tuple[Drive, ...]:
         _drive("alone: a lap, clockwise", other_way, alone, speeds=(2.0,)),
         _drive("boxes: into one", track, boxes, speeds=(2.0,)),
         _drive("cars: into the one ahead", track, two, speeds=(1.2, 2.4)),
-        _drive("cars: passing one", other_way, two, speeds=(1.6, 2.2), lanes=(-0.19, 0.19)),
+        _drive("cars: passing one", other_way, two, speeds=(1.6, 2.2), lanes=(0.19, -0.19)),
     )
 
 

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from league.envs.deepracer.situation import Params, Situations
 from league.envs.deepracer.source import LIMIT, Function, Source
+from league.envs.deepracer.watchdog import NOT_ITS_OWN, TIME_LIMIT_S, Watchdog
 from league.sim.config import SimConfig
 from league.sim.referee import Verdict
 from league.sim.world import World
@@ -29,23 +30,40 @@ class UserReward:
     terms = (TERM,)
 
     def __init__(
-        self, source: Source, sim: SimConfig, num_worlds: int, cars: Sequence[int]
+        self,
+        source: Source,
+        sim: SimConfig,
+        num_worlds: int,
+        cars: Sequence[int],
+        *,
+        time_limit_s: float = TIME_LIMIT_S,
     ) -> None:
         """Run the file once for each paid car.
 
+        Args:
+            source: the file.
+            sim: the world's settings.
+            num_worlds: races in the batch.
+            cars: which cars are paid.
+            time_limit_s: longest time of a call [s].
+
         Raises:
-            RewardError: the file fails.
+            RewardError: the file fails, or does not come back.
         """
         self.source, self.cars = source, tuple(cars)
         self._situations = Situations(sim, cars)
-        self._functions: dict[tuple[int, int], Function] = {
-            (world, car): source.instance() for world in range(num_worlds) for car in cars
-        }
+        self._watchdog = Watchdog(str(source.path), time_limit_s)
+        self._functions: dict[tuple[int, int], Function] = {}
+        with self._watchdog as watchdog:
+            for world in range(num_worlds):
+                for car in cars:
+                    watchdog.calls += 1
+                    self._functions[world, car] = source.instance()
 
     @property
     def printed(self) -> tuple[str, ...]:
         """What the file has printed, the last lines."""
-        return tuple(self.source.printed)
+        return self.source.prints.lines
 
     def restart(self, world: World, who: Tensor) -> None:
         """Begin an episode for these cars; their modules keep what they know."""
@@ -57,12 +75,15 @@ class UserReward:
         """Return what each car earns, (num_worlds, num_cars).
 
         Raises:
-            RewardError: the user's code fails, or answers with no number from -1e5 to 1e5.
+            RewardError: the user's code fails, answers with no number from -1e5 to 1e5, or does
+                not come back.
         """
         rows = self._situations.rows(tracks, before, world, verdict)
         paid = np.zeros(verdict.advance.shape, dtype=np.float32)
-        for place, car, params in zip(rows.world, rows.car, rows.params, strict=True):
-            paid[place, car] = self._call(place, car, params)
+        with self._watchdog as watchdog:
+            for place, car, params in zip(rows.world, rows.car, rows.params, strict=True):
+                watchdog.calls += 1
+                paid[place, car] = self._call(place, car, params)
         reward = torch.from_numpy(paid)
         if not verdict.advance.is_cpu:
             reward = reward.to(verdict.advance.device)
@@ -72,7 +93,9 @@ class UserReward:
         function, steps = self._functions[world, car], params["steps"]
         try:
             value = function(params)
-        except (Exception, SystemExit) as error:
+        except NOT_ITS_OWN:
+            raise
+        except BaseException as error:
             raise self.source.failed(error, _when(world, car, steps), params) from error
         if type(value) is float and -LIMIT <= value <= LIMIT:
             return value

@@ -6,12 +6,18 @@ never runs anybody else's.
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import inspect
+import io
+import itertools
 import math
 import os
+import re
 import sys
+import tokenize
 import traceback
+import weakref
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -19,6 +25,7 @@ from pathlib import Path
 from types import CodeType, ModuleType, TracebackType
 
 from league.envs.deepracer.situation import KEYS
+from league.envs.deepracer.watchdog import NOT_ITS_OWN
 from league.errors import RewardError, brief, nearest_names
 
 NAME = "reward_function"
@@ -28,8 +35,45 @@ MAX_CHARACTERS = 140_000
 """Longest file, as in the original."""
 KEPT_LINES = 200
 """Printed lines kept, the latest."""
+_LONGEST_LINE = 2000
+"""Characters kept of a printed line."""
 
 Function = Callable[[dict], object]
+
+_NUMBERS = itertools.count()
+"""One for each module that is made of a file."""
+
+
+class Prints:
+    """What a file has printed: its last lines."""
+
+    def __init__(self) -> None:
+        """Begin with nothing."""
+        self._lines: deque[str] = deque(maxlen=KEPT_LINES)
+        self._begun = ""
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The last lines, one that has not ended yet too."""
+        return (*self._lines, *([self._begun] if self._begun else []))
+
+    def keep(
+        self,
+        *values: object,
+        sep: str | None = " ",
+        end: str | None = "\n",
+        file: object = None,
+        flush: bool = False,
+    ) -> None:
+        """Take the place of `print`; what goes into a file of the user's own goes there."""
+        text = (" " if sep is None else sep).join(map(str, values))
+        text += "\n" if end is None else end
+        if file is not None and file not in (sys.stdout, sys.stderr):
+            print(text, end="", file=file, flush=flush)  # type: ignore
+            return
+        *whole, begun = (self._begun + text).split("\n")
+        self._lines.extend(line[:_LONGEST_LINE] for line in whole[-KEPT_LINES:])
+        self._begun = begun[:_LONGEST_LINE]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,10 +84,12 @@ class Source:
     """Where it was read from."""
     text: str
     """What it says."""
+    digest: str
+    """SHA-256 of the file, hexadecimal."""
     code: CodeType
     """What is run for each car."""
-    printed: deque[str] = field(default_factory=lambda: deque(maxlen=KEPT_LINES))
-    """What it has printed, the last lines."""
+    prints: Prints = field(default_factory=Prints)
+    """What it has printed."""
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Source:
@@ -53,7 +99,7 @@ class Source:
             RewardError: there is no such file, it is too long, no text, or no Python.
         """
         path = Path(path)
-        text = _text(path)
+        content, text = _text(path)
         try:
             code = compile(text, str(path), "exec", dont_inherit=True)
         except SyntaxError as error:
@@ -63,12 +109,7 @@ class Source:
             ) from error
         except (ValueError, RecursionError, MemoryError) as error:
             raise RewardError(f"{path} cannot be compiled: {error}") from error
-        return cls(path=path, text=text, code=code)
-
-    @property
-    def digest(self) -> str:
-        """SHA-256 of the text, hexadecimal."""
-        return hashlib.sha256(self.text.encode()).hexdigest()
+        return cls(path, text, hashlib.sha256(content).hexdigest(), code)
 
     def instance(self) -> Function:
         """Run the file in a new module and return its reward function.
@@ -76,20 +117,18 @@ class Source:
         Raises:
             RewardError: the file fails, or has no function of one parameter.
         """
-        module = ModuleType(NAME)
+        module = ModuleType(f"{NAME}_{next(_NUMBERS)}")
         module.__file__ = str(self.path)
-        vars(module)["print"] = self._print
-        # Known by its name only while it runs: what it defines may look itself up (dataclasses do).
-        before = sys.modules.get(NAME)
-        sys.modules[NAME] = module
+        vars(module)["print"] = self.prints.keep
+        # What a file defines may look itself up by its module's name: dataclasses and pickle do.
+        sys.modules[module.__name__] = module
+        weakref.finalize(self, sys.modules.pop, module.__name__, None)
         try:
             exec(self.code, vars(module))
-        except (Exception, SystemExit) as error:
+        except NOT_ITS_OWN:
+            raise
+        except BaseException as error:
             raise self.failed(error, "while the file was loaded") from error
-        finally:
-            del sys.modules[NAME]
-            if before is not None:
-                sys.modules[NAME] = before
         return self._checked(vars(module).get(NAME))
 
     def failed(
@@ -99,7 +138,8 @@ class Source:
         line = line_of(error.__traceback__, str(self.path)) or 1
         said = " ".join(str(error).split())[:200]
         what = type(error).__name__ + (f": {said}" if said else "")
-        return RewardError(f"{self.path}, line {line}: {what} ({when}){_hint(error, params)}")
+        hint = self._hint(error, line, params)
+        return RewardError(f"{self.path}, line {line}: {what} ({when}){hint}")
 
     def number(self, function: Function, value: object, when: str) -> float:
         """Return the value as a float.
@@ -108,26 +148,48 @@ class Source:
             RewardError: it is not a number from -1e5 to 1e5.
         """
         try:
-            number = math.nan if isinstance(value, str | bytes) else float(value)  # type: ignore
-        except (TypeError, ValueError, OverflowError):
+            # An array of one number is one, as it was with the numpy of the original.
+            one = value.item() if getattr(value, "size", None) == 1 else value  # type: ignore
+            number = math.nan if isinstance(one, str | bytes) else float(one)  # type: ignore
+        except (TypeError, ValueError, OverflowError, AttributeError):
             number = math.nan
         if -LIMIT <= number <= LIMIT:
             return number
-        code = getattr(function, "__code__", None)
-        line = code.co_firstlineno if code else 1
         raise RewardError(
-            f"{self.path}, line {line}: {NAME} returned {brief(value)} ({when}): "
-            "return a number from -1e5 to 1e5"
+            f"{self.path}, line {self._answering(function)}: {NAME} returned {brief(value)} "
+            f"({when}): return a number from -1e5 to 1e5"
         )
 
-    def _print(self, *values: object, sep: str = " ", end: str = "\n", **options: object) -> None:
-        """Keep what the user prints instead of showing it."""
-        stream = options.get("file")
-        text = (" " if sep is None else sep).join(map(str, values))
-        if stream is not None and stream not in (sys.stdout, sys.stderr):
-            print(text, end=end, file=stream)  # type: ignore
-        else:
-            self.printed.extend(text.splitlines() or [""])
+    def _answering(self, function: Function) -> int:
+        """Return the line of a function's only `return`, or its first line if there are several."""
+        called = vars(type(function)).get("__call__")  # of an object that is called
+        code = getattr(function, "__code__", None) or getattr(called, "__code__", None)
+        if code is None or code.co_filename != str(self.path):
+            return 1
+        answers = [
+            inner.lineno
+            for node in ast.walk(ast.parse(self.text))
+            if isinstance(node, ast.FunctionDef) and node.name == code.co_name
+            for inner in ast.walk(node)
+            if isinstance(inner, ast.Return)
+        ]
+        return answers[0] if len(answers) == 1 else code.co_firstlineno
+
+    def _hint(self, error: BaseException, line: int, params: Mapping[str, object] | None) -> str:
+        """Return what usually mends this, or nothing."""
+        said = self.text.splitlines()[line - 1] if params is not None else ""
+        if isinstance(error, KeyError) and error.args and isinstance(error.args[0], str):
+            key, taken = error.args[0], re.search(rf"def {NAME}\(\s*(\w+)", self.text)
+            if key not in KEYS and (taken[1] if taken else "params") in said:
+                return f": params has no such key; nearest: {nearest_names(key, list(KEYS))}"
+        alone = params is not None and not params.get("objects_location")
+        if isinstance(error, IndexError) and alone and "object" in said:
+            return ": the objects_* lists are empty when there is nothing else on the track"
+        if isinstance(error, ModuleNotFoundError) and error.name:
+            if (self.path.parent / f"{error.name}.py").exists():
+                return f": a reward file stands alone, so move into it what {error.name}.py holds"
+            return f": install {error.name} or do without it"
+        return ""
 
     def _checked(self, function: object) -> Function:
         if not callable(function):
@@ -165,36 +227,27 @@ def line_of(trace: TracebackType | None, path: str) -> int | None:
     return found
 
 
-def _text(path: Path) -> str:
+def _text(path: Path) -> tuple[bytes, str]:
+    """Return a file's bytes, and what they say in the encoding that its first lines name."""
     try:
-        if path.is_file() and path.stat().st_size > 4 * MAX_CHARACTERS:
-            raise RewardError(_too_long(path, path.stat().st_size))
-        text = path.read_text(encoding="utf-8-sig")
+        with path.open("rb") as file:
+            content = file.read(4 * MAX_CHARACTERS + 1)  # a pipe may never end
+        if len(content) > 4 * MAX_CHARACTERS:
+            raise RewardError(_too_long(path, "more than 500,000"))
+        encoding, _ = tokenize.detect_encoding(io.BytesIO(content).readline)
+        text = io.TextIOWrapper(io.BytesIO(content), encoding).read()
     except FileNotFoundError:
         raise RewardError(
             f"there is no reward file {path}: give the path of a Python file that defines {NAME}"
         ) from None
-    except UnicodeDecodeError as error:
+    except (UnicodeDecodeError, SyntaxError) as error:
         raise RewardError(f"{path} is no UTF-8 text: give a Python file") from error
     except OSError as error:
         raise RewardError(f"{path} cannot be read: {error.strerror}") from error
     if len(text) > MAX_CHARACTERS:
-        raise RewardError(_too_long(path, len(text)))
-    return text
+        raise RewardError(_too_long(path, f"{len(text):,}"))
+    return content, text
 
 
-def _too_long(path: Path, given: int) -> str:
-    return f"{path} is {given:,} characters long: a reward file has at most {MAX_CHARACTERS:,}"
-
-
-def _hint(error: BaseException, params: Mapping[str, object] | None) -> str:
-    """Return what usually mends this, or nothing."""
-    if isinstance(error, KeyError) and error.args and isinstance(error.args[0], str):
-        key = error.args[0]
-        if key not in KEYS:
-            return f": params has no such key; nearest: {nearest_names(key, list(KEYS))}"
-    if isinstance(error, IndexError) and params is not None and not params.get("objects_location"):
-        return ": the objects_* lists are empty when there is nothing else on the track"
-    if isinstance(error, ModuleNotFoundError):
-        return f": install {error.name} or do without it"
-    return ""
+def _too_long(path: Path, given: str) -> str:
+    return f"{path} has {given} characters: a reward file has at most {MAX_CHARACTERS:,}"

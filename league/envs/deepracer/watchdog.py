@@ -1,0 +1,128 @@
+"""Ends a user's code that does not come back, and tells on which line it was."""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+import threading
+import weakref
+from types import TracebackType
+
+from league.errors import RewardError
+
+TIME_LIMIT_S = 20.0
+"""Longest call while a car learns or a race is scored [s]: the first may load a large library."""
+_LOOKS = 10
+"""Looks at a call within its time. Looks are counted and not seconds, because a machine that sleeps
+or a program that was stopped by its terminal takes none."""
+
+
+class Stopped(BaseException):
+    """Thrown into the thread that runs the user's code, to end it."""
+
+
+NOT_ITS_OWN = (KeyboardInterrupt, Stopped)
+"""What may come out of the user's code without being its fault."""
+
+
+class Watchdog:
+    """Watches the calls that are made inside its `with`; count each in `calls`.
+
+    A loop in Python ends at its next line, with a RewardError. One inside a C library, or one that
+    catches whatever is thrown, goes on until the program is ended.
+    """
+
+    def __init__(self, path: str, time_limit_s: float = TIME_LIMIT_S) -> None:
+        """Watch nothing yet.
+
+        Args:
+            path: the user's file, as its code names it.
+            time_limit_s: longest time of a call [s].
+        """
+        self.calls = 0
+        self._path, self._limit_s = path, time_limit_s
+        self._lock, self._begun = threading.Lock(), False
+        self._watched: int | None = None
+        self._error: RewardError | None = None
+        self._seen = self._looks = 0
+
+    def __enter__(self) -> Watchdog:
+        """Watch this thread from now on."""
+        if not self._begun:
+            self._begun, over = True, threading.Event()
+            weakref.finalize(self, over.set)
+            told = (weakref.ref(self), over, self._limit_s / _LOOKS)
+            threading.Thread(target=_watch, args=told, daemon=True, name="watchdog").start()
+        with self._lock:
+            self._error, self._watched = None, threading.get_ident()
+            self.calls += 1
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: object, trace: TracebackType | None
+    ) -> None:
+        """Watch no longer.
+
+        Raises:
+            RewardError: a call did not come back.
+        """
+        with self._lock:
+            watched, self._watched = self._watched, None
+            if self._error is None:
+                return
+            _throw(watched, None)  # it may have come back just before it was to end
+            raise self._error
+
+    def look(self) -> None:
+        """End the call under way if it is the one of so many looks ago."""
+        with self._lock:
+            if self._watched is None or self.calls != self._seen:
+                self._seen, self._looks = self.calls, 0
+                return
+            self._looks += 1
+            if self._looks < _LOOKS or is_debugged(self._watched):
+                return
+            self._error = self._error or stuck(self._path, self._watched, self._limit_s)
+            _throw(self._watched, Stopped)
+
+
+def _watch(whose: weakref.ref[Watchdog], over: threading.Event, pause_s: float) -> None:
+    while not over.wait(pause_s):
+        watchdog = whose()
+        if watchdog is None:
+            return
+        watchdog.look()
+        del watchdog
+
+
+def stuck(path: str, thread: int, limit_s: float) -> RewardError:
+    """Return what to tell of a thread that is still in a call of the user's file."""
+    frame, line = sys._current_frames().get(thread), None
+    while frame is not None and line is None:
+        if frame.f_code.co_filename == path:
+            line = frame.f_lineno
+        frame = frame.f_back
+    return RewardError(
+        f"{path}, line {line or 1}: still running after {limit_s:g} s: a call must come back at "
+        "once, look for a loop that does not end"
+    )
+
+
+def end(thread: int) -> None:
+    """Throw `Stopped` into a thread."""
+    _throw(thread, Stopped)
+
+
+def is_debugged(thread: int) -> bool:
+    """Return whether somebody steps through what the thread does."""
+    frame = sys._current_frames().get(thread)
+    while frame is not None:
+        if frame.f_globals.get("__name__") == "bdb":
+            return True
+        frame = frame.f_back
+    return False
+
+
+def _throw(thread: int | None, what: type[BaseException] | None) -> None:
+    given = None if what is None else ctypes.py_object(what)
+    ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread or 0), given)
