@@ -25,7 +25,7 @@ dodger() {  # six boxes at random places
 novice() {  # a minute of time trial: the duelist's parent
     train novice --seed 2 --action-space 1-4 --minutes 1
 }
-duelist() {  # the novice, after half an hour of racing its own past, pacers and the novice itself
+duelist() {  # the novice, after half an hour of racing pacers, the novice itself and its own past
     train duelist --seed 2 --kind head_to_head --self-play --init-from garage/novice.pt --reward race \
         --action-space 1-4 --minutes 0 --steps 1750000 --scripted-share 0.6 --exam-every 8
 }

@@ -186,6 +186,8 @@ def test_flag_beats_the_hyperparameters_file(league, tmp_path):
         (["--bots"], "--bots means nothing without --kind obstacle_avoidance"),
         (["--obstacles", "3"], "--obstacles means nothing without --kind obstacle_avoidance"),
         (["--scripted-share", "0.5"], "--scripted-share means nothing without --self-play"),
+        (["--cars", "3"], "--cars means nothing without --self-play"),
+        (["--kind", "head_to_head", "--self-play", "--cars", "9"], "--cars is 9: give 2 to 8"),
         (["--car-spread", "0.5"], "--car-spread means nothing without --random-cars"),
         (["--threads", "0"], "--threads is 0: give 1 to 1024"),
         (["--stop-when-complete", "-1"], "stop_when_complete is -1: give 0, which is never"),
@@ -302,6 +304,13 @@ def test_every_flag_is_kept_free_or_of_the_budget():
     assert len(known) == len(resuming.KEPT) + len(resuming.BUDGET) + len(resuming.FREE)
     cfg = config(Train())
     assert all(attrgetter(path)(cfg) is not ... for path in resuming.KEPT.values())
+
+
+def test_self_play_is_among_two_cars_or_as_many_as_are_asked_for():
+    asked = [config(Train(kind="head_to_head", self_play=True, cars=n)) for n in (2, 4)]
+    assert [cfg.train.num_cars for cfg in asked] == [2, 4]
+    others = config(Train(kind="head_to_head", opponents=("centerline", "rookie")))
+    assert others.train.num_cars == 3
 
 
 def test_policy_to_begin_from_may_be_named_as_in_the_garage():

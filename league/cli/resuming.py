@@ -29,6 +29,7 @@ KEPT = {
     "sensors": "train.sensors",
     "opponents": "opponents",
     "self_play": "self_play",
+    "cars": "train.num_cars",
     "scripted_share": "scripted_share",
     "hyperparameters": "train.ppo",
     "init_from": "init_from",

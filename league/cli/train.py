@@ -13,6 +13,7 @@ from league.errors import ConfigError, RewardError
 if TYPE_CHECKING:
     from league.training.onlooker import Onlooker
     from league.training.run import Outcome, Run
+    from league.training.selfplay.matrix import WinMatrix
 
 
 @dataclass
@@ -43,6 +44,8 @@ class Train:
     """Drivers or checkpoints to race against, in head_to_head."""
     self_play: bool = False
     """Race against past selves, in head_to_head."""
+    cars: int = 2
+    """Cars of each world in self-play, the learner's included."""
     scripted_share: float = 0.2
     """Share of self-play against scripted drivers, who teach to pass what is slower."""
     hyperparameters: Path | None = None
@@ -186,11 +189,30 @@ def _report(command: Train, outcome: Outcome) -> None:
         print_table(outcome.evaluation)
     with replacing(command.out, "the checkpoint", PolicyError) as file:
         shutil.copyfile(outcome.best, file)
+    if outcome.matrix is not None:
+        print(_told_of(outcome.matrix, command.out.with_suffix(".run")))
     print(
         f"{outcome.samples} decisions in {outcome.time_s:.0f} s; stopped because {outcome.why}.\n"
         f"Best policy: {command.out}   (race it: league race {command.out} centerline)\n"
         f"The run, with best.pt, last.pt and training.png: {command.out.with_suffix('.run')}"
     )
+
+
+def _told_of(matrix: WinMatrix, folder: Path) -> str:
+    """Return who the best of self-play beats, and whom not."""
+    from league.training.selfplay.pool import PARENT
+
+    whom = {"its parent": matrix.against(PARENT), "centerline": matrix.against("centerline")}
+    rates = {whose: rate for whose, rate in whom.items() if rate is not None}
+    parts = [f"{100 * rate:.0f} % against {whose}" for whose, rate in rates.items()]
+    if matrix.smallest is not None:
+        parts.append(f"at least {100 * matrix.smallest:.0f} % against its past")
+    said = f"It wins {', '.join(parts)}" if parts else "It has nobody to be compared with"
+    lines = [f"{said}, in mirrored races: {folder / 'win_matrix.png'}"]
+    lost = [whose for whose, rate in rates.items() if rate < 0.5]
+    if lost:
+        lines.append(f"It loses to {' and '.join(lost)}: give it more time, or another --reward.")
+    return "\n".join(lines)
 
 
 def _looking_on(command: Train, run: Run) -> list[Onlooker]:

@@ -62,6 +62,7 @@ def _check(command: Train) -> None:
         "opponents": racing,
         "self_play": racing,
         "scripted_share": (command.self_play, "--self-play"),
+        "cars": (command.self_play, "--self-play"),
         "car_spread": (command.random_cars, "--random-cars"),
     }
     flags.refuse_ignored(command, needs)
@@ -70,6 +71,8 @@ def _check(command: Train) -> None:
             "--kind head_to_head needs somebody to race: give either --opponents NAME ... or "
             "--self-play"
         )
+    if not 2 <= command.cars <= 8:
+        raise ConfigError(f"--cars is {command.cars}: give 2 to 8")
     if not 1 <= command.threads <= 1024:
         raise ConfigError(f"--threads is {command.threads}: give 1 to 1024")
 
@@ -108,7 +111,7 @@ def _learner(command: Train) -> TrainConfig:
     ppo = replace(base, **{name: value for name, value in given.items() if value is not None})
     cars = 1
     if command.kind == "head_to_head":
-        cars += 1 if command.self_play else len(command.opponents)
+        cars = command.cars if command.self_play else 1 + len(command.opponents)
     return TrainConfig(
         kind=command.kind,
         num_worlds=command.num_worlds,

@@ -65,7 +65,7 @@ def judged(exam: Exam, checkpoint: Checkpoint) -> Evaluation:
         tracks = TrackSet.of(track)
         found.append(
             evaluate(
-                Policy(checkpoint, car, exact=False),
+                Policy(checkpoint, car),
                 track,
                 laps=exam.laps,
                 trials=exam.trials,

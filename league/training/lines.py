@@ -77,10 +77,24 @@ def line(history: History, budget_s: float | None, budget_steps: int | None) -> 
         parts.append(f"evaluation {percent(last.completion)}")
         if last.best_lap_s is not None:
             parts.append(f"best lap {seconds(last.best_lap_s)}")
+    if told := self_play(history):
+        parts.append(f"self-play: {told}")
     left = left_s(history, budget_s, budget_steps)
     if left is not None:
         parts.append(f"{clock(left)} left")
     return "  ".join(parts)
+
+
+def self_play(history: History) -> str:
+    """Return how the learner does against its past in training; nothing without self-play."""
+    log = history.updates[-1].log
+    newest, smallest = (log.get(f"/selfplay/win_rate_{name}") for name in ("newest", "smallest"))
+    if newest is None or smallest is None:
+        return ""
+    members = int(log.get("/selfplay/members", 0.0))
+    return (
+        f"wins {newest:.2f} against itself, at least {smallest:.2f} against {members} in the pool"
+    )
 
 
 def judged(row: EvaluationRow) -> str:

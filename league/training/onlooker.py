@@ -21,6 +21,10 @@ class Onlooker(Protocol):
         """Take note of an evaluation, which is the last row of the history."""
         ...
 
+    def racing(self, what: str) -> None:
+        """Take note of races after the last update, which take a while: whose they are."""
+        ...
+
     def close(self) -> None:
         """Write or show what is left; called once, also after an error or Ctrl-C."""
         ...

@@ -15,6 +15,7 @@ from league.training.lines import (
     line,
     percent,
     seconds,
+    self_play,
     shares,
     speed,
 )
@@ -69,6 +70,7 @@ class Page:
         self._history: History | None = None
         self._noted = self._printed = time.monotonic()
         self._live: Live | None = None
+        self._racing = ""
         if not plain and _can_draw(self._console):
             self._open()
         else:
@@ -89,10 +91,19 @@ class Page:
         else:
             self._live.refresh()
 
+    def racing(self, what: str) -> None:
+        """Show what is raced after the last update."""
+        self._racing = what
+        if self._live is None:
+            self._print(f"{'':>7}  {what} ...")
+        else:
+            self._live.refresh()
+
     def close(self) -> None:
         """Leave the page as it is last, with the cursor below it."""
         atexit.unregister(self.close)
         live, self._live = self._live, None
+        self._racing = ""
         if live is not None:
             live.stop()
         elif self._history is not None and self._history.updates:
@@ -129,6 +140,8 @@ class Page:
             body.append(Text("the first worlds are being driven ...", style="dim"))
         else:
             body += [Text(""), _charts(history, width - 4), Text(""), _figures(history)]
+        if self._racing:
+            body.append(Text(f"{self._racing} ...", style="dim"))
         kind = self._cfg.kind.replace("_", " ")
         return Panel(
             Group(*body),
@@ -275,5 +288,7 @@ def _figures(history: History) -> Table:
         (f"{history.samples:,}", "bold"), ("   at ", "dim"), f"{speed(history):,.0f}/s"
     )
     grid.add_row("samples", samples)
+    if told := self_play(history):
+        grid.add_row("self-play", told)
     grid.add_row("time", spent)
     return grid

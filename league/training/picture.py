@@ -49,6 +49,9 @@ class Picture:
             draw(history, self._path)
             self._drawn = time.monotonic()
 
+    def racing(self, what: str) -> None:
+        """Do nothing: it brings no figures."""
+
     def close(self) -> None:
         """Draw the whole run, if there was any."""
         history, self._history = self._history, None

@@ -23,7 +23,7 @@ from league.training.judge import Exam, Judge, Judgement, judged
 from league.training.learner import Learner, Update
 from league.training.run_config import RunConfig
 from league.training.selfplay import SelfPlay, SelfPlayConfig
-from league.training.selfplay.matrix import FINAL
+from league.training.selfplay.matrix import FINAL, WinMatrix
 from league.training.selfplay.picture import draw as draw_matrix
 from league.whole_file import replacing
 
@@ -50,6 +50,8 @@ class Outcome:
     """Learning time, of earlier parts too [s]."""
     why: str
     """Why it stopped."""
+    matrix: WinMatrix | None = None
+    """Of self-play: who beats whom."""
 
 
 class Run:
@@ -104,6 +106,7 @@ class Run:
         self._best: tuple[float, ...] | None = None
         self._best_evaluation: Evaluation | None = None
         self.history = History()
+        self._matrix: WinMatrix | None = None
 
     def resume(self) -> None:
         """Go on from the folder's state, with the settings it was begun with.
@@ -188,6 +191,7 @@ class Run:
             samples=self.learner.samples,
             time_s=self._spent_s,
             why=why,
+            matrix=self._matrix,
         )
 
     def _updated(self) -> Update:
@@ -261,8 +265,9 @@ class Run:
         self._complete = self._complete + 1 if evaluation.all_complete else 0
         merit = _merit(evaluation)
         if self._self_play is not None:
-            # Laps do not tell who wins duels: the newest has had all others to learn from.
-            merit = (float(found.number), *merit)
+            # Lap times do not tell who wins duels: of those that come as far, the newest has had
+            # all others to learn from.
+            merit = (*merit[:2], float(found.number))
         best = self._best is None or merit > self._best
         if best:
             self._best = merit
@@ -289,19 +294,22 @@ class Run:
         while self._waiting and not complete:
             self._take(onlookers, wait=True)
         if self._self_play is not None:
+            for onlooker in onlookers:
+                onlooker.racing("racing the policy against its past for the win matrix")
             self._crown(self._self_play)
         self._save()
 
     def _crown(self, self_play: SelfPlay) -> None:
         """Race the policy against its past; whoever wins most of these races is the best."""
-        found = self_play.report(self._checkpoint())
+        policy, updates = self._checkpoint(), self.learner.updates
+        found = self._matrix = self_play.report(policy)
         found.write(self.folder / "win_matrix.json")
         draw_matrix(found, self.folder / "win_matrix.png")
         if found.champion != FINAL:
             updates, kept = self_play.snapshot(found.champion)
-            policy = replace(kept, card=self._card(kept.card.steps), text="")
-            evaluation = judged(self._exam, policy)
-            self._keep_best(policy, updates, evaluation)
+            spent_s = next(row.time_s for row in self.history.updates if row.number == updates)
+            policy = replace(kept, card=self._card(kept.card.steps, spent_s), text="")
+        self._keep_best(policy, updates, judged(self._exam, policy))
 
     @property
     def _judged(self) -> set[int]:
@@ -329,7 +337,7 @@ class Run:
     def _checkpoint(self) -> Checkpoint:
         return Checkpoint(self._card(self.learner.samples), self.learner.weights())
 
-    def _card(self, samples: int = 0) -> Card:
+    def _card(self, samples: int = 0, spent_s: float | None = None) -> Card:
         cfg = self.cfg
         return Card(
             name=cfg.name,
@@ -340,7 +348,7 @@ class Run:
             kind=cfg.train.kind,
             reward=self._reward_card,
             steps=samples,
-            train_s=round(self._spent_s, 1),
+            train_s=round(self._spent_s if spent_s is None else spent_s, 1),
             seed=cfg.train.seed,
             parents=self._parents,
             licence=cfg.licence,

@@ -35,6 +35,9 @@ class Scalars:
         row = history.evaluations[-1]
         self._add(of_evaluation(row), row.number)
 
+    def racing(self, what: str) -> None:
+        """Do nothing: it brings no figures."""
+
     def close(self) -> None:
         """Write what is left."""
         if self._writer is not None:

@@ -82,6 +82,9 @@ class Watching:
             f"{row.completion:.0f} %{lap}{star}"
         )
 
+    def racing(self, what: str) -> None:
+        """Do nothing: it brings no figures."""
+
     def close(self) -> None:
         """Send what is left; a window stays open."""
         self._env.watch = None

@@ -69,6 +69,7 @@ class Onlooker:
 
     def __init__(self, after=None) -> None:
         self.updates, self.evaluations, self.closed = [], [], 0
+        self.races = []
         self._after = after
 
     def update(self, history, update) -> None:
@@ -78,6 +79,9 @@ class Onlooker:
 
     def evaluated(self, history, evaluation) -> None:
         self.evaluations.append(evaluation)
+
+    def racing(self, what) -> None:
+        self.races.append(what)
 
     def close(self) -> None:
         self.closed += 1

@@ -111,6 +111,20 @@ def test_where_nothing_can_be_drawn_lines_are_printed(monkeypatch):
     assert "\x1b" not in said(console)
 
 
+def test_self_play_is_told_while_it_lasts_and_when_the_matrix_is_raced():
+    console = terminal(real=False)
+    made, log = history(3), {"/selfplay/win_rate_newest": 0.5, "/selfplay/win_rate_smallest": 0.25}
+    assert lines.self_play(made) == ""
+    made.updates[-1].log.update(log, **{"/selfplay/members": 7.0})
+    said_of_it = "wins 0.50 against itself, at least 0.25 against 7 in the pool"
+    assert lines.self_play(made) == said_of_it
+    assert said_of_it in lines.line(made, None, None)
+    assert any("self-play" in line for line in drawn(made, 100))
+    shown = Page(TrainConfig(), 60.0, None, "duelist", plain=True, console=console)
+    shown.racing("racing the policy against its past")
+    assert said(console).splitlines()[-1].strip() == "racing the policy against its past ..."
+
+
 def test_plain_lines_can_be_asked_for_in_a_terminal():
     console = terminal()
     Page(TrainConfig(), 60.0, None, "rookie", plain=True, console=console).close()

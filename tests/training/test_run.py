@@ -50,6 +50,25 @@ def passed(exam, found):
     return evaluate("centerline", exam.tracks[0], laps=1, mode="episode", solver="planar")
 
 
+def test_in_self_play_the_newest_is_best_of_those_that_come_as_far(tmp_path, monkeypatch):
+    exams = []
+
+    def sat(exam, found):
+        exams.append(len(exams))
+        return passed(exam, found) if exams[-1] != 1 else judged(exam, found)
+
+    judged = judge.judged
+    monkeypatch.setattr(judge, "judged", sat)
+    cfg = small.cfg(6, train=small.train(kind="head_to_head", num_cars=2), self_play=True)
+    run, onlooker = small.run(tmp_path, cfg), small.Onlooker()
+    outcome = run.learn([onlooker])
+    # The second leaves the road; the third laps as the first did.
+    assert [row.complete_laps for row in run.history.evaluations] == [1, 0, 1]
+    assert [row.best for row in run.history.evaluations] == [True, False, True]
+    assert outcome.matrix is not None
+    assert onlooker.races == ["racing the policy against its past for the win matrix"]
+
+
 def test_run_ends_after_evaluations_with_every_lap_complete(tmp_path, monkeypatch):
     monkeypatch.setattr(judge, "judged", passed)
     onlooker = small.Onlooker()
