@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from league.agents import checkpoint, garage
-from league.cli import resuming
+from league.cli import resuming, train
 from league.cli.train import Train
 from league.cli.train_settings import config, parse_actions, parse_sensors
 from league.envs.action_space import ContinuousActions, DiscreteActions
@@ -194,6 +194,8 @@ def test_flag_beats_the_hyperparameters_file(league, tmp_path):
         (["--hyperparameters", "none.json"], "none.json"),
         (["--resume"], "settings.json holds no settings of a run"),
         (["--init-from", "none.pt"], "none.pt"),
+        (["--exam-opponents", "nobody"], "there is no driver 'nobody'; nearest"),
+        (["--exam-trials", "100000"], "exam_trials is 100000: give 1 to 1000"),
         (["--seed", "-1"], "seed is -1: give 0 to 2147483647"),
         (["--device", "abacus"], "cannot compute on the device 'abacus': give cpu, or cuda"),
         (["--num-worlds", "0"], "num_worlds is 0: give 1 to 65536"),
@@ -299,9 +301,10 @@ def test_what_contradicts_the_run_is_refused_beside_resume(league, tmp_path, fla
 
 def test_every_flag_is_kept_free_or_of_the_budget():
     # A new flag has to say what it means beside --resume.
-    known = {*resuming.KEPT, *resuming.BUDGET, *resuming.FREE}
+    known = {*resuming.KEPT, *resuming.BUDGET, *resuming.EXAM, *resuming.FREE}
     assert {one.name for one in fields(Train)} == known
-    assert len(known) == len(resuming.KEPT) + len(resuming.BUDGET) + len(resuming.FREE)
+    kinds = (resuming.KEPT, resuming.BUDGET, resuming.EXAM, resuming.FREE)
+    assert len(known) == sum(map(len, kinds))
     cfg = config(Train())
     assert all(attrgetter(path)(cfg) is not ... for path in resuming.KEPT.values())
 
@@ -315,7 +318,48 @@ def test_self_play_is_among_two_cars_or_as_many_as_are_asked_for():
 
 def test_policy_to_begin_from_may_be_named_as_in_the_garage():
     assert config(Train(init_from="rookie")).init_from == str(garage.path("rookie"))
-    assert config(Train(init_from="rookie.pt")).init_from == "rookie.pt"
+    path = str(garage.path("rookie"))
+    assert config(Train(init_from=path)).init_from == path
+
+
+def test_what_is_not_asked_for_is_the_parents(capsys):
+    rookie = checkpoint.load(garage.path("rookie")).card
+    cfg = config(Train(init_from="rookie")).train
+    assert (cfg.action_space, cfg.sensors) == (rookie.space, rookie.sensor_config)
+    assert cfg.network == rookie.network
+    same = config(Train(init_from="rookie", action_space="0.5-1", sensors=("stereo64x48",)))
+    assert same.train == cfg
+    assert capsys.readouterr().err == ""
+    # Cloned to go faster, as people do: possible, and said.
+    faster = config(Train(init_from="rookie", action_space="0.5-2")).train
+    assert faster.action_space == ContinuousActions(-30.0, 30.0, 0.5, 2.0)
+    assert "now means something else" in capsys.readouterr().err
+    with pytest.raises(ConfigError, match="--sensors are not those of rookie"):
+        config(Train(init_from="rookie", sensors=("left64x48",)))
+    with pytest.raises(ConfigError, match="--action-space is of another kind"):
+        config(Train(init_from="rookie", action_space="5x2@1.0"))
+
+
+def test_save_points_come_as_often_as_the_work_allows(capsys):
+    usual = config(Train()).train
+    assert (usual.num_worlds * usual.ppo.steps, usual.save_every) == (4096, 4)
+    assert config(Train(num_worlds=16)).train.save_every == 8
+    assert config(Train(epochs=12)).train.save_every == 2
+    assert config(Train(sensors=("stereo160x120",))).train.save_every == 1
+    assert capsys.readouterr().err == ""
+    assert config(Train(num_worlds=1024)).train.save_every == 1
+    assert "some 16 times the work of a usual one" in capsys.readouterr().err
+
+
+def test_a_run_that_ends_early_leaves_its_best_under_the_name_asked_for(tmp_path):
+    command, folder = Train(out=tmp_path / "m.pt"), tmp_path / "m.run"
+    assert train._kept(command, folder) == "Nothing was learnt yet."
+    folder.mkdir()
+    (folder / "state.pt").touch()
+    assert train._kept(command, folder).startswith(f"Kept: {folder / 'last.pt'}; go on")
+    (folder / "best.pt").write_bytes(b"weights")
+    assert f"and the best so far as {tmp_path / 'm.pt'}; go on" in train._kept(command, folder)
+    assert (tmp_path / "m.pt").read_bytes() == b"weights"
 
 
 def test_five_minutes_are_the_budget_unless_another_is_given():
@@ -336,7 +380,7 @@ def test_reward_file_that_fails_names_its_line_and_the_checkpoint_is_kept(league
     assert "mine.py" in err
     assert "line 7" in err
     assert err.splitlines()[-3] == "  call 30"
-    kept = "Kept: m.run/last.pt; mend the file, and go on with --resume."
+    kept = "Kept: m.run/last.pt; go on with --resume."
     assert err.splitlines()[-2] == kept
     assert len((tmp_path / "m.run" / "printed.txt").read_text().splitlines()) == 4 * 29 + 1
     # The 30th call of each car divides by nought: three updates of 8 steps were done.
@@ -454,6 +498,7 @@ def test_ctrl_c_saves_and_says_how_to_go_on(tmp_path):
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=300)
     assert process.returncode == 130
-    assert "Saved: long.run/last.pt; go on with --resume." in err
+    assert "Stopped. Kept: long.run/last.pt" in err
+    assert err.endswith("; go on with --resume.\n")
     assert "Traceback" not in err
     assert checkpoint.load(tmp_path / "long.run" / "last.pt").card.steps >= 3 * 32

@@ -48,16 +48,8 @@ def load(name_or_path: str, tracks: TrackSet, car: CarConfig) -> Driver:
         PolicyError: the name is unknown, the checkpoint not sound, or the driver cannot drive
             this set.
     """
-    if name_or_path.endswith(".pt"):
-        return policy(name_or_path, tracks, car)
-    if name_or_path in garage.names():
-        return policy(str(garage.path(name_or_path)), tracks, car)
-    if name_or_path not in NAMES:
-        known = [*NAMES, *garage.names()]
-        raise PolicyError(
-            f"there is no driver {name_or_path!r}; nearest: "
-            f"{nearest_names(name_or_path, known)}; or give a checkpoint, FILE.pt"
-        )
+    if path := _file(name_or_path):
+        return policy(path, tracks, car)
     if len(tracks.tracks) != 1:
         raise PolicyError(
             f"{name_or_path!r} was asked to drive {len(tracks.tracks)} tracks at once: scripted "
@@ -67,6 +59,33 @@ def load(name_or_path: str, tracks: TrackSet, car: CarConfig) -> Driver:
     if name_or_path in _STYLES:
         return LineDriver(name_or_path, track, car, _STYLES[name_or_path], device=device)
     return CenterlineDriver(name_or_path, track, car, device=device)
+
+
+def check(name_or_path: str) -> None:
+    """See that there is such a driver, without building it.
+
+    Raises:
+        PolicyError: the name is unknown, or the checkpoint not sound.
+    """
+    from league.agents import checkpoint
+
+    if path := _file(name_or_path):
+        checkpoint.load(path)
+
+
+def _file(name_or_path: str) -> str | None:
+    """Return a policy's file, or None for a scripted driver."""
+    if name_or_path.endswith(".pt"):
+        return name_or_path
+    if name_or_path in garage.names():
+        return str(garage.path(name_or_path))
+    if name_or_path in NAMES:
+        return None
+    known = [*NAMES, *garage.names()]
+    raise PolicyError(
+        f"there is no driver {name_or_path!r}; nearest: "
+        f"{nearest_names(name_or_path, known)}; or give a checkpoint, FILE.pt"
+    )
 
 
 def policy(path: str, tracks: TrackSet, car: CarConfig, *, exact: bool = True) -> Driver:

@@ -18,8 +18,15 @@ if TYPE_CHECKING:
 
 BUDGET = ("minutes", "steps")
 """What a resume may give more of."""
-FREE = ("out", "resume", "overwrite", "threads", "plain", "watch", "tensorboard")
+FREE = ("out", "resume", "overwrite", "plain", "watch", "tensorboard")
 """What may differ each time: it does not decide what is learnt."""
+EXAM = {
+    "exam_track": "exam_tracks",
+    "exam_opponents": "exam_opponents",
+    "exam_trials": "exam_trials",
+    "exam_every": "exam_every",
+}
+"""What a resume may change, and where a run's settings hold it: how it is judged."""
 KEPT = {
     "track": "tracks",
     "kind": "train.kind",
@@ -50,10 +57,7 @@ KEPT = {
     "epochs": "train.ppo.epochs",
     "mini_batches": "train.ppo.mini_batches",
     "rollout": "train.ppo.steps",
-    "exam_track": "exam_tracks",
-    "exam_opponents": "exam_opponents",
-    "exam_trials": "exam_trials",
-    "exam_every": "exam_every",
+    "threads": "threads",
     "licence": "licence",
 }
 """What a run keeps from its beginning to its end, and where its settings hold it."""
@@ -111,7 +115,8 @@ def continued(command: Train, folder: Path, asked: Callable[[Train], RunConfig])
                 f"the run in {folder} was begun with another {', '.join(others)}: leave away what "
                 "is not --minutes or --steps, or give --overwrite instead of --resume to begin anew"
             )
-    return stored.with_budget(command.minutes, command.steps)
+    exam = {EXAM[name]: getattr(command, name) for name in flags.given(command, EXAM)}
+    return replace(stored.with_budget(command.minutes, command.steps), **exam)
 
 
 def check_unfinished(command: Train, run: Run) -> None:

@@ -34,12 +34,14 @@ class Train:
     """Stop after so many decisions; 0: no limit, which is the default."""
     stop_when_complete: int = 0
     """Stop after so many evaluations in a row with every lap complete; 0: never."""
-    action_space: str = "0.5-4"
+    action_space: str | None = None
     """Speeds LOW-HIGH [m/s] or LOW-HIGH@DEG for other than 30 deg of steering; NxM@SPEED for the
-    classic grid of N steering angles and M speeds; or a model_metadata.json."""
+    classic grid of N steering angles and M speeds; or a model_metadata.json. By default that of
+    --init-from, or else 0.5-4."""
     sensors: tuple[str, ...] | None = None
     """stereoWxH, monoWxH, leftWxH, lidar, sectors, discretised; or a model_metadata.json. By
-    default what the model_metadata.json of --action-space says, or else stereo64x48."""
+    default what --init-from or the model_metadata.json of --action-space has, or else
+    stereo64x48."""
     opponents: tuple[str, ...] = ()
     """Drivers or checkpoints to race against, in head_to_head."""
     self_play: bool = False
@@ -131,28 +133,42 @@ def _train(command: Train) -> int:
     from league.training.learner import threads
     from league.training.run import Run
 
-    with threads(command.threads):
+    with threads(cfg.threads):
         run = Run(cfg, folder)
         if command.resume:
             _resume(command, run)
         try:
             outcome = run.learn(_looking_on(command, run))
         except KeyboardInterrupt:
-            if (folder / "state.pt").exists():
-                said = f"Stopped. Saved: {folder / 'last.pt'}; go on with --resume."
-            else:
-                said = "Stopped before anything was learnt."
-            print(f"\n{said}", file=sys.stderr)
+            print(f"\nStopped. {_kept(command, folder)}", file=sys.stderr)
             return 130
         except RewardError:
-            _tell_kept(folder)
+            _tell_printed(folder)
+            print(f"{_kept(command, folder)}", file=sys.stderr)
             raise
     _report(command, outcome)
     return 0
 
 
-def _tell_kept(folder: Path) -> None:
-    """Say what is left of a run whose reward function has failed."""
+def _kept(command: Train, folder: Path) -> str:
+    """Keep the best policy of a run that ends early under the name asked for; say what is kept."""
+    import shutil
+
+    from league.errors import PolicyError
+    from league.whole_file import replacing
+
+    if not (folder / "state.pt").exists():
+        return "Nothing was learnt yet."
+    kept = f"Kept: {folder / 'last.pt'}"
+    if (folder / "best.pt").exists():
+        with replacing(command.out, "the checkpoint", PolicyError) as file:
+            shutil.copyfile(folder / "best.pt", file)
+        kept += f", and the best so far as {command.out}"
+    return f"{kept}; go on with --resume."
+
+
+def _tell_printed(folder: Path) -> None:
+    """Show the last of what a reward function has printed before it failed."""
     from league.training.run_folder import PRINTED
 
     printed = folder / PRINTED
@@ -160,9 +176,6 @@ def _tell_kept(folder: Path) -> None:
         print(f"The last lines it printed (more of them: {printed}):", file=sys.stderr)
         for line in printed.read_text(encoding="utf-8").splitlines()[-5:]:
             print(f"  {line[:160]}", file=sys.stderr)
-    if (folder / "state.pt").exists():
-        kept = folder / "last.pt"
-        print(f"Kept: {kept}; mend the file, and go on with --resume.", file=sys.stderr)
 
 
 def _resume(command: Train, run: Run) -> None:

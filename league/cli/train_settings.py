@@ -12,11 +12,16 @@ from league.cli import flags
 from league.errors import ConfigError, brief
 
 if TYPE_CHECKING:
+    from league.agents.network import NetworkConfig
     from league.cli.train import Train
     from league.envs.action_space import ActionSpace
     from league.sim.config import SensorConfig, Spread
     from league.training.run_config import RunConfig
     from league.training.settings import PpoConfig, TrainConfig
+
+
+_WORK = 16_384
+"""Decisions of usual settings that take 10 to 20 s on two cores."""
 
 
 def config(command: Train) -> RunConfig:
@@ -47,6 +52,7 @@ def config(command: Train) -> RunConfig:
         scripted_share=command.scripted_share,
         exam_opponents=command.exam_opponents,
         init_from=_parent(command.init_from),
+        threads=command.threads,
         licence=command.licence,
         command=_printable(shlex.join(["league", *sys.argv[1:]]))[:2000],
     )
@@ -108,6 +114,7 @@ def _learner(command: Train) -> TrainConfig:
         base = _from_deepracer(command.hyperparameters, base, command)
     from dataclasses import replace
 
+    space, sensors, network = _body(command)
     ppo = replace(base, **{name: value for name, value in given.items() if value is not None})
     cars = 1
     if command.kind == "head_to_head":
@@ -118,8 +125,9 @@ def _learner(command: Train) -> TrainConfig:
         num_cars=cars,
         seed=command.seed,
         device=command.device,
-        action_space=parse_actions(command.action_space),
-        sensors=parse_sensors(_sensors(command)),
+        action_space=space,
+        sensors=sensors,
+        network=network,
         ppo=ppo,
         critic_hidden=(256, 256) if command.kind == "head_to_head" else (128, 128),
         mirror=not command.no_mirror,
@@ -130,17 +138,63 @@ def _learner(command: Train) -> TrainConfig:
         spread=_spread(command.car_spread) if command.random_cars else None,
         obstacles=command.obstacles,
         bots=command.bots,
-        # So that a save point comes every 10 to 20 s.
-        save_every=max(1, min(8, 16_384 // max(command.num_worlds * ppo.steps, 1))),
+        save_every=_save_every(command.num_worlds, ppo, sensors),
     )
 
 
-def _sensors(command: Train) -> tuple[str, ...]:
-    """Return what was asked for; a model_metadata.json that sets the actions sets this too."""
-    if command.sensors is not None:
-        return command.sensors
-    asked = command.action_space
-    return (asked if asked.endswith(".json") else "stereo64x48",)
+def _save_every(num_worlds: int, ppo: PpoConfig, sensors: SensorConfig) -> int:
+    """Return the updates between two save points: as many as take 10 to 20 s, by their work.
+
+    Decisions count, passes over them, and pixels where they are more than usual. Where a single
+    update takes long, that is told: it can neither be saved nor ended before it is over.
+    """
+    camera, usual = sensors.camera, 2 * 64 * 48
+    pixels = camera.width * camera.height * camera.num_eyes if camera else 0
+    work = num_worlds * ppo.steps * max(ppo.epochs / 6, 0.5) * max(pixels / usual, 1.0)
+    if work > 2 * _WORK:
+        print(
+            f"an update is some {work / 4096:.0f} times the work of a usual one, which takes 4 s "
+            "on two cores: --minutes and save points wait for its end; fewer --num-worlds, "
+            "--rollout or --epochs make it shorter",
+            file=sys.stderr,
+        )
+    return int(max(1, min(8, _WORK // max(work, 1))))
+
+
+def _body(command: Train) -> tuple[ActionSpace, SensorConfig, NetworkConfig]:
+    """Return what the policy may ask for, what its car carries, and its layers.
+
+    What is not asked for is the parent's, if there is one.
+    """
+    from league.agents import checkpoint
+    from league.agents.network import NetworkConfig
+
+    actions, senses = command.action_space, command.sensors
+    if senses is None and actions is not None and actions.endswith(".json"):
+        senses = (actions,)  # a model_metadata.json sets both
+    if not command.init_from:
+        space = parse_actions(actions or "0.5-4")
+        return space, parse_sensors(senses or ("stereo64x48",)), NetworkConfig()
+    parent = checkpoint.load(_parent(command.init_from)).card
+    space = parse_actions(actions) if actions else parent.space
+    sensors = parent.sensor_config if senses is None else parse_sensors(senses)
+    if sensors != parent.sensor_config:
+        raise ConfigError(
+            f"--sensors are not those of {command.init_from}, whose eyes learnt to see with its "
+            "own: leave --sensors away, or begin anew without --init-from"
+        )
+    if type(space) is not type(parent.space) or space.size != parent.space.size:
+        raise ConfigError(
+            f"--action-space is of another kind than that of {command.init_from}: leave it away, "
+            "or begin anew without --init-from"
+        )
+    if space != parent.space:
+        print(
+            f"--action-space is another than that of {command.init_from}: what it has learnt to "
+            "ask for now means something else",
+            file=sys.stderr,
+        )
+    return space, sensors, parent.network
 
 
 def _spread(share: float) -> Spread:

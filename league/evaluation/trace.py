@@ -124,15 +124,16 @@ class Trace:
     def _placed(self, moment: Moment, trial: int, row: Mapping[str, float]) -> dict:
         """Return a row with its place on the lap worked out."""
         track = moment.tracks.tracks[0]
-        assert self._lines is not None
-        pair = telling.closest_waypoints(self._lines.measures[0], row["nose_s"])
+        lines = self._lines
+        assert lines is not None
+        pair = telling.closest_waypoints(lines.places, lines.measures[0], row["nose_s"])
         # The referee counts laps where the base is; the original's progress is that of the nose.
         on_lap = row["distance"] - row["laps"] * row["lap_length"]
         progress = 100.0 * (on_lap + row["nose_ahead"]) / row["lap_length"]
         return {
             **row,
             "progress": round(min(max(progress, 0.0), 100.0), 6),
-            "closest_waypoint": nearer(self._lines.waypoints[0], pair, row["X"], row["Y"]),
+            "closest_waypoint": nearer(lines.waypoints[0], pair, row["X"], row["Y"]),
             "track_len": round(track.length, 6),
             "all_wheels_on_track": bool(row["all_wheels_on_track"]),
         }

@@ -46,6 +46,7 @@ def track(file: TrackFile, text: str, where: str) -> Track:
         colours=_colours(file),
         origin=file.origin,
         text=text,
+        waypoints=None if file.waypoints is None else np.array(file.waypoints, dtype=np.float64),
     )
     return check.sound(course, where)
 

@@ -1,4 +1,7 @@
-"""Whether a course is sound: no crossing, no overlap, no bend that nobody can drive."""
+"""Whether a course is sound: no crossing, no overlap, no bend that nobody can drive.
+
+Also where its waypoints lie along the lap.
+"""
 
 from __future__ import annotations
 
@@ -26,6 +29,8 @@ def sound(track: Track, where: str) -> Track:
     for side, border in (("left", track.left), ("right", track.right)):
         _check_reach(track, border, side, where)
     _check_borders(track, where)
+    if track.waypoints is not None:
+        _check_waypoints(track, track.waypoints, where)
     return track
 
 
@@ -63,6 +68,67 @@ def _check_borders(track: Track, where: str) -> None:
             f"{where}: the road overlaps itself near {_place(track.left, crossing[0])}; "
             "move the stretches apart or make the road narrower"
         )
+
+
+def _check_waypoints(track: Track, points: np.ndarray, where: str) -> None:
+    _, off = _projected(track, points)
+    row = int(off.argmax())
+    if off[row] > track.width / 2:
+        raise TrackError(
+            f"{where}: waypoints[{row}] lies {off[row]:.2f} m from the centreline; give points on "
+            "it, or leave waypoints out"
+        )
+    if track.closed and not np.array_equal(points[0], points[-1]):
+        raise TrackError(
+            f"{where}: the last of the waypoints is not the first once more; on a loop repeat it"
+        )
+    s = _in_order(track, points)
+    limit = s[0] + track.length if track.closed else np.inf
+    wrong = (s > limit + track.width / 2) | (np.diff(s, prepend=s[0]) < -track.width / 2)
+    wrong[-1] |= bool(track.closed and s[-1] < limit - track.width / 2)
+    if wrong.any():
+        raise TrackError(
+            f"{where}: waypoints[{int(wrong.argmax())}] is out of order; give them in driving "
+            "order, once along the track"
+        )
+
+
+def waypoint_places(track: Track) -> np.ndarray:
+    """Return how far along the lap each waypoint lies [m], shape (M,): never falling.
+
+    The first lies in [0, length), or [0, length] if open; beyond the start line they count on from
+    length, so that those of a loop end one length after they began.
+    """
+    if track.waypoints is None:
+        raise ValueError(f"the track {track.name} has no waypoints of its own")
+    s = np.maximum.accumulate(_in_order(track, track.waypoints))
+    return np.minimum(s, s[0] + track.length) if track.closed else s
+
+
+def _in_order(track: Track, points: np.ndarray) -> np.ndarray:
+    """Return where points in driving order lie [m], each counted on from the one before it."""
+    s, _ = _projected(track, points)
+    if not track.closed:
+        return s
+    # What lies a little behind the point before it has not gone round the whole lap.
+    slack = track.width / 2
+    steps = (np.diff(s) + slack) % track.length - slack
+    return s[0] % track.length + np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _projected(track: Track, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return where along the centreline points lie, and how far from it [m], shape (M,) each."""
+    center, last = track.center, len(track.center) - 1
+    nearest = KDTree(center).query(points)[1]
+    low = np.add.outer(nearest, [0, -1])  # the stretches after and before it, (M, 2)
+    low = low % (last + 1) if track.closed else np.clip(low, 0, last - 1)
+    begin = center[low]
+    edge = center[(low + 1) % (last + 1)] - begin
+    part = ((points[:, None] - begin) * edge).sum(axis=-1) / (edge**2).sum(axis=-1)
+    part = np.clip(part, 0.0, 1.0)
+    off = np.linalg.norm(points[:, None] - begin - part[..., None] * edge, axis=-1)
+    rows, best = np.arange(len(points)), off.argmin(axis=1)
+    return (low + part)[rows, best] * track.segment_lengths.mean(), off[rows, best]
 
 
 def first_crossing(

@@ -64,6 +64,9 @@ class Track:
     """Where the shape comes from."""
     text: str = ""
     """The YAML text it was made from, so that a replay can carry its track."""
+    waypoints: np.ndarray | None = None
+    """What reward functions are told [m], shape (M, 2), driving order; a closed track repeats row
+    0 as the last. None: points evenly spaced along the centreline."""
 
     @cached_property
     def length(self) -> float:
@@ -135,6 +138,7 @@ class Track:
             left=self.right[order],
             right=self.left[order],
             text="",
+            waypoints=None if self.waypoints is None else self.waypoints[::-1],
         )
 
 

@@ -83,6 +83,7 @@ def dump(track: Track) -> str:
             points=rounded(track.center, 4),
             left=None if even else rounded(track.left, 4),
             right=None if even else rounded(track.right, 4),
+            waypoints=None if track.waypoints is None else track.waypoints.tolist(),
         )
     )
 

@@ -40,7 +40,8 @@ def read_npy(path: str | os.PathLike[str], name: str | None = None) -> Track:
     """Import a community track file; nothing in it is executed and little of it is believed.
 
     Rows need not be perpendicular to the centreline: borders are taken as lines, and met by the
-    centreline's normals. "Inner" may lie on either side of the driver.
+    centreline's normals. "Inner" may lie on either side of the driver. The rows' centres are kept
+    as the track's waypoints, for reward functions that count on their numbers.
 
     Args:
         path: a .npy file, float array of shape (N, 6) [m]: centre, inner border, outer border.
@@ -63,7 +64,8 @@ def from_rows(rows: np.ndarray, name: str, where: str) -> Track:
         raise TrackError(f"{where} has {len(center)} different centre points; a track needs 4")
     # Files repeat row 0 at the end; a loop that does not still ends one step before its start.
     closed = gap < 1.5 * float(np.median(steps))
-    if closed and gap < 0.3 * float(np.median(steps)):
+    repeats = closed and gap < 0.3 * float(np.median(steps))
+    if repeats:
         center = center[:-1] if len(center) > 4 else center
     extent = np.ptp(center, axis=0).max()
     if extent > build.MAX_EXTENT or steps.sum() > build.MAX_LENGTH:
@@ -80,11 +82,30 @@ def from_rows(rows: np.ndarray, name: str, where: str) -> Track:
         )
     borders = [_border(rows[:, column : column + 2], closed, where) for column in (2, 4)]
     left, right = borders if _inner_is_left(rows) else borders[::-1]
-    return _fit(center, left, right, closed, name, where)
+    waypoints = _waypoints(rows, closed, repeats)
+    return _fit(center, left, right, waypoints, closed, name, where)
+
+
+def _waypoints(rows: np.ndarray, closed: bool, repeats: bool) -> np.ndarray:
+    """Return what the original tells as `waypoints`: the centres, on a loop ending with row 0's.
+
+    None is left out, not even one that repeats the row before it, and none is moved: a reward
+    function may name any by its number.
+    """
+    told = rows[:, :2]
+    if not closed:
+        return told
+    return np.concatenate([told[:-1] if repeats else told, told[:1]])
 
 
 def _fit(
-    center: np.ndarray, left: np.ndarray, right: np.ndarray, closed: bool, name: str, where: str
+    center: np.ndarray,
+    left: np.ndarray,
+    right: np.ndarray,
+    waypoints: np.ndarray,
+    closed: bool,
+    name: str,
+    where: str,
 ) -> Track:
     points = _thinned_curve(center, closed)
     width = _usual_width(points, left, right, closed, where)
@@ -100,6 +121,7 @@ def _fit(
             "points": files.rounded(points, 3),
             "left": files.rounded(left, 3),
             "right": files.rounded(right, 3),
+            "waypoints": waypoints.tolist(),
         },
         where,
     )

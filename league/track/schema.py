@@ -72,6 +72,9 @@ class TrackFile(_Strict):
     """Border on the driver's left; both borders follow from points and width if left out."""
     right: Polyline | None = None
     """Border on the driver's right."""
+    waypoints: Annotated[list[Point], Field(min_length=2, max_length=MAX_POINTS + 1)] | None = None
+    """What reward functions are told as `waypoints`, in driving order; evenly spaced points of the
+    centreline if left out. Unlike `points`, a loop repeats its first as its last."""
 
     @property
     def closed(self) -> bool:
@@ -198,12 +201,14 @@ _HINTS = {
     "points": _POINT,
     "left": _POINT,
     "right": _POINT,
+    "waypoints": _POINT,
 }
 _LENGTHS = {
     "point": _POINT,
     "points": f"give 3 to {MAX_POINTS} points [x, y]",
     "left": f"give 2 to {MAX_POINTS} points [x, y]",
     "right": f"give 2 to {MAX_POINTS} points [x, y]",
+    "waypoints": f"give 2 to {MAX_POINTS + 1} points [x, y]",
     "colours": _HINTS["colours"],
 }
 
@@ -258,7 +263,7 @@ def write(file: TrackFile) -> str:
         lines += [f"  {part}: {list(rgb)}" for part, rgb in colours.items()]
     if file.origin:
         lines.append(f"origin: {_quoted(file.origin)}")
-    for field in ("points", "left", "right"):
+    for field in ("points", "left", "right", "waypoints"):
         rows = getattr(file, field)
         if rows is not None:
             lines.append(f"{field}:")
@@ -267,7 +272,13 @@ def write(file: TrackFile) -> str:
 
 
 def _pair(point: list[float]) -> str:
-    return f"[{point[0]!r}, {point[1]!r}]"
+    return f"[{_number(point[0])}, {_number(point[1])}]"
+
+
+def _number(value: float) -> str:
+    """Write a number so that it is read as the same one: YAML takes 1e-05 for a text."""
+    text = repr(value)
+    return text if "." in text else text.replace("e", ".0e")
 
 
 def _quoted(text: str) -> str:

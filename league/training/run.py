@@ -7,10 +7,11 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import fmean
 from typing import TYPE_CHECKING
 
 from league import __version__
-from league.agents import checkpoint
+from league.agents import checkpoint, roster
 from league.agents.card import Card
 from league.agents.card import Reward as RewardCard
 from league.agents.checkpoint import Checkpoint
@@ -199,13 +200,17 @@ class Run:
         if self._self_play is not None:
             share = self._self_play.schedule(share)
         update = self.learner.update(share)
-        if self._parent is not None and update.number <= CRITIC_FIRST:
+        if self._parent is not None and self._only_watches(update.number):
             # A critic that knows nothing yet would spoil what the parent knows.
             self.learner.begin(dict(self._parent.weights))
         if self._self_play is not None:
             self._self_play.after_update(self.learner, self._share())
             update = replace(update, log=update.log | self._self_play.log())
         return update
+
+    def _only_watches(self, number: int) -> bool:
+        """Whether the actor was still its parent after this update."""
+        return self._parent is not None and number <= CRITIC_FIRST
 
     def _prepare(self) -> None:
         """Write the settings, and begin the history."""
@@ -231,6 +236,8 @@ class Run:
     def _save_point(self, update: Update, onlookers: Sequence[Onlooker]) -> None:
         self._take(onlookers, wait=False)
         due = (update.number // self.cfg.train.save_every) % self.cfg.exam_every == 0
+        # A parent that is only watched yet is not what was learnt.
+        due = due and not self._only_watches(update.number)
         # A judge that is still busy is not waited for: this policy goes without an evaluation.
         if due and not self._judge.waiting:
             self._hand(update.number)
@@ -293,6 +300,10 @@ class Run:
             self._hand(last)
         while self._waiting and not complete:
             self._take(onlookers, wait=True)
+        best = self.folder / "best.pt"
+        if self._best_evaluation is None and self._self_play is None and best.exists():
+            # It was judged before a resume, which keeps no table.
+            self._best_evaluation = judged(self._exam, checkpoint.load(best))
         if self._self_play is not None:
             for onlooker in onlookers:
                 onlooker.racing("racing the policy against its past for the win matrix")
@@ -358,16 +369,22 @@ class Run:
 
 
 def _merit(evaluation: Evaluation) -> tuple[float, ...]:
-    """Return what the best policy has most of: laps, then how far it came, then pace."""
+    """Return what the best policy has most of: laps, then how far it came, then pace.
+
+    Against others places count before all that: who wins has driven well enough.
+    """
     mean = evaluation.mean_lap_s
     laps = evaluation.complete_laps / evaluation.asked
-    places = [-place for place in evaluation.places]
-    won = sum(places) / len(places) if places else 0.0
-    return (laps, round(evaluation.completion, 3), won, -mean if mean is not None else -1e9)
+    driven = (laps, round(evaluation.completion, 3), -mean if mean is not None else -1e9)
+    return (-fmean(evaluation.places), *driven) if evaluation.places else driven
 
 
 def _exam(cfg: RunConfig, tracks: list) -> Exam:
     asked = courses.load(cfg.exam_tracks) if cfg.exam_tracks else courses.to_judge_on(cfg.tracks)
+    # Who learns to race others is judged by racing them; of self-play the matrix tells.
+    opponents = cfg.exam_opponents or cfg.opponents
+    for name in opponents:
+        roster.check(name)
     return Exam(
         tracks=tuple(asked),
         laps=cfg.exam_laps,
@@ -375,7 +392,7 @@ def _exam(cfg: RunConfig, tracks: list) -> Exam:
         kind=cfg.train.kind if cfg.train.kind != "head_to_head" else "time_trial",
         obstacles=cfg.train.obstacles,
         bots=cfg.train.bots,
-        opponents=cfg.exam_opponents,
+        opponents=opponents,
     )
 
 

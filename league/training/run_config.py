@@ -9,6 +9,7 @@ from pathlib import Path
 from pydantic import TypeAdapter, ValidationError
 
 from league.errors import ConfigError, PolicyError
+from league.evaluation.driving import MAX_TRIALS
 from league.training.settings import TrainConfig
 from league.whole_file import replacing
 
@@ -49,6 +50,8 @@ class RunConfig:
     """Share of self-play that is against scripted drivers, who teach to pass what is slower."""
     init_from: str = ""
     """Checkpoint to begin from."""
+    threads: int = 1
+    """Threads of torch, on which the last bits depend."""
     licence: str = "CC-BY-4.0"
     """Licence of the weights."""
     command: str = ""
@@ -63,6 +66,8 @@ class RunConfig:
             )
         if self.exam_every < 1 or self.exam_laps < 1 or self.exam_trials < 1:
             raise ConfigError("an evaluation needs at least 1 lap, 1 run and 1 save point")
+        if self.exam_trials > MAX_TRIALS:
+            raise ConfigError(f"exam_trials is {self.exam_trials}: give 1 to {MAX_TRIALS}")
         if self.stop_when_complete < 0:
             raise ConfigError(
                 f"stop_when_complete is {self.stop_when_complete}: give 0, which is never, or a "

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from scenes import go_to, make_square, put_cars, touch
+from scenes import go_to, make_ring, make_square, make_straight, put_cars, touch
 
 from league.envs.deepracer import telling
 from league.envs.deepracer.lines import Lines
@@ -161,6 +161,94 @@ def test_closest_waypoints_are_behind_and_ahead_along_the_lap(ring, base, closes
 def test_waypoint_after_the_last_one_is_the_first(straight):
     # At the very end of a straight there is nothing ahead.
     assert alone(straight(), (9.8, 0.0), (9.9, 0.0))["closest_waypoints"] == [67, 0]
+
+
+def told_waypoints(track, *places):
+    """Return a track with its own waypoints at these places, multiples of 5 cm."""
+    rows = [round(20 * place) % len(track.center) for place in places]
+    return replace(track, waypoints=track.center[rows])
+
+
+def closest(lines, s, *, track=0):
+    found = telling.closest_waypoints(lines.places, lines.measures[track], s)
+    return [int(one) for one in found]
+
+
+def test_waypoints_of_its_own_are_told_as_they_are():
+    track = told_waypoints(make_ring(), 0, 3, 3, 6, 9, 12)
+    told = alone(TrackSet.of(track), (2.9, 0.0), (3.0, 0.0))
+    assert told["waypoints"] == [tuple(point) for point in track.waypoints.tolist()]
+    assert len(told["waypoints"]) == 6
+    assert told["waypoints"][1] == told["waypoints"][2] == pytest.approx((RADIUS, RADIUS), abs=1e-3)
+    assert told["closest_waypoints"] == [2, 3]  # the nose is at 3.14 m
+    earlier = alone(TrackSet.of(track), (2.7, 0.0), (2.8, 0.0))
+    assert earlier["closest_waypoints"] == [0, 1]  # the nose is at 2.94 m
+
+
+@pytest.mark.parametrize("first", [0.0, 1.5, 11.5])
+@pytest.mark.parametrize("clockwise", [False, True])
+@pytest.mark.parametrize(
+    ("further", "pair"),
+    # Waypoints 0, 1, 4, 4, 9 and 12 m from the first one; the last is the first again.
+    [(0.0, [0, 1]), (0.99, [0, 1]), (1.0, [1, 2]), (1.01, [1, 2]), (3.99, [1, 2]), (4.0, [3, 4]),
+     (8.99, [3, 4]), (9.0, [4, 5]), (11.99, [4, 5]), (12.0, [0, 1]), (12.01, [0, 1])],
+)  # fmt: skip
+def test_closest_of_a_tracks_own_waypoints_wherever_the_first_one_lies(
+    first, clockwise, further, pair
+):
+    places = [first + place for place in (0, 1, 4, 4, 9, 12)]
+    lines = Lines.of(TrackSet.of(told_waypoints(make_ring(clockwise=clockwise), *places)))
+    assert closest(lines, (first + further) % 12) == pair
+
+
+@pytest.mark.parametrize(
+    ("further", "pair"),
+    # The other way round: 0, 3, 8, 8, 11 and 12 m from the first one.
+    [(0.0, [0, 1]), (2.99, [0, 1]), (3.0, [1, 2]), (7.99, [1, 2]), (8.0, [3, 4]), (11.0, [4, 5]),
+     (11.99, [4, 5])],
+)  # fmt: skip
+def test_closest_waypoints_of_a_reversed_track_count_the_other_way(further, pair):
+    track = told_waypoints(make_ring(), 1.5, 2.5, 5.5, 5.5, 10.5, 13.5)
+    back = track.reversed()
+    lines = Lines.of(TrackSet.of(track, back))
+    assert lines.waypoints[1] == lines.waypoints[0][::-1]
+    # The first one is 1.5 m behind the start line now.
+    assert closest(lines, (10.5 + further) % 12, track=1) == pair
+
+
+@pytest.mark.parametrize(
+    ("s", "pair"),
+    [(0.0, [0, 1]), (0.4, [0, 1]), (1.0, [0, 1]), (4.0, [2, 3]), (9.4, [2, 3]), (9.5, [3, 0]),
+     (10.0, [3, 0])],
+)  # fmt: skip
+def test_closest_waypoints_of_a_straight_have_nothing_before_the_first_and_0_after_the_last(
+    s, pair
+):
+    # They begin 0.5 m after the start and end 0.5 m before the end.
+    lines = Lines.of(TrackSet.of(told_waypoints(make_straight(), 0.5, 4, 4, 9.5)))
+    assert closest(lines, s) == pair
+
+
+def test_tracks_with_waypoints_of_their_own_and_without_stand_side_by_side():
+    own = told_waypoints(make_ring(), 0, 1, 4, 4, 9, 12)
+    other = told_waypoints(make_ring(), 0, 2, 12)
+    plain = make_straight()
+    lines = Lines.of(TrackSet.of(own, plain, other, plain))
+    pairs = [closest(lines, 4.6, track=number) for number in range(4)]
+    # 67 stretches on 10 m: 4.6 m is the 30.8th.
+    assert pairs == [[3, 4], [30, 31], [1, 2], [30, 31]]
+    assert lines.waypoints[1] == Lines.of(TrackSet.of(plain)).waypoints[0]
+    told = Told(TrackSet.of(own, other), ALONE, [(4.5, 0.0)], num_worlds=2)
+    told.world = replace(told.world, track=torch.tensor([0, 1]))
+    assert [row["closest_waypoints"] for row in told.step([(4.6, 0.0)])] == [[3, 4], [1, 2]]
+
+
+def test_no_two_closest_waypoints_are_the_same_place():
+    # The first, the last and one in between come twice, as files have them.
+    lines = Lines.of(TrackSet.of(told_waypoints(make_ring(), 0, 0, 3, 3, 9, 12, 12)))
+    for s in (0.0, 1.5, 3.0, 6.0, 9.0, 11.9999999, math.nextafter(12.0, 0.0), 12.0):
+        behind, ahead = closest(lines, s)
+        assert lines.waypoints[0][behind] != lines.waypoints[0][ahead]
 
 
 def test_speed_and_steering_are_what_was_asked_for_not_what_is(straight):

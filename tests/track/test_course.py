@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from league.track import files
+from league.track import check, files
 from league.track.course import TrackSet
 
 from . import shapes
@@ -186,6 +186,22 @@ def test_reversed_place_is_a_lap_less_the_place_and_on_the_other_side():
     assert back.s.item() == pytest.approx(track.length - 3.0, abs=0.01)
     assert back.lateral.item() == pytest.approx(-0.2, abs=5e-3)
     assert back.cos.item() == pytest.approx(-frame.cos.item(), abs=1e-3)
+
+
+def test_reversed_track_has_its_waypoints_in_the_other_order():
+    # Quarters of a circle of 2 m from a quarter beyond the start line on, the second one twice.
+    told = [[0, 2], [-2, 0], [-2, 0], [0, -2], [2, 0], [0, 2]]
+    track = files.parse(shapes.text(shapes.circle_points()) + f"waypoints: {told}\n")
+    back = track.reversed()
+    assert back.waypoints.tolist() == told[::-1]
+    quarter = np.pi
+    np.testing.assert_allclose(
+        check.waypoint_places(track), np.array([1, 2, 2, 3, 4, 5]) * quarter, atol=2e-3
+    )
+    np.testing.assert_allclose(
+        check.waypoint_places(back), np.array([3, 4, 5, 6, 6, 7]) * quarter, atol=2e-3
+    )
+    assert track.reversed().reversed().waypoints.tolist() == told
 
 
 def test_reversed_straight_is_driven_from_its_far_end():

@@ -7,13 +7,14 @@ import pytest
 from scipy.spatial import KDTree
 
 from league.errors import TrackError
-from league.track import files, spline
+from league.track import check, files, schema, spline
 from league.track.course import Colours
 
 from . import shapes
 
 SHARED = Path(__file__).parents[3] / "shared" / "tracks"
 GOOD = shapes.text([[0, 0], [4, 0], [4, 3], [0, 3]])
+TOLD = "[0, 0], [4, 0], [4, 3], [0, 3]"
 
 
 def _refusal(text: str) -> str:
@@ -126,6 +127,47 @@ def test_a_corner_tighter_than_half_the_road_is_clipped_without_crossing():
     np.testing.assert_allclose(np.linalg.norm(track.right - track.center, axis=1), 0.53)
 
 
+def test_waypoints_are_kept_as_given():
+    track = files.parse(GOOD + f"waypoints: [{TOLD}, [0, 0]]\n")
+    assert track.waypoints.tolist() == [[0, 0], [4, 0], [4, 3], [0, 3], [0, 0]]
+    assert files.parse(GOOD).waypoints is None
+
+
+def test_waypoints_are_written_only_where_there_are_some():
+    read = schema.read(GOOD, "my.yaml")
+    assert "waypoints" not in schema.write(read)
+    # 1e-05 is a text to YAML, and 1.0e-05 the number.
+    told = [[1e-05, -2.5e-16], [4.0, 0.1 + 0.2], [1e-05, -2.5e-16]]
+    text = schema.write(read.model_copy(update={"waypoints": told}))
+    assert schema.read(text, "my.yaml").waypoints == told
+
+
+def test_waypoints_may_begin_anywhere_on_the_lap():
+    # A circle of 2 m from its east; the start line is moved to its north, a quarter further on.
+    east = [[2, 0], [0, 2], [0, 2], [-2, 0], [0, -2], [2, 0]]
+    text = shapes.text(shapes.circle_points()) + f"start: [0, 2]\nwaypoints: {east}\n"
+    places = check.waypoint_places(files.parse(text))
+    np.testing.assert_allclose(places, np.array([3, 4, 4, 5, 6, 7]) * np.pi, atol=2e-3)
+
+
+def test_waypoints_of_a_track_that_has_none_are_asked_for_in_vain():
+    with pytest.raises(ValueError, match="test_track has no waypoints"):
+        check.waypoint_places(files.parse(GOOD))
+
+
+def test_waypoints_that_step_back_a_little_are_held():
+    points = [[0, 0], [3, 0], [6, 0]]
+    text = shapes.text(points, direction="open") + "waypoints: [[0, 0], [3, 0], [2.8, 0], [6, 0]]"
+    places = check.waypoint_places(files.parse(text))
+    np.testing.assert_allclose(places, [0, 3, 3, 6], atol=1e-9)
+
+
+def test_dumped_and_read_again_a_reversed_track_keeps_its_waypoints():
+    track = files.parse(GOOD + f"waypoints: [{TOLD}, [0, 0]]\n")
+    again = files.parse(files.dump(track.reversed()))
+    assert again.waypoints.tolist() == [[0, 0], [0, 3], [4, 3], [4, 0], [0, 0]]
+
+
 BROKEN = {
     "nan": (GOOD.replace("[4, 0]", "[.nan, 0]"), ["line 6", "points[1][0]", "finite"]),
     "infinity": (GOOD.replace("[4, 0]", "[4, .inf]"), ["points[1][1]", "finite"]),
@@ -181,6 +223,36 @@ BROKEN = {
         + "left: [[-1, 0.4], [5, 0.4]]\nright: [[-1, -0.4], [5, -0.4]]\n",
         ["0.800 m apart", "`width: 0.800`"],
     ),
+    "waypoint off the track": (
+        GOOD + "waypoints: [[0, 0], [4, 0], [2, 1.5], [0, 0]]\n",
+        ["waypoints[2] lies", "m from the centreline"],
+    ),
+    "waypoints out of order": (
+        GOOD + "waypoints: [[0, 0], [4, 3], [4, 0], [0, 3], [0, 0]]\n",
+        ["waypoints[2] is out of order", "driving order"],
+    ),
+    "waypoints the other way round": (
+        GOOD + "waypoints: [[0, 0], [0, 3], [4, 3], [4, 0], [0, 0]]\n",
+        ["waypoints[2] is out of order", "driving order"],
+    ),
+    "waypoints that go nowhere": (
+        GOOD + "waypoints: [[0, 0], [0, 0]]\n",
+        ["waypoints[1] is out of order", "once along"],
+    ),
+    "waypoints of a straight out of order": (
+        shapes.text([[0, 0], [2, 0], [4, 0]], direction="open")
+        + "waypoints: [[0, 0], [3, 0], [1, 0]]\n",
+        ["waypoints[2] is out of order"],
+    ),
+    "waypoints that do not close": (
+        GOOD + f"waypoints: [{TOLD}]\n",
+        ["waypoints", "on a loop", "repeat"],
+    ),
+    "one waypoint": (GOOD + "waypoints: [[0, 0]]\n", ["line 7", "waypoints", "2 to 2001"]),
+    "many waypoints": (GOOD + f"waypoints: {[[0, 0]] * 2002}\n", ["2 to 2001 points"]),
+    "waypoint of three": (GOOD + "waypoints: [[0, 0, 1], [4, 0]]\n", ["waypoints[0]", "[x, y]"]),
+    "waypoint nan": (GOOD + "waypoints: [[.nan, 0], [4, 0]]\n", ["waypoints[0][0]", "finite"]),
+    "waypoints as prose": (GOOD + "waypoints: all\n", ["waypoints", "'all'", "[x, y]"]),
     "colour": (GOOD + "colours: {road: [1, 2, 300]}\n", ["colours.road[2]", "0 to 255"]),
     "name": (GOOD.replace("test_track", "../evil"), ["name", "letters"]),
     "empty": ("", ["not a track file", "nothing"]),

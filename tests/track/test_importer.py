@@ -8,7 +8,7 @@ from scipy.spatial import KDTree
 from league import race
 from league.errors import TrackError
 from league.race_spec import Entry, RaceSpec
-from league.track import files, importer, spline
+from league.track import check, files, importer, spline
 
 SHARED = Path(__file__).parents[3] / "shared" / "tracks"
 COMMUNITY = sorted(SHARED.glob("*.npy")) if SHARED.is_dir() else []
@@ -55,6 +55,27 @@ def test_a_community_track_is_reproduced_within_a_centimetre(path):
         assert np.array_equal(getattr(again, field), getattr(track, field))
 
 
+@pytest.mark.parametrize("path", COMMUNITY, ids=lambda path: path.stem)
+def test_waypoints_of_a_community_track_are_its_rows_to_the_bit(path):
+    rows = np.load(path)
+    track = importer.read_npy(path)
+    assert np.array_equal(track.waypoints, rows[:, :2])
+    assert np.array_equal(files.parse(track.text).waypoints, rows[:, :2])
+    _assert_in_step(track, rows)
+
+
+def _assert_in_step(track, rows: np.ndarray) -> None:
+    """Assert that waypoints lie as far apart along our lap as along the lines that join them."""
+    places = check.waypoint_places(track)
+    chords = np.linalg.norm(np.diff(rows[:, :2], axis=0), axis=1)
+    # Two rows up to 8 mm off the curve; a bend of 0.3 m is 4 % longer than a chord of 0.3 m.
+    np.testing.assert_allclose(np.diff(places), chords, rtol=0.05, atol=0.01)
+    assert not np.diff(places)[chords == 0].any()
+    if track.closed:
+        assert places[-1] - places[0] == pytest.approx(track.length)
+    assert min(places[0], track.length - places[0]) < 1e-3  # row 0 is on the start line
+
+
 def _distance_to_line(points: np.ndarray, line: np.ndarray) -> np.ndarray:
     parts = np.linspace(0, 1, 60)[:, None, None]
     dense = (line[:-1] + (line[1:] - line[:-1]) * parts).reshape(-1, 2)
@@ -97,6 +118,49 @@ def test_repeated_rows_and_rows_out_of_square_change_little(tmp_path):
     left = np.linalg.norm(skew.left - skew.center, axis=1)
     np.testing.assert_allclose(left, 0.4, atol=0.06)
     assert skew.width == pytest.approx(clean.width, abs=0.005)
+
+
+@pytest.mark.parametrize("clockwise", [False, True])
+def test_waypoints_are_the_rows_as_they_are_repeated_ones_too(tmp_path, clockwise):
+    rows = _rows(clockwise=clockwise) + (0.1, 0.2) * 3
+    rows[-1] = rows[0]
+    rows = np.insert(rows, 20, rows[20], axis=0)  # a zero-length segment
+    track = importer.read_npy(_write(tmp_path / "ring.npy", rows))
+    assert len(rows) == 81
+    assert np.array_equal(track.waypoints, rows[:, :2])
+    assert np.array_equal(files.parse(track.text).waypoints, rows[:, :2])
+    _assert_in_step(track, rows)
+
+
+def test_waypoints_of_an_open_track_are_its_rows(tmp_path):
+    rows = _straight()
+    track = importer.read_npy(_write(tmp_path / "straight.npy", rows))
+    assert np.array_equal(track.waypoints, rows[:, :2])
+    # 61 rows on 6 m.
+    np.testing.assert_allclose(check.waypoint_places(track), np.linspace(0, 6, 61), atol=1e-3)
+
+
+def test_waypoints_of_a_loop_end_where_they_begin_whatever_the_file_does(tmp_path):
+    rows = _rows()
+    once = importer.read_npy(_write(tmp_path / "once.npy", rows[:-1]))
+    assert np.array_equal(once.waypoints, [*rows[:-1, :2], rows[0, :2]])
+    rows[-1] += 0.004  # meant to be row 0
+    nearly = importer.read_npy(_write(tmp_path / "nearly.npy", rows))
+    assert np.array_equal(nearly.waypoints, [*rows[:-1, :2], rows[0, :2]])
+
+
+def test_waypoints_of_the_largest_array_fit_into_a_track_file(tmp_path):
+    rows = _rows(2001)[:-1]
+    track = importer.read_npy(_write(tmp_path / "large.npy", rows))
+    assert len(track.waypoints) == 2001
+    assert np.array_equal(files.parse(track.text).waypoints, track.waypoints)
+
+
+def test_waypoints_in_single_precision_are_told_in_double(tmp_path):
+    rows = _rows().astype(np.float32)
+    rows[-1] = rows[0]
+    track = importer.read_npy(_write(tmp_path / "single.npy", rows))
+    assert np.array_equal(track.waypoints, rows[:, :2].astype(np.float64))
 
 
 def _clockwise() -> np.ndarray:

@@ -11,6 +11,7 @@ from league.agents import checkpoint
 from league.errors import ConfigError, PolicyError, RewardError
 from league.evaluation import evaluate
 from league.training import history, judge
+from league.training import run as run_room
 from league.training.run import Run
 from league.training.run_config import RunConfig, settings
 
@@ -67,6 +68,39 @@ def test_in_self_play_the_newest_is_best_of_those_that_come_as_far(tmp_path, mon
     assert [row.best for row in run.history.evaluations] == [True, False, True]
     assert outcome.matrix is not None
     assert onlooker.races == ["racing the policy against its past for the win matrix"]
+
+
+def test_who_learns_to_race_others_is_judged_by_racing_them(tmp_path):
+    cfg = small.cfg(
+        2, train=small.train(kind="head_to_head", num_cars=2), opponents=("centerline",)
+    )
+    run = small.run(tmp_path, cfg)
+    evaluation = run.learn().evaluation
+    assert evaluation is not None
+    assert (evaluation.kind, len(evaluation.places)) == ("head_to_head", 1)
+    assert run_room._merit(evaluation.model_copy(update={"places": (1, 2)}))[0] == -1.5
+
+
+def test_a_parent_that_is_only_watched_yet_is_not_judged(tmp_path):
+    first = small.run(tmp_path / "first", small.cfg(2))
+    first.learn()
+    cfg = small.cfg(6, init_from=str(tmp_path / "first" / "last.pt"))
+    run = small.run(tmp_path / "second", cfg)
+    run.learn()
+    # Save points come every 2 updates; the actor begins to learn with the fifth.
+    assert [row.number for row in run.history.evaluations] == [6]
+
+
+def test_a_resumed_run_tells_of_its_best_though_nothing_better_came(tmp_path, monkeypatch):
+    monkeypatch.setattr(judge, "judged", passed)
+    cfg = small.cfg(8)
+    run = small.run(tmp_path, cfg)
+    with pytest.raises(KeyboardInterrupt):
+        run.learn([small.Onlooker(after=interrupt_after(5))])
+    monkeypatch.undo()
+    again = small.run(tmp_path, cfg)
+    again.resume()
+    assert again.learn().evaluation is not None
 
 
 def test_run_ends_after_evaluations_with_every_lap_complete(tmp_path, monkeypatch):

@@ -1,4 +1,7 @@
-"""The courses as reward functions are told of them: waypoints as lists, tables to look up."""
+"""The courses as reward functions are told of them: waypoints as lists, tables to look up.
+
+A track's own waypoints are told as they are; the others' are spaced evenly along the centreline.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ from torch import Tensor
 
 from league.envs.deepracer.telling import MEASURES
 from league.sim import referee
+from league.track import check
 from league.track.course import Track, TrackSet
 
 WAYPOINT_SPACING = 0.15
@@ -26,12 +30,14 @@ class Lines:
     """The points of all tracks, as `telling.tell` takes them."""
     measures: np.ndarray
     """MEASURES of each track."""
+    places: np.ndarray
+    """How far along the lap waypoints lie [m], of one track with its own after another; see
+    `check.waypoint_places`."""
     clockwise: list[bool]
     """Whether each is driven clockwise."""
     waypoints: tuple[list[Point], ...]
-    """Each track's centreline in driving order; closed tracks repeat the first point as the last.
-    Whoever is handed one gets a copy of the list; its points are tuples, which nobody can change.
-    """
+    """Each track's, in driving order; closed tracks repeat the first point as the last. Whoever is
+    handed one gets a copy of the list; its points are tuples, which nobody can change."""
 
     @classmethod
     def of(cls, tracks: TrackSet) -> Lines:
@@ -45,9 +51,13 @@ class Lines:
         measures["lap"] = _wide(referee.lap_length(tracks, number)[:, 0])
         measures["closed"] = tracks.closed.cpu().numpy()
         measures["steps"] = [_steps(track) for track in tracks.tracks]
+        places = [_places(track) for track in tracks.tracks]
+        count = np.array([len(those) for those in places])
+        measures["first_place"] = np.where(count > 0, np.cumsum(count) - count, -1)
         return cls(
             rows=_wide(tracks.rows),
             measures=measures,
+            places=np.concatenate(places),
             clockwise=[track.direction == "clockwise" for track in tracks.tracks],
             waypoints=tuple(_waypoints(track) for track in tracks.tracks),
         )
@@ -58,12 +68,21 @@ def _wide(values: Tensor) -> np.ndarray:
     return np.ascontiguousarray(values.cpu().numpy(), dtype=np.float64)
 
 
+def _places(track: Track) -> np.ndarray:
+    """Return where a track's own waypoints lie [m]; nothing if they are evenly spaced."""
+    return np.empty(0) if track.waypoints is None else check.waypoint_places(track)
+
+
 def _steps(track: Track) -> int:
+    if track.waypoints is not None:
+        return len(track.waypoints) - 1
     return max(round(track.length / WAYPOINT_SPACING), 3)
 
 
 def _waypoints(track: Track) -> list[Point]:
-    """Return points evenly spaced along the centreline, the first on the start line."""
+    """Return a track's own, or else points evenly spaced from the start line on."""
+    if track.waypoints is not None:
+        return [(x, y) for x, y in track.waypoints.tolist()]
     points = np.vstack([track.center, track.center[:1]]) if track.closed else track.center
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     wanted = np.linspace(0.0, along[-1], _steps(track) + 1)

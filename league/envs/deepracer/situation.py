@@ -129,7 +129,7 @@ class Situations:
         if self._to_note:
             self._to_note = telling.note_starts(*known, _cars(before, book), track)
         own, others = telling.tell(
-            *(*known, _cars(world, book), _obstacles(world), track),
+            *(*known, lines.places, _cars(world, book), _obstacles(world), track),
             *(_array(book.laps), _array(verdict.lap), _array(verdict.crashed)),
             *(_array(world.step), self._step_dt),
         )

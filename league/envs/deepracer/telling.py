@@ -51,6 +51,7 @@ MEASURES = np.dtype(
         ("lap", "f8"),  # what counts as a lap [m]: the length, but of an open track a little less
         ("closed", "?"),  # whether the track is a loop
         ("steps", "i8"),  # stretches between two waypoints
+        ("first_place", "i8"),  # where its waypoints' places begin; -1: they are evenly spaced
     ]
 )
 """What is known of each track."""
@@ -105,7 +106,10 @@ def note_starts(rows, measures, bodies, memory, cars, track):  # noqa: ANN001, A
 
 
 @compiled
-def tell(rows, measures, bodies, memory, cars, obstacles, track, laps, lap, crashed, step, step_dt):  # noqa: ANN001, ANN201
+def tell(  # noqa: ANN201
+    rows, measures, bodies, memory, places,  # noqa: ANN001
+    cars, obstacles, track, laps, lap, crashed, step, step_dt,  # noqa: ANN001
+):  # fmt: skip
     """Return what each paid car is told that stands no penalty and has not finished.
 
     Args:
@@ -115,6 +119,7 @@ def tell(rows, measures, bodies, memory, cars, obstacles, track, laps, lap, cras
         bodies: BODY of all cars, (1,).
         memory: MEMORY of each car, (num_worlds, num_cars); steps are counted in it, and a lap ends
             an episode.
+        places: how far along the lap waypoints lie [m], for tracks with waypoints of their own.
         cars: all cars after the step, float64 (12, num_worlds, num_cars).
         obstacles: float64 (9, num_worlds, num_obstacles).
         track: track of each world, int64 (num_worlds,).
@@ -140,7 +145,7 @@ def tell(rows, measures, bodies, memory, cars, obstacles, track, laps, lap, cras
             row = own[number]
             row[WORLD], row[CAR], row[TRACK] = world, car, track[world]
             row[CRASHED], row[SIM_TIME] = crashed[world, car], step[world] * step_dt
-            _tell_of_itself(rows, road, body, its, row)
+            _tell_of_itself(rows, road, body, places, its, row)
             _tell_of_episode(road, known, its, laps[world, car], lap[world, car], row)
             _tell_of_objects(road, body, cars, obstacles, world, car, row, others[number])
             number += 1
@@ -154,7 +159,7 @@ def _stopped(its):  # noqa: ANN001, ANN202
 
 
 @inner
-def _tell_of_itself(rows, road, body, its, row):  # noqa: ANN001, ANN202
+def _tell_of_itself(rows, road, body, places, its, row):  # noqa: ANN001, ANN202
     x, y, s, lateral, left, right = _nose(rows, road, body, its)
     row[X], row[Y], row[HEADING] = x, y, _heading(its[_YAW])
     row[STEERING], row[SPEED] = _rounded(its[_STEERING] * _DEGREES), _rounded(its[_SPEED])
@@ -162,7 +167,7 @@ def _tell_of_itself(rows, road, body, its, row):  # noqa: ANN001, ANN202
     row[WIDTH], row[LENGTH] = left + right, road.length
     row[IS_LEFT] = left - lateral < right + lateral
     row[ALL_ON_ROAD], row[NONE_ON_ROAD] = _on_road(rows, road, body, its)
-    row[BEHIND], row[FOLLOWING] = closest_waypoints(road, s)
+    row[BEHIND], row[FOLLOWING] = closest_waypoints(places, road, s)
 
 
 @inner
@@ -211,12 +216,41 @@ def _tell_of_objects(road, body, cars, obstacles, world, car, row, told):  # noq
 
 
 @compiled
-def closest_waypoints(road, s):  # noqa: ANN001, ANN201
-    """Return the waypoint at or behind a place, and the next one; after the last comes 0."""
+def closest_waypoints(places, road, s):  # noqa: ANN001, ANN201
+    """Return the waypoint at or behind a place, and the next one; after the last comes 0.
+
+    Args:
+        places: see `tell`.
+        road: MEASURES of one track.
+        s: distance along the centreline, in [0, length] [m].
+    """
     # The tiny share keeps a place right at a waypoint from falling behind it by rounding.
-    behind = math.floor(s / road.length * road.steps + 1e-6)
+    if road.first_place < 0:
+        behind = math.floor(s / road.length * road.steps + 1e-6)
+    else:
+        behind = _last_reached(places, road, s + 1e-6 * road.length / road.steps)
     behind = min(max(behind, 0), road.steps)
     return behind, 0 if behind >= road.steps else behind + 1
+
+
+@inner
+def _last_reached(places, road, s):  # noqa: ANN001, ANN202
+    """Return the last waypoint at or before a place, -1 before the first: by bisection."""
+    low, high = road.first_place, road.first_place + road.steps + 1
+    if road.closed:
+        # Right at the seam the first waypoint counts, so that no pair is twice the same point.
+        lap = places[high - 1] - places[low]
+        if s < places[low]:
+            s += lap
+        elif s >= places[high - 1]:
+            s -= lap
+    while low < high:
+        middle = (low + high) // 2
+        if places[middle] <= s:
+            low = middle + 1
+        else:
+            high = middle
+    return low - 1 - road.first_place
 
 
 @compiled
