@@ -16,7 +16,7 @@ import torch
 
 from benchmarks.lap_bound import lap_bound
 from benchmarks.report import figure, heading, machine
-from league.agents import roster
+from league.agents import checkpoint, roster
 from league.agents.driver import Driver
 from league.errors import PolicyError
 from league.evaluation import Evaluation, evaluate
@@ -134,19 +134,18 @@ def novice(found: Found) -> None:
 def duelist(found: Found, races: int = 200) -> None:
     """Mirrored races against its parent, against the centreline, and against its own past."""
     tracks, car = TrackSet.of(files.load(HOME)), CarConfig()
-    mine = roster.policy(str(found["duelist"]), tracks, car, exact=False)
+    mine = roster.policy(str(found["duelist"]), tracks, car)
     rivals: dict[str, tuple[Driver, float]] = {}
     if "novice" in found:  # its parent
-        rivals["novice"] = roster.policy(str(found["novice"]), tracks, car, exact=False), 0.65
+        rivals["novice"] = roster.policy(str(found["novice"]), tracks, car), 0.65
     rivals["centerline"] = roster.load("centerline", tracks, car), 0.95
     for name, (rival, goal) in rivals.items():
         won, score = _win_rate(tracks, mine, rival, races)
         figure(f"duelist: won of {races} mirrored races against {name}", won, "of all", goal)
         figure(f"duelist: contacts to blame for, against {name}", score.contacts_per_km, "per km")
-    past = sorted(found["duelist"].with_suffix(".run").glob("pool/*.pt"))
     rates = {}
-    for path in past:
-        rival = roster.policy(str(path), tracks, car, exact=False)
+    for path in _past(found["duelist"]):
+        rival = roster.policy(str(path), tracks, car)
         rates[path.stem] = _win_rate(tracks, mine, rival, races)[0]
     if rates:
         worst = min(rates, key=rates.__getitem__)
@@ -154,6 +153,13 @@ def duelist(found: Found, races: int = 200) -> None:
         figure(f"duelist: smallest win rate against its past ({worst})", rates[worst], "", 0.45)
     else:
         print("No past selves lie beside the duelist: nothing to tell of them.")
+
+
+def _past(duelist: Path) -> list[Path]:
+    """Return the snapshots beside a duelist that are older than it, its parent first."""
+    taken = checkpoint.load(duelist).card.results.get("updates") or 0.0
+    found = sorted(duelist.with_suffix(".run").glob("pool/*.pt"))
+    return [path for path in found if not path.stem.isdigit() or int(path.stem) < taken]
 
 
 def _win_rate(
