@@ -18,6 +18,14 @@ def test_table_of_trials_and_a_line_that_sums_it_up(league):
     assert f"2 of 2 laps complete, 2 clean · best {min(time for _, time in rows)}" in out
 
 
+def test_a_narrow_terminal_still_shows_the_times(league, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "50")
+    code, out, _ = league("evaluate", "centerline", *QUICK)
+    assert code == 0
+    assert re.search(r"^ 1 +lap complete +0:\d\d\.\d{3} +100\.0 +0 +0", out, re.MULTILINE)
+    assert all(len(line) <= 50 for line in out.splitlines()[:5])
+
+
 def test_several_tracks_are_several_tables(league):
     code, out, _ = league("evaluate", "centerline", *QUICK, "--track", "reinvent_2018", "peanut")
     assert code == 0

@@ -124,9 +124,10 @@ def test_hyperparameters_by_deepracers_names_are_taken(league, tmp_path):
     code, _, err = league(
         *("train", "--reward", "centerline", "--sensors", "lidar", "--num-worlds", "4"),
         *("--rollout", "8", "--minutes", "0", "--steps", "32", "--plain", "--no-tensorboard"),
-        *("--out", "h.pt", "--hyperparameters", "h.json"),
+        *("--out", "h.pt", "--hyperparameters", "h.json", "--action-space", "3x1@1.0"),
     )
     assert code == 0
+    assert "beta_entropy" not in err
     assert "loss_type" in err  # read, and said not to be used
     ppo = settings(tmp_path / "h.run").train.ppo
     assert ppo.mini_batches == 4  # 4 worlds x 8 steps in batches of 8
@@ -134,6 +135,24 @@ def test_hyperparameters_by_deepracers_names_are_taken(league, tmp_path):
     assert ppo.learning_rate == (0.0004, 0.0004)
     assert ppo.entropy == (0.02, 0.02)
     assert ppo.gamma == 0.97
+
+
+def test_hyperparameters_that_mean_nothing_here_are_said_to(tmp_path, capsys):
+    path = tmp_path / "h.json"
+    path.write_text(json.dumps({"batch_size": 512, "beta_entropy": 0.02}))
+    ppo = config(Train(hyperparameters=path, num_worlds=4)).train.ppo
+    assert (ppo.mini_batches, ppo.entropy) == (1, PpoConfig().entropy)
+    batch, entropy = capsys.readouterr().err.splitlines()
+    assert "batch_size is 512, and a rollout has 256 decisions" in batch
+    assert "beta_entropy not used here" in entropy
+
+
+def test_sigterm_is_heard_as_ctrl_c_while_a_run_learns():
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(KeyboardInterrupt), train._saved_on_sigterm():
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(1.0)
+    assert signal.getsignal(signal.SIGTERM) == before
 
 
 def test_what_the_file_does_not_name_is_as_a_trained_policy_needs_it(league, tmp_path):

@@ -203,14 +203,21 @@ def _keep_replay(command: Evaluate, track: str) -> None:
         print(told(path))
 
 
+_WIDTH = 80
+"""Letters across that the table's heads need when written out."""
+
+
 def print_table(done: Evaluation) -> None:
     """Print the console's table of trials and a line that sums it up."""
     title = f"{done.driver}: {done.kind.replace('_', ' ')} on {done.track}"
-    table = tables.table(
-        title, "trial", "status", "time", "% completed", "off-tracks", "crashes", "penalty"
-    )
+    console = tables.console()
+    heads = ["trial", "status", "time", "% completed", "off-tracks", "crashes"]
+    if console.width < _WIDTH:
+        heads = ["", "status", "time", "%", "off", "crash"]
+    punished = any(one.penalty_s for one in done.trials)
+    table = tables.table(title, *heads, *(["penalty"] if punished else []))
     for one in done.trials:
-        table.add_row(
+        row = (
             str(one.trial),
             one.status.replace("_", " "),
             tables.clock(one.time_s),
@@ -219,7 +226,8 @@ def print_table(done: Evaluation) -> None:
             str(one.crashes),
             f"{one.penalty_s:g} s" if one.penalty_s else "",
         )
-    tables.console().print(table)
+        table.add_row(*row[: len(table.columns)])
+    console.print(table)
     print(summary(done))
 
 

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import signal
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -133,7 +137,9 @@ def _train(command: Train) -> int:
     from league.training.learner import threads
     from league.training.run import Run
 
-    with threads(cfg.threads):
+    if any(name.startswith("generated:") for name in cfg.tracks):
+        print("Drawing the tracks; hundreds take half a minute.", flush=True)
+    with threads(cfg.threads), _saved_on_sigterm():
         run = Run(cfg, folder)
         if command.resume:
             _resume(command, run)
@@ -148,6 +154,23 @@ def _train(command: Train) -> int:
             raise
     _report(command, outcome)
     return 0
+
+
+@contextmanager
+def _saved_on_sigterm() -> Iterator[None]:
+    """Let SIGTERM be what Ctrl-C is: what was learnt is saved, and the cursor comes back."""
+
+    def stop(number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread hears signals
+        return
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _kept(command: Train, folder: Path) -> str:

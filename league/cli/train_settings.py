@@ -98,6 +98,7 @@ def _learner(command: Train) -> TrainConfig:
     from league.sim.config import LookConfig
     from league.training.settings import PpoConfig, TrainConfig
 
+    space, sensors, network = _body(command)
     given = {
         "learning_rate": command.learning_rate,
         "noise": command.noise,
@@ -111,10 +112,9 @@ def _learner(command: Train) -> TrainConfig:
     if command.kind == "head_to_head":
         base = base.racing()
     if command.hyperparameters is not None:
-        base = _from_deepracer(command.hyperparameters, base, command)
+        base = _from_deepracer(command.hyperparameters, base, command, space)
     from dataclasses import replace
 
-    space, sensors, network = _body(command)
     ppo = replace(base, **{name: value for name, value in given.items() if value is not None})
     cars = 1
     if command.kind == "head_to_head":
@@ -213,10 +213,11 @@ def _spread(share: float) -> Spread:
     )
 
 
-def _from_deepracer(path: Path, ppo: PpoConfig, command: Train) -> PpoConfig:
+def _from_deepracer(path: Path, ppo: PpoConfig, command: Train, space: ActionSpace) -> PpoConfig:
     """Return the learner's settings with those that a hyperparameters.json names."""
     from dataclasses import asdict, replace
 
+    from league.envs.action_space import DiscreteActions
     from league.envs.deepracer import hyperparameters
 
     asked = hyperparameters.read(path)
@@ -229,9 +230,16 @@ def _from_deepracer(path: Path, ppo: PpoConfig, command: Train) -> PpoConfig:
         ppo = replace(ppo, epochs=asked.num_epochs)
     if asked.batch_size is not None:
         ppo = replace(ppo, mini_batches=max(1, rollout // asked.batch_size))
-    if asked.beta_entropy is not None:
+        if asked.batch_size > rollout:
+            print(
+                f"{path}: batch_size is {asked.batch_size}, and a rollout has {rollout} decisions, "
+                "which are one batch",
+                file=sys.stderr,
+            )
+    taken = {"lr", "discount_factor", "num_epochs", "batch_size", "stack_size"}
+    if asked.beta_entropy is not None and isinstance(space, DiscreteActions):
         ppo = replace(ppo, entropy=(asked.beta_entropy, asked.beta_entropy))
-    taken = {"lr", "discount_factor", "num_epochs", "batch_size", "beta_entropy", "stack_size"}
+        taken.add("beta_entropy")
     left = [name for name, value in asdict(asked).items() if value is not None]
     left = [name for name in left if name not in taken]
     if left:

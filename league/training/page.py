@@ -166,7 +166,8 @@ class Page:
         grid.add_column(ratio=1)
         grid.add_column(justify="right", no_wrap=True)
         if left is None:
-            grid.add_row(Text(clock(spent), style="bold"), Text(""), Text("until it is stopped"))
+            end = f"to {self._budget_steps:,} decisions" if self._budget_steps else "until Ctrl-C"
+            grid.add_row(Text(clock(spent), style="bold"), Text(""), Text(end))
             return grid
         left = max(left - since, 0.0)
         whole = max(spent + left, 1e-9)

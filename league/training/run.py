@@ -108,6 +108,7 @@ class Run:
         self._best_evaluation: Evaluation | None = None
         self.history = History()
         self._matrix: WinMatrix | None = None
+        self._lock: int | None = None
 
     def resume(self) -> None:
         """Go on from the folder's state, with the settings it was begun with.
@@ -128,6 +129,7 @@ class Run:
         self._spent_s = float(notes["spent_s"])
         self._complete = int(notes["complete"])
         self._best = tuple(notes["best"]) or None
+        self._lock = run_folder.lock(self.folder)
         self.history.close()
         self.history = History.resumed(self.folder / "history.jsonl", self.learner.updates)
         if not self.cfg.has_budget_of(run_config.settings(self.folder)):
@@ -151,15 +153,21 @@ class Run:
         return self._spent_s
 
     def close(self) -> None:
-        """Let go of worlds, judge and history; what is not saved is lost."""
+        """Let go of worlds, judge, history and folder; what is not saved is lost."""
+        run_folder.unlock(self._lock)
+        self._lock = None
         self._judge.close()
         self.history.close()
         self.env.close()
 
     def learn(self, onlookers: Sequence[Onlooker] = ()) -> Outcome:
         """Learn until the budget is spent or all is complete; Ctrl-C saves and raises."""
-        if self.learner.updates == 0:
-            self._prepare()
+        try:
+            if self.learner.updates == 0:
+                self._prepare()
+        except BaseException:
+            self.close()
+            raise
         # A run that was killed while its last policy was judged has nothing more to learn.
         started, why = time.perf_counter() - self._spent_s, self.over
         try:
@@ -221,6 +229,7 @@ class Run:
                 f"the folder {self.folder} cannot be made ({error.strerror}): give --out a place "
                 "that can be written"
             ) from None
+        self._lock = run_folder.lock(self.folder)
         run_config.keep(self.cfg, self.folder)
         run_folder.clear(self.folder)
         if self._self_play is not None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
-from league.errors import PolicyError
+from league.errors import ConfigError, PolicyError
 from league.training import history
 
 LEARNT = ("best.pt", "last.pt", "state.pt")
@@ -13,6 +14,36 @@ PRINTED = "printed.txt"
 """The last lines that a reward function has printed."""
 _PICTURES = (PRINTED, "training.png", "win_matrix.json", "win_matrix.png", "pool/pool.json")
 _MANY = ("pool/*.pt", "tensorboard/events.out.tfevents.*")
+
+
+def lock(folder: Path) -> int | None:
+    """Keep other runs out of a folder; give the answer to `unlock`.
+
+    Raises:
+        ConfigError: a run is learning in it.
+    """
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        return None
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(handle)
+        raise ConfigError(
+            f"another run is learning in {folder}: wait for its end, or give another --out"
+        ) from None
+    except OSError:  # a file system that knows no locks
+        os.close(handle)
+        return None
+    return handle
+
+
+def unlock(handle: int | None) -> None:
+    """Let others into the folder; a run that was killed has let go of it, too."""
+    if handle is not None:
+        os.close(handle)
 
 
 def is_taken(folder: Path) -> bool:

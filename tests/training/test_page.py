@@ -68,6 +68,7 @@ def test_a_page_is_there_before_the_first_update():
     shown = Page(TrainConfig(), None, 1000, "rookie", plain=True, console=console)
     console.print(shown)
     assert "the first worlds are being driven" in said(console)
+    assert "to 1,000 decisions" in said(console)
 
 
 def test_the_page_is_drawn_in_place_and_leaves_the_cursor_visible():

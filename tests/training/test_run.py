@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import sys
 
 import pytest
 import small
@@ -89,6 +90,25 @@ def test_a_parent_that_is_only_watched_yet_is_not_judged(tmp_path):
     run.learn()
     # Save points come every 2 updates; the actor begins to learn with the fifth.
     assert [row.number for row in run.history.evaluations] == [6]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="folders are locked by flock")
+def test_two_runs_do_not_learn_in_one_folder(tmp_path):
+    def intrude(update) -> None:
+        other = small.run(tmp_path, small.cfg(4))
+        with pytest.raises(ConfigError, match=r"another run is learning in .*: wait for its end"):
+            other.learn()
+        other = small.run(tmp_path, small.cfg(4))
+        with pytest.raises(ConfigError, match="another run is learning"):
+            other.resume()
+        other.close()
+
+    run = small.run(tmp_path, small.cfg(4))
+    outcome = run.learn([small.Onlooker(after=lambda u: intrude(u) if u.number == 3 else None)])
+    assert outcome.samples == 4 * small.SAMPLES
+    again = small.run(tmp_path, small.cfg(6))
+    again.resume()  # nobody learns there any more
+    again.close()
 
 
 def test_a_resumed_run_tells_of_its_best_though_nothing_better_came(tmp_path, monkeypatch):

@@ -9,12 +9,9 @@ from dataclasses import replace
 import pytest
 import small
 import torch
-from scenes import make_ring
+from small_play import CAR, CARD, RING, SHORT, TRAIN, Constant, blind, playing
 
 from league.agents import checkpoint
-from league.agents.card import Card
-from league.agents.checkpoint import Checkpoint
-from league.agents.network import Actor, NetworkConfig, from_learner
 from league.agents.policy import Policy
 from league.agents.scripted import CenterlineDriver
 from league.envs.config import EnvConfig
@@ -22,12 +19,9 @@ from league.envs.race_env import RaceEnv
 from league.envs.state import INDEX, SIZE
 from league.envs.vec_env import RacingVecEnv
 from league.errors import ConfigError, PolicyError
-from league.sim.config import CarConfig, SensorConfig, SimConfig
+from league.sim.config import SensorConfig, SimConfig
 from league.sim.meeting_config import Meeting
-from league.track.course import TrackSet
 from league.training import run as run_room
-from league.training import worlds
-from league.training.learner import Learner
 from league.training.selfplay import SelfPlay, SelfPlayConfig, duels, opponent
 from league.training.selfplay.matrix import WinMatrix
 from league.training.selfplay.opponent import NOBODY, Field, Opponent
@@ -36,50 +30,7 @@ from league.training.selfplay.pool import Pool, spread
 from league.training.selfplay.records import DRAWN, LOST, WON, Records
 from league.training.selfplay.seats import Seats
 from league.training.selfplay.settings import DuelConfig
-from league.training.settings import PpoConfig, TrainConfig
-
-RING = TrackSet.of(make_ring())
-CAR = CarConfig()
-BLIND = NetworkConfig(hidden=(8,))
-SHORT = SelfPlayConfig(
-    candidate_every=1,
-    rivals=2,
-    races=2,
-    matrix_races=2,
-    duel=DuelConfig(laps=1, slowest=12.0, grace_s=1.0),
-)
-TRAIN = TrainConfig(
-    kind="head_to_head",
-    num_cars=2,
-    num_worlds=4,
-    sensors=SensorConfig(),
-    network=BLIND,
-    critic_hidden=(8,),
-    ppo=PpoConfig(steps=8, epochs=1, mini_batches=2),
-    save_every=1,
-)
-CARD = Card(name="blind", sensors=SensorConfig(), network=BLIND, created="2025-06-01")
-
-
-class Constant:
-    """Always asks for the same."""
-
-    sensors = SensorConfig()
-
-    def __init__(self, steering: float, speed: float) -> None:
-        self.name, self._action = f"{steering} {speed}", torch.tensor([steering, speed])
-
-    def reset(self, rows):
-        pass
-
-    def act(self, observations):
-        return self._action.expand(len(observations["state"]), 2)
-
-
-def blind(seed: int = 0) -> Checkpoint:
-    torch.manual_seed(seed)
-    actor = Actor(BLIND, CARD.group_shapes, CARD.space.size)
-    return Checkpoint(CARD, from_learner(actor.state_dict()))
+from league.training.settings import TrainConfig
 
 
 def test_win_rate_begins_at_one_half_and_follows_the_results():
@@ -246,10 +197,10 @@ def test_ages_stay_spread_in_powers(tmp_path):
 def test_a_resumed_pool_has_no_members_from_the_future(tmp_path):
     pool = Pool(tmp_path, 8)
     members(pool, [0, 10])
-    kept = pool.state()
+    kept = json.loads(json.dumps(pool.state()))
     members(pool, [20])
     again = Pool(tmp_path, 8)
-    again.restore(json.loads(json.dumps(kept)))
+    again.restore(kept["members"], kept["tried"])
     assert [one.name for one in again.members] == ["parent", "000010"]
     assert sorted(path.name for path in tmp_path.glob("*.pt")) == ["000010.pt", "parent.pt"]
     again.path(again.members[1]).write_bytes(again.path(again.members[0]).read_bytes())
@@ -277,15 +228,9 @@ def test_who_leaves_the_road_loses_from_either_slot():
     assert one.metres == pytest.approx(4 * 12, rel=0.15)  # four races of one lap of 12 m
 
 
-def playing(folder, parent: Checkpoint | None = None) -> tuple[SelfPlay, Learner]:
-    play = SelfPlay(folder, RING, TRAIN, CARD, cfg=SHORT, parent=parent)
-    cfg = replace(worlds.env_config(TRAIN), meeting=Meeting())
-    env = RacingVecEnv(RING, cfg, num_worlds=TRAIN.num_worlds, opponents=play.drivers())
-    return play, Learner(env, TRAIN)
-
-
-def test_resume_equals_a_run_that_was_never_interrupted(tmp_path):
-    play, learner = playing(tmp_path / "run", blind())
+@pytest.mark.parametrize("num_cars", [2, 3])
+def test_resume_equals_a_run_that_was_never_interrupted(tmp_path, num_cars):
+    play, learner = playing(tmp_path / "run", blind(), num_cars=num_cars)
     play.begin(learner)
     learner.update(0.0)
     play.after_update(learner, 0.5)
@@ -294,7 +239,7 @@ def test_resume_equals_a_run_that_was_never_interrupted(tmp_path):
     shutil.copytree(tmp_path / "run", tmp_path / "copy")
     learner.update(0.0)
     play.after_update(learner, 0.5)
-    again, fresh = playing(tmp_path / "copy")
+    again, fresh = playing(tmp_path / "copy", num_cars=num_cars)
     fresh.restore(tmp_path / "state.pt")
     again.restore(kept, fresh)
     fresh.update(0.0)
@@ -302,60 +247,6 @@ def test_resume_equals_a_run_that_was_never_interrupted(tmp_path):
     assert again.state() == play.state()
     there = fresh.weights()
     assert all(torch.equal(value, there[name]) for name, value in learner.weights().items())
-
-
-def test_the_report_races_everybody_and_can_be_looked_at(tmp_path):
-    from league.training.selfplay import picture
-
-    play, learner = playing(tmp_path, blind())
-    play.begin(learner)
-    learner.update(0.0)
-    assert play.after_update(learner, 0.5) == (len(play.pool.members) == 2)
-    told = json.loads((tmp_path / "pool" / "pool.json").read_text())
-    assert told[0]["name"] == "parent"
-    found = play.report(blind(3))
-    assert found.names[0] == "centerline" and found.names[-1] == "final"
-    assert found.wins[0][0] is None
-    for row, rates in enumerate(found.wins):
-        for column, rate in enumerate(rates):
-            if rate is not None:
-                assert rate + found.wins[column][row] == 1.0
-    assert found.smallest == min(found.past.values())
-    found.write(tmp_path / "matrix.json")
-    kept = json.loads((tmp_path / "matrix.json").read_text())
-    assert kept["smallest_win_rate_against_the_past"] == found.smallest
-    picture.draw(found, tmp_path / "matrix.png")
-    assert (tmp_path / "matrix.png").read_bytes()[:4] == b"\x89PNG"
-
-
-def test_champion_wins_most_and_of_equals_the_newest():
-    def matrix(*rows):
-        names = ("centerline", "parent", "000016", "000032", "final")
-        return WinMatrix(names, 2, rows, (0.0,) * 5, (0.0,) * 5, (None,) * 5)
-
-    parent = (1.0, None, 1.0, 1.0, 1.0)  # the parent is no past self, however it wins
-    best = (1.0, 0.0, None, 0.5, 0.75)
-    worse = (0.75, 0.0, 0.5, None, 0.5)
-    rest = (None, 0.0, 0.0, 0.25, 0.5)
-    assert matrix(rest, parent, best, worse, (0.5, 0.0, 0.25, 0.5, None)).champion == "000016"
-    assert matrix(rest, parent, worse, worse, (0.75, 0.0, 0.5, 0.5, None)).champion == "final"
-
-
-def test_champion_is_not_decided_among_selves_alone():
-    names = ("centerline", "parent", "000064", "000128", "final")
-    wins = (  # a run of the duelist: of like pace, selves win by their slots, and by chance
-        (None, 0.38, 0.44, 0.13, 0.06),
-        (0.62, None, 0.50, 0.50, 0.31),
-        (0.56, 0.50, None, 0.50, 0.56),
-        (0.87, 0.50, 0.50, None, 0.56),
-        (0.94, 0.69, 0.44, 0.44, None),
-    )
-    rows = (0.0,) * 5, (0.0,) * 5, (None,) * 5
-    assert WinMatrix(names, 16, wins, *rows).champion == "final"
-    # Alone with the run's past, without a parent or scripted drivers, selves must decide.
-    alone = tuple(row[2:] for row in wins[2:])
-    assert WinMatrix(names[2:], 16, alone, *(row[:3] for row in rows)).champion == "000128"
-    assert WinMatrix(("final",), 16, ((None,),), (0.0,), (0.0,), (None,)).champion == "final"
 
 
 def test_the_best_of_a_run_is_whoever_wins_the_matrix(tmp_path, monkeypatch):

@@ -21,7 +21,7 @@ from league.whole_file import replacing
 
 SCRIPTED = ("centerline",)
 FINAL = "final"
-"""What the trained driver is called."""
+"""What the trained driver is called: the weights of the run's `last.pt`."""
 
 
 @dataclass(frozen=True)
@@ -43,16 +43,12 @@ class WinMatrix:
 
     @property
     def past(self) -> dict[str, float]:
-        """Win rate of the trained driver against each of its past selves, the parent included."""
-        return {
-            name: rate
-            for name, rate in zip(self.names[:-1], self.wins[-1][:-1], strict=True)
-            if name not in SCRIPTED and rate is not None
-        }
+        """Win rate of the champion against each of its past selves, the parent included."""
+        return self.past_of(self.champion)
 
     @property
     def smallest(self) -> float | None:
-        """Smallest win rate of the trained driver against its past; None without a past."""
+        """Smallest win rate of the champion against its past; None without a past."""
         return min(self.past.values(), default=None)
 
     @property
@@ -78,20 +74,46 @@ class WinMatrix:
 
         return self.names[max(selves, key=merit)]
 
+    def past_of(self, name: str) -> dict[str, float]:
+        """Return a self's win rate against each that is older than it, the parent included.
+
+        Those that came after it are not its past: it cannot have forgotten them.
+        """
+        place = self.names.index(name)
+        return {
+            older: rate
+            for older, rate in zip(self.names[:place], self.wins[place][:place], strict=True)
+            if older not in SCRIPTED and rate is not None
+        }
+
+    def against(self, name: str) -> float | None:
+        """Return the champion's win rate against a driver; None: itself, or who did not race."""
+        if name not in self.names:
+            return None
+        return self.wins[self.names.index(self.champion)][self.names.index(name)]
+
     def write(self, path: Path) -> None:
-        """Write it as JSON, with the figures that sum it up."""
+        """Write it as JSON, with the figures that sum it up: the champion's, apart the last's."""
         told = {
             "names": self.names,
             "races_of_each_pair": self.races,
             "win_rates": self.wins,
-            "smallest_win_rate_against_the_past": self.smallest,
             "champion": self.champion,
+            **_summary(self.past),
+            FINAL: _summary(self.past_of(self.names[-1])),
             "contacts_per_km": self.contacts_per_km,
             "off_tracks_per_km": self.off_tracks_per_km,
             "clean_lap_s": self.clean_lap_s,
         }
         with replacing(path, "the win matrix", PolicyError) as file:
             file.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+
+
+def _summary(past: Mapping[str, float]) -> dict[str, object]:
+    return {
+        "win_rates_against_the_past": past,
+        "smallest_win_rate_against_the_past": min(past.values(), default=None),
+    }
 
 
 def measure(

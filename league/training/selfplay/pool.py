@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from statistics import fmean
 
 from league.agents import checkpoint
 from league.agents.checkpoint import Checkpoint
@@ -31,8 +32,35 @@ class Member:
     """Its smallest win rate against the members it was measured against; None: against none."""
 
 
+@dataclass(frozen=True)
+class Candidate:
+    """How the learner fared when it raced for a place in the pool."""
+
+    updates: int
+    """Updates of the run by then."""
+    win_rates: dict[str, float]
+    """Against each member it was measured against, by name; empty: there was none."""
+    entered: bool
+    """Whether it became a member."""
+    forced: bool
+    """Whether it became one by its turn, not by winning."""
+
+    @property
+    def smallest(self) -> float | None:
+        """Smallest of its win rates, which decides; None: it was measured against nobody."""
+        return min(self.win_rates.values(), default=None)
+
+    @property
+    def mean(self) -> float | None:
+        """Mean of its win rates; None: it was measured against nobody."""
+        return fmean(self.win_rates.values()) if self.win_rates else None
+
+
 class Pool:
-    """Members, oldest first, each with its file `NNNNNN.pt`, and `pool.json` to look at."""
+    """Members, oldest first, each with its file `NNNNNN.pt`, and `pool.json` to look at.
+
+    `candidates` are all that raced for a place, in their order, those that were refused too.
+    """
 
     def __init__(self, folder: Path, size: int) -> None:
         """Begin with none.
@@ -43,6 +71,7 @@ class Pool:
         """
         self._folder, self._size = folder, size
         self.members: list[Member] = []
+        self.candidates: list[Candidate] = []
         self._leaving: list[str] = []
 
     def path(self, member: Member) -> Path:
@@ -93,19 +122,31 @@ class Pool:
         self._leaving = []
 
     def write(self, win_rates: dict[str, float]) -> None:
-        """Write `pool.json`: the members and how often the learner beats each."""
-        told = [asdict(one) | {"win_rate": win_rates.get(one.name)} for one in self.members]
+        """Write `pool.json`: members, how often the learner beats each, and all candidates."""
+        told = {
+            "members": [
+                asdict(one) | {"win_rate": win_rates.get(one.name)} for one in self.members
+            ],
+            "candidates": [
+                asdict(one) | {"smallest": one.smallest, "mean": one.mean}
+                for one in self.candidates
+            ],
+        }
         path = self._folder / "pool.json"
         with replacing(path, "the pool's list", PolicyError) as file:
             file.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
 
-    def state(self) -> list[dict[str, object]]:
-        """Return the members as JSON-able data."""
-        return [asdict(member) for member in self.members]
+    def state(self) -> dict[str, list[dict[str, object]]]:
+        """Return members and candidates as JSON-able data."""
+        return {
+            "members": [asdict(member) for member in self.members],
+            "tried": [asdict(candidate) for candidate in self.candidates],
+        }
 
-    def restore(self, state: Sequence[dict]) -> None:
-        """Go on with these members; files of others, written later, are removed."""
-        self.members, self._leaving = [Member(**told) for told in state], []
+    def restore(self, members: Sequence[dict], tried: Sequence[dict] = ()) -> None:
+        """Go on with these members and candidates; files of others, written later, are removed."""
+        self.members, self._leaving = [Member(**told) for told in members], []
+        self.candidates = [Candidate(**told) for told in tried]
         known = {member.name for member in self.members}
         for path in self._folder.glob("*.pt"):
             if path.stem not in known:

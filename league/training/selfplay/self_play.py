@@ -21,7 +21,7 @@ from league.training.selfplay import duels, matrix, opponent
 from league.training.selfplay.matrix import WinMatrix
 from league.training.selfplay.opponent import Field, Opponent
 from league.training.selfplay.pacer import Pacer
-from league.training.selfplay.pool import PARENT, Member, Pool, spread
+from league.training.selfplay.pool import PARENT, Candidate, Member, Pool, spread
 from league.training.selfplay.records import Records
 from league.training.selfplay.settings import SelfPlayConfig
 from league.training.settings import TrainConfig
@@ -133,7 +133,7 @@ class SelfPlay:
         """Return all that is remembered but the files of the pool, JSON-able."""
         return {
             "format": STATE_FORMAT,
-            "members": self.pool.state(),
+            **self.pool.state(),
             "records": self.records.state(),
             "candidates": self._candidates,
             "done": self._done,
@@ -148,7 +148,8 @@ class SelfPlay:
         try:
             if state["format"] != STATE_FORMAT:
                 raise KeyError("format")
-            self.pool.restore(state["members"])
+            # Runs of before candidates were kept have none.
+            self.pool.restore(state["members"], state.get("tried", ()))
             self.records.restore(state["records"])
             self._candidates, self._done = int(state["candidates"]), float(state["done"])
         except (KeyError, TypeError, ValueError) as error:
@@ -159,14 +160,22 @@ class SelfPlay:
         self._seat(learner)
 
     def log(self) -> dict[str, float]:
-        """Return figures for a log: smallest win rates in training, members."""
+        """Return figures for a log: win rates in training, members, how the last candidate did.
+
+        The last candidate's win rates are missing until one was measured.
+        """
         rates = self._win_rates()
         past = [rates[member.name] for member in self.pool.members]
-        return {
+        told = {
             "/selfplay/win_rate_newest": rates[NEWEST],
             "/selfplay/win_rate_smallest": min(past, default=rates[NEWEST]),
             "/selfplay/members": float(len(self.pool.members)),
         }
+        last = self.pool.candidates[-1] if self.pool.candidates else None
+        if last is not None and last.smallest is not None and last.mean is not None:
+            told["/selfplay/candidate_smallest"] = last.smallest
+            told["/selfplay/candidate_mean"] = last.mean
+        return told
 
     def report(self, weights: Checkpoint, *, seed: int = 0) -> WinMatrix:
         """Race a trained policy, its past, its parent and `centerline` against each other.
@@ -182,8 +191,8 @@ class SelfPlay:
         drivers: dict[str, Driver] = {}
         if len(self._tracks.tracks) == 1:
             drivers["centerline"] = roster.load("centerline", self._tracks, self._car)
-        drivers |= {member.name: self._policy(member) for member in chosen}
-        drivers[matrix.FINAL] = self._built(weights, matrix.FINAL)
+        drivers |= {member.name: self._racer(member) for member in chosen}
+        drivers[matrix.FINAL] = self._built(weights, matrix.FINAL, exact=True)
         return matrix.measure(self._tracks, self._car, drivers, self._cfg, seed=seed)
 
     def snapshot(self, name: str) -> tuple[int, Checkpoint]:
@@ -195,24 +204,26 @@ class SelfPlay:
         """Have the learner's weights race for a place in the pool."""
         snapshot = self._snapshot(learner)
         rivals = self._rivals()
-        measured = None
+        rates: dict[str, float] = {}
         if rivals:
-            field = [self._built(snapshot, "candidate"), *map(self._policy, rivals)]
-            pairs = [(0, place) for place in range(1, len(field))]
+            field = [self._built(snapshot, "candidate", exact=True), *map(self._racer, rivals)]
             found = duels.meet(
                 self._tracks,
                 self._car,
                 field,
-                pairs,
+                [(0, place) for place in range(1, len(field))],
                 self._cfg.duel,
                 races=self._cfg.races,
                 seed=learner.updates,
             )
-            measured = min(found[pair][0].win_rate for pair in pairs)
-        wins = measured is None or measured >= self._cfg.admission
-        if not wins and self._candidates % self._cfg.forced_every:
+            rates = {one.name: found[0, place][0].win_rate for place, one in enumerate(rivals, 1)}
+        wins = not rates or min(rates.values()) >= self._cfg.admission
+        enters = wins or self._candidates % self._cfg.forced_every == 0
+        tried = Candidate(learner.updates, rates, entered=enters, forced=enters and not wins)
+        self.pool.candidates.append(tried)
+        if not enters:
             return False
-        self.pool.add(snapshot, learner.updates, forced=not wins, measured=measured)
+        self.pool.add(snapshot, tried.updates, forced=tried.forced, measured=tried.smallest)
         for member in self.pool.thin(lambda one: self.records.win_rate(one.name) < 0.5):
             self._policies.pop(member.name, None)
             self.records.forget(member.name)
@@ -262,7 +273,7 @@ class SelfPlay:
             )
             seat.choose_from(field, first)
         # Anew, so that a run that goes on from here begins with the same meetings.
-        learner.env.race_env.meet(cfg.meeting(self._done))
+        learner.env.race_env.meet(cfg.meeting(self._done, self._train.num_cars))
         learner.start_rows_anew()
 
     def _teachers(self, car: int) -> dict[Driver, float]:
@@ -283,11 +294,15 @@ class SelfPlay:
             self._policies[member.name] = self._built(self.pool.load(member), member.name)
         return self._policies[member.name]
 
-    def _built(self, kept: Checkpoint, name: str) -> Policy:
+    def _racer(self, member: Member) -> Policy:
+        """Return a member that answers a row alike among any others, to be measured with."""
+        return self._built(self.pool.load(member), member.name, exact=True)
+
+    def _built(self, kept: Checkpoint, name: str, *, exact: bool = False) -> Policy:
         # A new network draws first weights from torch's generator, with which the learner explores.
         with torch.random.fork_rng(devices=[]):
             device = self._tracks.device
-            return Policy(kept, self._car, name=name, exact=False, device=device)
+            return Policy(kept, self._car, name=name, exact=exact, device=device)
 
     def _win_rates(self) -> dict[str, float]:
         names = [NEWEST, *(member.name for member in self.pool.members)]

@@ -87,9 +87,12 @@ class SelfPlayConfig:
             scripted=share,
         )
 
-    def meeting(self, done: float) -> Meeting:
-        """Return how cars meet when so much of the run is done."""
-        usual = Meeting()
+    def meeting(self, done: float, num_cars: int = 2) -> Meeting:
+        """Return how so many cars meet when so much of the run is done."""
+        usual, more = Meeting(), max(num_cars - 4, 0)
+        # More than four about the learner would stand on each other's places, and those at the far
+        # end of a starting grid, 0.75 m for each car, would count as left behind at once.
+        usual = replace(usual, reach=usual.reach + 0.5 * more, lost=usual.lost + 0.8 * more)
         if done >= self.warm_up:
             return usual
         return replace(usual, alone=1.0 - usual.standing)

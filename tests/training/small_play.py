@@ -1,0 +1,78 @@
+"""Self-play so small that it takes a second: blind cars on a ring of 12 m, four worlds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from scenes import make_ring
+
+from league.agents.card import Card
+from league.agents.checkpoint import Checkpoint
+from league.agents.network import Actor, NetworkConfig, from_learner
+from league.sim.config import CarConfig, SensorConfig
+from league.track.course import TrackSet
+from league.training import worlds
+from league.training.learner import Learner
+from league.training.selfplay import SelfPlay, SelfPlayConfig
+from league.training.selfplay.settings import DuelConfig
+from league.training.settings import PpoConfig, TrainConfig
+
+RING = TrackSet.of(make_ring())
+CAR = CarConfig()
+BLIND = NetworkConfig(hidden=(8,))
+SHORT = SelfPlayConfig(
+    candidate_every=1,
+    rivals=2,
+    races=2,
+    matrix_races=2,
+    duel=DuelConfig(laps=1, slowest=12.0, grace_s=1.0),
+)
+TRAIN = TrainConfig(
+    kind="head_to_head",
+    num_cars=2,
+    num_worlds=4,
+    sensors=SensorConfig(),
+    network=BLIND,
+    critic_hidden=(8,),
+    ppo=PpoConfig(steps=8, epochs=1, mini_batches=2),
+    save_every=1,
+)
+CARD = Card(name="blind", sensors=SensorConfig(), network=BLIND, created="2025-06-01")
+
+
+def blind(seed: int = 0) -> Checkpoint:
+    """Return a policy that has learnt nothing."""
+    torch.manual_seed(seed)
+    actor = Actor(BLIND, CARD.group_shapes, CARD.space.size)
+    return Checkpoint(CARD, from_learner(actor.state_dict()))
+
+
+class Constant:
+    """Always asks for the same."""
+
+    sensors = SensorConfig()
+
+    def __init__(self, steering: float, speed: float) -> None:
+        self.name, self._action = f"{steering} {speed}", torch.tensor([steering, speed])
+
+    def reset(self, rows):
+        pass
+
+    def act(self, observations):
+        return self._action.expand(len(observations["state"]), 2)
+
+
+def playing(
+    folder: Path,
+    parent: Checkpoint | None = None,
+    *,
+    cfg: SelfPlayConfig = SHORT,
+    **changes: Any,
+) -> tuple[SelfPlay, Learner]:
+    """Return self-play and its learner before either has begun, settings of training changed."""
+    train = replace(TRAIN, **changes)
+    play = SelfPlay(folder, RING, train, CARD, cfg=cfg, parent=parent)
+    return play, Learner(worlds.make(RING, train, opponents=play.drivers()), train)

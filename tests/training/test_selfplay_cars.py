@@ -1,0 +1,98 @@
+"""Self-play against several at once: each seat is its own, and only car 0 learns."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from small_play import RING, SHORT, Constant, blind, playing
+
+from league.agents.policy import Policy
+from league.envs.config import EnvConfig
+from league.envs.race_env import RaceEnv
+from league.envs.state import INDEX
+from league.envs.vec_env import RacingVecEnv
+from league.sim import meeting
+from league.sim.config import SensorConfig, SimConfig
+from league.sim.meeting_config import Meeting
+from league.training.selfplay import SelfPlayConfig
+from league.training.selfplay.opponent import Field, Opponent
+from league.training.selfplay.records import LOST, WON, Records
+
+SLOWLY = Meeting(alone=0.0, standing=0.0, rolling=0.0)
+FOLLOWS, LEAVES = 0.164, 1.0
+"""Steering that follows the ring, atan(0.164 / 1.91) of 0.5236 rad, and that leaves it."""
+
+
+def race(how: Meeting, steering: list[float], *, steps: int = 25) -> tuple[Records, RacingVecEnv]:
+    """Drive 16 worlds, car 0 learning, each car with its own steering; others are named by car."""
+    records, seats = Records(400), {}
+    for car, own in enumerate(steering[1:], 1):
+        seats[car] = Opponent(car, SensorConfig(), 16, 1, records)
+        seats[car].choose_from(Field((f"it {car}",), (Constant(own, -0.5),), (1.0,)), 0)
+    sim = SimConfig(kind="head_to_head", num_cars=len(steering))
+    cfg = EnvConfig(sim=sim, mode="training", meeting=how)
+    env = RacingVecEnv(RING, cfg, num_worlds=16, opponents=seats)
+    for _ in range(steps):
+        env.step(torch.tensor([steering[0], -0.5]).expand(16, 2).clone())
+    return records, env
+
+
+def test_each_of_several_is_drawn_and_remembers_for_itself(tmp_path):
+    play, learner = playing(tmp_path, blind(), num_cars=3, num_worlds=64)
+    play.begin(learner)
+    one, two = play.drivers().values()
+    assert not torch.equal(one.who, two.who)
+    memories = {
+        id(each) for seat in (one, two) for each in seat.drivers if type(each) is not Policy
+    }
+    assert len(memories) == 4  # a centerline and a pacer for each
+    first, second = one.who.clone(), two.who.clone()
+    one.reset(torch.arange(64))
+    assert torch.equal(two.who, second) and not torch.equal(one.who, first)
+
+
+def test_only_rows_of_the_first_car_reach_the_learner(tmp_path):
+    play, learner = playing(tmp_path, blind(), num_cars=3, cfg=replace(SHORT, warm_up=0.0))
+    play.begin(learner)
+    done = learner.update(0.0)
+    assert learner.env.num_envs == 4 and done.samples == 4 * 8
+    book = learner.env.race_env.world.standing
+    told = learner.env.get_observations()["state"]
+    assert torch.equal(told[:, INDEX["s"]], book.s[:, 0])
+    assert torch.equal(told[:, INDEX["lateral"]], book.lateral[:, 0])
+
+
+def test_a_mistake_of_one_ends_no_meeting_with_another():
+    records, _ = race(SLOWLY, [FOLLOWS, LEAVES, FOLLOWS])
+    bad, like = (records.state().get(f"it {car}", "") for car in (1, 2))
+    assert len(bad) > 10 and bad.count(WON) > 0.7 * len(bad)
+    assert len(like) < 0.3 * len(bad)
+
+
+def test_a_mistake_of_the_learner_is_lost_against_all():
+    records, _ = race(SLOWLY, [LEAVES, FOLLOWS, FOLLOWS])
+    one, two = records.state().values()
+    assert len(one) > 10 and one.count(LOST) > 0.7 * len(one)
+    assert len(two) > 10 and two.count(LOST) > 0.7 * len(two)
+
+
+def test_alone_is_without_any_of_several_and_counts_no_meeting():
+    records, env = race(Meeting(alone=1.0, standing=0.0), [LEAVES, FOLLOWS, FOLLOWS])
+    world = env.race_env.world
+    assert meeting.parked(world).tolist() == [[False, True, True]] * 16
+    assert bool(world.standing.ghost[:, 1:].all())
+    assert records.state() == {}
+
+
+@pytest.mark.parametrize("standing", [0.0, 1.0])
+@pytest.mark.parametrize("num_cars", [2, 4, 5, 8])
+def test_all_have_room_and_nobody_is_left_behind_at_once(num_cars, standing):
+    usual = SelfPlayConfig().meeting(1.0, num_cars)
+    assert (usual == Meeting()) == (num_cars <= 4)
+    how = replace(usual, alone=0.0, standing=standing)
+    sim = SimConfig(kind="head_to_head", num_cars=num_cars)
+    env = RaceEnv(RING, EnvConfig(sim=sim, mode="training", meeting=how), num_worlds=100, seed=3)
+    step = env.step(torch.zeros(100, num_cars, 2))
+    assert not bool(step.verdict.crashed.any() | step.began.any())
