@@ -55,6 +55,47 @@ def test_export_writes_beside_the_checkpoint_or_where_told(league, blind, tmp_pa
     assert (tmp_path / "b.onnx").read_bytes() == (tmp_path / "a.onnx").read_bytes()
 
 
+@pytest.mark.parametrize(
+    ("words", "written"),
+    [
+        ("a.pt", "a.onnx"),
+        ("a.pt --onnx", "a.onnx"),
+        ("--onnx a.pt", "a.onnx"),
+        ("a.pt --onnx b.onnx", "b.onnx"),
+        ("--onnx b.onnx a.pt", "b.onnx"),
+        ("a.pt --onnx=b.onnx", "b.onnx"),
+    ],
+)
+def test_onnx_is_written_whether_its_flag_has_a_value_or_none(
+    league, blind, tmp_path, words, written
+):
+    pytest.importorskip("onnx")
+    blind("a.pt")
+    code, out, err = league("export", *words.split())
+    assert (code, err) == (0, "")
+    assert written in out
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["a.pt", written])
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        ("--onnx", "nothing was named to export"),
+        ("a.pt --onnx b.onnx c.onnx", "would write b.onnx and c.onnx: give one file"),
+        ("a.pt --onnx a.pt", "would write a.pt: give one file"),
+        ("--onnx --csv x.csv", "a checkpoint was named together with --csv"),
+    ],
+)
+def test_onnx_files_that_make_no_sense_are_refused_in_one_sentence(league, blind, words, reason):
+    path = blind("a.pt")
+    before = path.read_bytes()
+    code, out, err = league("export", *words.split())
+    assert (code, out) == (2, "")
+    assert reason in err
+    assert err.count("\n") == 1
+    assert path.read_bytes() == before
+
+
 def test_policy_is_raced_and_shown_by_its_files_name(league, blind):
     path = blind("a.pt")
     code, out, _ = league("race", "a.pt", "centerline", *SHORT, "--replay", "x.race", "--json")

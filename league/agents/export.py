@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -13,7 +14,9 @@ from league.agents.card import Card
 from league.agents.checkpoint import Checkpoint
 from league.agents.network import NORMALISER_EPS
 from league.envs.action_space import ContinuousActions
+from league.envs.observations import MOTION_FIELDS, MOTION_SCALE
 from league.errors import PolicyError
+from league.sim.config import CameraConfig, SimConfig
 from league.whole_file import replacing
 
 if TYPE_CHECKING:
@@ -23,6 +26,9 @@ OPSET = 20
 """The first that knows every activation."""
 IR_VERSION = 9
 """The format that goes with that opset, for runtimes since 2024."""
+
+LUMA = "0.299 R + 0.587 G + 0.114 B (Rec. 601)"
+"""How a camera's colours become the gray of its pictures, as league/sim/camera does it."""
 
 _ACTIVATIONS: dict[str, tuple[str, dict[str, float]]] = {
     "elu": ("Elu", {"alpha": 1.0}),
@@ -41,7 +47,7 @@ def to_onnx(checkpoint: Checkpoint, path: str | os.PathLike[str]) -> None:
     Inputs are named as the groups, with any number of rows: `stereo` uint8 as cameras deliver it,
     `lidar` and `motion` float32. Output `actions`, float32 (rows, 2): steering [deg], positive to
     the left, and speed [m/s]. Output `outputs`: what the network answers, means or scores. The
-    card is the metadata `card`, as JSON.
+    metadata are `card`, `digest`, `units`, `rate_hz`, and `inputs`, which says what to feed.
 
     The graph is built node by node: torch's exporters are slow, and one of them is deprecated.
 
@@ -87,10 +93,77 @@ def _model(checkpoint: Checkpoint) -> ModelProto:
         doc_string=f"{card.name}: sensors of a 1/18-scale car to steering [deg] and speed [m/s]",
     )
     units = {"actions": "steering [deg], positive to the left; speed [m/s]"}
-    about = {"card": checkpoint.text, "digest": checkpoint.digest, "units": json.dumps(units)}
+    about = {
+        "card": checkpoint.text,
+        "digest": checkpoint.digest,
+        "units": json.dumps(units),
+        "rate_hz": str(SimConfig().step_hz),
+        "inputs": json.dumps(input_notes(card)),
+    }
     helper.set_model_props(model, about)
     checker.check_model(model, full_check=True)
     return model
+
+
+def input_notes(card: Card) -> dict[str, dict[str, Any]]:
+    """Return what each input takes, as JSON knows it: type, shape, range, and how it is made."""
+    notes: dict[str, dict[str, Any]] = {}
+    for name, shape in card.group_shapes.items():
+        dtype = "uint8" if len(shape) == 3 else "float32"
+        notes[name] = {"dtype": dtype, "shape": ["rows", *shape]}
+    camera, lidar = card.sensors.camera, card.sensors.lidar
+    if camera is not None:
+        notes["stereo"] |= _picture_notes(camera)
+    if lidar is not None:
+        ranges = lidar.form == "ranges"
+        notes["lidar"] |= {
+            "range": [lidar.min_range, lidar.max_range] if ranges else [0, 1],
+            "unit": "m" if ranges else "1",
+            "form": lidar.form,
+            "rate_hz": lidar.rate_hz,
+        }
+    notes["motion"] |= {
+        "range": [-1, 1],  # beyond it only when a car is hit
+        "told": "(value - offset) / scale",
+        "fields": _motion_notes(),
+    }
+    return notes
+
+
+def _picture_notes(camera: CameraConfig) -> dict[str, Any]:
+    eyes = ("left", "right") if camera.eyes == "stereo" else (camera.eyes,)
+    colours = ("red", "green", "blue") if camera.colour else ("gray",)
+    return {
+        "range": [0, 255],
+        "channels": [f"{eye} {colour}" for eye in eyes for colour in colours],
+        **({} if camera.colour else {"gray": LUMA}),
+        "first_row": "top",
+        "field_of_view_deg": round(math.degrees(camera.field_of_view), 2),
+        "pitch_down_deg": round(math.degrees(camera.pitch), 2),
+        "above_ground_m": camera.up,
+        "ahead_of_base_m": camera.forward,
+        "baseline_m": camera.baseline if camera.eyes == "stereo" else 0.0,
+        "rate_hz": camera.rate_hz,
+    }
+
+
+def _motion_notes() -> list[dict[str, Any]]:
+    """Return the parts of `motion`; the last two are the car's own answers of the step before."""
+    car = SimConfig().car
+    widest = round(math.degrees(car.max_steering), 6)
+    middle, half = (car.max_speed + car.min_speed) / 2, (car.max_speed - car.min_speed) / 2
+    speed, yaw_rate, steering = MOTION_SCALE
+    parts = (
+        (0.0, speed, "m/s", "own speed, ahead"),
+        (0.0, yaw_rate, "rad/s", "own yaw rate, counter-clockwise"),
+        (0.0, round(math.degrees(steering), 3), "deg", "angle of the front wheels, to the left"),
+        (0.0, widest, "deg", "actions[0] of the step before; told as 0 at first"),
+        (middle, half, "m/s", "actions[1] of the step before; told as -1 at first"),
+    )
+    return [
+        {"name": name, "offset": offset, "scale": scale, "unit": unit, "what": what}
+        for name, (offset, scale, unit, what) in zip(MOTION_FIELDS, parts, strict=True)
+    ]
 
 
 class _Graph:

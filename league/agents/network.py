@@ -26,7 +26,13 @@ Shapes = Mapping[str, tuple[int, ...]]
 MAX_PARAMETERS = 4_000_000
 """Numbers in all weights of a network."""
 MAX_MULTIPLICATIONS = 100_000_000
-"""For one decision; about 10 ms of one CPU core."""
+"""For one decision, fewer than 16 channels counted as 16; docs/checkpoint.md says how long it is.
+
+Where no faster routine knows a convolution, all its windows are copied out, which takes the time
+and the memory of many channels however few are made.
+"""
+MAX_ACTIVATIONS = 1_000_000
+"""Numbers that all layers make for one decision."""
 NORMALISER_EPS = 1e-2
 """Added to the standard deviations before dividing, as rsl-rl does."""
 
@@ -40,6 +46,7 @@ _ACTIVATIONS: dict[str, Callable[[], nn.Module]] = {
     "swish": nn.SiLU,
     "mish": nn.Mish,
 }
+_FEWEST_COUNTED = 16
 _LIMITS = {"channels": 256, "kernels": 15, "strides": 8, "hidden": 1024}
 
 
@@ -100,7 +107,7 @@ def weight_shapes(cfg: NetworkConfig, shapes: Shapes, outputs: int) -> dict[str,
     flat = sum(shape[0] for shape in shapes.values() if len(shape) == 1)
     if cfg.normalise and flat:
         weights |= {f"obs_normalizer.{name}": (1, flat) for name in ("_mean", "_std")}
-    cost, told = 0, flat
+    cost, held, told = 0, 0, flat
     for group, shape in shapes.items():
         if len(shape) != 3:
             continue
@@ -117,21 +124,30 @@ def weight_shapes(cfg: NetworkConfig, shapes: Shapes, outputs: int) -> dict[str,
             name = f"cnns.{group}.{2 * layer}"
             weights[f"{name}.weight"] = (made, channels, kernel, kernel)
             weights[f"{name}.bias"] = (made,)
-            cost += made * channels * kernel * kernel * height * width
+            windows = channels * kernel * kernel * height * width
+            cost += max(made, _FEWEST_COUNTED) * windows
+            held += made * height * width
             channels = made
         told += channels * height * width
     for layer, size in enumerate((*cfg.hidden, outputs)):
         weights[f"mlp.{2 * layer}.weight"] = (size, told)
         weights[f"mlp.{2 * layer}.bias"] = (size,)
         cost += size * told
+        held += size
         told = size
     count = sum(math.prod(shape) for shape in weights.values())
-    if count > MAX_PARAMETERS or cost > MAX_MULTIPLICATIONS:
-        raise ConfigError(
-            f"the network has {count} parameters and multiplies {cost} times a decision: give at "
-            f"most {MAX_PARAMETERS} and {MAX_MULTIPLICATIONS}, by smaller pictures or layers"
-        )
+    _check_work(count, cost, held)
     return weights
+
+
+def _check_work(count: int, cost: int, held: int) -> None:
+    """Refuse a network of too many parameters, multiplications or activations."""
+    if count > MAX_PARAMETERS or cost > MAX_MULTIPLICATIONS or held > MAX_ACTIVATIONS:
+        raise ConfigError(
+            f"the network has {count} parameters, multiplies {cost} times and holds {held} "
+            f"activations for a decision: give at most {MAX_PARAMETERS}, {MAX_MULTIPLICATIONS} and "
+            f"{MAX_ACTIVATIONS}, by smaller pictures or layers"
+        )
 
 
 class Actor(nn.Module):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -49,8 +49,9 @@ class Export(OnLeague):
 
     checkpoint: tyro.conf.Positional[Path | None] = None
     """The checkpoint (FILE.pt), for a physical car or any other runtime; none for a league."""
-    onnx: Path | None = None
-    """Where to write; by default beside the checkpoint, with the ending .onnx."""
+    onnx: Annotated[tuple[Path, ...] | None, tyro.conf.arg(metavar="[FILE]")] = None
+    """Write ONNX, which is what it does by itself; without FILE beside the checkpoint, with the
+    ending .onnx."""
     csv: Path | None = None
     """Write the league's results, a line for each car of each race; - is the standard output."""
     json: Path | None = None
@@ -62,15 +63,28 @@ class Export(OnLeague):
 
         if self.csv is not None or self.json is not None:
             return self._export_league()
-        if self.checkpoint is None:
+        given, path = self._named()
+        export.to_onnx(checkpoint.load(given), path)
+        print(f"Network: {path}   ({path.stat().st_size / 1024:.0f} kB)")
+        return 0
+
+    def _named(self) -> tuple[Path, Path]:
+        """Return the checkpoint, and where its network goes."""
+        given, to = self.checkpoint, list(self.onnx or ())
+        if given is None and to:
+            given = to.pop()  # `--onnx a.pt` and `--onnx a.onnx a.pt`
+        if given is None:
             raise ConfigError(
                 "nothing was named to export: give a checkpoint (FILE.pt), or --csv FILE or "
                 "--json FILE for the results of a league"
             )
-        path = self.onnx or self.checkpoint.with_suffix(".onnx")
-        export.to_onnx(checkpoint.load(self.checkpoint), path)
-        print(f"Network: {path}   ({path.stat().st_size / 1024:.0f} kB)")
-        return 0
+        path = to[0] if to else given.with_suffix(".onnx")
+        if len(to) > 1 or path.suffix == ".pt":
+            raise ConfigError(
+                f"--onnx would write {' and '.join(map(str, to))}: give one file, NAME.onnx, or "
+                "none for one beside the checkpoint"
+            )
+        return given, path
 
     def _export_league(self) -> int:
         from league.cli.season import exporting

@@ -16,11 +16,22 @@ def clock(seconds: float) -> str:
     return f"{minutes}:{rest / 1000:06.3f}"
 
 
-def console() -> Console:
-    """Return where tables are printed."""
+def spelled(text: str) -> str:
+    """Return text with signs that cannot be printed spelled out; lines stay lines."""
+    lines = text.splitlines()
+    return "\n".join(
+        "".join(one if one.isprintable() else repr(one)[1:-1] for one in line) for line in lines
+    )
+
+
+def console(*, stderr: bool = False) -> Console:
+    """Return where tables are printed: strangers' names stand in them, so text is text.
+
+    Rich would read `[/x]` as markup, `:car:` as a picture, and numbers as something to colour.
+    """
     from rich.console import Console
 
-    return Console()
+    return Console(stderr=stderr, markup=False, emoji=False, highlight=False)
 
 
 def table(title: str, *columns: str) -> Table:
@@ -29,7 +40,7 @@ def table(title: str, *columns: str) -> Table:
     from rich.table import Table
 
     table = Table(
-        title=title,
+        title=spelled(title),
         title_justify="left",
         title_style="bold",
         header_style="dim",
@@ -45,15 +56,14 @@ def table(title: str, *columns: str) -> Table:
 
 def progress(disable: bool = False) -> Progress:
     """Return a progress bar on stderr that goes when it is done."""
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     return Progress(
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
+        TextColumn("{task.percentage:>3.0f} %", markup=False),
         TimeElapsedColumn(),
-        console=Console(stderr=True),
+        console=console(stderr=True),
         transient=True,
         disable=disable,
     )

@@ -65,7 +65,7 @@ class Train:
     seed: int = 0
     """Seed of weights, worlds and exploration."""
     device: str = "cpu"
-    """cpu, or cuda."""
+    """cpu, or cuda; under torchrun each process takes a card of its own."""
     num_worlds: int = 64
     """Worlds in the batch."""
     both_directions: bool = False
@@ -134,15 +134,18 @@ def _train(command: Train) -> int:
     else:
         cfg = train_settings.config(command)
         resuming.refuse_taken(command, folder)
+    from league.training import ranks
     from league.training.learner import threads
     from league.training.run import Run
 
-    if any(name.startswith("generated:") for name in cfg.tracks):
+    if ranks.is_first() and any(name.startswith("generated:") for name in cfg.tracks):
         print("Drawing the tracks; hundreds take half a minute.", flush=True)
     with threads(cfg.threads), _saved_on_sigterm():
         run = Run(cfg, folder)
         if command.resume:
             _resume(command, run)
+        if not ranks.is_first():
+            return _learn_along(run)
         try:
             outcome = run.learn(_looking_on(command, run))
         except KeyboardInterrupt:
@@ -153,6 +156,15 @@ def _train(command: Train) -> int:
             print(f"{_kept(command, folder)}", file=sys.stderr)
             raise
     _report(command, outcome)
+    return 0
+
+
+def _learn_along(run: Run) -> int:
+    """Learn as one of several processes of torchrun, in silence: the first one speaks."""
+    try:
+        run.learn()
+    except KeyboardInterrupt:
+        return 130
     return 0
 
 
@@ -202,6 +214,7 @@ def _tell_printed(folder: Path) -> None:
 
 
 def _resume(command: Train, run: Run) -> None:
+    from league.training import ranks
     from league.training.run_config import settings
 
     try:
@@ -211,7 +224,8 @@ def _resume(command: Train, run: Run) -> None:
     except BaseException:
         run.close()
         raise
-    print(resuming.going_on(run, before), flush=True)
+    if ranks.is_first():
+        print(resuming.going_on(run, before), flush=True)
 
 
 def _report(command: Train, outcome: Outcome) -> None:

@@ -30,15 +30,26 @@ def card(make: Callable[[], Card]) -> None:
 
 
 def device(name: str) -> None:
-    """See that tensors can live on a device.
+    """See that a device computes.
 
     Raises:
-        ConfigError: they cannot.
+        ConfigError: it does not, or there is none of that name.
     """
     try:
-        torch.zeros(1, device=name)
-    except (RuntimeError, AssertionError):
+        # Reading it back tells: `meta` takes tensors, and has nothing inside them.
+        computed = float(torch.ones(1, device=name).sum())
+    except (RuntimeError, AssertionError, ImportError):
+        computed = None
+    if computed != 1.0:
         raise ConfigError(
             f"this machine's torch cannot compute on the device {brief(name)}: give cpu, or cuda "
-            "where there is such a card and a torch that knows it"
-        ) from None
+            f"where there is such a card and a torch that knows it; found here: {_devices()}"
+        )
+
+
+def _devices() -> str:
+    """Return the names of what computes on this machine, one after the other."""
+    names = ["cpu"]
+    if (kind := torch.accelerator.current_accelerator(check_available=True)) is not None:
+        names += [f"{kind.type}:{number}" for number in range(torch.accelerator.device_count())]
+    return ", ".join(names)

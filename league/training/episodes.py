@@ -92,6 +92,13 @@ class Episodes:
             return earned / len(self._last)
         return earned / driven * mean_completion(self._last)
 
+    @property
+    def steps(self) -> float | None:
+        """Mean steps of the last episodes, as rsl-rl counts them; None where none has ended."""
+        ended = sum(not one.cut for one in self._last)
+        # Those of cut-off ones count for the next that ends: long episodes are cut most often.
+        return sum(one.steps for one in self._last) / ended if ended else None
+
     def _note(self, rows: Tensor, completion: Tensor, *, cut: bool) -> None:
         far = completion[rows].clamp(0.0, 1.0).tolist()
         for share, earned, steps in zip(

@@ -14,13 +14,12 @@ import torch
 from rsl_rl.algorithms import PPO
 from rsl_rl.models import MLPModel
 from rsl_rl.modules.distribution import GaussianDistribution
-from rsl_rl.runners import OnPolicyRunner
 from torch import Tensor
 
 from league.agents import network
 from league.envs.vec_env import RacingVecEnv
 from league.errors import PolicyError
-from league.training import mirror
+from league.training import mirror, ranks
 from league.training.episodes import Episodes
 from league.training.models import actor_settings
 from league.training.scale import ReturnScale
@@ -37,7 +36,7 @@ class Update:
     number: int
     """Updates so far, this one included."""
     samples: int
-    """Decisions learnt from so far."""
+    """Decisions learnt from so far, by all ranks."""
     collect_s: float
     """Wall time of collecting [s]."""
     learn_s: float
@@ -48,24 +47,38 @@ class Update:
     """Mean losses by rsl-rl's names."""
     log: dict[str, float]
     """Means of the worlds' log over the steps."""
+    learning_rate: float | None = None
+    """Step size of the optimiser."""
+    mean_std: float | None = None
+    """Mean standard deviation of the actions: exploration."""
+    episode_steps: float | None = None
+    """Steps from one end of an episode to the next, of late; None before the first one."""
 
 
 class Learner:
-    """PPO with its worlds; what it has learnt can be taken out, saved and gone on from."""
+    """PPO with its worlds; what it has learnt can be taken out, saved and gone on from.
+
+    Where torchrun has started several ranks, each has a learner with worlds of its own. They update
+    together, with equal weights, and what is told of rewards and episodes is the rank's own.
+    """
 
     def __init__(self, env: RacingVecEnv, cfg: TrainConfig) -> None:
         """Build networks and storage.
 
         Args:
             env: the worlds, with pictures as bytes.
-            cfg: settings of the run.
+            cfg: settings of the run; the device is this rank's own.
+
+        Raises:
+            ConfigError: the other ranks cannot be found.
         """
         self.env, self.cfg = env, cfg
+        ranks.join(cfg.device)
         # rsl-rl draws weights and exploration from torch's global generator.
         torch.manual_seed(cfg.seed)
+        self._obs = env.get_observations()
         with contextlib.redirect_stdout(io.StringIO()):  # it prints its networks
-            self.runner = OnPolicyRunner(env, _runner_settings(cfg), None, cfg.device)
-        self._alg: PPO = self.runner.alg
+            self._alg = PPO.construct_algorithm(self._obs, env, _settings(cfg), cfg.device)
         self._mirroring = None
         if cfg.mirror and mirror.applies(cfg.sensors, cfg.action_space):
             self._mirroring = mirror.Mirroring(cfg.sensors, cfg.action_space, cfg.ppo.mini_batches)
@@ -73,7 +86,9 @@ class Learner:
         self.episodes = Episodes(env.num_envs)
         self._scale = ReturnScale(env.num_envs, cfg.ppo.gamma, cfg.device)
         self.updates = self.samples = 0
-        self._obs = env.get_observations()
+        if ranks.count() > 1:
+            self._alg.broadcast_parameters()
+            self.start_rows_anew()
 
     @property
     def device(self) -> str:
@@ -103,20 +118,27 @@ class Learner:
         """Collect one round of steps and learn from it.
 
         Args:
-            share: share of the budget that is used up, 0 to 1, for the schedules.
+            share: share of the budget that is used up, 0 to 1, for the schedules; of several
+                ranks the first one's counts.
+
+        Raises:
+            LeagueError: a reward function has failed, or another rank.
         """
-        self._schedule(share)
+        self._schedule(ranks.agreed(share))
         self._alg.train_mode()
         started = time.perf_counter()
-        reward, log = self._collect()
+        with ranks.together():
+            reward, log = self._collect()
         collected = time.perf_counter()
+        self._scale.share()
         with torch.inference_mode():
             self._alg.compute_returns(self._obs)
         if self._mirroring is not None:
             self._mirroring.restart()
-        losses = self._alg.update()
+        with ranks.exchange():
+            losses = self._alg.update()
         self.updates += 1
-        self.samples += self.env.num_envs * self.cfg.ppo.steps
+        self.samples += ranks.count() * self.env.num_envs * self.cfg.ppo.steps
         if self.updates % self.cfg.save_every == 0:
             self.start_rows_anew()
         return Update(
@@ -127,6 +149,9 @@ class Learner:
             reward=reward,
             losses=losses,
             log=log,
+            learning_rate=self._alg.learning_rate,
+            mean_std=float(self._alg.get_policy().output_std.detach().mean()),
+            episode_steps=self.episodes.steps,
         )
 
     @property
@@ -135,7 +160,16 @@ class Learner:
         return self.updates % self.cfg.save_every == 0
 
     def save(self, path: Path, notes: dict[str, object]) -> None:
-        """Write all that is needed to go on: networks, optimiser, generator, counts, notes."""
+        """Write all that is needed to go on: networks, optimiser, generators, counts, notes.
+
+        Of several ranks the first one writes; the others have the same networks, and their own
+        draws begin anew with the rows. It waits for nobody.
+
+        Raises:
+            PolicyError: it cannot be written; a state that was there stays.
+        """
+        if not ranks.is_first():
+            return
         state = self._alg.save() | {
             "format": STATE_FORMAT,
             "updates": self.updates,
@@ -144,8 +178,13 @@ class Learner:
             "generator": torch.get_rng_state(),
             "notes": notes,
         }
-        with replacing(path, "the learner's state", PolicyError) as file, open(file, "wb") as out:
-            torch.save(state, out)
+        if self._on_card:
+            state["card_generator"] = torch.cuda.get_rng_state(self.device)
+        with replacing(path, "the learner's state", PolicyError, also=(RuntimeError,)) as file:
+            # In memory first: to a full disk, torch has no better answer than its own position.
+            whole = io.BytesIO()
+            torch.save(state, whole)
+            file.write_bytes(whole.getbuffer())
 
     def restore(self, path: Path) -> dict:
         """Go on from a saved state; return its notes.
@@ -163,9 +202,12 @@ class Learner:
             self.updates, self.samples = int(state["updates"]), int(state["samples"])
             self._scale.restore(state["scale"])
             torch.set_rng_state(state["generator"].cpu())
+            if self._on_card and "card_generator" in state:  # format 1 began without it
+                torch.cuda.set_rng_state(state["card_generator"].cpu(), self.device)
             notes = dict(state["notes"])
         except (
             OSError,
+            AttributeError,
             KeyError,
             TypeError,
             ValueError,
@@ -181,17 +223,27 @@ class Learner:
         return notes
 
     def start_rows_anew(self) -> None:
-        """Begin all episodes anew, from a seed that only the number of updates decides."""
+        """Begin all episodes anew, from a seed that the number of updates and the rank decide.
+
+        Several ranks draw what comes next from that seed, too: so a run of several goes on as it
+        would have without anything kept of the others but what they share.
+        """
+        seed = ranks.seed(self.cfg.seed * 1_000_003 + self.updates)
+        if ranks.count() > 1:
+            torch.manual_seed(seed)
         with torch.inference_mode():
-            seed = self.cfg.seed * 1_000_003 + self.updates
             self._obs = self.env.reset(seed, self._next_tracks())
         self.episodes.restart()
         self._scale.restart()
 
+    @property
+    def _on_card(self) -> bool:
+        return torch.device(self.device).type == "cuda"
+
     def _next_tracks(self) -> Tensor:
         """Return the tracks of the worlds from here on: where there are more, others each time."""
-        worlds = self.cfg.num_worlds
-        first = worlds * (self.updates // self.cfg.save_every)
+        worlds, times = self.cfg.num_worlds, self.updates // self.cfg.save_every
+        first = worlds * (times * ranks.count() + ranks.number())
         return torch.arange(first, first + worlds) % len(self.env.race_env.tracks.tracks)
 
     def _collect(self) -> tuple[float, dict[str, float]]:
@@ -236,12 +288,13 @@ def threads(number: int) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def _runner_settings(cfg: TrainConfig) -> dict:
+def _settings(cfg: TrainConfig) -> dict:
+    """Return what rsl-rl builds its PPO from, by the names of its runner's settings."""
     ppo = cfg.ppo
     groups = list(network.group_shapes(cfg.sensors))
     return {
         "num_steps_per_env": ppo.steps,
-        "save_interval": 1,
+        "multi_gpu": ranks.for_rsl_rl(),
         "obs_groups": {"actor": groups, "critic": ["state"]},
         "actor": actor_settings(
             cfg.network, cfg.action_space, "stereo" in groups, ppo.noise[0], ppo.pull

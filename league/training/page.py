@@ -124,7 +124,7 @@ class Page:
         self._live.start()
 
     def _print(self, text: str) -> None:
-        self._console.print(text, markup=False, highlight=False, soft_wrap=True)
+        self._console.print(text, markup=False, emoji=False, highlight=False, soft_wrap=True)
         # Whoever reads from a pipe or a log file reads now.
         self._console.file.flush()
 

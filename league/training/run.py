@@ -17,8 +17,8 @@ from league.agents.card import Reward as RewardCard
 from league.agents.checkpoint import Checkpoint
 from league.envs.driver import Driver
 from league.envs.rewards import Reward, preset
-from league.errors import LeagueError, PolicyError
-from league.training import checks, courses, run_config, run_folder, worlds
+from league.errors import ConfigError, LeagueError, PolicyError
+from league.training import checks, courses, ranks, run_config, run_folder, worlds
 from league.training.history import History
 from league.training.judge import Exam, Judge, Judgement, judged
 from league.training.learner import Learner, Update
@@ -56,7 +56,10 @@ class Outcome:
 
 
 class Run:
-    """One training run in its folder: best.pt, last.pt, state.pt, history.jsonl, settings.json."""
+    """One training run in its folder: best.pt, last.pt, state.pt, history.jsonl, settings.json.
+
+    Of several ranks (torchrun) all learn, and the first one alone writes, judges and tells.
+    """
 
     def __init__(self, cfg: RunConfig, folder: Path, *, beside: bool = True) -> None:
         """Build worlds, learner and judge; nothing is written before the first update.
@@ -78,6 +81,12 @@ class Run:
         self._spent_s, self._complete = 0.0, 0
         checks.card(self._card)
         checks.device(train.device)
+        if cfg.self_play and ranks.count() > 1:
+            raise ConfigError(
+                f"self-play learns in one process, and torchrun has started {ranks.count()}: start "
+                "it without torchrun, or leave --self-play away"
+            )
+        train = replace(train, device=ranks.device(train.device))
         if self._reward is None:
             train = replace(train, reward=preset(cfg.reward))
         tracks = courses.together(self._tracks, train.both_directions, train.device)
@@ -98,7 +107,7 @@ class Run:
             )
             opponents = self._self_play.drivers()
         # After what is refused at once, and before what takes seconds: it loads meanwhile.
-        self._judge = Judge(self._exam, beside=beside)
+        self._judge = Judge(self._exam, beside=beside and ranks.is_first())
         self.env = worlds.make(tracks, train, opponents=opponents, reward=self._reward)
         self.learner = Learner(self.env, train)
         if self._parent is not None:
@@ -129,13 +138,17 @@ class Run:
         self._spent_s = float(notes["spent_s"])
         self._complete = int(notes["complete"])
         self._best = tuple(notes["best"]) or None
+        more = not self.cfg.has_budget_of(run_config.settings(self.folder))
+        if more:
+            self._complete = 0  # whoever gives more time wants more than complete laps
+        ranks.wait()  # all have read before the first one writes
+        if not ranks.is_first():
+            return
         self._lock = run_folder.lock(self.folder)
         self.history.close()
         self.history = History.resumed(self.folder / "history.jsonl", self.learner.updates)
-        if not self.cfg.has_budget_of(run_config.settings(self.folder)):
-            self._complete = 0  # whoever gives more time wants more than complete laps
-            if not self.over:
-                run_config.keep(self.cfg, self.folder)  # a kill goes on with it, too
+        if more and not self.over:
+            run_config.keep(self.cfg, self.folder)  # a kill goes on with it, too
 
     @property
     def over(self) -> str:
@@ -163,26 +176,25 @@ class Run:
     def learn(self, onlookers: Sequence[Onlooker] = ()) -> Outcome:
         """Learn until the budget is spent or all is complete; Ctrl-C saves and raises."""
         try:
-            if self.learner.updates == 0:
+            if self.learner.updates == 0 and ranks.is_first():
                 self._prepare()
         except BaseException:
             self.close()
             raise
         # A run that was killed while its last policy was judged has nothing more to learn.
-        started, why = time.perf_counter() - self._spent_s, self.over
+        started = time.perf_counter() - self._spent_s
         try:
-            while not why:
-                update = self._updated()
-                self._spent_s = time.perf_counter() - started
-                self.history.add_update(update, self.learner.episodes, self._spent_s)
-                for onlooker in onlookers:
-                    onlooker.update(self.history, update)
-                if self.learner.at_save_point:
-                    self._save_point(update, onlookers)
-                elif self._learnt_all():
-                    self._take(onlookers, wait=False)
-                why = self.over
-            self._finish(onlookers)
+            with ranks.stopping_together() as stopping_place:
+                while not ranks.agreed(bool(self.over)):
+                    update = self._updated()
+                    self._spent_s = time.perf_counter() - started
+                    if ranks.is_first():
+                        self._after(update, onlookers)
+                    stopping_place()
+            why = self.over
+            ranks.close()  # what is left is done by the first rank alone
+            if ranks.is_first():
+                self._finish(onlookers)
         except LeagueError:
             # The user's reward function failed, say: what was learnt stays.
             self._save()
@@ -202,6 +214,16 @@ class Run:
             why=why,
             matrix=self._matrix,
         )
+
+    def _after(self, update: Update, onlookers: Sequence[Onlooker]) -> None:
+        """Tell of an update; at a save point judge and save, too."""
+        self.history.add_update(update, self.learner.episodes, self._spent_s)
+        for onlooker in onlookers:
+            onlooker.update(self.history, update)
+        if self.learner.at_save_point:
+            self._save_point(update, onlookers)
+        elif self._learnt_all():
+            self._take(onlookers, wait=False)
 
     def _updated(self) -> Update:
         share = self._share()
@@ -337,7 +359,7 @@ class Run:
         return {row.number for row in self.history.evaluations}
 
     def _save(self) -> None:
-        if self.learner.updates == 0:
+        if self.learner.updates == 0 or not ranks.is_first():
             return
         checkpoint.save(self.folder / "last.pt", self._checkpoint())
         notes: dict[str, object] = {

@@ -28,7 +28,8 @@ class Scalars:
     def update(self, history: History, update: Update) -> None:
         """Add what an update brought."""
         row = history.updates[-1]
-        self._add(of_update(row) | {"Perf/total_fps": _fps(row, history)}, row.number)
+        points = of_update(row) | of_learner(update) | {"Perf/total_fps": _fps(row, history)}
+        self._add(points, row.number)
 
     def evaluated(self, history: History, evaluation: Evaluation) -> None:
         """Add what an evaluation came to."""
@@ -74,6 +75,15 @@ def of_update(row: UpdateRow) -> dict[str, float | None]:
     # The worlds' log is named as rsl-rl has it: "/reward/progress" becomes "Reward/progress".
     points |= {_title(name): value for name, value in row.log.items()}
     return points
+
+
+def of_learner(update: Update) -> dict[str, float | None]:
+    """Return the points of an update that are not in the history, by their charts' names."""
+    return {
+        "Train/mean_episode_length": update.episode_steps,
+        "Loss/learning_rate": update.learning_rate,
+        "Policy/mean_std": update.mean_std,
+    }
 
 
 def of_evaluation(row: EvaluationRow) -> dict[str, float | None]:

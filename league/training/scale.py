@@ -2,11 +2,34 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict, astuple, dataclass
+
 import torch
 from torch import Tensor
 
+from league.training import ranks
+
 LARGEST = 10.0
 """Scaled rewards are cut off here."""
+
+
+@dataclass(frozen=True)
+class Moments:
+    """What is remembered of a set of numbers."""
+
+    count: float = 0.0
+    """How many."""
+    mean: float = 0.0
+    """Their mean."""
+    square: float = 0.0
+    """Sum of squares about the mean."""
+
+    def joined(self, other: Moments) -> Moments:
+        """Return those of both sets (Chan et al.)."""
+        total = self.count + other.count
+        shift = other.mean - self.mean
+        square = other.square + shift * shift * self.count * other.count / total
+        return Moments(total, self.mean + shift * other.count / total, self.square + square)
 
 
 class ReturnScale:
@@ -20,7 +43,7 @@ class ReturnScale:
         """Begin without any knowledge."""
         self._gamma = gamma
         self._return = torch.zeros(num_rows, device=device)
-        self.count, self.mean, self.square = 1e-4, 0.0, 0.0
+        self._begin(Moments(1e-4))
 
     def restart(self) -> None:
         """Forget the returns under way, not their spread."""
@@ -33,27 +56,34 @@ class ReturnScale:
         self._return = torch.where(dones > 0, 0.0, self._return)
         return (rewards / (self.deviation + 1e-8)).clamp(-LARGEST, LARGEST)
 
+    def share(self) -> None:
+        """Join what each rank has seen since they last did: all divide by the same from here on."""
+        if ranks.count() == 1:
+            return
+        seen = self._shared
+        for recent in ranks.gathered(*astuple(self._recent)):
+            seen = seen.joined(Moments(*recent))
+        self._begin(seen)
+
     @property
     def deviation(self) -> float:
         """Standard deviation of the returns seen so far; 1 before there are any."""
-        variance = self.square / self.count
-        return max(variance, 1e-12) ** 0.5 if self.count > 1 else 1.0
-
-    def _take(self, values: Tensor) -> None:
-        # Chan et al.: mean and sum of squares of two sets joined.
-        number, mean = float(values.numel()), float(values.mean())
-        square = float(((values - mean) ** 2).sum())
-        total = self.count + number
-        shift = mean - self.mean
-        self.square += square + shift * shift * self.count * number / total
-        self.mean += shift * number / total
-        self.count = total
+        variance = self.seen.square / self.seen.count
+        return max(variance, 1e-12) ** 0.5 if self.seen.count > 1 else 1.0
 
     def state(self) -> dict[str, float]:
         """Return what is remembered beyond a restart."""
-        return {"count": self.count, "mean": self.mean, "square": self.square}
+        return asdict(self.seen)
 
     def restore(self, state: dict[str, float]) -> None:
         """Go on from what was remembered."""
-        self.count, self.mean = float(state["count"]), float(state["mean"])
-        self.square = float(state["square"])
+        self._begin(Moments(**{name: float(state[name]) for name in ("count", "mean", "square")}))
+
+    def _begin(self, seen: Moments) -> None:
+        self.seen = self._shared = seen
+        self._recent = Moments()
+
+    def _take(self, values: Tensor) -> None:
+        number, mean = float(values.numel()), float(values.mean())
+        step = Moments(number, mean, float(((values - mean) ** 2).sum()))
+        self.seen, self._recent = self.seen.joined(step), self._recent.joined(step)

@@ -3,14 +3,18 @@
 import json
 
 import pytest
+import safetensors.torch
+import torch
 from pydantic import ValidationError
 from trained import SENSES, make_card
 
 from league.agents.card import Card, Reward
 from league.agents.network import NetworkConfig
 from league.envs.action_space import ContinuousActions, grid
-from league.errors import ConfigError
+from league.errors import ConfigError, PolicyError
+from league.matchmaking import submission
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig
+from league.training import checks
 
 
 @pytest.mark.parametrize("senses", SENSES)
@@ -102,3 +106,25 @@ def test_settings_that_contradict_each_other_are_told_as_everywhere():
         Card.model_validate(
             {"name": "x", "sensors": {}, "action_space": {"steering_low": 9, "steering_high": 3}}
         )
+
+
+COSTLY = {
+    # 26 kB of weights that would make 78 million numbers for each of four rows: 2.7 GB.
+    "sensors": SensorConfig(camera=CameraConfig(640, 480, eyes="left")),
+    "network": NetworkConfig(channels=(256, 1), kernels=(1, 1), strides=(1, 8), hidden=(8,)),
+}
+
+
+def test_a_network_that_costs_too_much_is_refused_before_it_is_trained():
+    with pytest.raises(ConfigError, match="holds 78648010 activations") as refusal:
+        checks.card(lambda: make_card(**COSTLY))
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_network_that_costs_too_much_is_refused_when_it_is_submitted():
+    card = make_card(**COSTLY)
+    content = safetensors.torch.save(
+        {"mlp.0.bias": torch.zeros(8)}, {"card": card.model_dump_json()}
+    )
+    with pytest.raises(PolicyError, match=r"submission is refused: .*78648010 activations"):
+        submission.unpack(content)

@@ -1,21 +1,24 @@
 """The ONNX file answers what the policy answers, in degrees and metres per second."""
 
 import json
+import math
 from typing import get_args
 
 import onnx
 import onnxruntime
 import pytest
 import torch
-from trained import SENSES, make_checkpoint, told
+from trained import SENSES, make_card, make_checkpoint, told
 
 from league.agents.card import Card
-from league.agents.export import to_onnx
+from league.agents.export import input_notes, to_onnx
 from league.agents.network import Activation, NetworkConfig
 from league.agents.policy import Policy
 from league.envs.action_space import ContinuousActions, grid
+from league.envs.observations import MOTION_FIELDS
 from league.errors import PolicyError
-from league.sim.config import CarConfig
+from league.sim.camera.scene import LUMA
+from league.sim.config import CameraConfig, CarConfig, LidarConfig, SensorConfig
 
 
 def answers(path, groups) -> tuple[torch.Tensor, torch.Tensor]:
@@ -69,6 +72,63 @@ def test_inputs_are_what_sensors_deliver_and_the_card_goes_with_them(tmp_path):
     assert Card.model_validate_json(about["card"]) == trained.card
     assert about["digest"] == trained.digest
     assert "deg" in json.loads(about["units"])["actions"]
+
+
+def notes_of(path) -> dict:
+    about = {one.key: one.value for one in onnx.load(str(path)).metadata_props}
+    assert about["rate_hz"] == "15"
+    return json.loads(about["inputs"])
+
+
+@pytest.mark.parametrize("senses", SENSES)
+def test_the_metadata_tell_name_type_shape_and_range_of_each_input(tmp_path, senses):
+    trained = make_checkpoint(senses)
+    to_onnx(trained, tmp_path / "a.onnx")
+    session = onnxruntime.InferenceSession(
+        str(tmp_path / "a.onnx"), providers=["CPUExecutionProvider"]
+    )
+    notes = notes_of(tmp_path / "a.onnx")
+    kinds = {"uint8": "tensor(uint8)", "float32": "tensor(float)"}
+    asked = {one.name: (one.type, one.shape) for one in session.get_inputs()}
+    assert {name: (kinds[one["dtype"]], one["shape"]) for name, one in notes.items()} == asked
+    assert all(one["range"][0] < one["range"][1] for one in notes.values())
+    if "stereo" in notes:
+        assert notes["stereo"]["channels"] == ["left gray", "right gray"]
+        assert all(str(share) in notes["stereo"]["gray"] for share in LUMA)
+        assert notes["stereo"]["field_of_view_deg"] == 64.74
+
+
+def test_colours_and_coarse_scans_are_told_as_what_they_are():
+    camera = CameraConfig(width=48, height=36, colour=True, eyes="mono")
+    card = make_card(sensors=SensorConfig(camera=camera, lidar=LidarConfig(form="sectors")))
+    notes = input_notes(card)
+    assert notes["stereo"]["channels"] == ["mono red", "mono green", "mono blue"]
+    assert "gray" not in notes["stereo"]
+    assert (notes["lidar"]["range"], notes["lidar"]["form"]) == ([0, 1], "sectors")
+
+
+def test_the_scales_in_the_metadata_make_what_a_car_is_told(race_env):
+    # Who follows them on a car of his own tells the network what the simulator would tell it.
+    fields = input_notes(make_card("blind"))["motion"]["fields"]
+    assert [one["name"] for one in fields] == list(MOTION_FIELDS)
+    env = race_env()
+    assert env.reset(seed=1)[0]["motion"][0, 3:].tolist() == [0.0, -1.0]
+    for _ in range(8):
+        told = env.step(torch.tensor([[[0.4, 0.1]]])).observations[0]["motion"][0].tolist()
+    body = env.world.motion
+    measured = [
+        math.hypot(float(body.velocity_x), float(body.velocity_y)),
+        float(body.yaw_rate),
+        math.degrees(float(body.steering)),
+    ]
+    answered = [0.4 * 30.0, 0.1 + (0.1 + 1) / 2 * (4.0 - 0.1)]  # [deg], [m/s]
+    made = [
+        (value - one["offset"]) / one["scale"]
+        for value, one in zip(measured + answered, fields, strict=True)
+    ]
+    assert made[0] == pytest.approx(told[0], rel=0.02)  # it slides a little to the side
+    assert made[1:] == pytest.approx(told[1:], abs=1e-5)
+    assert min(made[:3]) > 0.1
 
 
 def test_the_same_checkpoint_gives_the_same_bytes(tmp_path):

@@ -146,3 +146,63 @@ def test_a_network_that_is_too_large_is_refused_before_it_is_built():
     shapes = group_shapes(SensorConfig.full(640, 480))
     with pytest.raises(ConfigError, match="at most 4000000"):
         Actor(replace(NetworkConfig(), strides=(1, 1, 1), hidden=(1024,)), shapes, 2)
+
+
+def camera(width: int, height: int, **settings) -> dict[str, tuple[int, ...]]:
+    return group_shapes(SensorConfig(camera=CameraConfig(width, height, **settings)))
+
+
+def test_a_network_that_holds_too_many_activations_is_refused_though_it_multiplies_little():
+    # 64 maps of 160x120, of 3 multiplications a number: 1,228,800 and 2 answers and one between.
+    cfg = NetworkConfig(channels=(64, 1), kernels=(1, 1), strides=(1, 8), hidden=(1,))
+    held = 64 * 160 * 120 + 20 * 15 + 1 + 2
+    with pytest.raises(ConfigError, match=rf"holds {held} activations .* and 1000000, by smaller"):
+        weight_shapes(cfg, camera(160, 120), 2)
+    weight_shapes(cfg, camera(80, 60), 2)
+
+
+def test_few_channels_count_as_sixteen_because_they_cost_as_much():
+    # 49 numbers of each of 6 channels at each of 474 x 634 places: 16 times that is 1.4 milliard.
+    few = NetworkConfig(channels=(1,), kernels=(7,), strides=(1,), hidden=(1,))
+    cost = 16 * 6 * 49 * 474 * 634 + 474 * 634 + 5 + 2
+    with pytest.raises(ConfigError, match=f"multiplies {cost} times"):
+        weight_shapes(few, camera(640, 480, colour=True), 2)
+
+
+@pytest.mark.parametrize(
+    ("eyes", "layers"),
+    [
+        ("stereo", {}),
+        ("stereo", {"strides": (4, 2, 1)}),
+        # The original's networks of three, five and four convolutions (docs/checkpoint.md).
+        (
+            "stereo",
+            {
+                "channels": (32, 64, 64),
+                "kernels": (8, 4, 3),
+                "strides": (4, 2, 1),
+                "hidden": (256,),
+            },
+        ),
+        (
+            "mono",
+            {
+                "channels": (32, 32, 64, 64),
+                "kernels": (5, 3, 3, 3),
+                "strides": (2, 1, 2, 1),
+                "hidden": (64,),
+            },
+        ),
+        (
+            "stereo",
+            {
+                "channels": (32, 32, 64, 64),
+                "kernels": (8, 4, 4, 3),
+                "strides": (4, 2, 2, 1),
+                "hidden": (512, 512),
+            },
+        ),
+    ],
+)
+def test_sensible_networks_at_160x120_are_allowed(eyes, layers):
+    weight_shapes(NetworkConfig(**layers), camera(160, 120, eyes=eyes), 2)

@@ -1,10 +1,14 @@
 """A policy drives by its checkpoint alone: the same bits alone and in a batch."""
 
+import random
+from typing import get_args
+
 import pytest
 import torch
 from trained import SENSES, make_checkpoint, told
 
 from league.agents import checkpoint, roster
+from league.agents.network import Activation, NetworkConfig
 from league.agents.policy import Policy
 from league.envs.action_space import ContinuousActions, grid, to_actions
 from league.envs.config import EnvConfig
@@ -17,6 +21,8 @@ from league.track import files
 from league.track.course import TrackSet
 
 CAR = CarConfig()
+MANY = grid(4, 30, 10, 4)
+"""40 choices: threads would share them, with other bits from three threads on."""
 
 
 @pytest.mark.parametrize("rows", [5, 16, 33])
@@ -30,20 +36,72 @@ def test_a_row_gets_the_same_bits_alone_and_among_many(senses, rows):
         assert torch.equal(alone[0], together[row])
 
 
+def differing(trained, rows: int) -> list[int]:
+    """Return the rows of a batch that are answered otherwise than alone."""
+    policy, many = Policy(trained, CAR), told(trained.card, rows, seed=rows)
+    together = policy.outputs(many)
+    alone = [
+        policy.outputs({name: group[row : row + 1] for name, group in many.items()})
+        for row in range(rows)
+    ]
+    return [row for row in range(rows) if not torch.equal(alone[row][0], together[row])]
+
+
+UNEVEN = (
+    {"hidden": (129,)},
+    {"hidden": (10, 50)},
+    {"channels": (16, 33, 32)},
+    {"channels": (3, 5, 7), "hidden": (1,)},
+    {"channels": (1, 32, 32), "hidden": (200, 128), "activation": "mish"},
+)
+
+
+@pytest.mark.parametrize("layers", UNEVEN)
 @pytest.mark.parametrize("senses", SENSES)
-def test_bits_do_not_depend_on_the_number_of_threads(senses):
-    trained = make_checkpoint(senses)
+def test_a_row_of_an_uneven_network_gets_the_same_bits_alone_and_among_many(senses, layers):
+    trained = make_checkpoint(senses, network=NetworkConfig(**layers))
+    assert differing(trained, 13) == []
+
+
+def test_many_networks_give_a_row_the_same_bits_alone_and_among_many():
+    draw = random.Random(5)
+    for number in range(60):
+        number_of = draw.randint(1, 3)
+        even = number % 2 == 0  # these decide four rows at a time
+
+        def sizes(count: int, largest: int, even: bool = even) -> tuple[int, ...]:
+            step = 16 if even else 1
+            return tuple(step * draw.randint(1, largest // step) for _ in range(count))
+
+        network = NetworkConfig(
+            channels=sizes(number_of, 64),
+            kernels=tuple(draw.randint(1, 4) for _ in range(number_of)),
+            strides=tuple(draw.randint(2, 3) for _ in range(number_of)),
+            hidden=sizes(draw.randint(1, 3), 128),
+            activation=draw.choice(get_args(Activation)),
+            normalise=draw.random() < 0.5,
+        )
+        space = grid(draw.randint(2, 6), 30, draw.randint(1, 40), 4)
+        senses = draw.choice(list(SENSES))
+        trained = make_checkpoint(senses, network=network, action_space=space)
+        assert differing(trained, draw.choice((5, 6, 7, 9))) == [], (network, senses)
+
+
+@pytest.mark.parametrize("space", [ContinuousActions(), MANY])
+@pytest.mark.parametrize("senses", SENSES)
+def test_bits_do_not_depend_on_the_number_of_threads(senses, space):
+    trained = make_checkpoint(senses, action_space=space)
     policy, many = Policy(trained, CAR), told(trained.card, 6)
     before = torch.get_num_threads()
     try:
         answers = []
-        for threads in (1, 2, 4):
+        for threads in (1, 2, 3, 4, 8):
             torch.set_num_threads(threads)
             answers.append(policy.outputs(many))
+            assert torch.get_num_threads() == threads
     finally:
         torch.set_num_threads(before)
-    assert torch.equal(answers[0], answers[1])
-    assert torch.equal(answers[0], answers[2])
+    assert all(torch.equal(answers[0], other) for other in answers[1:])
 
 
 def test_an_inexact_policy_agrees_but_for_the_last_bits():

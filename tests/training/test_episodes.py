@@ -102,6 +102,26 @@ def test_rewards_of_cut_off_episodes_count_as_of_so_much_of_a_lap():
     assert episodes.earned == pytest.approx(7.5)
 
 
+def test_steps_of_an_episode_are_those_of_a_car_that_ends():
+    episodes = Episodes(2)
+    assert episodes.steps is None
+    step(episodes, [0.1, 0.1])
+    step(episodes, [0.2, 0.2], over=[1, 0])
+    step(episodes, [0.1, 0.3])
+    step(episodes, [0.2, 0.4], over=[0, 1])
+    assert episodes.steps == 3.0  # of 2 and 4
+
+
+def test_steps_before_a_cut_count_for_the_next_end():
+    episodes = Episodes(1)
+    step(episodes, [0.1])
+    step(episodes, [0.2])
+    episodes.restart()
+    assert episodes.steps is None
+    step(episodes, [0.1], over=[1])
+    assert episodes.steps == 3.0  # two that were cut off, and one
+
+
 def test_only_the_last_episodes_count():
     episodes = Episodes(1)
     for _ in range(WINDOW):

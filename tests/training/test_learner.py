@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
+from pathlib import Path
 
 import pytest
 import torch
@@ -8,10 +10,10 @@ from scenes import make_ring
 
 from league.agents.network import NetworkConfig
 from league.envs.action_space import ActionSpace, ContinuousActions, DiscreteActions
-from league.errors import PolicyError
+from league.errors import ConfigError, PolicyError
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig
 from league.track.course import TrackSet
-from league.training import worlds
+from league.training import checks, worlds
 from league.training.learner import Learner
 from league.training.settings import PpoConfig, TrainConfig
 
@@ -56,7 +58,7 @@ def same(one: dict[str, torch.Tensor], other: dict[str, torch.Tensor]) -> bool:
 
 def everything(made: Learner) -> dict[str, torch.Tensor]:
     """Return all that is learnt: the actor, the critic and the optimiser's memory."""
-    saved = made.runner.alg.save()
+    saved = made._alg.save()
     found = {}
     for part in ("actor_state_dict", "critic_state_dict"):
         found |= {f"{part}.{name}": value for name, value in saved[part].items()}
@@ -73,7 +75,7 @@ def test_gradients_flow_to_every_weight_of_the_actor(space):
     made.update(0.0)
     for name, weight in made.weights().items():
         assert not torch.equal(weight, before[name]), name
-    for name, parameter in made.runner.alg.get_policy().named_parameters():
+    for name, parameter in made._alg.get_policy().named_parameters():
         # The spread of exploration is set by a schedule.
         if "log_std" not in name:
             assert parameter.grad is not None, name
@@ -139,7 +141,7 @@ def test_a_choice_from_a_list_is_learnt():
     assert not same(before, made.weights())
     obs = made.env.get_observations()
     with torch.no_grad():
-        chosen = made.runner.alg.get_policy()(obs, stochastic_output=True)
+        chosen = made._alg.get_policy()(obs, stochastic_output=True)
     assert chosen.shape == (4, 4)
     assert chosen.sum(dim=1).tolist() == [1.0] * 4
     assert set(chosen.reshape(-1).tolist()) == {0.0, 1.0}
@@ -158,8 +160,8 @@ def test_exploration_and_step_size_fall_with_the_share_of_the_budget():
     found = []
     for share in (0.0, 0.5, 1.0, 2.0):
         made.update(share)
-        spread = made.runner.alg.get_policy().distribution.log_std_param.exp()  # pyright: ignore
-        found.append((made.runner.alg.optimizer.param_groups[0]["lr"], float(spread[0])))
+        spread = made._alg.get_policy().distribution.log_std_param.exp()  # pyright: ignore
+        found.append((made._alg.optimizer.param_groups[0]["lr"], float(spread[0])))
     assert found[0] == (pytest.approx(1e-3), pytest.approx(0.9))
     # Half way down a geometric fall: sqrt(1e-3 x 1e-5) and sqrt(0.9 x 0.1).
     assert found[1] == (pytest.approx(1e-4), pytest.approx(0.3))
@@ -192,6 +194,100 @@ def test_a_file_that_is_no_state_is_refused(tmp_path, content):
         path.write_bytes(content)
     with pytest.raises(PolicyError, match="cannot be gone on from"):
         learner().restore(path)
+
+
+@pytest.mark.parametrize("who", ["torch", "the disk"])
+def test_a_full_disk_leaves_the_old_state_as_it_was(tmp_path, monkeypatch, who):
+    path, made = tmp_path / "state.pt", learner()
+    made.save(path, {"spent_s": 1.0})
+    before = path.read_bytes()
+
+    def refuses(*given: object) -> None:
+        if who == "torch":
+            raise RuntimeError("[enforce fail at inline_container.cc] . unexpected pos 64 vs 0")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    if who == "torch":
+        monkeypatch.setattr(torch, "save", refuses)
+    else:
+        monkeypatch.setattr(Path, "write_bytes", refuses)
+    with pytest.raises(PolicyError, match=r"state cannot be written to .*state\.pt \(.* has room"):
+        made.save(path, {"spent_s": 2.0})
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+class Card:
+    """A card's generator, where there is no card; what else would lie there lies on the CPU."""
+
+    def __init__(self, monkeypatch) -> None:
+        self.state, load = torch.arange(16, dtype=torch.uint8), torch.load
+        monkeypatch.setattr(torch.cuda, "get_rng_state", lambda device: self.state.clone())
+        monkeypatch.setattr(torch.cuda, "set_rng_state", self._set)
+        monkeypatch.setattr(
+            torch, "load", lambda path, **given: load(path, **{**given, "map_location": "cpu"})
+        )
+
+    def _set(self, state: torch.Tensor, device: str) -> None:
+        assert (device, state.device.type) == ("cuda", "cpu")
+        if state.shape != self.state.shape:
+            raise RuntimeError("RNG state is wrong size")
+        self.state = state
+
+    def learner(self) -> Learner:
+        made = learner()
+        made.cfg = dataclasses.replace(made.cfg, device="cuda")
+        return made
+
+
+def test_on_a_card_its_generator_is_kept_too(tmp_path, monkeypatch):
+    card = Card(monkeypatch)
+    card.learner().save(tmp_path / "state.pt", {})
+    kept, card.state = card.state, torch.zeros_like(card.state)
+    card.learner().restore(tmp_path / "state.pt")
+    assert torch.equal(card.state, kept)
+
+
+@pytest.mark.parametrize("wrong", [torch.zeros(3, dtype=torch.uint8), "none"])
+def test_what_is_no_generator_of_a_card_is_refused(tmp_path, monkeypatch, wrong):
+    card, path = Card(monkeypatch), tmp_path / "state.pt"
+    card.learner().save(path, {})
+    torch.save({**torch.load(path), "card_generator": wrong}, path)
+    with pytest.raises(PolicyError, match="cannot be gone on from"):
+        card.learner().restore(path)
+
+
+def test_a_state_from_before_cards_were_kept_can_be_gone_on_from(tmp_path, monkeypatch):
+    learner().save(tmp_path / "state.pt", {"spent_s": 1.0})  # as a CPU's, it has none
+    card = Card(monkeypatch)
+    before = card.state
+    assert card.learner().restore(tmp_path / "state.pt") == {"spent_s": 1.0}
+    assert card.state is before
+
+
+@pytest.mark.parametrize("name", ["meta", "cuda:99", "hpu", "xla", "abacus", "", "cpu:-1"])
+def test_a_device_that_does_not_compute_is_refused_and_those_that_do_are_named(name):
+    with pytest.raises(ConfigError, match=rf"on the device '{name}': give cpu, or .* here: cpu"):
+        checks.device(name)
+
+
+def test_the_cpu_computes():
+    checks.device("cpu")
+
+
+def test_an_update_tells_what_charts_of_rsl_rl_show():
+    made = learner(settings().with_ppo(learning_rate=(1e-3, 1e-5), noise=(0.9, 0.1)))
+    told = made.update(0.5)
+    # Half way down a geometric fall: sqrt(1e-3 x 1e-5) and sqrt(0.9 x 0.1).
+    assert told.learning_rate == pytest.approx(1e-4)
+    assert told.mean_std == pytest.approx(0.3)
+    assert told.episode_steps == made.episodes.steps
+
+
+def test_chances_of_choices_tell_their_spread():
+    told = learner(space=CHOICES).update(0.0)
+    # Four choices of nearly equal chance: sqrt(1/4 x 3/4) = 0.433.
+    assert told.mean_std == pytest.approx(0.433, abs=0.03)
 
 
 def test_an_update_tells_what_it_brought():

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -45,6 +46,19 @@ def test_charts_have_the_names_that_users_of_rsl_rl_know(tmp_path):
     assert found["Eval/best_lap"] == [(3, 7.5)]
     assert found["Eval/completion"] == [(3, pytest.approx(250 / 3))]
     assert "Loss/surrogate" in found
+
+
+def test_step_size_exploration_and_length_of_episodes_have_rsl_rl_s_names(tmp_path):
+    made, onlooker = History(), Scalars(tmp_path)
+    brought = replace(update(2), learning_rate=0.5, mean_std=0.25, episode_steps=40.0)
+    for one in (update(1), brought):  # the first tells nothing of it
+        made.add_update(one, episodes(0.5), 2.0 * one.number)
+        onlooker.update(made, one)
+    onlooker.close()
+    found = told(tmp_path)
+    assert found["Train/mean_episode_length"] == [(2, 40.0)]
+    assert found["Loss/learning_rate"] == [(2, 0.5)]
+    assert found["Policy/mean_std"] == [(2, 0.25)]
 
 
 def test_what_is_not_a_number_is_left_out(tmp_path):

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from league.training.scale import LARGEST, ReturnScale
+from league.training.scale import LARGEST, Moments, ReturnScale
 
 GOING = torch.zeros(2, dtype=torch.int64)
 
@@ -54,8 +54,8 @@ def test_a_return_ends_with_its_episode():
     scale.scaled(torch.tensor([8.0]), over)
     scale.scaled(torch.tensor([8.0]), over)
     # Each return is 8: nothing of the one before is in it, so they do not spread.
-    assert scale.mean == pytest.approx(8.0, rel=1e-3)
-    assert scale.square == pytest.approx(0.0, abs=0.01)
+    assert scale.seen.mean == pytest.approx(8.0, rel=1e-3)
+    assert scale.seen.square == pytest.approx(0.0, abs=0.01)
 
 
 def test_what_is_remembered_can_be_taken_out_and_put_back():
@@ -66,6 +66,12 @@ def test_what_is_remembered_can_be_taken_out_and_put_back():
     rewards = torch.tensor([1.0, -1.0])
     assert torch.equal(one.scaled(rewards, GOING), other.scaled(rewards, GOING))
     assert one.state() == other.state()
+
+
+def test_moments_of_two_sets_are_those_of_all_their_numbers():
+    # 1 and 3, then 5, 6 and 10: mean 25 / 5 = 5, squares 16 + 4 + 0 + 1 + 25 = 46.
+    joined = Moments(2, 2.0, 2.0).joined(Moments(3, 7.0, 14.0))
+    assert joined == Moments(5, pytest.approx(5.0), pytest.approx(46.0))  # pyright: ignore
 
 
 def test_before_anything_is_known_nothing_is_divided():

@@ -14,6 +14,8 @@ from itertools import pairwise
 
 MAX_MEMBERS = 80
 """64 tensors and what torch adds."""
+MAX_PHRASE = 300
+"""Signs of what is told about a refused file."""
 _CENTRAL = struct.Struct("<4s6H3I5H2I")
 _LOCAL = struct.Struct("<4s5H3I2H")
 _END = struct.Struct("<4s4H2IH")
@@ -28,7 +30,16 @@ _NAME = re.compile(
 
 
 class RefusedError(ValueError):
-    """What is wrong with a file, as a phrase for the sentence that the user is told."""
+    """What is wrong with a file, as a phrase for the sentence that the user is told.
+
+    A phrase may quote the file. Whatever stands there, the phrase is one short line of printable
+    ASCII: no sign of a stranger reaches somebody's terminal as it is.
+    """
+
+    def __init__(self, phrase: str) -> None:
+        """Spell what is not printable ASCII, and cut what is too long."""
+        line = "".join(one if " " <= one <= "~" else ascii(one)[1:-1] for one in phrase)
+        super().__init__(line if len(line) <= MAX_PHRASE else f"{line[: MAX_PHRASE - 3]}...")
 
 
 def members(content: bytes) -> dict[str, memoryview]:

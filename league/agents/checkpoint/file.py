@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import stat
 import struct
 from collections.abc import Mapping
@@ -200,19 +201,33 @@ def read_card(text: str) -> tuple[Card, str]:
         found = json.loads(canonical)
     except (ValueError, RecursionError) as error:
         raise RefusedError("its card is no JSON, or nested too deep") from error
+    if len(canonical) > MAX_CARD:
+        raise RefusedError(f"its card is longer than {MAX_CARD} bytes in ASCII")
     version = found.get("format") if isinstance(found, dict) else None
     if version != FORMAT or isinstance(version, bool):
-        raise RefusedError(f"its card is of format {brief(version)}, this version reads {FORMAT}")
+        raise RefusedError(f"its card is of format {_quoted(version)}, this version reads {FORMAT}")
     try:
         return Card.model_validate_json(canonical, strict=True), canonical
     except ConfigError as error:
         raise RefusedError(f"its card is wrong: {error}") from error
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False)[0]
-    where = ".".join(str(part)[:40] for part in first["loc"]) or "it"
+    where = ".".join(_part(part) for part in first["loc"]) or "it"
     raise RefusedError(
-        f"its card is wrong: {where} is {brief(first['input'])}: {first['msg'][:150]}"
+        f"its card is wrong: {where} is {_quoted(first['input'])}: {first['msg'][:150]}"
     )
+
+
+def _quoted(given: object) -> str:
+    """Return what was given in at most 80 signs of ASCII."""
+    line = brief(given).encode("ascii", "backslashreplace").decode("ascii")
+    return line if len(line) <= 80 else f"{line[:77]}..."
+
+
+def _part(of: str | int) -> str:
+    """Return a part of a place in a card: as it is if it is a name, else quoted and cut."""
+    text = str(of)
+    return text if re.fullmatch(r"[A-Za-z0-9_]{1,40}", text) else ascii(text[:20])
 
 
 def _canonical(text: str) -> str:

@@ -91,7 +91,7 @@ class Entries(Reading):
         tables.console().print(table)
         for entry in entries:
             if entry.reason:
-                print(f"{entry.name} is {entry.state}: {entry.reason}")
+                print(f"{entry.name} is {entry.state}: {tables.spelled(entry.reason)}")
         return 0
 
 

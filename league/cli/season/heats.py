@@ -210,7 +210,7 @@ def _show(store: Store, record: HeatRecord, as_json: bool) -> int:
     if record.state == "done" and any(result.replay for result in results):
         print(f"Watch it: league view {record.number}   (the second race: --race 2)")
     if record.traceback:
-        print(record.traceback)
+        print(tables.spelled(record.traceback))
     return 0
 
 

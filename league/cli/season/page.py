@@ -34,7 +34,7 @@ def told(ended: Ended) -> str:
     if report.outcome is None:
         last = report.traceback.strip().splitlines()[-1:] or ["no reason told"]
         again = "given up" if ended.became == "error" else "will be tried again"
-        return f"{start}: failed, {again}: {last[0][:120]}"
+        return f"{start}: failed, {again}: {tables.spelled(last[0][:120])}"
     scores = " | ".join(
         "-".join(str(place) for place in one.places) for one in report.outcome.races
     )
@@ -101,7 +101,6 @@ class Page:
 
     def _drawn(self, tally: Tally) -> RenderableType:
         from rich.console import Group
-        from rich.markup import escape
         from rich.text import Text
 
         wall_s = max(time.monotonic() - self._began, 1e-9)
@@ -123,7 +122,7 @@ class Page:
         if self._standings is not None:
             parts.append(table(self._standings, TOP))
         parts += [Text("Racing", style="dim"), *(Text(line) for line in under_way)]
-        parts += [Text("Last", style="dim"), *(Text(f"  {escape(line)}") for line in self._last)]
+        parts += [Text("Last", style="dim"), *(Text(f"  {line}") for line in self._last)]
         return Group(*parts)
 
 

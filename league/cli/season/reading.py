@@ -176,7 +176,8 @@ def _show(store: Store, entry: Entry, as_json: bool) -> int:
         door.print_json(told)
         return 0
     print(f"{entry.name} by {entry.owner}   {entry.id}")
-    print(f"{entry.state}{', ' + entry.reason if entry.reason else ''}, {entry.kind}")
+    reason = f", {tables.spelled(entry.reason)}" if entry.reason else ""
+    print(f"{entry.state}{reason}, {entry.kind}")
     if row is not None:
         rating = door.plus_minus(row.elo, row.low95, row.high95)
         print(
