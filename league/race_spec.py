@@ -7,9 +7,9 @@ reason.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from league.errors import ConfigError, brief
 from league.sim.config import RaceKind, SolverName
@@ -36,10 +36,20 @@ class _Data(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
+def _printable(name: str) -> str:
+    if not name.isprintable():
+        raise ValueError("give a name of signs that can be printed")
+    return name
+
+
+Name = Annotated[str, AfterValidator(_printable)]
+"""What is shown to people, and may be a stranger's: no line ends, no escape sequences."""
+
+
 class Entry(_Data):
     """Who drives one car."""
 
-    name: str = Field(min_length=1, max_length=200)
+    name: Name = Field(min_length=1, max_length=200)
     """Name of a scripted driver, or the label of a checkpoint."""
     digest: str = Field(default="", max_length=64)
     """SHA-256 of the checkpoint; empty for scripted drivers."""
@@ -95,7 +105,7 @@ def checked(settings: Mapping[str, Any]) -> RaceSpec:
         )
     if first["loc"] == ("entries",) and isinstance(first["input"], (list, tuple)):
         raise ConfigError(f"{len(first['input'])} drivers were named: give 1 to 8")
-    reason = _wanted(where) or first["msg"].replace("\n", " ")[:200]
+    reason = _wanted(where) or first["msg"].removeprefix("Value error, ").replace("\n", " ")[:200]
     raise ConfigError(f"{where} is {brief(first['input'])}: {reason}")
 
 
@@ -131,7 +141,7 @@ class CarResult(_Data):
 
     car: int
     """Grid slot, from 0."""
-    name: str
+    name: Name
     """Who drove."""
     place: int
     """From 1; equal places do not occur."""

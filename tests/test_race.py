@@ -12,7 +12,7 @@ from league import race
 from league.agents import roster
 from league.envs import book
 from league.errors import ConfigError, LeagueError
-from league.race_spec import CarResult, Entry, RaceResult, RaceSpec
+from league.race_spec import CarResult, Entry, RaceResult, RaceSpec, checked
 from league.sim.config import CameraConfig, CarConfig, LidarConfig, SensorConfig
 from league.track import files
 from league.track.course import TrackSet
@@ -371,3 +371,10 @@ def test_equal_times_are_told_apart_by_mistakes_then_by_the_grid():
     careless, lucky = result_of(car=0, off_tracks=1), result_of(car=1)
     placed = sorted([clean, careless, lucky], key=lambda car: book.merit(spec, car))
     assert [car.car for car in placed] == [1, 2, 0]
+
+
+@pytest.mark.parametrize("name", ["\x1b[31mred", "two\nlines", "\u202eesrever", "\x9b1m"])
+def test_a_name_that_would_act_on_a_terminal_is_refused(name):
+    with pytest.raises(ConfigError, match=r"entries\.0\.name is .*: give a name of signs that can"):
+        checked({"entries": [{"name": name}]})
+    assert checked({"entries": [{"name": "Zoë [/x]"}]}).entries[0].name == "Zoë [/x]"
