@@ -6,6 +6,7 @@ import sys
 
 import pytest
 import small
+import small_play
 import torch
 
 from league.agents import checkpoint
@@ -61,6 +62,7 @@ def test_in_self_play_the_newest_is_best_of_those_that_come_as_far(tmp_path, mon
 
     judged = judge.judged
     monkeypatch.setattr(judge, "judged", sat)
+    monkeypatch.setattr(run_room, "SelfPlayConfig", lambda: small_play.SHORT)
     cfg = small.cfg(6, train=small.train(kind="head_to_head", num_cars=2), self_play=True)
     run, onlooker = small.run(tmp_path, cfg), small.Onlooker()
     outcome = run.learn([onlooker])
