@@ -42,20 +42,19 @@ class Watchdog:
         self.calls = 0
         self._path, self._limit_s = path, time_limit_s
         self._lock, self._begun = threading.Lock(), False
-        self._watched: int | None = None
+        self._busy, self._thread = False, 0
         self._error: RewardError | None = None
         self._seen = self._looks = 0
+
+    # A batch of one call is paid for by what these two take, so they take no lock. Either the one
+    # that leaves sees the error, or `look` sees that it has left: each writes before it reads.
 
     def __enter__(self) -> Watchdog:
         """Watch this thread from now on."""
         if not self._begun:
-            self._begun, over = True, threading.Event()
-            weakref.finalize(self, over.set)
-            told = (weakref.ref(self), over, self._limit_s / _LOOKS)
-            threading.Thread(target=_watch, args=told, daemon=True, name="watchdog").start()
-        with self._lock:
-            self._error, self._watched = None, threading.get_ident()
-            self.calls += 1
+            self._begin()
+        self._thread = threading.get_ident()
+        self._busy = True
         return self
 
     def __exit__(
@@ -66,24 +65,41 @@ class Watchdog:
         Raises:
             RewardError: a call did not come back.
         """
-        with self._lock:
-            watched, self._watched = self._watched, None
-            if self._error is None:
-                return
-            _throw(watched, None)  # it may have come back just before it was to end
-            raise self._error
+        try:
+            self._busy = False
+            if self._error is not None:
+                self._settle()
+        except Stopped:  # thrown as the call came back
+            self._settle()
 
     def look(self) -> None:
         """End the call under way if it is the one of so many looks ago."""
         with self._lock:
-            if self._watched is None or self.calls != self._seen:
+            if not self._busy or self.calls != self._seen:
                 self._seen, self._looks = self.calls, 0
                 return
             self._looks += 1
-            if self._looks < _LOOKS or is_debugged(self._watched):
+            if self._looks < _LOOKS or is_debugged(self._thread):
                 return
-            self._error = self._error or stuck(self._path, self._watched, self._limit_s)
-            _throw(self._watched, Stopped)
+            self._error = self._error or stuck(self._path, self._thread, self._limit_s)
+            if self._busy:
+                _throw(self._thread, Stopped)
+            else:
+                self._error = None
+
+    def _begin(self) -> None:
+        self._begun, over = True, threading.Event()
+        weakref.finalize(self, over.set)
+        told = (weakref.ref(self), over, self._limit_s / _LOOKS)
+        threading.Thread(target=_watch, args=told, daemon=True, name="watchdog").start()
+
+    def _settle(self) -> None:
+        with self._lock:
+            error, self._error = self._error, None
+            # The call may have come back just before it was to end.
+            _throw(self._thread, None)
+        if error is not None:
+            raise error
 
 
 def _watch(whose: weakref.ref[Watchdog], over: threading.Event, pause_s: float) -> None:
