@@ -187,19 +187,24 @@ def _saved_on_sigterm() -> Iterator[None]:
 
 def _kept(command: Train, folder: Path) -> str:
     """Keep the best policy of a run that ends early under the name asked for; say what is kept."""
+    if not (folder / "state.pt").exists():
+        return "Nothing was learnt yet."
+    kept = f"Kept: {folder / 'last.pt'}"
+    if (folder / "best.pt").exists():
+        _hand_over(folder / "best.pt", command.out)
+        kept += f", and the best so far as {command.out}"
+    return f"{kept}; go on with --resume."
+
+
+def _hand_over(best: Path, out: Path) -> None:
+    """Copy a run's best policy to where it was asked for."""
     import shutil
 
     from league.errors import PolicyError
     from league.whole_file import replacing
 
-    if not (folder / "state.pt").exists():
-        return "Nothing was learnt yet."
-    kept = f"Kept: {folder / 'last.pt'}"
-    if (folder / "best.pt").exists():
-        with replacing(command.out, "the checkpoint", PolicyError) as file:
-            shutil.copyfile(folder / "best.pt", file)
-        kept += f", and the best so far as {command.out}"
-    return f"{kept}; go on with --resume."
+    with replacing(out, "the checkpoint", PolicyError) as file:
+        shutil.copyfile(best, file)
 
 
 def _tell_printed(folder: Path) -> None:
@@ -229,16 +234,11 @@ def _resume(command: Train, run: Run) -> None:
 
 
 def _report(command: Train, outcome: Outcome) -> None:
-    import shutil
-
     from league.cli.evaluate import print_table
-    from league.errors import PolicyError
-    from league.whole_file import replacing
 
     if outcome.evaluation is not None:
         print_table(outcome.evaluation)
-    with replacing(command.out, "the checkpoint", PolicyError) as file:
-        shutil.copyfile(outcome.best, file)
+    _hand_over(outcome.best, command.out)
     if outcome.matrix is not None:
         print(_told_of(outcome.matrix, command.out.with_suffix(".run")))
     print(

@@ -22,8 +22,7 @@ class Onlooker(Protocol):
         ...
 
     def racing(self, what: str) -> None:
-        """Take note of races after the last update, which take a while: whose they are."""
-        ...
+        """Take note of races after the last update, which take a while; who need not, inherits."""
 
     def close(self) -> None:
         """Write or show what is left; called once, also after an error or Ctrl-C."""

@@ -19,6 +19,7 @@ from league.training.lines import (
     shares,
     speed,
 )
+from league.training.onlooker import Onlooker
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
@@ -39,7 +40,7 @@ _HEIGHT = 4
 _LEARNT, _JUDGED = "cyan", "green"
 
 
-class Page:
+class Page(Onlooker):
     """An onlooker that draws a page in place, or prints lines where nothing can be drawn."""
 
     def __init__(

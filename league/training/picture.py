@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from league.errors import PolicyError
 from league.training.lines import clock
+from league.training.onlooker import Onlooker
 from league.whole_file import replacing
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ _INK, _GRID, _PAPER = "#24292f", "#e3e6ea", "#ffffff"
 _EARNED, _DRIVEN, _JUDGED, _BEST = "#2f9e63", "#3178c6", "#d9483b", "#e0a100"
 
 
-class Picture:
+class Picture(Onlooker):
     """An onlooker that draws the curves now and then, and when all is over."""
 
     def __init__(self, path: Path, *, every_s: float = EVERY_S) -> None:
@@ -48,9 +49,6 @@ class Picture:
         if time.monotonic() - self._drawn >= self._every_s:
             draw(history, self._path)
             self._drawn = time.monotonic()
-
-    def racing(self, what: str) -> None:
-        """Do nothing: it brings no figures."""
 
     def close(self) -> None:
         """Draw the whole run, if there was any."""

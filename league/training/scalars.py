@@ -6,6 +6,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from league.training.onlooker import Onlooker
+
 if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter
 
@@ -17,7 +19,7 @@ FLUSH_S = 10
 """Seconds after which what was added is on the disk."""
 
 
-class Scalars:
+class Scalars(Onlooker):
     """An onlooker that adds a point to each chart; the step is the number of updates, as there."""
 
     def __init__(self, folder: Path) -> None:
@@ -35,9 +37,6 @@ class Scalars:
         """Add what an evaluation came to."""
         row = history.evaluations[-1]
         self._add(of_evaluation(row), row.number)
-
-    def racing(self, what: str) -> None:
-        """Do nothing: it brings no figures."""
 
     def close(self) -> None:
         """Write what is left."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from league.training.lines import seconds
+from league.training.onlooker import Onlooker
 
 if TYPE_CHECKING:
     from league.envs.vec_env import RacingVecEnv
@@ -19,7 +20,7 @@ MOST_CARS = 6
 """Cars shown at most."""
 
 
-class Watching:
+class Watching(Onlooker):
     """An onlooker that shows some cars as they learn; learning does not wait for it."""
 
     def __init__(self, env: RacingVecEnv, *, window: bool | None = None) -> None:
@@ -81,9 +82,6 @@ class Watching:
             f"{row.samples:,} samples: {row.complete_laps} of {row.asked} laps, "
             f"{row.completion:.0f} %{lap}{star}"
         )
-
-    def racing(self, what: str) -> None:
-        """Do nothing: it brings no figures."""
 
     def close(self) -> None:
         """Send what is left; a window stays open."""

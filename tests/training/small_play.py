@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -76,3 +78,19 @@ def playing(
     train = replace(TRAIN, **changes)
     play = SelfPlay(folder, RING, train, CARD, cfg=cfg, parent=parent)
     return play, Learner(worlds.make(RING, train, opponents=play.drivers()), train)
+
+
+def learnt(tmp_path: Path, *args: Any, **changes: Any) -> tuple[SelfPlay, Learner]:
+    """Return what `playing` does, one update and its save point later."""
+    play, learner = playing(tmp_path, *args, **changes)
+    play.begin(learner)
+    learner.update(0.0)
+    play.after_update(learner, 0.5)
+    return play, learner
+
+
+def saved(play: SelfPlay, learner: Learner, tmp_path: Path) -> dict:
+    """Save a run of `tmp_path/run` with a copy of its folder; return self-play's state as JSON."""
+    learner.save(tmp_path / "state.pt", {})
+    shutil.copytree(tmp_path / "run", tmp_path / "copy")
+    return json.loads(json.dumps(play.state()))

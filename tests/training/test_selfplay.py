@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import shutil
 from dataclasses import replace
 
 import pytest
 import small
 import torch
-from small_play import CAR, CARD, RING, SHORT, TRAIN, Constant, blind, playing
+from small_play import CAR, CARD, RING, SHORT, TRAIN, Constant, blind, learnt, playing, saved
 
 from league.agents import checkpoint
 from league.agents.policy import Policy
@@ -230,13 +229,8 @@ def test_who_leaves_the_road_loses_from_either_slot():
 
 @pytest.mark.parametrize("num_cars", [2, 3])
 def test_resume_equals_a_run_that_was_never_interrupted(tmp_path, num_cars):
-    play, learner = playing(tmp_path / "run", blind(), num_cars=num_cars)
-    play.begin(learner)
-    learner.update(0.0)
-    play.after_update(learner, 0.5)
-    learner.save(tmp_path / "state.pt", {})
-    kept = json.loads(json.dumps(play.state()))
-    shutil.copytree(tmp_path / "run", tmp_path / "copy")
+    play, learner = learnt(tmp_path / "run", blind(), num_cars=num_cars)
+    kept = saved(play, learner, tmp_path)
     learner.update(0.0)
     play.after_update(learner, 0.5)
     again, fresh = playing(tmp_path / "copy", num_cars=num_cars)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
-from small_play import SHORT, blind, playing
+from small_play import SHORT, blind, learnt, playing, saved
 
 NEVER = replace(SHORT, admission=1.01, forced_every=3)
 
@@ -51,13 +50,8 @@ def test_who_wins_enters_unforced_and_so_does_who_has_no_rival(tmp_path):
 
 
 def test_a_resumed_run_still_knows_all_candidates(tmp_path):
-    play, learner = playing(tmp_path / "run", blind(), cfg=NEVER)
-    play.begin(learner)
-    learner.update(0.0)
-    play.after_update(learner, 0.5)
-    learner.save(tmp_path / "state.pt", {})
-    kept = json.loads(json.dumps(play.state()))
-    shutil.copytree(tmp_path / "run", tmp_path / "copy")
+    play, learner = learnt(tmp_path / "run", blind(), cfg=NEVER)
+    kept = saved(play, learner, tmp_path)
     again, fresh = playing(tmp_path / "copy", cfg=NEVER)
     fresh.restore(tmp_path / "state.pt")
     again.restore(kept, fresh)

@@ -6,7 +6,7 @@ import json
 from itertools import combinations
 
 import pytest
-from small_play import CAR, RING, SHORT, blind, playing
+from small_play import CAR, RING, SHORT, blind, learnt
 
 from league.agents.policy import Policy
 from league.training.selfplay import duels, picture
@@ -30,10 +30,7 @@ SNAPSHOT = WinMatrix(  # its champion is the second snapshot, which the later tw
 
 
 def test_the_report_races_everybody(tmp_path):
-    play, learner = playing(tmp_path, blind())
-    play.begin(learner)
-    learner.update(0.0)
-    play.after_update(learner, 0.5)
+    play, _ = learnt(tmp_path, blind())
     found = play.report(blind(3))
     assert found.names[0] == "centerline" and found.names[-1] == "final"
     assert found.wins[0][0] is None
@@ -45,10 +42,7 @@ def test_the_report_races_everybody(tmp_path):
 
 
 def test_a_pair_races_in_the_report_as_it_does_alone(tmp_path):
-    play, learner = playing(tmp_path, blind())
-    play.begin(learner)
-    learner.update(0.0)
-    play.after_update(learner, 0.5)
+    play, _ = learnt(tmp_path, blind())
     found = play.report(blind(3))
     drivers = [Policy(blind(3), CAR), Policy(play.snapshot("parent")[1], CAR)]
     ((one, _),) = duels.meet(RING, CAR, drivers, [(0, 1)], SHORT.duel, races=2).values()
