@@ -9,6 +9,7 @@ NAMES = (
     "worlds",
     "solvers",
     "lap_bound",
+    "lap_optimum",
     "drivers",
     "races",
     "replays",

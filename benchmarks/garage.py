@@ -45,14 +45,12 @@ def rookie(found: Found) -> None:
 def racer(found: Found) -> None:
     """Flying laps against what no lap of this car can beat."""
     track = files.load(HOME)
-    bound, axles = (lap_bound(track, CarConfig(), axles=axles) for axles in (False, True))
+    bound = lap_bound(track, CarConfig())
     seen = evaluate(str(found["racer"]), track, laps=6)
     best = seen.best_flying_s
     _lap("racer: best flying lap", best)
     if best is not None:
         figure("racer: best flying lap over the bound", best / bound, "x", 1.03, most=True)
-        figure("racer: the same over the bound of a car with axles", best / axles, "x")
-        figure("racer: the bound of a car with axles over that of a point", axles / bound, "x")
         flying = seen.flying_laps_s
         mean = sum(flying) / len(flying)
         figure("racer: mean flying lap over the bound", mean / bound, "x")

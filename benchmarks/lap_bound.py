@@ -7,9 +7,7 @@ sides, half of the wheel track more, where the last wheel still touches. The lin
 is found from several starts, so the figure is a bound as good as the search, which agrees with
 itself to about 0.3 % when its grid is refined.
 
-The second figure is for a car with axles: braking and drive move load between them, and the one
-that has lost some slides first. The simulated cars have axles, so they cannot reach the first
-figure, even if they turned without inertia and slip.
+What the simulated car itself could do, with its axles and its inertia, tells lap_optimum.py.
 """
 
 from __future__ import annotations
@@ -23,20 +21,19 @@ SEARCHES = ((0.08, 0.16), (0.12, 0.24), (0.15, 0.45))
 """Grids (distance of points, of knots) [m] that are tried; the fastest line counts."""
 
 
-def lap_bound(track: Track, car: CarConfig, *, axles: bool = False) -> float:
+def lap_bound(track: Track, car: CarConfig) -> float:
     """Return the time no flying lap of this car can beat, as far as the search goes [s].
 
     Args:
         track: a closed course.
         car: the car.
-        axles: count the grip that braking and drive cost by moving load between the axles.
     """
     times = [
         optimal_line(
             track,
             car,
             -car.wheel_track / 2,
-            load_transfer=axles,
+            load_transfer=False,
             spacing=spacing,
             knot_spacing=knots,
             rounds=40,
@@ -53,14 +50,10 @@ def main() -> None:
 
     car = CarConfig()
     heading("Quasi-steady-state bound of a flying lap")
-    print(f"{'track':16} {'length':>8} {'bound':>9} {'with axles':>10} {'ratio':>6}")
+    print(f"{'track':16} {'length':>8} {'bound':>9}")
     for name in files.names():
         track = files.load(name)
-        point, axles = lap_bound(track, car), lap_bound(track, car, axles=True)
-        print(
-            f"{name:16} {track.length:6.2f} m {point:7.3f} s {axles:8.3f} s {axles / point:6.3f}",
-            flush=True,
-        )
+        print(f"{name:16} {track.length:6.2f} m {lap_bound(track, car):7.3f} s", flush=True)
 
 
 if __name__ == "__main__":

@@ -63,7 +63,7 @@ def test_training_leaves_a_policy_that_races(league, tmp_path):
 def test_flags_reach_the_settings(league, tmp_path):
     flags = (
         *("--seed", "5", "--both-directions", "--random-cars", "--random-looks", "--no-mirror"),
-        *("--gamma", "0.9", "--lam", "0.8", "--learning-rate", "0.001", "0.0001"),
+        *("--gamma", "0.9", "--lam", "0.8", "--learning-rate", "0.001", "0.0001", "--forgiving"),
         *("--noise", "0.4", "0.1", "--licence", "CC0-1.0"),
     )
     code, _, err = league("train", *TINY, "--steps", "32", "--out", "a.pt", *flags)
@@ -71,6 +71,7 @@ def test_flags_reach_the_settings(league, tmp_path):
     cfg = settings(tmp_path / "a.run")
     assert (cfg.train.seed, cfg.train.both_directions, cfg.train.mirror) == (5, True, False)
     assert (cfg.train.ppo.gamma, cfg.train.ppo.lam) == (0.9, 0.8)
+    assert cfg.train.ppo.forgiving
     assert cfg.train.ppo.learning_rate == (0.001, 0.0001)
     assert cfg.train.ppo.noise == (0.4, 0.1)
     assert cfg.train.spread is not None

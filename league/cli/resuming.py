@@ -54,6 +54,7 @@ KEPT = {
     "noise": "train.ppo.noise",
     "gamma": "train.ppo.gamma",
     "lam": "train.ppo.lam",
+    "forgiving": "train.ppo.forgiving",
     "epochs": "train.ppo.epochs",
     "mini_batches": "train.ppo.mini_batches",
     "rollout": "train.ppo.steps",

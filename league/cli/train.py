@@ -90,6 +90,9 @@ class Train:
     """Discount for each step."""
     lam: float | None = None
     """Lambda of the advantages."""
+    forgiving: bool = False
+    """A mistake costs what the reward takes for it, not also all that would have been earned after
+    it: bolder at the edge of the road."""
     epochs: int | None = None
     """Passes over what was collected."""
     mini_batches: int | None = None

@@ -104,6 +104,7 @@ def _learner(command: Train) -> TrainConfig:
         "noise": command.noise,
         "gamma": command.gamma,
         "lam": command.lam,
+        "forgiving": command.forgiving or None,
         "epochs": command.epochs,
         "mini_batches": command.mini_batches,
         "steps": command.rollout,

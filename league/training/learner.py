@@ -253,7 +253,10 @@ class Learner:
                 actions = self._alg.act(self._obs)
                 self._obs, rewards, dones, extras = self.env.step(actions)
                 scaled = self._scale.scaled(rewards, dones)
-                self._alg.process_env_step(self._obs, scaled, dones, extras)
+                # Who was cut off by the clock is told what it would have gone on to earn.
+                cut = dones > 0 if self.cfg.ppo.forgiving else extras["time_outs"]
+                told = extras | {"time_outs": cut}
+                self._alg.process_env_step(self._obs, scaled, dones, told)
                 self.episodes.add(rewards, dones, extras)
                 paid += float(rewards.mean())
                 for name, value in extras["log"].items():

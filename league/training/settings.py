@@ -25,6 +25,10 @@ class PpoConfig:
     """Discount for each step (1/15 s)."""
     lam: float = 0.9
     """Generalised advantage estimation's lambda."""
+    forgiving: bool = False
+    """Whether a mistake costs what the reward takes for it, and no more. Else it also costs all
+    that would have been earned after it: the farther the learner looks ahead, the farther it stays
+    from the edge of the road."""
     clip: float = 0.2
     """Largest change of a decision's probability ratio that still counts."""
     learning_rate: tuple[float, float] = (3e-3, 3e-4)

@@ -155,6 +155,27 @@ def test_mirroring_changes_what_is_learnt():
     assert not same(plain.weights(), mirrored.weights())
 
 
+@pytest.mark.parametrize("forgiving", [False, True])
+def test_a_forgiven_mistake_costs_its_price_alone(forgiving):
+    made = learner(settings().with_ppo(forgiving=forgiving))
+    step, first = made.env.step, made._alg.storage
+
+    def mistaken(actions):
+        """Pay 0 for a mistake of each row, none of which the clock has cut off."""
+        told, rewards, dones, extras = step(actions)
+        never = torch.zeros_like(extras["time_outs"])
+        ones = torch.ones_like(dones)
+        return told, torch.zeros_like(rewards), ones, extras | {"time_outs": never}
+
+    made.env.step = mistaken
+    made._schedule(0.0)
+    made._collect()
+    gamma = made.cfg.ppo.gamma if forgiving else 0.0
+    assert first.values.abs().sum() > 0
+    # What is told as reward is the price, 0, and what would have been earned from there.
+    assert torch.allclose(first.rewards, gamma * first.values)
+
+
 def test_exploration_and_step_size_fall_with_the_share_of_the_budget():
     made = learner(settings().with_ppo(learning_rate=(1e-3, 1e-5), noise=(0.9, 0.1)))
     found = []

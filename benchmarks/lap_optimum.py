@@ -1,0 +1,278 @@
+"""The fastest flying lap that the simulated car itself could drive, on every closed shipped track.
+
+Where lap_bound.py has a point, this has the car of league/sim/vehicle.py: inertia, two axles whose
+load moves with drive and brakes, brush tyres, a steering that takes time. Its base may be where the
+point's may. The lap is found by direct collocation (J. Betts, Practical Methods for Optimal Control
+and Estimation, chapter 4): states and controls at each 10 cm of road, the trapezoidal rule between
+them, time minimised by an interior-point method. It decides at each of these points, where drivers
+decide 15 times a second, so they cannot quite reach it.
+
+Whether the equations here are the simulator's is checked by driving the lap piece by piece in the
+planar solver, with its controls and nothing that corrects them.
+
+Needs the extra `optimum`: pip install -c constraints.txt -e '.[optimum]'.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+import torch
+from scipy.interpolate import CubicSpline
+
+from benchmarks.lap_bound import lap_bound
+from benchmarks.report import heading
+from league.agents.line_search import Road
+from league.sim.config import CarConfig
+from league.sim.vehicle import DRIVE_SHARE, GRAVITY, forces
+from league.sim.world import CarParameters, Motion
+from league.track.course import Track
+
+SPACING = 0.1
+"""Distance between two points of a lap along the centreline [m]."""
+STATES, CONTROLS = 6, 2
+SMOOTH = 0.01
+"""Where |z| of a tyre is rounded off, so that it has derivatives."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lap:
+    """A lap at N points; all arrays float64."""
+
+    time: float
+    """Of the whole lap [s]."""
+    lasts: np.ndarray
+    """Time from each point to the next [s], (N,)."""
+    states: np.ndarray
+    """Lateral offset [m], yaw against the road [rad], speed ahead and to the left [m/s], yaw rate
+    [rad/s] and angle of the front wheels [rad] at each point, (N, 6)."""
+    controls: np.ndarray
+    """Change of that angle [rad/s] and drive [m/s^2] from each point to the next, (N, 2)."""
+
+
+def lap_optimum(track: Track, car: CarConfig) -> Lap:
+    """Return the fastest lap found.
+
+    Args:
+        track: a closed course.
+        car: the car.
+
+    Raises:
+        RuntimeError: the solver has found none.
+    """
+    import casadi as ca  # the extra `optimum`
+
+    road = Road.of(track, SPACING, -car.wheel_track / 2)
+    bend, gap = _shape(road)
+    count = len(gap)
+    state, control, curvature = ca.MX.sym("x", STATES), ca.MX.sym("u", CONTROLS), ca.MX.sym("k")
+    rates = ca.Function(
+        "rates", [state, control, curvature], _rates(state, control, curvature, car)
+    )
+    states, controls = ca.MX.sym("X", STATES, count), ca.MX.sym("U", CONTROLS, count)
+    after = [*range(1, count), 0]
+    here = rates.map(count)(states, controls, bend[None])
+    there = rates.map(count)(states[:, after], controls, bend[after][None])
+    half = ca.DM(gap[None] / 2)
+    lasts = (here[1] + there[1]) * half
+    missed = states[:, after] - states - (here[0] + there[0]) * ca.repmat(half, STATES, 1)
+    unknown = ca.vertcat(ca.vec(states), ca.vec(controls))
+    # Of laps that are equally fast, the one with the calmest controls.
+    restless = ca.sumsqr(controls[:, after] - controls)
+    shares = ca.vertcat(ca.vec(here[2]), ca.vec(there[2]))
+    solve = ca.nlpsol(
+        "lap",
+        "ipopt",
+        {
+            "x": unknown,
+            "f": ca.sum2(lasts) + 1e-5 * restless,
+            "g": ca.vertcat(ca.vec(missed), shares),
+        },
+        {
+            "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 1000},
+            "print_time": False,
+            "show_eval_warnings": False,  # a step too far is taken back
+        },
+    )
+    least, most = _limits(road, car)
+    zeros, ones = np.zeros(STATES * count), np.ones(shares.shape[0])
+    found = solve(
+        x0=_first_guess(road, bend, car),
+        lbx=least,
+        ubx=most,
+        lbg=np.concatenate([zeros, -ones]),
+        ubg=np.concatenate([zeros, ones]),
+    )
+    if not solve.stats()["success"]:
+        raise RuntimeError(f"no lap of {track.name} was found: {solve.stats()['return_status']}")
+    values = np.asarray(found["x"]).ravel()
+    taken = np.asarray(ca.Function("lasts", [unknown], [lasts])(values)).ravel()
+    cut = STATES * count
+    return Lap(
+        time=float(taken.sum()),
+        lasts=taken,
+        states=values[:cut].reshape(count, STATES),
+        controls=values[cut:].reshape(count, CONTROLS),
+    )
+
+
+def _rates(state, control, curvature, car: CarConfig) -> list:
+    """Return what vehicle.py does, for each metre of road, as expressions.
+
+    First the states' change, then time [s/m], then shares of what there is: of each tyre's z and of
+    the grip that each axle's drive may take.
+    """
+    import casadi as ca
+
+    offset, yaw, ahead, left, turn, steering = (state[row] for row in range(STATES))
+    steer, drive = control[0], control[1]
+    arm, push, pushes, shares = car.wheelbase / 2, drive * car.mass / 2, [], []
+    cos, sin = ca.cos(steering), ca.sin(steering)
+    moved = drive * car.mass * car.mass_height / car.wheelbase
+    front, rear = left + turn * arm, left - turn * arm
+    for load, rolling, sliding in (
+        (car.mass * GRAVITY / 2 - moved, cos * ahead + sin * front, cos * front - sin * ahead),
+        (car.mass * GRAVITY / 2 + moved, ahead, rear),
+    ):
+        grip = car.grip * load
+        rest = ca.sqrt(grip * grip - push * push)
+        z = sliding / rolling * load * car.cornering_stiffness / (3 * rest)
+        size = ca.sqrt(z * z + SMOOTH**2)
+        pushes.append(-rest * z * (size * (size - 3) + 3))
+        shares += [z, push / grip / DRIVE_SHARE]
+    aside = sin * push + cos * pushes[0]
+    along = (ahead * ca.cos(yaw) - left * ca.sin(yaw)) / (1 - offset * curvature)
+    change = ca.vertcat(
+        ahead * ca.sin(yaw) + left * ca.cos(yaw),
+        turn - curvature * along,
+        (cos * push - sin * pushes[0] + push) / car.mass + left * turn,
+        (aside + pushes[1]) / car.mass - ahead * turn,
+        (aside - pushes[1]) * arm / car.yaw_inertia,
+        steer,
+    )
+    return [change / along, 1 / along, ca.vertcat(*shares)]
+
+
+def _shape(road: Road) -> tuple[np.ndarray, np.ndarray]:
+    """Return the road's curvature [1/m] and its length from each point to the next [m]."""
+    knots = np.append(road.s, 2 * road.s[-1] - road.s[-2])
+    points = np.stack([np.append(road.x, road.x[0]), np.append(road.y, road.y[0])], axis=1)
+    curve = CubicSpline(knots, points, bc_type="periodic")
+    slope, bent = curve(road.s, 1), curve(road.s, 2)
+    pace = np.hypot(*slope.T)
+    bend = (slope[:, 0] * bent[:, 1] - slope[:, 1] * bent[:, 0]) / pace**3
+    between = np.hypot(*curve((knots[1:] + knots[:-1]) / 2, 1).T)
+    return bend, np.diff(knots) * (pace + 4 * between + np.roll(pace, -1)) / 6
+
+
+def _limits(road: Road, car: CarConfig) -> tuple[np.ndarray, np.ndarray]:
+    """Return the least and largest value of every unknown."""
+    count = len(road.s)
+    highest = [math.pi / 3, car.max_speed, 2.0, 12.0, car.max_steering]
+    lowest = [-math.pi / 3, 0.5, *(-value for value in highest[2:])]
+    least = np.column_stack([road.low, np.tile(lowest, (count, 1))])
+    most = np.column_stack([road.high, np.tile(highest, (count, 1))])
+    slowest, fastest = (
+        [-car.steering_rate, -car.max_braking],
+        [car.steering_rate, car.max_acceleration],
+    )
+    return (
+        np.concatenate([least.ravel(), np.tile(slowest, count)]),
+        np.concatenate([most.ravel(), np.tile(fastest, count)]),
+    )
+
+
+def _first_guess(road: Road, bend: np.ndarray, car: CarConfig) -> np.ndarray:
+    """Return the middle of the road, driven slowly."""
+    zeros = np.zeros_like(bend)
+    speed = zeros + 1.5
+    states = [road.aside, zeros, speed, zeros, 1.5 * bend, np.arctan(car.wheelbase * bend)]
+    return np.concatenate([np.column_stack(states).ravel(), np.zeros(CONTROLS * len(bend))])
+
+
+def strays(lap: Lap, track: Track, car: CarConfig, steps: int = 40) -> tuple[float, float]:
+    """Return how far the simulator's car is from the next point at most, in place and in speed.
+
+    Each piece is driven by itself, from the lap's own state and with its controls.
+
+    Args:
+        lap: what was found.
+        track: its course.
+        car: its car.
+        steps: physics steps for each piece.
+
+    Returns:
+        Largest distance [m], and largest difference of velocity [m/s].
+    """
+    road = Road.of(track, SPACING, -car.wheel_track / 2)
+    offset, yaw, ahead, left, turn, steering = torch.from_numpy(lap.states).T[:, None]
+    across = np.arctan2(road.normal_y, road.normal_x) - math.pi / 2
+    x = torch.from_numpy(road.x) + offset * torch.from_numpy(road.normal_x)
+    y = torch.from_numpy(road.y) + offset * torch.from_numpy(road.normal_y)
+    yaw = yaw + torch.from_numpy(across)
+    cos, sin = torch.cos(yaw), torch.sin(yaw)
+    begun = Motion(*(x, y, yaw, cos * ahead - sin * left, sin * ahead + cos * left, turn, steering))
+    still = torch.zeros_like(x)
+    cars = CarParameters(
+        *(still + car.grip, still + car.mass),
+        *(still for _ in range(len(fields(CarParameters)) - 2)),
+    )
+    steer, drive = torch.from_numpy(lap.controls).T[:, None]
+    dt = torch.from_numpy(lap.lasts) / steps
+    now = begun
+    for _ in range(steps):
+        rolling = torch.cos(now.yaw) * now.velocity_x + torch.sin(now.yaw) * now.velocity_y
+        asked = rolling + drive / car.speed_gain
+        pushed = forces(_single(now), now.steering.float(), asked.float(), _single(cars), car, 1e-3)
+        velocity_x = now.velocity_x + dt * pushed.force_x / car.mass
+        velocity_y = now.velocity_y + dt * pushed.force_y / car.mass
+        rate = now.yaw_rate + dt * pushed.torque / car.yaw_inertia
+        now = Motion(
+            x=now.x + dt * velocity_x,
+            y=now.y + dt * velocity_y,
+            yaw=now.yaw + dt * rate,
+            velocity_x=velocity_x,
+            velocity_y=velocity_y,
+            yaw_rate=rate,
+            steering=now.steering + dt * steer,
+        )
+    place = torch.hypot(now.x - x.roll(-1), now.y - y.roll(-1))
+    gained = torch.hypot(
+        now.velocity_x - begun.velocity_x.roll(-1), now.velocity_y - begun.velocity_y.roll(-1)
+    )
+    return float(place.max()), float(gained.max())
+
+
+def _single(told):
+    """Return the same in single precision, as the simulator has it."""
+    return replace(told, **{one.name: getattr(told, one.name).float() for one in fields(told)})
+
+
+def main() -> None:
+    """Print the fastest lap beside the bound of a point."""
+    from league.track import files
+
+    car = CarConfig()
+    heading("The fastest flying lap of the car itself")
+    if importlib.util.find_spec("casadi") is None:
+        print("Not measured: pip install -c constraints.txt -e '.[optimum]' brings what it needs.")
+        return
+    print(f"{'track':16} {'bound':>9} {'optimum':>9} {'ratio':>6}  astray by")
+    for name in files.names():
+        track = files.load(name)
+        if not track.closed:
+            continue
+        bound, lap = lap_bound(track, car), lap_optimum(track, car)
+        place, speed = strays(lap, track, car)
+        print(
+            f"{name:16} {bound:7.3f} s {lap.time:7.3f} s {lap.time / bound:6.3f}"
+            f"  {1000 * place:.1f} mm, {speed:.3f} m/s",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()
