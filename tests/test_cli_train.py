@@ -224,6 +224,7 @@ def test_flag_beats_the_hyperparameters_file(league, tmp_path):
         (["--noise", "0.5", "9"], "exploration noise is (0.5, 9.0): give 0.001 to 5"),
         (["--gamma", "1.5"], "gamma is 1.5: give 0 to 1"),
         (["--lam", "-1"], "lam is -1.0: give 0 to 1"),
+        (["--forgiving", "--reward", "centerline"], "centerline takes nothing: leave it away"),
         (["--epochs", "0"], "epochs is 0: give at least 1"),
         (["--mini-batches", "99999"], "cannot be split into 99999 mini-batches"),
         (["--rollout", "0"], "steps is 0: give at least 1"),

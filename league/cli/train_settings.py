@@ -77,6 +77,11 @@ def _check(command: Train) -> None:
             "--kind head_to_head needs somebody to race: give either --opponents NAME ... or "
             "--self-play"
         )
+    if command.forgiving and command.reward == "centerline":
+        raise ConfigError(
+            "--forgiving makes a mistake cost what the reward takes for it, and centerline takes "
+            "nothing: leave it away, or give another reward"
+        )
     if not 2 <= command.cars <= 8:
         raise ConfigError(f"--cars is {command.cars}: give 2 to 8")
     if not 1 <= command.threads <= 1024:

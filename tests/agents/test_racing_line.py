@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.lap_bound import lap_bound
+from benchmarks.lap_optimum import lap_optimum, strays
 from league.agents.pace import Limits, spare_grip, speed_profile, travel_time
 from league.agents.racing_line import center_line, optimal_line
 from league.sim.config import CarConfig
@@ -88,6 +89,19 @@ def test_the_bound_of_a_ring_uses_the_road_until_the_last_wheel_leaves_it():
     radius = 1.5 - 0.4 - car.wheel_track / 2
     expected = 2 * math.pi * math.sqrt(radius / (car.grip * 9.81))
     assert lap_bound(ring(1.5), car) == pytest.approx(expected, rel=0.005)
+
+
+def test_the_best_lap_of_a_ring_is_driven_at_the_limit_and_the_simulator_drives_it_too():
+    pytest.importorskip("casadi", reason="the extra `optimum` is not installed")
+    track, car = ring(1.5), CarConfig()
+    lap = lap_optimum(track, car)
+    radius = 1.5 - 0.4 - car.wheel_track / 2
+    least = 2 * math.pi * math.sqrt(radius / (car.grip * 9.81))
+    # Turned front wheels push back a little, and what drives against that is lost to cornering.
+    assert least < lap.time < 1.03 * least
+    place, speed = strays(lap, track, car)
+    assert place < 0.002
+    assert speed < 0.05
 
 
 def test_a_line_keeps_its_margin_and_follows_its_own_geometry():
