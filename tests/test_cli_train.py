@@ -21,7 +21,7 @@ from league.envs.action_space import ContinuousActions, DiscreteActions
 from league.errors import ConfigError, LeagueError
 from league.training import history
 from league.training.run_config import settings
-from league.training.settings import PpoConfig
+from league.training.settings import PpoConfig, TrainConfig
 
 TINY = (
     *("--track", "reinvent_2018", "--reward", "centerline", "--action-space", "0.5-1"),
@@ -60,11 +60,15 @@ def test_training_leaves_a_policy_that_races(league, tmp_path):
     assert "mine" in out
 
 
+def test_who_asks_for_nothing_gets_what_the_experiments_have_chosen():
+    assert config(Train()).train == TrainConfig()
+
+
 def test_flags_reach_the_settings(league, tmp_path):
     flags = (
         *("--seed", "5", "--both-directions", "--random-cars", "--random-looks", "--no-mirror"),
         *("--gamma", "0.9", "--lam", "0.8", "--learning-rate", "0.001", "0.0001", "--forgiving"),
-        *("--noise", "0.4", "0.1", "--licence", "CC0-1.0"),
+        *("--noise", "0.4", "0.1", "--licence", "CC0-1.0", "--reward", "progress"),
     )
     code, _, err = league("train", *TINY, "--steps", "32", "--out", "a.pt", *flags)
     assert (code, err) == (0, "")

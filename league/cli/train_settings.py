@@ -173,14 +173,14 @@ def _body(command: Train) -> tuple[ActionSpace, SensorConfig, NetworkConfig]:
     What is not asked for is the parent's, if there is one.
     """
     from league.agents import checkpoint
-    from league.agents.network import NetworkConfig
+    from league.training.settings import TrainConfig
 
     actions, senses = command.action_space, command.sensors
     if senses is None and actions is not None and actions.endswith(".json"):
         senses = (actions,)  # a model_metadata.json sets both
     if not command.init_from:
         space = parse_actions(actions or "0.5-4")
-        return space, parse_sensors(senses or ("stereo64x48",)), NetworkConfig()
+        return space, parse_sensors(senses or ("stereo64x48",)), TrainConfig().network
     parent = checkpoint.load(_parent(command.init_from)).card
     space = parse_actions(actions) if actions else parent.space
     sensors = parent.sensor_config if senses is None else parse_sensors(senses)
