@@ -16,7 +16,7 @@ rookie() {  # the classic reward at walking pace: laps in well under a minute
         --minutes 1 --stop-when-complete 2
 }
 racer() {  # time trial: as fast as it dares
-    train racer --action-space 1-4 --minutes 15 --forgiving --gamma 0.97 --lam 0.95 \
+    train racer --seed 3 --action-space 1-4 --minutes 15 --forgiving --gamma 0.97 --lam 0.95 \
         --noise 0.4 0.04 --exam-every 2
 }
 dodger() {  # six boxes at random places
