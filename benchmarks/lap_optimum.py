@@ -7,8 +7,8 @@ and Estimation, chapter 4): states and controls at each 10 cm of road, the trape
 them, time minimised by an interior-point method. It decides at each of these points, where drivers
 decide 15 times a second, so they cannot quite reach it.
 
-Whether the equations here are the simulator's is checked by driving the lap piece by piece in the
-planar solver, with its controls and nothing that corrects them.
+Whether the equations here are the simulator's is checked by driving the lap piece by piece with the
+forces of vehicle.py, with its controls and nothing that corrects them.
 
 Needs the extra `optimum`: pip install -c constraints.txt -e '.[optimum]'.
 """
@@ -27,7 +27,7 @@ from benchmarks.lap_bound import lap_bound
 from benchmarks.report import heading
 from league.agents.line_search import Road
 from league.sim.config import CarConfig
-from league.sim.vehicle import DRIVE_SHARE, GRAVITY, forces
+from league.sim.vehicle import DRIVE_SHARE, GRAVITY, Vehicle
 from league.sim.world import CarParameters, Motion
 from league.track.course import Track
 
@@ -42,6 +42,8 @@ SMOOTH = 0.01
 class Lap:
     """A lap at N points; all arrays float64."""
 
+    road: Road
+    """The points."""
     time: float
     """Of the whole lap [s]."""
     lasts: np.ndarray
@@ -112,6 +114,7 @@ def lap_optimum(track: Track, car: CarConfig) -> Lap:
     taken = np.asarray(ca.Function("lasts", [unknown], [lasts])(values)).ravel()
     cut = STATES * count
     return Lap(
+        road=road,
         time=float(taken.sum()),
         lasts=taken,
         states=values[:cut].reshape(count, STATES),
@@ -193,21 +196,20 @@ def _first_guess(road: Road, bend: np.ndarray, car: CarConfig) -> np.ndarray:
     return np.concatenate([np.column_stack(states).ravel(), np.zeros(CONTROLS * len(bend))])
 
 
-def strays(lap: Lap, track: Track, car: CarConfig, steps: int = 40) -> tuple[float, float]:
+def strays(lap: Lap, car: CarConfig, steps: int = 40) -> tuple[float, float]:
     """Return how far the simulator's car is from the next point at most, in place and in speed.
 
     Each piece is driven by itself, from the lap's own state and with its controls.
 
     Args:
         lap: what was found.
-        track: its course.
         car: its car.
         steps: physics steps for each piece.
 
     Returns:
         Largest distance [m], and largest difference of velocity [m/s].
     """
-    road = Road.of(track, SPACING, -car.wheel_track / 2)
+    road = lap.road
     offset, yaw, ahead, left, turn, steering = torch.from_numpy(lap.states).T[:, None]
     across = np.arctan2(road.normal_y, road.normal_x) - math.pi / 2
     x = torch.from_numpy(road.x) + offset * torch.from_numpy(road.normal_x)
@@ -215,18 +217,16 @@ def strays(lap: Lap, track: Track, car: CarConfig, steps: int = 40) -> tuple[flo
     yaw = yaw + torch.from_numpy(across)
     cos, sin = torch.cos(yaw), torch.sin(yaw)
     begun = Motion(*(x, y, yaw, cos * ahead - sin * left, sin * ahead + cos * left, turn, steering))
-    still = torch.zeros_like(x)
-    cars = CarParameters(
-        *(still + car.grip, still + car.mass),
-        *(still for _ in range(len(fields(CarParameters)) - 2)),
-    )
+    still = torch.zeros_like(x, dtype=torch.float32)
+    others = [still] * (len(fields(CarParameters)) - 2)
+    vehicle = Vehicle.of(CarParameters(still + car.grip, still + car.mass, *others), car, 1e-3)
     steer, drive = torch.from_numpy(lap.controls).T[:, None]
     dt = torch.from_numpy(lap.lasts) / steps
     now = begun
     for _ in range(steps):
         rolling = torch.cos(now.yaw) * now.velocity_x + torch.sin(now.yaw) * now.velocity_y
         asked = rolling + drive / car.speed_gain
-        pushed = forces(_single(now), now.steering.float(), asked.float(), _single(cars), car, 1e-3)
+        pushed = vehicle.push(_single(now), now.steering.float(), asked.float())
         velocity_x = now.velocity_x + dt * pushed.force_x / car.mass
         velocity_y = now.velocity_y + dt * pushed.force_y / car.mass
         rate = now.yaw_rate + dt * pushed.torque / car.yaw_inertia
@@ -246,9 +246,9 @@ def strays(lap: Lap, track: Track, car: CarConfig, steps: int = 40) -> tuple[flo
     return float(place.max()), float(gained.max())
 
 
-def _single(told):
+def _single(now: Motion) -> Motion:
     """Return the same in single precision, as the simulator has it."""
-    return replace(told, **{one.name: getattr(told, one.name).float() for one in fields(told)})
+    return replace(now, **{one.name: getattr(now, one.name).float() for one in fields(now)})
 
 
 def main() -> None:
@@ -266,7 +266,7 @@ def main() -> None:
         if not track.closed:
             continue
         bound, lap = lap_bound(track, car), lap_optimum(track, car)
-        place, speed = strays(lap, track, car)
+        place, speed = strays(lap, car)
         print(
             f"{name:16} {bound:7.3f} s {lap.time:7.3f} s {lap.time / bound:6.3f}"
             f"  {1000 * place:.1f} mm, {speed:.3f} m/s",

@@ -99,7 +99,7 @@ def test_the_best_lap_of_a_ring_is_driven_at_the_limit_and_the_simulator_drives_
     least = 2 * math.pi * math.sqrt(radius / (car.grip * 9.81))
     # Turned front wheels push back a little, and what drives against that is lost to cornering.
     assert least < lap.time < 1.03 * least
-    place, speed = strays(lap, track, car)
+    place, speed = strays(lap, car)
     assert place < 0.002
     assert speed < 0.05
 
