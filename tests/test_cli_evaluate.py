@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import statistics
 
 import pytest
 
@@ -79,6 +80,17 @@ def test_reward_file_fills_the_column_of_the_trace(league, tmp_path):
     with (tmp_path / "t.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [float(row["reward"]) for row in rows] == [float(row["steps"]) for row in rows]
+
+
+def test_racing_line_fills_the_column_of_the_trace(league, tmp_path):
+    code, _, _ = league(
+        *("evaluate", "racing_line", *QUICK, "--trace", "t.csv", "--reward", "racing_line")
+    )
+    assert code == 0
+    with (tmp_path / "t.csv").open() as file:
+        paid = [float(row["reward"]) for row in csv.DictReader(file)]
+    # Who drives on the line at nearly its speed earns nearly 1 beside 0.8 for 4 m/s.
+    assert statistics.median(paid) > 1.4
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import pytest
 
 from league import race
 from league import replay as replays
+from league.agents.line_reward import built_in
 from league.cli import rewards as command
 from league.envs import rewards
 from league.envs.deepracer import check, rescore, user_reward
@@ -145,6 +146,17 @@ def test_score_of_progress_is_the_metres_driven(recorded):
     for car in range(2):
         driven = replay.columns.distance[scored.raced[car], car] - replay.columns.distance[0, car]
         assert scored.totals[car] == pytest.approx(3.0 * driven, abs=0.01)
+
+
+def test_score_of_the_racing_line_is_that_of_progress_and_more(recorded):
+    replay, _ = recorded
+    usual, guided = (
+        rescore.score(replay, built_in(name, replay.tracks, replay.sim.car), name)
+        for name in ("progress", "racing_line")
+    )
+    near = guided.rewards - usual.rewards
+    assert near.min() >= 0
+    assert 0.1 < near.max() <= 1
 
 
 def test_car_that_is_home_is_paid_no_more(recorded):

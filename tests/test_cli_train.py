@@ -142,6 +142,18 @@ def test_hyperparameters_by_deepracers_names_are_taken(league, tmp_path):
     assert ppo.gamma == 0.97
 
 
+def test_the_racing_line_is_a_reward_by_name(league, tmp_path):
+    code, _, err = league(
+        *("train", *TINY, "--steps", "64", "--reward", "racing_line", "--out", "mine.pt")
+    )
+    assert (code, err) == (0, "")
+    assert checkpoint.load(tmp_path / "mine.pt").card.reward.name == "racing_line"
+    update, *_ = history.read(tmp_path / "mine.run" / "history.jsonl")
+    assert isinstance(update, history.UpdateRow)
+    assert 0 <= update.log["/reward/racing_line"] < 1
+    assert {"/reward/progress", "/reward/off_track"} <= update.log.keys()
+
+
 def test_hyperparameters_that_mean_nothing_here_are_said_to(tmp_path, capsys):
     path = tmp_path / "h.json"
     path.write_text(json.dumps({"batch_size": 512, "beta_entropy": 0.02}))
@@ -229,6 +241,12 @@ def test_flag_beats_the_hyperparameters_file(league, tmp_path):
         (["--gamma", "1.5"], "gamma is 1.5: give 0 to 1"),
         (["--lam", "-1"], "lam is -1.0: give 0 to 1"),
         (["--forgiving", "--reward", "centerline"], "centerline takes nothing: leave it away"),
+        (["--tutor", "1"], "the tutor's share of the budget is 1"),
+        (["--tutor", "0.2", "--init-from", "rookie"], "leave --tutor or --init-from away"),
+        (
+            ["--tutor", "0.2", "--kind", "head_to_head", "--self-play"],
+            "leave --tutor or --self-play away",
+        ),
         (["--epochs", "0"], "epochs is 0: give at least 1"),
         (["--mini-batches", "99999"], "cannot be split into 99999 mini-batches"),
         (["--rollout", "0"], "steps is 0: give at least 1"),

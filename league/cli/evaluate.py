@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from league.envs.action_space import ActionSpace
     from league.envs.rewards import Reward
     from league.evaluation import Evaluation, Trace
-    from league.sim.config import ObstacleConfig
+    from league.sim.config import CarConfig, ObstacleConfig
+    from league.track.course import TrackSet
 
 
 @dataclass
@@ -146,7 +147,7 @@ def _one(command: Evaluate, track: str) -> tuple[Evaluation, Trace | None]:
         solver=command.solver,
         obstacles=_obstacles(command),
         opponents=opponents,
-        reward=None if trace is None else _reward(command.reward),
+        reward=None if trace is None else _reward(command.reward, tracks, car),
         watch=None if trace is None else trace.add,
     )
     return done.model_copy(update={"driver": labels([command.driver])[0]}), trace
@@ -162,16 +163,16 @@ def _obstacles(command: Evaluate) -> ObstacleConfig:
     )
 
 
-def _reward(wish: str) -> Callable[[int], Reward]:
+def _reward(wish: str, tracks: TrackSet, car: CarConfig) -> Callable[[int], Reward]:
     """Return what makes the reward of so many worlds, in which car 0 is paid."""
     if wish.endswith(".py"):
         from league.envs.deepracer import user_reward
 
         return lambda num_worlds: user_reward(wish, num_worlds, (0,))
-    from league.envs import rewards
+    from league.agents.line_reward import built_in
 
-    weights = rewards.preset(wish)
-    return lambda num_worlds: rewards.BuiltIn(weights)
+    paid = built_in(wish, tracks, car)
+    return lambda num_worlds: paid
 
 
 def _keep_replay(command: Evaluate, track: str) -> None:

@@ -55,6 +55,7 @@ KEPT = {
     "gamma": "train.ppo.gamma",
     "lam": "train.ppo.lam",
     "forgiving": "train.ppo.forgiving",
+    "tutor": "train.tutor",
     "epochs": "train.ppo.epochs",
     "mini_batches": "train.ppo.mini_batches",
     "rollout": "train.ppo.steps",

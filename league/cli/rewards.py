@@ -48,7 +48,7 @@ class ScoreReplay:
     replay: tyro.conf.Positional[Path]
     """The replay file."""
     reward: tyro.conf.Positional[str]
-    """A reward file that ends in .py, or a built-in reward: centerline, progress, race."""
+    """A reward file that ends in .py, or a built-in one (docs/rewards.md)."""
     against: str = "progress"
     """What to plot beside it: another reward file, or a built-in reward."""
     out: Path | None = None
@@ -91,11 +91,12 @@ class Rewards:
 
 
 def _score(race: Replay, wish: str) -> Score:
-    from league.envs import rewards
+    from league.agents.line_reward import built_in
     from league.envs.deepracer import rescore, user_reward
 
     if not wish.endswith(".py"):
-        return rescore.score(race, rewards.BuiltIn(rewards.preset(wish)), f"{wish} (built in)")
+        paid = built_in(wish, race.tracks, race.sim.car)
+        return rescore.score(race, paid, f"{wish} (built in)")
     paid = user_reward(wish, num_worlds=1, cars=range(race.num_cars), sim=race.sim)
     return rescore.score(race, paid, Path(wish).name)
 

@@ -31,7 +31,7 @@ class Train:
     kind: Literal["time_trial", "obstacle_avoidance", "head_to_head"] = "time_trial"
     """Kind of race."""
     reward: str = "progress"
-    """centerline, progress or race, or a DeepRacer reward file (FILE.py)."""
+    """centerline, progress, race or racing_line, or a DeepRacer reward file (FILE.py)."""
     minutes: float | None = None
     """Stop after this long; 0: no limit; by default 5, or no limit where --steps is given."""
     steps: int | None = None
@@ -93,6 +93,9 @@ class Train:
     forgiving: bool = False
     """A mistake costs what the reward takes for it, not also all that would have been earned after
     it: bolder at the edge of the road."""
+    tutor: float = 0.0
+    """Share of the budget in which a driver that is told the truth learns first, for the policy to
+    learn from: 0.25, say, for the fastest laps."""
     epochs: int | None = None
     """Passes over what was collected."""
     mini_batches: int | None = None
@@ -192,6 +195,8 @@ def _kept(command: Train, folder: Path) -> str:
     """Keep the best policy of a run that ends early under the name asked for; say what is kept."""
     if not (folder / "state.pt").exists():
         return "Nothing was learnt yet."
+    if not (folder / "last.pt").exists():
+        return f"Kept: {folder / 'state.pt'}, with what the tutor has learnt; go on with --resume."
     kept = f"Kept: {folder / 'last.pt'}"
     if (folder / "best.pt").exists():
         _hand_over(folder / "best.pt", command.out)
@@ -286,7 +291,7 @@ def _onlookers(command: Train, run: Run) -> list[Onlooker]:
     if command.watch:
         from league.training.watching import Watching
 
-        watching = Watching(run.env)
+        watching = Watching(*run.learner.shown)
         # Before the page, which draws over what is told while it is open.
         print(f"Watching live: {watching.address}", file=sys.stderr, flush=True)
         found.append(watching)

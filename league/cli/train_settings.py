@@ -144,6 +144,7 @@ def _learner(command: Train) -> TrainConfig:
         spread=_spread(command.car_spread) if command.random_cars else None,
         obstacles=command.obstacles,
         bots=command.bots,
+        tutor=command.tutor,
         save_every=_save_every(command.num_worlds, ppo, sensors),
     )
 

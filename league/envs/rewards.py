@@ -24,6 +24,10 @@ that discounts by 0.99 sees returns of some tens; a mistake costs what a second 
 earned, and where that is more than a pass earns nobody tries one (docs/self_play.md)."""
 
 
+RACING_LINE = "racing_line"
+"""The built-in reward that has no preset: league/agents/line_reward.py makes it for some tracks."""
+
+
 class Reward(Protocol):
     """Pays each car for each step; it may remember, so it is told when an episode begins."""
 
@@ -81,7 +85,8 @@ def preset(name: str) -> RewardConfig:
     """
     if name not in PRESETS:
         raise ConfigError(
-            f"there is no built-in reward {name!r}; nearest: {nearest_names(name, list(PRESETS))}; "
+            f"there is no built-in reward {name!r}; nearest: "
+            f"{nearest_names(name, [*PRESETS, RACING_LINE])}; "
             "or give the path of a reward file that ends in .py"
         )
     return PRESETS[name]

@@ -78,12 +78,12 @@ class Learner:
         torch.manual_seed(cfg.seed)
         self._obs = env.get_observations()
         with contextlib.redirect_stdout(io.StringIO()):  # it prints its networks
-            self._alg = PPO.construct_algorithm(self._obs, env, _settings(cfg), cfg.device)
+            self._alg = PPO.construct_algorithm(self._obs, env, self._settings(), cfg.device)
         self._mirroring = None
         if cfg.mirror and mirror.applies(cfg.sensors, cfg.action_space):
             self._mirroring = mirror.Mirroring(cfg.sensors, cfg.action_space, cfg.ppo.mini_batches)
             self._alg.symmetry = self._mirroring  # type: ignore
-        self.episodes = Episodes(env.num_envs)
+        self._episodes = Episodes(env.num_envs)
         self._scale = ReturnScale(env.num_envs, cfg.ppo.gamma, cfg.device)
         self.updates = self.samples = 0
         if ranks.count() > 1:
@@ -94,6 +94,21 @@ class Learner:
     def device(self) -> str:
         """Where the networks live."""
         return self.cfg.device
+
+    @property
+    def episodes(self) -> Episodes:
+        """What has become of the episodes of late."""
+        return self._episodes
+
+    @property
+    def shown(self) -> tuple[RacingVecEnv, ...]:
+        """All worlds in which somebody learns, to look on at."""
+        return (self.env,)
+
+    @property
+    def has_learnt(self) -> bool:
+        """Whether the policy is other than it began, and worth a look."""
+        return self.updates > 0
 
     def weights(self) -> dict[str, Tensor]:
         """Return the actor's weights as copies."""
@@ -170,11 +185,8 @@ class Learner:
         """
         if not ranks.is_first():
             return
-        state = self._alg.save() | {
+        state = self._learnt() | {
             "format": STATE_FORMAT,
-            "updates": self.updates,
-            "samples": self.samples,
-            "scale": self._scale.state(),
             "generator": torch.get_rng_state(),
             "notes": notes,
         }
@@ -198,9 +210,7 @@ class Learner:
             state = torch.load(path, weights_only=True, map_location=self.cfg.device)
             if state["format"] != STATE_FORMAT:
                 raise KeyError(state["format"])
-            self._alg.load(state, None, True)
-            self.updates, self.samples = int(state["updates"]), int(state["samples"])
-            self._scale.restore(state["scale"])
+            self._go_on_from(state)
             torch.set_rng_state(state["generator"].cpu())
             if self._on_card and "card_generator" in state:  # format 1 began without it
                 torch.cuda.set_rng_state(state["card_generator"].cpu(), self.device)
@@ -233,8 +243,19 @@ class Learner:
             torch.manual_seed(seed)
         with torch.inference_mode():
             self._obs = self.env.reset(seed, self._next_tracks())
-        self.episodes.restart()
+        self._episodes.restart()
         self._scale.restart()
+
+    def _learnt(self) -> dict:
+        """Return what is to be kept of networks, optimiser and counts."""
+        counts = {"updates": self.updates, "samples": self.samples}
+        return self._alg.save() | counts | {"scale": self._scale.state()}
+
+    def _go_on_from(self, kept: dict) -> None:
+        """Take up what `_learnt` has returned."""
+        self._alg.load(kept, None, True)
+        self.updates, self.samples = int(kept["updates"]), int(kept["samples"])
+        self._scale.restore(kept["scale"])
 
     @property
     def _on_card(self) -> bool:
@@ -257,7 +278,7 @@ class Learner:
                 cut = dones > 0 if self.cfg.ppo.forgiving else extras["time_outs"]
                 told = extras | {"time_outs": cut}
                 self._alg.process_env_step(self._obs, scaled, dones, told)
-                self.episodes.add(rewards, dones, extras)
+                self._episodes.add(rewards, dones, extras)
                 paid += float(rewards.mean())
                 for name, value in extras["log"].items():
                     sums[name] = sums.get(name, 0.0) + float(value)
@@ -279,6 +300,40 @@ class Learner:
         else:
             self._alg.entropy_coef = ppo.entropy[0] + share * (ppo.entropy[1] - ppo.entropy[0])
 
+    def _settings(self) -> dict:
+        """Return what rsl-rl builds its PPO from, by the names of its runner's settings."""
+        cfg, ppo = self.cfg, self.cfg.ppo
+        groups = list(network.group_shapes(cfg.sensors))
+        return {
+            "num_steps_per_env": ppo.steps,
+            "multi_gpu": ranks.for_rsl_rl(),
+            "obs_groups": {"actor": groups, "critic": ["state"]},
+            "actor": actor_settings(
+                cfg.network, cfg.action_space, "stereo" in groups, ppo.noise[0], ppo.pull
+            ),
+            "critic": {
+                "class_name": MLPModel,
+                "hidden_dims": list(cfg.critic_hidden),
+                "activation": "elu",
+                "obs_normalization": True,
+            },
+            "algorithm": {
+                "class_name": PPO,
+                "num_learning_epochs": ppo.epochs,
+                "num_mini_batches": ppo.mini_batches,
+                "learning_rate": ppo.learning_rate[0],
+                "schedule": "fixed",
+                "gamma": ppo.gamma,
+                "lam": ppo.lam,
+                "clip_param": ppo.clip,
+                "entropy_coef": 0.0,
+                "value_loss_coef": ppo.value_weight,
+                "max_grad_norm": ppo.max_gradient,
+                # Returns are not of order 1, and a clipped critic lags far behind them.
+                "use_clipped_value_loss": ppo.value_clip,
+            },
+        }
+
 
 @contextlib.contextmanager
 def threads(number: int) -> Iterator[None]:
@@ -289,38 +344,3 @@ def threads(number: int) -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
-
-
-def _settings(cfg: TrainConfig) -> dict:
-    """Return what rsl-rl builds its PPO from, by the names of its runner's settings."""
-    ppo = cfg.ppo
-    groups = list(network.group_shapes(cfg.sensors))
-    return {
-        "num_steps_per_env": ppo.steps,
-        "multi_gpu": ranks.for_rsl_rl(),
-        "obs_groups": {"actor": groups, "critic": ["state"]},
-        "actor": actor_settings(
-            cfg.network, cfg.action_space, "stereo" in groups, ppo.noise[0], ppo.pull
-        ),
-        "critic": {
-            "class_name": MLPModel,
-            "hidden_dims": list(cfg.critic_hidden),
-            "activation": "elu",
-            "obs_normalization": True,
-        },
-        "algorithm": {
-            "class_name": PPO,
-            "num_learning_epochs": ppo.epochs,
-            "num_mini_batches": ppo.mini_batches,
-            "learning_rate": ppo.learning_rate[0],
-            "schedule": "fixed",
-            "gamma": ppo.gamma,
-            "lam": ppo.lam,
-            "clip_param": ppo.clip,
-            "entropy_coef": 0.0,
-            "value_loss_coef": ppo.value_weight,
-            "max_grad_norm": ppo.max_gradient,
-            # Returns are not of order 1, and a clipped critic lags far behind them.
-            "use_clipped_value_loss": ppo.value_clip,
-        },
-    }

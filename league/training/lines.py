@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from league.training.history import EvaluationRow, History
 
+TUTORING = "/tutor/learning"
+"""Logged as 1 while a tutor learns (tutor.py)."""
 RECENT = 16
 """Updates over which the speed is told."""
 
@@ -72,6 +74,8 @@ def line(history: History, budget_s: float | None, budget_steps: int | None) -> 
         f"reward {figure(row.earned)}",
         f"completion {percent(row.completion)}",
     ]
+    if is_tutored(history):
+        parts.append("the tutor learns")
     if history.evaluations:
         last = history.evaluations[-1]
         parts.append(f"evaluation {percent(last.completion)}")
@@ -83,6 +87,11 @@ def line(history: History, budget_s: float | None, budget_steps: int | None) -> 
     if left is not None:
         parts.append(f"{clock(left)} left")
     return "  ".join(parts)
+
+
+def is_tutored(history: History) -> bool:
+    """Return whether it is still the tutor who learns."""
+    return TUTORING in history.updates[-1].log
 
 
 def self_play(history: History) -> str:

@@ -83,6 +83,8 @@ class Mirroring:
         """Remember what is mirrored, and how many mini-batches make an epoch."""
         self._sensors, self._space = sensors, space
         self._mini_batches, self._count = mini_batches, 0
+        self.turned = False
+        """Whether the last mini-batch was mirrored."""
 
     def restart(self) -> None:
         """Begin with the first mini-batch of an update."""
@@ -93,7 +95,8 @@ class Mirroring:
         epoch, part = divmod(self._count, self._mini_batches)
         self._count += 1
         # Epochs see the same parts in the same order; turns differ, so each is seen both ways.
-        if (epoch + part) % 2 == 0:
+        self.turned = (epoch + part) % 2 != 0
+        if not self.turned:
             return
         batch.observations = observations(batch.observations, self._sensors)  # type: ignore
         batch.actions = self._space.mirror(batch.actions)  # type: ignore

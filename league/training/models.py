@@ -24,7 +24,7 @@ class ByteCNNModel(CNNModel):
         for group in self.obs_groups_2d:
             picture = obs[group]
             if picture.dtype == torch.uint8:
-                picture = picture.to(torch.float32) / 255.0
+                picture = picture.to(torch.float32).div_(255.0)  # in place: it is large
             parts.append(self.cnns[group](picture))
         return torch.cat(parts, dim=-1)
 

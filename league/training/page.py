@@ -10,6 +10,7 @@ from league.training import curves
 from league.training.lines import (
     clock,
     figure,
+    is_tutored,
     judged,
     left_s,
     line,
@@ -290,6 +291,8 @@ def _figures(history: History) -> Table:
         (f"{history.samples:,}", "bold"), ("   at ", "dim"), f"{speed(history):,.0f}/s"
     )
     grid.add_row("samples", samples)
+    if is_tutored(history):
+        grid.add_row("tutor", "it learns first, from the truth; the policy will learn from it")
     if told := self_play(history):
         grid.add_row("self-play", told)
     grid.add_row("time", spent)

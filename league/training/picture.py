@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from league.errors import PolicyError
-from league.training.lines import clock
+from league.training.lines import TUTORING, clock
 from league.training.onlooker import Onlooker
 from league.whole_file import replacing
 
@@ -80,6 +80,7 @@ def figure(history: History) -> Figure:
     completion.set_zorder(reward.get_zorder() + 1)
     completion.patch.set_visible(False)
     lines = _lines(history, completion, reward)
+    _mark_tutor(history, completion)
     _mark_best(history, completion)
     _dress(history, completion, reward)
     made.legend(
@@ -126,6 +127,23 @@ def _lines(history: History, completion: Axes, reward: Axes) -> list:
     lines += [earned, driven, judged]
     completion.set_xlim(0, max(samples[-1] if samples else 1, 1))
     return lines
+
+
+def _mark_tutor(history: History, axes: Axes) -> None:
+    """Shade the time in which a tutor learnt, whose curves these are until then."""
+    tutored = [row.samples for row in history.updates if TUTORING in row.log]
+    if not tutored:
+        return
+    axes.axvspan(0, tutored[-1], color=_GRID, alpha=0.6, linewidth=0, zorder=0)
+    axes.annotate(
+        "the tutor learns",
+        (tutored[-1] / 2, 50),
+        rotation=90,
+        ha="center",
+        va="center",
+        color=_INK,
+        fontsize=10,
+    )
 
 
 def _mark_best(history: History, axes: Axes) -> None:

@@ -15,8 +15,9 @@ from league.agents import checkpoint, roster
 from league.agents.card import Card
 from league.agents.card import Reward as RewardCard
 from league.agents.checkpoint import Checkpoint
+from league.agents.line_reward import built_in
 from league.envs.driver import Driver
-from league.envs.rewards import Reward, preset
+from league.envs.rewards import RACING_LINE, Reward, preset
 from league.errors import ConfigError, LeagueError, PolicyError
 from league.training import checks, courses, ranks, run_config, run_folder, worlds
 from league.training.history import History
@@ -26,6 +27,7 @@ from league.training.run_config import RunConfig
 from league.training.selfplay import SelfPlay, SelfPlayConfig
 from league.training.selfplay.matrix import FINAL, WinMatrix
 from league.training.selfplay.picture import draw as draw_matrix
+from league.training.tutor import Tutor, TutoredLearner, truth
 from league.whole_file import replacing
 
 if TYPE_CHECKING:
@@ -86,10 +88,15 @@ class Run:
                 f"self-play learns in one process, and torchrun has started {ranks.count()}: start "
                 "it without torchrun, or leave --self-play away"
             )
+        if train.tutor and (cfg.self_play or cfg.init_from):
+            other = "--self-play" if cfg.self_play else "--init-from"
+            raise ConfigError(
+                f"a tutor teaches a policy that knows nothing yet: leave --tutor or {other} away"
+            )
         train = replace(train, device=ranks.device(train.device))
-        if self._reward is None:
-            train = replace(train, reward=preset(cfg.reward))
         tracks = courses.together(self._tracks, train.both_directions, train.device)
+        if self._reward is None:
+            self._reward = built_in(cfg.reward, tracks, worlds.env_config(train).sim.car)
         self.train = train
         self._parent = checkpoint.load(cfg.init_from) if cfg.init_from else None
         if self._parent is not None:
@@ -109,7 +116,12 @@ class Run:
         # After what is refused at once, and before what takes seconds: it loads meanwhile.
         self._judge = Judge(self._exam, beside=beside and ranks.is_first())
         self.env = worlds.make(tracks, train, opponents=opponents, reward=self._reward)
-        self.learner = Learner(self.env, train)
+        if train.tutor:
+            told = truth(train)
+            others = worlds.make(tracks, told, opponents=opponents, reward=self._reward)
+            self.learner: Learner = TutoredLearner(self.env, train, Tutor(others, told))
+        else:
+            self.learner = Learner(self.env, train)
         if self._parent is not None:
             self.learner.begin(dict(self._parent.weights))
         self._waiting: dict[int, Checkpoint] = {}
@@ -171,7 +183,8 @@ class Run:
         self._lock = None
         self._judge.close()
         self.history.close()
-        self.env.close()
+        for env in self.learner.shown:
+            env.close()
 
     def learn(self, onlookers: Sequence[Onlooker] = ()) -> Outcome:
         """Learn until the budget is spent or all is complete; Ctrl-C saves and raises."""
@@ -267,8 +280,8 @@ class Run:
     def _save_point(self, update: Update, onlookers: Sequence[Onlooker]) -> None:
         self._take(onlookers, wait=False)
         due = (update.number // self.cfg.train.save_every) % self.cfg.exam_every == 0
-        # A parent that is only watched yet is not what was learnt.
-        due = due and not self._only_watches(update.number)
+        # A parent that is only watched yet is not what was learnt, nor is the tutor.
+        due = due and self.learner.has_learnt and not self._only_watches(update.number)
         # A judge that is still busy is not waited for: this policy goes without an evaluation.
         if due and not self._judge.waiting:
             self._hand(update.number)
@@ -361,7 +374,8 @@ class Run:
     def _save(self) -> None:
         if self.learner.updates == 0 or not ranks.is_first():
             return
-        checkpoint.save(self.folder / "last.pt", self._checkpoint())
+        if self.learner.has_learnt:
+            checkpoint.save(self.folder / "last.pt", self._checkpoint())
         notes: dict[str, object] = {
             "spent_s": self._spent_s,
             "complete": self._complete,
@@ -430,7 +444,8 @@ def _exam(cfg: RunConfig, tracks: list) -> Exam:
 def _reward(cfg: RunConfig) -> tuple[Reward | None, RewardCard]:
     """Return the reward of a file, or None for a built-in one, and what the card says of it."""
     if not cfg.reward.endswith(".py"):
-        preset(cfg.reward)
+        if cfg.reward != RACING_LINE:
+            preset(cfg.reward)
         return None, RewardCard(name=cfg.reward)
     from league.envs.deepracer import user_reward
 

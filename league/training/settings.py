@@ -99,6 +99,8 @@ class TrainConfig:
     """Layers of the critic, which sees the true state."""
     reward: RewardConfig = field(default_factory=RewardConfig)
     """Weights of the built-in terms, unless a reward function is given."""
+    tutor: float = 0.0
+    """Share of the budget in which a driver that is told the truth learns first (tutor.py)."""
     ppo: PpoConfig = field(default_factory=PpoConfig)
     """The learner."""
     mirror: bool = True
@@ -130,6 +132,10 @@ class TrainConfig:
             )
         if not 0 <= self.seed < 2**31:
             raise ConfigError(f"seed is {self.seed}: give 0 to {2**31 - 1}")
+        if not 0 <= self.tutor <= 0.9:
+            raise ConfigError(
+                f"the tutor's share of the budget is {self.tutor}: give 0, which is none, to 0.9"
+            )
         if self.save_every < 1:
             raise ConfigError(f"save_every is {self.save_every}: give at least 1")
 

@@ -23,11 +23,11 @@ MOST_CARS = 6
 class Watching(Onlooker):
     """An onlooker that shows some cars as they learn; learning does not wait for it."""
 
-    def __init__(self, env: RacingVecEnv, *, window: bool | None = None) -> None:
+    def __init__(self, *envs: RacingVecEnv, window: bool | None = None) -> None:
         """Open the viewer and look on at every step.
 
         Args:
-            env: the worlds.
+            envs: the worlds, and a tutor's, whose turn comes first; they are of one kind.
             window: the native viewer rather than a web page; by default where there is a display.
 
         Raises:
@@ -37,7 +37,7 @@ class Watching(Onlooker):
         from league.rerun_view.practice import Practice
         from league.rerun_view.stream import Stream
 
-        self._env = env
+        self._envs, env = envs, envs[0]
         world, sim = env.race_env.world, env.cfg.sim
         shown = seats(world)
         track = env.race_env.tracks.tracks[int(world.track[shown.worlds[0]])]
@@ -53,7 +53,8 @@ class Watching(Onlooker):
             step_hz=sim.step_hz,
             bots=sim.obstacles.kind == "bot",
         )
-        env.watch = self._practice.add
+        for env in envs:
+            env.watch = self._practice.add
 
     def update(self, history: History, update: Update) -> None:
         """Add an update to the charts; where the viewer has been closed, look on no longer."""
@@ -85,7 +86,8 @@ class Watching(Onlooker):
 
     def close(self) -> None:
         """Send what is left; a window stays open."""
-        self._env.watch = None
+        for env in self._envs:
+            env.watch = None
         stream, self._stream = self._stream, None
         if stream is not None:
             if stream.is_open:

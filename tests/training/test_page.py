@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 
 import pytest
 from rich.console import Console
@@ -124,6 +125,16 @@ def test_self_play_is_told_while_it_lasts_and_when_the_matrix_is_raced():
     shown = Page(TrainConfig(), 60.0, None, "duelist", plain=True, console=console)
     shown.racing("racing the policy against its past")
     assert said(console).splitlines()[-1].strip() == "racing the policy against its past ..."
+
+
+def test_while_a_tutor_learns_that_is_said():
+    made = history(3)
+    tutored = update(len(made.updates) + 1)
+    made.add_update(replace(tutored, log=tutored.log | {lines.TUTORING: 1.0}), episodes(0.5), 9.0)
+    assert "the tutor learns" in lines.line(made, None, None)
+    assert any("it learns first, from the truth" in row for row in drawn(made))
+    made.add_update(update(tutored.number + 1), episodes(0.5), 9.5)
+    assert "tutor" not in lines.line(made, None, None)
 
 
 def test_plain_lines_can_be_asked_for_in_a_terminal():

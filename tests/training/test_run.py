@@ -273,9 +273,17 @@ def test_reward_function_that_raises_at_once_leaves_no_checkpoint(tmp_path):
     assert not (tmp_path / "run" / "last.pt").exists()
 
 
-@pytest.mark.parametrize("sensors", ["blind", "camera"])
-def test_resumed_run_equals_an_uninterrupted_one(tmp_path, sensors):
-    seen = small.train(sensors=small.CAMERA) if sensors == "camera" else small.train()
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"sensors": small.CAMERA},
+        {"sensors": small.CAMERA, "tutor": 0.3},  # killed while it learns from its tutor
+        {"sensors": small.CAMERA, "tutor": 0.6},  # killed while the tutor learns
+    ],
+)
+def test_resumed_run_equals_an_uninterrupted_one(tmp_path, changes):
+    seen = small.train(**changes)
     asked = small.cfg(updates=8, train=seen)
     small.run(tmp_path / "whole", asked).learn()
     # Killed after the fifth update: what the fourth left on the disk is all there is.

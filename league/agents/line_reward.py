@@ -1,0 +1,103 @@
+"""A reward that knows the racing line, as the fastest models of the original had one."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from league.agents.racing_line import optimal_line
+from league.envs import rewards
+from league.envs.rewards import BuiltIn, Reward
+from league.errors import ConfigError
+from league.sim.config import CarConfig
+from league.sim.referee import Verdict
+from league.sim.world import World
+from league.track.course import Track, TrackSet
+
+MOST_TRACKS = 64
+"""Tracks whose lines are sought; each takes about a second."""
+FAR = 0.7
+"""Distance to the line at which nothing is paid for it any more [m]."""
+SLOW = 1.4
+"""Difference to the line's speed at which nothing is paid for it any more [m/s]."""
+ROWS = 1024
+"""Rows of a line's table."""
+
+
+class AlongTheLine:
+    """`progress`, and up to 1 in each step for being on the racing line at its speed.
+
+    A driver that brakes too late is only told so by its lap time a second later; this tells it at
+    once. The line is the quasi-steady one of racing_line.py, whose car uses all its grip and may
+    have two wheels outside the road. The car itself can be faster than that, so it is a guide and
+    `progress` decides (docs/training.md says what that is worth).
+    """
+
+    def __init__(self, tracks: TrackSet, car: CarConfig) -> None:
+        """Seek the line of each track.
+
+        Args:
+            tracks: the courses, on the worlds' device.
+            car: its grip and limits.
+
+        Raises:
+            ConfigError: too many tracks.
+        """
+        if len(tracks.tracks) > MOST_TRACKS:
+            raise ConfigError(
+                f"the reward racing_line seeks a line on each of {len(tracks.tracks)} tracks, "
+                f"about a second each: give at most {MOST_TRACKS}, or the reward progress"
+            )
+        self._earned = BuiltIn(rewards.preset("progress"))
+        table = np.stack([_table(track, car) for track in tracks.tracks])
+        self._table = torch.from_numpy(table).to(tracks.device, torch.float32)
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of the terms."""
+        return (*self._earned.terms, "racing_line")
+
+    def __call__(
+        self, tracks: TrackSet, before: World, world: World, actions: Tensor, verdict: Verdict
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """Return what each car earns and each term of it; see Reward."""
+        earned, terms = self._earned(tracks, before, world, actions, verdict)
+        book, body = world.standing, world.motion
+        index = world.track.unsqueeze(1).expand_as(book.s)
+        lateral, speed = self._beside(index, book.s / tracks.length[index])
+        aside = (book.lateral - lateral) / FAR
+        slower = (torch.hypot(body.velocity_x, body.velocity_y) - speed) / SLOW
+        near = torch.clamp(1.0 - aside * aside - slower * slower, min=0.0)
+        return earned + near, terms | {"racing_line": near}
+
+    def restart(self, world: World, who: Tensor) -> None:
+        """Nothing is remembered, so nothing is forgotten."""
+
+    def _beside(self, index: Tensor, share: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the line's place [m] and speed [m/s] at a share of the lap, 0 to 1."""
+        place = (share * ROWS).clamp(0.0, ROWS - 1e-3)
+        low = place.to(torch.int64)
+        part = (place - low).unsqueeze(-1)
+        found = torch.lerp(self._table[index, low], self._table[index, low + 1], part)
+        return found[..., 0], found[..., 1]
+
+
+def _table(track: Track, car: CarConfig) -> np.ndarray:
+    """Return the line's place and speed at ROWS + 1 places from start to end, (ROWS + 1, 2)."""
+    line = optimal_line(track, car, -car.wheel_track / 2)
+    wanted = np.linspace(0.0, track.length, ROWS + 1)
+    period = track.length if track.closed else None
+    columns = [np.interp(wanted, line.s, one, period=period) for one in (line.lateral, line.speed)]
+    return np.stack(columns, axis=1)
+
+
+def built_in(name: str, tracks: TrackSet, car: CarConfig) -> Reward:
+    """Return a built-in reward: one of the presets, or `racing_line`.
+
+    Raises:
+        ConfigError: there is none of this name, or too many tracks for it.
+    """
+    if name == rewards.RACING_LINE:
+        return AlongTheLine(tracks, car)
+    return BuiltIn(rewards.preset(name))
