@@ -30,8 +30,8 @@ from league.training.settings import TrainConfig
 
 TOLD = ("state", "motion")
 """Observation groups of a tutor, and of its critic."""
-ALONE = 0.7
-"""Share of the policy's own time after which it learns without advice."""
+CALM = 0.375
+"""Share of its tutor's first noise with which the policy begins: it need not find the way alone."""
 
 
 def truth(cfg: TrainConfig) -> TrainConfig:
@@ -74,7 +74,8 @@ class TutoredLearner(Learner):
             tutor: the tutor, in worlds of its own.
         """
         self._tutor = tutor
-        super().__init__(env, cfg)
+        first, last = cfg.ppo.noise
+        super().__init__(env, cfg.with_ppo(noise=(max(CALM * first, last), last)))
         self._advice = _Advice(self._mirroring, tutor, cfg)
         self._alg.symmetry = self._advice  # type: ignore
 
@@ -103,7 +104,7 @@ class TutoredLearner(Learner):
         if not self.has_learnt:
             super().start_rows_anew()  # as after a resume from here
         done = max(share - lesson, 0.0) / (1.0 - lesson)
-        self._advice.weight = max(0.0, 1.0 - done / ALONE)
+        self._advice.weight = max(0.0, 1.0 - done)
         found = super().update(done)
         losses = {"advice" if name == "symmetry" else name: v for name, v in found.losses.items()}
         return replace(found, losses=losses)

@@ -16,7 +16,7 @@ from league.errors import ConfigError
 from league.track.course import TrackSet
 from league.training import history, mirror, worlds
 from league.training.settings import TrainConfig
-from league.training.tutor import ALONE, TOLD, Tutor, TutoredLearner, truth
+from league.training.tutor import CALM, TOLD, Tutor, TutoredLearner, truth
 
 
 def tutored(cfg: TrainConfig | None = None) -> TutoredLearner:
@@ -82,10 +82,17 @@ def test_schedules_run_once_for_each_of_them():
 def test_advice_counts_less_and_less():
     made = tutored()
     found = []
-    for share in (0.5, 0.5 + ALONE / 4, 0.5 + ALONE / 2, 1.0):
+    for share in (0.5, 0.75, 0.9, 1.0):
         made.update(share)
         found.append(made._advice.weight)
-    assert found == pytest.approx([1.0, 0.5, 0.0, 0.0])
+    assert found == pytest.approx([1.0, 0.5, 0.2, 0.0])
+
+
+@pytest.mark.parametrize(("noise", "calm"), [((0.4, 0.02), 0.4 * CALM), ((0.1, 0.08), 0.08)])
+def test_the_policy_explores_less_than_its_tutor_did(noise, calm):
+    made = tutored(replace(settings(), tutor=0.5).with_ppo(noise=noise))
+    found = [made.update(share).mean_std for share in (0.0, 0.5, 1.0)]
+    assert found == pytest.approx([noise[0], calm, noise[1]])
 
 
 def test_the_loss_is_the_divergence_from_what_the_tutor_asks_for():
