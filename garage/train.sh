@@ -16,8 +16,9 @@ rookie() {  # the classic reward at walking pace: laps in well under a minute
         --minutes 1 --stop-when-complete 2
 }
 racer() {  # time trial: as fast as it dares
-    train racer --seed 3 --action-space 1-4 --minutes 15 --forgiving --gamma 0.97 --lam 0.95 \
-        --noise 0.4 0.04 --exam-every 2
+    train racer --seed 3 --action-space 1-4 --minutes 15 --reward racing_line --tutor 0.4 \
+        --forgiving --gamma 0.98 --lam 0.95 --noise 0.4 0.02 --learning-rate 0.002 0.00005 \
+        --exam-every 2
 }
 dodger() {  # six boxes at random places
     train dodger --kind obstacle_avoidance --action-space 0.5-3 --minutes 10 \

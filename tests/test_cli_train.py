@@ -202,6 +202,7 @@ def test_flag_beats_the_hyperparameters_file(league, tmp_path):
         (["--out", "policy.onnx"], "--out is policy.onnx: give the name of a checkpoint, NAME.pt"),
         (["--track", "peanutt"], "there is no track 'peanutt'; nearest: peanut"),
         (["--track", "generated:0"], "give generated:1 to generated:2000"),
+        (["--track", "generated:40", "--both-directions", "--reward", "racing_line"], "80 tracks"),
         (["--exam-track", "nowhere"], "there is no track 'nowhere'"),
         (["--reward", "progess"], "there is no built-in reward 'progess'; nearest: progress"),
         (["--reward", "missing.py"], "missing.py"),

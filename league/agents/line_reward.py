@@ -15,6 +15,8 @@ from league.sim.referee import Verdict
 from league.sim.world import World
 from league.track.course import Track, TrackSet
 
+RACING_LINE = "racing_line"
+"""Its name beside those of the presets."""
 MOST_TRACKS = 64
 """Tracks whose lines are sought; each takes about a second."""
 FAR = 0.7
@@ -31,7 +33,8 @@ class AlongTheLine:
     A driver that brakes too late is only told so by its lap time a second later; this tells it at
     once. The line is the quasi-steady one of racing_line.py, whose car uses all its grip and may
     have two wheels outside the road. The car itself can be faster than that, so it is a guide and
-    `progress` decides (docs/training.md says what that is worth).
+    `progress` decides (docs/training.md says what that is worth). A car that stands, or drives the
+    wrong way, is not near.
     """
 
     def __init__(self, tracks: TrackSet, car: CarConfig) -> None:
@@ -44,11 +47,7 @@ class AlongTheLine:
         Raises:
             ConfigError: too many tracks.
         """
-        if len(tracks.tracks) > MOST_TRACKS:
-            raise ConfigError(
-                f"the reward racing_line seeks a line on each of {len(tracks.tracks)} tracks, "
-                f"about a second each: give at most {MOST_TRACKS}, or the reward progress"
-            )
+        check(RACING_LINE, len(tracks.tracks))
         self._earned = BuiltIn(rewards.preset("progress"))
         table = np.stack([_table(track, car) for track in tracks.tracks])
         self._table = torch.from_numpy(table).to(tracks.device, torch.float32)
@@ -69,6 +68,7 @@ class AlongTheLine:
         aside = (book.lateral - lateral) / FAR
         slower = (torch.hypot(body.velocity_x, body.velocity_y) - speed) / SLOW
         near = torch.clamp(1.0 - aside * aside - slower * slower, min=0.0)
+        near = torch.where(verdict.advance > 0, near, 0.0)
         return earned + near, terms | {"racing_line": near}
 
     def restart(self, world: World, who: Tensor) -> None:
@@ -92,12 +92,26 @@ def _table(track: Track, car: CarConfig) -> np.ndarray:
     return np.stack(columns, axis=1)
 
 
+def check(name: str, num_tracks: int) -> None:
+    """See that there is a built-in reward of this name, for so many tracks.
+
+    Raises:
+        ConfigError: there is none, or there are too many tracks for it.
+    """
+    if name != RACING_LINE:
+        rewards.preset(name, (RACING_LINE,))
+    elif num_tracks > MOST_TRACKS:
+        raise ConfigError(
+            f"the reward racing_line seeks a line on each of {num_tracks} tracks (each direction "
+            f"counts), about a second each: give at most {MOST_TRACKS}, or the reward progress"
+        )
+
+
 def built_in(name: str, tracks: TrackSet, car: CarConfig) -> Reward:
     """Return a built-in reward: one of the presets, or `racing_line`.
 
     Raises:
         ConfigError: there is none of this name, or too many tracks for it.
     """
-    if name == rewards.RACING_LINE:
-        return AlongTheLine(tracks, car)
-    return BuiltIn(rewards.preset(name))
+    check(name, len(tracks.tracks))
+    return AlongTheLine(tracks, car) if name == RACING_LINE else BuiltIn(rewards.preset(name))

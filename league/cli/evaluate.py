@@ -54,7 +54,8 @@ class Evaluate:
     trace: Path | None = None
     """Write every step to this CSV, with the 19 columns that community log tools read."""
     reward: str = "progress"
-    """What the trace's reward column holds: a built-in reward, or a reward file (FILE.py)."""
+    """What the trace's reward column holds: centerline, progress, race or racing_line, or a reward
+    file (FILE.py)."""
     replay: str = "none"
     """Folder or .race file for a replay of the first run; "none" keeps none."""
     json: bool = False

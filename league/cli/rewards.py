@@ -48,7 +48,7 @@ class ScoreReplay:
     replay: tyro.conf.Positional[Path]
     """The replay file."""
     reward: tyro.conf.Positional[str]
-    """A reward file that ends in .py, or a built-in one (docs/rewards.md)."""
+    """A reward file (FILE.py), or centerline, progress, race or racing_line."""
     against: str = "progress"
     """What to plot beside it: another reward file, or a built-in reward."""
     out: Path | None = None

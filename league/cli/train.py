@@ -95,7 +95,7 @@ class Train:
     it: bolder at the edge of the road."""
     tutor: float = 0.0
     """Share of the budget in which a driver that is told the truth learns first, for the policy to
-    learn from: 0.25, say, for the fastest laps."""
+    learn from: 0.4, say, for the fastest laps. The policy begins with three eighths of --noise."""
     epochs: int | None = None
     """Passes over what was collected."""
     mini_batches: int | None = None

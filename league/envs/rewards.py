@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
 import torch
@@ -22,10 +23,6 @@ PRESETS = {
 that discounts by 0.99 sees returns of some tens; a mistake costs what a second of racing earns. In
 `race` little is paid for progress: a mistake ends the episode and with it all that would have been
 earned, and where that is more than a pass earns nobody tries one (docs/self_play.md)."""
-
-
-RACING_LINE = "racing_line"
-"""The built-in reward that has no preset: league/agents/line_reward.py makes it for some tracks."""
 
 
 class Reward(Protocol):
@@ -77,8 +74,12 @@ class BuiltIn:
         """Nothing is remembered, so nothing is forgotten."""
 
 
-def preset(name: str) -> RewardConfig:
+def preset(name: str, others: Sequence[str] = ()) -> RewardConfig:
     """Return ready weights: `centerline`, `progress` or `race`.
+
+    Args:
+        name: which.
+        others: more names that would have been understood.
 
     Raises:
         ConfigError: there are none of this name.
@@ -86,7 +87,7 @@ def preset(name: str) -> RewardConfig:
     if name not in PRESETS:
         raise ConfigError(
             f"there is no built-in reward {name!r}; nearest: "
-            f"{nearest_names(name, [*PRESETS, RACING_LINE])}; "
+            f"{nearest_names(name, [*PRESETS, *others])}; "
             "or give the path of a reward file that ends in .py"
         )
     return PRESETS[name]

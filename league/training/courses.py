@@ -38,6 +38,15 @@ def load(names: Sequence[str]) -> list[Track]:
     return found
 
 
+def count(names: Sequence[str]) -> int:
+    """Return how many courses these names are, without drawing any.
+
+    Raises:
+        ConfigError: no number of random ones.
+    """
+    return sum(_number(name) if name.startswith(GENERATED) else 1 for name in names)
+
+
 def drawn(seed: int) -> Track:
     """Return a random track to train on.
 

@@ -80,7 +80,7 @@ def figure(history: History) -> Figure:
     completion.set_zorder(reward.get_zorder() + 1)
     completion.patch.set_visible(False)
     lines = _lines(history, completion, reward)
-    _mark_tutor(history, completion)
+    _mark_tutor(history, reward)
     _mark_best(history, completion)
     _dress(history, completion, reward)
     made.legend(
@@ -137,7 +137,8 @@ def _mark_tutor(history: History, axes: Axes) -> None:
     axes.axvspan(0, tutored[-1], color=_GRID, alpha=0.6, linewidth=0, zorder=0)
     axes.annotate(
         "the tutor learns",
-        (tutored[-1] / 2, 50),
+        (tutored[-1] / 2, 0.5),
+        xycoords=axes.get_xaxis_transform(),
         rotation=90,
         ha="center",
         va="center",

@@ -11,13 +11,12 @@ from statistics import fmean
 from typing import TYPE_CHECKING
 
 from league import __version__
-from league.agents import checkpoint, roster
+from league.agents import checkpoint, line_reward, roster
 from league.agents.card import Card
 from league.agents.card import Reward as RewardCard
 from league.agents.checkpoint import Checkpoint
-from league.agents.line_reward import built_in
 from league.envs.driver import Driver
-from league.envs.rewards import RACING_LINE, Reward, preset
+from league.envs.rewards import Reward
 from league.errors import ConfigError, LeagueError, PolicyError
 from league.training import checks, courses, ranks, run_config, run_folder, worlds
 from league.training.history import History
@@ -75,6 +74,9 @@ class Run:
             LeagueError: unknown tracks, rewards or drivers, or settings that contradict.
         """
         self.cfg, self.folder = cfg, folder
+        if not cfg.reward.endswith(".py"):
+            ways = 2 if cfg.train.both_directions else 1
+            line_reward.check(cfg.reward, ways * courses.count(cfg.tracks))
         self._tracks = courses.load(cfg.tracks)
         self._exam = _exam(cfg, self._tracks)
         train = cfg.train
@@ -95,8 +97,6 @@ class Run:
             )
         train = replace(train, device=ranks.device(train.device))
         tracks = courses.together(self._tracks, train.both_directions, train.device)
-        if self._reward is None:
-            self._reward = built_in(cfg.reward, tracks, worlds.env_config(train).sim.car)
         self.train = train
         self._parent = checkpoint.load(cfg.init_from) if cfg.init_from else None
         if self._parent is not None:
@@ -115,6 +115,9 @@ class Run:
             opponents = self._self_play.drivers()
         # After what is refused at once, and before what takes seconds: it loads meanwhile.
         self._judge = Judge(self._exam, beside=beside and ranks.is_first())
+        if self._reward is None:
+            car = worlds.env_config(train).sim.car
+            self._reward = line_reward.built_in(cfg.reward, tracks, car)
         self.env = worlds.make(tracks, train, opponents=opponents, reward=self._reward)
         if train.tutor:
             told = truth(train)
@@ -166,6 +169,8 @@ class Run:
     def over(self) -> str:
         """Why there is nothing more to learn; empty while there is."""
         cfg = self.cfg
+        if self.learner.updates and not self.learner.has_learnt:
+            return ""  # a tutor alone is no outcome: its policy has an update at least
         if cfg.stop_when_complete and self._complete >= cfg.stop_when_complete:
             return "every lap was complete"
         if cfg.steps and self.learner.samples >= cfg.steps:
@@ -444,8 +449,6 @@ def _exam(cfg: RunConfig, tracks: list) -> Exam:
 def _reward(cfg: RunConfig) -> tuple[Reward | None, RewardCard]:
     """Return the reward of a file, or None for a built-in one, and what the card says of it."""
     if not cfg.reward.endswith(".py"):
-        if cfg.reward != RACING_LINE:
-            preset(cfg.reward)
         return None, RewardCard(name=cfg.reward)
     from league.envs.deepracer import user_reward
 

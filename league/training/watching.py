@@ -37,10 +37,10 @@ class Watching(Onlooker):
         from league.rerun_view.practice import Practice
         from league.rerun_view.stream import Stream
 
-        self._envs, env = envs, envs[0]
-        world, sim = env.race_env.world, env.cfg.sim
+        self._envs, first = envs, envs[0]
+        world, sim = first.race_env.world, first.cfg.sim
         shown = seats(world)
-        track = env.race_env.tracks.tracks[int(world.track[shown.worlds[0]])]
+        track = first.race_env.tracks.tracks[int(world.track[shown.worlds[0]])]
         self._stream: Stream | None = Stream(
             blueprint.practice(shown.count, track.room), window=window
         )

@@ -64,6 +64,17 @@ def test_far_from_the_line_nothing_is_paid_and_nothing_taken(ring):
     assert paid(ring(), INSIDE, 0.1)[0, 0] == 0.0
 
 
+def test_who_drives_the_wrong_way_or_stands_is_not_paid(ring):
+    tracks = ring()
+    reward = AlongTheLine(tracks, CAR)
+    speed = speed_at(0.025 / math.sin(math.pi / 240) - INSIDE)
+    before = put_cars(tracks, TWO, [(3.0, INSIDE), (5.0, INSIDE)])
+    after = go_to(tracks, before, [(2.8, INSIDE), (5.0, INSIDE)], speed=speed)
+    verdict, standing = referee.judge(tracks, TWO, before, after, touch(after))
+    told = (before, replace(after, standing=standing), torch.zeros(1, 2, 2), verdict)
+    assert reward(tracks, *told)[1]["racing_line"].tolist() == [[0.0, 0.0]]
+
+
 def test_each_world_is_told_the_line_of_its_own_track():
     tracks = TrackSet.of(make_ring(points=400), make_ring(clockwise=True))
     small = 0.025 / math.sin(math.pi / 240)

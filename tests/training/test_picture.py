@@ -7,6 +7,7 @@ from told import evaluation, history, update
 from league.errors import PolicyError
 from league.training import picture
 from league.training.history import History
+from league.training.lines import TUTORING
 from league.training.picture import Picture
 
 
@@ -37,6 +38,21 @@ def test_the_best_model_is_marked():
     assert best.samples == 1600
     assert list(star.get_xdata()) == [1600]
     assert list(star.get_ydata()) == [best.completion]
+
+
+def test_the_tutors_time_is_shaded_behind_the_curves():
+    made = history(20)
+    for row in made.updates[:5]:
+        row.log[TUTORING] = 1.0
+    completion, reward, _ = picture.figure(made).axes
+    (shade,) = reward.patches
+    assert shade.get_extents().width == pytest.approx(
+        reward.transData.transform((500, 0))[0] - reward.transData.transform((0, 0))[0]
+    )
+    assert shade.get_zorder() < reward.lines[0].get_zorder()
+    assert not completion.patches  # it lies before the reward
+    assert any(text.get_text() == "the tutor learns" for text in reward.texts)
+    assert not picture.figure(history(20)).axes[1].patches
 
 
 def test_a_run_without_evaluations_is_drawn_too(tmp_path):

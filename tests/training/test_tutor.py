@@ -11,8 +11,9 @@ from scenes import make_ring
 from test_learner import CHOICES, learner, same, settings
 
 from league.agents.network import group_shapes
+from league.cli.train import Train, _kept
 from league.envs import state
-from league.errors import ConfigError
+from league.errors import ConfigError, PolicyError, RewardError
 from league.track.course import TrackSet
 from league.training import history, mirror, worlds
 from league.training.settings import TrainConfig
@@ -179,6 +180,37 @@ def test_while_the_tutor_learns_there_is_no_policy_to_judge_or_to_keep(tmp_path)
     judged = [row.number for row in rows if isinstance(row, history.EvaluationRow)]
     assert judged
     assert min(judged) > 4
+
+
+def test_a_run_does_not_end_with_a_policy_that_has_learnt_nothing(tmp_path):
+    outcome = small.run(
+        tmp_path / "run", small.cfg(updates=1, train=small.train(tutor=0.5))
+    ).learn()
+    assert outcome.samples == 2 * small.SAMPLES  # the tutor's update takes all, and one is added
+    assert (tmp_path / "run" / "last.pt").exists()
+
+
+def test_a_reward_file_that_fails_while_the_tutor_learns_keeps_what_it_has_learnt(tmp_path):
+    file = tmp_path / "soon.py"
+    file.write_text(
+        "calls = 0\n\ndef reward_function(params):\n    global calls\n    calls += 1\n"
+        "    return 1.0 / (20 - calls)\n"
+    )
+    asked = small.cfg(updates=20, reward=str(file), train=small.train(tutor=0.5))
+    with pytest.raises(RewardError, match=r"soon.py, line 6"):
+        small.run(tmp_path / "run", asked).learn()
+    assert (tmp_path / "run" / "state.pt").exists()
+    assert not (tmp_path / "run" / "last.pt").exists()
+    command = Train(out=tmp_path / "run.pt")
+    assert "with what the tutor has learnt; go on with --resume" in _kept(command, tmp_path / "run")
+
+
+def test_a_state_without_a_tutor_is_that_of_another_run(tmp_path):
+    plain = learner()
+    plain.update(0.0)
+    plain.save(tmp_path / "state.pt", {})
+    with pytest.raises(PolicyError, match="cannot be gone on from"):
+        tutored().restore(tmp_path / "state.pt")
 
 
 @pytest.mark.parametrize("share", [-0.1, 0.95, float("nan")])

@@ -180,6 +180,15 @@ def test_the_onlooker_serves_this_machine_alone_and_lets_go_of_the_worlds():
     watching.close()
 
 
+def test_a_tutors_worlds_are_watched_too():
+    env, other = made(2), made(2)
+    watching = Watching(env, other, window=False)
+    assert env.watch == other.watch is not None
+    other.step(torch.zeros(2, 2))
+    watching.close()
+    assert (env.watch, other.watch) == (None, None)
+
+
 def test_learning_goes_on_where_the_viewer_has_been_closed():
     env = made(1)
     watching = Watching(env, window=False)
