@@ -400,6 +400,11 @@ def test_a_run_that_ends_early_leaves_its_best_under_the_name_asked_for(tmp_path
     assert train._kept(command, folder) == "Nothing was learnt yet."
     folder.mkdir()
     (folder / "state.pt").touch()
+    of_a_tutor = (
+        f"Kept: {folder / 'state.pt'}, with what the tutor has learnt; go on with --resume."
+    )
+    assert train._kept(command, folder) == of_a_tutor
+    (folder / "last.pt").touch()
     assert train._kept(command, folder).startswith(f"Kept: {folder / 'last.pt'}; go on")
     (folder / "best.pt").write_bytes(b"weights")
     assert f"and the best so far as {tmp_path / 'm.pt'}; go on" in train._kept(command, folder)
