@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,7 @@ from league.sim.config import SensorConfig
 from league.training import courses, ranks, worlds
 from league.training.learner import Learner
 from league.training.settings import PpoConfig, TrainConfig
+from league.training.tutor import Tutor, TutoredLearner, truth
 
 UPDATES = 4
 
@@ -40,6 +42,29 @@ def settings() -> TrainConfig:
 def learner() -> Learner:
     tracks = courses.together(courses.load(("generated:8",)), both_directions=False)
     return Learner(worlds.make(tracks, settings()), settings())
+
+
+def tutored() -> TutoredLearner:
+    """Return a learner whose tutor has three of four updates."""
+    tracks = courses.together(courses.load(("generated:8",)), both_directions=False)
+    cfg = replace(settings(), tutor=0.6)
+    tutor = Tutor(worlds.make(tracks, truth(cfg)), truth(cfg))
+    return TutoredLearner(worlds.make(tracks, cfg), cfg, tutor)
+
+
+def taught(folder: Path) -> dict[str, list[str]]:
+    """Return what tutor and policy come to, and what they do if they go on from half the way."""
+    made = tutored()
+    for number in range(UPDATES):
+        made.update(number / UPDATES if ranks.is_first() else 0.9)
+        if number == 1:
+            made.save(folder / f"taught{ranks.number()}.pt", {})
+    later = tutored()
+    later.restore(folder / "taught0.pt")
+    for number in (2, 3):
+        later.update(number / UPDATES)
+    both = {"taught": made, "taught, resumed": later}
+    return {name: [digest(one), digest(one._tutor)] for name, one in both.items()}
 
 
 def digest(made: Learner) -> str:
@@ -78,6 +103,7 @@ def rank(folder: Path) -> dict[str, object]:
     for number in (2, 3):
         later.update(number / UPDATES)
     found["resumed"] = digest(later)
+    found |= taught(folder)
     for parameter in made._alg.critic.parameters():
         parameter.grad = torch.full_like(parameter, 1.0 + ranks.number())
     made._alg.reduce_parameters()
@@ -173,6 +199,13 @@ def test_the_first_rank_decides_how_much_of_the_budget_is_used_up(two):
 def test_resumed_ranks_end_as_if_they_had_never_been_interrupted(two):
     for one in two:
         assert one["resumed"] == one["learnt"]
+
+
+def test_ranks_have_a_tutor_together(two):
+    one, other = two
+    assert one["taught"] == other["taught"]
+    assert one["taught"][0] != one["taught"][1]
+    assert one["taught, resumed"] == other["taught, resumed"] == one["taught"]
 
 
 def test_a_failure_in_one_rank_is_one_in_all_of_them(two):

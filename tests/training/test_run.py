@@ -3,6 +3,7 @@
 import hashlib
 import json
 import sys
+from pathlib import Path
 
 import pytest
 import small
@@ -10,6 +11,7 @@ import small_play
 import torch
 
 from league.agents import checkpoint
+from league.envs.action_space import DiscreteActions
 from league.errors import ConfigError, PolicyError, RewardError
 from league.evaluation import evaluate
 from league.training import history, judge
@@ -17,6 +19,8 @@ from league.training import run as run_room
 from league.training.run import Run
 from league.training.run_config import RunConfig, settings
 
+EXAMPLES = Path(__file__).parents[2] / "examples"
+CHOICES = DiscreteActions(((20.0, 1.0), (0.0, 1.0), (-20.0, 1.0), (0.0, 2.0)))
 CHEERFUL = "def reward_function(params):\n    return 1.0\n"
 GIVES_UP = """count = 0
 def reward_function(params):
@@ -274,17 +278,18 @@ def test_reward_function_that_raises_at_once_leaves_no_checkpoint(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "changes",
+    ("changes", "reward"),
     [
-        {},
-        {"sensors": small.CAMERA},
-        {"sensors": small.CAMERA, "tutor": 0.3},  # killed while it learns from its tutor
-        {"sensors": small.CAMERA, "tutor": 0.6},  # killed while the tutor learns
+        ({}, "centerline"),
+        ({"sensors": small.CAMERA}, "centerline"),
+        # Killed while it learns from its tutor, and while the tutor learns.
+        ({"sensors": small.CAMERA, "tutor": 0.3}, "centerline"),
+        ({"sensors": small.CAMERA, "tutor": 0.6}, "racing_line"),
+        ({"tutor": 0.3, "action_space": CHOICES}, str(EXAMPLES / "reward_centerline.py")),
     ],
 )
-def test_resumed_run_equals_an_uninterrupted_one(tmp_path, changes):
-    seen = small.train(**changes)
-    asked = small.cfg(updates=8, train=seen)
+def test_resumed_run_equals_an_uninterrupted_one(tmp_path, changes, reward):
+    asked = small.cfg(updates=8, reward=reward, train=small.train(**changes))
     small.run(tmp_path / "whole", asked).learn()
     # Killed after the fifth update: what the fourth left on the disk is all there is.
     killed = small.run(tmp_path / "parts", asked)
