@@ -2,6 +2,7 @@
 
 import json
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from league.cli import rewards as command
 from league.envs import rewards
 from league.envs.deepracer import check, rescore, user_reward
 from league.errors import ConfigError, RewardError
-from league.race_spec import Entry, RaceSpec
+from league.race_spec import Entry, Event, RaceSpec
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -146,6 +147,17 @@ def test_score_of_progress_is_the_metres_driven(recorded):
     for car in range(2):
         driven = replay.columns.distance[scored.raced[car], car] - replay.columns.distance[0, car]
         assert scored.totals[car] == pytest.approx(3.0 * driven, abs=0.01)
+
+
+def test_a_crash_between_cars_costs_its_price_and_the_step(recorded):
+    replay, _ = recorded
+    events = (*replay.result.events, Event(time_s=2.0, kind="crash", car=0, other=1))
+    crashed = replace(replay, result=replay.result.model_copy(update={"events": events}))
+    paid = rewards.BuiltIn(rewards.preset("progress"))
+    usual, less = (rescore.score(one, paid, "progress").rewards for one in (replay, crashed))
+    (steps, cars) = np.nonzero(usual != less)
+    assert cars.tolist() == [0]
+    assert less[steps[0], 0] == pytest.approx(-3.0)  # nothing for the metres of that step
 
 
 def test_score_of_the_racing_line_is_that_of_progress_and_more(recorded):

@@ -71,8 +71,12 @@ def _steps(replay: Replay) -> Iterator[tuple[World, World, Tensor, Verdict]]:
         before, world = row(frames, frame - 1), row(frames, frame)
         verdict = Verdict(*(getattr(seen, name)[frame : frame + 1] for name in _FIELDS))
         if bool(verdict.crashed.any()):
-            was = replace(world, motion=before.motion, standing=before.standing)
-            world = select(verdict.crashed, was, world)
+            # Obstacles are not counted as cars are, so the cars' records are mixed, not the world.
+            world = replace(
+                world,
+                motion=select(verdict.crashed, before.motion, world.motion),
+                standing=select(verdict.crashed, before.standing, world.standing),
+            )
         world = replace(world, control=decode(replay.sim, actions[frame : frame + 1]))
         yield before, world, actions[frame : frame + 1], verdict
 
