@@ -113,5 +113,6 @@ def built_in(name: str, tracks: TrackSet, car: CarConfig) -> Reward:
     Raises:
         ConfigError: there is none of this name, or too many tracks for it.
     """
-    check(name, len(tracks.tracks))
-    return AlongTheLine(tracks, car) if name == RACING_LINE else BuiltIn(rewards.preset(name))
+    if name == RACING_LINE:
+        return AlongTheLine(tracks, car)
+    return BuiltIn(rewards.preset(name, (RACING_LINE,)))

@@ -26,7 +26,7 @@ from league.training.run_config import RunConfig
 from league.training.selfplay import SelfPlay, SelfPlayConfig
 from league.training.selfplay.matrix import FINAL, WinMatrix
 from league.training.selfplay.picture import draw as draw_matrix
-from league.training.tutor import Tutor, TutoredLearner, truth
+from league.training.tutor import tutored
 from league.whole_file import replacing
 
 if TYPE_CHECKING:
@@ -118,13 +118,11 @@ class Run:
         if self._reward is None:
             car = worlds.env_config(train).sim.car
             self._reward = line_reward.built_in(cfg.reward, tracks, car)
-        self.env = worlds.make(tracks, train, opponents=opponents, reward=self._reward)
         if train.tutor:
-            told = truth(train)
-            others = worlds.make(tracks, told, opponents=opponents, reward=self._reward)
-            self.learner: Learner = TutoredLearner(self.env, train, Tutor(others, told))
+            self.learner: Learner = tutored(tracks, train, opponents=opponents, reward=self._reward)
         else:
-            self.learner = Learner(self.env, train)
+            env = worlds.make(tracks, train, opponents=opponents, reward=self._reward)
+            self.learner = Learner(env, train)
         if self._parent is not None:
             self.learner.begin(dict(self._parent.weights))
         self._waiting: dict[int, Checkpoint] = {}

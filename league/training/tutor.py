@@ -12,6 +12,7 @@ quarters of the way, and is nothing only at its end.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import torch
@@ -22,9 +23,12 @@ from torch import Tensor
 
 from league.agents.network import NetworkConfig
 from league.envs.action_space import ContinuousActions
+from league.envs.driver import Driver
+from league.envs.rewards import Reward
 from league.envs.vec_env import RacingVecEnv
 from league.sim.config import SensorConfig
-from league.training import mirror, ranks
+from league.track.course import TrackSet
+from league.training import mirror, ranks, worlds
 from league.training.episodes import Episodes
 from league.training.learner import Learner, Update
 from league.training.lines import TUTORING
@@ -62,6 +66,20 @@ class Tutor(Learner):
         return super()._settings() | {
             "obs_groups": {who: list(TOLD) for who in ("actor", "critic")}
         }
+
+
+def tutored(
+    tracks: TrackSet,
+    cfg: TrainConfig,
+    *,
+    opponents: Mapping[int, Driver | str] | None = None,
+    reward: Reward | None = None,
+) -> TutoredLearner:
+    """Build the worlds of both, tutor and pupil; arguments are those of worlds.make."""
+    seen, told = (
+        worlds.make(tracks, one, opponents=opponents, reward=reward) for one in (cfg, truth(cfg))
+    )
+    return TutoredLearner(seen, cfg, Tutor(told, truth(cfg)))
 
 
 class TutoredLearner(Learner):

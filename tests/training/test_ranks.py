@@ -21,7 +21,7 @@ from league.sim.config import SensorConfig
 from league.training import courses, ranks, worlds
 from league.training.learner import Learner
 from league.training.settings import PpoConfig, TrainConfig
-from league.training.tutor import Tutor, TutoredLearner, truth
+from league.training.tutor import TutoredLearner, tutored
 
 UPDATES = 4
 
@@ -44,22 +44,20 @@ def learner() -> Learner:
     return Learner(worlds.make(tracks, settings()), settings())
 
 
-def tutored() -> TutoredLearner:
+def with_tutor() -> TutoredLearner:
     """Return a learner whose tutor has three of four updates."""
     tracks = courses.together(courses.load(("generated:8",)), both_directions=False)
-    cfg = replace(settings(), tutor=0.6)
-    tutor = Tutor(worlds.make(tracks, truth(cfg)), truth(cfg))
-    return TutoredLearner(worlds.make(tracks, cfg), cfg, tutor)
+    return tutored(tracks, replace(settings(), tutor=0.6))
 
 
 def taught(folder: Path) -> dict[str, list[str]]:
     """Return what tutor and policy come to, and what they do if they go on from half the way."""
-    made = tutored()
+    made = with_tutor()
     for number in range(UPDATES):
         made.update(number / UPDATES if ranks.is_first() else 0.9)
         if number == 1:
             made.save(folder / f"taught{ranks.number()}.pt", {})
-    later = tutored()
+    later = with_tutor()
     later.restore(folder / "taught0.pt")
     for number in (2, 3):
         later.update(number / UPDATES)

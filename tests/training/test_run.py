@@ -9,9 +9,9 @@ import pytest
 import small
 import small_play
 import torch
+from test_learner import CHOICES
 
 from league.agents import checkpoint
-from league.envs.action_space import DiscreteActions
 from league.errors import ConfigError, PolicyError, RewardError
 from league.evaluation import evaluate
 from league.training import history, judge
@@ -20,7 +20,6 @@ from league.training.run import Run
 from league.training.run_config import RunConfig, settings
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-CHOICES = DiscreteActions(((20.0, 1.0), (0.0, 1.0), (-20.0, 1.0), (0.0, 2.0)))
 CHEERFUL = "def reward_function(params):\n    return 1.0\n"
 GIVES_UP = """count = 0
 def reward_function(params):

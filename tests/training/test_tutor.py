@@ -15,20 +15,18 @@ from league.cli.train import Train, _kept
 from league.envs import state
 from league.errors import ConfigError, PolicyError, RewardError
 from league.track.course import TrackSet
-from league.training import history, mirror, worlds
+from league.training import history, mirror, tutor
 from league.training.settings import TrainConfig
-from league.training.tutor import CALM, TOLD, Tutor, TutoredLearner, truth
+from league.training.tutor import CALM, TOLD, TutoredLearner
 
 
 def tutored(cfg: TrainConfig | None = None) -> TutoredLearner:
-    cfg = cfg or replace(settings(), tutor=0.5)
-    tracks, told = TrackSet.of(make_ring()), truth(cfg)
-    tutor = Tutor(worlds.make(tracks, told), told)
-    last = tutor._alg.get_policy().mlp[-1]
+    made = tutor.tutored(TrackSet.of(make_ring()), cfg or replace(settings(), tutor=0.5))
+    last = made._tutor._alg.get_policy().mlp[-1]
     with torch.no_grad():  # untaught, it asks for next to nothing
         last.weight.mul_(100.0)
         last.bias.copy_(torch.linspace(-0.5, 0.3, len(last.bias)))
-    return TutoredLearner(worlds.make(tracks, cfg), cfg, tutor)
+    return made
 
 
 def batch(made: TutoredLearner):
@@ -55,19 +53,19 @@ def test_a_tutor_is_told_the_truth_and_sees_nothing():
 
 def test_first_the_tutor_learns_and_then_the_policy_does():
     made = tutored()
-    policy, tutor = made.weights(), made._tutor.weights()
+    policy, taught = made.weights(), made._tutor.weights()
     first = made.update(0.0)
     assert same(made.weights(), policy)
-    assert not same(made._tutor.weights(), tutor)
+    assert not same(made._tutor.weights(), taught)
     assert (made.has_learnt, first.number, first.samples) == (False, 1, 32)
-    tutor = made._tutor.weights()
+    taught = made._tutor.weights()
     then = made.update(0.5)
     assert not same(made.weights(), policy)
-    assert same(made._tutor.weights(), tutor)
+    assert same(made._tutor.weights(), taught)
     assert (made.has_learnt, then.number, then.samples) == (True, 2, 64)
     assert "advice" in then.losses
     made.update(0.2)  # of a larger budget: what is taught is taught
-    assert same(made._tutor.weights(), tutor)
+    assert same(made._tutor.weights(), taught)
 
 
 def test_schedules_run_once_for_each_of_them():
