@@ -27,9 +27,9 @@ dodger() {  # six boxes at random places
 novice() {  # a minute of time trial: the duelist's parent
     train novice --seed 2 --action-space 1-4 --minutes 1
 }
-duelist() {  # the novice, after half an hour of racing pacers, the novice itself and its own past
+duelist() {  # the novice, after half an hour of racing its own past
     train duelist --seed 2 --kind head_to_head --self-play --init-from garage/novice.pt --reward race \
-        --action-space 1-4 --minutes 0 --steps 1750000 --scripted-share 0.6 --exam-every 8
+        --action-space 1-4 --minutes 0 --steps 1750000 --exam-every 8
 }
 globetrotter() {  # random tracks only, with random cars and looks: drives any track at first sight
     train globetrotter --track generated:768 --action-space 0.5-3 --num-worlds 128 \

@@ -38,6 +38,7 @@ KEPT = {
     "self_play": "self_play",
     "cars": "train.num_cars",
     "scripted_share": "scripted_share",
+    "no_handicap": "handicap",
     "hyperparameters": "train.ppo",
     "init_from": "init_from",
     "seed": "train.seed",

@@ -52,8 +52,10 @@ class Train:
     """Race against past selves, in head_to_head."""
     cars: int = 2
     """Cars of each world in self-play, the learner's included."""
-    scripted_share: float = 0.2
-    """Share of self-play against scripted drivers, who teach to pass what is slower."""
+    scripted_share: float = 0.1
+    """Share of self-play against scripted drivers."""
+    no_handicap: bool = False
+    """Do not hold past selves back in self-play: cars of like pace never pass each other."""
     hyperparameters: Path | None = None
     """A hyperparameters.json with DeepRacer's names."""
     resume: bool = False

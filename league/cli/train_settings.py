@@ -50,6 +50,7 @@ def config(command: Train) -> RunConfig:
         opponents=command.opponents,
         self_play=command.self_play,
         scripted_share=command.scripted_share,
+        handicap=not command.no_handicap,
         exam_opponents=command.exam_opponents,
         init_from=_parent(command.init_from),
         threads=command.threads,
@@ -68,6 +69,7 @@ def _check(command: Train) -> None:
         "opponents": racing,
         "self_play": racing,
         "scripted_share": (command.self_play, "--self-play"),
+        "no_handicap": (command.self_play, "--self-play"),
         "cars": (command.self_play, "--self-play"),
         "car_spread": (command.random_cars, "--random-cars"),
     }

@@ -89,6 +89,9 @@ class RacingVecEnv(VecEnv):
         self.num_actions = SIZE if action_space is None else action_space.size
         self.max_episode_length = self._env.longest_episode
         self.device = tracks.device
+        self.limit: Callable[[RaceEnv], Tensor] | None = None
+        """Asked before each step for the largest speed action that each car obeys, (num_worlds,
+        num_cars); what is told as the last action is what was obeyed."""
         self.watch: Callable[[World], None] | None = None
         """Told the worlds after each step, restarts included; it cannot change them."""
         self.reset(seed)
@@ -147,7 +150,10 @@ class RacingVecEnv(VecEnv):
         driven[:, self._columns] = (
             actions.clamp(-1.0, 1.0).to(driven).reshape(-1, len(self.learners), SIZE)
         )  # (num_worlds, num_learners, 2)
-        step = self._env.step(self._opponents.act(driven, self._told))
+        driven = self._opponents.act(driven, self._told)
+        if self.limit is not None:
+            driven[..., 1] = torch.minimum(driven[..., 1], self.limit(self._env))
+        step = self._env.step(driven)
         self._opponents.watch(step)
         if self.watch is not None:
             self.watch(self._env.world)

@@ -109,7 +109,7 @@ class Run:
                 tracks,
                 train,
                 self._card(),
-                cfg=SelfPlayConfig().with_scripted(cfg.scripted_share),
+                cfg=SelfPlayConfig(handicap=cfg.handicap).with_scripted(cfg.scripted_share),
                 parent=self._parent,
             )
             opponents = self._self_play.drivers()

@@ -46,8 +46,10 @@ class RunConfig:
     """Drivers or checkpoints that race against the learner."""
     self_play: bool = False
     """Race against past selves instead."""
-    scripted_share: float = 0.2
-    """Share of self-play that is against scripted drivers, who teach to pass what is slower."""
+    scripted_share: float = 0.1
+    """Share of self-play that is against scripted drivers."""
+    handicap: bool = True
+    """Hold past selves back in self-play, so that they can be passed."""
     init_from: str = ""
     """Checkpoint to begin from."""
     threads: int = 1

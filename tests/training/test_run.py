@@ -3,6 +3,7 @@
 import hashlib
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -65,7 +66,8 @@ def test_in_self_play_the_newest_is_best_of_those_that_come_as_far(tmp_path, mon
 
     judged = judge.judged
     monkeypatch.setattr(judge, "judged", sat)
-    monkeypatch.setattr(run_room, "SelfPlayConfig", lambda: small_play.SHORT)
+    short = small_play.SHORT
+    monkeypatch.setattr(run_room, "SelfPlayConfig", lambda **given: replace(short, **given))
     cfg = small.cfg(6, train=small.train(kind="head_to_head", num_cars=2), self_play=True)
     run, onlooker = small.run(tmp_path, cfg), small.Onlooker()
     outcome = run.learn([onlooker])

@@ -64,14 +64,6 @@ def test_members_are_drawn_by_the_square_of_the_loss_rate():
     )
 
 
-def test_the_parent_is_met_however_often_it_is_beaten():
-    mix = {"newest": 0.3, "prioritised": 0.4, "hardest": 0.1, "parent": 0.2}
-    newest, members = opponent.shares([1.0, 0.0], **mix)
-    assert newest == 0.3
-    assert members == pytest.approx([0.4 * 0.0025 / 1.0025 + 0.2, 0.4 / 1.0025 + 0.1])
-    assert opponent.shares([], **mix) == (pytest.approx(1.0), [])
-
-
 def test_a_member_that_always_loses_is_still_met_now_and_then():
     _, members = opponent.shares([1.0, 0.0], newest=0.35, prioritised=0.45, hardest=0.1)
     assert members[0] == pytest.approx(0.45 * 0.0025 / 1.0025)
@@ -295,7 +287,7 @@ def test_whoever_is_missing_leaves_its_share_to_the_others(tmp_path, parent):
         assert told["newest"] == pytest.approx(1.0 - cfg.scripted)
     else:
         assert told["newest"] == pytest.approx(cfg.newest)
-        assert told["parent"] == pytest.approx(cfg.prioritised + cfg.hardest + cfg.parent)
+        assert told["parent"] == pytest.approx(cfg.prioritised + cfg.hardest)
     assert told["pacer"] == pytest.approx(told["centerline"] * cfg.pacers / (1 - cfg.pacers))
 
 
@@ -303,7 +295,7 @@ def test_whoever_is_missing_leaves_its_share_to_the_others(tmp_path, parent):
     ("wrong", "said"),
     [
         ({"warm_up": 1.0}, "below 1"),
-        ({"newest": 0.0, "parent": 0.6}, "nobody else"),
+        ({"newest": 0.0, "prioritised": 0.8}, "nobody else"),
         ({"newest": 0.9}, "add up to 1"),
         ({"races": 3}, "even number"),
         ({"rivals": 0}, "at least"),

@@ -18,7 +18,7 @@ from league.training.selfplay.seats import Seats, awake
 NOBODY = -1
 CLEAR_GAIN = 0.162
 """Gain that decides a meeting which no mistake decides [m]: half a car, as for a pass."""
-_MEMBER = 411
+_MEMBER, _LIMIT = 411, 417
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,8 @@ class Field:
     """Of each opponent; for this car alone, if they remember anything."""
     shares: tuple[float, ...]
     """How often each is drawn; they add up to 1."""
+    limits: tuple[tuple[float, float], ...] = ()
+    """Between which shares of its top speed each is held back, drawn with it; none: not at all."""
 
 
 class Opponent(Seats):
@@ -88,7 +90,10 @@ class Opponent(Seats):
         super().reset(rows)
         if self._field.names:
             self.who = self.who.clone()
-            self.who[rows] = self._drawn(rows.to("cpu")).to(self._device)
+            who, limits = self._drawn(rows.to("cpu"))
+            self.who[rows] = who.to(self._device)
+            self.limits = self.limits.clone()
+            self.limits[rows] = limits.to(self._device)
         self._gained = self._gained.clone()
         self._gained[rows] = 0.0
         self._count += 1
@@ -113,15 +118,20 @@ class Opponent(Seats):
             result = WON if merit > 1 else LOST if merit < -1 else DRAWN
             self._records.add(self._field.names[who], result)
 
-    def _drawn(self, rows: Tensor) -> Tensor:
-        """Return who drives these rows; on the CPU, for not all devices have float64."""
+    def _drawn(self, rows: Tensor) -> tuple[Tensor, Tensor]:
+        """Return who drives these rows, and its limits; on the CPU, where there is float64."""
         edges = torch.tensor(self._field.shares, dtype=torch.float64).cumsum(0)
         drawn = draws.uniform(self._seed, _MEMBER, self._count, self._car, rows)
         picked = torch.searchsorted(edges, drawn.to(torch.float64), right=True)
-        return picked.clamp(max=len(self._field.names) - 1)
+        picked = picked.clamp(max=len(self._field.names) - 1)
+        between = torch.tensor(self._field.limits or ((1.0, 1.0),) * len(self._field.names))
+        least, most = between[picked].unbind(1)
+        share = draws.uniform(self._seed, _LIMIT, self._count, self._car, rows)
+        return picked, least + (most - least) * share
 
     def _sit_nobody(self) -> None:
         self.who = torch.full((self._num_rows,), NOBODY, device=self._device)
+        self.limits = torch.ones(self._num_rows, device=self._device)
         self._gained = torch.zeros(self._num_rows, device=self._device)
         self._awake = torch.zeros(self._num_rows, dtype=torch.bool, device=self._device)
 
@@ -132,7 +142,6 @@ def shares(
     newest: float,
     prioritised: float,
     hardest: float,
-    parent: float = 0.0,
 ) -> tuple[float, list[float]]:
     """Return the share of the newest self, and of each member of the pool (facts 2.2).
 
@@ -141,13 +150,11 @@ def shares(
         newest: share of the newest; it is all there is without members.
         prioritised: share of members in proportion to (1 - win rate) squared.
         hardest: share of the member with the smallest win rate.
-        parent: share of the first member, if that is the learner's parent.
     """
     if not win_rates:
-        return newest + prioritised + hardest + parent, []
+        return newest + prioritised + hardest, []
     # Nobody is never drawn: what is not met can be forgotten unnoticed.
     losses = [max(1.0 - rate, 0.05) ** 2 for rate in win_rates]
     members = [prioritised * loss / sum(losses) for loss in losses]
     members[min(range(len(win_rates)), key=win_rates.__getitem__)] += hardest
-    members[0] += parent
     return newest, members

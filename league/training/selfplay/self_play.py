@@ -18,6 +18,7 @@ from league.track.course import TrackSet
 from league.training import worlds
 from league.training.learner import Learner
 from league.training.selfplay import duels, matrix, opponent
+from league.training.selfplay.handicap import Handicap
 from league.training.selfplay.matrix import WinMatrix
 from league.training.selfplay.opponent import Field, Opponent
 from league.training.selfplay.pacer import Pacer
@@ -83,6 +84,9 @@ class SelfPlay:
             for car in range(1, train.num_cars)
         }
         self._car = worlds.env_config(train).sim.car
+        self._handicap = None
+        if self._cfg.handicap:
+            self._handicap = Handicap(self._cfg, train.action_space, self._car, self._seats)
         # A driver that remembers is one car's alone; with several tracks there are none.
         one_track = len(tracks.tracks) == 1 and self._cfg.scripted > 0
         self._scripted = {car: self._teachers(car) if one_track else {} for car in self._seats}
@@ -247,20 +251,19 @@ class SelfPlay:
         members = [self._policy(member) for member in self.pool.members]
         cfg, rates = self._cfg, self._win_rates()
         first = learner.updates * _DRAWS_OF_AN_UPDATE
+        paces, free = cfg.paces(self._done), (1.0, 1.0)
         for car, seat in self._seats.items():
             scripted = self._scripted[car]
             for driver in scripted:
                 if isinstance(driver, Pacer):
-                    driver.keep_between(cfg.paces(self._done), first)
-            begun = bool(members) and self.pool.members[0].name == PARENT
+                    driver.keep_between(paces, first)
             part, each = opponent.shares(
                 [rates[member.name] for member in self.pool.members],
                 newest=cfg.newest,
                 prioritised=cfg.prioritised,
                 hardest=cfg.hardest,
-                parent=cfg.parent if begun else 0.0,
             )
-            # Without a parent, or scripted drivers, the others have their share in proportion.
+            # Without scripted drivers the others have their share in proportion.
             own = (1.0 - cfg.scripted if scripted else 1.0) / (part + sum(each))
             field = Field(
                 names=(NEWEST, *(m.name for m in self.pool.members), *(d.name for d in scripted)),
@@ -270,8 +273,14 @@ class SelfPlay:
                     *(own * share for share in each),
                     *(cfg.scripted * share for share in scripted.values()),
                 ),
+                limits=(
+                    free,
+                    *(paces if cfg.handicap else free for _ in members),
+                    *(free for _ in scripted),
+                ),
             )
             seat.choose_from(field, first)
+        learner.env.limit = self._handicap
         # Anew, so that a run that goes on from here begins with the same meetings.
         learner.env.race_env.meet(cfg.meeting(self._done, self._train.num_cars))
         learner.start_rows_anew()

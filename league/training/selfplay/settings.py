@@ -32,20 +32,25 @@ class DuelConfig:
 class SelfPlayConfig:
     """How opponents are drawn, and what is kept of the past."""
 
-    newest: float = 0.10
+    newest: float = 0.35
     """Share of episodes against the learner's own weights of the last save point."""
-    prioritised: float = 0.14
+    prioritised: float = 0.45
     """Share against members of the pool, each in proportion to (1 - win rate) squared."""
-    hardest: float = 0.06
+    hardest: float = 0.10
     """Share against the member with the smallest win rate."""
-    parent: float = 0.50
-    """Share against the policy that the learner began from, where there is one."""
-    scripted: float = 0.20
+    scripted: float = 0.10
     """Share against scripted drivers; only where all worlds are on one track."""
+    handicap: bool = True
+    """Whether members are held back, so that they can be passed, to the shares of `paces`."""
+    own_share: float = 0.5
+    """Part of the learner's lone episodes in which it is held back too, to be able to."""
+    own_limits: tuple[float, float] = (0.35, 0.95)
+    """Least and largest share of its top speed then."""
     pacers: float = 0.85
     """Part of that share that pacers have, the rest is `centerline`'s."""
     first_paces: tuple[float, float] = (0.4, 0.6)
-    """Least and largest share of the racing line's pace that pacers drive as the run begins."""
+    """Least and largest pace as the run begins: share of the racing line's that pacers drive, and
+    of its top speed that a member may ask for."""
     last_paces: tuple[float, float] = (0.55, 0.8)
     """The same as it ends: what is learnt on slow cars is learnt again on faster ones."""
     warm_up: float = 0.3
@@ -83,7 +88,6 @@ class SelfPlayConfig:
             newest=self.newest * rest,
             prioritised=self.prioritised * rest,
             hardest=self.hardest * rest,
-            parent=self.parent * rest,
             scripted=share,
         )
 
@@ -104,22 +108,23 @@ class SelfPlayConfig:
         return (done - self.warm_up) / (1.0 - self.warm_up)
 
     def paces(self, done: float) -> tuple[float, float]:
-        """Return least and largest pace of pacers, as shares, when so much of the run is done."""
+        """Return least and largest pace, as shares, when so much of the run is done."""
         first, last = self.first_paces, self.last_paces
         done = 0.0 if done < self.warm_up else self.part_done(done)
         return first[0] + done * (last[0] - first[0]), first[1] + done * (last[1] - first[1])
 
     def __post_init__(self) -> None:
-        shares = (self.newest, self.prioritised, self.hardest, self.parent, self.scripted)
+        shares = (self.newest, self.prioritised, self.hardest, self.scripted)
         if min(shares) < 0 or abs(sum(shares) - 1.0) > 1e-6:
             raise ConfigError(
-                f"the shares of opponents are {shares}: give five from 0 to 1 that add up to 1"
+                f"the shares of opponents are {shares}: give four from 0 to 1 that add up to 1"
             )
-        if not 0 <= self.pacers <= 1:
-            raise ConfigError(f"pacers is {self.pacers}: give a share from 0 to 1")
+        for name in ("pacers", "own_share"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ConfigError(f"{name} is {getattr(self, name)}: give a share from 0 to 1")
         if not 0 <= self.warm_up < 1:
             raise ConfigError(f"warm_up is {self.warm_up}: give a share from 0 to below 1")
-        for name in ("first_paces", "last_paces"):
+        for name in ("first_paces", "last_paces", "own_limits"):
             if not 0.1 <= (ends := getattr(self, name))[0] <= ends[1] <= 1:
                 raise ConfigError(f"{name} is {ends}: give two shares from 0.1 to 1 that rise")
         if not self.newest:
