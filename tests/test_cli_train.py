@@ -223,6 +223,7 @@ def test_flag_beats_the_hyperparameters_file(league, tmp_path):
         (["--bots"], "--bots means nothing without --kind obstacle_avoidance"),
         (["--obstacles", "3"], "--obstacles means nothing without --kind obstacle_avoidance"),
         (["--scripted-share", "0.5"], "--scripted-share means nothing without --self-play"),
+        (["--no-handicap"], "--no-handicap means nothing without --self-play"),
         (["--cars", "3"], "--cars means nothing without --self-play"),
         (["--kind", "head_to_head", "--self-play", "--cars", "9"], "--cars is 9: give 2 to 8"),
         (["--car-spread", "0.5"], "--car-spread means nothing without --random-cars"),

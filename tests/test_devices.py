@@ -378,14 +378,15 @@ def test_self_play_seats_opponents_in_worlds_of_another_device():
             pacer = Pacer(tracks.tracks[0], CAR, 5, 1, device=tracks.device)
             slow = roster.load("centerline", tracks, CAR)
             seat = Opponent(1, SensorConfig(), 2, 5, records, device=tracks.device)
-            seat.choose_from(Field(("pacer", "slow"), (pacer, slow), (0.5, 0.5)), 7)
+            field = Field(("pacer", "slow"), (pacer, slow), (0.5, 0.5), ((4.0, 4.0), (1.0, 2.0)))
+            seat.choose_from(field, 7)
             seated.append(seat)
             return {1: seat}
 
         cfg = {"mode": "training", "meeting": Meeting(), "episode_s": 0.4}
         driven = race(device, drivers, steps=8, sim=TWO, **cfg)
         results[device] = records.state()
-        return driven, seated[0].who
+        return driven, seated[0].who, seated[0].speed_limit
 
     check_both(run)
     assert results["cpu"] and results[ELSEWHERE] == results["cpu"]

@@ -55,7 +55,8 @@ class Train:
     scripted_share: float = 0.1
     """Share of self-play against scripted drivers."""
     no_handicap: bool = False
-    """Do not hold past selves back in self-play: cars of like pace never pass each other."""
+    """Let past selves drive as fast as they can in self-play; by default they are held back, for
+    cars of like pace do not pass each other, and so is the learner in some of its lone episodes."""
     hyperparameters: Path | None = None
     """A hyperparameters.json with DeepRacer's names."""
     resume: bool = False

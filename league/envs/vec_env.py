@@ -15,11 +15,11 @@ from league.envs.actions import SIZE
 from league.envs.config import EnvConfig
 from league.envs.driver import Driver
 from league.envs.opponents import Opponents, check_field, named
-from league.envs.race_env import Observations, RaceEnv, Step
+from league.envs.race_env import Observations, RaceEnv, Step, encode
 from league.envs.rewards import Reward
 from league.errors import ActionError, ConfigError, brief
 from league.sim.config import SensorConfig
-from league.sim.world import World
+from league.sim.world import Control, World
 from league.track.course import TrackSet
 
 MISTAKES = ("off_track", "crashed", "immobilised", "reversed")
@@ -89,8 +89,8 @@ class RacingVecEnv(VecEnv):
         self.num_actions = SIZE if action_space is None else action_space.size
         self.max_episode_length = self._env.longest_episode
         self.device = tracks.device
-        self.limit: Callable[[RaceEnv], Tensor] | None = None
-        """Asked before each step for the largest speed action that each car obeys, (num_worlds,
+        self.speed_limit: Callable[[RaceEnv], Tensor] | None = None
+        """Asked before each step for the largest speed that each car obeys [m/s], (num_worlds,
         num_cars); what is told as the last action is what was obeyed."""
         self.watch: Callable[[World], None] | None = None
         """Told the worlds after each step, restarts included; it cannot change them."""
@@ -151,8 +151,8 @@ class RacingVecEnv(VecEnv):
             actions.clamp(-1.0, 1.0).to(driven).reshape(-1, len(self.learners), SIZE)
         )  # (num_worlds, num_learners, 2)
         driven = self._opponents.act(driven, self._told)
-        if self.limit is not None:
-            driven[..., 1] = torch.minimum(driven[..., 1], self.limit(self._env))
+        if self.speed_limit is not None:
+            driven = self._limited(driven, self.speed_limit(self._env))
         step = self._env.step(driven)
         self._opponents.watch(step)
         if self.watch is not None:
@@ -207,6 +207,11 @@ class RacingVecEnv(VecEnv):
             )
         # With its gradient, every step would hold on to all before it.
         return actions.detach()
+
+    def _limited(self, actions: Tensor, speed: Tensor) -> Tensor:
+        """Return actions that ask for no more than a speed [m/s], (num_worlds, num_cars)."""
+        most = encode(self.cfg.sim, Control(steering=torch.zeros_like(speed), speed=speed))[..., 1]
+        return torch.stack([actions[..., 0], torch.minimum(actions[..., 1], most)], dim=-1)
 
     def _rows(self, values: Tensor) -> Tensor:
         return values[:, self._columns].reshape(self.num_envs, *values.shape[2:])

@@ -49,7 +49,8 @@ class RunConfig:
     scripted_share: float = 0.1
     """Share of self-play that is against scripted drivers."""
     handicap: bool = True
-    """Hold past selves back in self-play, so that they can be passed."""
+    """Hold past selves back in self-play, so that they can be passed, and the learner in some of
+    its lone episodes."""
     init_from: str = ""
     """Checkpoint to begin from."""
     threads: int = 1

@@ -24,6 +24,8 @@ from league.training.settings import PpoConfig, TrainConfig
 
 RING = TrackSet.of(make_ring())
 CAR = CarConfig()
+FREE = (CAR.max_speed,) * 2
+"""Limits of an opponent that may go as fast as it can [m/s]."""
 BLIND = NetworkConfig(hidden=(8,))
 SHORT = SelfPlayConfig(
     candidate_every=1,

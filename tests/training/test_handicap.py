@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import pytest
 import torch
-from small_play import CAR, RING, SHORT, Constant, blind, playing
+from small_play import CAR, CARD, FREE, RING, SHORT, Constant, blind, learnt, playing
 
+from league.agents.checkpoint import Checkpoint
 from league.envs.action_space import ContinuousActions, DiscreteActions
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
@@ -21,108 +22,110 @@ from league.training.selfplay.handicap import Handicap
 from league.training.selfplay.opponent import Field, Opponent
 from league.training.selfplay.records import Records
 
-SPACE = ContinuousActions(speed_low=1.0, speed_high=3.0)
 WORLDS = 64
+TOP_SPEED = 3.0
+SLOW = ContinuousActions(speed_low=0.5, speed_high=2.0)
 
 
-class Seat:
-    def __init__(self, *limits: float) -> None:
-        self.limits = torch.tensor(limits * (WORLDS // len(limits)))
+def seat(*limits: float) -> Opponent:
+    """Return a driver's seat with these limits in turn [m/s]."""
+    held = Opponent(1, SensorConfig(), WORLDS, 5, Records(10))
+    held.speed_limit = torch.tensor(limits * (WORLDS // len(limits)))
+    return held
 
 
-def worlds(**how: float) -> RaceEnv:
+def worlds(num_cars: int = 2, **how: float) -> RaceEnv:
     cfg = EnvConfig(
-        sim=SimConfig(kind="head_to_head", num_cars=2),
+        sim=SimConfig(kind="head_to_head", num_cars=num_cars),
         mode="training",
         meeting=Meeting(rolling=0.0, **how),
     )
     return RaceEnv(RING, cfg, num_worlds=WORLDS, seed=4)
 
 
-def speeds(handicap: Handicap, env: RaceEnv) -> torch.Tensor:
-    """Return the largest speed of each car [m/s], (num_worlds, num_cars)."""
-    return CAR.min_speed + (handicap(env) + 1.0) / 2.0 * (CAR.max_speed - CAR.min_speed)
-
-
-def test_a_seated_driver_is_held_to_its_share_of_the_top_speed():
-    env = worlds(alone=0.0)
-    told = speeds(Handicap(SelfPlayConfig(), SPACE, CAR, {1: Seat(0.5, 1.0)}), env)
-    assert torch.allclose(told[::2, 1], torch.tensor(1.5))
-    assert torch.allclose(told[1::2, 1], torch.tensor(3.0))
+def test_each_car_has_the_limit_of_its_seat():
+    handicap = Handicap(SelfPlayConfig(), TOP_SPEED, {2: seat(1.5, 0.5), 1: seat(2.0)})
+    told = handicap(worlds(num_cars=3, alone=0.0))
     # Among others the learner may always drive as fast as it can.
-    assert torch.allclose(told[:, 0], torch.tensor(3.0))
+    assert told[:2].tolist() == [[CAR.max_speed, 2.0, 1.5], [CAR.max_speed, 2.0, 0.5]]
 
 
 def test_half_of_the_lone_episodes_are_held_back_each_to_one_limit_throughout():
     env = worlds(alone=1.0, standing=0.0)
     assert bool(meeting.parked(env.world)[:, 1].all())
-    handicap = Handicap(SelfPlayConfig(), SPACE, CAR, {1: Seat(1.0)})
-    told = speeds(handicap, env)[:, 0]
-    held = told < 2.99
+    handicap = Handicap(SelfPlayConfig(), TOP_SPEED, {1: seat(2.0)})
+    told = handicap(env)[:, 0]
+    held = told < CAR.max_speed
     assert 0.3 < float(held.float().mean()) < 0.7
-    assert 3.0 * 0.35 <= float(told[held].min()) < float(told[held].max()) <= 3.0 * 0.95 + 1e-5
-    action = torch.zeros(WORLDS, 2, 2)
+    assert float(told[held].min()) >= 0.35 * TOP_SPEED
+    assert float(told[held].min()) < float(told[held].max()) <= 0.95 * TOP_SPEED + 1e-5
     same = torch.ones(WORLDS, dtype=torch.bool)
     for _ in range(12):
-        same &= ~env.step(action).began[:, 0]
-        now = speeds(handicap, env)[:, 0]
+        same &= ~env.step(torch.zeros(WORLDS, 2, 2)).began[:, 0]
+        now = handicap(env)[:, 0]
         assert torch.equal(now[same], told[same])
     assert bool(same.any()) and not bool(same.all())
     assert not torch.equal(now[~same], told[~same])
 
 
-def test_a_limit_is_drawn_with_the_driver_and_only_where_one_is_given():
-    field = Field(
-        ("free", "held"),
-        (Constant(0.0, 1.0), Constant(0.0, 1.0)),
-        (0.5, 0.5),
-        limits=((1.0, 1.0), (0.4, 0.6)),
-    )
+def test_a_limit_is_drawn_with_the_driver():
+    drivers = (Constant(0.0, 1.0), Constant(0.0, 1.0))
+    field = Field(("free", "held"), drivers, (0.5, 0.5), (FREE, (0.8, 1.2)))
     seats = [Opponent(1, SensorConfig(), 4000, 5, Records(10)) for _ in range(2)]
-    for seat in seats:
-        assert bool((seat.limits == 1.0).all())
-        seat.choose_from(field, 7)
-    held = seats[0].limits[seats[0].who == 1]
-    assert bool((seats[0].limits[seats[0].who == 0] == 1.0).all())
-    assert float(held.min()) == pytest.approx(0.4, abs=1e-3)
-    assert float(held.max()) == pytest.approx(0.6, abs=1e-3)
-    assert torch.equal(seats[0].limits, seats[1].limits)
-    rows, before = torch.arange(0, 4000, 2), seats[0].limits.clone()
-    seats[0].reset(rows)
-    assert torch.equal(seats[0].limits[1::2], before[1::2])
-    assert not torch.equal(seats[0].limits[::2], before[::2])
-    seats[0].choose_from(replace(field, limits=()), 7)
-    assert bool((seats[0].limits == 1.0).all())
+    for one in seats:
+        one.choose_from(field, 7)
+    told = seats[0].speed_limit
+    assert bool((told[seats[0].who == 0] == CAR.max_speed).all())
+    held = told[seats[0].who == 1]
+    assert (float(held.min()), float(held.max())) == pytest.approx((0.8, 1.2), abs=1e-3)
+    assert torch.equal(told, seats[1].speed_limit)
+    seats[0].reset(torch.arange(0, 4000, 2))
+    assert torch.equal(seats[0].speed_limit[1::2], told[1::2])
+    assert not torch.equal(seats[0].speed_limit[::2], told[::2])
 
 
 def test_worlds_drive_and_tell_the_limited_speed():
     cfg = EnvConfig(sim=SimConfig(kind="head_to_head", num_cars=2), mode="training")
     env = RacingVecEnv(RING, cfg, num_worlds=2, opponents={1: Constant(0.1, 0.9)})
-    env.limit = lambda worlds: torch.tensor([[-0.5, 1.0], [1.0, 0.2]])
+    half = (CAR.min_speed + CAR.max_speed) / 2
+    env.speed_limit = lambda _: torch.tensor([[half, torch.inf], [CAR.max_speed, half]])
     env.step(torch.tensor([[0.3, 0.8], [0.3, -0.9]]))
-    obeyed = env.race_env.last_action
-    expected = [[[0.3, -0.5], [0.1, 0.9]], [[0.3, -0.9], [0.1, 0.2]]]
-    assert torch.allclose(obeyed, torch.tensor(expected))
+    expected = [[[0.3, 0.0], [0.1, 0.9]], [[0.3, -0.9], [0.1, 0.0]]]
+    assert torch.allclose(env.race_env.last_action, torch.tensor(expected), atol=1e-6)
 
 
 @pytest.mark.parametrize("handicap", [True, False])
 def test_members_are_held_back_and_the_newest_self_and_scripted_drivers_are_not(tmp_path, handicap):
     cfg = replace(SHORT, handicap=handicap)
-    play, learner = playing(tmp_path, blind(1), cfg=cfg)
+    slow = Checkpoint(CARD.model_copy(update={"action_space": SLOW}), blind().weights)
+    play, learner = playing(tmp_path, slow, cfg=cfg)
     play.begin(learner)
-    told = dict(zip(play.drivers()[1]._field.names, play.drivers()[1]._field.limits, strict=True))
-    free = (1.0, 1.0)
-    assert told == {
-        "newest": free,
-        "parent": cfg.first_paces if handicap else free,
-        "centerline": free,
-        "pacer": free,
-    }
-    assert (learner.env.limit is not None) == handicap
+    field = play.drivers()[1]._field
+    told = dict(zip(field.names, field.speed_limits, strict=True))
+    # Of its own top speed: what the learner could ask for does not matter.
+    held = tuple(pace * SLOW.speed_high for pace in cfg.first_paces)
+    expected = {"newest": FREE, "parent": held, "centerline": FREE, "pacer": FREE}
+    assert told == (expected if handicap else dict.fromkeys(expected, FREE))
+    assert (learner.env.speed_limit is not None) == handicap
+
+
+def test_cars_obey_their_limits_while_a_policy_learns(tmp_path):
+    _, learner = learnt(tmp_path, blind(1), num_cars=3)
+    limit = learner.env.speed_limit
+    assert limit is not None
+    for _ in range(5):
+        most = limit(learner.env.race_env)
+        learner.env.step(torch.ones(len(most), 2))
+        share = (learner.env.race_env.last_action[..., 1] + 1.0) / 2.0
+        asked = CAR.min_speed + share * (CAR.max_speed - CAR.min_speed)
+        # A car that has just begun at speed is told what it would have asked for.
+        driven = learner.env.race_env.episode_steps > 0
+        assert bool((asked <= most + 1e-5)[driven].all())
+    assert bool((most < CAR.max_speed).any())
 
 
 def test_the_top_speed_is_the_largest_that_can_be_asked_for():
-    assert SPACE.top_speed == 3.0
+    assert ContinuousActions(speed_low=1.0, speed_high=3.0).top_speed == 3.0
     assert DiscreteActions(((10.0, 2.5), (-10.0, 1.0))).top_speed == 2.5
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 import small
 import torch
-from small_play import CAR, CARD, RING, SHORT, TRAIN, Constant, blind, learnt, playing, saved
+from small_play import CAR, CARD, FREE, RING, SHORT, TRAIN, Constant, blind, learnt, playing, saved
 
 from league.agents import checkpoint
 from league.agents.policy import Policy
@@ -70,7 +70,7 @@ def test_a_member_that_always_loses_is_still_met_now_and_then():
 
 
 def field() -> Field:
-    return Field(("a", "b"), (Constant(0.0, 1.0), Constant(1.0, -1.0)), (0.25, 0.75))
+    return Field(("a", "b"), (Constant(0.0, 1.0), Constant(1.0, -1.0)), (0.25, 0.75), (FREE, FREE))
 
 
 def test_draws_follow_the_shares_and_the_count_alone():
@@ -106,7 +106,7 @@ def test_each_row_is_driven_by_its_own_driver_and_frozen_cars_by_nobody():
 def test_who_leaves_the_road_has_lost_the_meeting(learner, other, result):
     records = Records(400)
     seat = Opponent(1, SensorConfig(), 16, 1, records)
-    seat.choose_from(Field(("it",), (Constant(other, -0.5),), (1.0,)), 0)
+    seat.choose_from(Field(("it",), (Constant(other, -0.5),), (1.0,), (FREE,)), 0)
     cfg = EnvConfig(
         sim=SimConfig(kind="head_to_head", num_cars=2),
         mode="training",

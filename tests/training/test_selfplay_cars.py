@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from small_play import RING, SHORT, Constant, blind, playing
+from small_play import FREE, RING, SHORT, Constant, blind, playing
 
 from league.agents.policy import Policy
 from league.envs.config import EnvConfig
@@ -30,7 +30,8 @@ def race(how: Meeting, steering: list[float], *, steps: int = 25) -> tuple[Recor
     records, seats = Records(400), {}
     for car, own in enumerate(steering[1:], 1):
         seats[car] = Opponent(car, SensorConfig(), 16, 1, records)
-        seats[car].choose_from(Field((f"it {car}",), (Constant(own, -0.5),), (1.0,)), 0)
+        it = Field((f"it {car}",), (Constant(own, -0.5),), (1.0,), (FREE,))
+        seats[car].choose_from(it, 0)
     sim = SimConfig(kind="head_to_head", num_cars=len(steering))
     cfg = EnvConfig(sim=sim, mode="training", meeting=how)
     env = RacingVecEnv(RING, cfg, num_worlds=16, opponents=seats)

@@ -31,13 +31,14 @@ class Field:
     """Of each opponent; for this car alone, if they remember anything."""
     shares: tuple[float, ...]
     """How often each is drawn; they add up to 1."""
-    limits: tuple[tuple[float, float], ...] = ()
-    """Between which shares of its top speed each is held back, drawn with it; none: not at all."""
+    speed_limits: tuple[tuple[float, float], ...]
+    """Least and largest speed [m/s] that each obeys no more than; the limit is drawn with it."""
 
 
 class Opponent(Seats):
     """Drives one car of all worlds; `reset` draws who drives, `watch` counts who beats whom.
 
+    `speed_limit` tells how fast it may go in each world [m/s], (num_rows,), for whoever sees to it.
     A meeting is what lies between two draws. The learner wins it if the opponent makes a mistake,
     loses it if it makes one itself, and otherwise, when time is up or one is left behind, the
     one wins that gained more than half a car's length on the other.
@@ -67,7 +68,7 @@ class Opponent(Seats):
         self._car, self._num_rows, self._records = car, num_rows, records
         self._seed, self._device = torch.tensor(seed), device
         self._count = 0
-        self._field = Field((), (), ())
+        self._field = Field((), (), (), ())
         self._sit_nobody()
 
     def choose_from(self, field: Field, count: int) -> None:
@@ -90,10 +91,10 @@ class Opponent(Seats):
         super().reset(rows)
         if self._field.names:
             self.who = self.who.clone()
-            who, limits = self._drawn(rows.to("cpu"))
+            who, speed = self._drawn(rows.to("cpu"))
             self.who[rows] = who.to(self._device)
-            self.limits = self.limits.clone()
-            self.limits[rows] = limits.to(self._device)
+            self.speed_limit = self.speed_limit.clone()
+            self.speed_limit[rows] = speed.to(self._device)
         self._gained = self._gained.clone()
         self._gained[rows] = 0.0
         self._count += 1
@@ -119,19 +120,18 @@ class Opponent(Seats):
             self._records.add(self._field.names[who], result)
 
     def _drawn(self, rows: Tensor) -> tuple[Tensor, Tensor]:
-        """Return who drives these rows, and its limits; on the CPU, where there is float64."""
+        """Return who drives these rows, and how fast; on the CPU, where there is float64."""
         edges = torch.tensor(self._field.shares, dtype=torch.float64).cumsum(0)
         drawn = draws.uniform(self._seed, _MEMBER, self._count, self._car, rows)
         picked = torch.searchsorted(edges, drawn.to(torch.float64), right=True)
         picked = picked.clamp(max=len(self._field.names) - 1)
-        between = torch.tensor(self._field.limits or ((1.0, 1.0),) * len(self._field.names))
-        least, most = between[picked].unbind(1)
+        least, most = torch.tensor(self._field.speed_limits)[picked].unbind(1)
         share = draws.uniform(self._seed, _LIMIT, self._count, self._car, rows)
         return picked, least + (most - least) * share
 
     def _sit_nobody(self) -> None:
         self.who = torch.full((self._num_rows,), NOBODY, device=self._device)
-        self.limits = torch.ones(self._num_rows, device=self._device)
+        self.speed_limit = torch.full((self._num_rows,), torch.inf, device=self._device)
         self._gained = torch.zeros(self._num_rows, device=self._device)
         self._awake = torch.zeros(self._num_rows, dtype=torch.bool, device=self._device)
 

@@ -1,4 +1,4 @@
-"""Who teaches to pass: a car on the racing line, slower than it could be, that looks at nobody."""
+"""A car to pass: it is on the racing line, slower than it could be, and looks at nobody."""
 
 from __future__ import annotations
 
@@ -18,11 +18,7 @@ _PRESENT = [INDEX[f"car_{rank}_present"] for rank in range(NEIGHBOURS)]
 
 
 class Pacer(LineDriver):
-    """Drives the racing line at a share of its pace, drawn for each row when it is reset.
-
-    Among cars of like pace there is nothing to pass, so of them alone nobody learns how to; a
-    trained policy that is slowed down leaves the road, because it never drove like that.
-    """
+    """Drives the racing line at a share of its pace, drawn for each row when it is reset."""
 
     def __init__(
         self,

@@ -28,7 +28,7 @@ from league.training.selfplay.settings import SelfPlayConfig
 from league.training.settings import TrainConfig
 
 NEWEST = "newest"
-STATE_FORMAT = 2
+STATE_FORMAT = 3
 _DRAWS_OF_AN_UPDATE = 1 << 20
 
 
@@ -84,9 +84,6 @@ class SelfPlay:
             for car in range(1, train.num_cars)
         }
         self._car = worlds.env_config(train).sim.car
-        self._handicap = None
-        if self._cfg.handicap:
-            self._handicap = Handicap(self._cfg, train.action_space, self._car, self._seats)
         # A driver that remembers is one car's alone; with several tracks there are none.
         one_track = len(tracks.tracks) == 1 and self._cfg.scripted > 0
         self._scripted = {car: self._teachers(car) if one_track else {} for car in self._seats}
@@ -251,7 +248,8 @@ class SelfPlay:
         members = [self._policy(member) for member in self.pool.members]
         cfg, rates = self._cfg, self._win_rates()
         first = learner.updates * _DRAWS_OF_AN_UPDATE
-        paces, free = cfg.paces(self._done), (1.0, 1.0)
+        paces = cfg.paces(self._done)
+        free = self._car.max_speed, self._car.max_speed
         for car, seat in self._seats.items():
             scripted = self._scripted[car]
             for driver in scripted:
@@ -273,14 +271,16 @@ class SelfPlay:
                     *(own * share for share in each),
                     *(cfg.scripted * share for share in scripted.values()),
                 ),
-                limits=(
+                speed_limits=(
                     free,
-                    *(paces if cfg.handicap else free for _ in members),
+                    *(_held(one, paces) if cfg.handicap else free for one in members),
                     *(free for _ in scripted),
                 ),
             )
             seat.choose_from(field, first)
-        learner.env.limit = self._handicap
+        if cfg.handicap:
+            top_speed = self._train.action_space.top_speed
+            learner.env.speed_limit = Handicap(cfg, top_speed, self._seats)
         # Anew, so that a run that goes on from here begins with the same meetings.
         learner.env.race_env.meet(cfg.meeting(self._done, self._train.num_cars))
         learner.start_rows_anew()
@@ -316,3 +316,9 @@ class SelfPlay:
     def _win_rates(self) -> dict[str, float]:
         names = [NEWEST, *(member.name for member in self.pool.members)]
         return {name: self.records.win_rate(name) for name in names}
+
+
+def _held(policy: Policy, paces: tuple[float, float]) -> tuple[float, float]:
+    """Return the least and largest speed [m/s] at these shares of a policy's top speed."""
+    top_speed = policy.card.space.top_speed
+    return paces[0] * top_speed, paces[1] * top_speed

@@ -40,12 +40,6 @@ class SelfPlayConfig:
     """Share against the member with the smallest win rate."""
     scripted: float = 0.10
     """Share against scripted drivers; only where all worlds are on one track."""
-    handicap: bool = True
-    """Whether members are held back, so that they can be passed, to the shares of `paces`."""
-    own_share: float = 0.5
-    """Part of the learner's lone episodes in which it is held back too, to be able to."""
-    own_limits: tuple[float, float] = (0.35, 0.95)
-    """Least and largest share of its top speed then."""
     pacers: float = 0.85
     """Part of that share that pacers have, the rest is `centerline`'s."""
     first_paces: tuple[float, float] = (0.4, 0.6)
@@ -53,6 +47,13 @@ class SelfPlayConfig:
     of its top speed that a member may ask for."""
     last_paces: tuple[float, float] = (0.55, 0.8)
     """The same as it ends: what is learnt on slow cars is learnt again on faster ones."""
+    handicap: bool = True
+    """Whether members of the pool are held back to shares of their top speed, so that they can be
+    passed, and the learner in some of its lone episodes, so that its later self can be."""
+    own_share: float = 0.5
+    """Part of the learner's lone episodes in which it is held back."""
+    own_limits: tuple[float, float] = (0.35, 0.95)
+    """Least and largest share of its top speed then."""
     warm_up: float = 0.3
     """Part of the run, at its start, in which the learner drives alone but for starting grids: who
     does not drive well alone does not learn to pass. The learner's schedules run through once for
