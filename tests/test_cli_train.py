@@ -361,6 +361,11 @@ def test_self_play_is_among_two_cars_or_as_many_as_are_asked_for():
     assert others.train.num_cars == 3
 
 
+def test_past_selves_are_held_back_unless_that_is_switched_off():
+    asked = [Train(kind="head_to_head", self_play=True, no_handicap=off) for off in (False, True)]
+    assert [config(one).handicap for one in asked] == [True, False]
+
+
 def test_policy_to_begin_from_may_be_named_as_in_the_garage():
     assert config(Train(init_from="rookie")).init_from == str(garage.path("rookie"))
     path = str(garage.path("rookie"))
