@@ -398,6 +398,8 @@ def test_save_points_come_as_often_as_the_work_allows(capsys):
     assert config(Train(sensors=("stereo160x120",))).train.save_every == 1
     assert capsys.readouterr().err == ""
     assert config(Train(num_worlds=1024)).train.save_every == 1
+    # Rows begin anew at a save point, and a card is given more of them at once.
+    assert config(Train(num_worlds=1024, device="cuda")).train.save_every == 4
     assert "some 16 times the work of a usual one" in capsys.readouterr().err
 
 

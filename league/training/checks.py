@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import torch
 from pydantic import ValidationError
@@ -45,6 +46,22 @@ def device(name: str) -> None:
             f"this machine's torch cannot compute on the device {brief(name)}: give cpu, or cuda "
             f"where there is such a card and a torch that knows it; found here: {_devices()}"
         )
+
+
+@contextmanager
+def memory() -> Iterator[None]:
+    """Say in a sentence that a card's memory is full.
+
+    Raises:
+        ConfigError: it is.
+    """
+    try:
+        yield
+    except torch.OutOfMemoryError as error:
+        raise ConfigError(
+            f"the device's memory is full ({brief(str(error).partition('. ')[0])}): begin anew "
+            "with fewer --num-worlds, a shorter --rollout or more --mini-batches"
+        ) from None
 
 
 def _devices() -> str:

@@ -74,6 +74,9 @@ class Learner:
         """
         self.env, self.cfg = env, cfg
         ranks.join(cfg.device)
+        if self._on_card:
+            # Else convolutions learn in another way each time, in fewer bits than judged.
+            torch.backends.cudnn.deterministic, torch.backends.cudnn.allow_tf32 = True, False
         # rsl-rl draws weights and exploration from torch's global generator.
         torch.manual_seed(cfg.seed)
         self._obs = env.get_observations()
@@ -207,13 +210,14 @@ class Learner:
             PolicyError: it is no state, or one of another network.
         """
         try:
-            state = torch.load(path, weights_only=True, map_location=self.cfg.device)
+            # What belongs on a card is copied there; on one, Adam's counts would be read each step.
+            state = torch.load(path, weights_only=True, map_location="cpu")
             if state["format"] != STATE_FORMAT:
                 raise KeyError(state["format"])
             self._go_on_from(state)
-            torch.set_rng_state(state["generator"].cpu())
+            torch.set_rng_state(state["generator"])
             if self._on_card and "card_generator" in state:  # format 1 began without it
-                torch.cuda.set_rng_state(state["card_generator"].cpu(), self.device)
+                torch.cuda.set_rng_state(state["card_generator"], self.device)
             notes = dict(state["notes"])
         except (
             OSError,

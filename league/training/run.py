@@ -84,6 +84,8 @@ class Run:
         self._reward, self._reward_card = _reward(cfg)
         self._spent_s, self._complete = 0.0, 0
         checks.card(self._card)
+        # Each rank its own card, before any is touched.
+        train = replace(train, device=ranks.device(train.device))
         checks.device(train.device)
         if cfg.self_play and ranks.count() > 1:
             raise ConfigError(
@@ -95,7 +97,6 @@ class Run:
             raise ConfigError(
                 f"a tutor teaches a policy that knows nothing yet: leave --tutor or {other} away"
             )
-        train = replace(train, device=ranks.device(train.device))
         tracks = courses.together(self._tracks, train.both_directions, train.device)
         self.train = train
         self._parent = checkpoint.load(cfg.init_from) if cfg.init_from else None
@@ -118,11 +119,12 @@ class Run:
         if self._reward is None:
             car = worlds.env_config(train).sim.car
             self._reward = line_reward.built_in(cfg.reward, tracks, car)
-        if train.tutor:
-            self.learner: Learner = tutored(tracks, train, opponents=opponents, reward=self._reward)
-        else:
-            env = worlds.make(tracks, train, opponents=opponents, reward=self._reward)
-            self.learner = Learner(env, train)
+        with checks.memory():
+            if train.tutor:
+                self.learner = tutored(tracks, train, opponents=opponents, reward=self._reward)
+            else:
+                env = worlds.make(tracks, train, opponents=opponents, reward=self._reward)
+                self.learner = Learner(env, train)
         if self._parent is not None:
             self.learner.begin(dict(self._parent.weights))
         self._waiting: dict[int, Checkpoint] = {}
@@ -245,7 +247,8 @@ class Run:
         share = self._share()
         if self._self_play is not None:
             share = self._self_play.schedule(share)
-        update = self.learner.update(share)
+        with checks.memory():
+            update = self.learner.update(share)
         if self._parent is not None and self._only_watches(update.number):
             # A critic that knows nothing yet would spoil what the parent knows.
             self.learner.begin(dict(self._parent.weights))

@@ -242,12 +242,9 @@ class Card:
     """A card's generator, where there is no card; what else would lie there lies on the CPU."""
 
     def __init__(self, monkeypatch) -> None:
-        self.state, load = torch.arange(16, dtype=torch.uint8), torch.load
+        self.state = torch.arange(16, dtype=torch.uint8)
         monkeypatch.setattr(torch.cuda, "get_rng_state", lambda device: self.state.clone())
         monkeypatch.setattr(torch.cuda, "set_rng_state", self._set)
-        monkeypatch.setattr(
-            torch, "load", lambda path, **given: load(path, **{**given, "map_location": "cpu"})
-        )
 
     def _set(self, state: torch.Tensor, device: str) -> None:
         assert (device, state.device.type) == ("cuda", "cpu")
@@ -284,6 +281,17 @@ def test_a_state_from_before_cards_were_kept_can_be_gone_on_from(tmp_path, monke
     before = card.state
     assert card.learner().restore(tmp_path / "state.pt") == {"spent_s": 1.0}
     assert card.state is before
+
+
+def test_on_a_card_convolutions_learn_the_same_each_time_and_in_full_precision(monkeypatch):
+    cudnn = torch.backends.cudnn
+    monkeypatch.setattr(cudnn, "deterministic", False)
+    monkeypatch.setattr(cudnn, "allow_tf32", True)
+    learner()
+    assert (cudnn.deterministic, cudnn.allow_tf32) == (False, True)
+    monkeypatch.setattr(Learner, "_on_card", property(lambda _: True))
+    learner()
+    assert (cudnn.deterministic, cudnn.allow_tf32) == (True, False)
 
 
 @pytest.mark.parametrize("name", ["meta", "cuda:99", "hpu", "xla", "abacus", "", "cpu:-1"])

@@ -17,6 +17,7 @@ from league.errors import ConfigError, PolicyError, RewardError
 from league.evaluation import evaluate
 from league.training import history, judge
 from league.training import run as run_room
+from league.training.learner import Learner
 from league.training.run import Run
 from league.training.run_config import RunConfig, settings
 
@@ -258,6 +259,20 @@ def test_stop_by_hand_saves_what_was_learnt(tmp_path):
     again.resume()
     assert again.learner.samples == 3 * small.SAMPLES
     assert again.learn().samples == 4 * small.SAMPLES
+
+
+def test_a_full_card_stops_training_in_a_sentence_and_the_checkpoint_is_kept(tmp_path, monkeypatch):
+    run, update = small.run(tmp_path, small.cfg(updates=4)), Learner.update
+
+    def full(learner, share):
+        if learner.updates == 2:
+            raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 20 GiB.")
+        return update(learner, share)
+
+    monkeypatch.setattr(Learner, "update", full)
+    with pytest.raises(ConfigError, match=r"memory is full \('CUDA out of memory'\): begin anew"):
+        run.learn()
+    assert checkpoint.load(tmp_path / "last.pt").card.steps == 2 * small.SAMPLES
 
 
 def test_reward_function_that_raises_stops_training_and_the_checkpoint_is_kept(tmp_path):

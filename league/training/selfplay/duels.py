@@ -167,7 +167,12 @@ def _drive(
     carried = sensors_for(drivers)
     env = RaceEnv(
         tracks,
-        EnvConfig(sim=sim, solver=solver, sensors=(carried,)),
+        EnvConfig(
+            sim=sim,
+            solver=solver,
+            sensors=(carried,),
+            camera_path="paint" if tracks.device.type == "cpu" else "ray",
+        ),
         num_worlds=len(races),
         track_index=number % len(tracks.tracks),
     )
