@@ -265,13 +265,43 @@ def test_a_parent_with_other_sensors_is_refused(tmp_path):
 
 
 def test_schedules_run_through_once_for_the_warm_up_and_once_for_the_rest():
-    cfg = SelfPlayConfig(warm_up=0.2, first_paces=(0.4, 0.6), last_paces=(0.6, 0.9))
+    cfg = SelfPlayConfig(warm_up=0.2)
     told = [cfg.part_done(done) for done in (0.0, 0.1, 0.2, 0.6, 1.0)]
     assert told == pytest.approx([0.0, 0.5, 0.0, 0.5, 1.0])
-    assert cfg.paces(0.1) == cfg.paces(0.2) == pytest.approx((0.4, 0.6))
-    assert cfg.paces(0.6) == pytest.approx((0.5, 0.75))
     assert cfg.meeting(0.1).alone == pytest.approx(1.0 - Meeting().standing)
     assert cfg.meeting(0.2) == Meeting()
+
+
+def test_slow_cars_become_faster_while_they_are_beaten():
+    cfg = SelfPlayConfig(
+        warm_up=0.2, first_paces=(0.4, 0.6), last_paces=(0.6, 0.9), beaten=0.5, quickening=2.0
+    )
+    assert cfg.quicker(0.0, 0.9, 0.1, 0.15) == 0.0  # they wait for the warm-up
+    # Of .8 of the run .1 and .2 are a half and a quarter of the way, twice as fast as time.
+    assert cfg.quicker(0.0, 0.5, 0.1, 0.3) == pytest.approx(0.25)
+    assert cfg.quicker(0.25, 0.9, 0.3, 0.5) == pytest.approx(0.75)
+    assert cfg.quicker(0.75, 0.49, 0.5, 0.9) == 0.75
+    assert cfg.quicker(0.75, 0.5, 0.5, 0.9) == 1.0
+    assert cfg.paces(0.0) == pytest.approx((0.4, 0.6))
+    assert cfg.paces(0.5) == pytest.approx((0.5, 0.75))
+    assert cfg.paces(1.0) == pytest.approx((0.6, 0.9))
+
+
+@pytest.mark.parametrize("handicap", [True, False])
+def test_who_is_slow_decides_how_slow_they_are(tmp_path, handicap):
+    play, learner = playing(tmp_path, blind(1), cfg=replace(SHORT, handicap=handicap, warm_up=0.0))
+    play.begin(learner)
+    for result, name in ((WON, "newest"), (WON, "parent"), (LOST, "pacer")):
+        for _ in range(8):
+            play.records.add(name, result)
+    # Of those who are slow: the parent at .9 and pacers at .1, or pacers alone.
+    assert play._beaten() == pytest.approx(0.5 if handicap else 0.1)
+    learner.update(0.0)
+    play.after_update(learner, 0.25)
+    assert play.state()["quickness"] == (0.5 if handicap else 0.0)
+    limits = play.drivers()[1]._field.speed_limits
+    half = tuple(4.0 * pace for pace in SHORT.paces(0.5))
+    assert limits[1] == pytest.approx(half if handicap else (4.0, 4.0))
 
 
 @pytest.mark.parametrize("parent", [None, 1])
@@ -300,6 +330,7 @@ def test_whoever_is_missing_leaves_its_share_to_the_others(tmp_path, parent):
         ({"races": 3}, "even number"),
         ({"rivals": 0}, "at least"),
         ({"pacers": 1.5}, "a share from 0 to 1"),
+        ({"quickening": 0.0}, "more than 0"),
         ({"last_paces": (0.9, 0.6)}, "that rise"),
     ],
 )

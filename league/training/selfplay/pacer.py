@@ -13,6 +13,7 @@ from league.sim import draws
 from league.sim.config import CarConfig
 from league.track.course import Track
 
+PACER = "pacer"
 _PACE = 413
 _PRESENT = [INDEX[f"car_{rank}_present"] for rank in range(NEIGHBOURS)]
 
@@ -38,7 +39,7 @@ class Pacer(LineDriver):
             number: of its car in each world; another car is another draw.
             device: of the worlds.
         """
-        super().__init__("pacer", track, car, Style(), device=device)
+        super().__init__(PACER, track, car, Style(), device=device)
         self._seed, self._number = torch.tensor(seed), number
         self._between, self._count = (1.0, 1.0), 0
         self._shares = torch.zeros(0)

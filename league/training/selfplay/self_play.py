@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 import torch
@@ -21,7 +22,7 @@ from league.training.selfplay import duels, matrix, opponent
 from league.training.selfplay.handicap import Handicap
 from league.training.selfplay.matrix import WinMatrix
 from league.training.selfplay.opponent import Field, Opponent
-from league.training.selfplay.pacer import Pacer
+from league.training.selfplay.pacer import PACER, Pacer
 from league.training.selfplay.pool import PARENT, Candidate, Member, Pool, spread
 from league.training.selfplay.records import Records
 from league.training.selfplay.settings import SelfPlayConfig
@@ -75,7 +76,7 @@ class SelfPlay:
         self.records = Records(self._cfg.window)
         self.pool = Pool(Path(folder) / "pool", self._cfg.pool_size)
         self._policies: dict[str, Policy] = {}
-        self._candidates, self._done = 0, 0.0
+        self._candidates, self._done, self._quickness = 0, 0.0, 0.0
         self._seats = {
             car: Opponent(
                 *(car, train.sensors, train.num_worlds, train.seed, self.records),
@@ -110,7 +111,8 @@ class SelfPlay:
         """
         if not learner.at_save_point:
             return False
-        self._done = min(max(done, 0.0), 1.0)
+        before, self._done = self._done, min(max(done, 0.0), 1.0)
+        self._quickness = self._cfg.quicker(self._quickness, self._beaten(), before, self._done)
         self.pool.sweep()
         entered = False
         if learner.updates // self._cfg.candidate_every > self._candidates:
@@ -138,6 +140,7 @@ class SelfPlay:
             "records": self.records.state(),
             "candidates": self._candidates,
             "done": self._done,
+            "quickness": self._quickness,
         }
 
     def restore(self, state: Mapping[str, Any], learner: Learner) -> None:
@@ -153,6 +156,7 @@ class SelfPlay:
             self.pool.restore(state["members"], state.get("tried", ()))
             self.records.restore(state["records"])
             self._candidates, self._done = int(state["candidates"]), float(state["done"])
+            self._quickness = float(state["quickness"])
         except (KeyError, TypeError, ValueError) as error:
             raise PolicyError(
                 f"the state of self-play cannot be gone on from ({type(error).__name__}): "
@@ -248,7 +252,7 @@ class SelfPlay:
         members = [self._policy(member) for member in self.pool.members]
         cfg, rates = self._cfg, self._win_rates()
         first = learner.updates * _DRAWS_OF_AN_UPDATE
-        paces = cfg.paces(self._done)
+        paces = cfg.paces(self._quickness)
         free = self._car.max_speed, self._car.max_speed
         for car, seat in self._seats.items():
             scripted = self._scripted[car]
@@ -312,6 +316,13 @@ class SelfPlay:
         with torch.random.fork_rng(devices=[]):
             device = self._tracks.device
             return Policy(kept, self._car, name=name, exact=exact, device=device)
+
+    def _beaten(self) -> float:
+        """Return the learner's mean win rate against those who are slow; 0 if there are none."""
+        slow = [member.name for member in self.pool.members] if self._cfg.handicap else []
+        if any(self._scripted.values()):
+            slow.append(PACER)
+        return fmean([self.records.win_rate(name) for name in slow] or [0.0])
 
     def _win_rates(self) -> dict[str, float]:
         names = [NEWEST, *(member.name for member in self.pool.members)]

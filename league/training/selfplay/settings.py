@@ -46,7 +46,12 @@ class SelfPlayConfig:
     """Least and largest pace as the run begins: share of the racing line's that pacers drive, and
     of its top speed that a member may ask for."""
     last_paces: tuple[float, float] = (0.55, 0.8)
-    """The same as it ends: what is learnt on slow cars is learnt again on faster ones."""
+    """The same at the most: what is learnt on slow cars is learnt again on faster ones."""
+    beaten: float = 0.5
+    """Mean win rate against those who are slow from which on they become faster."""
+    quickening: float = 2.0
+    """How often they would come from the first paces to the last ones in the run after its warm-up,
+    if they were beaten all the time."""
     handicap: bool = True
     """Whether members of the pool are held back to shares of their top speed, so that they can be
     passed, and the learner in some of its lone episodes, so that its later self can be."""
@@ -108,11 +113,25 @@ class SelfPlayConfig:
             return done / self.warm_up
         return (done - self.warm_up) / (1.0 - self.warm_up)
 
-    def paces(self, done: float) -> tuple[float, float]:
-        """Return least and largest pace, as shares, when so much of the run is done."""
+    def quicker(self, quickness: float, beaten: float, before: float, done: float) -> float:
+        """Return how far the slow ones are from first (0) to last paces (1).
+
+        Args:
+            quickness: where they were.
+            beaten: mean win rate against them.
+            before: share of the run that was done then.
+            done: share that is done now.
+        """
+        if done < self.warm_up or beaten < self.beaten:
+            return quickness
+        passed = (done - max(before, self.warm_up)) / (1.0 - self.warm_up)
+        return min(quickness + self.quickening * passed, 1.0)
+
+    def paces(self, quickness: float) -> tuple[float, float]:
+        """Return least and largest pace, as shares, so far between first (0) and last ones (1)."""
         first, last = self.first_paces, self.last_paces
-        done = 0.0 if done < self.warm_up else self.part_done(done)
-        return first[0] + done * (last[0] - first[0]), first[1] + done * (last[1] - first[1])
+        least, most = (a + quickness * (b - a) for a, b in zip(first, last, strict=True))
+        return least, most
 
     def __post_init__(self) -> None:
         shares = (self.newest, self.prioritised, self.hardest, self.scripted)
@@ -120,9 +139,11 @@ class SelfPlayConfig:
             raise ConfigError(
                 f"the shares of opponents are {shares}: give four from 0 to 1 that add up to 1"
             )
-        for name in ("pacers", "own_share"):
+        for name in ("pacers", "own_share", "beaten"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ConfigError(f"{name} is {getattr(self, name)}: give a share from 0 to 1")
+        if not 0 < self.quickening < 1000:
+            raise ConfigError(f"quickening is {self.quickening}: give more than 0 and below 1000")
         if not 0 <= self.warm_up < 1:
             raise ConfigError(f"warm_up is {self.warm_up}: give a share from 0 to below 1")
         for name in ("first_paces", "last_paces", "own_limits"):
