@@ -40,7 +40,7 @@ class SelfPlayConfig:
     """Share against the member with the smallest win rate."""
     scripted: float = 0.10
     """Share against scripted drivers; only where all worlds are on one track."""
-    pacers: float = 0.85
+    pacers: float = 0.5
     """Part of that share that pacers have, the rest is `centerline`'s."""
     first_paces: tuple[float, float] = (0.4, 0.6)
     """Least and largest pace as the run begins: share of the racing line's that pacers drive, and
