@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Literal
+
+import torch
 
 from league.agents.driver import Driver
 from league.envs.config import EnvConfig
@@ -30,7 +33,7 @@ def env_config(cfg: TrainConfig) -> EnvConfig:
         sim=sim,
         solver="planar",
         sensors=(cfg.sensors,) * cfg.num_cars,
-        camera_path="paint" if cfg.device == "cpu" else "ray",
+        camera_path=camera_path(cfg.device),
         looks=cfg.looks,
         mode="training",
         reward=cfg.reward,
@@ -38,6 +41,11 @@ def env_config(cfg: TrainConfig) -> EnvConfig:
         # Cars that start anywhere on a lap hardly ever meet.
         meeting=Meeting() if cfg.num_cars > 1 else None,
     )
+
+
+def camera_path(device: torch.device | str) -> Literal["paint", "ray"]:
+    """Return how pictures are made on a device: by compiled painting where there is a CPU."""
+    return "paint" if torch.device(device).type == "cpu" else "ray"
 
 
 def make(

@@ -20,6 +20,7 @@ from league.sim.world import World
 from league.track.course import TrackSet
 from league.training.selfplay.seats import Seats
 from league.training.selfplay.settings import DuelConfig
+from league.training.worlds import camera_path
 
 _RACE_SEED = 401
 
@@ -171,7 +172,7 @@ def _drive(
             sim=sim,
             solver=solver,
             sensors=(carried,),
-            camera_path="paint" if tracks.device.type == "cpu" else "ray",
+            camera_path=camera_path(tracks.device),
         ),
         num_worlds=len(races),
         track_index=number % len(tracks.tracks),
