@@ -90,14 +90,6 @@ def _resampled(name: str, outline: np.ndarray, width: float) -> Track:
     return replace(bare, left=center + normal * width / 2, right=center - normal * width / 2)
 
 
-def mirror(track: Track) -> Track:
-    """Return the track seen in a mirror: y and the two sides swapped."""
-    flip = np.array([1.0, -1.0])
-    return replace(
-        track, center=track.center * flip, left=track.right * flip, right=track.left * flip
-    )
-
-
 def put_cars(
     tracks: TrackSet,
     sim: SimConfig,

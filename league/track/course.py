@@ -141,6 +141,20 @@ class Track:
             waypoints=None if self.waypoints is None else self.waypoints[::-1],
         )
 
+    def mirrored(self) -> Track:
+        """Return the course as a mirror along x shows it: left bends turn right."""
+        flip = np.array([1.0, -1.0])
+        return replace(
+            self,
+            name=f"{self.name}_mirrored",
+            title=f"{self.title}, mirrored",
+            center=self.center * flip,
+            left=self.right * flip,
+            right=self.left * flip,
+            text="",
+            waypoints=None if self.waypoints is None else self.waypoints * flip,
+        )
+
 
 @dataclass(frozen=True)
 class Projection:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from scenes import make_ring, make_straight, mirror, put_cars
+from scenes import make_ring, make_straight, put_cars
 
 from league.envs import observations
 from league.envs.state import ABSENT_GAP, FIELDS, INDEX, NEIGHBOURS, SIZE
@@ -111,7 +111,7 @@ def test_state_of_a_mirrored_world_is_mirrored():
     sim = field(2)
     flips = {"lateral", "heading_error", "speed_left", "yaw_rate", "steering"}
     told = []
-    for track, side in ((make_ring(), 1.0), (mirror(make_ring()), -1.0)):
+    for track, side in ((make_ring(), 1.0), (make_ring().mirrored(), -1.0)):
         tracks = TrackSet.of(track)
         told.append(
             seen(tracks, sim, put_cars(tracks, sim, [(3.0, 0.1 * side), (3.9, -0.2 * side)]))

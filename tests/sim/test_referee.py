@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from scenes import assert_same, go_to, make_ring, mirror, put_cars, touch
+from scenes import assert_same, go_to, make_ring, put_cars, touch
 
 from league.sim import referee
 from league.sim.config import ObstacleConfig, RaceRules, SimConfig
@@ -533,7 +533,7 @@ def test_swapping_two_cars_swaps_the_verdict(ring, seed):
 
 @pytest.mark.parametrize("lateral", [0.3, 0.45, 0.5, -0.3, -0.45, -0.5])
 def test_mirrored_track_gives_the_mirrored_verdict(lateral):
-    plain, flipped = make_ring(), mirror(make_ring())
+    plain, flipped = make_ring(), make_ring().mirrored()
     assert flipped.direction == "clockwise"
     outcome = []
     for track, side in ((plain, 1.0), (flipped, -1.0)):

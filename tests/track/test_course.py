@@ -204,6 +204,19 @@ def test_reversed_track_has_its_waypoints_in_the_other_order():
     assert track.reversed().reversed().waypoints.tolist() == told
 
 
+def test_mirrored_track_turns_the_other_way_and_keeps_its_order():
+    told = [[0, 2], [-2, 0], [0, -2], [2, 0], [0, 2]]
+    track = files.parse(shapes.text(shapes.circle_points()) + f"waypoints: {told}\n")
+    other = track.mirrored()
+    assert (track.direction, other.direction) == ("counter-clockwise", "clockwise")
+    np.testing.assert_allclose(other.curvature, -track.curvature, atol=1e-9)
+    np.testing.assert_array_equal(other.left, track.right * [1, -1])
+    np.testing.assert_allclose(check.waypoint_places(other), check.waypoint_places(track))
+    again = files.parse(files.dump(other))
+    np.testing.assert_allclose(again.center, other.center, atol=2e-3)
+    np.testing.assert_array_equal(other.mirrored().center, track.center)
+
+
 def test_reversed_straight_is_driven_from_its_far_end():
     track = shapes.straight()
     back = track.reversed()

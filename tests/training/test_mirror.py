@@ -5,7 +5,6 @@ from dataclasses import replace
 import pytest
 import torch
 from scenes import make_square
-from scenes import mirror as mirrored_track
 from tensordict import TensorDict
 
 from league.envs.action_space import ContinuousActions, DiscreteActions, grid
@@ -78,7 +77,7 @@ def told_twice(kind: str, sensors: SensorConfig) -> list[tuple[TensorDict, Tenso
     cfg = EnvConfig(sim=sim, sensors=(sensors,))
     track = make_square()
     here = Sensing(TrackSet.of(track), cfg).observe(world, last)
-    there = Sensing(TrackSet.of(mirrored_track(track)), cfg).observe(
+    there = Sensing(TrackSet.of(track.mirrored()), cfg).observe(
         in_a_mirror(world), last * torch.tensor([-1.0, 1.0])
     )
     rows = [world.num_worlds]

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -55,7 +54,7 @@ class _Listener:
 def drives() -> tuple[Drive, ...]:
     """Drive them all: about 700 steps, in a second or two."""
     track = files.load(_TRACK)
-    other_way = _mirrored(track)
+    other_way = track.mirrored()
     one_lap = RaceRules(laps=1)
     alone = SimConfig(rules=one_lap)
     boxes = SimConfig(
@@ -125,14 +124,3 @@ def _follow(state: Tensor, speed: float, lane: float, sim: SimConfig) -> Tensor:
     steering = torch.atan(car.wheelbase * bend) / car.max_steering
     share = torch.full_like(steering, (speed - car.min_speed) / (car.max_speed - car.min_speed))
     return torch.stack([steering, 2.0 * share - 1.0], dim=1).clamp(-1.0, 1.0)
-
-
-def _mirrored(track: Track) -> Track:
-    """Return the track seen in a mirror, and with it driven the other way round."""
-    flip = np.array([1.0, -1.0])
-    return replace(
-        track,
-        center=track.center * flip,
-        left=track.right * flip,
-        right=track.left * flip,
-    )
