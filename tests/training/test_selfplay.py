@@ -22,6 +22,7 @@ from league.sim.config import SensorConfig, SimConfig
 from league.sim.meeting_config import Meeting
 from league.training import run as run_room
 from league.training.selfplay import SelfPlay, SelfPlayConfig, duels, opponent
+from league.training.selfplay.duels import Score
 from league.training.selfplay.matrix import WinMatrix
 from league.training.selfplay.opponent import NOBODY, Field, Opponent
 from league.training.selfplay.pacer import Pacer
@@ -206,7 +207,19 @@ def test_a_driver_and_its_copy_win_half_of_mirrored_races_each():
     ((one, two),) = duels.meet(RING, CAR, twins, [(0, 1)], cfg, races=4).values()
     assert one.races == two.races == 4
     assert one.wins == two.wins == 2.0  # each seed is one race, driven twice
+    assert one.aggregate_win_rate == two.aggregate_win_rate == 0.5
+    assert one.leads_m[0] > 0.5 and one.leads_m[:2] == two.leads_m[1::-1]  # its slot's doing
     assert one.metres == pytest.approx(two.metres, rel=1e-4)
+
+
+def test_leads_tell_who_is_better_where_the_slot_decides_each_race():
+    # Two seeds: it wins from the front, loses from behind; the first on aggregate by 3.0 - 1.0 m.
+    score = Score(races=4, wins=2.0, leads_m=(3.0, -1.0, 1.5, -2.0))
+    assert (score.win_rate, score.aggregate_win_rate) == (0.5, 0.5)
+    other = Score(races=4, wins=2.0, leads_m=(0.5, -0.5, -0.25, 1.0))
+    assert other.aggregate_win_rate == 0.75  # a draw and a win
+    assert (score + other).aggregate_win_rate == 0.625
+    assert Score().aggregate_win_rate == 0.5
 
 
 def test_who_leaves_the_road_loses_from_either_slot():
@@ -214,6 +227,8 @@ def test_who_leaves_the_road_loses_from_either_slot():
     cfg = DuelConfig(laps=1)
     ((one, two),) = duels.meet(RING, CAR, drivers, [(0, 1)], cfg, races=4).values()
     assert (one.win_rate, two.win_rate) == (1.0, 0.0)
+    assert (one.aggregate_win_rate, two.aggregate_win_rate) == (1.0, 0.0)
+    assert one.leads_m == tuple(-lead for lead in two.leads_m)
     assert two.off_tracks > 0 and two.off_tracks_per_km > 0
     assert two.clean_lap_s is None
     assert one.metres == pytest.approx(4 * 12, rel=0.15)  # four races of one lap of 12 m

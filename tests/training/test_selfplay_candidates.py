@@ -6,7 +6,11 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
 from small_play import SHORT, blind, learnt, playing, saved
+
+from league.training.selfplay import duels
+from league.training.selfplay.duels import Score
 
 NEVER = replace(SHORT, admission=1.01, forced_every=3)
 
@@ -47,6 +51,21 @@ def test_who_wins_enters_unforced_and_so_does_who_has_no_rival(tmp_path):
     assert first["win_rates"] == {} and first["smallest"] is None and first["mean"] is None
     assert set(second["win_rates"]) == {"000001"}
     assert not first["forced"] and not second["forced"]
+
+
+@pytest.mark.parametrize(("behind", "enters"), [(-1.0, True), (-3.0, False)])
+def test_who_wins_on_aggregate_enters_where_the_slot_decides_each_race(
+    tmp_path, monkeypatch, behind, enters
+):
+    play, learner = playing(tmp_path, blind(), cfg=replace(SHORT, forced_every=100))
+    play.begin(learner)
+    found = Score(races=2, wins=1.0, leads_m=(2.0, behind))
+    monkeypatch.setattr(duels, "meet", lambda *given, **_: {pair: (found,) for pair in given[3]})
+    learner.update(0.0)
+    assert play.after_update(learner, 0.5) == enters
+    (last,) = told(tmp_path)["candidates"]
+    assert (last["entered"], last["forced"]) == (enters, False)
+    assert last["win_rates"] == {"parent": float(enters)}
 
 
 def test_a_resumed_run_still_knows_all_candidates(tmp_path):

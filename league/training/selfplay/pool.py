@@ -39,7 +39,7 @@ class Candidate:
     updates: int
     """Updates of the run by then."""
     win_rates: dict[str, float]
-    """Against each member it was measured against, by name; empty: there was none."""
+    """On aggregate (`duels.Score`), against each member it met, by name; empty: there was none."""
     entered: bool
     """Whether it became a member."""
     forced: bool

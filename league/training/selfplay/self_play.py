@@ -221,7 +221,10 @@ class SelfPlay:
                 races=self._cfg.races,
                 seed=learner.updates,
             )
-            rates = {one.name: found[0, place][0].win_rate for place, one in enumerate(rivals, 1)}
+            rates = {
+                one.name: found[0, place][0].aggregate_win_rate
+                for place, one in enumerate(rivals, 1)
+            }
         wins = not rates or min(rates.values()) >= self._cfg.admission
         enters = wins or self._candidates % self._cfg.forced_every == 0
         tried = Candidate(learner.updates, rates, entered=enters, forced=enters and not wins)
