@@ -154,7 +154,7 @@ def duelist(found: Found, races: int = 200) -> None:
 
 
 def _past(duelist: Path) -> list[Path]:
-    """Return the snapshots beside a duelist that are older than it, its parent first."""
+    """Return the snapshots beside a duelist that are older than it, and its parent."""
     taken = checkpoint.load(duelist).card.results.get("updates") or 0.0
     found = sorted(duelist.with_suffix(".run").glob("pool/*.pt"))
     return [path for path in found if not path.stem.isdigit() or int(path.stem) < taken]

@@ -12,7 +12,6 @@ from small_play import CAR, CARD, FREE, RING, SHORT, TRAIN, Constant, blind, lea
 
 from league.agents import checkpoint
 from league.agents.policy import Policy
-from league.agents.scripted import CenterlineDriver
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
 from league.envs.state import INDEX, SIZE
@@ -21,15 +20,13 @@ from league.errors import ConfigError, PolicyError
 from league.sim.config import SensorConfig, SimConfig
 from league.sim.meeting_config import Meeting
 from league.training import run as run_room
-from league.training.selfplay import SelfPlay, SelfPlayConfig, duels, opponent
-from league.training.selfplay.duels import Score
+from league.training.selfplay import SelfPlay, SelfPlayConfig, opponent
 from league.training.selfplay.matrix import WinMatrix
 from league.training.selfplay.opponent import NOBODY, Field, Opponent
 from league.training.selfplay.pacer import Pacer
 from league.training.selfplay.pool import Pool, spread
 from league.training.selfplay.records import DRAWN, LOST, WON, Records
 from league.training.selfplay.seats import Seats
-from league.training.selfplay.settings import DuelConfig
 from league.training.settings import TrainConfig
 
 
@@ -201,39 +198,6 @@ def test_a_resumed_pool_has_no_members_from_the_future(tmp_path):
         again.load(changed)
 
 
-def test_a_driver_and_its_copy_win_half_of_mirrored_races_each():
-    twins = [CenterlineDriver("centerline", RING.tracks[0], CAR) for _ in range(2)]
-    cfg = DuelConfig(laps=1, slowest=12.0, grace_s=2.0)
-    ((one, two),) = duels.meet(RING, CAR, twins, [(0, 1)], cfg, races=4).values()
-    assert one.races == two.races == 4
-    assert one.wins == two.wins == 2.0  # each seed is one race, driven twice
-    assert one.aggregate_win_rate == two.aggregate_win_rate == 0.5
-    assert one.leads_m[0] > 0.5 and one.leads_m[:2] == two.leads_m[1::-1]  # its slot's doing
-    assert one.metres == pytest.approx(two.metres, rel=1e-4)
-
-
-def test_leads_tell_who_is_better_where_the_slot_decides_each_race():
-    # Two seeds: it wins from the front, loses from behind; the first on aggregate by 3.0 - 1.0 m.
-    score = Score(races=4, wins=2.0, leads_m=(3.0, -1.0, 1.5, -2.0))
-    assert (score.win_rate, score.aggregate_win_rate) == (0.5, 0.5)
-    other = Score(races=4, wins=2.0, leads_m=(0.5, -0.5, -0.25, 1.0))
-    assert other.aggregate_win_rate == 0.75  # a draw and a win
-    assert (score + other).aggregate_win_rate == 0.625
-    assert Score().aggregate_win_rate == 0.5
-
-
-def test_who_leaves_the_road_loses_from_either_slot():
-    drivers = [CenterlineDriver("centerline", RING.tracks[0], CAR), Constant(1.0, 0.0)]
-    cfg = DuelConfig(laps=1)
-    ((one, two),) = duels.meet(RING, CAR, drivers, [(0, 1)], cfg, races=4).values()
-    assert (one.win_rate, two.win_rate) == (1.0, 0.0)
-    assert (one.aggregate_win_rate, two.aggregate_win_rate) == (1.0, 0.0)
-    assert one.leads_m == tuple(-lead for lead in two.leads_m)
-    assert two.off_tracks > 0 and two.off_tracks_per_km > 0
-    assert two.clean_lap_s is None
-    assert one.metres == pytest.approx(4 * 12, rel=0.15)  # four races of one lap of 12 m
-
-
 @pytest.mark.parametrize("num_cars", [2, 3])
 def test_resume_equals_a_run_that_was_never_interrupted(tmp_path, num_cars):
     play, learner = learnt(tmp_path / "run", blind(), num_cars=num_cars)
@@ -297,6 +261,8 @@ def test_slow_cars_become_faster_while_they_are_beaten():
     assert cfg.quicker(0.25, 0.9, 0.3, 0.5) == pytest.approx(0.75)
     assert cfg.quicker(0.75, 0.49, 0.5, 0.9) == 0.75
     assert cfg.quicker(0.75, 0.5, 0.5, 0.9) == 1.0
+    # Given more time, a run that was through goes on at half of it, and nobody slows down.
+    assert cfg.quicker(0.75, 0.9, 1.0, 0.5) == 0.75
     assert cfg.paces(0.0) == pytest.approx((0.4, 0.6))
     assert cfg.paces(0.5) == pytest.approx((0.5, 0.75))
     assert cfg.paces(1.0) == pytest.approx((0.6, 0.9))

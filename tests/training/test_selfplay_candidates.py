@@ -7,10 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from small_play import SHORT, blind, learnt, playing, saved
+from small_play import CAR, RING, SHORT, blind, learnt, playing, saved
 
+from league.agents.policy import Policy
+from league.errors import PolicyError
 from league.training.selfplay import duels
-from league.training.selfplay.duels import Score
 
 NEVER = replace(SHORT, admission=1.01, forced_every=3)
 
@@ -53,19 +54,39 @@ def test_who_wins_enters_unforced_and_so_does_who_has_no_rival(tmp_path):
     assert not first["forced"] and not second["forced"]
 
 
-@pytest.mark.parametrize(("behind", "enters"), [(-1.0, True), (-3.0, False)])
-def test_who_wins_on_aggregate_enters_where_the_slot_decides_each_race(
-    tmp_path, monkeypatch, behind, enters
-):
-    play, learner = playing(tmp_path, blind(), cfg=replace(SHORT, forced_every=100))
+def test_candidates_are_measured_on_aggregate(tmp_path):
+    cfg = replace(SHORT, races=4, forced_every=1)
+    play, _ = learnt(tmp_path, blind(2), cfg=cfg)
+    drivers = [Policy(play.snapshot(name)[1], CAR, exact=True) for name in ("000001", "parent")]
+    again = duels.meet(RING, CAR, drivers, [(0, 1)], cfg.duel, races=4, seed=1)
+    score = again[0, 1][0]
+    (tried,) = told(tmp_path)["candidates"]
+    assert tried["win_rates"] == {"parent": score.aggregate_win_rate}
+    assert (score.win_rate, score.aggregate_win_rate) == (0.5, 1.0)
+
+
+def test_a_candidate_whose_races_were_broken_off_races_again(tmp_path):
+    play, learner = playing(tmp_path, blind(), cfg=replace(SHORT, forced_every=1))
     play.begin(learner)
-    found = Score(races=2, wins=1.0, leads_m=(2.0, behind))
-    monkeypatch.setattr(duels, "meet", lambda *given, **_: {pair: (found,) for pair in given[3]})
     learner.update(0.0)
-    assert play.after_update(learner, 0.5) == enters
-    (last,) = told(tmp_path)["candidates"]
-    assert (last["entered"], last["forced"]) == (enters, False)
-    assert last["win_rates"] == {"parent": float(enters)}
+    (tmp_path / "pool" / "parent.pt").rename(tmp_path / "away.pt")
+    with pytest.raises(PolicyError, match=r"parent\.pt"):
+        play.after_update(learner, 0.5)
+    (tmp_path / "away.pt").rename(tmp_path / "pool" / "parent.pt")
+    assert play.after_update(learner, 0.5)
+    assert [one["updates"] for one in told(tmp_path)["candidates"]] == [1]
+
+
+def test_turns_are_counted_in_candidates_however_rare_save_points_are(tmp_path):
+    play, learner = playing(tmp_path, blind(), cfg=replace(NEVER, forced_every=2), save_every=2)
+    play.begin(learner)
+    for _ in range(8):
+        learner.update(0.0)
+        play.after_update(learner, 0.5)
+    tried = told(tmp_path)["candidates"]
+    assert [(one["updates"], one["forced"]) for one in tried] == [
+        *((2, False), (4, True), (6, False), (8, True))
+    ]
 
 
 def test_a_resumed_run_still_knows_all_candidates(tmp_path):
@@ -78,14 +99,3 @@ def test_a_resumed_run_still_knows_all_candidates(tmp_path):
     fresh.update(0.0)
     again.after_update(fresh, 0.5)
     assert [one["updates"] for one in told(tmp_path / "copy")["candidates"]] == [1, 2]
-
-
-def test_a_run_that_kept_no_candidates_goes_on(tmp_path):
-    play, learner = playing(tmp_path, blind())
-    play.begin(learner)
-    learner.save(tmp_path / "state.pt", {})
-    old = {name: value for name, value in play.state().items() if name != "tried"}
-    again, fresh = playing(tmp_path)
-    fresh.restore(tmp_path / "state.pt")
-    again.restore(old, fresh)
-    assert again.pool.candidates == [] and again.pool.members == play.pool.members

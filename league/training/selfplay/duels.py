@@ -23,6 +23,7 @@ from league.training.selfplay.settings import DuelConfig
 from league.training.worlds import camera_path
 
 _RACE_SEED = 401
+_FIRST_TRACK = 402
 
 
 @dataclass(frozen=True)
@@ -34,8 +35,8 @@ class Score:
     wins: float = 0.0
     """Races won; a draw is half of one."""
     leads_m: tuple[float, ...] = ()
-    """How far it was ahead along the track as each race was decided [m], below 0 behind; the two
-    races of a seed follow each other."""
+    """How far it was ahead along the track as each race was decided [m], below 0 behind: both races
+    of a seed, then both of the next."""
     crashes: int = 0
     """Contacts it was to blame for."""
     hits: int = 0
@@ -48,7 +49,7 @@ class Score:
     """Times of its flying laps without a mistake or a contact [s]."""
 
     def __add__(self, other: Score) -> Score:
-        """Return the score over both sets of races."""
+        """Return the score over both sets of races, this one's first."""
         return Score(
             self.races + other.races,
             self.wins + other.wins,
@@ -67,7 +68,7 @@ class Score:
 
     @property
     def aggregate_win_rate(self) -> float:
-        """Share of seeds won on aggregate, 0 to 1: by the leads of both races together.
+        """Share of seeds won on aggregate, 0 to 1: by the leads of its two races together.
 
         Among cars of like pace who starts in front wins, so that nearly all win rates are one half;
         but the better one gets farther ahead from there, and stays nearer from behind.
@@ -120,7 +121,7 @@ def meet(
     Each seed is raced twice, with the drivers' slots, and with them their cars, swapped.
 
     Args:
-        tracks: the courses, which the seeds take in turn.
+        tracks: the courses, which the races' seeds take in turn, from one that `seed` draws.
         car: the cars.
         drivers: who races; a car carries the sensors of all of them.
         pairs: who against whom, indices into `drivers`.
@@ -179,6 +180,7 @@ def _drive(
     )
     number = torch.tensor([race.seed for race in races], device=tracks.device)
     seeds = draws.bits(torch.full_like(number, seed), _RACE_SEED, number) & (2**62 - 1)
+    first = int(draws.bits(torch.tensor(seed), _FIRST_TRACK)) % len(tracks.tracks)
     carried = sensors_for(drivers)
     env = RaceEnv(
         tracks,
@@ -189,7 +191,7 @@ def _drive(
             camera_path=camera_path(tracks.device),
         ),
         num_worlds=len(races),
-        track_index=number % len(tracks.tracks),
+        track_index=(number + first) % len(tracks.tracks),
     )
     with torch.inference_mode():
         told = env.reset(seeds=seeds)

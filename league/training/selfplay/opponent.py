@@ -39,9 +39,9 @@ class Opponent(Seats):
     """Drives one car of all worlds; `reset` draws who drives, `watch` counts who beats whom.
 
     `speed_limit` tells how fast it may go in each world [m/s], (num_rows,), for whoever sees to it.
-    A meeting is what lies between two draws. The learner wins it if the opponent makes a mistake,
-    loses it if it makes one itself, and otherwise, when time is up or one is left behind, the
-    one wins that gained more than half a car's length on the other.
+    A meeting is what lies between two draws. The learner wins it if only the opponent makes a
+    mistake, loses it if only it does itself, and it is a draw if both do at once; otherwise, when
+    time is up or one is left behind, who gained more than half a car's length on the other wins.
     """
 
     def __init__(

@@ -29,7 +29,7 @@ class Member:
     forced: bool
     """Whether it entered by its turn, not by winning."""
     measured: float | None
-    """Its smallest win rate against the members it was measured against; None: against none."""
+    """Its smallest win rate on aggregate against those it was measured against; None: nobody."""
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ class Pool:
             "tried": [asdict(candidate) for candidate in self.candidates],
         }
 
-    def restore(self, members: Sequence[dict], tried: Sequence[dict] = ()) -> None:
+    def restore(self, members: Sequence[dict], tried: Sequence[dict]) -> None:
         """Go on with these members and candidates; files of others, written later, are removed."""
         self.members, self._leaving = [Member(**told) for told in members], []
         self.candidates = [Candidate(**told) for told in tried]

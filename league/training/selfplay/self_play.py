@@ -29,7 +29,7 @@ from league.training.selfplay.settings import SelfPlayConfig
 from league.training.settings import TrainConfig
 
 NEWEST = "newest"
-STATE_FORMAT = 3
+STATE_FORMAT = 4
 _DRAWS_OF_AN_UPDATE = 1 << 20
 
 
@@ -76,7 +76,7 @@ class SelfPlay:
         self.records = Records(self._cfg.window)
         self.pool = Pool(Path(folder) / "pool", self._cfg.pool_size)
         self._policies: dict[str, Policy] = {}
-        self._candidates, self._done, self._quickness = 0, 0.0, 0.0
+        self._done, self._quickness = 0.0, 0.0
         self._seats = {
             car: Opponent(
                 *(car, train.sensors, train.num_worlds, train.seed, self.records),
@@ -115,8 +115,9 @@ class SelfPlay:
         self._quickness = self._cfg.quicker(self._quickness, self._beaten(), before, self._done)
         self.pool.sweep()
         entered = False
-        if learner.updates // self._cfg.candidate_every > self._candidates:
-            self._candidates = learner.updates // self._cfg.candidate_every
+        every = self._cfg.candidate_every
+        last = self.pool.candidates[-1].updates if self.pool.candidates else 0
+        if learner.updates // every > last // every:
             entered = self._candidate(learner)
         self._seat(learner)
         self.pool.write(self._win_rates())
@@ -138,7 +139,6 @@ class SelfPlay:
             "format": STATE_FORMAT,
             **self.pool.state(),
             "records": self.records.state(),
-            "candidates": self._candidates,
             "done": self._done,
             "quickness": self._quickness,
         }
@@ -152,11 +152,9 @@ class SelfPlay:
         try:
             if state["format"] != STATE_FORMAT:
                 raise KeyError("format")
-            # Runs of before candidates were kept have none.
-            self.pool.restore(state["members"], state.get("tried", ()))
+            self.pool.restore(state["members"], state["tried"])
             self.records.restore(state["records"])
-            self._candidates, self._done = int(state["candidates"]), float(state["done"])
-            self._quickness = float(state["quickness"])
+            self._done, self._quickness = float(state["done"]), float(state["quickness"])
         except (KeyError, TypeError, ValueError) as error:
             raise PolicyError(
                 f"the state of self-play cannot be gone on from ({type(error).__name__}): "
@@ -226,7 +224,8 @@ class SelfPlay:
                 for place, one in enumerate(rivals, 1)
             }
         wins = not rates or min(rates.values()) >= self._cfg.admission
-        enters = wins or self._candidates % self._cfg.forced_every == 0
+        turn = (len(self.pool.candidates) + 1) % self._cfg.forced_every == 0
+        enters = wins or turn
         tried = Candidate(learner.updates, rates, entered=enters, forced=enters and not wins)
         self.pool.candidates.append(tried)
         if not enters:

@@ -72,7 +72,8 @@ class SelfPlayConfig:
     forced_every: int = 4
     """Every so many candidates one enters without winning."""
     admission: float = 0.55
-    """Smallest win rate on aggregate against every member that is measured, to enter."""
+    """Smallest win rate on aggregate against every member that is measured, to enter: of four
+    seeds, so of eight races, three."""
     rivals: int = 6
     """Members that a candidate is measured against, the hardest first."""
     races: int = 8
@@ -124,7 +125,8 @@ class SelfPlayConfig:
         """
         if done < self.warm_up or beaten < self.beaten:
             return quickness
-        passed = (done - max(before, self.warm_up)) / (1.0 - self.warm_up)
+        # A run that is given more time goes on at a smaller share of it.
+        passed = max(done - max(before, self.warm_up), 0.0) / (1.0 - self.warm_up)
         return min(quickness + self.quickening * passed, 1.0)
 
     def paces(self, quickness: float) -> tuple[float, float]:
