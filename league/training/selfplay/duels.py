@@ -34,9 +34,6 @@ class Score:
     """Races driven."""
     wins: float = 0.0
     """Races won; a draw is half of one."""
-    leads_m: tuple[float, ...] = ()
-    """How far it was ahead along the track as each race was decided [m], below 0 behind: both races
-    of a seed, then both of the next."""
     crashes: int = 0
     """Contacts it was to blame for."""
     hits: int = 0
@@ -49,11 +46,10 @@ class Score:
     """Times of its flying laps without a mistake or a contact [s]."""
 
     def __add__(self, other: Score) -> Score:
-        """Return the score over both sets of races, this one's first."""
+        """Return the score over both sets of races."""
         return Score(
             self.races + other.races,
             self.wins + other.wins,
-            self.leads_m + other.leads_m,
             self.crashes + other.crashes,
             self.hits + other.hits,
             self.off_tracks + other.off_tracks,
@@ -65,16 +61,6 @@ class Score:
     def win_rate(self) -> float:
         """Share of races won, 0 to 1; one half before any race."""
         return self.wins / self.races if self.races else 0.5
-
-    @property
-    def aggregate_win_rate(self) -> float:
-        """Share of seeds won on aggregate, 0 to 1: by the leads of its two races together.
-
-        Among cars of like pace who starts in front wins, so that nearly all win rates are one half;
-        but the better one gets farther ahead from there, and stays nearer from behind.
-        """
-        both = np.reshape(self.leads_m, (-1, 2)).sum(axis=1)
-        return float(np.mean(0.5 + 0.5 * np.sign(both))) if both.size else 0.5
 
     @property
     def contacts_per_km(self) -> float:
@@ -225,7 +211,6 @@ class _Book:
     def __init__(self, num_races: int, device: torch.device) -> None:
         self._metres = torch.zeros((num_races, 2), device=device)
         self._wins = torch.full_like(self._metres, 0.5)
-        self._leads = torch.zeros_like(self._metres)
         counted = ("crashed", "was_hit", "off_track")
         self._count = {name: torch.zeros_like(self._metres) for name in counted}
         self._dirty = torch.ones_like(self._metres, dtype=torch.bool)  # lap 1 is no flying one
@@ -249,13 +234,10 @@ class _Book:
             finish, distance = world.standing.finish_s, world.standing.distance
             # Who is home first has won; if nobody is when time is up, who came farther.
             sooner = finish[:, 1] - finish[:, 0]
-            ahead = distance[:, 0] - distance[:, 1]
-            lead = torch.where(home, sooner, ahead)
+            lead = torch.where(home, sooner, distance[:, 0] - distance[:, 1])
             first = 0.5 + 0.5 * torch.sign(lead)
             won = torch.stack([first, 1.0 - first], dim=1)
             self._wins = torch.where(decided.unsqueeze(1), won, self._wins)
-            leads = torch.stack([ahead, -ahead], dim=1)
-            self._leads = torch.where(decided.unsqueeze(1), leads, self._leads)
         self.over = self.over | decided
 
     def scores(self) -> list[tuple[Score, Score]]:
@@ -267,7 +249,6 @@ class _Book:
         return Score(
             races=1,
             wins=float(self._wins[race, car]),
-            leads_m=(float(self._leads[race, car]),),
             crashes=counts["crashed"],
             hits=counts["was_hit"],
             off_tracks=counts["off_track"],

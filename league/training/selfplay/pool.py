@@ -29,7 +29,7 @@ class Member:
     forced: bool
     """Whether it entered by its turn, not by winning."""
     measured: float | None
-    """Its smallest win rate on aggregate against those it was measured against; None: nobody."""
+    """Its smallest win rate against the members it was measured against; None: against none."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Candidate:
     updates: int
     """Updates of the run by then."""
     win_rates: dict[str, float]
-    """On aggregate (`duels.Score`), against each member it met, by name; empty: there was none."""
+    """Against each member it was measured against, by name; empty: there was none."""
     entered: bool
     """Whether it became a member."""
     forced: bool

@@ -29,7 +29,7 @@ from league.training.selfplay.settings import SelfPlayConfig
 from league.training.settings import TrainConfig
 
 NEWEST = "newest"
-STATE_FORMAT = 4
+STATE_FORMAT = 3
 _DRAWS_OF_AN_UPDATE = 1 << 20
 
 
@@ -219,10 +219,7 @@ class SelfPlay:
                 races=self._cfg.races,
                 seed=learner.updates,
             )
-            rates = {
-                one.name: found[0, place][0].aggregate_win_rate
-                for place, one in enumerate(rivals, 1)
-            }
+            rates = {one.name: found[0, place][0].win_rate for place, one in enumerate(rivals, 1)}
         wins = not rates or min(rates.values()) >= self._cfg.admission
         turn = (len(self.pool.candidates) + 1) % self._cfg.forced_every == 0
         enters = wins or turn

@@ -72,8 +72,7 @@ class SelfPlayConfig:
     forced_every: int = 4
     """Every so many candidates one enters without winning."""
     admission: float = 0.55
-    """Smallest win rate on aggregate against every member that is measured, to enter: of four
-    seeds, so of eight races, three."""
+    """Smallest win rate against every member that is measured, to enter."""
     rivals: int = 6
     """Members that a candidate is measured against, the hardest first."""
     races: int = 8
