@@ -243,12 +243,12 @@ class Run:
         elif self._learnt_all():
             self._take(onlookers, wait=False)
 
+    @checks.memory()
     def _updated(self) -> Update:
         share = self._share()
         if self._self_play is not None:
             share = self._self_play.schedule(share)
-        with checks.memory():
-            update = self.learner.update(share)
+        update = self.learner.update(share)
         if self._parent is not None and self._only_watches(update.number):
             # A critic that knows nothing yet would spoil what the parent knows.
             self.learner.begin(dict(self._parent.weights))
@@ -341,6 +341,7 @@ class Run:
         card = policy.card.model_copy(update={"results": results})
         checkpoint.save(self.folder / "best.pt", replace(policy, card=card, text=""))
 
+    @checks.memory()
     def _finish(self, onlookers: Sequence[Onlooker]) -> None:
         """Judge the last policy too, wait for all judgements, and write down what came of them."""
         self._save()

@@ -20,6 +20,7 @@ from league.training import run as run_room
 from league.training.learner import Learner
 from league.training.run import Run
 from league.training.run_config import RunConfig, settings
+from league.training.selfplay import SelfPlay
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 CHEERFUL = "def reward_function(params):\n    return 1.0\n"
@@ -273,6 +274,21 @@ def test_a_full_card_stops_training_in_a_sentence_and_the_checkpoint_is_kept(tmp
     with pytest.raises(ConfigError, match=r"memory is full \('CUDA out of memory'\): begin anew"):
         run.learn()
     assert checkpoint.load(tmp_path / "last.pt").card.steps == 2 * small.SAMPLES
+
+
+@pytest.mark.parametrize("races", ["after_update", "report"])
+def test_a_card_that_is_full_as_past_selves_race_is_told_in_a_sentence(
+    tmp_path, monkeypatch, races
+):
+    def full(*_, **__):
+        raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 20 GiB.")
+
+    cfg = small.cfg(updates=1, train=small.train(kind="head_to_head", num_cars=2), self_play=True)
+    run = small.run(tmp_path, cfg)
+    monkeypatch.setattr(SelfPlay, races, full)
+    with pytest.raises(ConfigError, match="memory is full"):
+        run.learn()
+    assert checkpoint.load(tmp_path / "last.pt").card.steps == small.SAMPLES
 
 
 def test_reward_function_that_raises_stops_training_and_the_checkpoint_is_kept(tmp_path):
