@@ -323,6 +323,16 @@ def test_alone_all_object_lists_are_empty_and_closest_is_0_0(ring):
     assert told["is_crashed"] is False
 
 
+def test_boxes_that_are_moved_by_a_restart_are_told_where_they_are_now(ring):
+    told = Told(ring(), BOXES, [(4.9, 0.0)])
+    first, again = (told.step([(end, 0.0)])[0]["objects_location"] for end in (5.0, 5.1))
+    assert again == first
+    boxes = told.world.obstacles
+    told.world = replace(told.world, obstacles=replace(boxes, x=boxes.x + 0.5))
+    moved = told.step([(5.2, 0.0)])[0]["objects_location"]
+    assert moved == [pytest.approx([x + 0.5, y], abs=1e-6) for x, y in first]
+
+
 def test_boxes_are_told_with_place_lane_and_heading(ring):
     told = Told(ring(), BOXES, [(4.9, 0.0)]).step([(5.0, 0.0)])[0]
     assert told["objects_distance"] == pytest.approx([3.0, 9.0], abs=1e-3)

@@ -19,7 +19,7 @@ from league.envs.deepracer.lines import Lines
 from league.errors import ConfigError
 from league.sim.config import CameraConfig, CarConfig, SimConfig
 from league.sim.referee import Verdict
-from league.sim.world import Standing, World
+from league.sim.world import Obstacles, Standing, World
 from league.track.course import TrackSet
 
 KEYS = (
@@ -86,6 +86,7 @@ class Situations:
         self._memory: np.ndarray | None = None
         self._to_note = False
         self._known: TrackSet | None = None
+        self._placed: Obstacles | None = None
 
     def restart(self, who: Tensor) -> None:
         """Begin an episode for these cars, bool, (num_worlds, num_cars).
@@ -122,6 +123,8 @@ class Situations:
         """
         if tracks is not self._known:
             self._lines, self._known = Lines.of(tracks), tracks
+        if world.obstacles is not self._placed:  # boxes stay where they are until a restart
+            self._boxes, self._placed = _obstacles(world), world.obstacles
         memory, lines, track = self._memory, self._lines, _array(world.track)
         assert memory is not None
         known = (lines.rows, lines.measures, self._body, memory)
@@ -129,7 +132,7 @@ class Situations:
         if self._to_note:
             self._to_note = telling.note_starts(*known, _cars(before, book), track)
         own, others = telling.tell(
-            *(*known, lines.places, _cars(world, book), _obstacles(world), track),
+            *(*known, lines.places, _cars(world, book), self._boxes, track),
             *(_array(book.laps), _array(verdict.lap), _array(verdict.crashed)),
             *(_array(world.step), self._step_dt),
         )
