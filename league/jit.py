@@ -1,0 +1,104 @@
+"""Numba as we use it: compiled functions, and the folder in which their machine code is kept.
+
+Numba's own cache looks for changes in a function's own file alone, so a changed helper in another
+file would go unnoticed. Here the cache is keyed by a hash of every compiled source of the package
+and of Numba's version: any change compiles everything again, once.
+
+Results are the same bits on every machine: no fast-math, so LLVM neither fuses a multiplication
+with an addition nor reorders a sum.
+"""
+
+# Numba gives its types a meaning that the checker does not know.
+# pyright: reportReturnType=false, reportCallIssue=false, reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import TypeVar
+
+import numba
+from numba import njit
+from numba.core import caching
+
+_Function = TypeVar("_Function", bound=Callable)
+_MARK = b"from league.jit import"
+
+
+@cache
+def source_digest() -> str:
+    """Return a hash of all compiled sources, of this file and of Numba's version."""
+    package = Path(__file__).parent
+    digest = hashlib.sha256(numba.__version__.encode())
+    for path in sorted(package.rglob("*.py")):
+        content = path.read_bytes()
+        if _MARK in content or path == Path(__file__):
+            digest.update(path.relative_to(package).as_posix().encode() + b"\0" + content)
+    return digest.hexdigest()[:16]
+
+
+@cache
+def cache_folder() -> Path | None:
+    """Return the folder of the machine code: in the package, or in the user's cache; or None.
+
+    None means that neither can be written; then each process compiles for itself.
+    """
+    shared = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    for base in (Path(__file__).parent / "__pycache__", Path(shared) / "racing-league"):
+        folder = base / f"jit-{source_digest()}"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                return folder
+        except OSError:
+            continue
+    return None
+
+
+class _Locator(caching._CacheLocator):
+    """Tells Numba where machine code is kept and which sources it was made from."""
+
+    def __init__(self, py_func: Callable, py_file: str) -> None:
+        self._line = py_func.__code__.co_firstlineno
+        # The Numba of today also asks for the file's name to write messages.
+        self._py_file = py_file
+
+    def get_cache_path(self) -> str:
+        return str(cache_folder())
+
+    def get_source_stamp(self) -> str:
+        return source_digest()
+
+    def get_disambiguator(self) -> str:
+        return str(self._line)
+
+    @classmethod
+    def from_function(cls, py_func: Callable, py_file: str) -> _Locator:
+        return cls(py_func, py_file)
+
+
+class _CacheImpl(caching.CompileResultCacheImpl):
+    _locator_classes = [_Locator]  # noqa: RUF012
+
+
+class _Cache(caching.FunctionCache):
+    _impl_class = _CacheImpl
+
+
+def compiled(function: _Function) -> _Function:
+    """Compile a function that is called from Python; its machine code is kept on disk.
+
+    It releases the interpreter, so that several threads may each work on worlds of their own.
+    """
+    dispatcher = njit(nogil=True, error_model="numpy")(function)
+    if cache_folder() is not None:
+        dispatcher._cache = _Cache(function)
+    return dispatcher
+
+
+inner = njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+"""Compiles a function that only compiled functions call."""

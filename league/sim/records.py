@@ -1,0 +1,133 @@
+"""The state of a batch of races as records: one per car, obstacle and world.
+
+The environment owns these arrays, and the compiled stages write into them in a fixed order. Arrays
+of cars have shape (num_worlds, num_cars), of obstacles (num_worlds, num_obstacles), of worlds
+(num_worlds,). World frame: x, y [m], yaw [rad] counter-clockwise from +x. Body frame: x ahead, y
+left. A set of cars or obstacles is a bit mask: bit k stands for car k or obstacle k.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+_F4, _I4, _I8, _U1, _U4, _BOOL = np.float32, np.int32, np.int64, np.uint8, np.uint32, np.bool_
+
+CAR = np.dtype(
+    [
+        # Motion. Position is that of the base, midway between the axles on the ground.
+        ("x", _F4),  # [m]
+        ("y", _F4),  # [m]
+        ("yaw", _F4),  # heading, in [-pi, pi) [rad]
+        ("velocity_x", _F4),  # world frame [m/s]
+        ("velocity_y", _F4),  # world frame [m/s]
+        ("yaw_rate", _F4),  # [rad/s]
+        ("steering", _F4),  # angle of the front wheels, positive to the left [rad]
+        # Motion out of the plane; 0 in the planar solver.
+        ("z", _F4),  # height of the base above where it stands at rest [m]
+        ("roll", _F4),  # about the car's own x, positive when it leans to the right [rad]
+        ("pitch", _F4),  # about the car's own y, positive when the nose is down [rad]
+        ("velocity_z", _F4),  # [m/s]
+        ("roll_rate", _F4),  # body frame [rad/s]
+        ("pitch_rate", _F4),  # body frame [rad/s]
+        # Control of the last step, for latency; and the action it came from.
+        ("target_steering", _F4),  # [rad]
+        ("target_speed", _F4),  # [m/s]
+        ("action_steering", _F4),  # in [-1, 1]
+        ("action_speed", _F4),  # in [-1, 1]
+        # Parameters, drawn at the start of a race or an episode.
+        ("grip", _F4),  # friction coefficient of the tyres
+        ("mass", _F4),  # [kg]; the moments of inertia grow with it
+        ("latency_s", _F4),  # time from an action to the servos [s]
+        ("steering_offset", _F4),  # added to each steering target [rad]
+        ("camera_up", _F4),  # added to the camera's height [m]
+        ("camera_pitch", _F4),  # added to the camera's downward tilt [rad]
+        # The referee's book.
+        ("s", _F4),  # place of the base along the track [m]
+        ("lateral", _F4),  # place of the base to the left of the centreline [m]
+        ("zero_s", _F4),  # where this car's laps begin and end [m]
+        ("distance", _F4),  # driven along the track since zero_s, signed; negative on the grid [m]
+        ("best_distance", _F4),  # farthest distance so far [m]; laps are counted by it
+        ("lap_start_s", _F4),  # when the running lap began [s]
+        ("last_lap_s", _F4),  # time of the last complete lap [s]; 0 before the first
+        ("best_lap_s", _F4),  # time of the best complete lap [s]; infinite before the first
+        ("finish_s", _F4),  # when the last lap was complete [s]; infinite before
+        ("penalty_s", _F4),  # penalty still to stand [s]; above 0 the car is frozen
+        ("laps", _I4),  # complete laps
+        ("still_steps", _I4),  # steps in a row without movement
+        ("backward_steps", _I4),  # steps in a row with falling distance
+        ("off_tracks", _I4),  # how often all four wheels left the road
+        ("crashes", _I4),  # how often the car was to blame for a contact
+        ("contacts_taken", _I4),  # how often another car was to blame for a contact with this one
+        ("immobilised", _I4),  # how often the car stood still too long
+        ("reversed", _I4),  # how often the car drove backwards too long
+        ("overtakes", _I4),  # cars passed on the road
+        ("episode_steps", _I4),  # steps since the car's episode began
+        ("touching_obstacles", _U4),  # obstacles touched in the last step
+        ("touching_cars", _U1),  # cars touched in the last step
+        ("ahead", _U1),  # cars that this one leads; changes only when a pass is clear
+        ("ghost", _BOOL),  # whether the car cannot collide now
+        ("put_back", _BOOL),  # whether it is put back on the road when its penalty ends
+        ("retired", _BOOL),  # out of the race for good: frozen, a ghost, never released
+        ("parked", _BOOL),  # out of the world while another car trains alone
+    ],
+    align=True,
+)
+"""One car: motion, control, parameters and the referee's book."""
+
+OBSTACLE = np.dtype(
+    [
+        ("x", _F4),  # centre [m]
+        ("y", _F4),  # centre [m]
+        ("yaw", _F4),  # [rad]
+        ("velocity_x", _F4),  # [m/s]
+        ("velocity_y", _F4),  # [m/s]
+        ("s", _F4),  # place along the track [m]; of a bot car its odometer, beyond the lap too
+        ("lateral", _F4),  # place to the left of the centreline [m]
+        ("half_length", _F4),  # [m]
+        ("half_width", _F4),  # [m]
+        ("stopped_s", _F4),  # how long a bot car still stands after a contact [s]
+    ],
+    align=True,
+)
+"""One box or bot car; nothing can push it."""
+
+WORLD = np.dtype(
+    [
+        ("seed", _I8),  # of the race, below 2^62
+        ("step", _I8),  # control steps since the start of the race
+        ("track", _I8),  # row of the TrackSet
+        ("last_step", _I8),  # step at which the race is stopped
+        ("leader", _I8),  # index of the leading car
+        ("lead_changes", _I8),  # how often another car took the lead
+    ],
+    align=True,
+)
+"""One race."""
+
+CONTACT = np.dtype([("obstacles", _U4), ("cars", _U1), ("wall", _BOOL)], align=True)
+"""What one car touched during a control step: obstacles, other cars, the wall."""
+
+VERDICT = np.dtype(
+    [
+        ("advance", _F4),  # signed movement along the track in this step [m]
+        ("crashed_car", _I4),  # the car it ran into, or NOBODY
+        ("crashed_obstacle", _I4),  # the obstacle it ran into, or NOBODY
+        ("overtook", _U1),  # cars passed on the road in this step
+        ("off_track", _BOOL),  # all four wheels have left the road
+        ("crashed", _BOOL),  # a contact this car is to blame for
+        ("was_hit", _BOOL),  # a contact another car is to blame for
+        ("wall", _BOOL),  # the car touches the wall
+        ("immobilised", _BOOL),  # stood still too long
+        ("reversed", _BOOL),  # drove backwards too long
+        ("lap", _BOOL),  # completed a lap in this step
+        ("finished", _BOOL),  # completed its last lap in this step
+        ("released", _BOOL),  # a penalty ended in this step
+        ("mistake", _BOOL),  # off_track, crashed, immobilised or reversed
+        ("lead_changed", _BOOL),  # another car leads; the same for all cars of a world
+    ],
+    align=True,
+)
+"""What the referee found about one car in one control step."""
+
+NOBODY = -1
+"""No car and no obstacle."""
