@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import torch
-from torch import Tensor
+import numpy as np
 
 from league.agents.driver import Driver
 from league.agents.seats import Seat, Seats
@@ -20,8 +19,7 @@ from league.envs.sensing import Sensing
 from league.errors import ConfigError, PolicyError
 from league.race_spec import Entry, RaceResult, RaceSpec
 from league.sim.config import CarConfig, ObstacleConfig, RaceRules, SimConfig, Spread
-from league.sim.referee import Verdict
-from league.sim.world import World, row
+from league.sim.world import World
 from league.track.course import Track, TrackSet
 
 if TYPE_CHECKING:
@@ -33,7 +31,7 @@ FAULTS_TO_END = 25
 _UNPAID = RewardConfig(progress=0.0, off_track=0.0, crash=0.0)
 
 Watcher = Callable[[World], None]
-"""Told the world at the start and after each step; it cannot change it."""
+"""Called with the live world at the start and after each step; it must not change it."""
 
 
 @dataclass(frozen=True)
@@ -153,15 +151,14 @@ def run_together(contests: Sequence[Contest], *, patience_s: float = math.inf) -
             )
     courses = [one.track or files.load(one.spec.track) for one in contests]
     field = [_drivers(one, course, sim.car) for one, course in zip(contests, courses, strict=True)]
-    with torch.inference_mode():
-        seats = Seats(field, patience_s)
-        return _Batch(contests, courses, field, seats, EnvConfig(sim, solver, reward=_UNPAID)).run()
+    seats = Seats(field, patience_s)
+    return _Batch(contests, courses, field, seats, EnvConfig(sim, solver, reward=_UNPAID)).run()
 
 
 def _drivers(contest: Contest, course: Track, car: CarConfig) -> Sequence[Driver]:
     entries, drivers = contest.spec.entries, contest.drivers
     if drivers is None:
-        tracks = TrackSet.of(course)
+        tracks = TrackSet(course)
         drivers = [_loaded(entry, tracks, car) for entry in entries]
     if len(drivers) != len(entries):
         raise ConfigError(f"{len(drivers)} drivers for {len(entries)} entries: give as many")
@@ -180,8 +177,8 @@ class _Batch:
         cfg: EnvConfig,
     ) -> None:
         different = {id(course): course for course in courses}
-        rows = torch.tensor([list(different).index(id(course)) for course in courses])
-        tracks = TrackSet.of(*different.values())
+        rows = [list(different).index(id(course)) for course in courses]
+        tracks = TrackSet(*different.values())
         self._env = RaceEnv(tracks, cfg, num_worlds=len(contests), track_index=rows)
         self._seats = seats
         self._races = [
@@ -190,15 +187,15 @@ class _Batch:
         ]
         # Seats of races that are over and of drivers that were retired: nobody is asked for them.
         self._idle: set[Seat] = set()
-        self._at_wall = torch.zeros(self._env.world.standing.ghost.shape, dtype=torch.bool)
+        self._at_wall = np.zeros(self._env.world.cars.shape, np.bool_)
 
     def run(self) -> list[Finished]:
         env = self._env
         try:
-            told = env.reset(seeds=torch.tensor([race.spec.seed for race in self._races]))
+            told = env.reset(seeds=[race.spec.seed for race in self._races])
             self._seats.reset()
             for index, race in enumerate(self._races):
-                race.begin(self._world(index))
+                race.begin(env.world.row(index))
             while not all(race.result for race in self._races):
                 step = env.step(self._actions(told))
                 told = step.observations
@@ -207,14 +204,10 @@ class _Batch:
             env.close()
         return [race.finished() for race in self._races]
 
-    def _world(self, index: int) -> World:
-        """Return one race's world."""
-        return self._env.world if len(self._races) == 1 else row(self._env.world, index)
-
-    def _actions(self, told: Observations) -> Tensor:
+    def _actions(self, told: Observations) -> np.ndarray:
         """Ask the drivers; an answer that is late or no action is replaced by the last good one."""
         answers = self._seats.ask(told, [race.readings for race in self._races], self._idle)
-        actions = self._env.last_action.clone()
+        actions = self._env.last_action
         for seat, answer in answers.items():
             if answer is not None:
                 actions[seat] = answer
@@ -229,28 +222,24 @@ class _Batch:
 
     def _follow(self, step: Step) -> None:
         """Write down the step in each race, and end those that are over."""
-        seen, env = step.verdict, self._env
-        scraped = seen.wall & ~self._at_wall
-        self._at_wall = seen.wall
-        cars = seen.mistake | seen.lap | seen.released | seen.was_hit | scraped
-        news = cars.any(dim=1) | seen.overtook.flatten(1).any(dim=1) | seen.lead_changed
+        seen, env = step.verdicts, self._env
+        scraped = seen["wall"] & ~self._at_wall
+        self._at_wall = seen["wall"].copy()
+        cars = scraped | (seen["overtook"] > 0) | seen["lead_changed"]
+        for name in ("mistake", "lap", "released", "was_hit"):
+            cars |= seen[name]
+        news = np.any(cars, axis=1).tolist()
         ended = (step.terminated | step.truncated).tolist()
-        for index, (race, noted) in enumerate(zip(self._races, news.tolist(), strict=True)):
+        for index, (race, noted) in enumerate(zip(self._races, news, strict=True)):
             if race.result:
                 continue
             seats = [(index, car) for car in range(env.num_cars)]
             over = all(ended[index][car] or (index, car) in self._idle for index, car in seats)
-            part = slice(index, index + 1)
-            told = (_part(seen, part), scraped[part]) if noted else None
-            race.follow(self._world(index), env.last_action[part], told, over)
+            told = (seen[index], scraped[index]) if noted else None
+            race.follow(env.world.row(index), told, over)
             if over and len(self._races) > 1:
                 self._idle.update(seats)
                 env.retire(slice(None), index)
-
-
-def _part(seen: Verdict, worlds: slice) -> Verdict:
-    """Return what was found in some of the worlds."""
-    return Verdict(**{item.name: getattr(seen, item.name)[worlds] for item in fields(seen)})
 
 
 class _Race:
@@ -283,23 +272,20 @@ class _Race:
             self._book.add("driver_fault", car, value=float(self._faults[car]))
         return self._faults[car] >= FAULTS_TO_END
 
-    def follow(
-        self, world: World, actions: Tensor, news: tuple[Verdict, Tensor] | None, over: bool
-    ) -> None:
+    def follow(self, world: World, news: tuple[np.ndarray, np.ndarray] | None, over: bool) -> None:
         """Take note of a step.
 
         Args:
             world: after it.
-            actions: what led to it.
-            news: what the referee found and who came to the wall, if there was anything.
+            news: the referee's verdicts, and who came to the wall, if there was anything.
             over: whether it was the last one.
         """
         self._book.steps += 1
         if news is not None:
             self._book.note(*news, world)
-            self._sensing.refresh(news[0].crashed | news[0].released)
+            self._sensing.refresh_after(news[0][np.newaxis])
         if self._recorder:
-            self._recorder.add(world, actions)
+            self._recorder.add(world)
         if over:
             self.result = classify(self.spec, world, self._book)
         self._seen(world)
@@ -330,7 +316,7 @@ def rerun(replay: Replay, checkpoints: Sequence[str | os.PathLike[str]] = ()) ->
     """
     from league.agents import checkpoint
 
-    tracks, car = TrackSet.of(replay.track), sim_config(replay.spec).car
+    tracks, car = TrackSet(replay.track), sim_config(replay.spec).car
     given = {checkpoint.digest(path): os.fspath(path) for path in checkpoints}
     drivers = [
         _loaded(entry.model_copy(update={"path": given.get(entry.digest, entry.path)}), tracks, car)

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from league.agents.racing_line import optimal_line
 from league.envs import rewards
 from league.envs.rewards import BuiltIn, Reward
 from league.errors import ConfigError
 from league.sim.config import CarConfig
-from league.sim.referee import Verdict
 from league.sim.world import World
 from league.track.course import Track, TrackSet
 
@@ -50,7 +47,7 @@ class AlongTheLine:
         check(RACING_LINE, len(tracks.tracks))
         self._earned = BuiltIn(rewards.preset("progress"))
         table = np.stack([_table(track, car) for track in tracks.tracks])
-        self._table = torch.from_numpy(table).to(tracks.device, torch.float32)
+        self._table = table.astype(np.float32)
 
     @property
     def terms(self) -> tuple[str, ...]:
@@ -58,28 +55,34 @@ class AlongTheLine:
         return (*self._earned.terms, "racing_line")
 
     def __call__(
-        self, tracks: TrackSet, before: World, world: World, actions: Tensor, verdict: Verdict
-    ) -> tuple[Tensor, dict[str, Tensor]]:
+        self,
+        tracks: TrackSet,
+        before: World,
+        world: World,
+        actions: np.ndarray,
+        verdicts: np.ndarray,
+    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Return what each car earns and each term of it; see Reward."""
-        earned, terms = self._earned(tracks, before, world, actions, verdict)
-        book, body = world.standing, world.motion
-        index = world.track.unsqueeze(1).expand_as(book.s)
-        lateral, speed = self._beside(index, book.s / tracks.length[index])
-        aside = (book.lateral - lateral) / FAR
-        slower = (torch.hypot(body.velocity_x, body.velocity_y) - speed) / SLOW
-        near = torch.clamp(1.0 - aside * aside - slower * slower, min=0.0)
-        near = torch.where(verdict.advance > 0, near, 0.0)
+        earned, terms = self._earned(tracks, before, world, actions, verdicts)
+        cars, index = world.cars, world.track[:, None]
+        lateral, speed = self._beside(index, cars["s"] / tracks.length[index])
+        aside = (cars["lateral"] - lateral) / np.float32(FAR)
+        moving = np.sqrt(cars["velocity_x"] ** 2 + cars["velocity_y"] ** 2)
+        slower = (moving - speed) / np.float32(SLOW)
+        near = np.maximum(1.0 - aside * aside - slower * slower, np.float32(0.0))
+        near = np.where(verdicts["advance"] > 0, near, np.float32(0.0))
         return earned + near, terms | {"racing_line": near}
 
-    def restart(self, world: World, who: Tensor) -> None:
+    def restart(self, world: World, who: np.ndarray) -> None:
         """Nothing is remembered, so nothing is forgotten."""
 
-    def _beside(self, index: Tensor, share: Tensor) -> tuple[Tensor, Tensor]:
+    def _beside(self, index: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the line's place [m] and speed [m/s] at a share of the lap, 0 to 1."""
-        place = (share * ROWS).clamp(0.0, ROWS - 1e-3)
-        low = place.to(torch.int64)
-        part = (place - low).unsqueeze(-1)
-        found = torch.lerp(self._table[index, low], self._table[index, low + 1], part)
+        place = (share * np.float32(ROWS)).clip(0.0, ROWS - 1e-3)
+        low = place.astype(np.int64)
+        part = (place - low.astype(np.float32))[..., None]
+        first = self._table[index, low]
+        found = first + (self._table[index, low + 1] - first) * part
         return found[..., 0], found[..., 1]
 
 

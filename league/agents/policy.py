@@ -1,129 +1,72 @@
-"""A trained driver: what its sensors tell goes through the network of a checkpoint."""
+"""A trained driver: its sensors' readings go through the network of a checkpoint."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
-import torch
-from torch import Tensor
+import numpy as np
 
-from league.agents.card import Card
-from league.agents.checkpoint import Checkpoint
-from league.agents.network import Actor
+from league.agents.inference import Network
 from league.envs.action_space import to_actions
 from league.errors import PolicyError
 from league.sim.config import CarConfig
 
-EXACT_ROWS = 4
-"""Rows of the one batch shape in which an exact policy decides; docs/checkpoint.md says why 4."""
-EVEN_WIDTH = 16
-"""Layers of widths that are multiples of this give a row the same bits anywhere in that batch."""
+if TYPE_CHECKING:
+    from league.agents.checkpoint import Checkpoint
 
 
 class Policy:
     """A Driver with a network; it decides by the mean, or the best score, and remembers nothing.
 
-    Matrix products give a row other bits in a batch of another size, with another number of
-    threads, and, in layers of uneven width, at another place of the batch. An exact policy
-    therefore decides with one thread, in batches of one size, the last one filled up with zeros; if
-    its layers are uneven, each row has a batch of its own. So a car gets the same bits alone and
-    among many. An inexact policy takes the whole batch at once, which is faster.
+    A row's decision has the same bits alone and in a batch, on every machine (inference.py).
     """
 
-    def __init__(
-        self,
-        checkpoint: Checkpoint,
-        car: CarConfig,
-        *,
-        name: str | None = None,
-        exact: bool = True,
-        device: torch.device | str = "cpu",
-    ) -> None:
+    def __init__(self, checkpoint: Checkpoint, car: CarConfig, *, name: str | None = None) -> None:
         """Build the network.
 
         Args:
             checkpoint: card and weights.
             car: the car it will drive.
             name: what to call it; by default what its card says.
-            exact: whether a row's bits must not depend on the other rows, nor on threads.
-            device: where it decides.
         """
         self.name = name or checkpoint.card.name
         self.sensors = checkpoint.card.sensor_config
         self.card = checkpoint.card
         self.digest = checkpoint.digest
-        self._car, self._exact = car, exact
-        self._space = checkpoint.card.space
+        self._car, self._space = car, checkpoint.card.space
         self._shapes = checkpoint.card.group_shapes
-        self._actor = Actor(checkpoint.card.network, self._shapes, self._space.size)
-        self._actor.load_state_dict(dict(checkpoint.weights))
-        self._actor.requires_grad_(False).eval().to(device)
-        self._rows = EXACT_ROWS if _is_even(checkpoint.card) else 1
+        weights = {name: weight.numpy() for name, weight in checkpoint.weights.items()}
+        self._network = Network.of(checkpoint.card.network, self._shapes, weights)
 
-    def reset(self, rows: Tensor | None) -> None:
+    def reset(self, rows: np.ndarray | None) -> None:
         """Do nothing: there is no memory to lose."""
 
-    def act(self, observations: Mapping[str, Tensor]) -> Tensor:
+    def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return actions [steering, speed] in [-1, 1], float32 (num_rows, 2).
 
         Raises:
             PolicyError: a group it needs is missing or has another shape.
         """
-        with torch.inference_mode():
-            outputs = self.outputs(observations)
-            actions = to_actions(self._space, outputs, self._car)
-        return actions.clone()  # a plain tensor, which may take part in anything
+        return to_actions(self._space, self.outputs(observations), self._car)
 
-    def outputs(self, observations: Mapping[str, Tensor]) -> Tensor:
-        """Return what the network answers, means or scores, (num_rows, space.size)."""
-        told = {name: self._told(observations, name) for name in self._shapes}
-        if not self._exact:
-            return self._actor(told)
-        rows, step = told["motion"].shape[0], self._rows
-        with _one_thread():
-            answers = [
-                self._actor(
-                    {name: _filled(group[start : start + step]) for name, group in told.items()}
-                )[:step]
-                for start in range(0, rows, step)
-            ]
-            return torch.cat(answers)[:rows]
+    def outputs(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Return what the network answers, means or scores, float32 (num_rows, space.size)."""
+        groups = {name: self._group(observations, name) for name in self._shapes}
+        pictures = groups.pop("stereo", np.empty((0, 0, 0, 0), np.uint8))
+        flat = np.concatenate(list(groups.values()), axis=1, dtype=np.float32)
+        return self._network.outputs(flat, pictures)
 
-    def _told(self, observations: Mapping[str, Tensor], name: str) -> Tensor:
-        """Return a group as the learner was told it: float32, bytes over 255."""
+    def _group(self, observations: Mapping[str, np.ndarray], name: str) -> np.ndarray:
         group = observations.get(name)
-        shape = None if group is None else tuple(group.shape[1:])
-        if group is None or shape != self._shapes[name]:
-            given = "nothing" if shape is None else f"{name} of shape {shape}"
-            raise PolicyError(
-                f"{self.name!r} was told {given}, but needs {name} of shape {self._shapes[name]} "
-                "in each row: give its car the sensors of its card"
+        array = None if group is None else np.ascontiguousarray(group)
+        picture, expected = name == "stereo", self._shapes[name]
+        if array is None or array.shape[1:] != expected or (picture != (array.dtype == np.uint8)):
+            given = (
+                "nothing" if array is None else f"{array.dtype} {name} of shape {array.shape[1:]}"
             )
-        group = group.to(torch.float32) / 255.0 if group.dtype == torch.uint8 else group
-        return group.contiguous()
-
-
-def _is_even(card: Card) -> bool:
-    """Return whether all layers that are used have widths at which a row's place is no matter."""
-    channels = () if card.sensors.camera is None else card.network.channels
-    return all(size % EVEN_WIDTH == 0 for size in (*channels, *card.network.hidden))
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
-
-
-def _filled(rows: Tensor) -> Tensor:
-    """Return EXACT_ROWS rows; those that are missing are zero."""
-    if rows.shape[0] == EXACT_ROWS:
-        return rows
-    full = rows.new_zeros((EXACT_ROWS, *rows.shape[1:]))
-    full[: rows.shape[0]] = rows
-    return full
+            raise PolicyError(
+                f"{self.name!r} was given {given}, but needs {'uint8 ' * picture}{name} of shape "
+                f"{expected} in each row: give its car the sensors of its card"
+            )
+        return array

@@ -55,10 +55,10 @@ def load(name_or_path: str, tracks: TrackSet, car: CarConfig) -> Driver:
             f"{name_or_path!r} was asked to drive {len(tracks.tracks)} tracks at once: scripted "
             "drivers are built for one; give a set of one track"
         )
-    track, device = tracks.tracks[0], tracks.device
+    track = tracks.tracks[0]
     if name_or_path in _STYLES:
-        return LineDriver(name_or_path, track, car, _STYLES[name_or_path], device=device)
-    return CenterlineDriver(name_or_path, track, car, device=device)
+        return LineDriver(name_or_path, track, car, _STYLES[name_or_path])
+    return CenterlineDriver(name_or_path, track, car)
 
 
 def check(name_or_path: str) -> None:
@@ -88,14 +88,13 @@ def _file(name_or_path: str) -> str | None:
     )
 
 
-def policy(path: str, tracks: TrackSet, car: CarConfig, *, exact: bool = True) -> Driver:
+def policy(path: str, tracks: TrackSet, car: CarConfig) -> Driver:
     """Build the driver of a checkpoint; it drives any set of tracks.
 
     Args:
         path: the checkpoint.
         tracks: the set, which says on what device to decide.
         car: the car it will drive.
-        exact: whether a row gets the same bits alone and in a batch.
 
     Raises:
         PolicyError: the file is not a sound checkpoint.
@@ -103,4 +102,4 @@ def policy(path: str, tracks: TrackSet, car: CarConfig, *, exact: bool = True) -
     from league.agents import checkpoint
     from league.agents.policy import Policy
 
-    return Policy(checkpoint.load(path), car, exact=exact, device=tracks.device)
+    return Policy(checkpoint.load(path), car)

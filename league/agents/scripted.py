@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -16,7 +17,6 @@ from league.agents.racing_line import RacingLine, center_line, optimal_line
 from league.agents.steering import STEP_DT, STEPS, Errors, PreviewSteering
 from league.agents.traffic import Manners, Others, largest_speed, plan
 from league.envs.state import INDEX, NEIGHBOURS
-from league.geometry import heading_of, unrotate
 from league.sim.config import CarConfig, SensorConfig
 from league.track.course import Track
 
@@ -77,7 +77,7 @@ class LineDriver:
         self._shift = torch.zeros(0)
         self._care = torch.zeros(0)
 
-    def reset(self, rows: Tensor | None) -> None:
+    def reset(self, rows: np.ndarray | None) -> None:
         """Forget the last steering target, the shift beside the line and the last penalty."""
         if rows is None:
             self._target = self._shift = self._care = torch.zeros(0)
@@ -88,9 +88,9 @@ class LineDriver:
                 memory[rows] = 0.0
             self._target, self._shift, self._care = kept
 
-    def act(self, observations: Mapping[str, Tensor]) -> Tensor:
+    def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return actions from the `state` group."""
-        state = observations["state"]
+        state = torch.tensor(np.asarray(observations["state"]))
         if len(self._target) != len(state):
             self._target = self._shift = self._care = torch.zeros_like(state[:, 0])
         place = self._path.beside(state[:, INDEX["s"]].contiguous())
@@ -211,12 +211,12 @@ class CenterlineDriver:
         line = center_line(track, car, share=0.35, top_speed=2.0)
         self._path = Path.of(line, track, device=device)
 
-    def reset(self, rows: Tensor | None) -> None:
+    def reset(self, rows: np.ndarray | None) -> None:
         """Forget nothing: it remembers nothing."""
 
-    def act(self, observations: Mapping[str, Tensor]) -> Tensor:
+    def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return actions from the `state` group."""
-        state, car = observations["state"], self._car
+        state, car = torch.tensor(np.asarray(observations["state"])), self._car
         speed = torch.clamp(state[:, INDEX["speed_ahead"]], min=0.0)
         road = self._path.ahead_of(self._path.beside(state[:, INDEX["s"]].contiguous()))
         lateral = state[:, INDEX["lateral"]].contiguous()
@@ -259,7 +259,9 @@ class _Beside:
         (ax, ay), (bx, by) = (_start(road.x), _start(road.y)), (_start(x), _start(y))
         along, across = ax * bx + ay * by, ax * by - ay * bx
         longer = torch.sqrt((bx * bx + by * by) / (ax * ax + ay * ay))
-        return cls(road.curvature + extra, torch.clamp(longer, 0.4, 2.5), heading_of(along, across))
+        return cls(
+            road.curvature + extra, torch.clamp(longer, 0.4, 2.5), torch.atan(across / along)
+        )
 
 
 def _bends(x: Tensor, y: Tensor) -> Tensor:
@@ -312,4 +314,5 @@ def _point_ahead(
         across = across + NODE_GAP * torch.sin(middle)
         turned = turned + turn
     error = state[:, INDEX["heading_error"]].contiguous()
-    return unrotate(x, y, torch.cos(error), torch.sin(error))
+    cos, sin = torch.cos(error), torch.sin(error)
+    return cos * x + sin * y, cos * y - sin * x

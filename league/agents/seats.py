@@ -6,14 +6,13 @@ import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from time import thread_time
 
-import torch
-from torch import Tensor
+import numpy as np
 
 from league.agents.driver import Driver
 
 Seat = tuple[int, int]
 """A world and a car in it."""
-Groups = Sequence[Mapping[str, Tensor]]
+Groups = Sequence[Mapping[str, np.ndarray]]
 """What each car is told, by name."""
 
 
@@ -45,7 +44,7 @@ class Seats:
 
     def ask(
         self, told: Groups, readings: Sequence[Groups], idle: Collection[Seat]
-    ) -> dict[Seat, Tensor | None]:
+    ) -> dict[Seat, np.ndarray | None]:
         """Return each seat's action, (2,), or None where the answer is no action or is late.
 
         Args:
@@ -54,7 +53,7 @@ class Seats:
             idle: seats whose answers are not wanted; who has only such is not asked. A driver's
                 rows stay the same all along, for its memory's sake.
         """
-        answers: dict[Seat, Tensor | None] = {}
+        answers: dict[Seat, np.ndarray | None] = {}
         for driver, seats in self._held.values():
             if all(seat in idle for seat in seats):
                 continue
@@ -66,20 +65,20 @@ class Seats:
         return answers
 
 
-class _Told(Mapping[str, Tensor]):
+class _Told(Mapping[str, np.ndarray]):
     """The groups of some seats, a row for each; put together when they are asked for."""
 
     def __init__(self, told: Groups, readings: Sequence[Groups], seats: Sequence[Seat]) -> None:
         self._told, self._readings, self._seats = told, readings, seats
 
-    def __getitem__(self, name: str) -> Tensor:
+    def __getitem__(self, name: str) -> np.ndarray:
         rows = [
             self._readings[world][car][name]
             if name in self._readings[world][car]
             else self._told[car][name][world : world + 1]
             for world, car in self._seats
         ]
-        return rows[0] if len(rows) == 1 else torch.cat(rows)
+        return rows[0] if len(rows) == 1 else np.concatenate(rows)
 
     def __iter__(self) -> Iterator[str]:
         world, car = self._seats[0]
@@ -90,11 +89,16 @@ class _Told(Mapping[str, Tensor]):
         return sum(1 for _ in self)
 
 
-def _actions(answer: object, num_rows: int) -> list[Tensor | None]:
-    """Return the rows of an answer that are actions; the others are None."""
-    if not (
-        isinstance(answer, Tensor) and answer.shape == (num_rows, 2) and answer.is_floating_point()
-    ):
+def _actions(answer: object, num_rows: int) -> list[np.ndarray | None]:
+    """Return the rows of an answer that are actions; the others are None.
+
+    An answer is an array, or what becomes one without a copy, such as a tensor on the CPU.
+    """
+    try:
+        rows = np.asarray(answer)
+    except Exception:  # whatever a stranger's object does when it is asked to be an array
         return [None] * num_rows
-    fine = (answer.abs() <= 1.0).all(dim=1).tolist()  # False for NaN
-    return [row if good else None for row, good in zip(answer.unbind(), fine, strict=True)]
+    if rows.shape != (num_rows, 2) or rows.dtype.kind != "f":
+        return [None] * num_rows
+    # False for NaN.
+    return [row if bool((np.abs(row) <= 1.0).all()) else None for row in rows]

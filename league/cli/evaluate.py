@@ -130,7 +130,7 @@ def _one(command: Evaluate, track: str) -> tuple[Evaluation, Trace | None]:
     from league.track.course import TrackSet
 
     course = files.load(track)
-    tracks, car = TrackSet.of(course), SimConfig().car
+    tracks, car = TrackSet(course), SimConfig().car
     driver = roster.load(command.driver, tracks, car)
     opponents = [roster.load(name, tracks, car) for name in command.opponents]
     trace = None

@@ -76,7 +76,7 @@ def _race(command: Race) -> int:
         bar = progress.add_task("Racing", total=spec.laps * track.length)
 
         def watch(world: World) -> None:
-            progress.update(bar, completed=max(float(world.standing.best_distance.max()), 0.0))
+            progress.update(bar, completed=max(float(world.cars["best_distance"].max()), 0.0))
             if live is not None:
                 live.add(world)
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict, deque
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
-import torch
-from torch import Tensor
+import numpy as np
 
 from league.errors import ConfigError
 from league.sim.config import CarConfig
+
+if TYPE_CHECKING:  # only learners need torch
+    from torch import Tensor
 
 MAX_STEERING_DEG = 30.0
 MIN_SPEED, MAX_SPEED = 0.1, 4.0
@@ -57,11 +59,11 @@ class ContinuousActions:
 
     def mirror(self, outputs: Tensor) -> Tensor:
         """Return what asks for the same with left and right swapped, (num_rows, 2)."""
-        return torch.stack([-outputs[:, 0], outputs[:, 1]], dim=1)
+        return outputs * outputs.new_tensor([-1.0, 1.0])
 
-    def controls(self, outputs: Tensor) -> tuple[Tensor, Tensor]:
+    def controls(self, outputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return steering [deg] and speed [m/s], each (num_rows,), of outputs (num_rows, 2)."""
-        share = (outputs.clamp(-1.0, 1.0) + 1.0) * 0.5
+        share = (outputs.clip(-1.0, 1.0) + np.float32(1.0)) * np.float32(0.5)
         steering = self.steering_low + share[:, 0] * (self.steering_high - self.steering_low)
         speed = self.speed_low + share[:, 1] * (self.speed_high - self.speed_low)
         return steering, speed
@@ -111,31 +113,34 @@ class DiscreteActions:
         swapped = [places[(-steering, speed)].popleft() for steering, speed in self.choices]
         return outputs[:, swapped]
 
-    def controls(self, outputs: Tensor) -> tuple[Tensor, Tensor]:
-        """Return steering [deg] and speed [m/s] of the best-scored choice, each (num_rows,)."""
-        chosen = outputs.argmax(dim=1)
-        table = torch.tensor(self.choices, dtype=torch.float32, device=outputs.device)
-        return table[chosen, 0].contiguous(), table[chosen, 1].contiguous()
+    def controls(self, outputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return steering [deg] and speed [m/s] of the best-scored choice, each (num_rows,).
+
+        Of equal scores the first counts.
+        """
+        steering, speed = np.array(self.choices, np.float32)[outputs.argmax(axis=1)].T
+        return steering, speed
 
 
 ActionSpace: TypeAlias = ContinuousActions | DiscreteActions
 
 
-def to_actions(space: ActionSpace, outputs: Tensor, car: CarConfig) -> Tensor:
+def to_actions(space: ActionSpace, outputs: np.ndarray, car: CarConfig) -> np.ndarray:
     """Return the environment's actions that a network's outputs ask for.
 
     Args:
         space: what the outputs mean.
-        outputs: one row for each car, (num_rows, space.size).
+        outputs: one row for each car, float32 (num_rows, space.size).
         car: ranges of the environment's own actions.
 
     Returns:
-        Steering and speed in [-1, 1], (num_rows, 2).
+        Steering and speed in [-1, 1], float32 (num_rows, 2).
     """
     steering, speed = space.controls(outputs)
-    share = (speed - car.min_speed) / (car.max_speed - car.min_speed)
-    both = torch.stack([steering * (math.pi / 180.0) / car.max_steering, 2.0 * share - 1.0], dim=1)
-    return both.clamp(-1.0, 1.0)
+    share = (speed - np.float32(car.min_speed)) / np.float32(car.max_speed - car.min_speed)
+    angle = steering * np.float32(math.pi / 180.0) / np.float32(car.max_steering)
+    both = np.stack([angle, np.float32(2.0) * share - np.float32(1.0)], axis=1)
+    return both.astype(np.float32, copy=False).clip(-1.0, 1.0)
 
 
 def grid(steerings: int, max_steering: float, speeds: int, max_speed: float) -> DiscreteActions:

@@ -28,7 +28,7 @@ Told = dict[str, np.ndarray]
 class BatchEnv(VectorEnv[Told, np.ndarray, np.ndarray]):
     """As many races as asked, stepped as one batch; each equals a SingleEnv of the same seed.
 
-    A race that has ended is started anew by the next step, which ignores its action and brings it
+    A race that has ended is started ended by the next step, which ignores its action and brings it
     no reward (AutoresetMode.NEXT_STEP), as in Gymnasium's own vectors.
     """
 
@@ -108,7 +108,7 @@ class BatchEnv(VectorEnv[Told, np.ndarray, np.ndarray]):
     def step(
         self, actions: np.ndarray
     ) -> tuple[Told, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Drive all races for 1/15 s, or start those anew that have ended.
+        """Drive all races for 1/15 s, or start those ended that have ended.
 
         Raises:
             ActionError: the actions are not (num_envs, 2) numbers in [-1, 1].
@@ -116,17 +116,17 @@ class BatchEnv(VectorEnv[Told, np.ndarray, np.ndarray]):
         if not self._generators:
             raise ActionError("step was called before the first reset: call reset")
         drive = door_actions.checked(actions, "the learners", rows=self.num_envs)
-        anew = self._done
+        ended = self._done.copy()
         drawn = [
-            seeds.drawn(each) if ended else 0
-            for each, ended in zip(self._generators, anew, strict=True)
+            seeds.drawn(each) if over else 0
+            for each, over in zip(self._generators, ended, strict=True)
         ]
-        step = self._seat.step(drive, anew, drawn) if anew.any() else self._seat.step(drive)
+        step = self._seat.step(drive, ended, drawn) if ended.any() else self._seat.step(drive)
         car = self._seat.car
-        terminated = step.terminated[:, car].cpu().numpy() & ~anew
-        truncated = step.truncated[:, car].cpu().numpy() & ~anew
-        rewards = np.where(anew, 0.0, step.rewards[:, car].cpu().numpy().astype(np.float64))
-        info = self._info(step, anew)
+        terminated = step.terminated[:, car] & ~ended
+        truncated = step.truncated[:, car] & ~ended
+        rewards = np.where(ended, 0.0, step.rewards[:, car].astype(np.float64))
+        info = self._info(step, ended)
         self._done = terminated | truncated
         told = spaces.told(step.observations[car], self.observation_space)
         return told, rewards, terminated, truncated, info
@@ -151,8 +151,8 @@ class BatchEnv(VectorEnv[Told, np.ndarray, np.ndarray]):
             for one, old in zip(each, kept, strict=True)
         ]
 
-    def _info(self, step: Step | None, anew: np.ndarray | None = None) -> dict[str, Any]:
+    def _info(self, step: Step | None, ended: np.ndarray | None = None) -> dict[str, Any]:
         told = infos.of_car(self._seat.env, self._seat.car, step)
-        if anew is not None and anew.any():
-            told = infos.mixed(anew, infos.of_car(self._seat.env, self._seat.car, None), told)
+        if ended is not None and ended.any():
+            told = infos.mixed(ended, infos.of_car(self._seat.env, self._seat.car, None), told)
         return infos.masked(told, self.num_envs)

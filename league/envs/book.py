@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from torch import Tensor
+import numpy as np
 
 from league.race_spec import CarResult, Event, EventKind, RaceResult, RaceSpec
-from league.sim.referee import NOBODY, Verdict
-from league.sim.world import World
+from league.sim.records import NOBODY
+from league.sim.world import World, members
 
 
 @dataclass
@@ -34,54 +34,53 @@ class Book:
         time_s = round(self.steps * self.step_dt, 4)
         self.events.append(Event(time_s=time_s, kind=kind, car=car, other=other, value=value))
 
-    def note(self, seen: Verdict, scraped: Tensor, world: World) -> None:
-        """Write down what the referee found in a step, and which cars came to the wall."""
-        now = world.standing
-        for car in range(self.num_cars):
-            if seen.lap[0, car]:
-                self.laps[car].append(round(float(now.last_lap_s[0, car]), 4))
-                self.add("lap", car, value=self.laps[car][-1])
-            if seen.finished[0, car]:
-                self.add("finish", car, value=round(float(now.finish_s[0, car]), 4))
-            self._note_mistakes(seen, world, car)
-            for other in seen.overtook[0, car].nonzero()[:, 0].tolist():
-                self.add("overtake", car, other=other)
-            if seen.was_hit[0, car]:
-                self.add("contact", car)
-            if scraped[0, car]:
-                self.add("wall_contact", car)
-        if seen.lead_changed[0]:
-            self.add("lead_change", int(now.leader[0]))
+    def note(self, verdicts: np.ndarray, scraped: np.ndarray, world: World) -> None:
+        """Write down what the referee found in a step of one race.
 
-    def _note_mistakes(self, seen: Verdict, world: World, car: int) -> None:
-        penalty = float(world.standing.penalty_s[0, car])
-        named: tuple[tuple[EventKind, Tensor], ...] = (
-            ("off_track", seen.off_track),
-            ("immobilised", seen.immobilised),
-            ("reversed", seen.reversed),
-        )
-        for kind, flag in named:
-            if flag[0, car]:
+        Args:
+            verdicts: VERDICT records (num_cars,).
+            scraped: which cars came to the wall in this step, bool (num_cars,).
+            world: the race after the step, a batch of one.
+        """
+        for car, (seen, now) in enumerate(zip(verdicts, world.cars[0], strict=True)):
+            if seen["lap"]:
+                self.laps[car].append(round(float(now["last_lap_s"]), 4))
+                self.add("lap", car, value=self.laps[car][-1])
+            if seen["finished"]:
+                self.add("finish", car, value=round(float(now["finish_s"]), 4))
+            self._note_mistakes(seen, float(now["penalty_s"]), car)
+            for other in np.flatnonzero(members(seen["overtook"], self.num_cars)).tolist():
+                self.add("overtake", car, other=other)
+            if seen["was_hit"]:
+                self.add("contact", car)
+            if scraped[car]:
+                self.add("wall_contact", car)
+        if verdicts[0]["lead_changed"]:
+            self.add("lead_change", int(world.worlds[0]["leader"]))
+
+    def _note_mistakes(self, seen: np.void, penalty: float, car: int) -> None:
+        kinds: tuple[EventKind, ...] = ("off_track", "immobilised", "reversed")
+        for kind in kinds:
+            if seen[kind]:
                 self.add(kind, car, value=round(penalty, 4))
-        if seen.crashed[0, car]:
-            car_hit, thing = int(seen.crashed_car[0, car]), int(seen.crashed_obstacle[0, car])
+        if seen["crashed"]:
+            car_hit, thing = int(seen["crashed_car"]), int(seen["crashed_obstacle"])
             if car_hit != NOBODY:
                 self.add("crash", car, other=car_hit, value=round(penalty, 4))
             if thing != NOBODY:
                 self.add("obstacle_contact", car, other=thing, value=round(penalty, 4))
-        if seen.mistake[0, car]:
+        if seen["mistake"]:
             self.penalties[car] += penalty
-        if seen.released[0, car]:
+        if seen["released"]:
             self.add("put_back", car)
 
 
 def classify(spec: RaceSpec, world: World, book: Book) -> RaceResult:
     """Return the classification of a race that is over (facts 5.4)."""
-    now = world.standing
     race_s = book.steps * book.step_dt
     unplaced = []
-    for car, entry in enumerate(spec.entries):
-        finish_s = float(now.finish_s[0, car])
+    for car, (entry, now) in enumerate(zip(spec.entries, world.cars[0], strict=True)):
+        finish_s = float(now["finish_s"])
         finished = finish_s != float("inf")
         unplaced.append(
             CarResult(
@@ -89,17 +88,17 @@ def classify(spec: RaceSpec, world: World, book: Book) -> RaceResult:
                 name=entry.name,
                 place=1,
                 finished=finished,
-                laps=int(now.laps[0, car]),
+                laps=int(now["laps"]),
                 total_s=round(finish_s if finished else race_s, 4),
                 lap_times_s=tuple(book.laps[car]),
-                distance=round(float(now.best_distance[0, car]), 3),
-                off_tracks=int(now.off_tracks[0, car]),
-                crashes=int(now.crashes[0, car]),
-                contacts_taken=int(now.contacts_taken[0, car]),
-                immobilised=int(now.immobilised[0, car]),
-                reversed=int(now.reversed[0, car]),
+                distance=round(float(now["best_distance"]), 3),
+                off_tracks=int(now["off_tracks"]),
+                crashes=int(now["crashes"]),
+                contacts_taken=int(now["contacts_taken"]),
+                immobilised=int(now["immobilised"]),
+                reversed=int(now["reversed"]),
                 penalty_s=round(book.penalties[car], 4),
-                overtakes=int(now.overtakes[0, car]),
+                overtakes=int(now["overtakes"]),
             )
         )
     ordered = sorted(unplaced, key=lambda car: merit(spec, car))
@@ -109,7 +108,7 @@ def classify(spec: RaceSpec, world: World, book: Book) -> RaceResult:
         order=tuple(placed),
         steps=book.steps,
         race_s=round(race_s, 4),
-        lead_changes=int(now.lead_changes[0]),
+        lead_changes=int(world.worlds[0]["lead_changes"]),
         events=tuple(book.events),
     )
 

@@ -3,10 +3,10 @@
 from dataclasses import dataclass, field, fields
 from typing import Literal
 
+from league.envs.meeting import Meeting
 from league.errors import ConfigError
 from league.sim.checks import check, ranged
 from league.sim.config import LookConfig, SensorConfig, SimConfig, SolverName
-from league.sim.meeting_config import Meeting
 
 
 def _weight(default: float) -> float:

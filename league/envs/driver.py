@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Protocol
 
-from torch import Tensor
+import numpy as np
 
 from league.sim.config import SensorConfig
 
 
 class Driver(Protocol):
-    """Turns what a car is told into what it asks for; rows are worlds, each with its own car.
+    """Turns observations into actions; rows are worlds, each with its own car.
 
     A driver may remember earlier steps; its memory is its own and leaves with `reset`.
     """
@@ -24,10 +24,10 @@ class Driver(Protocol):
     sensors: SensorConfig
     """What its car carries; own motion and the `state` group are always told."""
 
-    def reset(self, rows: Tensor | None) -> None:
+    def reset(self, rows: np.ndarray | None) -> None:
         """Forget all about some worlds (indices or a mask over rows); None forgets everything."""
         ...
 
-    def act(self, observations: Mapping[str, Tensor]) -> Tensor:
+    def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return actions [steering, speed] in [-1, 1], float32 (num_rows, 2)."""
         ...

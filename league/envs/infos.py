@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from torch import Tensor
 
 from league.envs import observations
 from league.envs.race_env import RaceEnv, Step
@@ -35,23 +34,21 @@ def of_car(env: RaceEnv, car: int, step: Step | None) -> dict[str, Any]:
         car: the car.
         step: the last step; None after a reset, where all flags are False and all rewards 0.
     """
-    book = env.world.standing
+    cars = env.world.cars[:, car]
     blank = np.zeros(env.num_worlds, dtype=bool)
     info: dict[str, Any] = {
-        "time_s": _array(env.time_s).astype(np.float64),
-        "place": _array(referee.places(book)[:, car]) + 1,
-        "distance": _array(book.distance[:, car]).astype(np.float64),
+        "time_s": env.time_s,
+        "place": referee.running_order(env.world.cars)[:, car] + 1,
+        "distance": cars["distance"].astype(np.float64),
     }
-    info |= {name: _array(getattr(book, name)[:, car]) for name in _COUNTS}
-    info |= {name: _array(getattr(book, name)[:, car]).astype(np.float64) for name in _TIMES}
-    penalty_s = _array(book.penalty_s[:, car]).astype(np.float64)
-    info["penalty_s"] = np.where(np.isinf(penalty_s), 0.0, penalty_s)  # infinite: out of the race
+    info |= {name: cars[name].astype(np.int64) for name in _COUNTS}
+    info |= {name: cars[name].astype(np.float64) for name in (*_TIMES, "penalty_s")}
     for name in FLAGS:
-        info[name] = blank.copy() if step is None else _array(getattr(step.verdict, name)[:, car])
+        info[name] = blank.copy() if step is None else step.verdicts[name][:, car].copy()
     info["rewards"] = {
         name: np.zeros(env.num_worlds)
         if step is None
-        else _array(step.log[name][:, car]).astype(np.float64)
+        else step.log[name][:, car].astype(np.float64)
         for name in env.cfg.reward.terms
     }
     info["sensor_rates_hz"] = {
@@ -76,10 +73,6 @@ def rates_hz(env: RaceEnv, car: int) -> dict[str, float]:
         if sensor is not None:
             rates[name] = observations.effective_rate_hz(sensor.rate_hz, step_hz)
     return rates
-
-
-def _array(values: Tensor) -> np.ndarray:
-    return values.cpu().numpy().copy()
 
 
 def mixed(where: np.ndarray, one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:

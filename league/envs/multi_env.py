@@ -6,12 +6,11 @@ import os
 from typing import Any, Unpack
 
 import numpy as np
-import torch
 from gymnasium.spaces import Box, Dict
 from pettingzoo import ParallelEnv
 
 from league.envs import actions as door_actions
-from league.envs import infos, observations, problem, seeds, spaces
+from league.envs import infos, problem, seeds, spaces
 from league.envs.pictures import Pictures
 from league.envs.problem import Settings
 from league.envs.race_env import Observations, RaceEnv, Step
@@ -108,7 +107,7 @@ class MultiEnv(ParallelEnv[str, Any, np.ndarray]):
             seed: decides obstacles, noise and all else that is drawn; None goes on to another race.
             options: not used.
         """
-        told = self._env.reset(seeds=torch.tensor([self._seeds.next(seed)]))
+        told = self._env.reset(seeds=[self._seeds.next(seed)])
         self.agents, self._was_reset = list(self.possible_agents), True
         self._pictures.started()
         return self._observations(told), self._infos(None)
@@ -131,9 +130,9 @@ class MultiEnv(ParallelEnv[str, Any, np.ndarray]):
         given = door_actions.of_agents(actions, self.agents, known)
         if not self.agents:
             return {}, {}, {}, {}, {}
-        driven = self._env.last_action.clone()
+        driven = self._env.last_action
         for agent, action in given.items():
-            driven[0, self._car(agent)] = torch.from_numpy(action)
+            driven[0, self._car(agent)] = action
         step = self._env.step(driven)
         self._pictures.stepped()
         terminated = {agent: bool(step.terminated[0, self._car(agent)]) for agent in self.agents}
@@ -150,12 +149,7 @@ class MultiEnv(ParallelEnv[str, Any, np.ndarray]):
 
     def state(self) -> np.ndarray:
         """Return the truth about all cars, float32, (num_cars * league.envs.state.SIZE,)."""
-        env = self._env
-        truths = [
-            observations.state(env.tracks, env.cfg.sim, env.world, car)[0]
-            for car in range(env.num_cars)
-        ]
-        return torch.cat(truths).cpu().numpy()
+        return np.concatenate([groups["state"][0] for groups in self._env.observations])
 
     def render(self) -> np.ndarray | None:
         """Return a picture, uint8 (height, width, 3), or show the race in the live viewer."""

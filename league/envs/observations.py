@@ -6,91 +6,128 @@ motion  float32 (5,)                      own speed, yaw rate, steering and last
 state   float32 (SIZE,)                   the truth, for critics and scripted drivers: always
 """
 
+# Numba gives its types a meaning that the checker does not know.
+# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
+
 from __future__ import annotations
 
 from fractions import Fraction
 from functools import cache
 
-import torch
-from torch import Tensor
+import numpy as np
 
-from league.envs.state import ABSENT_GAP, LOOKAHEADS, NEAR_OBSTACLES, NEIGHBOURS
-from league.geometry import heading_of, unrotate, wrap_angle
-from league.sim.config import SimConfig
-from league.sim.referee import lap_length
-from league.sim.world import World
-from league.track.course import TrackSet
+from league.envs.state import ABSENT_GAP, INDEX, LOOKAHEADS, NEAR_OBSTACLES, NEIGHBOURS
+from league.jit import compiled, inner
+from league.portable_math import f32, heading_of, sincos, wrap_angle
+from league.sim.vehicle import frozen
+from league.track.projection import curvature_at, frame_at, lap_length, signed_gap
 
 MOTION_FIELDS = ("speed", "yaw_rate", "steering", "last_steering", "last_speed")
 MOTION_SCALE = (4.0, 8.0, 0.5236)
-"""Speed [m/s], yaw rate [rad/s] and steering [rad] that are told as 1."""
-_PASSED = -0.35
+"""Speed [m/s], yaw rate [rad/s] and steering [rad] that are given as 1."""
+
+_SPEED_SCALE, _YAW_RATE_SCALE, _STEERING_SCALE = (f32(scale) for scale in MOTION_SCALE)
+_AHEAD = np.array(LOOKAHEADS, np.float32)
+_ABSENT = f32(ABSENT_GAP)
+_PASSED = f32(-0.35)
+"""An obstacle beside the car counts as ahead until its rear has been passed [m]."""
+_FIRST_CAR, _FIRST_OBSTACLE = INDEX["car_0_present"], INDEX["obstacle_0_present"]
+_FIRST_CURVATURE = INDEX[f"curvature_{LOOKAHEADS[0]:g}m"]
 _LARGEST_DIVISOR = 10**6  # of a sensor's rate as a fraction [1/s]
+_ZERO, _ONE = f32(0.0), f32(1.0)
+_INFINITE = f32(np.inf)
 
 
-def motion(world: World, last_action: Tensor, car: int) -> Tensor:
-    """Return own speed, yaw rate and steering, scaled, and the last action; (num_worlds, 5)."""
-    return motions(world, last_action)[car]
+@inner
+def motion(car, out):
+    """Write the `motion` group of a car, float32 (5,)."""
+    sin, cos = sincos(car.yaw)
+    out[0] = (cos * car.velocity_x + sin * car.velocity_y) / _SPEED_SCALE
+    out[1] = car.yaw_rate / _YAW_RATE_SCALE
+    out[2] = car.steering / _STEERING_SCALE
+    out[3], out[4] = car.action_steering, car.action_speed
 
 
-def motions(world: World, last_action: Tensor) -> tuple[Tensor, ...]:
-    """Return the `motion` group of every car, each float32 (num_worlds, 5)."""
-    body = world.motion
-    ahead, _ = unrotate(body.velocity_x, body.velocity_y, torch.cos(body.yaw), torch.sin(body.yaw))
-    told = torch.stack(
-        [
-            ahead / MOTION_SCALE[0],
-            body.yaw_rate / MOTION_SCALE[1],
-            body.steering / MOTION_SCALE[2],
-            last_action[..., 0],
-            last_action[..., 1],
-        ],
-        dim=2,
-    )
-    return _by_car(told)
+@compiled
+def states(cars, obstacles, worlds, points, courses, out):
+    """Write the `state` group of every car.
+
+    Args:
+        cars: CAR records (num_worlds, num_cars).
+        obstacles: OBSTACLE records (num_worlds, num_obstacles).
+        worlds: WORLD records (num_worlds,).
+        points: of the TrackSet.
+        courses: of the TrackSet.
+        out: float32 (num_cars, num_worlds, SIZE); overwritten.
+    """
+    for w in range(len(worlds)):
+        course = courses[worlds[w].track]
+        for c in range(cars.shape[1]):
+            _state(c, cars[w], obstacles[w], points, course, out[c, w])
 
 
-def state(tracks: TrackSet, sim: SimConfig, world: World, car: int) -> Tensor:
-    """Return the `state` group of one car, float32 (num_worlds, SIZE); layout: envs/state.py."""
-    return states(tracks, sim, world)[car]
+@inner
+def _state(c, cars, obstacles, points, course, out):
+    """Write the `state` group of one car; league/envs/state.py has the layout."""
+    car = cars[c]
+    frame = frame_at(points, course, car.s)
+    sin, cos = sincos(car.yaw)
+    out[0], out[1] = car.s, car.lateral
+    out[2] = wrap_angle(car.yaw - heading_of(frame.cos, frame.sin))
+    out[3] = cos * car.velocity_x + sin * car.velocity_y
+    out[4] = cos * car.velocity_y - sin * car.velocity_x
+    out[5], out[6] = car.yaw_rate, car.steering
+    out[7], out[8] = frame.left, frame.right
+    out[9] = _ONE if frozen(car) else _ZERO
+    out[10] = car.distance / lap_length(course)
+    for k in range(len(_AHEAD)):
+        out[_FIRST_CURVATURE + k] = curvature_at(points, course, car.s + _AHEAD[k])
+    _neighbours(c, cars, points, course, out)
+    _obstacles(car, obstacles, course, out)
 
 
-def states(tracks: TrackSet, sim: SimConfig, world: World) -> tuple[Tensor, ...]:
-    """Return the `state` group of every car, each float32 (num_worlds, SIZE)."""
-    book, body = world.standing, world.motion
-    s = book.s
-    _, _, frame = tracks.at(world.track, s)
-    ahead, left = unrotate(
-        body.velocity_x, body.velocity_y, torch.cos(body.yaw), torch.sin(body.yaw)
-    )
-    frozen = (book.penalty_s > 0).to(s.dtype)
-    columns = [
-        s,
-        book.lateral,
-        wrap_angle(body.yaw - heading_of(frame.cos, frame.sin)),
-        ahead,
-        left,
-        body.yaw_rate,
-        body.steering,
-        frame.left,
-        frame.right,
-        frozen,
-        book.distance / lap_length(tracks, world.track),
-    ]
-    further = s.unsqueeze(2) + s.new_tensor(LOOKAHEADS)
-    columns += tracks.curvature_at(world.track, further).unbind(dim=2)
-    along = body.velocity_x * frame.cos + body.velocity_y * frame.sin
-    columns += _neighbours(tracks, world, along, frozen)
-    columns += _obstacles(tracks, world)
-    return _by_car(torch.stack(columns, dim=2))
+@inner
+def _neighbours(c, cars, points, course, out):
+    """Write present, gap, lateral, speed, frozen of the nearest other cars along the track."""
+    taken = 0
+    for rank in range(NEIGHBOURS):
+        chosen, least, gap = -1, _INFINITE, _ABSENT
+        for other in range(len(cars)):
+            if other != c and not (taken >> other) & 1:
+                away = signed_gap(course, cars[other].s, cars[c].s)
+                if abs(away) < least:
+                    chosen, least, gap = other, abs(away), away
+        at = _FIRST_CAR + 5 * rank
+        out[at], out[at + 1] = _ZERO, gap
+        out[at + 2], out[at + 3], out[at + 4] = _ZERO, _ZERO, _ZERO
+        if chosen >= 0:
+            taken |= 1 << chosen
+            rival = cars[chosen]
+            frame = frame_at(points, course, rival.s)
+            out[at], out[at + 2] = _ONE, rival.lateral
+            out[at + 3] = rival.velocity_x * frame.cos + rival.velocity_y * frame.sin
+            out[at + 4] = _ONE if frozen(rival) else _ZERO
 
 
-def _by_car(told: Tensor) -> tuple[Tensor, ...]:
-    """Return each car's part of a group (num_worlds, num_cars, size), with memory of its own."""
-    return tuple(part.contiguous() for part in told.unbind(dim=1))
+@inner
+def _obstacles(car, obstacles, course, out):
+    """Write present, gap, lateral of the next obstacles ahead of a car."""
+    taken = 0
+    for rank in range(NEAR_OBSTACLES):
+        chosen, least = -1, _INFINITE
+        for k in range(len(obstacles)):
+            if not (taken >> k) & 1:
+                gap = signed_gap(course, obstacles[k].s, car.s)
+                if _PASSED <= gap < least:
+                    chosen, least = k, gap
+        at = _FIRST_OBSTACLE + 3 * rank
+        out[at], out[at + 1], out[at + 2] = _ZERO, _ABSENT, _ZERO
+        if chosen >= 0:
+            taken |= 1 << chosen
+            out[at], out[at + 1], out[at + 2] = _ONE, least, obstacles[chosen].lateral
 
 
-def due(rate_hz: float, step_hz: int, step: Tensor) -> Tensor:
+def due(rate_hz: float, step_hz: int, step: np.ndarray) -> np.ndarray:
     """Return whether a sensor of this rate has something new at these control steps, bool.
 
     Args:
@@ -100,7 +137,7 @@ def due(rate_hz: float, step_hz: int, step: Tensor) -> Tensor:
     """
     readings, steps = _share(rate_hz, step_hz)
     # The first step at or after each multiple of the sensor's period, and the start: where
-    # floor(step readings / steps) grows. Whole numbers stay exact, and every device has them.
+    # floor(step readings / steps) grows. Whole numbers stay exact.
     return (step * readings % steps < readings) | (step == 0)
 
 
@@ -114,61 +151,3 @@ def _share(rate_hz: float, step_hz: int) -> tuple[int, int]:
 def effective_rate_hz(rate_hz: float, step_hz: int) -> float:
     """Return the rate at which a sensor is really read: never above the control rate."""
     return min(rate_hz, float(step_hz))
-
-
-def _neighbours(tracks: TrackSet, world: World, along: Tensor, frozen: Tensor) -> list[Tensor]:
-    """Return present, gap, lateral, speed, frozen of the nearest other cars along the track.
-
-    Args:
-        tracks: the courses.
-        world: the races.
-        along: speed of each car along the track [m/s], (num_worlds, num_cars).
-        frozen: 1 where a car stands a penalty, (num_worlds, num_cars).
-    """
-    book = world.standing
-    blank = torch.zeros_like(book.s)
-    absent = [blank, blank + ABSENT_GAP, blank, blank, blank]
-    others = min(world.num_cars - 1, NEIGHBOURS)
-    if others == 0:
-        return absent * NEIGHBOURS
-    # [w, i, j]: how far car j lies ahead of car i.
-    gap = tracks.signed_gap(world.track, book.s.unsqueeze(1), book.s.unsqueeze(2))
-    itself = torch.eye(world.num_cars, dtype=torch.bool, device=gap.device)
-    far = torch.where(itself, torch.inf, gap.abs())
-    nearest = torch.sort(far, dim=2, stable=True).indices[..., :others]
-    told = [
-        torch.ones_like(nearest, dtype=gap.dtype),
-        torch.gather(gap, 2, nearest),
-        *(
-            torch.gather(field.unsqueeze(1).expand(gap.shape), 2, nearest)
-            for field in (book.lateral, along, frozen)
-        ),
-    ]
-    columns = [column[..., rank] for rank in range(others) for column in told]
-    return columns + absent * (NEIGHBOURS - others)
-
-
-def _obstacles(tracks: TrackSet, world: World) -> list[Tensor]:
-    """Return present, gap, lateral of the next obstacles ahead of each car."""
-    things, s = world.obstacles, world.standing.s
-    blank = torch.zeros_like(s)
-    absent = [blank, blank + ABSENT_GAP, blank]
-    count = min(things.s.shape[1], NEAR_OBSTACLES)
-    if count == 0:
-        return absent * NEAR_OBSTACLES
-    # [w, i, k]: how far obstacle k lies ahead of car i.
-    gap = tracks.signed_gap(world.track, things.s.unsqueeze(1), s.unsqueeze(2))
-    # An obstacle beside the car still counts as ahead until its rear has been passed.
-    passed = gap < _PASSED
-    order = torch.sort(torch.where(passed, gap + 1e6, gap), dim=2, stable=True).indices
-    pick = order[..., :count]
-    near_gap = torch.gather(gap, 2, pick)
-    near_lateral = torch.gather(things.lateral.unsqueeze(1).expand(gap.shape), 2, pick)
-    there = near_gap >= _PASSED
-    told = [
-        there.to(s.dtype),
-        torch.where(there, near_gap, ABSENT_GAP),
-        torch.where(there, near_lateral, 0.0),
-    ]
-    columns = [column[..., rank] for rank in range(count) for column in told]
-    return columns + absent * (NEAR_OBSTACLES - count)

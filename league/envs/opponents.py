@@ -6,7 +6,7 @@ import importlib
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
-from torch import Tensor
+import numpy as np
 
 from league.envs.config import EnvConfig
 from league.envs.driver import Driver
@@ -103,11 +103,11 @@ class Opponents:
         for driver in self._drivers.values():
             driver.reset(None)
 
-    def forget(self, anew: Tensor) -> None:
-        """Have drivers forget the worlds where their car starts anew; bool, (worlds, cars)."""
+    def forget(self, began: np.ndarray) -> None:
+        """Have drivers forget the worlds where their car begins anew; bool, (worlds, cars)."""
         for car, driver in self._drivers.items():
-            if bool(anew[:, car].any()):
-                driver.reset(anew[:, car].nonzero()[:, 0])
+            if began[:, car].any():
+                driver.reset(np.flatnonzero(began[:, car]))
 
     def watch(self, step: Step) -> None:
         """Show a step to those who want to know how it went, before any is told to forget."""
@@ -115,9 +115,11 @@ class Opponents:
             if isinstance(driver, Watching):
                 driver.watch(car, step)
 
-    def act(self, actions: Tensor, observations: Sequence[Mapping[str, Tensor]]) -> Tensor:
+    def act(
+        self, actions: np.ndarray, observations: Sequence[Mapping[str, np.ndarray]]
+    ) -> np.ndarray:
         """Return the actions with those of the driven cars filled in; (worlds, cars, 2)."""
-        filled = actions.clone()
+        filled = actions.copy()
         for car, driver in self._drivers.items():
             filled[:, car] = driver.act(observations[car])
         return filled

@@ -75,7 +75,7 @@ class Pictures:
         env, world = self._env, self._env.world
         if self._view == "top":
             return view.top_view(env.tracks, env.cfg.sim, world, 0, *SIZE)
-        car = int(world.standing.leader[0]) if self._car is None else self._car
+        car = int(world.worlds["leader"][0]) if self._car is None else self._car
         return view.chase_view(env.tracks, env.cfg.sim, world, 0, car, *SIZE)
 
     def close(self) -> None:
@@ -90,8 +90,10 @@ class Pictures:
         if self._live is None:
             self._live = self._opened()
         world = self._env.world
-        self._shown = self._before + int(world.step[0]) + 1
-        self._live.add(replace(world, step=world.step + self._before))
+        self._shown = self._before + int(world.worlds["step"][0]) + 1
+        worlds = world.worlds.copy()
+        worlds["step"] += self._before
+        self._live.add(replace(world, worlds=worlds))
 
     def _opened(self) -> _Live:
         module, _, name = VIEWER.partition(":")

@@ -60,9 +60,9 @@ def course(track: str | os.PathLike[str] | Track | TrackSet) -> TrackSet:
     if isinstance(track, TrackSet):
         return track
     if isinstance(track, Track):
-        return TrackSet.of(track)
+        return TrackSet(track)
     if isinstance(track, str | os.PathLike):
-        return TrackSet.of(files.load(track))
+        return TrackSet(files.load(track))
     raise TrackError(
         f"track is {brief(track)}: give the name of a track, the path of a .yaml file, or a Track"
     )

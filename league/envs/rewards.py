@@ -1,18 +1,24 @@
-"""What pays: the Reward protocol, and the built-in one, a weighted sum of small batched terms."""
+"""What pays: the Reward protocol, and the built-in one, a weighted sum of small compiled terms."""
+
+# Numba gives its types a meaning that the checker does not know.
+# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
 from typing import Protocol
 
-import torch
-from torch import Tensor
+import numpy as np
 
 from league.envs.config import RewardConfig
 from league.errors import ConfigError, nearest_names
-from league.sim.referee import Verdict
+from league.jit import compiled, inner
+from league.portable_math import f32
+from league.sim.grid import is_racing
 from league.sim.world import World
 from league.track.course import TrackSet
+from league.track.projection import frame_at, signed_gap
 
 PRESETS = {
     "centerline": RewardConfig(progress=0.0, centerline=1.0, off_track=0.0, crash=0.0),
@@ -24,9 +30,16 @@ that discounts by 0.99 sees returns of some tens; a mistake costs what a second 
 `race` little is paid for progress: a mistake ends the episode and with it all that would have been
 earned, and where that is more than a pass earns nobody tries one (docs/self_play.md)."""
 
+TERMS = tuple(item.name for item in fields(RewardConfig))
+"""Names of the built-in terms, in order."""
+NEAR = f32(1.5)
+"""Distance along the track within which gaining on another car pays [m]."""
+_ZERO, _ONE, _HALF, _QUARTER, _TENTH = f32(0.0), f32(1.0), f32(0.5), f32(0.25), f32(0.1)
+_LEAST_BAND = f32(0.001)
+
 
 class Reward(Protocol):
-    """Pays each car for each step; it may remember, so it is told when an episode begins."""
+    """Pays each car for each step, in Python; it may remember, so it learns of each new episode."""
 
     @property
     def terms(self) -> tuple[str, ...]:
@@ -34,44 +47,27 @@ class Reward(Protocol):
         ...
 
     def __call__(
-        self, tracks: TrackSet, before: World, world: World, actions: Tensor, verdict: Verdict
-    ) -> tuple[Tensor, dict[str, Tensor]]:
+        self,
+        tracks: TrackSet,
+        before: World,
+        world: World,
+        actions: np.ndarray,
+        verdicts: np.ndarray,
+    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Return what each car earns and each term of it by name, all (num_worlds, num_cars).
 
         Args:
             tracks: the courses.
-            before: the worlds before the step.
+            before: the worlds before the step; only its cars are of then.
             world: the worlds after it, before any penalty or restart moved a car.
             actions: what was asked for, in [-1, 1], (num_worlds, num_cars, 2).
-            verdict: what happened in the step.
+            verdicts: what happened in the step, VERDICT records (num_worlds, num_cars).
         """
         ...
 
-    def restart(self, world: World, who: Tensor) -> None:
+    def restart(self, world: World, who: np.ndarray) -> None:
         """Learn which cars begin an episode in this world, bool, (num_worlds, num_cars)."""
         ...
-
-
-class BuiltIn:
-    """The weighted sum of the terms below; it remembers nothing."""
-
-    def __init__(self, cfg: RewardConfig) -> None:
-        """Keep the weights."""
-        self.cfg = cfg
-
-    @property
-    def terms(self) -> tuple[str, ...]:
-        """Names of the terms that count."""
-        return self.cfg.terms
-
-    def __call__(
-        self, tracks: TrackSet, before: World, world: World, actions: Tensor, verdict: Verdict
-    ) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return the weighted sum and each weighted term; see Reward."""
-        return total(tracks, self.cfg, world, verdict)
-
-    def restart(self, world: World, who: Tensor) -> None:
-        """Nothing is remembered, so nothing is forgotten."""
 
 
 def preset(name: str, others: Sequence[str] = ()) -> RewardConfig:
@@ -93,81 +89,111 @@ def preset(name: str, others: Sequence[str] = ()) -> RewardConfig:
     return PRESETS[name]
 
 
-def total(
-    tracks: TrackSet, cfg: RewardConfig, world: World, verdict: Verdict
-) -> tuple[Tensor, dict[str, Tensor]]:
-    """Return the weighted sum and each weighted term, all (num_worlds, num_cars).
+def weights(cfg: RewardConfig) -> np.ndarray:
+    """Return the weights in the order of TERMS, float32 (num_terms,)."""
+    return np.array([getattr(cfg, name) for name in TERMS], np.float32)
+
+
+class BuiltIn:
+    """The built-in reward as Python sees it, for rewards that add to it."""
+
+    def __init__(self, cfg: RewardConfig) -> None:
+        """Keep the weights."""
+        self.terms = cfg.terms
+        self._weight = weights(cfg)
+
+    def __call__(
+        self,
+        tracks: TrackSet,
+        before: World,
+        world: World,
+        actions: np.ndarray,
+        verdicts: np.ndarray,
+    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Return the weighted sum and each weighted term; see Reward."""
+        found = np.empty((*world.cars.shape, len(TERMS)), np.float32)
+        _pay_all(
+            world.cars, world.worlds, verdicts, found, self._weight, tracks.points, tracks.courses
+        )
+        terms = {name: found[..., TERMS.index(name)] for name in self.terms}
+        paid = np.zeros(world.cars.shape, np.float32)
+        for value in terms.values():
+            paid += value
+        return paid, terms
+
+    def restart(self, world: World, who: np.ndarray) -> None:
+        """Nothing is remembered, so nothing is forgotten."""
+
+
+@compiled
+def _pay_all(cars, worlds, verdicts, terms, weight, points, courses):
+    for w in range(len(worlds)):
+        pay(cars[w], verdicts[w], terms[w], weight, points, courses[worlds[w].track])
+
+
+@inner
+def pay(cars, verdicts, terms, weight, points, course):
+    """Write each weighted term of each car of one world.
 
     Args:
-        tracks: the courses.
-        cfg: weights; terms of weight 0 are not computed.
-        world: the worlds after the step, before any penalty or restart moved a car.
-        verdict: what happened in the step.
+        cars: CAR records (num_cars,) after the step, before any penalty or restart.
+        verdicts: VERDICT records (num_cars,).
+        terms: float32 (num_cars, num_terms), in the order of TERMS; overwritten.
+        weight: of `weights`; terms of weight 0 are not worked out.
+        points: of the TrackSet.
+        course: COURSE record of the world's track.
     """
-    terms: dict[str, Tensor] = {}
-    for name, term in _TERMS.items():
-        weight = getattr(cfg, name)
-        if weight:
-            terms[name] = weight * term(tracks, world, verdict)
-    result = torch.zeros_like(verdict.advance)
-    for value in terms.values():
-        result = result + value
-    return result, terms
+    for c in range(len(cars)):
+        seen = verdicts[c]
+        terms[c, 0] = weight[0] * seen.advance
+        terms[c, 1] = weight[1] * _centerline(cars[c], points, course) if weight[1] else _ZERO
+        terms[c, 2] = weight[2] if seen.lap else _ZERO
+        terms[c, 3] = weight[3] * _overtake(c, verdicts) if weight[3] else _ZERO
+        terms[c, 4] = weight[4] * _gain(c, cars, verdicts, course) if weight[4] else _ZERO
+        terms[c, 5] = weight[5] if seen.off_track else _ZERO
+        terms[c, 6] = weight[6] if seen.crashed else _ZERO
+        terms[c, 7] = weight[7] if seen.was_hit else _ZERO
 
 
-def progress(tracks: TrackSet, world: World, verdict: Verdict) -> Tensor:
-    """Metres along the track; signed, so that driving back and forth earns nothing."""
-    return verdict.advance
-
-
-def centerline(tracks: TrackSet, world: World, verdict: Verdict) -> Tensor:
-    """The classic three bands: 1 within 10 % of the width of the centre, 0.5 in 25, 0.1 in 50 %.
+@inner
+def _centerline(car, points, course):
+    """Return the classic three bands: 1 within 10 % of the width of the centre, .5 in 25, .1 in 50.
 
     After the first example of the DeepRacer developer guide.
     """
-    _, _, frame = tracks.at(world.track, world.standing.s)
-    share = world.standing.lateral.abs() / (frame.left + frame.right)
-    bands = torch.where(share <= 0.25, 0.5, torch.where(share <= 0.5, 0.1, 0.001))
-    return torch.where(share <= 0.1, 1.0, bands)
+    frame = frame_at(points, course, car.s)
+    share = abs(car.lateral) / (frame.left + frame.right)
+    if share <= _TENTH:
+        return _ONE
+    if share <= _QUARTER:
+        return _HALF
+    return _TENTH if share <= _HALF else _LEAST_BAND
 
 
-def _flag(name: str):  # noqa: ANN202
-    def term(tracks: TrackSet, world: World, verdict: Verdict) -> Tensor:
-        return getattr(verdict, name).to(verdict.advance.dtype)
-
-    return term
-
-
-def overtake(tracks: TrackSet, world: World, verdict: Verdict) -> Tensor:
-    """Cars passed on the road, minus cars that passed."""
-    won = verdict.overtook.to(torch.int64).sum(dim=2) - verdict.overtook.to(torch.int64).sum(dim=1)
-    return won.to(verdict.advance.dtype)
+@inner
+def _overtake(c, verdicts):
+    """Return the cars passed on the road, minus cars that passed."""
+    won = 0
+    for other in range(len(verdicts)):
+        won += (verdicts[c].overtook >> other) & 1
+        won -= (verdicts[other].overtook >> c) & 1
+    return f32(won)
 
 
-def gain(tracks: TrackSet, world: World, verdict: Verdict) -> Tensor:
-    """Metres gained in this step on each other car within 1.5 m along the track, summed over them.
+@inner
+def _gain(c, cars, verdicts, course):
+    """Return the metres gained in this step on each car within NEAR, summed over them.
 
     A pass that pays only once it is done is hardly ever found by chance; this pays on the way to
     it. After Fuchs et al., "Super-Human Performance in Gran Turismo Sport" (2021), and Song et al.,
     "Autonomous Overtaking in Gran Turismo Sport" (2021), section IV.
     """
-    book = world.standing
-    s = book.s
-    moving = (book.penalty_s == 0) & ~verdict.released & torch.isinf(book.finish_s)
-    away = tracks.signed_gap(world.track, s.unsqueeze(2), s.unsqueeze(1)).abs()
-    near = (away < _NEAR) & moving.unsqueeze(1) & moving.unsqueeze(2)
-    more = verdict.advance.unsqueeze(2) - verdict.advance.unsqueeze(1)  # [w, i, j]: i than j
-    return torch.where(near, more, 0.0).sum(dim=2)
-
-
-_NEAR = 1.5
-_TERMS = {
-    "progress": progress,
-    "centerline": centerline,
-    "lap": _flag("lap"),
-    "overtake": overtake,
-    "gain": gain,
-    "off_track": _flag("off_track"),
-    "crash": _flag("crashed"),
-    "contact": _flag("was_hit"),
-}
+    total = _ZERO
+    if verdicts[c].released or not is_racing(cars[c]):
+        return total
+    for other in range(len(cars)):
+        if other == c or verdicts[other].released or not is_racing(cars[other]):
+            continue
+        if abs(signed_gap(course, cars[c].s, cars[other].s)) < NEAR:
+            total += verdicts[c].advance - verdicts[other].advance
+    return total

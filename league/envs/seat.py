@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 from typing import Unpack
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from league.envs import problem
 from league.envs.driver import Driver
@@ -78,33 +76,31 @@ class Seat:
         self.sensors = cfg.sensors_of(car)
         self._opponents = Opponents(dict(zip(others, drivers, strict=True)))
 
-    def reset(self, seeds: list[int]) -> Mapping[str, Tensor]:
+    def reset(self, seeds: list[int]) -> Mapping[str, np.ndarray]:
         """Start all races; return what the learner is told."""
         self._opponents.reset()
-        self._told = self.env.reset(seeds=torch.tensor(seeds))
+        self._told = self.env.reset(seeds=seeds)
         return self._told[self.car]
 
     def step(
-        self, actions: np.ndarray, anew: np.ndarray | None = None, seeds: list[int] | None = None
+        self, actions: np.ndarray, restart: np.ndarray | None = None, seeds: list[int] | None = None
     ) -> Step:
         """Drive the learner by its actions and the others by their drivers.
 
         Args:
             actions: of the learner, (num_worlds, 2).
-            anew: worlds to start anew instead, bool, (num_worlds,).
+            restart: worlds to start again instead, bool, (num_worlds,).
             seeds: their seeds.
         """
         env = self.env
-        driven = env.last_action.clone()
-        driven[:, self.car] = torch.from_numpy(actions).to(driven)
+        driven = env.last_action
+        driven[:, self.car] = actions
         driven = self._opponents.act(driven, self._told)
-        fresh = None if anew is None else torch.from_numpy(anew).to(driven.device)
-        step = env.step(driven, anew=fresh, seeds=None if seeds is None else torch.tensor(seeds))
-        self._told = step.observations
-        restarted = torch.zeros_like(step.terminated)
+        step = env.step(driven, restart=restart, seeds=seeds)
+        restarted = np.zeros_like(step.terminated)
         if env.cfg.mode == "training":
             restarted = step.terminated | step.truncated
-        if fresh is not None:
-            restarted = restarted | fresh.unsqueeze(1)
+        if restart is not None:
+            restarted = restarted | restart[:, None]
         self._opponents.forget(restarted)
         return step

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 
 import numpy as np
 from gymnasium.spaces import Box, Dict, Space
-from torch import Tensor
 
 from league.envs import actions, observations, state
 from league.sim.config import LidarConfig, SensorConfig
@@ -41,7 +40,7 @@ def observation(sensors: SensorConfig, privileged: bool) -> Dict:
     return Dict(groups)
 
 
-def told(groups: Mapping[str, Tensor], space: Dict) -> dict[str, np.ndarray]:
+def told(groups: Mapping[str, np.ndarray], space: Dict) -> dict[str, np.ndarray]:
     """Return the groups of a space as arrays of their own, within its bounds.
 
     Args:
@@ -51,7 +50,7 @@ def told(groups: Mapping[str, Tensor], space: Dict) -> dict[str, np.ndarray]:
     arrays: dict[str, np.ndarray] = {}
     for name, box in space.items():
         assert isinstance(box, Box)
-        values = groups[name].cpu().numpy().reshape(box.shape)
+        values = np.asarray(groups[name]).reshape(box.shape)
         # A copy, always: a reading that is told again must not be the caller's array.
         copied = values.copy() if box.dtype == np.uint8 else np.clip(values, box.low, box.high)
         arrays[name] = copied

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
 import torch
 from rsl_rl.env import VecEnv
 from tensordict import TensorDict
@@ -15,11 +16,11 @@ from league.envs.actions import SIZE
 from league.envs.config import EnvConfig
 from league.envs.driver import Driver
 from league.envs.opponents import Opponents, check_field, named
-from league.envs.race_env import Observations, RaceEnv, Step, encode
+from league.envs.race_env import Observations, RaceEnv, Step
 from league.envs.rewards import Reward
 from league.errors import ActionError, ConfigError, brief
 from league.sim.config import SensorConfig
-from league.sim.world import Control, World
+from league.sim.world import World
 from league.track.course import TrackSet
 
 MISTAKES = ("off_track", "crashed", "immobilised", "reversed")
@@ -51,11 +52,12 @@ class RacingVecEnv(VecEnv):
         reward: Reward | None = None,
         as_bytes: bool = False,
         seed: int = 0,
+        device: str = "cpu",
     ) -> None:
         """Build the worlds, seat the drivers and reset, once.
 
         Args:
-            tracks: courses, which the worlds take in turn; their device is the rows' device.
+            tracks: courses, which the worlds take in turn.
             cfg: settings, in mode "training"; opponents' cars carry what their drivers need.
             num_worlds: races in the batch.
             learners: cars that learn, all with the same sensors.
@@ -65,6 +67,7 @@ class RacingVecEnv(VecEnv):
             as_bytes: whether pictures stay bytes, a quarter of the memory, for networks that scale
                 them by themselves.
             seed: makes the worlds' seeds.
+            device: where the rows' tensors lie; the worlds themselves stay on the CPU.
 
         Raises:
             ConfigError: settings that contradict each other.
@@ -81,22 +84,24 @@ class RacingVecEnv(VecEnv):
             for car in range(cfg.sim.num_cars)
         ]
         self.cfg: EnvConfig = replace(cfg, sensors=tuple(carried))  # type: ignore
-        self._env = RaceEnv(tracks, self.cfg, num_worlds=num_worlds, seed=seed, reward=reward)
+        self._env = RaceEnv(
+            tracks, self.cfg, num_worlds=num_worlds, seed=seed, reward=reward, device=device
+        )
         self._as_bytes = as_bytes
-        self._columns = torch.tensor(self.learners, device=tracks.device)
+        self._columns = list(self.learners)
         self.num_envs = num_worlds * len(self.learners)
         self.action_space = action_space
         self.num_actions = SIZE if action_space is None else action_space.size
         self.max_episode_length = self._env.longest_episode
-        self.device = tracks.device
-        self.speed_limit: Callable[[RaceEnv], Tensor] | None = None
+        self.device = torch.device(device)
+        self.speed_limit: Callable[[RaceEnv], np.ndarray] | None = None
         """Asked before each step for the largest speed that each car obeys [m/s], (num_worlds,
         num_cars); what is told as the last action is what was obeyed."""
         self.watch: Callable[[World], None] | None = None
         """Told the worlds after each step, restarts included; it cannot change them."""
         self.reset(seed)
 
-    def reset(self, seed: int, track_index: Tensor | None = None) -> TensorDict:
+    def reset(self, seed: int, track_index: np.ndarray | None = None) -> TensorDict:
         """Start all rows anew, with nothing left of the past; return what they are told.
 
         Args:
@@ -116,13 +121,13 @@ class RacingVecEnv(VecEnv):
     @property
     def episode_length_buf(self) -> Tensor:
         """Steps since each row's episode began, int64, (num_envs,)."""
-        return self._rows(self._env.episode_steps).clone()
+        return self._rows(self._env.episode_steps).to(torch.int64)
 
     @episode_length_buf.setter
     def episode_length_buf(self, steps: Tensor) -> None:  # type: ignore
         """Set the steps; the runner does, so that not all episodes end at the same time."""
-        spread = self._env.episode_steps.clone()
-        spread[:, self._columns] = steps.to(spread).reshape(-1, len(self.learners))
+        spread = self._env.episode_steps.copy()
+        spread[:, self._columns] = steps.cpu().numpy().reshape(-1, len(self.learners))
         self._env.episode_steps = spread
 
     def get_observations(self) -> TensorDict:
@@ -143,13 +148,11 @@ class RacingVecEnv(VecEnv):
         Raises:
             ActionError: no tensor of numbers, the wrong shape, NaN or infinity.
         """
-        actions = self._checked(actions)
+        asked = self._checked(actions).to("cpu", torch.float32).numpy()
         if self.action_space is not None:
-            actions = to_actions(self.action_space, actions, self.cfg.sim.car)
-        driven = self._env.last_action.clone()
-        driven[:, self._columns] = (
-            actions.clamp(-1.0, 1.0).to(driven).reshape(-1, len(self.learners), SIZE)
-        )  # (num_worlds, num_learners, 2)
+            asked = to_actions(self.action_space, asked, self.cfg.sim.car)
+        driven = self._env.last_action
+        driven[:, self._columns] = asked.clip(-1.0, 1.0).reshape(-1, len(self.learners), SIZE)
         driven = self._opponents.act(driven, self._told)
         if self.speed_limit is not None:
             driven = self._limited(driven, self.speed_limit(self._env))
@@ -158,9 +161,8 @@ class RacingVecEnv(VecEnv):
         if self.watch is not None:
             self.watch(self._env.world)
         self._opponents.forget(step.began)
-        self._told = step.observations
         dones = self._rows(step.terminated | step.truncated).to(torch.int64)
-        driven = self._driven + self._rows(step.verdict.advance) / self._lap_lengths
+        driven = self._driven + self._rows(step.verdicts["advance"]) / self._lap_lengths
         self._driven = torch.where(dones > 0, 0.0, driven)
         extras = {
             "time_outs": self._rows(step.truncated),
@@ -208,39 +210,49 @@ class RacingVecEnv(VecEnv):
         # With its gradient, every step would hold on to all before it.
         return actions.detach()
 
-    def _limited(self, actions: Tensor, speed: Tensor) -> Tensor:
+    def _limited(self, actions: np.ndarray, speed: np.ndarray) -> np.ndarray:
         """Return actions that ask for no more than a speed [m/s], (num_worlds, num_cars)."""
-        most = encode(self.cfg.sim, Control(steering=torch.zeros_like(speed), speed=speed))[..., 1]
-        return torch.stack([actions[..., 0], torch.minimum(actions[..., 1], most)], dim=-1)
+        car = self.cfg.sim.car
+        share = (speed - car.min_speed) / (car.max_speed - car.min_speed)
+        most = (2.0 * share - 1.0).clip(-1.0, 1.0)
+        return np.stack([actions[..., 0], np.minimum(actions[..., 1], most)], axis=-1)
 
-    def _rows(self, values: Tensor) -> Tensor:
-        return values[:, self._columns].reshape(self.num_envs, *values.shape[2:])
+    def _rows(self, values: np.ndarray) -> Tensor:
+        """Return a copy of the learners' values on the rows' device, (num_envs, ...)."""
+        mine = values[:, self._columns].reshape(self.num_envs, *values.shape[2:])
+        return torch.from_numpy(mine).to(self.device)
 
     @property
     def _lap_lengths(self) -> Tensor:
         """Length of the lap each row drives [m], (num_envs,)."""
         lengths = self._env.tracks.length[self._env.world.track]
-        return lengths.repeat_interleave(len(self.learners))
+        return torch.from_numpy(lengths.repeat(len(self.learners))).to(self.device)
 
     def _observations(self, told: Observations) -> TensorDict:
         groups = {
-            name: torch.stack([told[car][name] for car in self.learners], dim=1).flatten(0, 1)
+            name: self._stacked([told[car][name] for car in self.learners])
             for name in told[self.learners[0]]
         }
         if not self._as_bytes:
             groups = {name: _scaled(group) for name, group in groups.items()}
         return TensorDict(groups, batch_size=[self.num_envs], device=self.device)
 
+    def _stacked(self, groups: list[np.ndarray]) -> Tensor:
+        """Return one group of all rows: a copy, for the environment writes into its own again."""
+        # Pictures that were cast on another device are tensors there already.
+        parts = [torch.as_tensor(group) for group in groups]
+        return torch.stack(parts, dim=1).flatten(0, 1).to(self.device)
+
     def _log(self, step: Step) -> dict[str, Tensor]:
-        seen = step.verdict
-        log = {f"/reward/{name}": self._mean(step.log[name]) for name in self._env.reward.terms}
-        log |= {f"/mistake/{name}": self._mean(getattr(seen, name)) for name in MISTAKES}
-        log["/drive/speed"] = self._mean(seen.advance) * self._env.cfg.sim.step_hz
-        log["/drive/laps"] = self._mean(seen.lap)
+        seen = step.verdicts
+        log = {f"/reward/{name}": self._mean(step.log[name]) for name in self._env.terms}
+        log |= {f"/mistake/{name}": self._mean(seen[name]) for name in MISTAKES}
+        log["/drive/speed"] = self._mean(seen["advance"]) * self._env.cfg.sim.step_hz
+        log["/drive/laps"] = self._mean(seen["lap"])
         log["/episode/time_outs"] = self._mean(step.truncated)
         return log
 
-    def _mean(self, values: Tensor) -> Tensor:
+    def _mean(self, values: np.ndarray) -> Tensor:
         return self._rows(values).to(torch.float32).mean()
 
 

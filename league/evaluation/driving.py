@@ -10,8 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-import torch
-from torch import Tensor
+import numpy as np
 
 from league.agents.driver import Driver
 from league.envs.config import EnvConfig
@@ -21,7 +20,6 @@ from league.errors import ActionError, ConfigError, brief
 from league.evaluation.runs import Moment, Run, Told, Watcher
 from league.evaluation.table import Evaluation, Mode, Trial
 from league.sim.config import ObstacleConfig, RaceKind, RaceRules, SimConfig, SolverName
-from league.sim.referee import Verdict
 from league.sim.world import World
 from league.track.course import Track, TrackSet
 
@@ -77,17 +75,16 @@ def evaluate(
     if not 0 <= seed < 2**63 - trials:
         raise ConfigError(f"seed is {brief(seed)}: give a whole number from 0 to 2^63 - trials")
     course = files.load(track) if isinstance(track, str) else track
-    tracks = TrackSet.of(course)
+    tracks = TrackSet(course)
     sim = _sim(kind, laps, obstacles, rules, 1 + len(opponents))
     field_ = [_named(one, tracks, sim) for one in (driver, *opponents)]
     cfg = EnvConfig(sim=sim, solver=solver, sensors=tuple(one.sensors for one in field_))
     each = laps if course.closed else 1
     runs = [Run(number, seed + number, each) for number in range(trials)]
-    with torch.inference_mode():
-        for first in range(0, trials, WORLDS_AT_ONCE):
-            batch = runs[first : first + WORLDS_AT_ONCE]
-            paid = reward(len(batch)) if reward is not None else None
-            _drive(tracks, cfg, field_, batch, mode, paid, watch)
+    for first in range(0, trials, WORLDS_AT_ONCE):
+        batch = runs[first : first + WORLDS_AT_ONCE]
+        paid = reward(len(batch)) if reward is not None else None
+        _drive(tracks, cfg, field_, batch, mode, paid, watch)
     rows = [(run, row) for run in runs for row in run.rows]
     return Evaluation(
         driver=field_[0].name,
@@ -137,21 +134,21 @@ def _drive(
     watch: Watcher | None,
 ) -> None:
     """Drive a batch of runs to their ends, each in a world of its own."""
-    pays = _Onlooker(reward or BuiltIn(cfg.reward))
-    env = RaceEnv(tracks, cfg, num_worlds=len(runs), reward=pays)
-    seeds = torch.tensor([run.seed for run in runs])
+    onlooker = None if watch is None else _Onlooker(reward or BuiltIn(cfg.reward))
+    env = RaceEnv(tracks, cfg, num_worlds=len(runs), reward=onlooker or reward)
+    seeds = np.array([run.seed for run in runs])
     try:
         told = env.reset(seeds=seeds)
         for driver in drivers:
             driver.reset(None)
         while not all(run.over for run in runs):
-            actions = torch.stack(
-                [_answer(driver, told[car], len(runs)) for car, driver in enumerate(drivers)], dim=1
+            actions = np.stack(
+                [_answer(driver, told[car], len(runs)) for car, driver in enumerate(drivers)],
+                axis=1,
             )
-            anew = torch.tensor([run.restart for run in runs])
-            restarting = bool(anew.any())
-            before = env.world
-            step = env.step(actions, anew=anew if restarting else None, seeds=seeds)
+            restart = np.array([run.restart for run in runs])
+            before = env.world.cars.copy()
+            step = env.step(actions, restart=restart, seeds=seeds)
             told = step.observations
             now = Told.of(tracks, cfg.sim, before, env.world, step)
             seen = []
@@ -160,18 +157,18 @@ def _drive(
                     run.restart = False
                 elif not run.over:
                     seen.append(run.note(row, mode, now))
-            if restarting:
+            if restart.any():
                 for driver in drivers:
-                    driver.reset(anew.nonzero()[:, 0])
-            if watch is not None:
-                judged = pays.judged
+                    driver.reset(np.flatnonzero(restart))
+            if watch is not None and onlooker is not None:
+                judged = onlooker.judged
                 watch(Moment(tracks, cfg.sim, before, judged, env.world, step, tuple(seen)))
     finally:
         env.close()
 
 
 class _Onlooker:
-    """A reward that pays what another does and remembers the worlds it was shown."""
+    """A reward that pays what another does and keeps the worlds it was shown."""
 
     def __init__(self, reward: Reward) -> None:
         self._reward = reward
@@ -182,21 +179,30 @@ class _Onlooker:
         return self._reward.terms
 
     def __call__(
-        self, tracks: TrackSet, before: World, world: World, actions: Tensor, verdict: Verdict
-    ) -> tuple[Tensor, dict[str, Tensor]]:
-        self.judged = world
-        return self._reward(tracks, before, world, actions, verdict)
+        self,
+        tracks: TrackSet,
+        before: World,
+        world: World,
+        actions: np.ndarray,
+        verdicts: np.ndarray,
+    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        self.judged = world.copy()
+        return self._reward(tracks, before, world, actions, verdicts)
 
-    def restart(self, world: World, who: Tensor) -> None:
+    def restart(self, world: World, who: np.ndarray) -> None:
         self._reward.restart(world, who)
 
 
-def _answer(driver: Driver, observations: object, num_worlds: int) -> Tensor:
+def _answer(driver: Driver, observations: object, num_worlds: int) -> np.ndarray:
     answer = driver.act(observations)  # pyright: ignore[reportArgumentType]
-    if not isinstance(answer, Tensor) or tuple(answer.shape) != (num_worlds, 2):
-        shape = tuple(answer.shape) if isinstance(answer, Tensor) else brief(answer)
+    try:
+        rows = np.asarray(answer)
+    except Exception:  # whatever a stranger's object does when it is asked to be an array
+        rows = np.empty(0, object)
+    if rows.dtype.kind != "f" or rows.shape != (num_worlds, 2):
+        shape = brief(answer) if rows.dtype.kind != "f" else rows.shape
         raise ActionError(
             f"the answer of {driver.name} is {shape}: expected actions of shape ({num_worlds}, 2), "
             "[steering, speed] in each world"
         )
-    return answer
+    return rows

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-import torch
+import numpy as np
 
 from league.envs.race_env import Step
 from league.evaluation.table import Mode, Status
 from league.sim import referee
 from league.sim.config import SimConfig
-from league.sim.world import World
+from league.sim.world import World, is_frozen
 from league.track.course import TrackSet
 
 _MISTAKES: tuple[tuple[str, Status], ...] = (
@@ -48,8 +48,8 @@ class Moment:
     """The course."""
     sim: SimConfig
     """Settings of the worlds."""
-    before: World
-    """The worlds before the step."""
+    before: np.ndarray
+    """CAR records before the step, (num_worlds, num_cars)."""
     judged: World
     """The worlds as the referee and the reward saw them, before any penalty moved a car."""
     world: World
@@ -143,20 +143,21 @@ class Told:
     place: list[int]
 
     @classmethod
-    def of(cls, tracks: TrackSet, sim: SimConfig, before: World, world: World, step: Step) -> Told:
-        """Read it off the worlds before and after the step."""
-        now, seen = world.standing, step.verdict
-        length = referee.lap_length(tracks, world.track)[:, 0]
-        time_s = world.step.to(torch.float64) * sim.step_dt
-        beginning_s = now.lap_start_s[:, 0].to(torch.float64)
+    def of(
+        cls, tracks: TrackSet, sim: SimConfig, before: np.ndarray, world: World, step: Step
+    ) -> Told:
+        """Read it off the cars before the step and the worlds after it."""
+        now, seen = world.cars[:, 0], step.verdicts[:, 0]
+        share = now["best_distance"] / tracks.lap_length(world.track) - now["laps"]
+        time_s = world.worlds["step"] * sim.step_dt
         return cls(
-            flags={name: getattr(seen, name)[:, 0].tolist() for name, _ in _MISTAKES},
-            lap=seen.lap[:, 0].tolist(),
+            flags={name: seen[name].tolist() for name, _ in _MISTAKES},
+            lap=seen["lap"].tolist(),
             truncated=step.truncated[:, 0].tolist(),
-            paused=(before.standing.penalty_s[:, 0] > 0).tolist(),
-            penalty_s=now.penalty_s[:, 0].tolist(),
-            lap_s=now.last_lap_s[:, 0].tolist(),
-            elapsed_s=(time_s - beginning_s).tolist(),
-            share=(now.best_distance[:, 0] / length - now.laps[:, 0]).tolist(),
-            place=(referee.places(now)[:, 0] + 1).tolist(),
+            paused=is_frozen(before[:, 0]).tolist(),
+            penalty_s=now["penalty_s"].tolist(),
+            lap_s=now["last_lap_s"].tolist(),
+            elapsed_s=(time_s - now["lap_start_s"]).tolist(),
+            share=share.tolist(),
+            place=(referee.running_order(world.cars)[:, 0] + 1).tolist(),
         )

@@ -12,8 +12,7 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import torch
-from torch import Tensor
+import numpy as np
 
 from league.envs.action_space import ActionSpace, DiscreteActions
 from league.envs.deepracer import telling
@@ -21,6 +20,8 @@ from league.envs.deepracer.lines import Lines
 from league.errors import ConfigError
 from league.evaluation.runs import Moment
 from league.sim import referee
+from league.sim.records import NOBODY
+from league.sim.world import is_frozen
 from league.whole_file import replacing
 
 COLUMNS = (
@@ -76,7 +77,7 @@ class Trace:
         self._step_dt = moment.sim.step_dt
         told = _told(moment)
         for seen in moment.seen:
-            crash = bool(moment.step.verdict.crashed_obstacle[seen.row, 0] != referee.NOBODY)
+            crash = bool(moment.step.verdicts["crashed_obstacle"][seen.row, 0] != NOBODY)
             key = (seen.run, seen.trial)
             self._crashes[key] = self._crashes.get(key, 0) + crash
             row = {name: values[seen.row] for name, values in told.items()}
@@ -151,36 +152,35 @@ class Trace:
 
 def _told(moment: Moment) -> dict[str, list]:
     """Return what a step told of the evaluated car of each world, by column."""
-    tracks, sim, world = moment.tracks, moment.sim, moment.judged
-    body, book = world.motion, world.standing
-    x = body.x + sim.car.nose * torch.cos(body.yaw)
-    y = body.y + sim.car.nose * torch.sin(body.yaw)
-    nose = tracks.project(world.track, x, y, book.s)
-    wheel_x, wheel_y = referee.wheel_positions(sim.car, world)
-    near_s = book.s.unsqueeze(2).expand(wheel_x.shape).contiguous()
-    wheel = tracks.project(world.track, wheel_x, wheel_y, near_s)
+    tracks, car, world = moment.tracks, moment.sim.car, moment.judged
+    now, before, track = world.cars[:, 0], moment.before[:, 0], world.track
+    x = now["x"] + np.float32(car.nose) * np.cos(now["yaw"])
+    y = now["y"] + np.float32(car.nose) * np.sin(now["yaw"])
+    nose = tracks.project(track, x, y, now["s"])
+    wheels = referee.wheel_positions(car.wheelbase / 2, car.wheel_track / 2, now)
+    near_s = np.broadcast_to(now["s"][:, None], wheels.shape[:-1])
+    wheel = tracks.project(track, wheels[..., 0], wheels[..., 1], near_s)
     on = (wheel.lateral <= wheel.left) & (wheel.lateral >= -wheel.right)
-    # While a penalty is stood nobody is paid (facts 1.1).
-    paused = moment.before.standing.penalty_s > 0
     columns = {
         "X": x,
         "Y": y,
-        "yaw": body.yaw * (180.0 / math.pi),
-        "steer": torch.round(world.control.steering * (180.0 / math.pi), decimals=4),
-        "throttle": world.control.speed,
-        "reward": torch.where(paused, 0.0, moment.step.rewards),
-        "all_wheels_on_track": on.all(dim=2),
-        "distance": book.distance,
-        "laps": moment.before.standing.laps,
-        "lap_length": referee.lap_length(tracks, world.track).expand(x.shape),
+        "yaw": now["yaw"] * np.float32(180.0 / math.pi),
+        "steer": np.round(now["target_steering"] * np.float32(180.0 / math.pi), 4),
+        "throttle": now["target_speed"],
+        # While a penalty is stood nobody is paid.
+        "reward": np.where(is_frozen(before), 0.0, moment.step.rewards[:, 0]),
+        "all_wheels_on_track": on.all(axis=1),
+        "distance": now["distance"],
+        "laps": before["laps"],
+        "lap_length": tracks.lap_length(track),
         "nose_s": nose.s,
-        "nose_ahead": tracks.signed_gap(world.track, nose.s, book.s),
-        "pause_duration": moment.world.standing.penalty_s,
+        "nose_ahead": tracks.signed_gap(track, nose.s, now["s"]),
+        "pause_duration": moment.world.cars["penalty_s"][:, 0],
     }
-    return {name: _plain(values[:, 0]) for name, values in columns.items()}
+    return {name: _plain(values) for name, values in columns.items()}
 
 
-def _plain(values: Tensor) -> list:
-    if values.is_floating_point():
-        return [round(value, 6) for value in values.to(torch.float64).tolist()]
+def _plain(values: np.ndarray) -> list:
+    if values.dtype.kind == "f":
+        return [round(value, 6) for value in values.astype(np.float64).tolist()]
     return values.tolist()

@@ -146,7 +146,7 @@ class Pit:
                 "entries": [self._named(who) for who in field],
             }
         )
-        tracks, car = TrackSet.of(course), race.sim_config(spec).car
+        tracks, car = TrackSet(course), race.sim_config(spec).car
         drivers = [self._driver(who, tracks, car) for who in field]
         return race.Contest(spec, course, drivers)
 

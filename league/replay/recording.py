@@ -6,19 +6,24 @@ import zlib
 from collections.abc import Sequence
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from league import __version__
 from league.errors import ReplayError
 from league.race_spec import RaceResult, RaceSpec
-from league.replay.columns import NUM_ACTIONS, Columns
+from league.replay.columns import Columns
 from league.replay.replay import PARAMETERS, Replay
 from league.sim.world import World
 from league.track.course import TrackSet
 
 _FOR_GOOD_S = 1e5
 """What a replay tells as the penalty of a car that is out of the race: longer than any race [s]."""
+_KEPT = (
+    *("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "steering"),
+    *("penalty_s", "distance", "laps", "ghost"),
+)
+"""Fields of a car that a replay keeps."""
+_CHECKED = (*_KEPT, "retired", "z", "roll", "pitch")
+"""Fields of a car that a frame's checksum covers."""
 
 
 class Recorder:
@@ -43,12 +48,9 @@ class Recorder:
         self._names = tuple(names or [entry.name for entry in spec.entries])
         self._step_hz = step_hz
         self._first: World | None = None
-        # Tensors only, on the race's device; all arithmetic waits for `finish`.
-        self._motion: list[Tensor] = []
-        self._book: list[Tensor] = []
-        self._counts: list[Tensor] = []
-        self._actions: list[Tensor] = []
-        self._obstacles: list[Tensor] = []
+        # Records as they are; all arithmetic waits for `finish`.
+        self._cars: list[np.ndarray] = []
+        self._obstacles: list[np.ndarray] = []
 
     def start(self, world: World) -> None:
         """Keep the world on the grid, before the first step."""
@@ -56,31 +58,19 @@ class Recorder:
             raise ValueError(f"a recorder keeps one race, not a batch of {world.num_worlds} worlds")
         if self._first is not None:
             raise ValueError("this recorder has started already: make a new one for each race")
-        self._first = world
-        self._keep(world, world.motion.x.new_zeros((world.num_cars, NUM_ACTIONS)))
+        self._first = world.copy()
+        self._keep(world)
 
-    def add(self, world: World, actions: Tensor) -> None:
-        """Keep the world after one control step and the actions that led to it.
-
-        Args:
-            world: one race, num_worlds == 1.
-            actions: in [-1, 1], (1, num_cars, 2) or (num_cars, 2).
-        """
+    def add(self, world: World) -> None:
+        """Keep a race, a batch of one, after one control step."""
         if self._first is None:
             raise ValueError("tell the recorder the grid with start(world) before the first step")
-        self._keep(world, actions)
+        self._keep(world)
 
-    def _keep(self, world: World, actions: Tensor) -> None:
-        # Stacking copies, so nothing that happens to the race later can reach the recording.
-        m, standing, obstacles = world.motion, world.standing, world.obstacles
-        self._motion.append(
-            torch.stack((m.x, m.y, m.yaw, m.velocity_x, m.velocity_y, m.yaw_rate, m.steering))
-        )
-        self._book.append(torch.stack((standing.penalty_s, standing.distance)))
-        self._counts.append(torch.stack((standing.laps, standing.ghost.to(torch.int64))))
-        self._actions.append(actions.detach().reshape(-1, NUM_ACTIONS).clone())
-        if obstacles.x.shape[1]:
-            self._obstacles.append(torch.stack((obstacles.x, obstacles.y, obstacles.yaw)))
+    def _keep(self, world: World) -> None:
+        # Copies, so nothing that happens to the race later can reach the recording.
+        self._cars.append(world.cars[0].copy())
+        self._obstacles.append(world.obstacles[0].copy())
 
     def finish(self, result: RaceResult) -> Replay:
         """Return the race that was recorded.
@@ -91,7 +81,7 @@ class Recorder:
             raise ValueError("nothing was recorded: tell the recorder the grid with start(world)")
         world = self._first
         track = self._tracks.tracks[int(world.track[0])]
-        columns = self._columns(world.num_cars, world.obstacles.x.shape[1])
+        columns = self._columns()
         if not columns.all_finite():
             raise ReplayError("the race left the numbers (NaN or infinity), so it cannot be kept")
         obstacles = world.obstacles
@@ -100,55 +90,34 @@ class Recorder:
             track=track,
             names=self._names,
             step_hz=self._step_hz,
-            parameters=np.stack(
-                [getattr(world.cars, name)[0].cpu().numpy() for name in PARAMETERS], axis=1
-            ).astype(np.float32),
+            parameters=np.stack([world.cars[name][0] for name in PARAMETERS], axis=1),
             obstacle_sizes=np.stack(
-                [obstacles.half_length[0].cpu().numpy(), obstacles.half_width[0].cpu().numpy()],
-                axis=1,
-            ).astype(np.float32),
+                [obstacles["half_length"][0], obstacles["half_width"][0]], axis=1
+            ),
             columns=columns.rounded(),
             league_version=__version__,
         )
 
-    def _columns(self, num_cars: int, num_obstacles: int) -> Columns:
-        frames = len(self._motion)
-        motion = _array(self._motion).reshape(frames, 7, num_cars)
-        book = _array(self._book).reshape(frames, 2, num_cars)
-        counts = _array(self._counts).reshape(frames, 2, num_cars)
-        actions = _array([a.to(torch.float32) for a in self._actions])
-        actions = actions.reshape(frames, num_cars, NUM_ACTIONS)
-        places = np.zeros((frames, 3, 0), dtype=np.float32)
-        if num_obstacles:
-            places = _array(self._obstacles).reshape(frames, 3, num_obstacles)
-        checksum = _checksums(motion, book, counts, actions, places)
-        if (places == places[:1]).all():
-            places = places[:1]
-        x, y, yaw, velocity_x, velocity_y, yaw_rate, steering = motion.astype(np.float64).swapaxes(
-            0, 1
-        )
+    def _columns(self) -> Columns:
+        cars, obstacles = np.stack(self._cars), np.stack(self._obstacles)
+        actions = np.stack([cars["action_steering"], cars["action_speed"]], axis=-1)
+        places = [obstacles[name] for name in ("x", "y", "yaw")]
+        checksum = _checksums(*(cars[name] for name in _CHECKED), actions, *places)
+        if all((place == place[:1]).all() for place in places):
+            places = [place[:1] for place in places]
+        kept = {name: cars[name].astype(np.float64) for name in _KEPT}
+        # NaN stays NaN.
+        penalty_s = np.where(cars["retired"], _FOR_GOOD_S, kept.pop("penalty_s"))
+        obstacle_x, obstacle_y, obstacle_yaw = (place.astype(np.float64) for place in places)
         return Columns(
-            x=x,
-            y=y,
-            yaw=yaw,
-            velocity_x=velocity_x,
-            velocity_y=velocity_y,
-            yaw_rate=yaw_rate,
-            steering=steering,
+            **kept,
             actions=actions.astype(np.float64),
-            penalty_s=np.minimum(book[:, 0].astype(np.float64), _FOR_GOOD_S),  # NaN stays NaN
-            ghost=counts[:, 1].astype(np.float64),
-            laps=counts[:, 0].astype(np.float64),
-            distance=book[:, 1].astype(np.float64),
-            obstacle_x=places[:, 0].astype(np.float64),
-            obstacle_y=places[:, 1].astype(np.float64),
-            obstacle_yaw=places[:, 2].astype(np.float64),
+            penalty_s=penalty_s,
+            obstacle_x=obstacle_x,
+            obstacle_y=obstacle_y,
+            obstacle_yaw=obstacle_yaw,
             checksum=checksum,
         )
-
-
-def _array(steps: list[Tensor]) -> np.ndarray:
-    return torch.stack(steps).cpu().numpy()
 
 
 def _checksums(*parts: np.ndarray) -> np.ndarray:

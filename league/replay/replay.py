@@ -6,24 +6,16 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from league.race_spec import RaceResult, RaceSpec
 from league.replay.columns import Columns
+from league.sim import records
 from league.sim.config import ObstacleConfig, SimConfig
-from league.sim.world import (
-    CarParameters,
-    Control,
-    Motion,
-    Obstacles,
-    Standing,
-    World,
-)
+from league.sim.world import World
 from league.track.course import Track, TrackSet
 
 PARAMETERS = ("grip", "mass", "latency_s", "steering_offset", "camera_up", "camera_pitch")
-"""The fields of CarParameters, in the order they are kept."""
+"""The fields of a car's parameters, in the order they are kept."""
 JUMP = 0.5
 """A car that moved farther than this in one step [m] was put back: nothing is drawn between."""
 
@@ -77,7 +69,7 @@ class Replay:
     @cached_property
     def tracks(self) -> TrackSet:
         """The track as the one row of a set."""
-        return TrackSet.of(self.track)
+        return TrackSet(self.track)
 
     @cached_property
     def sim(self) -> SimConfig:
@@ -118,112 +110,46 @@ class Replay:
 
 
 def _worlds(replay: Replay, low: np.ndarray, part: np.ndarray) -> World:
-    columns = replay.columns
+    columns, number = replay.columns, len(low)
     high = np.minimum(low + 1, replay.num_frames - 1)
     moved = np.hypot(columns.x[high] - columns.x[low], columns.y[high] - columns.y[low])
     share = np.where(moved < JUMP, part[:, None], 0.0)  # (num_worlds, num_cars)
-
-    def between(column: np.ndarray) -> Tensor:
-        return _float(column[low] + (column[high] - column[low]) * share)
-
+    worlds = np.zeros(number, records.WORLD)
+    worlds["seed"], worlds["step"] = replay.spec.seed, low
+    worlds["leader"] = replay.leader[low]
+    cars = np.zeros((number, columns.num_cars), records.CAR)
+    for name in ("x", "y", "velocity_x", "velocity_y", "yaw_rate", "steering"):
+        column = getattr(columns, name)
+        cars[name] = column[low] + (column[high] - column[low]) * share
     turn = (columns.yaw[high] - columns.yaw[low] + np.pi) % (2 * np.pi) - np.pi
-    yaw = (columns.yaw[low] + turn * share + np.pi) % (2 * np.pi) - np.pi
-    motion = Motion(
-        x=between(columns.x),
-        y=between(columns.y),
-        yaw=_float(yaw),
-        velocity_x=between(columns.velocity_x),
-        velocity_y=between(columns.velocity_y),
-        yaw_rate=between(columns.yaw_rate),
-        steering=between(columns.steering),
-    )
-    none = torch.zeros_like(motion.x)
-    shape = motion.x.shape
-    return World(
-        seed=torch.full((len(low),), replay.spec.seed, dtype=torch.int64),
-        step=torch.from_numpy(low.copy()),
-        track=torch.zeros(len(low), dtype=torch.int64),
-        motion=motion,
-        control=Control(steering=none, speed=none),
-        cars=CarParameters(
-            **{
-                name: torch.from_numpy(replay.parameters[:, place].copy())
-                .expand(shape)
-                .contiguous()
-                for place, name in enumerate(PARAMETERS)
-            }
-        ),
-        obstacles=_obstacles(replay, low, high, part),
-        standing=_standing(replay, low, motion),
-    )
+    cars["yaw"] = (columns.yaw[low] + turn * share + np.pi) % (2 * np.pi) - np.pi
+    for place, name in enumerate(PARAMETERS):
+        cars[name] = replay.parameters[:, place]
+    found = replay.tracks.project(worlds["track"], cars["x"], cars["y"])
+    cars["s"], cars["lateral"] = found.s, found.lateral
+    cars["distance"] = cars["best_distance"] = columns.distance[low]
+    cars["laps"], cars["penalty_s"] = np.rint(columns.laps[low]), columns.penalty_s[low]
+    cars["ghost"] = columns.ghost[low] > 0.5
+    cars["best_lap_s"] = cars["finish_s"] = np.inf
+    ahead = cars["distance"][:, :, None] > cars["distance"][:, None, :]
+    cars["ahead"] = (ahead << np.arange(columns.num_cars)).sum(axis=2)
+    return World(worlds, cars, _obstacles(replay, low, high, part))
 
 
-def _obstacles(replay: Replay, low: np.ndarray, high: np.ndarray, part: np.ndarray) -> Obstacles:
-    columns = replay.columns
+def _obstacles(replay: Replay, low: np.ndarray, high: np.ndarray, part: np.ndarray) -> np.ndarray:
+    columns, part = replay.columns, part[:, None]
+    things = np.zeros((len(low), columns.num_obstacles), records.OBSTACLE)
     if len(columns.obstacle_x) == 1:  # none ever moves
         low = high = np.zeros_like(low)
-
-    def between(column: np.ndarray) -> Tensor:
-        return _float(column[low] + (column[high] - column[low]) * part[:, None])
-
-    x = between(columns.obstacle_x)
-    none = torch.zeros_like(x)
-    sizes = torch.from_numpy(replay.obstacle_sizes.copy())
-    return Obstacles(
-        x=x,
-        y=between(columns.obstacle_y),
-        yaw=_float(columns.obstacle_yaw[low]),
-        velocity_x=_float((columns.obstacle_x[high] - columns.obstacle_x[low]) * replay.step_hz),
-        velocity_y=_float((columns.obstacle_y[high] - columns.obstacle_y[low]) * replay.step_hz),
-        s=none,
-        lateral=none,
-        half_length=sizes[:, 0].expand(x.shape).contiguous(),
-        half_width=sizes[:, 1].expand(x.shape).contiguous(),
-        stopped_s=none,
-    )
-
-
-def _standing(replay: Replay, low: np.ndarray, motion: Motion) -> Standing:
-    columns = replay.columns
-    index = torch.zeros(len(low), dtype=torch.int64)
-    place = replay.tracks.locate(index, motion.x, motion.y)
-    none = torch.zeros_like(motion.x)
-    count = torch.zeros(motion.x.shape, dtype=torch.int64)
-    never = torch.full_like(motion.x, torch.inf)
-    distance = _float(columns.distance[low])
-    cars, obstacles = columns.num_cars, columns.num_obstacles
-    return Standing(
-        s=place.s,
-        lateral=place.lateral,
-        zero_s=none,
-        distance=distance,
-        best_distance=distance,
-        laps=torch.from_numpy(np.rint(columns.laps[low]).astype(np.int64)),
-        lap_start_s=none,
-        last_lap_s=none,
-        best_lap_s=never,
-        finish_s=never,
-        penalty_s=_float(columns.penalty_s[low]),
-        ghost=torch.from_numpy(columns.ghost[low] > 0.5),
-        put_back=torch.zeros(motion.x.shape, dtype=torch.bool),
-        still_steps=count,
-        backward_steps=count,
-        touching_cars=torch.zeros((len(low), cars, cars), dtype=torch.bool),
-        touching_obstacles=torch.zeros((len(low), cars, obstacles), dtype=torch.bool),
-        off_tracks=count,
-        crashes=count,
-        contacts_taken=count,
-        immobilised=count,
-        reversed=count,
-        overtakes=count,
-        lead_changes=torch.zeros(len(low), dtype=torch.int64),
-        ahead=distance.unsqueeze(2) > distance.unsqueeze(1),
-        leader=torch.from_numpy(replay.leader[low].copy()),
-    )
-
-
-def _float(array: np.ndarray) -> Tensor:
-    return torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32))
+    moved_x = columns.obstacle_x[high] - columns.obstacle_x[low]
+    moved_y = columns.obstacle_y[high] - columns.obstacle_y[low]
+    things["x"] = columns.obstacle_x[low] + moved_x * part
+    things["y"] = columns.obstacle_y[low] + moved_y * part
+    things["yaw"] = columns.obstacle_yaw[low]
+    things["velocity_x"] = moved_x * replay.step_hz
+    things["velocity_y"] = moved_y * replay.step_hz
+    things["half_length"], things["half_width"] = replay.obstacle_sizes.T
+    return things
 
 
 @dataclass(frozen=True)

@@ -111,21 +111,14 @@ class Live:
 
     def add(self, world: World) -> None:
         """Send the world after one step, and wait while the race is ahead of the clock."""
-        step = int(world.step[0])
+        step = int(world.worlds["step"][0])
         self._recording.set_time(paths.TIMELINE, duration=step / self._step_hz)
-        motion, standing = world.motion, world.standing
+        cars = world.cars[0]
         x, y, yaw, velocity_x, velocity_y, steering = (
-            column[0].cpu().numpy().astype(np.float64)
-            for column in (
-                motion.x,
-                motion.y,
-                motion.yaw,
-                motion.velocity_x,
-                motion.velocity_y,
-                motion.steering,
-            )
+            cars[name].astype(np.float64)
+            for name in ("x", "y", "yaw", "velocity_x", "velocity_y", "steering")
         )
-        distance = standing.distance[0].cpu().numpy()
+        distance = cars["distance"]
         speed = np.hypot(velocity_x, velocity_y)
         self._spin += speed / self._step_hz / WHEEL_RADIUS
         here = poses.places(x, y)
@@ -139,7 +132,7 @@ class Live:
         ):
             self._recording.log(path, rr.Scalars(values))
         self._send_obstacles(world)
-        self._send_laps(standing.laps[0].cpu().numpy())
+        self._send_laps(cars["laps"])
         self._follow(here, yaw, gap)
         self._before = here
         self._pace(step)
@@ -163,23 +156,23 @@ class Live:
             )
 
     def _send_obstacles(self, world: World) -> None:
-        obstacles = world.obstacles
+        obstacles = world.obstacles[0]
         moving = self._spec.obstacle_kind == "bot"
         if self._begin_s is not None and not moving:
             return
-        for index in range(obstacles.x.shape[1]):
+        for index, thing in enumerate(obstacles):
             path = paths.obstacle(index)
             if self._begin_s is None:
-                length = 2 * float(obstacles.half_length[0, index])
-                width = 2 * float(obstacles.half_width[0, index])
+                length = 2 * float(thing["half_length"])
+                width = 2 * float(thing["half_width"])
                 mesh = (
                     shapes.car_body(CAR, BOT_COLOUR)
                     if moving
                     else shapes.box(length, width, ObstacleConfig().height, BOX_COLOUR)
                 )
                 record.log_mesh(self._recording, path, mesh)
-            turn = poses.about_z(obstacles.yaw[0, index].cpu().numpy())
-            place = (float(obstacles.x[0, index]), float(obstacles.y[0, index]), 0.0)
+            turn = poses.about_z(thing["yaw"])
+            place = (float(thing["x"]), float(thing["y"]), 0.0)
             self._recording.log(
                 path, rr.Transform3D(translation=place, quaternion=rr.Quaternion(xyzw=turn))
             )

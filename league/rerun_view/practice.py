@@ -94,13 +94,11 @@ class Practice:
         self._skipping = ahead > (0.0 if self._skipping else AHEAD_S)
         if self._skipping:
             return
-        body = world.motion
-        columns = (body.x, body.y, body.yaw, body.steering, body.velocity_x, body.velocity_y)
-        self._steps.append(
-            np.stack([column.cpu().numpy()[self._index].reshape(-1) for column in columns])
-        )
+        cars = world.cars[self._index].reshape(-1)
+        columns = ("x", "y", "yaw", "steering", "velocity_x", "velocity_y")
+        self._steps.append(np.stack([cars[name] for name in columns]))
         self._frames += 1
-        if world.obstacles.x.shape[1]:
+        if world.num_obstacles:
             self._note_obstacles(world)
         if now - self._sent >= BATCH_S:
             self.send()
@@ -185,13 +183,9 @@ class Practice:
     def _note_obstacles(self, world: World) -> None:
         """Send where obstacles are, if that is news: bots drive, boxes are drawn anew."""
         things, row = world.obstacles, self._seats.worlds[0]
-        now = np.stack(
-            [
-                part[row].cpu().numpy()
-                for part in (things.x, things.y, things.yaw, things.half_length, things.half_width)
-            ],
-            axis=1,
-        ).astype(np.float64)  # (num_obstacles, 5)
+        columns = ("x", "y", "yaw", "half_length", "half_width")
+        now = np.stack([things[name][row] for name in columns], axis=1)
+        now = now.astype(np.float64)  # (num_obstacles, 5)
         if self._things is None:
             self._send_shapes(now)
         elif np.array_equal(now, self._things):

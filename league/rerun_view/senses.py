@@ -40,7 +40,7 @@ def send_lidar(recording: rr.RecordingStream, replay: Replay) -> None:
         ranges = []
         for start in range(0, len(times), LIDAR_BATCH):
             world = replay.at(times[start : start + LIDAR_BATCH])
-            ranges.append(lidar.scan(replay.tracks, replay.sim, cfg, world, slot).numpy())
+            ranges.append(lidar.scan(replay.tracks, replay.sim, cfg, world, slot))
         found = np.concatenate(ranges)  # (num_scans, beams)
         hit = found < cfg.max_range
         points = np.stack(
@@ -93,7 +93,7 @@ def _film(replay: Replay, slot: int) -> tuple[bytes, bytes]:
     ):
         for start in range(0, replay.num_frames, BATCH):
             world = replay.at(replay.times_s[start : start + BATCH])
-            pictures = renderer.render(world, slot).numpy()
+            pictures = renderer.render(world, slot)
             for planes in pictures:  # (6, height, width)
                 left.add(interleaved(planes[:3]))
                 right.add(interleaved(planes[3:]))

@@ -1,8 +1,11 @@
 """BulletSolver: the same pushes on rigid bodies in PyBullet, contacts by Bullet.
 
 Each world is a simulation of its own, without gravity and without ground: cars are upright boxes
-that nothing can tip. The World's tensors are the truth: every control step starts from them.
+that nothing can tip. The records are the truth: every control step starts from them.
 """
+
+# Numba gives its types a meaning that the checker does not know.
+# pyright: reportArgumentType=false, reportCallIssue=false
 
 from __future__ import annotations
 
@@ -13,16 +16,17 @@ import os
 import sys
 from dataclasses import dataclass, replace
 from types import ModuleType
+from typing import Any
 
-import torch
-from torch import Tensor
+import numpy as np
 
 from league.errors import ConfigError
+from league.jit import compiled
+from league.portable_math import heading_of, wrap_angle
 from league.sim.config import SimConfig
-from league.sim.solver import Outcome
-from league.sim.vehicle import Push, Vehicle, asked_controls, at_rest
-from league.sim.world import Contacts, Control, Motion, World
-from league.track.course import TrackSet
+from league.sim.settings import settings
+from league.sim.vehicle import frozen, late_steps, push
+from league.sim.world import is_frozen
 
 MAX_WORLDS = 1000
 """PyBullet keeps at most 1,024 simulations in a process."""
@@ -57,6 +61,52 @@ def _load_pybullet() -> ModuleType:
 
 
 pybullet = _load_pybullet()
+
+
+@compiled
+def _pushes(cars, controls, sim, k, out):  # noqa: ANN001, ANN202
+    """Turn every car's wheels by one physics step, and write the force and torque on it.
+
+    Args:
+        cars: CAR records (num_worlds, num_cars).
+        controls: target steering [rad] and speed [m/s], float32 (num_worlds, num_cars, 2).
+        sim: SETTINGS record, shape (1,).
+        k: number of the physics step in its control step.
+        out: force along x and y [N] and torque [N m], float64 (num_worlds, num_cars, 3).
+    """
+    for w in range(cars.shape[0]):
+        for c in range(cars.shape[1]):
+            car = cars[w, c]
+            if frozen(car):
+                continue
+            late = late_steps(car, sim[0]) > k
+            steering = car.target_steering if late else controls[w, c, 0]
+            speed = car.target_speed if late else controls[w, c, 1]
+            acting = push(car, sim[0], steering, speed)
+            out[w, c, 0], out[w, c, 1] = acting.force_x, acting.force_y
+            out[w, c, 2] = acting.torque
+            car.steering = acting.steering
+
+
+@compiled
+def _read_back(cars, bodies):  # noqa: ANN001, ANN202
+    """Write where Bullet's bodies are into the records.
+
+    Args:
+        cars: CAR records (num_worlds, num_cars).
+        bodies: x, y, z and w of the quaternion, velocity along x and y, yaw rate, float64
+            (num_worlds, num_cars, 7).
+    """
+    for w in range(cars.shape[0]):
+        for c in range(cars.shape[1]):
+            car, body = cars[w, c], bodies[w, c]
+            if frozen(car):
+                continue
+            car.x, car.y = np.float32(body[0]), np.float32(body[1])
+            half = heading_of(np.float32(body[3]), np.float32(body[2]))
+            car.yaw = wrap_angle(np.float32(2.0) * half)
+            car.velocity_x, car.velocity_y = np.float32(body[4]), np.float32(body[5])
+            car.yaw_rate = np.float32(body[6])
 
 
 @dataclass(frozen=True)
@@ -94,15 +144,24 @@ class _Stage:
 class BulletSolver:
     """Integrates each world in a Bullet simulation of its own."""
 
-    def __init__(self, cfg: SimConfig, tracks: TrackSet, num_worlds: int) -> None:
+    def __init__(self, cfg: SimConfig, rooms: np.ndarray, num_worlds: int) -> None:
+        """Connect to Bullet.
+
+        Args:
+            cfg: settings.
+            rooms: walls of each track, x_min, y_min, x_max, y_max [m], (num_tracks, 4).
+            num_worlds: races in the batch.
+
+        Raises:
+            ConfigError: more worlds than Bullet keeps.
+        """
         self._clients: list[int] = []
         if num_worlds > MAX_WORLDS:
             raise ConfigError(
                 f"{num_worlds} worlds are too many for the bullet solver: "
                 f"give at most {MAX_WORLDS}, or choose the planar solver"
             )
-        self.cfg = cfg
-        self.tracks = tracks
+        self.cfg, self._rooms, self._settings = cfg, rooms.tolist(), settings(cfg)
         self._stages: list[_Stage | None] = [None] * num_worlds
         for _ in range(num_worlds):
             client = pybullet.connect(pybullet.DIRECT)
@@ -114,26 +173,47 @@ class BulletSolver:
                 )
             self._clients.append(client)
 
-    def step(self, world: World, control: Control) -> Outcome:
-        """Return where `control`, held for one control step, leads from `world`."""
-        frozen = world.standing.penalty_s > 0
-        stages = self._set(world, frozen)
-        vehicle = Vehicle.of(world.cars, self.cfg.car, self.cfg.physics_dt)
-        motion = world.motion
-        touching = _Touching(world)
-        pushed = [[not car for car in row] for row in frozen.tolist()]
-        for asked in asked_controls(world, control, self.cfg):
-            push = vehicle.push(motion, asked.steering, asked.speed)
-            self._apply(stages, push, pushed)
+    def step(
+        self,
+        cars: np.ndarray,
+        obstacles: np.ndarray,
+        worlds: np.ndarray,
+        controls: np.ndarray,
+        contacts: np.ndarray,
+    ) -> None:
+        """Move the cars through one control step, and note what touched what; see planar.py.
+
+        Args:
+            cars: CAR records (num_worlds, num_cars); their motion is changed.
+            obstacles: OBSTACLE records (num_worlds, num_obstacles).
+            worlds: WORLD records (num_worlds,).
+            controls: target steering [rad] and speed [m/s], (num_worlds, num_cars, 2).
+            contacts: CONTACT records (num_worlds, num_cars); overwritten.
+        """
+        held = is_frozen(cars)
+        for name in ("velocity_x", "velocity_y", "yaw_rate"):
+            cars[name][held] = 0.0
+        stages = self._set(cars, obstacles, worlds, held)
+        contacts["cars"], contacts["obstacles"], contacts["wall"] = 0, 0, False
+        pushes = np.zeros((*cars.shape, 3))
+        bodies = np.zeros((*cars.shape, 7))
+        free = [np.flatnonzero(~row).tolist() for row in held]
+        for k in range(self.cfg.decimation):
+            _pushes(cars, controls, self._settings, k, pushes)
+            loads: Any = pushes.tolist()
             for index, stage in enumerate(stages):
                 client = self._clients[index]
+                for car in free[index]:
+                    _push(client, stage.cars[car], loads[index][car])
                 pybullet.stepSimulation(physicsClientId=client)
-                touching.add(index, stage, pybullet.getContactPoints(physicsClientId=client))
-            motion = self._read(stages, push.steering)
-        return Outcome(motion=_hold(frozen, world.motion, motion), contacts=touching.contacts())
+                points = pybullet.getContactPoints(physicsClientId=client)
+                _note(stage, points, contacts[index])
+                for car in free[index]:
+                    bodies[index, car] = _state(client, stage.cars[car])
+            _read_back(cars, bodies)
 
     def reset(self, worlds: list[int] | None = None) -> None:
-        """Tear these worlds down (None: all); the next step builds them anew."""
+        """Tear these worlds down (None: all); the next step builds them again."""
         for index in range(len(self._stages)) if worlds is None else worlds:
             self._stages[index] = None
 
@@ -147,16 +227,16 @@ class BulletSolver:
     def __del__(self) -> None:
         self.close()
 
-    def _set(self, world: World, frozen: Tensor) -> list[_Stage]:
-        """Build what changed in kind, and put every body where the world says."""
-        ghosts = world.standing.ghost.tolist()
-        held = (frozen & ~world.standing.ghost).tolist()
-        mass, track = world.cars.mass.tolist(), world.track.tolist()
-        fixed, cars = world.obstacles, at_rest(world.motion, frozen)
-        sizes = _rows(fixed.half_length, fixed.half_width)
-        still = torch.zeros_like(fixed.x)
-        moving = _rows(fixed.x, fixed.y, fixed.yaw, fixed.velocity_x, fixed.velocity_y, still)
-        driven = _rows(cars.x, cars.y, cars.yaw, cars.velocity_x, cars.velocity_y, cars.yaw_rate)
+    def _set(
+        self, cars: np.ndarray, obstacles: np.ndarray, worlds: np.ndarray, frozen: np.ndarray
+    ) -> list[_Stage]:
+        """Build what changed in kind, and put every body where the records say."""
+        ghosts = cars["ghost"].tolist()
+        held = (frozen & ~cars["ghost"]).tolist()
+        mass, track = cars["mass"].tolist(), worlds["track"].tolist()
+        sizes = _rows(obstacles, "half_length", "half_width")
+        moving = _rows(obstacles, "x", "y", "yaw", "velocity_x", "velocity_y")
+        driven = _rows(cars, "x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate")
         stages = []
         for index, client in enumerate(self._clients):
             plan = _Plan(track[index], mass[index], held[index], sizes[index])
@@ -167,7 +247,7 @@ class BulletSolver:
             for body, state in zip(stage.cars, driven[index], strict=True):
                 _place(client, body, state)
             for body, state in zip(stage.obstacles, moving[index], strict=True):
-                _place(client, body, state)
+                _place(client, body, [*state, 0.0])
             self._stages[index] = stage
             stages.append(stage)
         return stages
@@ -196,11 +276,12 @@ class BulletSolver:
             obstacles.append(self._box(client, place, body, _OBSTACLE))
         # Bullet takes a body's new inertia into use when it moves it.
         pybullet.stepSimulation(physicsClientId=client)
-        self._build_walls(client, self.tracks.tracks[plan.track].room)
+        self._build_walls(client, *self._rooms[plan.track])
         return _Stage(plan, cars, obstacles, [False] * len(cars))
 
-    def _build_walls(self, client: int, room: tuple[float, float, float, float]) -> None:
-        x_min, y_min, x_max, y_max = room
+    def _build_walls(
+        self, client: int, x_min: float, y_min: float, x_max: float, y_max: float
+    ) -> None:
         half_x, half_y = (x_max - x_min) / 2 + 2 * HALF_WALL, (y_max - y_min) / 2
         mid_x, mid_y = (x_min + x_max) / 2, (y_min + y_max) / 2
         boxes = (
@@ -245,74 +326,41 @@ class BulletSolver:
         pybullet.setCollisionFilterGroupMask(box, -1, group, _MEETS[group], physicsClientId=client)
         return box
 
-    def _apply(self, stages: list[_Stage], push: Push, pushed: list[list[bool]]) -> None:
-        loads = _rows(push.force_x, push.force_y, push.torque)
-        frame = pybullet.WORLD_FRAME
-        for client, stage, row, free in zip(self._clients, stages, loads, pushed, strict=True):
-            for body, (force_x, force_y, torque), mine in zip(stage.cars, row, free, strict=True):
-                if not mine:
-                    continue
-                # At the centre of mass, or the force would turn the body too.
-                centre, _ = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
-                pybullet.applyExternalForce(
-                    body, -1, [force_x, force_y, 0], centre, frame, physicsClientId=client
-                )
-                pybullet.applyExternalTorque(
-                    body, -1, [0, 0, torque], frame, physicsClientId=client
-                )
 
-    def _read(self, stages: list[_Stage], steering: Tensor) -> Motion:
-        rows = []
-        for client, stage in zip(self._clients, stages, strict=True):
-            for body in stage.cars:
-                place, turn = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
-                velocity, spin = pybullet.getBaseVelocity(body, physicsClientId=client)
-                yaw = math.remainder(2 * math.atan2(turn[2], turn[3]), math.tau)
-                rows.append((place[0], place[1], yaw, velocity[0], velocity[1], spin[2]))
-        table = torch.tensor(rows, dtype=torch.float32).T.contiguous()
-        x, y, yaw, velocity_x, velocity_y, yaw_rate = (
-            table.to(steering.device).reshape(6, *steering.shape).unbind()
-        )
-        return Motion(
-            x=x,
-            y=y,
-            yaw=yaw,
-            velocity_x=velocity_x,
-            velocity_y=velocity_y,
-            yaw_rate=yaw_rate,
-            steering=steering,
-        )
+def _push(client: int, body: int, load: list[float]) -> None:
+    force_x, force_y, torque = load
+    frame = pybullet.WORLD_FRAME
+    # At the centre of mass, or the force would turn the body too.
+    centre, _ = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
+    pybullet.applyExternalForce(
+        body, -1, [force_x, force_y, 0], centre, frame, physicsClientId=client
+    )
+    pybullet.applyExternalTorque(body, -1, [0, 0, torque], frame, physicsClientId=client)
 
 
-class _Touching:
-    """Gathers what touched what over a control step."""
+def _state(client: int, body: int) -> tuple[float, ...]:
+    """Return a body's state as `_read_back` takes it."""
+    place, turn = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
+    velocity, spin = pybullet.getBaseVelocity(body, physicsClientId=client)
+    return (place[0], place[1], turn[2], turn[3], velocity[0], velocity[1], spin[2])
 
-    def __init__(self, world: World) -> None:
-        shape, device = world.motion.x.shape, world.motion.x.device
-        self._cars = torch.zeros((*shape, shape[1]), dtype=torch.bool, device=device)
-        self._obstacles = torch.zeros(
-            (*shape, world.obstacles.x.shape[1]), dtype=torch.bool, device=device
-        )
-        self._walls = torch.zeros(shape, dtype=torch.bool, device=device)
 
-    def add(self, index: int, stage: _Stage, points: tuple) -> None:
-        for point in points:
-            first, second, distance, force = point[1], point[2], point[8], point[9]
-            if distance > 0 and force <= 0:
-                continue  # Bullet keeps points of a contact that has just ended
-            for one, other in ((first, second), (second, first)):
-                if one not in stage.cars:
-                    continue
-                car = stage.cars.index(one)
-                if other in stage.cars:
-                    self._cars[index, car, stage.cars.index(other)] = True
-                elif other in stage.obstacles:
-                    self._obstacles[index, car, stage.obstacles.index(other)] = True
-                else:
-                    self._walls[index, car] = True
-
-    def contacts(self) -> Contacts:
-        return Contacts(cars=self._cars, obstacles=self._obstacles, walls=self._walls)
+def _note(stage: _Stage, points: tuple, contacts: np.ndarray) -> None:
+    """Write down what touched what in one world in a physics step."""
+    for point in points:
+        first, second, distance, force = point[1], point[2], point[8], point[9]
+        if distance > 0 and force <= 0:
+            continue  # Bullet keeps points of a contact that has just ended
+        for one, other in ((first, second), (second, first)):
+            if one not in stage.cars:
+                continue
+            mine = contacts[stage.cars.index(one)]
+            if other in stage.cars:
+                mine["cars"] |= 1 << stage.cars.index(other)
+            elif other in stage.obstacles:
+                mine["obstacles"] |= 1 << stage.obstacles.index(other)
+            else:
+                mine["wall"] = True
 
 
 def _filter(client: int, stage: _Stage, ghosts: list[bool]) -> _Stage:
@@ -336,17 +384,6 @@ def _place(client: int, body: int, state: list[float]) -> None:
     )
 
 
-def _rows(*fields: Tensor) -> list[list[list[float]]]:
-    """Return (num_worlds, num_bodies) fields as nested lists, the fields innermost."""
-    return torch.stack(fields, dim=-1).tolist()
-
-
-def _hold(frozen: Tensor, before: Motion, after: Motion) -> Motion:
-    """Return frozen cars where they were, at rest."""
-    return replace(
-        at_rest(after, frozen),
-        x=torch.where(frozen, before.x, after.x),
-        y=torch.where(frozen, before.y, after.y),
-        yaw=torch.where(frozen, before.yaw, after.yaw),
-        steering=torch.where(frozen, before.steering, after.steering),
-    )
+def _rows(records: np.ndarray, *fields: str) -> list[list[list[float]]]:
+    """Return fields of (num_worlds, num_bodies) records as nested lists, the fields innermost."""
+    return np.stack([records[name] for name in fields], axis=-1).tolist()

@@ -1,4 +1,4 @@
-"""Compiled: where oriented boxes touch, or would, and what impulses part them.
+"""Compiled: where oriented boxes touch, or would, and which impulses part them.
 
 Touching is found by separating axes and edge clipping after E. Catto's Box2D-Lite: the face that
 separates the boxes best is the reference, the other box's face that looks at it most is clipped to
@@ -6,8 +6,8 @@ its width, and the clipped edge's two ends are the contact points. Points exist 
 touch, so that the solver can look one step ahead. The normal impulses at both points are solved
 together and exactly (the block solver of Box2D); friction acts at the nearer one.
 
-All numbers are float32, in which the worlds are told. A body is a row X, Y, YAW, VX, VY, TURN; its
-box a row of half length, half width [m], inverse mass [1/kg] and inverse inertia [1/(kg m^2)].
+All numbers are float32. A body is a row X, Y, YAW, VX, VY, TURN; its box a row of half length, half
+width [m], inverse mass [1/kg] and inverse inertia [1/(kg m^2)].
 """
 
 # Numba gives its types a meaning that the checker does not know.
@@ -17,7 +17,8 @@ import math
 
 import numpy as np
 
-from league.compiled import compiled, inner
+from league.jit import inner
+from league.portable_math import sincos
 
 X, Y, YAW, VX, VY, TURN = range(6)
 """Columns of a body: world frame [m, rad], velocity [m/s] and yaw rate [rad/s]."""
@@ -39,9 +40,9 @@ _TOGETHER = np.float32(1e-3)
 _ZERO, _HALF, _ONE, _TWO = (np.float32(number) for number in (0.0, 0.5, 1.0, 2.0))
 
 
-@compiled
-def part(bodies, boxes, first, second, touched, settings):  # noqa: ANN001, ANN201
-    """Change how bodies that touch move in a physics step; return how far overlap moves them.
+@inner
+def part(bodies, boxes, first, second, touched, shift, dt, restitution, friction):
+    """Change how bodies that touch move in a physics step.
 
     Pairs are worked in their order, one after the other. Which of them are worked again does not
     depend on other worlds, so neither do a world's bits.
@@ -53,17 +54,19 @@ def part(bodies, boxes, first, second, touched, settings):  # noqa: ANN001, ANN2
         first: a body of each pair, int64 (num_pairs,).
         second: the other one.
         touched: set where a pair touches, bool (num_pairs,).
-        settings: the physics step [s], restitution and friction, float32 (3,).
+        shift: set to how far overlap moves each body, float32 (num_bodies, 2) [m].
+        dt: the physics step [s].
+        restitution: share of the approach speed that comes back.
+        friction: coefficient between two bodies.
 
     Returns:
-        Whether any pair exchanged impulses, and the shifts of x, y [m] and yaw, which is not
-        shifted, float32 (num_bodies, 3).
+        Whether any pair exchanged impulses.
     """
-    dt, restitution, friction = settings
     num_pairs = len(first)
     turn = np.empty((len(bodies), 2), np.float32)
     for body in range(len(bodies)):
-        turn[body, 0], turn[body, 1] = math.cos(bodies[body, YAW]), math.sin(bodies[body, YAW])
+        shift[body, 0], shift[body, 1] = _ZERO, _ZERO
+        turn[body, 1], turn[body, 0] = sincos(bodies[body, YAW])
     acting = np.empty(num_pairs, np.int64)
     touch = np.empty((num_pairs, 14), np.float32)
     number = 0
@@ -81,9 +84,8 @@ def part(bodies, boxes, first, second, touched, settings):  # noqa: ANN001, ANN2
         if hit or deepest < -SLOP:
             acting[number] = pair
             number += 1
-    shift = np.zeros((len(bodies), 3), np.float32)
     if number == 0:
-        return False, shift
+        return False
     impulse = np.zeros((number, 3), np.float32)
     busy = np.zeros(len(bodies), np.int64)
     for k in range(number):
@@ -98,11 +100,11 @@ def part(bodies, boxes, first, second, touched, settings):  # noqa: ANN001, ANN2
                 _push(bodies, boxes, one, two, touch[k], impulse[k], friction)
     for k in range(number):
         _mend(shift, boxes, first[acting[k]], second[acting[k]], touch[k])
-    return True, shift
+    return True
 
 
 @inner
-def manifold(one, turn_one, box_one, two, turn_two, box_two, out):  # noqa: ANN001, ANN201
+def manifold(one, turn_one, box_one, two, turn_two, box_two, out):
     """Find where two boxes touch, or would; return whether their faces lie opposite at all.
 
     Args:
@@ -174,7 +176,7 @@ def manifold(one, turn_one, box_one, two, turn_two, box_two, out):  # noqa: ANN0
 
 
 @inner
-def _goals(one, two, touch, dt, restitution):  # noqa: ANN001, ANN202
+def _goals(one, two, touch, dt, restitution):
     """Add the least speed of parting asked at each point [m/s]; return whether any lacks it."""
     n_x, n_y = touch[0], touch[1]
     lacking = False
@@ -194,7 +196,7 @@ def _goals(one, two, touch, dt, restitution):  # noqa: ANN001, ANN202
 
 
 @inner
-def _push(bodies, boxes, one, two, touch, impulse, friction):  # noqa: ANN001, ANN202
+def _push(bodies, boxes, one, two, touch, impulse, friction):
     """Exchange what a pair's impulses lack, changing both velocities.
 
     Three rows: both points along the normal n, and the nearer one along the tangent (-n_y, n_x).
@@ -244,7 +246,7 @@ def _push(bodies, boxes, one, two, touch, impulse, friction):  # noqa: ANN001, A
 
 
 @inner
-def _solved(response, lack_1, lack_2, slip, third, friction):  # noqa: ANN001, ANN202
+def _solved(response, lack_1, lack_2, slip, third, friction):
     """Return the impulses that part a pair: both normal ones and friction.
 
     Args:
@@ -277,7 +279,7 @@ def _solved(response, lack_1, lack_2, slip, third, friction):  # noqa: ANN001, A
 
 
 @inner
-def _pressed(a, b, d, det, two_points, lack_1, lack_2):  # noqa: ANN001, ANN202
+def _pressed(a, b, d, det, two_points, lack_1, lack_2):
     """Return the two normal impulses: neither pulls, and no point is left short of its goal."""
     if two_points:
         first, second = (b * lack_2 - d * lack_1) / det, (b * lack_1 - a * lack_2) / det
@@ -290,7 +292,7 @@ def _pressed(a, b, d, det, two_points, lack_1, lack_2):  # noqa: ANN001, ANN202
 
 
 @inner
-def _mend(shift, boxes, one, two, touch):  # noqa: ANN001, ANN202
+def _mend(shift, boxes, one, two, touch):
     """Move boxes that overlap apart, by their masses."""
     depth = -min(touch[2], touch[3]) - SLOP
     amount = min(max(depth * MENDED, _ZERO), FASTEST_MEND)

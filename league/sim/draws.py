@@ -1,57 +1,102 @@
 """Random numbers that depend on a seed and a name, never on their order or their batch.
 
 A counter-based generator (splitmix64, Steele, Lea and Flood, OOPSLA 2014): the same world draws the
-same numbers alone, in a batch, on any device, and whatever else was drawn before.
+same numbers alone, in a batch, on any machine, and whatever else was drawn before. Functions of
+arrays are for Python; those that end in `_of` are for compiled code and give the same numbers.
 """
 
-import torch
-from torch import Tensor
+# Numba gives its types a meaning that the checker does not know.
+# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
 
-_GAMMA = -7046029254386353131  # 0x9E3779B97F4A7C15 as int64
-_MIX_1 = -4658895280553007687  # 0xBF58476D1CE4E5B9
-_MIX_2 = -7723592293110705685  # 0x94D049BB133111EB
+from __future__ import annotations
+
+import numpy as np
+
+from league.jit import inner
+
+SEED_MASK = 2**62 - 1
+"""World seeds lie below 2^62, so that they can be written into a race's spec."""
+
+_GAMMA = np.uint64(0x9E3779B97F4A7C15)
+_MIX_1, _MIX_2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+_27, _30, _31, _40 = np.uint64(27), np.uint64(30), np.uint64(31), np.uint64(40)
+_16, _32, _48, _LOW_16 = np.uint64(16), np.uint64(32), np.uint64(48), np.uint64(0xFFFF)
+_SHARE = np.float32(2.0**-24)
+_MEAN = np.int64(131070)
+"""Of four 16-bit numbers, each with variance (2**32 - 1) / 12."""
+_DEVIATION = np.float32(3.0**0.5 / 65536.0)
 
 
-def bits(seed: Tensor, *counters: Tensor | int) -> Tensor:
+def bits(seed: np.ndarray | int, *counters: np.ndarray | int) -> np.ndarray:
     """Return 64 random bits as int64 for each element of the broadcast of seed and counters.
 
     Args:
         seed: int64, one for each world, with trailing axes to broadcast against the counters.
         counters: what tells this draw from all others: a purpose, a step, a car, a beam.
     """
-    state = _mix(seed.to(torch.int64) + _GAMMA)
-    for counter in counters:
-        state = _mix((state ^ counter) + _GAMMA)
-    return state
+    with np.errstate(over="ignore"):
+        state = _mixed(_unsigned(seed) + _GAMMA)
+        for counter in counters:
+            state = _mixed((state ^ _unsigned(counter)) + _GAMMA)
+    return state.astype(np.int64)
 
 
-def uniform(seed: Tensor, *counters: Tensor | int) -> Tensor:
+def uniform(seed: np.ndarray | int, *counters: np.ndarray | int) -> np.ndarray:
     """Return float32 numbers in [0, 1)."""
-    return _logical_shift(bits(seed, *counters), 40).to(torch.float32) * 2.0**-24
+    return (bits(seed, *counters).astype(np.uint64) >> _40).astype(np.float32) * _SHARE
 
 
-def normal(seed: Tensor, *counters: Tensor | int) -> Tensor:
+def normal(seed: np.ndarray | int, *counters: np.ndarray | int) -> np.ndarray:
     """Return nearly Gaussian float32 numbers (mean 0, variance 1, within 3.47).
 
     The sum of four 16-bit uniforms: exact in integers, so bit-equal everywhere (a Box-Muller
     transform would not be); kurtosis is 2.7 instead of 3.
     """
-    word = bits(seed, *counters)
-    total = (
-        (word & 0xFFFF)
-        + (_logical_shift(word, 16) & 0xFFFF)
-        + (_logical_shift(word, 32) & 0xFFFF)
-        + _logical_shift(word, 48)
-    )
-    # Each part has variance (2**32 - 1) / 12; four of them, mean 2 * 65535.
-    return (total - 131070).to(torch.float32) * (3.0**0.5 / 65536.0)
+    word = bits(seed, *counters).astype(np.uint64)
+    total = (word & _LOW_16) + ((word >> _16) & _LOW_16) + ((word >> _32) & _LOW_16) + (word >> _48)
+    return (total.astype(np.int64) - _MEAN).astype(np.float32) * _DEVIATION
 
 
-def _logical_shift(word: Tensor, places: int) -> Tensor:
-    return (word >> places) & ((1 << (64 - places)) - 1)
+def _unsigned(numbers: np.ndarray | int) -> np.ndarray:
+    return np.atleast_1d(np.asarray(numbers, np.int64)).astype(np.uint64)
 
 
-def _mix(word: Tensor) -> Tensor:
-    word = (word ^ _logical_shift(word, 30)) * _MIX_1
-    word = (word ^ _logical_shift(word, 27)) * _MIX_2
-    return word ^ _logical_shift(word, 31)
+def _mixed(word: np.ndarray) -> np.ndarray:
+    word = (word ^ (word >> _30)) * _MIX_1
+    word = (word ^ (word >> _27)) * _MIX_2
+    return word ^ (word >> _31)
+
+
+@inner
+def _mixed_of(word):
+    word = (word ^ (word >> _30)) * _MIX_1
+    word = (word ^ (word >> _27)) * _MIX_2
+    return word ^ (word >> _31)
+
+
+@inner
+def _word_of(seed, counters):
+    state = _mixed_of(np.uint64(seed) + _GAMMA)
+    for counter in counters:
+        state = _mixed_of((state ^ np.uint64(counter)) + _GAMMA)
+    return state
+
+
+@inner
+def bits_of(seed, *counters):
+    """Return 64 random bits as int64; counters are int64."""
+    return np.int64(_word_of(seed, counters))
+
+
+@inner
+def uniform_of(seed, *counters):
+    """Return a float32 in [0, 1); counters are int64."""
+    return np.float32(_word_of(seed, counters) >> _40) * _SHARE
+
+
+@inner
+def normal_of(seed, *counters):
+    """Return a nearly Gaussian float32; counters are int64."""
+    word = _word_of(seed, counters)
+    total = (word & _LOW_16) + ((word >> _16) & _LOW_16) + ((word >> _32) & _LOW_16) + (word >> _48)
+    return np.float32(np.int64(total) - _MEAN) * _DEVIATION

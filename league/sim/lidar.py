@@ -5,22 +5,27 @@ The lidar looks to the rear. Beam 0 points half_angle clockwise from the rear, w
 side, and the last one points 30 deg to the right of straight ahead. The wedge ahead is blind.
 """
 
+# Numba gives its types a meaning that the checker does not know.
+# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
+
+from __future__ import annotations
+
 import math
 
-import torch
-from torch import Tensor
+import numpy as np
 
-from league.sim import draws
+from league.jit import compiled, inner
+from league.portable_math import f32, sincos
 from league.sim.config import LidarConfig, SimConfig
-from league.sim.world import World, row
+from league.sim.draws import normal_of
+from league.sim.world import World
 from league.track.course import TrackSet
 
 NEAR_SECTOR = 0.5
-"""A sector tells 1 when something stands within this range [m]."""
+"""A sector reads 1 when something stands within this range [m]."""
 
 _NOISE = 7_320_001  # purpose of the draws (see league.sim.draws)
-_FAR = 1e9
-_TINY = 1e-9
+_FAR, _TINY, _ZERO, _HALF = f32(1e9), f32(1e-9), f32(0.0), f32(0.5)
 
 
 def beam_angles(cfg: LidarConfig) -> list[float]:
@@ -37,9 +42,9 @@ def scan(
     cfg: LidarConfig,
     world: World,
     car: int,
-    rows: Tensor | None = None,
-) -> Tensor:
-    """Return what one car's lidar tells in each world, in the form of its configuration.
+    rows: np.ndarray | None = None,
+) -> np.ndarray:
+    """Return the reading of one car's lidar in each world, in the form of its configuration.
 
     Args:
         tracks: the tracks of the worlds.
@@ -52,111 +57,161 @@ def scan(
     Returns:
         float32, (num_rows, cfg.size): ranges [m], or 0 and 1 of the coarse forms.
     """
-    chosen = world if rows is None else row(world, rows)
-    ranges = true_ranges(tracks, sim, cfg, chosen, car)
-    if cfg.noise > 0:
-        beam = torch.arange(cfg.beams, device=ranges.device)
-        seed, step = chosen.seed.unsqueeze(1), chosen.step.unsqueeze(1)
-        ranges = ranges + cfg.noise * draws.normal(seed, _NOISE, step, car, beam)
-    return told(torch.clamp(ranges, cfg.min_range, cfg.max_range), cfg)
+    ranges = true_ranges(tracks, sim, cfg, world, car, rows, cfg.noise)
+    return read(np.clip(ranges, f32(cfg.min_range), f32(cfg.max_range)), cfg)
 
 
 def true_ranges(
-    tracks: TrackSet, sim: SimConfig, cfg: LidarConfig, world: World, car: int
-) -> Tensor:
-    """Return the exact distance [m] along each beam, not clipped; (num_worlds, beams)."""
-    motion, obstacles = world.motion, world.obstacles
-    yaw = motion.yaw[:, car].contiguous()
-    cos, sin = torch.cos(yaw), torch.sin(yaw)
-    x = motion.x[:, car] + cos * cfg.forward
-    y = motion.y[:, car] + sin * cfg.forward
-    angles = beam_angles(cfg)
-    beam_cos = torch.tensor([math.cos(angle) for angle in angles], device=x.device)
-    beam_sin = torch.tensor([math.sin(angle) for angle in angles], device=x.device)
-    cos, sin = cos.unsqueeze(1), sin.unsqueeze(1)
-    dx, dy = cos * beam_cos - sin * beam_sin, sin * beam_cos + cos * beam_sin
-    ranges = _to_wall(tracks.room[world.track], x.unsqueeze(1), y.unsqueeze(1), dx, dy)
-    others = [slot for slot in range(world.num_cars) if slot != car]
-    if others or obstacles.x.shape[1]:
-        half_length = torch.full_like(motion.x[:, others], sim.car.length / 2)
-        half_width = torch.full_like(half_length, sim.car.width / 2)
-        boxes = (
-            torch.cat([motion.x[:, others], obstacles.x], dim=1),
-            torch.cat([motion.y[:, others], obstacles.y], dim=1),
-            torch.cat([motion.yaw[:, others], obstacles.yaw], dim=1),
-            torch.cat([half_length, obstacles.half_length], dim=1),
-            torch.cat([half_width, obstacles.half_width], dim=1),
-        )
-        ranges = torch.minimum(ranges, _to_boxes(x, y, dx, dy, *boxes).amin(dim=1))
-    return ranges
+    tracks: TrackSet,
+    sim: SimConfig,
+    cfg: LidarConfig,
+    world: World,
+    car: int,
+    rows: np.ndarray | None = None,
+    noise: float = 0.0,
+) -> np.ndarray:
+    """Return the distance [m] along each beam, not clipped; float32 (num_rows, beams).
+
+    Args:
+        tracks: see `scan`, as for the rest.
+        sim: see `scan`.
+        cfg: see `scan`.
+        world: see `scan`.
+        car: see `scan`.
+        rows: see `scan`.
+        noise: standard deviation of what is added [m]; 0: the exact distances.
+    """
+    if rows is None:
+        rows = np.arange(world.num_worlds)
+    angles = np.array(beam_angles(cfg), np.float32)
+    out = np.empty((len(rows), cfg.beams), np.float32)
+    half = (f32(sim.car.length / 2), f32(sim.car.width / 2))
+    numbers = (f32(cfg.forward), *half, f32(noise))
+    _scan(
+        world.cars, world.obstacles, world.worlds, tracks.courses, car, rows, angles, *numbers, out
+    )
+    return out
 
 
-def told(ranges: Tensor, cfg: LidarConfig) -> Tensor:
+def read(ranges: np.ndarray, cfg: LidarConfig) -> np.ndarray:
     """Return clipped ranges [m], (num_rows, beams), in the form of the configuration."""
     if cfg.form == "ranges":
         return ranges
-    nearest = ranges.reshape(len(ranges), cfg.sectors, -1).amin(dim=2)  # (num_rows, sectors)
+    nearest = ranges.reshape(len(ranges), cfg.sectors, -1).min(axis=2)  # (num_rows, sectors)
     if cfg.form == "sectors":
-        return (nearest <= NEAR_SECTOR).to(torch.float32)
-    place = torch.floor(nearest / (cfg.clip / cfg.bins)).to(torch.int64).unsqueeze(2)
-    bins = torch.arange(cfg.bins, device=ranges.device)
+        return (nearest <= NEAR_SECTOR).astype(np.float32)
+    place = np.floor(nearest / f32(cfg.clip / cfg.bins)).astype(np.int64)[..., None]
     # Beyond the clip no bin matches: all zeros.
-    return (place == bins).to(torch.float32).reshape(len(ranges), -1)
+    return (place == np.arange(cfg.bins)).astype(np.float32).reshape(len(ranges), -1)
 
 
-def _to_wall(room: Tensor, x: Tensor, y: Tensor, dx: Tensor, dy: Tensor) -> Tensor:
-    """Return how far each beam goes inside the room's rectangle."""
-    x_min, y_min, x_max, y_max = (part.unsqueeze(1) for part in room.unbind(1))
-    to_x = torch.where(dx > 0, x_max - x, x_min - x) / _not_zero(dx)
-    to_y = torch.where(dy > 0, y_max - y, y_min - y) / _not_zero(dy)
-    return torch.minimum(to_x, to_y)
+@compiled
+def _scan(
+    cars,
+    obstacles,
+    worlds,
+    courses,
+    me,
+    rows,
+    angles,
+    forward,
+    half_length,
+    half_width,
+    noise,
+    out,
+):
+    for row in range(len(rows)):
+        w = rows[row]
+        course, car = courses[worlds[w].track], cars[w, me]
+        sin, cos = sincos(car.yaw)
+        x, y = car.x + cos * forward, car.y + sin * forward
+        for beam in range(len(angles)):
+            beam_sin, beam_cos = sincos(angles[beam])
+            dx, dy = cos * beam_cos - sin * beam_sin, sin * beam_cos + cos * beam_sin
+            out[row, beam] = _to_wall(course, x, y, dx, dy)
+        for other in range(cars.shape[1]):
+            if other != me:
+                body = cars[w, other]
+                _meet(
+                    out[row],
+                    angles,
+                    x,
+                    y,
+                    cos,
+                    sin,
+                    body.x,
+                    body.y,
+                    body.yaw,
+                    half_length,
+                    half_width,
+                )
+        for k in range(obstacles.shape[1]):
+            body = obstacles[w, k]
+            _meet(
+                out[row],
+                angles,
+                x,
+                y,
+                cos,
+                sin,
+                body.x,
+                body.y,
+                body.yaw,
+                body.half_length,
+                body.half_width,
+            )
+        if noise > _ZERO:
+            for beam in range(len(angles)):
+                drawn = normal_of(worlds[w].seed, _NOISE, worlds[w].step, me, beam)
+                out[row, beam] += noise * drawn
 
 
-def _to_boxes(
-    x: Tensor,
-    y: Tensor,
-    dx: Tensor,
-    dy: Tensor,
-    box_x: Tensor,
-    box_y: Tensor,
-    yaw: Tensor,
-    half_length: Tensor,
-    half_width: Tensor,
-) -> Tensor:
-    """Return how far each beam goes to each rectangle; 0 from inside, very far if it passes by.
+@inner
+def _to_wall(course, x, y, dx, dy):
+    """Return how far a beam goes inside the room's rectangle [m]."""
+    to_x = (course.x_max - x if dx > _ZERO else course.x_min - x) / _not_zero(dx)
+    to_y = (course.y_max - y if dy > _ZERO else course.y_min - y) / _not_zero(dy)
+    return min(to_x, to_y)
+
+
+@inner
+def _meet(ranges, angles, x, y, cos, sin, box_x, box_y, yaw, half_length, half_width):
+    """Shorten the beams that meet a rectangle; to 0 from inside.
 
     Slab test (Kay and Kajiya, 1986): a beam is inside where it is between both pairs of sides.
 
     Args:
-        x: where the lidars are, (num_worlds,), with y.
-        y: see x.
-        dx: where the beams go, (num_worlds, beams), with dy.
-        dy: see dx.
-        box_x: middles of the rectangles, (num_worlds, num_boxes), with all that follow.
-        box_y: see box_x.
-        yaw: headings of the rectangles [rad].
-        half_length: half of their sizes [m].
-        half_width: see half_length.
-
-    Returns:
-        Distances [m], (num_worlds, num_boxes, beams).
+        ranges: of one scan so far [m], float32 (beams,).
+        angles: of the beams, from straight ahead [rad].
+        x: where the lidar is [m].
+        y: where the lidar is [m].
+        cos: of the car's yaw.
+        sin: of the car's yaw.
+        box_x: middle of the rectangle [m].
+        box_y: middle of the rectangle [m].
+        yaw: its heading [rad].
+        half_length: half of its length [m].
+        half_width: half of its width [m].
     """
-    cos, sin = torch.cos(yaw), torch.sin(yaw)
-    away_x, away_y = x.unsqueeze(1) - box_x, y.unsqueeze(1) - box_y
-    along = (cos * away_x + sin * away_y).unsqueeze(2)
-    across = (cos * away_y - sin * away_x).unsqueeze(2)
-    cos, sin, dx, dy = cos.unsqueeze(2), sin.unsqueeze(2), dx.unsqueeze(1), dy.unsqueeze(1)
-    go_along, go_across = _not_zero(cos * dx + sin * dy), _not_zero(cos * dy - sin * dx)
-    half_length, half_width = half_length.unsqueeze(2), half_width.unsqueeze(2)
-    front, back = (half_length - along) / go_along, (-half_length - along) / go_along
-    left, right = (half_width - across) / go_across, (-half_width - across) / go_across
-    enter = torch.maximum(torch.minimum(front, back), torch.minimum(left, right))
-    leave = torch.minimum(torch.maximum(front, back), torch.maximum(left, right))
-    hit = (enter <= leave) & (leave > 0)
-    return torch.where(hit, torch.clamp(enter, min=0.0), torch.full_like(enter, _FAR))
+    box_sin, box_cos = sincos(yaw)
+    away_x, away_y = x - box_x, y - box_y
+    along, across = box_cos * away_x + box_sin * away_y, box_cos * away_y - box_sin * away_x
+    for beam in range(len(angles)):
+        beam_sin, beam_cos = sincos(angles[beam])
+        dx, dy = cos * beam_cos - sin * beam_sin, sin * beam_cos + cos * beam_sin
+        go_along = _not_zero(box_cos * dx + box_sin * dy)
+        go_across = _not_zero(box_cos * dy - box_sin * dx)
+        front, back = (half_length - along) / go_along, (-half_length - along) / go_along
+        left, right = (half_width - across) / go_across, (-half_width - across) / go_across
+        enter = max(min(front, back), min(left, right))
+        leave = min(max(front, back), max(left, right))
+        if enter <= leave and leave > _ZERO:
+            ranges[beam] = min(ranges[beam], max(enter, _ZERO))
 
 
-def _not_zero(value: Tensor) -> Tensor:
+@inner
+def _not_zero(value):
     """Return the value, kept off zero so that a beam along a side meets it very far away."""
-    tiny = torch.where(value < 0, torch.full_like(value, -_TINY), torch.full_like(value, _TINY))
-    return torch.where(value.abs() < _TINY, tiny, value)
+    if abs(value) < _TINY:
+        return -_TINY if value < _ZERO else _TINY
+    return value

@@ -1,145 +1,136 @@
-"""Where boxes stand and how bot cars drive: along a lane, changing it now and then (facts 5.1)."""
+"""Compiled: where boxes stand, and how bot cars drive along a lane that they change at times."""
 
-from dataclasses import replace
+# Numba gives its types a meaning that the checker does not know.
+# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
 
-import torch
-from torch import Tensor
+import math
 
-from league.geometry import heading_of, wrap_angle
-from league.sim import draws
-from league.sim.config import CarConfig, ObstacleConfig, SimConfig
-from league.sim.world import Obstacles, World
-from league.track.course import TrackSet
+import numpy as np
+
+from league.jit import inner
+from league.portable_math import atan, clamp, f32, heading_of, wrap_angle
+from league.sim.draws import uniform_of
+from league.track.projection import frame_at
 
 _PLACE, _LANE, _PERIOD = 101, 102, 103
-_LANE_CHANGE_DISTANCE = 1.0
-_END_MARGIN = 1.0
+_LANE_CHANGE_DISTANCE = f32(1.0)
+_END_MARGIN = f32(1.0)
+_ZERO, _HALF, _ONE, _TWO, _THREE, _SIX = (f32(n) for n in (0.0, 0.5, 1.0, 2.0, 3.0, 6.0))
 
 
-def place(tracks: TrackSet, sim: SimConfig, seed: Tensor, track: Tensor) -> Obstacles:
-    """Return the obstacles at the start of each race.
+@inner
+def place(obstacles, world, points, course, places, settings):
+    """Put the obstacles of one world where they stand at the start of its race.
 
     Args:
-        tracks: the courses.
-        sim: settings; without obstacles the fields have shape (num_worlds, 0).
-        seed: seed of each race, (num_worlds,).
-        track: row of the TrackSet of each race, (num_worlds,).
+        obstacles: OBSTACLE records (num_obstacles,); overwritten.
+        world: WORLD record.
+        points: of the TrackSet.
+        course: COURSE record of the world's track.
+        places: fixed places, (fraction of the lap, lane) of each, float32 (num_obstacles, 2).
+        settings: SETTINGS record.
     """
-    cfg, count = sim.obstacles, sim.num_obstacles
-    worlds = seed.shape[0]
-    number = torch.arange(count, device=seed.device).expand(worlds, count)
-    length = tracks.length[track].unsqueeze(1)
-    lane = _first_lane(tracks, cfg, seed, track, number)
-    s = _places(cfg, seed, number, length)
-    half_length, half_width = _half_sizes(cfg, sim.car)
-    zero = torch.zeros_like(s)
-    standing = Obstacles(
-        x=zero,
-        y=zero,
-        yaw=zero,
-        velocity_x=zero,
-        velocity_y=zero,
-        s=s,
-        lateral=lane * _lane_offset(tracks, track, s, lane),
-        half_length=zero + half_length,
-        half_width=zero + half_width,
-        stopped_s=zero,
-    )
-    return _posed(tracks, track, standing, slope=zero)
+    for k in range(len(obstacles)):
+        thing = obstacles[k]
+        lane = _first_lane(k, world.seed, course, places, settings)
+        thing.s = _first_s(k, len(obstacles), world.seed, course, places, settings)
+        thing.lateral = lane * _lane_offset(frame_at(points, course, thing.s), lane)
+        thing.half_length, thing.half_width = settings.thing_half_length, settings.thing_half_width
+        thing.velocity_x, thing.velocity_y, thing.stopped_s = _ZERO, _ZERO, _ZERO
+        _pose(thing, points, course, _ZERO)
 
 
-def aimed(tracks: TrackSet, sim: SimConfig, world: World) -> tuple[Obstacles, Obstacles]:
-    """Return the obstacles now, with the velocity of this step, and where they will be after it."""
-    now = world.obstacles
-    if sim.num_obstacles == 0 or sim.obstacles.kind == "box":
-        return now, now
-    dt = sim.step_dt
-    speed = torch.where(now.stopped_s > 0, 0.0, sim.obstacles.speed).to(now.s.dtype)
-    # Counted in whole steps, so that no rounding adds or drops one.
-    steps_left = torch.clamp(torch.round(now.stopped_s * sim.step_hz) - 1.0, min=0.0)
-    s = now.s + speed * dt
-    lateral, slope = _lane_path(tracks, sim, world, s)
-    following = _posed(
-        tracks,
-        world.track,
-        replace(now, s=s, lateral=lateral, stopped_s=steps_left / sim.step_hz),
-        slope,
-    )
-    velocity_x, velocity_y = (following.x - now.x) / dt, (following.y - now.y) / dt
-    moving = replace(now, velocity_x=velocity_x, velocity_y=velocity_y)
-    return moving, replace(following, velocity_x=velocity_x, velocity_y=velocity_y)
+@inner
+def aim(obstacles, arrivals, world, points, course, places, settings):
+    """Give bot cars their velocity of this step, and work out where they will be after it.
+
+    Args:
+        obstacles: OBSTACLE records (num_obstacles,); velocities are changed.
+        arrivals: the same after the step; overwritten.
+        world: WORLD record.
+        points: of the TrackSet.
+        course: COURSE record of the world's track.
+        places: as in `place`.
+        settings: SETTINGS record.
+    """
+    for k in range(len(obstacles)):
+        now, then = obstacles[k], arrivals[k]
+        arrivals[k] = obstacles[k]
+        if not settings.bots:
+            continue
+        speed = _ZERO if now.stopped_s > _ZERO else settings.bot_speed
+        # Counted in whole steps, so that no rounding adds or drops one.
+        steps_left = max(f32(np.rint(now.stopped_s * settings.step_hz)) - _ONE, _ZERO)
+        then.stopped_s = steps_left / settings.step_hz
+        then.s = now.s + speed * settings.step_dt
+        then.lateral, slope = _lane_path(
+            k, len(obstacles), then.s, world.seed, points, course, places, settings
+        )
+        _pose(then, points, course, slope)
+        now.velocity_x = (then.x - now.x) / settings.step_dt
+        now.velocity_y = (then.y - now.y) / settings.step_dt
+        then.velocity_x, then.velocity_y = now.velocity_x, now.velocity_y
 
 
-def _half_sizes(cfg: ObstacleConfig, car: CarConfig) -> tuple[float, float]:
-    if cfg.kind == "bot":
-        return car.length / 2, car.width / 2
-    return cfg.length / 2, cfg.width / 2
-
-
-def _places(cfg: ObstacleConfig, seed: Tensor, number: Tensor, length: Tensor) -> Tensor:
-    """Return s of each obstacle: as told, evenly spaced, or evenly spaced with a random shift."""
-    count = max(number.shape[1], 1)
-    if cfg.places:
-        fraction = torch.tensor([f for f, _ in cfg.places], device=number.device)
-        return fraction.expand(number.shape) * length
-    first = torch.clamp(length / (count + 1), max=cfg.min_distance)
-    spacing = (length - first - _END_MARGIN) / max(count - 1, 1)
-    if not cfg.random_places:
-        return first + number * spacing
+@inner
+def _first_s(k, count, seed, course, places, settings):
+    """Return s of obstacle k: as given, evenly spaced, or evenly spaced with a random shift."""
+    if settings.fixed_places:
+        return places[k, 0] * course.length
+    first = min(course.length / f32(count + 1), settings.min_distance)
+    stretch = course.length - first - _END_MARGIN
+    if not settings.random_places:
+        return first + f32(k) * (stretch / f32(max(count - 1, 1)))
     # Each keeps to its own stretch, shortened so that two neighbours stay min_distance apart.
-    spacing = (length - first - _END_MARGIN) / count
-    free = torch.clamp(spacing - cfg.min_distance, min=0.0)
-    return first + number * spacing + draws.uniform(seed.unsqueeze(1), _PLACE, number) * free
+    spacing = stretch / f32(count)
+    free = max(spacing - settings.min_distance, _ZERO)
+    return first + f32(k) * spacing + uniform_of(seed, _PLACE, k) * free
 
 
-def _first_lane(
-    tracks: TrackSet, cfg: ObstacleConfig, seed: Tensor, track: Tensor, number: Tensor
-) -> Tensor:
-    """Return +1 for the lane on the left and -1 on the right, float (or in between, as told)."""
-    if cfg.places:
-        lanes = torch.tensor([lane for _, lane in cfg.places], device=number.device)
-        return lanes.expand(number.shape).contiguous()
-    if cfg.random_places:
-        return torch.where(draws.uniform(seed.unsqueeze(1), _LANE, number) < 0.5, 1.0, -1.0)
-    return tracks.inner[track].unsqueeze(1) * (1.0 - 2.0 * (number % 2))
+@inner
+def _first_lane(k, seed, course, places, settings):
+    """Return 1 for the lane on the left and -1 on the right, or in between, as given."""
+    if settings.fixed_places:
+        return places[k, 1]
+    if settings.random_places:
+        return _ONE if uniform_of(seed, _LANE, k) < _HALF else -_ONE
+    return course.inner if k % 2 == 0 else -course.inner
 
 
-def _lane_offset(tracks: TrackSet, track: Tensor, s: Tensor, side: Tensor) -> Tensor:
+@inner
+def _lane_offset(frame, side):
     """Return how far the middle of a lane lies from the centreline [m]."""
-    _, _, frame = tracks.at(track, s)
-    return torch.where(side > 0, frame.left, frame.right) / 2
+    return (frame.left if side > _ZERO else frame.right) * _HALF
 
 
-def _lane_path(tracks: TrackSet, sim: SimConfig, world: World, s: Tensor) -> tuple[Tensor, Tensor]:
-    """Return lateral and d(lateral)/ds of bot cars at odometer s."""
-    cfg = sim.obstacles
-    number = torch.arange(s.shape[1], device=s.device).expand(s.shape)
-    seed = world.seed.unsqueeze(1)
-    lane = _first_lane(tracks, cfg, world.seed, world.track, number)
-    if not cfg.lane_change:
-        return lane * _lane_offset(tracks, world.track, s, lane), torch.zeros_like(s)
-    start = _places(cfg, world.seed, number, tracks.length[world.track].unsqueeze(1))
-    # Lanes change every 3 to 5 s of driving, over one metre, along a cubic (facts 5.1).
-    stretch = (3.0 + 2.0 * draws.uniform(seed, _PERIOD, number)) * cfg.speed
-    stretch = torch.clamp(stretch, min=_LANE_CHANGE_DISTANCE)  # one change ends before the next
-    driven = s - start
-    change = torch.floor(driven / stretch)
-    parity = torch.remainder(change, 2.0)
-    after = lane * (1.0 - 2.0 * parity)
-    before = torch.where(change > 0, -after, after)
-    part = torch.clamp((driven - change * stretch) / _LANE_CHANGE_DISTANCE, 0.0, 1.0)
-    blend = part * part * (3.0 - 2.0 * part)
+@inner
+def _lane_path(k, count, s, seed, points, course, places, settings):
+    """Return lateral [m] and d(lateral)/ds of bot car k at odometer s."""
+    lane = _first_lane(k, seed, course, places, settings)
+    frame = frame_at(points, course, s)
+    if not settings.lane_change:
+        return lane * _lane_offset(frame, lane), _ZERO
+    # Lanes change every 3 to 5 s of driving, over one metre, along a cubic. One change ends
+    # before the next begins.
+    stretch = (_THREE + _TWO * uniform_of(seed, _PERIOD, k)) * settings.bot_speed
+    stretch = max(stretch, _LANE_CHANGE_DISTANCE)
+    driven = s - _first_s(k, count, seed, course, places, settings)
+    change = f32(math.floor(driven / stretch))
+    odd = f32(math.floor(change * _HALF)) * _TWO != change
+    after = -lane if odd else lane
+    before = -after if change > _ZERO else after
+    part = clamp((driven - change * stretch) / _LANE_CHANGE_DISTANCE, _ZERO, _ONE)
+    blend = part * part * (_THREE - _TWO * part)
     side = before + (after - before) * blend
-    offset = _lane_offset(tracks, world.track, s, side)
-    slope = (after - before) * 6.0 * part * (1.0 - part) / _LANE_CHANGE_DISTANCE * offset
+    offset = _lane_offset(frame, side)
+    slope = (after - before) * _SIX * part * (_ONE - part) / _LANE_CHANGE_DISTANCE * offset
     return side * offset, slope
 
 
-def _posed(tracks: TrackSet, track: Tensor, standing: Obstacles, slope: Tensor) -> Obstacles:
-    x, y, frame = tracks.at(track, standing.s)
-    return replace(
-        standing,
-        x=x - frame.sin * standing.lateral,
-        y=y + frame.cos * standing.lateral,
-        yaw=wrap_angle(heading_of(frame.cos, frame.sin) + torch.atan(slope)),
-    )
+@inner
+def _pose(thing, points, course, slope):
+    """Set x, y and yaw from the place along and across the track."""
+    frame = frame_at(points, course, thing.s)
+    thing.x = frame.x - frame.sin * thing.lateral
+    thing.y = frame.y + frame.cos * thing.lateral
+    thing.yaw = wrap_angle(heading_of(frame.cos, frame.sin) + atan(slope))

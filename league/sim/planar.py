@@ -1,103 +1,249 @@
-"""PlanarSolver: many worlds at once in torch, on any device; contacts by impulses between boxes.
+"""Compiled: the planar solver, forces integrated in the plane and contacts of boxes by impulses.
 
-Semi-implicit Euler: forces change velocities, contacts mend them, velocities move the cars. A
-world's result does not depend, to the last bit, on the batch it is in (on the CPU).
+Semi-implicit Euler: forces change velocities, contacts mend them, velocities move the cars.
 """
 
-from __future__ import annotations
+# Numba gives its types a meaning that the checker does not know.
+# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
 
-import math
-from dataclasses import replace
+import numpy as np
 
-import torch
-from torch import Tensor
+from league.jit import inner
+from league.portable_math import f32, wrap_angle
+from league.sim.collision import part
+from league.sim.vehicle import frozen, late_steps, push
 
-from league.geometry import wrap_angle
-from league.sim.config import SimConfig
-from league.sim.contact import Boxes, Resolver, no_contacts
-from league.sim.near import find_rounds
-from league.sim.solver import Outcome
-from league.sim.vehicle import Vehicle, asked_controls, at_rest
-from league.sim.world import Control, Motion, World
-from league.track.course import TrackSet
+HALF_WALL = f32(5.0)
+"""Half the thickness of a wall [m]."""
+REACH_MARGIN = f32(0.1)
+"""Added to the distance two bodies may close in a control step [m]; covers what forces add."""
+NUM_WALLS = 4
+_ZERO, _HALF, _ONE = f32(0.0), f32(0.5), f32(1.0)
 
 
-class PlanarSolver:
-    """Integrates a batch of worlds; keeps nothing between steps."""
+def schedule(num_cars: int) -> np.ndarray:
+    """Return all pairs of cars in the order in which contacts are worked, int64 (num_pairs, 2).
 
-    def __init__(self, cfg: SimConfig, tracks: TrackSet) -> None:
-        self.cfg = cfg
-        self.tracks = tracks
+    Rounds in which no car occurs twice (circle method of round-robin tournaments).
+    """
+    seats = list(range(num_cars + num_cars % 2))
+    pairs: list[tuple[int, int]] = []
+    for _ in range(len(seats) - 1):
+        met = sorted((seats[i], seats[-1 - i]) for i in range(len(seats) // 2))
+        pairs += [(min(pair), max(pair)) for pair in met if max(pair) < num_cars]
+        seats = [seats[0], seats[-1], *seats[1:-1]]
+    return np.array(pairs, np.int64).reshape(-1, 2)
 
-    def step(self, world: World, control: Control) -> Outcome:
-        """Return where `control`, held for one control step, leads from `world`."""
-        frozen = world.standing.penalty_s > 0
-        held = bool(frozen.any())
-        vehicle = Vehicle.of(world.cars, self.cfg.car, self.cfg.physics_dt)
-        ease, turn_ease = 1.0 / vehicle.mass, 1.0 / vehicle.inertia
-        motion = world.motion
-        if held:
-            motion = at_rest(motion, frozen)
-            ease, turn_ease = torch.where(frozen, 0.0, ease), torch.where(frozen, 0.0, turn_ease)
-        resolver = self._resolver(replace(world, motion=motion), frozen, ease, turn_ease)
-        for asked in asked_controls(world, control, self.cfg):
-            motion = self._advance(motion, asked, vehicle, (ease, turn_ease), resolver)
-        # Wrapping rounds, so a yaw in range is left alone: a car at rest keeps its bits.
-        yaw = torch.where(motion.yaw.abs() >= math.pi, wrap_angle(motion.yaw), motion.yaw)
-        steering = motion.steering
-        if held:
-            yaw = torch.where(frozen, world.motion.yaw, yaw)
-            steering = torch.where(frozen, world.motion.steering, steering)
-        return Outcome(
-            motion=replace(motion, yaw=yaw, steering=steering),
-            contacts=resolver.contacts(world) if resolver else no_contacts(world),
+
+@inner
+def step_world(cars, obstacles, course, controls, contacts, pairs, settings):
+    """Move the cars of one world through a control step, and note what touched what.
+
+    Cars that are frozen are held where they are, at rest; ghosts touch neither cars nor obstacles.
+    Obstacles move at their velocity and cannot be pushed.
+
+    Args:
+        cars: CAR records (num_cars,); their motion is changed.
+        obstacles: OBSTACLE records (num_obstacles,), with the velocity of this step.
+        course: COURSE record, for the walls.
+        controls: target steering [rad] and speed [m/s] of each car, float32 (num_cars, 2).
+        contacts: CONTACT records (num_cars,); overwritten.
+        pairs: of `schedule`.
+        settings: SETTINGS record.
+    """
+    num_cars, dt = len(cars), settings.physics_dt
+    for c in range(num_cars):
+        contacts[c].cars, contacts[c].obstacles, contacts[c].wall = 0, 0, False
+        if frozen(cars[c]):
+            _hold(cars[c])
+    number = _near(cars, obstacles, course, pairs, settings, np.empty((0, 2), np.int64))
+    if number == 0:
+        for k in range(settings.decimation):
+            for c in range(num_cars):
+                if not frozen(cars[c]):
+                    _accelerate(cars[c], controls[c], settings, k)
+                    _move(cars[c], dt, _ZERO, _ZERO)
+    else:
+        _step_near(number, cars, obstacles, course, controls, contacts, pairs, settings)
+    for c in range(num_cars):
+        cars[c].yaw = wrap_angle(cars[c].yaw)
+
+
+@inner
+def _step_near(number, cars, obstacles, course, controls, contacts, pairs, settings):
+    """Move the cars of one world in which some bodies may touch."""
+    num_cars, dt = len(cars), settings.physics_dt
+    near = np.empty((number, 2), np.int64)
+    _near(cars, obstacles, course, pairs, settings, near)
+    first, second = near[:, 0].copy(), near[:, 1].copy()
+    bodies, boxes = _bodies(cars, obstacles, course, settings)
+    touched, shift = np.zeros(number, np.bool_), np.empty((len(bodies), 2), np.float32)
+    for k in range(settings.decimation):
+        for c in range(num_cars):
+            if not frozen(cars[c]):
+                _accelerate(cars[c], controls[c], settings, k)
+            _write(bodies[c], cars[c].x, cars[c].y, cars[c].yaw)
+            _write(bodies[c, 3:], cars[c].velocity_x, cars[c].velocity_y, cars[c].yaw_rate)
+        part(
+            bodies,
+            boxes,
+            first,
+            second,
+            touched,
+            shift,
+            dt,
+            settings.restitution,
+            settings.friction,
         )
+        for c in range(num_cars):
+            if not frozen(cars[c]):
+                car = cars[c]
+                car.velocity_x, car.velocity_y = bodies[c, 3], bodies[c, 4]
+                car.yaw_rate = bodies[c, 5]
+                _move(car, dt, shift[c, 0], shift[c, 1])
+        for body in range(num_cars, len(bodies)):
+            bodies[body, 0] += bodies[body, 3] * dt
+            bodies[body, 1] += bodies[body, 4] * dt
+    for n in range(number):
+        if touched[n]:
+            _note(contacts, first[n], second[n], num_cars, len(obstacles))
 
-    def reset(self, worlds: list[int] | None = None) -> None:
-        """Do nothing: no step leaves anything behind."""
 
-    def close(self) -> None:
-        """Do nothing: nothing is held outside Python."""
+@inner
+def _hold(car):
+    car.velocity_x, car.velocity_y, car.yaw_rate = _ZERO, _ZERO, _ZERO
 
-    def _resolver(
-        self, world: World, frozen: Tensor, ease: Tensor, turn_ease: Tensor
-    ) -> Resolver | None:
-        rounds = find_rounds(world, frozen, self.cfg, self.tracks)
-        if not rounds:
-            return None
-        inverse_mass = ease.reshape(-1)
-        cars = Boxes(
-            half_length=torch.full_like(inverse_mass, self.cfg.car.length / 2),
-            half_width=torch.full_like(inverse_mass, self.cfg.car.width / 2),
-            inverse_mass=inverse_mass,
-            inverse_inertia=turn_ease.reshape(-1),
-        )
-        return Resolver(rounds, cars, self.cfg)
 
-    def _advance(
-        self,
-        motion: Motion,
-        asked: Control,
-        vehicle: Vehicle,
-        eases: tuple[Tensor, Tensor],
-        resolver: Resolver | None,
-    ) -> Motion:
-        """Return the motion one physics step later."""
-        dt = self.cfg.physics_dt
-        push = vehicle.push(motion, asked.steering, asked.speed)
-        speed_up, turn_up = eases[0] * dt, eases[1] * dt
-        velocity_x = motion.velocity_x + push.force_x * speed_up
-        velocity_y = motion.velocity_y + push.force_y * speed_up
-        yaw_rate = motion.yaw_rate + push.torque * turn_up
-        after = Motion(
-            x=motion.x + velocity_x * dt,
-            y=motion.y + velocity_y * dt,
-            yaw=motion.yaw + yaw_rate * dt,
-            velocity_x=velocity_x,
-            velocity_y=velocity_y,
-            yaw_rate=yaw_rate,
-            steering=push.steering,
-        )
-        if resolver:
-            resolver.part(motion, after)
-        return after
+@inner
+def _accelerate(car, control, settings, k):
+    """Change a car's velocities by one physics step's forces; turn its front wheels."""
+    late = late_steps(car, settings) > k
+    steering = car.target_steering if late else control[0]
+    speed = car.target_speed if late else control[1]
+    acting = push(car, settings, steering, speed)
+    ease = _ONE / car.mass * settings.physics_dt
+    car.velocity_x += acting.force_x * ease
+    car.velocity_y += acting.force_y * ease
+    car.yaw_rate += acting.torque * (ease / settings.inertia_of_mass)
+    car.steering = acting.steering
+
+
+@inner
+def _move(car, dt, shift_x, shift_y):
+    car.x = car.x + shift_x + car.velocity_x * dt
+    car.y = car.y + shift_y + car.velocity_y * dt
+    car.yaw = car.yaw + car.yaw_rate * dt
+
+
+@inner
+def _write(row, first, second, third):
+    row[0], row[1], row[2] = first, second, third
+
+
+@inner
+def _reach(car, settings):
+    """Return how far from its base a car may touch something within the control step [m]."""
+    speed = abs(car.velocity_x) + abs(car.velocity_y)
+    return speed * settings.step_dt + REACH_MARGIN + settings.radius
+
+
+@inner
+def _near(cars, obstacles, course, pairs, settings, found):
+    """Return how many pairs of bodies may touch in the control step; write them if there is room.
+
+    Bodies are numbered: cars, obstacles, then the walls at x_max, x_min, y_max and y_min.
+
+    Args:
+        cars: of one world.
+        obstacles: of one world.
+        course: for the walls.
+        pairs: of cars.
+        settings: SETTINGS record.
+        found: set to the pairs, int64 (num_pairs, 2); with no rows they are only counted.
+    """
+    number, num_cars = 0, len(cars)
+    for n in range(len(pairs)):
+        one, two = cars[pairs[n, 0]], cars[pairs[n, 1]]
+        if one.ghost or two.ghost or (frozen(one) and frozen(two)):
+            continue
+        dx, dy = two.x - one.x, two.y - one.y
+        room = _reach(one, settings) + _reach(two, settings)
+        if dx * dx + dy * dy < room * room:
+            if len(found):
+                found[number, 0], found[number, 1] = pairs[n, 0], pairs[n, 1]
+            number += 1
+    for k in range(len(obstacles)):
+        thing = obstacles[k]
+        speed = abs(thing.velocity_x) + abs(thing.velocity_y)
+        size = thing.half_length + thing.half_width + speed * settings.step_dt
+        for c in range(num_cars):
+            if cars[c].ghost or frozen(cars[c]):
+                continue
+            dx, dy = cars[c].x - thing.x, cars[c].y - thing.y
+            room = _reach(cars[c], settings) + size
+            if dx * dx + dy * dy < room * room:
+                if len(found):
+                    found[number, 0], found[number, 1] = c, num_cars + k
+                number += 1
+    for wall in range(NUM_WALLS):
+        for c in range(num_cars):
+            if frozen(cars[c]):
+                continue
+            if _to_wall(cars[c], course, wall) < _reach(cars[c], settings):
+                if len(found):
+                    found[number, 0], found[number, 1] = c, num_cars + len(obstacles) + wall
+                number += 1
+    return number
+
+
+@inner
+def _to_wall(car, course, wall):
+    if wall == 0:
+        return course.x_max - car.x
+    if wall == 1:
+        return car.x - course.x_min
+    if wall == 2:
+        return course.y_max - car.y
+    return car.y - course.y_min
+
+
+@inner
+def _bodies(cars, obstacles, course, settings):
+    """Return the table of bodies and that of their boxes; see collision.py."""
+    num_cars, fixed = len(cars), len(cars) + len(obstacles)
+    bodies = np.zeros((fixed + NUM_WALLS, 6), np.float32)
+    boxes = np.zeros((fixed + NUM_WALLS, 4), np.float32)
+    for c in range(num_cars):
+        boxes[c, 0], boxes[c, 1] = settings.half_length, settings.half_width
+        if not frozen(cars[c]):
+            boxes[c, 2] = _ONE / cars[c].mass
+            boxes[c, 3] = _ONE / cars[c].mass / settings.inertia_of_mass
+    for k in range(len(obstacles)):
+        thing = obstacles[k]
+        _write(bodies[num_cars + k], thing.x, thing.y, thing.yaw)
+        _write(bodies[num_cars + k, 3:], thing.velocity_x, thing.velocity_y, _ZERO)
+        boxes[num_cars + k, 0], boxes[num_cars + k, 1] = thing.half_length, thing.half_width
+    middle_x, half_x = (course.x_min + course.x_max) * _HALF, (course.x_max - course.x_min) * _HALF
+    middle_y, half_y = (course.y_min + course.y_max) * _HALF, (course.y_max - course.y_min) * _HALF
+    for wall in range(NUM_WALLS):
+        side = _ONE if wall == 0 or wall == 2 else -_ONE
+        row = fixed + wall
+        if wall < 2:
+            _write(bodies[row], middle_x + side * (half_x + HALF_WALL), middle_y, _ZERO)
+            boxes[row, 0], boxes[row, 1] = HALF_WALL, half_y + HALF_WALL
+        else:
+            _write(bodies[row], middle_x, middle_y + side * (half_y + HALF_WALL), _ZERO)
+            boxes[row, 0], boxes[row, 1] = half_x + HALF_WALL, HALF_WALL
+    return bodies, boxes
+
+
+@inner
+def _note(contacts, one, two, num_cars, num_obstacles):
+    """Write down that two bodies touched; the first is a car."""
+    if two < num_cars:
+        contacts[one].cars |= np.uint8(1 << two)
+        contacts[two].cars |= np.uint8(1 << one)
+    elif two < num_cars + num_obstacles:
+        contacts[one].obstacles |= np.uint32(1 << (two - num_cars))
+    else:
+        contacts[one].wall = True

@@ -1,397 +1,333 @@
-"""The referee: laps, off-track, contacts and who is to blame, penalties, running order.
+"""Compiled: the referee: laps, off-track, contacts and who is to blame, penalties, running order.
 
-`judge` looks at a world before and after physics and says what happened (Verdict) with its new
-book (Standing); it moves nobody. `penalise` applies the race's penalties; in training a mistake
-ends the episode instead.
-Rules: facts section 5.2.
+`judge` looks at a world before and after physics, writes down what happened (VERDICT) and keeps the
+cars' book; it moves nobody. `penalise` applies the race's penalties; in training a mistake ends the
+episode instead. The rules: docs/rules.md.
 """
 
-from __future__ import annotations
+# Numba gives its types a meaning that the checker does not know.
+# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
 
-from dataclasses import dataclass, replace
+import numpy as np
 
-import torch
-from torch import Tensor
-
-from league.geometry import rotate
+from league.jit import compiled, inner
+from league.portable_math import clamp, f32, sincos
 from league.sim import grid
-from league.sim.config import CarConfig, SimConfig
-from league.sim.world import Contacts, Standing, World
-from league.track.course import Projection, TrackSet
+from league.sim.records import NOBODY
+from league.sim.vehicle import frozen
+from league.track.projection import lap_length, project, signed_gap
 
-NOBODY = -1
-_OPEN_TRACK_MARGIN = 0.3
-_PASS = 1.0
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """What the referee found in one step, (num_worlds, num_cars) unless said otherwise."""
-
-    advance: Tensor
-    """Signed movement along the track in this step [m]."""
-    off_track: Tensor
-    """All four wheels have left the road, bool."""
-    crashed: Tensor
-    """A contact this car is to blame for, bool."""
-    crashed_car: Tensor
-    """The car it ran into, or NOBODY, int64."""
-    crashed_obstacle: Tensor
-    """The obstacle it ran into, or NOBODY, int64."""
-    was_hit: Tensor
-    """A contact another car is to blame for, bool."""
-    wall: Tensor
-    """The car touches the wall, bool."""
-    immobilised: Tensor
-    """Stood still too long, bool."""
-    reversed: Tensor
-    """Drove backwards too long, bool."""
-    lap: Tensor
-    """Completed a lap in this step, bool."""
-    finished: Tensor
-    """Completed its last lap in this step, bool."""
-    overtook: Tensor
-    """Cars passed on the road, bool, (num_worlds, num_cars, num_cars): [w, i, j], i passed j."""
-    lead_changed: Tensor
-    """Another car leads, bool, (num_worlds,)."""
-    released: Tensor
-    """A penalty ended in this step, bool."""
-
-    @property
-    def mistake(self) -> Tensor:
-        """Anything that ends an episode in training and costs a penalty in a race."""
-        return self.off_track | self.crashed | self.immobilised | self.reversed
+_CLEAR_PASS = f32(1.0)
+"""A pass changes the lead by less than this in one step; more is a car half a lap away [m]."""
+_LEAST_TRAVEL = f32(1e-9)
+_INFINITE = f32(np.inf)
+_ZERO, _ONE = f32(0.0), f32(1.0)
 
 
-def judge(
-    tracks: TrackSet, sim: SimConfig, before: World, after: World, contacts: Contacts
-) -> tuple[Verdict, Standing]:
-    """Return what happened between two worlds, and the referee's new book.
+@inner
+def judge(before, cars, obstacles, world, verdicts, contacts, points, course, settings):
+    """Write down what happened to the cars of one world in a control step.
 
     Args:
-        tracks: the courses.
-        sim: settings.
-        before: the worlds before the step.
-        after: the worlds after physics, `step` counted up, still with the old book.
-        contacts: what touched what during the step.
+        before: CAR records (num_cars,) before the step.
+        cars: CAR records after physics, still with the old book, which is brought up to date.
+        obstacles: OBSTACLE records (num_obstacles,) after the step.
+        world: WORLD record, its step counted up; leader and lead_changes are brought up to date.
+        verdicts: VERDICT records (num_cars,); overwritten.
+        contacts: CONTACT records (num_cars,).
+        points: of the TrackSet.
+        course: COURSE record of the world's track.
+        settings: SETTINGS record.
     """
-    old, rules = before.standing, sim.rules
-    frozen = old.penalty_s > 0
-    place = tracks.project(after.track, after.motion.x, after.motion.y, old.s)
-    advance = tracks.signed_gap(after.track, place.s, old.s)
-    distance = _unwrapped(tracks, after, place, old.distance + advance)
-    penalty_s, released = old.penalty_s, frozen
-    if bool(frozen.any()):
+    for c in range(len(cars)):
+        _progress(before[c], cars[c], verdicts[c], points, course, settings)
+    for c in range(len(cars)):
+        _blame(c, before, cars, obstacles, verdicts[c], contacts[c], course, settings)
+    for c in range(len(cars)):
+        _mistakes(before[c], cars[c], verdicts[c], contacts[c], settings)
+        _lap(before[c], cars[c], world, verdicts[c], course, settings)
+    _order(before, cars, world, verdicts, course, settings)
+
+
+@inner
+def _progress(old, car, seen, points, course, settings):
+    """Find a car's place along the track, how far it came, and whether it is still on the road."""
+    if frozen(old):
         # Who stands still keeps its place: off the inside of a hairpin the search would creep on.
-        place = replace(
-            place,
-            s=torch.where(frozen, old.s, place.s),
-            lateral=torch.where(frozen, old.lateral, place.lateral),
-        )
-        advance = torch.where(frozen, 0.0, advance)
-        distance = torch.where(frozen, old.distance, distance)
+        seen.advance, seen.off_track = _ZERO, False
         # Counted in whole steps, so that no rounding adds or drops one.
-        steps_left = torch.clamp(torch.round(old.penalty_s * sim.step_hz) - 1.0, min=0.0)
-        penalty_s, released = steps_left / sim.step_hz, frozen & (steps_left == 0)
-    racing = ~frozen & torch.isinf(old.finish_s)
-
-    off_track = racing & ~_any_wheel_on_road(tracks, sim.car, after, place)
-    fault = _blame(tracks, sim, before, after, place, contacts)
-    crashed = racing & fault.to_blame
-    still_steps, immobilised = _stillness(sim, before, after, racing)
-    backward_steps = torch.where(racing & (advance < 0), old.backward_steps + 1, 0)
-    backwards = backward_steps >= rules.patience_steps
-    laps = _lap_times(tracks, sim, before, old, distance, racing)
-    ahead, overtook, leader = _order(tracks, sim, after, laps.standing, place.s, distance, racing)
-
-    verdict = Verdict(
-        advance=advance,
-        off_track=off_track,
-        crashed=crashed,
-        crashed_car=fault.car,
-        crashed_obstacle=fault.obstacle,
-        was_hit=fault.was_hit,
-        wall=contacts.walls,
-        immobilised=immobilised,
-        reversed=backwards,
-        lap=laps.lap,
-        finished=laps.finished,
-        overtook=overtook,
-        lead_changed=leader != old.leader,
-        released=released,
-    )
-    standing = replace(
-        laps.standing,
-        s=place.s,
-        lateral=place.lateral,
-        distance=distance,
-        penalty_s=penalty_s,
-        still_steps=still_steps,
-        backward_steps=torch.where(backwards, 0, backward_steps),
-        touching_cars=contacts.cars,
-        touching_obstacles=contacts.obstacles,
-        off_tracks=old.off_tracks + off_track,
-        crashes=old.crashes + crashed,
-        contacts_taken=old.contacts_taken + fault.was_hit,
-        immobilised=old.immobilised + immobilised,
-        reversed=old.reversed + backwards,
-        overtakes=old.overtakes + _count(overtook),
-        lead_changes=old.lead_changes + (leader != old.leader),
-        ahead=ahead,
-        leader=leader,
-    )
-    return verdict, standing
+        steps_left = max(f32(np.rint(old.penalty_s * settings.step_hz)) - _ONE, _ZERO)
+        car.penalty_s = steps_left / settings.step_hz
+        seen.released = steps_left == _ZERO and not car.retired
+        return
+    frame, lateral = project(points, course, car.x, car.y, old.s)
+    seen.advance = signed_gap(course, frame.s, old.s)
+    seen.released = False
+    car.s, car.lateral = frame.s, lateral
+    # Whole laps plus the place on this one, so that no error adds up.
+    on_lap, turns = frame.s - old.zero_s, _ZERO
+    if course.closed:
+        turns = f32(np.rint((old.distance + seen.advance - on_lap) / course.length))
+    car.distance = turns * course.length + on_lap
+    on_road = _is_on_road(car, frame, points, course, settings)
+    seen.off_track = grid.is_racing(old) and not on_road
 
 
-def penalise(tracks: TrackSet, sim: SimConfig, world: World, verdict: Verdict) -> World:
-    """Apply the race's penalties: who made a mistake is frozen, then goes on (facts 5.2).
-
-    After a crash the car is moved first, 1 m behind what it hit and to the other lane, then frozen.
-    Off the track, backwards or immobilised: frozen where it stands, then put on the nearer lane.
-    Frozen cars are ghosts, and stay so until nothing is near; so are cars that have finished. On an
-    occupied spot a car thus drives on as a ghost until it is clear of whoever is there.
-    """
-    rules = sim.rules
-    changing = verdict.mistake | verdict.released | verdict.finished | world.standing.ghost
-    if not bool(changing.any()):
-        return world  # nobody is, was or becomes a ghost
-    if bool(verdict.released.any()):
-        world = grid.release(tracks, world, verdict.released)
-    if bool(verdict.crashed.any()):
-        world = grid.put_behind(
-            tracks, sim, world, verdict.crashed, verdict.crashed_car, verdict.crashed_obstacle
-        )
-    penalty = world.standing.penalty_s
-    for who, seconds in (
-        (verdict.immobilised, rules.immobilised_penalty_s),
-        (verdict.reversed, rules.reversed_penalty_s),
-        (verdict.off_track, rules.off_track_penalty_s),
-        (verdict.crashed, rules.crash_penalty_s),
-    ):
-        # At least one step: the car is put back by the end of its penalty.
-        penalty = torch.where(who, max(seconds, sim.step_dt), penalty)
-    book = world.standing
-    over = ~torch.isinf(book.finish_s)
-    ghost = (penalty > 0) | over
-    wanting = book.ghost & ~ghost
-    if bool(wanting.any()):
-        solid = ~book.ghost & ~ghost
-        ghost = ghost | (wanting & ~grid.clear_of_others(sim.car, world, solid, wanting))
-    book = replace(
-        book,
-        penalty_s=penalty,
-        put_back=torch.where(verdict.mistake, ~verdict.crashed, book.put_back),
-        ghost=ghost,
-    )
-    return replace(world, standing=book)
+@inner
+def _is_on_road(car, frame, points, course, settings):
+    """Return whether any wheel is on the road or its lines."""
+    if -frame.right < car.lateral < frame.left:
+        return True
+    # No wheel is farther than this from the base.
+    if abs(car.lateral) >= max(frame.left, frame.right) + settings.wheel_reach:
+        return False
+    sin, cos = sincos(car.yaw)
+    for wheel in range(4):
+        along = settings.arm if wheel < 2 else -settings.arm
+        across = settings.half_track if wheel % 2 == 0 else -settings.half_track
+        x = car.x + (cos * along - sin * across)
+        y = car.y + (sin * along + cos * across)
+        there, lateral = project(points, course, x, y, frame.s)
+        if -there.right <= lateral <= there.left:
+            return True
+    return False
 
 
-def stop_bots(sim: SimConfig, world: World, verdict: Verdict) -> World:
-    """Have all bot cars stand for a while after one ran into a car ahead of it (facts 5.1)."""
-    if sim.num_obstacles == 0 or sim.obstacles.kind == "box":
-        return world
-    touched = world.standing.touching_obstacles & ~verdict.crashed.unsqueeze(2)
-    hit = touched.flatten(1).any(dim=1, keepdim=True)
-    things = world.obstacles
-    stopped_s = torch.where(hit, sim.rules.bot_stop_s, things.stopped_s)
-    return replace(world, obstacles=replace(things, stopped_s=stopped_s))
-
-
-def places(standing: Standing) -> Tensor:
-    """Return each car's place from 0: by finish, then by who is ahead; (num_worlds, num_cars).
-
-    Of three cars side by side each may still be ahead of the next, in a ring; distance unties them.
-    """
-    beaten, distance = _count(standing.ahead), standing.distance
-    slot = torch.arange(beaten.shape[1], device=beaten.device)
-    more = beaten.unsqueeze(1) > beaten.unsqueeze(2)  # [w, i, j]: j beats more cars than i
-    equal = beaten.unsqueeze(1) == beaten.unsqueeze(2)
-    further = distance.unsqueeze(1) > distance.unsqueeze(2)
-    level = (distance.unsqueeze(1) == distance.unsqueeze(2)) & (slot < slot.unsqueeze(1))
-    return _count(more | (equal & (further | level)))
-
-
-def lap_length(tracks: TrackSet, track: Tensor) -> Tensor:
-    """Return what counts as a lap [m], (num_worlds, 1): the loop, or an open track but its end."""
-    length = tracks.length.index_select(0, track)
-    if not tracks.all_closed:
-        length = torch.where(tracks.closed[track], length, length - _OPEN_TRACK_MARGIN)
-    return length.unsqueeze(1)
-
-
-def wheel_positions(car: CarConfig, world: World) -> tuple[Tensor, Tensor]:
-    """Return the wheel centres in the world frame [m], (num_worlds, num_cars, 4)."""
-    cos = torch.cos(world.motion.yaw).unsqueeze(-1)
-    sin = torch.sin(world.motion.yaw).unsqueeze(-1)
-    half_base, half_track = car.wheelbase / 2, car.wheel_track / 2
-    along = cos.new_tensor([half_base, half_base, -half_base, -half_base])
-    across = cos.new_tensor([half_track, -half_track, half_track, -half_track])
-    dx, dy = rotate(along, across, cos, sin)
-    return world.motion.x.unsqueeze(-1) + dx, world.motion.y.unsqueeze(-1) + dy
-
-
-def _any_wheel_on_road(tracks: TrackSet, car: CarConfig, world: World, place: Projection) -> Tensor:
-    # A wheel is at most this far from the base: nearer to the middle than that, one is surely on.
-    reach = 0.5 * (car.wheelbase**2 + car.wheel_track**2) ** 0.5
-    surely = (place.lateral < place.left) & (place.lateral > -place.right)
-    if bool(surely.all()):
-        return surely
-    doubtful = ~surely & (place.lateral.abs() < torch.maximum(place.left, place.right) + reach)
-    # Only these few are looked at: of each, four wheels on the track of its world.
-    which = doubtful.nonzero(as_tuple=True)
-    x, y = wheel_positions(car, world)
-    near_s = place.s[which].unsqueeze(1).expand(-1, 4).contiguous()
-    wheel = tracks.project(world.track[which[0]], x[which], y[which], near_s)
-    on = (wheel.lateral <= wheel.left) & (wheel.lateral >= -wheel.right)
-    found = surely.clone()
-    found[which] = on[:, 0] | on[:, 1] | on[:, 2] | on[:, 3]
-    return found
-
-
-def _unwrapped(tracks: TrackSet, world: World, place: Projection, rough: Tensor) -> Tensor:
-    """Return the distance driven as whole laps plus the place on this one, so no error adds up."""
-    length = tracks.length.index_select(0, world.track).unsqueeze(1)
-    on_lap = place.s - world.standing.zero_s
-    turns = torch.round((rough - on_lap) / length)
-    if not tracks.all_closed:
-        turns = torch.where(tracks.closed[world.track].unsqueeze(1), turns, 0.0)
-    return turns * length + on_lap
-
-
-@dataclass(frozen=True)
-class _Fault:
-    to_blame: Tensor
-    was_hit: Tensor
-    car: Tensor
-    obstacle: Tensor
-
-
-def _blame(
-    tracks: TrackSet,
-    sim: SimConfig,
-    before: World,
-    after: World,
-    place: Projection,
-    contacts: Contacts,
-) -> _Fault:
-    """Judge contacts: of two cars the rear one along the track is to blame.
+@inner
+def _blame(c, before, cars, obstacles, seen, touched, course, settings):
+    """Judge a car's contacts: of two cars the rear one along the track is to blame.
 
     Contact with a box is the car's own fault; with a bot car it is if the bot was ahead. Of several
     that were hit at once, the rearmost is named.
     """
-    was_hit = torch.zeros_like(contacts.walls)
-    nobody = torch.full_like(place.s, NOBODY, dtype=torch.int64)
-    car, thing = nobody, nobody
-    if bool(contacts.cars.any()):
-        new_cars = contacts.cars & ~before.standing.touching_cars
-        nearest = torch.full_like(place.s, torch.inf)
-        for other in range(after.num_cars):
-            gap = tracks.signed_gap(after.track, place.s[:, other : other + 1], place.s)
-            fault = contacts.cars[:, :, other] & (gap > 0) & (gap < nearest)
-            car, nearest = torch.where(fault, other, car), torch.where(fault, gap, nearest)
-            was_hit = was_hit | (new_cars[:, :, other] & (gap < 0))
-    if bool(contacts.obstacles.any()):
-        always = sim.obstacles.kind == "box"
-        nearest = torch.full_like(place.s, torch.inf)
-        for index in range(contacts.obstacles.shape[2]):
-            gap = tracks.signed_gap(after.track, after.obstacles.s[:, index : index + 1], place.s)
-            fault = contacts.obstacles[:, :, index] & (gap < nearest)
-            fault = fault if always else fault & (gap > 0)
-            thing, nearest = torch.where(fault, index, thing), torch.where(fault, gap, nearest)
-    to_blame = (car != NOBODY) | (thing != NOBODY)
-    return _Fault(to_blame=to_blame, was_hit=was_hit, car=car, obstacle=thing)
+    seen.crashed_car, seen.crashed_obstacle, seen.was_hit = NOBODY, NOBODY, False
+    new = touched.cars & ~before[c].touching_cars
+    nearest = _INFINITE
+    for other in range(len(cars)):
+        if (touched.cars >> other) & 1:
+            gap = signed_gap(course, cars[other].s, cars[c].s)
+            if _ZERO < gap < nearest:
+                seen.crashed_car, nearest = other, gap
+            if gap < _ZERO and (new >> other) & 1:
+                seen.was_hit = True
+    nearest = _INFINITE
+    for k in range(len(obstacles)):
+        if (touched.obstacles >> k) & 1:
+            gap = signed_gap(course, obstacles[k].s, cars[c].s)
+            if gap < nearest and (gap > _ZERO or not settings.bots):
+                seen.crashed_obstacle, nearest = k, gap
 
 
-def _stillness(
-    sim: SimConfig, before: World, after: World, racing: Tensor
-) -> tuple[Tensor, Tensor]:
-    dx, dy = after.motion.x - before.motion.x, after.motion.y - before.motion.y
-    still = dx * dx + dy * dy <= sim.rules.still_distance**2
-    steps = torch.where(racing & still, before.standing.still_steps + 1, 0)
-    fired = steps >= sim.rules.patience_steps
-    return torch.where(fired, 0, steps), fired
+@inner
+def _mistakes(old, car, seen, touched, settings):
+    """Note a car's mistakes, and count them in its book."""
+    racing = grid.is_racing(old)
+    to_blame = seen.crashed_car != NOBODY or seen.crashed_obstacle != NOBODY
+    seen.crashed, seen.wall = racing and to_blame, touched.wall
+    dx, dy = car.x - old.x, car.y - old.y
+    still = dx * dx + dy * dy <= settings.still_squared
+    car.still_steps = old.still_steps + 1 if racing and still else 0
+    seen.immobilised = car.still_steps >= settings.patience_steps
+    if seen.immobilised:
+        car.still_steps = 0
+    car.backward_steps = old.backward_steps + 1 if racing and seen.advance < _ZERO else 0
+    seen.reversed = car.backward_steps >= settings.patience_steps
+    if seen.reversed:
+        car.backward_steps = 0
+    seen.mistake = seen.off_track or seen.crashed or seen.immobilised or seen.reversed
+    car.touching_cars, car.touching_obstacles = touched.cars, touched.obstacles
+    car.off_tracks += seen.off_track
+    car.crashes += seen.crashed
+    car.contacts_taken += seen.was_hit
+    car.immobilised += seen.immobilised
+    car.reversed += seen.reversed
 
 
-@dataclass(frozen=True)
-class _Laps:
-    standing: Standing
-    lap: Tensor
-    finished: Tensor
-
-
-def _lap_times(
-    tracks: TrackSet, sim: SimConfig, before: World, old: Standing, distance: Tensor, racing: Tensor
-) -> _Laps:
-    """Count laps, forward only; the time of crossing is interpolated within the step.
+@inner
+def _lap(old, car, world, seen, course, settings):
+    """Count a lap, forward only; the time of crossing is interpolated within the step.
 
     An open track is driven once, however many laps were asked.
     """
-    length = lap_length(tracks, before.track)
-    target = (old.laps + 1).to(distance.dtype) * length
-    lap = racing & (distance >= target) & (old.best_distance < target)
-    best_distance = torch.maximum(old.best_distance, distance)
-    if not bool(lap.any()):
-        return _Laps(standing=replace(old, best_distance=best_distance), lap=lap, finished=lap)
-    step_s = before.step.to(distance.dtype).unsqueeze(1) * sim.step_dt
-    travelled = torch.clamp(distance - old.distance, min=1e-9)
-    part = torch.clamp((target - old.distance) / travelled, 0.0, 1.0)
-    crossing = step_s + part * sim.step_dt
-    lap_s = crossing - old.lap_start_s
-    laps = old.laps + lap
-    enough = torch.where(tracks.closed[before.track], sim.rules.laps, 1).unsqueeze(1)
-    finished = lap & (laps >= enough)
-    standing = replace(
-        old,
-        best_distance=best_distance,
-        laps=laps,
-        lap_start_s=torch.where(lap, crossing, old.lap_start_s),
-        last_lap_s=torch.where(lap, lap_s, old.last_lap_s),
-        best_lap_s=torch.where(lap, torch.minimum(old.best_lap_s, lap_s), old.best_lap_s),
-        finish_s=torch.where(finished, crossing, old.finish_s),
-    )
-    return _Laps(standing=standing, lap=lap, finished=finished)
+    target = f32(old.laps + 1) * lap_length(course)
+    seen.lap = grid.is_racing(old) and car.distance >= target > old.best_distance
+    seen.finished = False
+    car.best_distance = max(old.best_distance, car.distance)
+    if not seen.lap:
+        return
+    # The world's step has been counted up already.
+    travelled = max(car.distance - old.distance, _LEAST_TRAVEL)
+    part = clamp((target - old.distance) / travelled, _ZERO, _ONE)
+    crossing = f32(world.step - 1) * settings.step_dt + part * settings.step_dt
+    car.last_lap_s = crossing - old.lap_start_s
+    car.best_lap_s = min(old.best_lap_s, car.last_lap_s)
+    car.lap_start_s = crossing
+    car.laps = old.laps + 1
+    if car.laps >= (settings.laps if course.closed else 1):
+        seen.finished, car.finish_s = True, crossing
 
 
-def _order(
-    tracks: TrackSet,
-    sim: SimConfig,
-    after: World,
-    book: Standing,
-    s: Tensor,
-    distance: Tensor,
-    racing: Tensor,
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Return who is ahead of whom, who passed whom on the road, and the leader.
+@inner
+def _order(before, cars, world, verdicts, course, settings):
+    """Find who is ahead of whom, who passed whom on the road, and who leads."""
+    num_cars, old_leader = len(cars), world.leader
+    leads = False
+    for c in range(num_cars):
+        ahead, passed, beaten = 0, 0, 0
+        for other in range(num_cars):
+            was_ahead = (before[c].ahead >> other) & 1 == 1
+            if other != c and _is_ahead(cars[c], cars[other], was_ahead, course, settings):
+                ahead |= 1 << other
+                beaten += 1
+                both = grid.is_racing(before[c]) and grid.is_racing(before[other])
+                # Half a lap apart, ahead turns to behind without a pass.
+                near = _lead(cars[c], cars[other], course) < _CLEAR_PASS
+                if not was_ahead and both and near:
+                    passed |= 1 << other
+                    cars[c].overtakes += 1
+        cars[c].ahead, verdicts[c].overtook = np.uint8(ahead), np.uint8(passed)
+        # Of cars side by side nobody may be ahead of all: then the leader stays.
+        if num_cars > 1 and beaten == num_cars - 1 and not leads:
+            leads, world.leader = True, c
+    changed = world.leader != old_leader
+    world.lead_changes += changed
+    for c in range(num_cars):
+        verdicts[c].lead_changed = changed
 
-    `book` is the old one with the laps and finishes of this step; `racing` says who was neither
-    frozen nor home before it.
-    """
-    if distance.shape[1] == 1:
-        return book.ahead, torch.zeros_like(book.ahead), book.leader
-    lead = distance.unsqueeze(2) - distance.unsqueeze(1)  # (num_worlds, num_cars, num_cars)
-    one_race = book.zero_s.unsqueeze(2) == book.zero_s.unsqueeze(1)
-    if not bool(one_race.all()):
-        # Episodes that began at different places are compared by who is ahead on the road.
-        on_road = tracks.signed_gap(after.track, s.unsqueeze(2), s.unsqueeze(1))
-        lead = torch.where(one_race, lead, on_road)
-    margin = sim.rules.overtake_margin
-    ahead = (lead > margin) | (book.ahead & (lead >= -margin))
-    under_way = torch.isinf(book.finish_s)
-    if not bool(under_way.all()):
+
+@inner
+def _lead(car, rival, course):
+    """Return how far a car is ahead of another [m]."""
+    if car.zero_s == rival.zero_s:
+        return car.distance - rival.distance
+    # Episodes that began at different places are compared by who is ahead on the road.
+    return signed_gap(course, car.s, rival.s)
+
+
+@inner
+def _is_ahead(car, rival, was_ahead, course, settings):
+    """Return whether a car is ahead of another; a pair changes only when the pass is clear."""
+    if car.finish_s != _INFINITE or rival.finish_s != _INFINITE:
         # Whoever is home first is ahead for good, whatever it does on its cooling lap.
-        finish, rival = book.finish_s.unsqueeze(2), book.finish_s.unsqueeze(1)
-        home_first = (finish < rival) | ((finish == rival) & book.ahead)
-        both_out = under_way.unsqueeze(2) & under_way.unsqueeze(1)
-        ahead = torch.where(both_out, ahead, home_first)
-    both = racing.unsqueeze(2) & racing.unsqueeze(1)
-    # Half a lap apart, ahead turns to behind without a pass.
-    overtook = ahead & ~book.ahead & both & (lead < _PASS)
-    # Of cars side by side nobody may be ahead of all: then the leader stays.
-    first = _count(ahead) == distance.shape[1] - 1
-    leader = torch.where(first.any(dim=1), first.to(torch.int64).argmax(dim=1), book.leader)
-    return ahead, overtook, leader
+        return car.finish_s < rival.finish_s or (car.finish_s == rival.finish_s and was_ahead)
+    lead, margin = _lead(car, rival, course), settings.overtake_margin
+    return lead > margin or (was_ahead and lead >= -margin)
 
 
-def _count(pairs: Tensor) -> Tensor:
-    """Count True along the last axis; integers, so the order of adding does not matter."""
-    return pairs.to(torch.int64).sum(dim=-1)
+@inner
+def stop_bots(cars, obstacles, verdicts, settings):
+    """Have all bot cars stand for a while after one ran into a car ahead of it."""
+    if not settings.bots:
+        return
+    hit = False
+    for c in range(len(cars)):
+        hit |= cars[c].touching_obstacles != 0 and not verdicts[c].crashed
+    if hit:
+        for k in range(len(obstacles)):
+            obstacles[k].stopped_s = settings.bot_stop_s
+
+
+@inner
+def penalise(cars, obstacles, verdicts, points, course, settings):
+    """Apply the race's penalties to one world: who made a mistake is frozen, then goes on.
+
+    After a crash the car is moved first, behind what it hit and to the other lane, then frozen.
+    Off the track, backwards or immobilised: frozen where it stands, then put on the nearer lane.
+    Frozen cars are ghosts, and stay so until nothing is near; so are cars that have finished. On an
+    occupied spot a car thus drives on as a ghost until it is clear of whoever is there.
+    """
+    changing, crashes = False, False
+    for c in range(len(cars)):
+        seen = verdicts[c]
+        changing |= seen.mistake or seen.released or seen.finished or cars[c].ghost
+        crashes |= seen.crashed
+        if seen.released:
+            grid.release(cars[c], points, course)
+    if crashes:
+        _put_behind(cars, obstacles, verdicts, points, course, settings)
+    if not changing:
+        return
+    solid, wanting = 0, 0
+    for c in range(len(cars)):
+        car, seen = cars[c], verdicts[c]
+        # Of several mistakes the last one here decides.
+        if seen.immobilised:
+            car.penalty_s = settings.immobilised_penalty_s
+        if seen.reversed:
+            car.penalty_s = settings.reversed_penalty_s
+        if seen.off_track:
+            car.penalty_s = settings.off_track_penalty_s
+        if seen.crashed:
+            car.penalty_s = settings.crash_penalty_s
+        if seen.mistake:
+            car.put_back = not seen.crashed
+        stays = frozen(car) or car.finish_s != _INFINITE
+        if car.ghost and not stays:
+            wanting |= 1 << c
+        elif not stays:
+            solid |= 1 << c
+        car.ghost = car.ghost or stays
+    for c in range(len(cars)):
+        if (wanting >> c) & 1 and grid.is_clear(c, cars, obstacles, solid, wanting, settings):
+            cars[c].ghost = False
+
+
+@inner
+def _put_behind(cars, obstacles, verdicts, points, course, settings):
+    """Move crashed cars; all are placed by where the others were before anybody was moved."""
+    places = np.empty((len(cars), 2), np.float32)
+    for c in range(len(cars)):
+        seen = verdicts[c]
+        if seen.crashed:
+            target, side = _ZERO, _ZERO
+            if seen.crashed_obstacle != NOBODY:
+                target = obstacles[seen.crashed_obstacle].s
+                side = obstacles[seen.crashed_obstacle].lateral
+            else:
+                target, side = cars[seen.crashed_car].s, cars[seen.crashed_car].lateral
+            shift, lateral = grid.place_behind(cars[c], target, side, points, course, settings)
+            places[c, 0], places[c, 1] = shift, lateral
+    for c in range(len(cars)):
+        if verdicts[c].crashed:
+            grid.move(cars[c], points, course, places[c, 0], places[c, 1])
+
+
+@compiled
+def running_order(cars):
+    """Return each car's place from 0, by finish, then by who is ahead; (num_worlds, num_cars).
+
+    Of three cars side by side each may still be ahead of the next, in a ring; distance unties them,
+    and then the slot.
+    """
+    num_worlds, num_cars = cars.shape
+    out = np.zeros((num_worlds, num_cars), np.int64)
+    beaten = np.empty(num_cars, np.int64)
+    for w in range(num_worlds):
+        for c in range(num_cars):
+            beaten[c] = 0
+            for other in range(num_cars):
+                beaten[c] += (cars[w, c].ahead >> other) & 1
+        for c in range(num_cars):
+            mine = cars[w, c].distance
+            for other in range(num_cars):
+                theirs = cars[w, other].distance
+                level = theirs > mine or (theirs == mine and other < c)
+                if beaten[other] > beaten[c] or (beaten[other] == beaten[c] and level):
+                    out[w, c] += 1
+    return out
+
+
+def wheel_positions(half_base: float, half_track: float, cars: np.ndarray) -> np.ndarray:
+    """Return the wheel centres in the world frame [m], (num_worlds, num_cars, 4, 2).
+
+    Args:
+        half_base: from the base to either axle [m].
+        half_track: from the middle of an axle to its wheels [m].
+        cars: CAR records (num_worlds, num_cars).
+    """
+    cos, sin = np.cos(cars["yaw"])[..., None], np.sin(cars["yaw"])[..., None]
+    along = np.array([half_base, half_base, -half_base, -half_base], np.float32)
+    across = np.array([half_track, -half_track, half_track, -half_track], np.float32)
+    x = cars["x"][..., None] + cos * along - sin * across
+    y = cars["y"][..., None] + sin * along + cos * across
+    return np.stack([x, y], axis=-1)

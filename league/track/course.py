@@ -1,4 +1,4 @@
-"""Track, one fixed course, and TrackSet, many of them as padded tables for a batch of worlds.
+"""Track, one fixed course, and TrackSet, many of them as tables for a batch of worlds.
 
 Frames: world x, y [m]; s [m] runs along the centreline in driving order from the start line;
 lateral [m] is positive to the driver's left. The centreline is resampled at a uniform spacing of
@@ -12,17 +12,12 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-import torch
-from torch import Tensor
 
 SPACING = 0.05
 """Wished distance between two points of a resampled centreline [m]."""
 
 ROOM_MARGIN = 0.84
 """Distance from the road's bounding box to the wall round the room [m] (facts 3.1: 0.76-0.92)."""
-
-_SEARCHES = 3
-"""Steps of Newton's method in a projection."""
 
 Rgb = tuple[int, int, int]
 
@@ -158,228 +153,157 @@ class Track:
 
 @dataclass(frozen=True)
 class Projection:
-    """Where points lie on their track; every field has the points' shape."""
+    """Where points lie on their track; every field is float32 of the points' shape."""
 
-    s: Tensor
+    s: np.ndarray
     """Distance along the centreline from the start line, in [0, length) [m] (closed tracks)."""
-    lateral: Tensor
+    lateral: np.ndarray
     """Distance to the left of the centreline [m]."""
-    cos: Tensor
+    x: np.ndarray
+    """Centreline there, world frame [m]."""
+    y: np.ndarray
+    """Centreline there, world frame [m]."""
+    cos: np.ndarray
     """Cosine of the track's heading there."""
-    sin: Tensor
+    sin: np.ndarray
     """Sine of the track's heading there."""
-    curvature: Tensor
+    curvature: np.ndarray
     """Signed curvature there [1/m], positive to the left."""
-    left: Tensor
+    left: np.ndarray
     """Distance from the centreline to the left border [m], positive."""
-    right: Tensor
+    right: np.ndarray
     """Distance from the centreline to the right border [m], positive."""
 
 
-@dataclass(frozen=True, eq=False)
 class TrackSet:
-    """Several tracks as padded tables; `index` arguments say which track each world races on."""
+    """Several tracks as tables for compiled code; `index` says which track each world races on.
 
-    tracks: tuple[Track, ...]
-    rows: Tensor
-    """For each centre point its x, y [m], cosine and sine of the heading, curvature [1/m], distance
-    to the left and right border [m], and then the same of the next point less this one's; shape
-    (num_tracks * num_points, 14): one look-up brings all that is needed to interpolate."""
-    num_points: int
-    """Rows of each track, padded."""
-    count: Tensor
-    """Number of points of each track, int64, shape (num_tracks,)."""
-    length: Tensor
-    """Length of each track [m], shape (num_tracks,)."""
-    spacing: Tensor
-    """Distance between two points of each track [m], shape (num_tracks,)."""
-    closed: Tensor
-    """Whether each track is a loop, bool, shape (num_tracks,)."""
-    room: Tensor
-    """Wall of each track, x_min, y_min, x_max, y_max [m], shape (num_tracks, 4)."""
-    inner: Tensor
-    """Side of the enclosed border: +1 left (counter-clockwise, open), -1 right; (num_tracks,)."""
+    Wherever `index` is an argument it is int64 of shape (num_worlds,), and the other arguments
+    have shape (num_worlds, ...).
+    """
 
-    @classmethod
-    def of(cls, *tracks: Track, device: torch.device | str = "cpu") -> TrackSet:
-        """Pad the tracks into one set of tables on a device."""
+    def __init__(self, *tracks: Track) -> None:
+        """Build the tables.
+
+        Args:
+            tracks: at least one.
+        """
+        from league.track.projection import COURSE, POINT  # late: Numba takes a while
+
         if not tracks:
             raise ValueError("a TrackSet needs at least one track")
-        num_points = max(len(track.center) for track in tracks)
-
-        def vector(values: list, dtype: torch.dtype = torch.float32) -> Tensor:
-            return torch.tensor(values, dtype=dtype, device=device)
-
-        return cls(
-            tracks=tuple(tracks),
-            rows=torch.cat([_rows(track, num_points) for track in tracks]).to(device),
-            num_points=num_points,
-            count=vector([len(t.center) for t in tracks], torch.int64),
-            length=vector([t.length for t in tracks]),
-            spacing=vector([float(t.segment_lengths.mean()) for t in tracks]),
-            closed=vector([t.closed for t in tracks], torch.bool),
-            room=vector([t.room for t in tracks]),
-            inner=vector([-1.0 if t.direction == "clockwise" else 1.0 for t in tracks]),
-        )
+        self.tracks = tracks
+        tables = [_points(track) for track in tracks]
+        self.points = np.concatenate(tables).view(POINT)[:, 0]
+        """POINT records of all tracks, one track after the other."""
+        self.courses = np.zeros(len(tracks), COURSE)
+        """COURSE record of each track."""
+        first = 0
+        for course, track, table in zip(self.courses, tracks, tables, strict=True):
+            course["first"], course["count"] = first, len(table)
+            course["length"] = track.length
+            course["spacing"] = track.length / len(track.segment_lengths)
+            for name, wall in zip(("x_min", "y_min", "x_max", "y_max"), track.room, strict=True):
+                course[name] = wall
+            course["inner"] = -1.0 if track.direction == "clockwise" else 1.0
+            course["closed"] = track.closed
+            first += len(table)
 
     @property
-    def device(self) -> torch.device:
-        """Where the tables lie."""
-        return self.rows.device
+    def length(self) -> np.ndarray:
+        """Length of each track [m], float32 (num_tracks,)."""
+        return self.courses["length"]
 
-    @cached_property
-    def all_closed(self) -> bool:
-        """Whether every track is a loop."""
-        return bool(self.closed.all())
+    @property
+    def closed(self) -> np.ndarray:
+        """Whether each track is a loop, bool (num_tracks,)."""
+        return self.courses["closed"]
 
-    def at(self, index: Tensor, s: Tensor) -> tuple[Tensor, Tensor, Projection]:
-        """Return centreline x, y and the track's frame at distance s.
+    @property
+    def rooms(self) -> np.ndarray:
+        """Wall of each track, x_min, y_min, x_max, y_max [m], float32 (num_tracks, 4)."""
+        return np.array([track.room for track in self.tracks], np.float32)
+
+    def lap_length(self, index: np.ndarray) -> np.ndarray:
+        """Return what counts as a lap [m]: the loop, or an open track but its end."""
+        from league.track.projection import OPEN_TRACK_MARGIN
+
+        length = self.length[index]
+        return np.where(self.closed[index], length, length - OPEN_TRACK_MARGIN)
+
+    def at(self, index: np.ndarray, s: np.ndarray) -> Projection:
+        """Return the track's frame at distance s [m].
 
         Args:
-            index: track of each world, int64, shape (num_worlds,).
-            s: any distance [m], wrapped on closed tracks, held at the ends of open ones; shape
-                (num_worlds, ...).
+            index: track of each world.
+            s: any distance [m], wrapped on closed tracks, held at the ends of open ones.
         """
-        s, columns = self._mixed(index, s)
-        x, y, cos, sin, curvature, left, right = columns
-        norm = torch.sqrt(cos * cos + sin * sin)
-        frame = Projection(
-            s=s,
-            lateral=torch.zeros_like(s),
-            cos=cos / norm,
-            sin=sin / norm,
-            curvature=curvature,
-            left=left,
-            right=right,
-        )
-        return x, y, frame
+        from league.track import projection
 
-    def project(self, index: Tensor, x: Tensor, y: Tensor, near_s: Tensor) -> Projection:
-        """Project points to the centreline, searching from where they were last seen.
+        s = np.asarray(s, np.float32)
+        flat = s.ravel()
+        found = projection.frames_at(self.points, self.courses, _spread(index, s), flat)
+        return _projection(found, np.zeros_like(flat), s.shape)
 
-        Newton's method on the distance to the centreline, started at `near_s`: a car stays on its
-        own stretch where two stretches run side by side. Good to moves of about 1 m.
+    def project(
+        self, index: np.ndarray, x: np.ndarray, y: np.ndarray, near_s: np.ndarray | None = None
+    ) -> Projection:
+        """Project points to the centreline.
 
         Args:
-            index: track of each world, int64, shape (num_worlds,).
-            x: points [m], shape (num_worlds, ...).
+            index: track of each world.
+            x: points [m].
             y: points [m].
-            near_s: last known s of each point [m], same shape.
+            near_s: last known s of each point [m]: it is sought from there, so a car stays on its
+                own stretch where two run side by side. None searches the whole centreline.
         """
-        s = self._nearest(index, x, y, near_s)
-        cx, cy, frame = self.at(index, s)
-        return replace(frame, lateral=(y - cy) * frame.cos - (x - cx) * frame.sin)
+        from league.track import projection
 
-    def _nearest(self, index: Tensor, x: Tensor, y: Tensor, s: Tensor) -> Tensor:
-        """Return the places nearest to points that were last seen at s [m]."""
-        if s.is_cpu:
-            from league.track import along  # late: Numba takes a while
+        x, y = np.asarray(x, np.float32), np.asarray(y, np.float32)
+        near_s = np.full_like(x, np.nan) if near_s is None else np.asarray(near_s, np.float32)
+        found = projection.projections(
+            self.points, self.courses, _spread(index, x), x.ravel(), y.ravel(), near_s.ravel()
+        )
+        return _projection(found, found[:, 8], x.shape)
 
-            told = torch.stack((x, y, s)).numpy().reshape(3, -1)
-            found = along.nearest(self._tables, self.num_points, _host(index), told, _SEARCHES)
-            return torch.from_numpy(found).reshape(s.shape)
-        for _ in range(_SEARCHES):
-            s, (cx, cy, cos, sin, curvature, _, _) = self._mixed(index, s)
-            dx, dy = x - cx, y - cy
-            before, across = dx * cos + dy * sin, dy * cos - dx * sin
-            # A metre of s takes 1 - curvature * across off it; held positive inside tight turns.
-            # That cos and sin are a little short of unit length between two points only shortens
-            # the step.
-            step = before / torch.clamp(1 - curvature * across, min=0.3)
-            s = s + torch.clamp(step, -0.5, 0.5)
-        return s
-
-    def locate(self, index: Tensor, x: Tensor, y: Tensor) -> Projection:
-        """Project points of which nothing is known: the nearest centre point, then `project`.
-
-        Costs a pass over the whole table for each point; for placing, not for stepping.
-        """
-        flat = (x.shape[0], -1, 1)
-        points = self.rows.reshape(-1, self.num_points, 14)[index]
-        table_x = points[..., 0].unsqueeze(1)  # (num_worlds, 1, num_points)
-        table_y = points[..., 1].unsqueeze(1)
-        squared = (x.reshape(flat) - table_x) ** 2 + (y.reshape(flat) - table_y) ** 2
-        nearest = squared.argmin(dim=-1).reshape(x.shape)
-        return self.project(index, x, y, nearest * self._of(self.spacing, index, x))
-
-    def signed_gap(self, index: Tensor, ahead: Tensor, behind: Tensor) -> Tensor:
+    def signed_gap(self, index: np.ndarray, ahead: np.ndarray, behind: np.ndarray) -> np.ndarray:
         """Return how far `ahead` lies in front of `behind` along the track [m].
 
         On closed tracks the shorter way round is taken, in [-length / 2, length / 2).
         """
-        gap = ahead - behind
-        length = self._of(self.length, index, gap)
-        wrapped = torch.remainder(gap + length * 0.5, length) - length * 0.5
-        if self.all_closed:
-            return wrapped
-        return torch.where(self._of(self.closed, index, gap), wrapped, gap)
+        from league.track import projection
 
-    def curvature_at(self, index: Tensor, s: Tensor) -> Tensor:
-        """Return the signed curvature [1/m] at the centre point nearest to distance s.
+        ahead, behind = np.broadcast_arrays(
+            np.asarray(ahead, np.float32), np.asarray(behind, np.float32)
+        )
+        found = projection.gaps(self.courses, _spread(index, ahead), ahead.ravel(), behind.ravel())
+        return found.reshape(ahead.shape)
 
-        It is smoothed over 0.3 m, six points, so nothing is gained by interpolating. Arguments as
-        of `at`.
-        """
-        last = self._of(self.count, index, s) - 1
-        place = torch.round(s / self._of(self.spacing, index, s)).to(torch.int64)
-        point = torch.remainder(place, last + 1)
-        if not self.all_closed:
-            held = torch.minimum(torch.clamp(place, min=0), last)
-            point = torch.where(self._of(self.closed, index, s), point, held)
-        return torch.take(self._curvature, point + self._of(self._first_row, index, s))
+    def curvature_at(self, index: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Return the signed curvature [1/m] at the centre point nearest to distance s."""
+        from league.track import projection
 
-    def _mixed(self, index: Tensor, s: Tensor) -> tuple[Tensor, tuple[Tensor, ...]]:
-        """Return s wrapped, and the seven columns of the table interpolated there."""
-        if s.is_cpu:
-            from league.track import along  # late: Numba takes a while
-
-            places = _host(s).reshape(-1)
-            there = along.interpolated(self._tables, self.num_points, _host(index), places)
-            wrapped, *columns = torch.from_numpy(there).reshape(8, *s.shape).unbind()
-            return wrapped, tuple(columns)
-        length = self._of(self.length, index, s)
-        # Rounding can make the remainder of a small negative number equal to the length.
-        wrapped = torch.remainder(s, length)
-        wrapped = torch.where(wrapped >= length, 0.0, wrapped)
-        if not self.all_closed:
-            held = torch.minimum(torch.clamp(s, min=0.0), length)
-            wrapped = torch.where(self._of(self.closed, index, s), wrapped, held)
-        place = wrapped / self._of(self.spacing, index, s)
-        low = torch.minimum(place.to(torch.int64), self._of(self.count, index, s) - 1)
-        part = torch.clamp(place - low, 0.0, 1.0)
-        row = (low + self._of(self._first_row, index, s)).reshape(-1)
-        found = self.rows.index_select(0, row).t().contiguous()  # (14, points)
-        mixed = found[:7] + found[7:] * part.reshape(-1)
-        return wrapped, mixed.reshape(7, *s.shape).unbind(0)
-
-    @cached_property
-    def _tables(self) -> tuple[np.ndarray, ...]:
-        """What compiled code reads."""
-        tables = (self.rows, self.count, self.length, self.spacing, self.closed)
-        return tuple(table.numpy() for table in tables)
-
-    @cached_property
-    def _curvature(self) -> Tensor:
-        return self.rows[:, 4].contiguous()
-
-    @cached_property
-    def _first_row(self) -> Tensor:
-        return torch.arange(len(self.tracks), device=self.device) * self.num_points
-
-    def _of(self, per_track: Tensor, index: Tensor, points: Tensor) -> Tensor:
-        """Return each world's track's value, with as many trailing axes as the points have."""
-        if len(self.tracks) == 1:
-            return per_track  # of shape (1,): it broadcasts, to the same bits
-        return _like(per_track.index_select(0, index), points)
+        s = np.asarray(s, np.float32)
+        found = projection.curvatures_at(self.points, self.courses, _spread(index, s), s.ravel())
+        return found.reshape(s.shape)
 
 
-def _host(tensor: Tensor) -> np.ndarray:
-    """Return numpy's view of a tensor on the CPU, row by row as compiled code wants it."""
-    return tensor.contiguous().numpy()
+def _projection(found: np.ndarray, lateral: np.ndarray, shape: tuple[int, ...]) -> Projection:
+    s, x, y, cos, sin, curvature, left, right = (
+        found[:, column].reshape(shape) for column in range(8)
+    )
+    return Projection(s, lateral.reshape(shape), x, y, cos, sin, curvature, left, right)
 
 
-def _rows(track: Track, num_points: int) -> Tensor:
-    """Return the table of one track, padded to some number of points; see TrackSet.rows."""
+def _spread(index: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return the track of each point, int64 (points.size,)."""
+    index = np.asarray(index, np.int64)
+    shape = index.shape + (1,) * (points.ndim - index.ndim)
+    return np.broadcast_to(index.reshape(shape), points.shape).ravel()
+
+
+def _points(track: Track) -> np.ndarray:
+    """Return the rows of one track's table, float32 (num_points, 14); see POINT."""
     columns = np.concatenate(
         [
             track.center,
@@ -394,13 +318,7 @@ def _rows(track: Track, num_points: int) -> Tensor:
         np.roll(columns, -1, axis=0) if track.closed else np.vstack([columns[1:], columns[-1:]])
     )
     table = np.concatenate([columns, following - columns], axis=1)
-    padded = np.pad(table, ((0, num_points - len(table)), (0, 0)), mode="edge")
-    return torch.tensor(padded, dtype=torch.float32)
-
-
-def _like(per_world: Tensor, points: Tensor) -> Tensor:
-    """Give a per-world value as many trailing axes as the points have."""
-    return per_world.reshape(per_world.shape + (1,) * (points.dim() - per_world.dim()))
+    return np.ascontiguousarray(table, dtype=np.float32)
 
 
 def _wrapped(angle: float) -> float:

@@ -70,11 +70,11 @@ def to_judge_on(names: Sequence[str]) -> list[Track]:
     return [drawn(FIRST_EXAM_SEED + number) for number in range(JUDGED_TOGETHER)]
 
 
-def together(tracks: Sequence[Track], both_directions: bool, device: str = "cpu") -> TrackSet:
+def together(tracks: Sequence[Track], both_directions: bool) -> TrackSet:
     """Return the set of courses, each of them the other way round too if asked."""
     if both_directions:
         tracks = [way for track in tracks for way in (track, track.reversed())]
-    return TrackSet.of(*tracks, device=device)
+    return TrackSet(*tracks)
 
 
 def _number(name: str) -> int:

@@ -62,7 +62,7 @@ def judged(exam: Exam, checkpoint: Checkpoint) -> Evaluation:
     kind: RaceKind = "head_to_head" if exam.opponents else exam.kind
     found = []
     for track in exam.tracks:
-        tracks = TrackSet.of(track)
+        tracks = TrackSet(track)
         found.append(
             evaluate(
                 Policy(checkpoint, car),

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import torch
 from rsl_rl.algorithms import PPO
 from rsl_rl.models import MLPModel
@@ -265,11 +266,11 @@ class Learner:
     def _on_card(self) -> bool:
         return torch.device(self.device).type == "cuda"
 
-    def _next_tracks(self) -> Tensor:
+    def _next_tracks(self) -> np.ndarray:
         """Return the tracks of the worlds from here on: where there are more, others each time."""
         worlds, times = self.cfg.num_worlds, self.updates // self.cfg.save_every
         first = worlds * (times * ranks.count() + ranks.number())
-        return torch.arange(first, first + worlds) % len(self.env.race_env.tracks.tracks)
+        return np.arange(first, first + worlds) % len(self.env.race_env.tracks.tracks)
 
     def _collect(self) -> tuple[float, dict[str, float]]:
         paid, sums = 0.0, {}

@@ -97,7 +97,7 @@ class Run:
             raise ConfigError(
                 f"a tutor teaches a policy that knows nothing yet: leave --tutor or {other} away"
             )
-        tracks = courses.together(self._tracks, train.both_directions, train.device)
+        tracks = courses.together(self._tracks, train.both_directions)
         self.train = train
         self._parent = checkpoint.load(cfg.init_from) if cfg.init_from else None
         if self._parent is not None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from league.training.lines import seconds
 from league.training.onlooker import Onlooker
 
@@ -99,8 +101,8 @@ def seats(world: World) -> Seats:
     """Return whom to show: cars that learn alone on one track, or one world's whole field."""
     from league.rerun_view.practice import Seats
 
-    if world.num_cars > 1 or world.obstacles.x.shape[1] > 0:
+    if world.num_cars > 1 or world.num_obstacles > 0:
         # Laid over each other, the cars of one world would drive through those of another.
         return Seats(worlds=(0,), cars=tuple(range(min(world.num_cars, MOST_CARS))))
-    same = (world.track == world.track[0]).nonzero()[:, 0].tolist()
+    same = np.flatnonzero(world.track == world.track[0]).tolist()
     return Seats(worlds=tuple(same[:MOST_CARS]), cars=(0,))

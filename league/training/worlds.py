@@ -9,10 +9,10 @@ import torch
 
 from league.agents.driver import Driver
 from league.envs.config import EnvConfig
+from league.envs.meeting import Meeting
 from league.envs.rewards import Reward
 from league.envs.vec_env import RacingVecEnv
 from league.sim.config import ObstacleConfig, RaceRules, SimConfig, Spread
-from league.sim.meeting_config import Meeting
 from league.track.course import TrackSet
 from league.training.settings import TrainConfig
 
@@ -65,4 +65,5 @@ def make(
         reward=reward,
         as_bytes=True,
         seed=cfg.seed,
+        device=cfg.device,
     )

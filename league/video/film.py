@@ -9,14 +9,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import torch
 from av.error import FFmpegError
-from torch import Tensor
 
 from league.errors import ReplayError
 from league.replay import Replay, story
 from league.sim.camera.paint import PaintRenderer
 from league.sim.config import CameraConfig
+from league.sim.records import CAR
 from league.sim.world import World
 from league.video.hud import Hud
 from league.video.mp4 import Coding, Mp4, interleaved
@@ -74,7 +73,7 @@ class Film:
         seen = self._renderer.render(_with_eye(world, x, y, yaw), self._replay.num_cars)
         taken = []
         for row, time_s in enumerate(times_s):
-            picture = interleaved(seen[row].numpy())
+            picture = interleaved(seen[row])
             self._hud.draw(picture, world, row, float(time_s))
             taken.append(picture)
         return taken
@@ -140,25 +139,8 @@ def _with_eye(world: World, x: np.ndarray, y: np.ndarray, yaw: np.ndarray) -> Wo
 
     So the film is drawn by the very renderer that draws what the cars see.
     """
-
-    def longer(column: Tensor, last: np.ndarray | float) -> Tensor:
-        end = torch.as_tensor(np.broadcast_to(last, (len(column),)).copy(), dtype=column.dtype)
-        return torch.cat([column, end.unsqueeze(1)], dim=1)
-
-    motion, cars, standing = world.motion, world.cars, world.standing
-    return replace(
-        world,
-        motion=replace(
-            motion,
-            x=longer(motion.x, x),
-            y=longer(motion.y, y),
-            yaw=longer(motion.yaw, yaw),
-            steering=longer(motion.steering, 0.0),
-        ),
-        cars=replace(
-            cars,
-            camera_up=longer(cars.camera_up, 0.0),
-            camera_pitch=longer(cars.camera_pitch, 0.0),
-        ),
-        standing=replace(standing, penalty_s=longer(standing.penalty_s, 0.0)),
-    )
+    cars = np.zeros((world.num_worlds, world.num_cars + 1), CAR)
+    cars[:, :-1] = world.cars
+    eye = cars[:, -1]
+    eye["x"], eye["y"], eye["yaw"] = x, y, yaw
+    return replace(world, cars=cars)

@@ -7,7 +7,7 @@ import numpy as np
 
 from league.replay import Replay
 from league.sim.camera.scene import BOT_COLOUR, BOX_COLOUR, CAR, CAR_COLOURS, faded
-from league.sim.world import World
+from league.sim.world import World, is_frozen
 from league.track import paint
 from league.track.course import Rgb
 
@@ -49,22 +49,15 @@ class TopView:
     def draw(self, replay: Replay, world: World, row: int) -> np.ndarray:
         """Return the picture of one world of a batch, RGB."""
         picture = self._floor.copy()
-        obstacles, motion = world.obstacles, world.motion
         bots = replay.spec.obstacle_kind == "bot"
-        for index in range(obstacles.x.shape[1]):
-            half = (
-                float(obstacles.half_length[row, index]),
-                float(obstacles.half_width[row, index]),
-            )
-            pose = (obstacles.x, obstacles.y, obstacles.yaw)
-            x, y, yaw = (float(column[row, index]) for column in pose)
-            self._box(picture, x, y, yaw, half, BOT_COLOUR if bots else BOX_COLOUR)
+        for thing in world.obstacles[row]:
+            half = float(thing["half_length"]), float(thing["half_width"])
+            self._box(picture, *_pose(thing), half, BOT_COLOUR if bots else BOX_COLOUR)
         half = (CAR.half_length * _LARGER, CAR.half_width * _LARGER)
         for slot in reversed(range(world.num_cars)):
-            x, y, yaw = (float(column[row, slot]) for column in (motion.x, motion.y, motion.yaw))
-            colour = CAR_COLOURS[slot]
-            frozen = float(world.standing.penalty_s[row, slot]) > 0
-            self._box(picture, x, y, yaw, half, faded(colour) if frozen else colour, outline=True)
+            car, colour = world.cars[row, slot], CAR_COLOURS[slot]
+            colour = faded(colour) if is_frozen(car) else colour
+            self._box(picture, *_pose(car), half, colour, outline=True)
         return picture
 
     def _paint(self, replay: Replay) -> np.ndarray:
@@ -110,3 +103,7 @@ class TopView:
         else:
             height = self._high[1] - self._low[1]
         return np.stack([x, height - y], axis=1) * self._scale - 0.5
+
+
+def _pose(body: np.void) -> tuple[float, float, float]:
+    return float(body["x"]), float(body["y"]), float(body["yaw"])

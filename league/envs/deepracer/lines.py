@@ -8,11 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from league.envs.deepracer.telling import MEASURES
-from league.sim import referee
 from league.track import check
 from league.track.course import Track, TrackSet
 
@@ -42,30 +39,23 @@ class Lines:
     @classmethod
     def of(cls, tracks: TrackSet) -> Lines:
         """Make the tables."""
-        number = torch.arange(len(tracks.tracks), device=tracks.device)
-        measures = np.zeros(len(tracks.tracks), dtype=MEASURES)
-        measures["first"] = np.arange(len(tracks.tracks)) * tracks.num_points
-        measures["last"] = tracks.count.cpu().numpy() - 1
-        measures["spacing"] = _wide(tracks.spacing)
-        measures["length"] = _wide(tracks.length)
-        measures["lap"] = _wide(referee.lap_length(tracks, number)[:, 0])
-        measures["closed"] = tracks.closed.cpu().numpy()
+        courses = tracks.courses
+        measures = np.zeros(len(courses), dtype=MEASURES)
+        for name in ("first", "spacing", "length", "closed"):
+            measures[name] = courses[name]
+        measures["last"] = courses["count"] - 1
+        measures["lap"] = tracks.lap_length(np.arange(len(courses)))
         measures["steps"] = [_steps(track) for track in tracks.tracks]
         places = [_places(track) for track in tracks.tracks]
         count = np.array([len(those) for those in places])
         measures["first_place"] = np.where(count > 0, np.cumsum(count) - count, -1)
         return cls(
-            rows=_wide(tracks.rows),
+            rows=tracks.points.view(np.float32).reshape(len(tracks.points), -1).astype(np.float64),
             measures=measures,
             places=np.concatenate(places),
             clockwise=[track.direction == "clockwise" for track in tracks.tracks],
             waypoints=tuple(_waypoints(track) for track in tracks.tracks),
         )
-
-
-def _wide(values: Tensor) -> np.ndarray:
-    """Return numbers in double precision, in C's order, for which alone things are compiled."""
-    return np.ascontiguousarray(values.cpu().numpy(), dtype=np.float64)
 
 
 def _places(track: Track) -> np.ndarray:

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import torch
-from torch import Tensor
+import numpy as np
 
 from league.envs.config import EnvConfig
 from league.envs.deepracer.situation import Params, Situations
 from league.envs.race_env import RaceEnv
 from league.envs.state import INDEX
 from league.sim.config import ObstacleConfig, RaceKind, RaceRules, SimConfig
-from league.sim.referee import Verdict
 from league.sim.world import World
 from league.track import files
 from league.track.course import Track, TrackSet
@@ -41,14 +39,19 @@ class _Listener:
     kept: list[Params] = field(default_factory=list)
     terms: tuple[str, ...] = ()
 
-    def restart(self, world: World, who: Tensor) -> None:
+    def restart(self, world: World, who: np.ndarray) -> None:
         self.situations.restart(who)
 
     def __call__(
-        self, tracks: TrackSet, before: World, world: World, actions: Tensor, verdict: Verdict
-    ) -> tuple[Tensor, dict[str, Tensor]]:
-        self.kept.extend(self.situations.rows(tracks, before, world, verdict).params)
-        return torch.zeros_like(verdict.advance), {}
+        self,
+        tracks: TrackSet,
+        before: World,
+        world: World,
+        actions: np.ndarray,
+        verdicts: np.ndarray,
+    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        self.kept.extend(self.situations.rows(tracks, before, world, verdicts).params)
+        return np.zeros(verdicts.shape, np.float32), {}
 
 
 def drives() -> tuple[Drive, ...]:
@@ -95,32 +98,30 @@ def _drive(
     paid = sim.num_cars - 1
     listener = _Listener(Situations(sim, (paid,)))
     cfg = EnvConfig(sim=sim, mode="race")
-    env = RaceEnv(TrackSet.of(track), cfg, seed=1, reward=listener)
+    env = RaceEnv(TrackSet(track), cfg, seed=1, reward=listener)
     told = env.reset(seed=1)
-    with torch.inference_mode():
-        for number in range(15 * sim.step_hz):
-            actions = torch.stack(
-                [
-                    _follow(groups["state"], speed, lane, sim)
-                    for groups, speed, lane in zip(told, speeds, lanes, strict=False)
-                ],
-                dim=1,
-            )
-            if straight_on is not None and number >= straight_on:
-                actions[..., 0] = 0.0
-            step = env.step(actions)
-            told = step.observations
-            if bool((step.verdict.mistake | step.verdict.finished)[0, paid]):
-                break
+    for number in range(15 * sim.step_hz):
+        actions = np.stack(
+            [
+                _follow(groups["state"], speed, lane, sim)
+                for groups, speed, lane in zip(told, speeds, lanes, strict=False)
+            ],
+            axis=1,
+        )
+        if straight_on is not None and number >= straight_on:
+            actions[..., 0] = 0.0
+        seen = env.step(actions).verdicts[0, paid]
+        if seen["mistake"] or seen["finished"]:
+            break
     env.close()
     return Drive(title=title, kind=sim.kind, params=listener.kept)
 
 
-def _follow(state: Tensor, speed: float, lane: float, sim: SimConfig) -> Tensor:
+def _follow(state: np.ndarray, speed: float, lane: float, sim: SimConfig) -> np.ndarray:
     """Follow a line beside the centreline by two gains."""
     car = sim.car
     lateral, heading = state[:, INDEX["lateral"]] - lane, state[:, INDEX["heading_error"]]
     bend = state[:, INDEX["curvature_0.25m"]] - 1.5 * lateral - 2.5 * heading
-    steering = torch.atan(car.wheelbase * bend) / car.max_steering
-    share = torch.full_like(steering, (speed - car.min_speed) / (car.max_speed - car.min_speed))
-    return torch.stack([steering, 2.0 * share - 1.0], dim=1).clamp(-1.0, 1.0)
+    steering = np.arctan(car.wheelbase * bend) / car.max_steering
+    share = np.full_like(steering, (speed - car.min_speed) / (car.max_speed - car.min_speed))
+    return np.stack([steering, 2.0 * share - 1.0], axis=1).clip(-1.0, 1.0)

@@ -6,14 +6,11 @@ import os
 from collections.abc import Sequence
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from league.envs.deepracer.situation import Params, Situations
 from league.envs.deepracer.source import LIMIT, Function, Source
 from league.envs.deepracer.watchdog import NOT_ITS_OWN, TIME_LIMIT_S, Watchdog
 from league.sim.config import SimConfig
-from league.sim.referee import Verdict
 from league.sim.world import World
 from league.track.course import TrackSet
 
@@ -65,29 +62,31 @@ class UserReward:
         """What the file has printed, the last lines."""
         return self.source.prints.lines
 
-    def restart(self, world: World, who: Tensor) -> None:
+    def restart(self, world: World, who: np.ndarray) -> None:
         """Begin an episode for these cars; their modules keep what they know."""
         self._situations.restart(who)
 
     def __call__(
-        self, tracks: TrackSet, before: World, world: World, actions: Tensor, verdict: Verdict
-    ) -> tuple[Tensor, dict[str, Tensor]]:
+        self,
+        tracks: TrackSet,
+        before: World,
+        world: World,
+        actions: np.ndarray,
+        verdicts: np.ndarray,
+    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Return what each car earns, (num_worlds, num_cars).
 
         Raises:
             RewardError: the user's code fails, answers with no number from -1e5 to 1e5, or does
                 not come back.
         """
-        rows = self._situations.rows(tracks, before, world, verdict)
-        paid = np.zeros(verdict.advance.shape, dtype=np.float32)
+        rows = self._situations.rows(tracks, before, world, verdicts)
+        paid = np.zeros(verdicts.shape, dtype=np.float32)
         with self._watchdog as watchdog:
             for place, car, params in zip(rows.world, rows.car, rows.params, strict=True):
                 watchdog.calls += 1
                 paid[place, car] = self._call(place, car, params)
-        reward = torch.from_numpy(paid)
-        if not verdict.advance.is_cpu:
-            reward = reward.to(verdict.advance.device)
-        return reward, {TERM: reward}
+        return paid, {TERM: paid}
 
     def _call(self, world: int, car: int, params: Params) -> float:
         function, steps = self._functions[world, car], params["steps"]

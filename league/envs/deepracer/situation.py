@@ -1,7 +1,7 @@
 """Situations: what the worlds look like to reward functions, one dict of 27 keys for each row.
 
 All rows are worked out by compiled code and handed out as plain Python: floats, bools, ints, lists.
-The meaning of each key is told in docs/rewards.md; sources: facts sections 1.2 and 11.
+docs/rewards.md says what each key means.
 """
 
 from __future__ import annotations
@@ -11,15 +11,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from league.envs.deepracer import telling
 from league.envs.deepracer.lines import Lines
 from league.errors import ConfigError
 from league.sim.config import CameraConfig, CarConfig, SimConfig
-from league.sim.referee import Verdict
-from league.sim.world import Obstacles, Standing, World
+from league.sim.world import World
 from league.track.course import TrackSet
 
 KEYS = (
@@ -86,15 +83,13 @@ class Situations:
         self._memory: np.ndarray | None = None
         self._to_note = False
         self._known: TrackSet | None = None
-        self._placed: Obstacles | None = None
 
-    def restart(self, who: Tensor) -> None:
+    def restart(self, begun: np.ndarray) -> None:
         """Begin an episode for these cars, bool, (num_worlds, num_cars).
 
         Raises:
             ConfigError: a paid car that is not there.
         """
-        begun = who.cpu().numpy()
         if self._memory is None or self._memory.shape != begun.shape:
             self._memory = self._begun(*begun.shape)
         self._memory["steps"][begun] = 0
@@ -112,29 +107,25 @@ class Situations:
         memory["fresh"] = True
         return memory
 
-    def rows(self, tracks: TrackSet, before: World, world: World, verdict: Verdict) -> Rows:
+    def rows(self, tracks: TrackSet, before: World, world: World, verdicts: np.ndarray) -> Rows:
         """Return what each paid car is told of a step; cars that stand a penalty are left out.
 
         Args:
             tracks: the courses.
-            before: the worlds before the step.
+            before: the cars before the step.
             world: the worlds after it, before any penalty or restart moved a car.
-            verdict: what happened in the step.
+            verdicts: VERDICT records of the step.
         """
         if tracks is not self._known:
             self._lines, self._known = Lines.of(tracks), tracks
-        if world.obstacles is not self._placed:  # boxes stay where they are until a restart
-            self._boxes, self._placed = _obstacles(world), world.obstacles
-        memory, lines, track = self._memory, self._lines, _array(world.track)
+        memory, lines = self._memory, self._lines
         assert memory is not None
         known = (lines.rows, lines.measures, self._body, memory)
-        book = before.standing
         if self._to_note:
-            self._to_note = telling.note_starts(*known, _cars(before, book), track)
+            self._to_note = telling.note_starts(*known, before.cars, world.worlds)
         own, others = telling.tell(
-            *(*known, lines.places, _cars(world, book), self._boxes, track),
-            *(_array(book.laps), _array(verdict.lap), _array(verdict.crashed)),
-            *(_array(world.step), self._step_dt),
+            *(*known, lines.places, before.cars, world.cars, world.obstacles, world.worlds),
+            *(verdicts, self._step_dt),
         )
         told = own.tolist()
         return Rows(
@@ -180,35 +171,6 @@ def _params(lines: Lines, own: list[float], others: list[list[float]]) -> Params
         "x": x,
         "y": y,
     }
-
-
-def _array(values: Tensor) -> np.ndarray:
-    return (values if values.is_cpu else values.cpu()).numpy()
-
-
-def _cars(world: World, before: Standing) -> np.ndarray:
-    """Return the table of all cars, as compiled code takes it."""
-    body, book, asked = world.motion, world.standing, world.control
-    return _table(
-        *(body.x, body.y, body.yaw, body.velocity_x, body.velocity_y, book.s, book.lateral),
-        *(book.distance, asked.steering, asked.speed, before.penalty_s, before.finish_s),
-    )
-
-
-def _obstacles(world: World) -> np.ndarray:
-    """Return the table of all obstacles, as compiled code takes it."""
-    box = world.obstacles
-    if not box.x.shape[1]:
-        return np.empty((9, *box.x.shape))
-    return _table(
-        *(box.x, box.y, box.yaw, box.velocity_x, box.velocity_y, box.s, box.lateral),
-        *(box.half_length, box.half_width),
-    )
-
-
-def _table(*rows: Tensor) -> np.ndarray:
-    # Stacked first: one piece is handed over faster than twelve, and a GPU is asked once.
-    return _array(torch.stack(rows)).astype(np.float64)
 
 
 def _body(car: CarConfig, camera: CameraConfig) -> np.ndarray:

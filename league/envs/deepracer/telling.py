@@ -11,7 +11,8 @@ import math
 
 import numpy as np
 
-from league.compiled import compiled, inner
+from league.jit import compiled, inner
+from league.sim.vehicle import frozen
 
 (WORLD, CAR, STEERING, SPEED, X, Y, HEADING) = range(7)
 (DISTANCE, PROJECTION, WIDTH, LENGTH, PROGRESS, SIM_TIME, STEPS) = range(7, 14)
@@ -29,8 +30,8 @@ NUM_OF_OBJECT = 7
 _X, _Y, _YAW, _VELOCITY_X, _VELOCITY_Y, _S, _LATERAL = range(7)
 """Rows of the tables of cars and of obstacles."""
 _DRIVEN, _STEERING, _SPEED, _PENALTY, _FINISH = range(7, 12)
-"""Further rows of cars: how far they have driven, and what was asked for; before the step, how long
-they stood still yet, and when they finished."""
+"""Further rows of cars: how far they have driven, and what was asked for; before the step, whether
+they were frozen, and when they finished."""
 _HALF_LENGTH, _HALF_WIDTH = 7, 8
 """Further rows of obstacles."""
 
@@ -83,16 +84,21 @@ MEMORY = np.dtype(
 
 
 @compiled
-def note_starts(rows, measures, bodies, memory, cars, track):  # noqa: ANN001, ANN201
+def note_starts(rows, measures, bodies, memory, before, worlds):
     """Note where the episodes of fresh cars begin; `tell` says what the arguments are.
 
     Returns:
         Whether there are cars left to note: those that stand a penalty or have finished.
     """
     body, left = bodies[0], False
+    cars = _cars(before, before)
     for world in range(memory.shape[0]):
         for car in range(memory.shape[1]):
-            known, its, road = memory[world, car], cars[:, world, car], measures[track[world]]
+            known, its, road = (
+                memory[world, car],
+                cars[:, world, car],
+                measures[worlds[world].track],
+            )
             if not (known.paid and known.fresh):
                 continue
             if _stopped(its):
@@ -106,60 +112,89 @@ def note_starts(rows, measures, bodies, memory, cars, track):  # noqa: ANN001, A
 
 
 @compiled
-def tell(  # noqa: ANN201
-    rows, measures, bodies, memory, places,  # noqa: ANN001
-    cars, obstacles, track, laps, lap, crashed, step, step_dt,  # noqa: ANN001
-):  # fmt: skip
+def tell(rows, measures, bodies, memory, places, before, after, things, worlds, verdicts, step_dt):
     """Return what each paid car is told that stands no penalty and has not finished.
 
     Args:
         rows: x, y, cos, sin, curvature, left, right of each point of the centrelines, then their
-            change to the next one, (num_tracks * num_points, 14); see TrackSet.rows.
+            change to the next one, (num_points, 14); see projection.POINT.
         measures: MEASURES of each track, (num_tracks,).
         bodies: BODY of all cars, (1,).
         memory: MEMORY of each car, (num_worlds, num_cars); steps are counted in it, and a lap ends
             an episode.
         places: how far along the lap waypoints lie [m], for tracks with waypoints of their own.
-        cars: all cars after the step, float64 (12, num_worlds, num_cars).
-        obstacles: float64 (9, num_worlds, num_obstacles).
-        track: track of each world, int64 (num_worlds,).
-        laps: laps of each car before the step, int64 (num_worlds, num_cars).
-        lap: whether each completes one, bool.
-        crashed: whether each has crashed, bool.
-        step: steps of each world, int64 (num_worlds,).
+        before: CAR records before the step, (num_worlds, num_cars).
+        after: CAR records after it.
+        things: OBSTACLE records, (num_worlds, num_obstacles).
+        worlds: WORLD records, (num_worlds,).
+        verdicts: VERDICT records, (num_worlds, num_cars).
         step_dt: duration of one [s].
 
     Returns:
         What each car is told of itself, float64 (num_rows, NUM_OWN), and of obstacles and all other
         cars, in this order, float64 (num_rows, NUM_OF_OBJECT, num_objects).
     """
+    cars, obstacles = _cars(after, before), _obstacles(things)
     num_obstacles, body = obstacles.shape[2], bodies[0]
     own = np.empty((memory.size, NUM_OWN))
     others = np.empty((memory.size, NUM_OF_OBJECT, num_obstacles + memory.shape[1] - 1))
     number = 0
     for world in range(memory.shape[0]):
         for car in range(memory.shape[1]):
-            known, its, road = memory[world, car], cars[:, world, car], measures[track[world]]
+            known, its, road = (
+                memory[world, car],
+                cars[:, world, car],
+                measures[worlds[world].track],
+            )
             if not known.paid or _stopped(its):
                 continue
-            row = own[number]
-            row[WORLD], row[CAR], row[TRACK] = world, car, track[world]
-            row[CRASHED], row[SIM_TIME] = crashed[world, car], step[world] * step_dt
+            row, seen = own[number], verdicts[world, car]
+            row[WORLD], row[CAR], row[TRACK] = world, car, worlds[world].track
+            row[CRASHED], row[SIM_TIME] = seen.crashed, worlds[world].step * step_dt
             _tell_of_itself(rows, road, body, places, its, row)
-            _tell_of_episode(road, known, its, laps[world, car], lap[world, car], row)
+            _tell_of_episode(road, known, its, before[world, car].laps, seen.lap, row)
             _tell_of_objects(road, body, cars, obstacles, world, car, row, others[number])
             number += 1
     return own[:number], others[:number]
 
 
 @inner
-def _stopped(its):  # noqa: ANN001, ANN202
+def _cars(cars, before):
+    """Return the table of all cars, float64 (12, num_worlds, num_cars)."""
+    table = np.empty((12, cars.shape[0], cars.shape[1]))
+    for world in range(cars.shape[0]):
+        for k in range(cars.shape[1]):
+            car, its, was = cars[world, k], table[:, world, k], before[world, k]
+            its[_X], its[_Y], its[_YAW] = car.x, car.y, car.yaw
+            its[_VELOCITY_X], its[_VELOCITY_Y] = car.velocity_x, car.velocity_y
+            its[_S], its[_LATERAL], its[_DRIVEN] = car.s, car.lateral, car.distance
+            its[_STEERING], its[_SPEED] = car.target_steering, car.target_speed
+            its[_PENALTY], its[_FINISH] = frozen(was), was.finish_s
+    return table
+
+
+@inner
+def _obstacles(things):
+    """Return the table of all obstacles, float64 (9, num_worlds, num_obstacles)."""
+    table = np.empty((9, things.shape[0], things.shape[1]))
+    for world in range(things.shape[0]):
+        for k in range(things.shape[1]):
+            thing, its = things[world, k], table[:, world, k]
+            its[_X], its[_Y], its[_YAW] = thing.x, thing.y, thing.yaw
+            its[_VELOCITY_X], its[_VELOCITY_Y] = thing.velocity_x, thing.velocity_y
+            its[_S], its[_LATERAL] = thing.s, thing.lateral
+            its[_HALF_LENGTH], its[_HALF_WIDTH] = thing.half_length, thing.half_width
+    return table
+
+
+@inner
+def _stopped(its):
     """Return whether a car stands a penalty or has finished."""
     return its[_PENALTY] > 0.0 or its[_FINISH] < math.inf
 
 
 @inner
-def _tell_of_itself(rows, road, body, places, its, row):  # noqa: ANN001, ANN202
+def _tell_of_itself(rows, road, body, places, its, row):
     x, y, s, lateral, left, right = _nose(rows, road, body, its)
     row[X], row[Y], row[HEADING] = x, y, _heading(its[_YAW])
     row[STEERING], row[SPEED] = _rounded(its[_STEERING] * _DEGREES), _rounded(its[_SPEED])
@@ -171,7 +206,7 @@ def _tell_of_itself(rows, road, body, places, its, row):  # noqa: ANN001, ANN202
 
 
 @inner
-def _tell_of_episode(road, known, its, laps, lap, row):  # noqa: ANN001, ANN202
+def _tell_of_episode(road, known, its, laps, lap, row):
     known.steps += 1
     row[STEPS] = known.steps
     # Held just below 100 until the referee has counted the lap, so that 100 is told once.
@@ -186,7 +221,7 @@ def _tell_of_episode(road, known, its, laps, lap, row):  # noqa: ANN001, ANN202
 
 
 @inner
-def _tell_of_objects(road, body, cars, obstacles, world, car, row, told):  # noqa: ANN001, ANN202
+def _tell_of_objects(road, body, cars, obstacles, world, car, row, told):
     """Tell of each object, of the last and the next one, and whether that is in the picture."""
     num_obstacles, count, nose = obstacles.shape[2], told.shape[1], row[PROJECTION]
     length, closed = road.length, road.closed
@@ -216,7 +251,7 @@ def _tell_of_objects(road, body, cars, obstacles, world, car, row, told):  # noq
 
 
 @compiled
-def closest_waypoints(places, road, s):  # noqa: ANN001, ANN201
+def closest_waypoints(places, road, s):
     """Return the waypoint at or behind a place, and the next one; after the last comes 0.
 
     Args:
@@ -234,7 +269,7 @@ def closest_waypoints(places, road, s):  # noqa: ANN001, ANN201
 
 
 @inner
-def _last_reached(places, road, s):  # noqa: ANN001, ANN202
+def _last_reached(places, road, s):
     """Return the last waypoint at or before a place, -1 before the first: by bisection."""
     low, high = road.first_place, road.first_place + road.steps + 1
     if road.closed:
@@ -254,7 +289,7 @@ def _last_reached(places, road, s):  # noqa: ANN001, ANN202
 
 
 @compiled
-def project(rows, road, x, y, near):  # noqa: ANN001, ANN201
+def project(rows, road, x, y, near):
     """Find a point on the centreline by Newton's method; TrackSet.project for one point.
 
     Args:
@@ -285,7 +320,7 @@ def project(rows, road, x, y, near):  # noqa: ANN001, ANN201
 
 
 @inner
-def _row(rows, road, s):  # noqa: ANN001, ANN202
+def _row(rows, road, s):
     """Return s wrapped, the row of the table before it, and the share of the way to the next."""
     s = s % road.length if road.closed else min(max(s, 0.0), road.length)
     place = s / road.spacing
@@ -294,7 +329,7 @@ def _row(rows, road, s):  # noqa: ANN001, ANN202
 
 
 @inner
-def _nose(rows, road, body, its):  # noqa: ANN001, ANN202
+def _nose(rows, road, body, its):
     """Return where a car's nose is, x and y [m], and what `project` says of it."""
     x = its[_X] + body.nose * math.cos(its[_YAW])
     y = its[_Y] + body.nose * math.sin(its[_YAW])
@@ -303,7 +338,7 @@ def _nose(rows, road, body, its):  # noqa: ANN001, ANN202
 
 
 @inner
-def _on_road(rows, road, body, its):  # noqa: ANN001, ANN202
+def _on_road(rows, road, body, its):
     """Return whether all four wheels are on the road, and whether none is."""
     cos, sin = math.cos(its[_YAW]), math.sin(its[_YAW])
     wheels = 0
@@ -317,13 +352,13 @@ def _on_road(rows, road, body, its):  # noqa: ANN001, ANN202
 
 
 @inner
-def _short_way(road, gap):  # noqa: ANN001, ANN202
+def _short_way(road, gap):
     """Return a difference of two places the shorter way round [m]."""
     return gap - np.rint(gap / road.length) * road.length if road.closed else gap
 
 
 @inner
-def _ahead(road, gap):  # noqa: ANN001, ANN202
+def _ahead(road, gap):
     """Return a difference of two places as a way ahead [m]: on a loop in (0, length]."""
     if not road.closed:
         return gap
@@ -332,7 +367,7 @@ def _ahead(road, gap):  # noqa: ANN001, ANN202
 
 
 @inner
-def _object(cars, obstacles, world, car, which):  # noqa: ANN001, ANN202
+def _object(cars, obstacles, world, car, which):
     """Return an object of a car: first come obstacles, then all cars but itself."""
     rival = which - obstacles.shape[2]
     if rival < 0:
@@ -341,20 +376,20 @@ def _object(cars, obstacles, world, car, which):  # noqa: ANN001, ANN202
 
 
 @inner
-def _heading(yaw):  # noqa: ANN001, ANN202
+def _heading(yaw):
     """Return an angle in degrees, in (-180, 180]."""
     heading = yaw * _DEGREES
     return 180.0 if heading <= -180.0 else heading
 
 
 @inner
-def _rounded(number):  # noqa: ANN001, ANN202
+def _rounded(number):
     """Round to where single precision ends, so that a choice of 15 degrees is told as 15.0."""
     return np.rint(number * 1e4) / 1e4
 
 
 @inner
-def _seen(body, its, box, half_length, half_width):  # noqa: ANN001, ANN202
+def _seen(body, its, box, half_length, half_width):
     """Return whether the centre or a corner of an object is inside a car's view.
 
     What hides behind another object is seen all the same, as in the original.

@@ -8,8 +8,6 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-import torch
-from torch import Tensor
 
 from league.sim import draws
 from league.sim.config import LookConfig
@@ -18,7 +16,7 @@ from league.sim.world import World
 # Purposes of the draws (see league.sim.draws): any numbers that nothing else uses.
 _LIGHT, _CHANNEL, _BODY, _BLUR, _NOISE, _PLACE = range(7_310_001, 7_310_007)
 
-_NOISE_STEP = 32.0
+NOISE_STEP = 32.0
 """Levels of a noise sample in one standard deviation."""
 _SPARE = 1 << 16
 
@@ -27,38 +25,38 @@ _SPARE = 1 << 16
 class Look:
     """What was drawn for some worlds."""
 
-    gain: Tensor
+    gain: np.ndarray
     """What each channel of a picture is multiplied with, (num_rows, 1) or (num_rows, 3)."""
-    tint: Tensor
+    tint: np.ndarray
     """What the colour of each body is multiplied with, (num_rows, num_bodies, 3)."""
-    leak: Tensor
+    leak: np.ndarray
     """Share of a pixel's light that each neighbour gets, (num_rows,)."""
-    noise: Tensor
+    noise: np.ndarray
     """Standard deviation of a pixel, of 255, (num_rows,)."""
-    place: Tensor
+    place: np.ndarray
     """Where in the noise this picture begins, int64, (num_rows,)."""
 
 
-def draw(cfg: LookConfig, world: World, rows: Tensor | None, car: int, colour: bool) -> Look:
+def draw(cfg: LookConfig, world: World, rows: np.ndarray | None, car: int, colour: bool) -> Look:
     """Draw how the pictures of one car look in some worlds."""
-    seed = world.seed if rows is None else world.seed[rows]
-    step = world.step if rows is None else world.step[rows]
-    wide = seed.unsqueeze(1)
-    channels = torch.arange(3 if colour else 1, device=seed.device)
-    bodies = torch.arange(world.num_cars + world.obstacles.x.shape[1], device=seed.device)
+    worlds = world.worlds if rows is None else world.worlds[rows]
+    seed, step = worlds["seed"], worlds["step"]
+    wide = seed[:, None]
+    channels = np.arange(3 if colour else 1)
+    bodies = np.arange(world.num_cars + world.num_obstacles)
 
-    def around_one(share: float, numbers: Tensor) -> Tensor:
-        return 1 + share * (2 * numbers - 1)
+    def around_one(share: float, numbers: np.ndarray) -> np.ndarray:
+        return 1 + np.float32(share) * (2 * numbers - 1)
 
     light = around_one(cfg.light, draws.uniform(wide, _LIGHT))
     channel = draws.uniform(wide, _CHANNEL, channels)
-    body = draws.uniform(wide.unsqueeze(2), _BODY, bodies.unsqueeze(1), torch.arange(3).to(bodies))
-    sigma = cfg.blur * draws.uniform(seed, _BLUR)
+    body = draws.uniform(wide[..., None], _BODY, bodies[:, None], np.arange(3))
+    sigma = np.float32(cfg.blur) * draws.uniform(seed, _BLUR)
     return Look(
         gain=light * around_one(cfg.colour if colour else 0.0, channel),
         tint=around_one(cfg.colour, body),
         leak=sigma * sigma / 2,  # a kernel (k, 1 - 2 k, k) has variance 2 k
-        noise=cfg.noise * draws.uniform(seed, _NOISE),
+        noise=np.float32(cfg.noise) * draws.uniform(seed, _NOISE),
         place=draws.bits(seed, _PLACE, step, car) & (_SPARE - 1),
     )
 
@@ -77,33 +75,13 @@ def develop(picture: np.ndarray, look: Look, row: int) -> None:
     if sigma > 0:
         flat = picture.reshape(-1)
         place = int(look.place[row])
-        grain = _grain(flat.size)[place : place + flat.size]
-        part = sigma / _NOISE_STEP
-        cv2.addWeighted(flat, 1.0, grain, part, -128 * part, flat)
-
-
-def developed(pictures: Tensor, look: Look, rows: range) -> Tensor:
-    """Return float pictures of (num_rows, num_eyes, height, width, channels), changed alike."""
-    part = slice(rows.start, rows.stop)
-    leak = look.leak[part].reshape(-1, 1, 1, 1, 1)
-    for axis in (2, 3):
-        size = pictures.shape[axis]
-        before = torch.cat([pictures.narrow(axis, 0, 1), pictures.narrow(axis, 0, size - 1)], axis)
-        after = torch.cat(
-            [pictures.narrow(axis, 1, size - 1), pictures.narrow(axis, size - 1, 1)], axis
-        )
-        pictures = pictures + leak * (before + after - 2 * pictures)
-    pictures = torch.clamp(pictures * look.gain[part, None, None, None, :], 0, 255)
-    size = pictures[0].numel()
-    grain = torch.from_numpy(_grain(size)).to(pictures.device)
-    places = look.place[part].unsqueeze(1) + torch.arange(size, device=pictures.device)
-    noise = grain[places].reshape(pictures.shape).to(pictures.dtype) - 128
-    return pictures + noise * (look.noise[part] / _NOISE_STEP).reshape(-1, 1, 1, 1, 1)
+        noise = grain(flat.size)[place : place + flat.size]
+        part = sigma / NOISE_STEP
+        cv2.addWeighted(flat, 1.0, noise, part, -128 * part, flat)
 
 
 @lru_cache(maxsize=8)
-def _grain(size: int) -> np.ndarray:
+def grain(size: int) -> np.ndarray:
     """Return noise around 128 for pictures of this many numbers, uint8."""
-    seed = torch.zeros(1, dtype=torch.int64)
-    numbers = draws.normal(seed, _NOISE, torch.arange(size + _SPARE))
-    return torch.round(numbers * _NOISE_STEP + 128).clamp(0, 255).to(torch.uint8).numpy()
+    numbers = draws.normal(0, _NOISE, np.arange(size + _SPARE))
+    return np.rint(numbers * np.float32(NOISE_STEP) + 128).clip(0, 255).astype(np.uint8)

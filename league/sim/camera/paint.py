@@ -4,8 +4,6 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-import torch
-from torch import Tensor
 
 from league.sim.camera import looks as looks_room
 from league.sim.camera.looks import Look
@@ -23,7 +21,7 @@ class PaintRenderer(Renderer):
         cv2.setNumThreads(1)
         return Painter(self._lens, gray=not self._camera.colour)
 
-    def _draw(self, stage: Stage, car: int, look: Look | None) -> Tensor:
+    def _draw(self, stage: Stage, car: int, look: Look | None) -> np.ndarray:
         cfg, painter = self._camera, self._painter
         shape = (len(stage.track), cfg.num_eyes, cfg.height, cfg.width)
         pictures = np.empty((*shape, 3) if cfg.colour else shape, np.uint8)
@@ -35,4 +33,4 @@ class PaintRenderer(Renderer):
         if cfg.colour:
             channels_first = pictures.transpose(0, 1, 4, 2, 3)  # (rows, eyes, 3, height, width)
             pictures = np.ascontiguousarray(channels_first).reshape(-1, *cfg.shape)
-        return torch.from_numpy(pictures)
+        return pictures

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import int32, uint8, uint32
 
-from league.compiled import compiled, inner
+from league.jit import compiled, inner
 
 MODEL, X, Y, COS, SIN, STEERING, ALONG, ACROSS, UPWARD, SHADE, SUNLIT = (*range(10), 12)
 """Columns of a thing: those of stage.Thing, with its colour as three numbers in the shade and three

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -18,6 +19,8 @@ from league.sim.camera.ground import Floor
 from league.sim.camera.lens import NEAR
 from league.sim.camera.renderer import Renderer
 from league.sim.camera.stage import Stage, Thing
+from league.sim.config import CameraConfig, LookConfig, SimConfig
+from league.track.course import TrackSet
 
 _FAR = 1e9
 _PIXELS_AT_ONCE = {"cpu": 1 << 20, "cuda": 1 << 25}
@@ -85,18 +88,35 @@ class _Body:
 
 
 class RayRenderer(Renderer):
-    """Casts the rays of many worlds at once, on the tracks' device."""
+    """Casts the rays of many worlds at once, on a device."""
 
-    @property
-    def _device(self) -> torch.device:
-        return self._tracks.device
+    def __init__(
+        self,
+        tracks: TrackSet,
+        sim: SimConfig,
+        camera: CameraConfig,
+        looks: LookConfig | None = None,
+        *,
+        device: str = "cpu",
+    ) -> None:
+        """Work out the lens; see Renderer.
+
+        Args:
+            tracks: the tracks of the worlds.
+            sim: settings of the worlds.
+            camera: the camera.
+            looks: randomisation of the pictures, if any.
+            device: where the rays are cast, and where the pictures stay.
+        """
+        super().__init__(tracks, sim, camera, looks)
+        self._device = torch.device(device)
 
     @cached_property
     def _textures(self) -> dict[int, list[Tensor]]:
         """Levels of each track's floor, once they were asked for."""
         return {}
 
-    def _draw(self, stage: Stage, car: int, look: look_room.Look | None) -> Tensor:
+    def _draw(self, stage: Stage, car: int, look: look_room.Look | None) -> np.ndarray:
         cfg = self._camera
         pixels = cfg.num_eyes * cfg.height * cfg.width
         size = max(1, _PIXELS_AT_ONCE.get(self._device.type, 1 << 20) // pixels)
@@ -104,7 +124,8 @@ class RayRenderer(Renderer):
         for start in range(0, len(stage.track), size):
             part = range(start, min(start + size, len(stage.track)))
             found[start : part.stop] = self._render(stage, car, part, look)
-        return found
+        # On another device pictures stay there, for the learner that reads them.
+        return found.numpy() if self._device.type == "cpu" else found  # type: ignore[return-value]
 
     def _render(self, stage: Stage, car: int, rows: range, look: look_room.Look | None) -> Tensor:
         cfg = self._camera
@@ -124,13 +145,37 @@ class RayRenderer(Renderer):
                 mask = torch.ones_like(body.x, dtype=torch.bool)
                 depth, pictures = self._meet(rays, body, mask, depth, pictures)
         if look is not None:
-            pictures = look_room.developed(pictures, look, rows)
+            pictures = self._developed(pictures, look, rows)
         # (rows, eyes, height, width, channels) -> (rows, eyes * channels, height, width)
         pictures = pictures.permute(0, 1, 4, 2, 3).reshape(-1, *cfg.shape)
         return torch.clamp(torch.floor(pictures + 0.5), 0, 255).to(torch.uint8)
 
-    def _tensor(self, values: Sequence) -> Tensor:
+    def _tensor(self, values: Sequence | np.ndarray) -> Tensor:
         return torch.tensor(values, dtype=torch.float32, device=self._device)
+
+    def _developed(self, pictures: Tensor, look: look_room.Look, rows: range) -> Tensor:
+        """Return float pictures of (num_rows, num_eyes, height, width, channels), as drawn."""
+        part = slice(rows.start, rows.stop)
+        leak = self._tensor(look.leak[part]).reshape(-1, 1, 1, 1, 1)
+        for axis in (2, 3):
+            size = pictures.shape[axis]
+            before = torch.cat(
+                [pictures.narrow(axis, 0, 1), pictures.narrow(axis, 0, size - 1)], axis
+            )
+            after = torch.cat(
+                [pictures.narrow(axis, 1, size - 1), pictures.narrow(axis, size - 1, 1)], axis
+            )
+            pictures = pictures + leak * (before + after - 2 * pictures)
+        pictures = torch.clamp(
+            pictures * self._tensor(look.gain[part])[:, None, None, None, :], 0, 255
+        )
+        size = pictures[0].numel()
+        grain = torch.from_numpy(look_room.grain(size)).to(self._device)
+        places = torch.from_numpy(look.place[part, None] + np.arange(size)).to(self._device)
+        noise = grain[places].reshape(pictures.shape).to(pictures.dtype) - 128
+        return pictures + noise * self._tensor(look.noise[part] / look_room.NOISE_STEP).reshape(
+            -1, 1, 1, 1, 1
+        )
 
     # The room ------------------------------------------------------------------------------
 
@@ -158,7 +203,7 @@ class RayRenderer(Renderer):
         inside = rays.turned(-(cos * x + sin * y), sin * x - cos * y, cos, -sin)
         index = torch.tensor(tracks, device=self._device)
         x_min, y_min, x_max, y_max = (
-            part.reshape(-1, 1, 1, 1) for part in self._tracks.room[index].unbind(1)
+            part.reshape(-1, 1, 1, 1) for part in self._tensor(self._tracks.rooms)[index].unbind(1)
         )
         far = torch.full_like(inside.x, _FAR)
         to_x = torch.where(inside.ahead > 0, x_max - inside.x, x_min - inside.x) / inside.ahead

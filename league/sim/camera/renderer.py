@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
-from torch import Tensor
+import numpy as np
 
 from league.sim.camera import looks as looks_room
 from league.sim.camera.ground import Floor, floor_of
@@ -42,7 +42,7 @@ class Renderer(ABC):
         self._lens = Lens.of(camera)
         self._floors: dict[int, Floor] = {}
 
-    def render(self, world: World, car: int, rows: Tensor | None = None) -> Tensor:
+    def render(self, world: World, car: int, rows: np.ndarray | None = None) -> np.ndarray:
         """Return the pictures of one car; uint8, (num_rows, channels, height, width).
 
         Channels are left gray, right gray; in colour the left eye's red, green, blue, then the
@@ -56,12 +56,11 @@ class Renderer(ABC):
         look = None
         if self._looks is not None:
             look = looks_room.draw(self._looks, world, rows, car, self._camera.colour)
-        pictures = self._draw(Stage(self._sim, world, rows, look), car, look)
-        return pictures.to(world.motion.x.device)
+        return self._draw(Stage(self._sim, world, rows, look), car, look)
 
     @abstractmethod
-    def _draw(self, stage: Stage, car: int, look: Look | None) -> Tensor:
-        """Return the pictures of a car of all worlds of a stage, on whatever device."""
+    def _draw(self, stage: Stage, car: int, look: Look | None) -> np.ndarray:
+        """Return the pictures of a car of all worlds of a stage."""
 
     def _floor(self, track: int) -> Floor:
         """Return the painted floor of a track as this camera needs it."""

@@ -7,13 +7,13 @@ picture made one world at a time cannot depend on its batch.
 import math
 from typing import NamedTuple
 
-from torch import Tensor
+import numpy as np
 
 from league.sim.camera.lens import Pose, mounted
 from league.sim.camera.looks import Look
 from league.sim.camera.scene import BOT_COLOUR, BOX, BOX_COLOUR, CAR, CAR_COLOURS, Model, faded
 from league.sim.config import CameraConfig, SimConfig
-from league.sim.world import World
+from league.sim.world import World, is_frozen
 
 _FADED = tuple(faded(colour) for colour in CAR_COLOURS)
 _UNSTRETCHED = (1.0, 1.0, 1.0)
@@ -44,37 +44,25 @@ class Stage:
     """Some worlds of a batch, ready to be looked at from any car."""
 
     def __init__(
-        self, sim: SimConfig, world: World, rows: Tensor | None = None, look: Look | None = None
+        self,
+        sim: SimConfig,
+        world: World,
+        rows: np.ndarray | None = None,
+        look: Look | None = None,
     ) -> None:
-        motion, cars, obstacles = world.motion, world.cars, world.obstacles
-        self._num_cars, self._num_obstacles = world.num_cars, obstacles.x.shape[1]
-        chosen = [
-            world.track,
-            motion.x,
-            motion.y,
-            motion.yaw,
-            motion.steering,
-            world.standing.penalty_s,
-            cars.camera_up,
-            cars.camera_pitch,
-        ]
-        if self._num_obstacles:
-            chosen += (obstacles.x, obstacles.y, obstacles.yaw)
-            chosen += (obstacles.half_length, obstacles.half_width)
         if rows is not None:
-            chosen = [values[rows] for values in chosen]
-        self.track: list[int]
-        (
-            self.track,
-            self._x,
-            self._y,
-            self._yaw,
-            self._steering,
-            self._penalty,
-            self._up,
-            self._tilt,
-            *self._obstacles,
-        ) = [values.tolist() for values in chosen]
+            world = world.rows(rows)
+        cars, obstacles = world.cars, world.obstacles
+        self._num_cars, self._num_obstacles = world.num_cars, world.num_obstacles
+        self.track: list[int] = world.track.tolist()
+        self._frozen = is_frozen(cars).tolist()
+        self._x, self._y, self._yaw, self._steering, self._up, self._tilt = (
+            cars[name].tolist()
+            for name in ("x", "y", "yaw", "steering", "camera_up", "camera_pitch")
+        )
+        self._obstacles = [
+            obstacles[name].tolist() for name in ("x", "y", "yaw", "half_length", "half_width")
+        ]
         self._sim = sim
         self._tints = None if look is None else look.tint.tolist()
 
@@ -103,8 +91,8 @@ class Stage:
         found = []
         for car in range(self._num_cars):
             if car != without:
-                frozen = self._penalty[row][car] > 0
-                colour = (_FADED if frozen else CAR_COLOURS)[car % len(CAR_COLOURS)]
+                palette = _FADED if self._frozen[row][car] else CAR_COLOURS
+                colour = palette[car % len(CAR_COLOURS)]
                 steering = self._steering[row][car]
                 found.append(_car(*self.base(row, car), steering, colour))
         if self._num_obstacles:

@@ -13,7 +13,6 @@ from league.sim.camera.scene import BOX, GLASS
 from league.sim.camera.stage import Stage, Thing
 from league.sim.config import SimConfig
 from league.sim.world import World
-from league.sim.world import row as row_of
 from league.track.course import TrackSet
 
 CHASE_BEHIND = 0.78
@@ -46,7 +45,7 @@ def chase_view(
         height: pixels down.
     """
     _check_size(width, height)
-    stage = Stage(sim, row_of(world, row))
+    stage = Stage(sim, world.row(row))
     track = tracks.tracks[stage.track[0]]
     focal = width * _FINER / 2 / math.tan(CHASE_FIELD_OF_VIEW / 2)
     lens = Lens(width * _FINER, height * _FINER, focal)
@@ -71,7 +70,7 @@ def top_view(
         height: pixels down.
     """
     _check_size(width, height)
-    stage = Stage(sim, row_of(world, row))
+    stage = Stage(sim, world.row(row))
     track = tracks.tracks[stage.track[0]]
     plan = _Plan(track.room, width * _FINER, height * _FINER)
     ground = ground_of(track, finest_for(track, width), colour=True)

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from league.agents.driver import Driver
 from league.agents.policy import Policy
@@ -20,7 +18,6 @@ from league.sim.world import World
 from league.track.course import TrackSet
 from league.training.selfplay.seats import Seats
 from league.training.selfplay.settings import DuelConfig
-from league.training.worlds import camera_path
 
 _RACE_SEED = 401
 _FIRST_TRACK = 402
@@ -164,38 +161,29 @@ def _drive(
     sim = SimConfig(
         kind="head_to_head", num_cars=2, car=car, rules=rules(tracks, cfg), spread=cfg.spread
     )
-    number = torch.tensor([race.seed for race in races], device=tracks.device)
-    seeds = draws.bits(torch.full_like(number, seed), _RACE_SEED, number) & (2**62 - 1)
-    first = int(draws.bits(torch.tensor(seed), _FIRST_TRACK)) % len(tracks.tracks)
+    number = np.array([race.seed for race in races])
+    seeds = draws.bits(seed, _RACE_SEED, number) & draws.SEED_MASK
+    first = int(draws.bits(seed, _FIRST_TRACK)[0]) % len(tracks.tracks)
     carried = sensors_for(drivers)
     env = RaceEnv(
         tracks,
-        EnvConfig(
-            sim=sim,
-            solver=solver,
-            sensors=(carried,),
-            camera_path=camera_path(tracks.device),
-        ),
+        EnvConfig(sim=sim, solver=solver, sensors=(carried,)),
         num_worlds=len(races),
         track_index=(number + first) % len(tracks.tracks),
     )
-    with torch.inference_mode():
-        told = env.reset(seeds=seeds)
-        book = _Book(len(races), tracks.device)
-        seats = []
-        for slot in (0, 1):
-            who = torch.tensor([race.slots[slot] for race in races], device=tracks.device)
-            seats.append(_seated(drivers, who, slot))
-        while not bool(book.over.all()):
-            actions = torch.stack([seat.act(told[slot]) for slot, seat in enumerate(seats)], dim=1)
-            step = env.step(actions)
-            told = step.observations
-            book.note(env.world, step)
+    told = env.reset(seeds=seeds)
+    book = _Book(len(races))
+    seats = [
+        _seated(drivers, np.array([race.slots[slot] for race in races]), slot) for slot in (0, 1)
+    ]
+    while not book.over.all():
+        actions = np.stack([seat.act(told[slot]) for slot, seat in enumerate(seats)], axis=1)
+        book.note(env.world, env.step(actions))
     env.close()
     return book.scores()
 
 
-def _seated(drivers: Sequence[Driver], who: Tensor, slot: int) -> Seats:
+def _seated(drivers: Sequence[Driver], who: np.ndarray, slot: int) -> Seats:
     """Return one slot of all races, with drivers of its own that have forgotten everything."""
     # A scripted driver remembers its car, and in the other slot it has another one.
     own = [one if isinstance(one, Policy) else copy.deepcopy(one) for one in drivers]
@@ -208,37 +196,35 @@ def _seated(drivers: Sequence[Driver], who: Tensor, slot: int) -> Seats:
 class _Book:
     """What the referee found, until each race is decided."""
 
-    def __init__(self, num_races: int, device: torch.device) -> None:
-        self._metres = torch.zeros((num_races, 2), device=device)
-        self._wins = torch.full_like(self._metres, 0.5)
+    def __init__(self, num_races: int) -> None:
+        self._metres = np.zeros((num_races, 2))
+        self._wins = np.full_like(self._metres, 0.5)
         counted = ("crashed", "was_hit", "off_track")
-        self._count = {name: torch.zeros_like(self._metres) for name in counted}
-        self._dirty = torch.ones_like(self._metres, dtype=torch.bool)  # lap 1 is no flying one
-        self.over = torch.zeros(num_races, dtype=torch.bool, device=device)
+        self._count = {name: np.zeros((num_races, 2), np.int64) for name in counted}
+        self._dirty = np.ones((num_races, 2), np.bool_)  # lap 1 is no flying one
+        self.over = np.zeros(num_races, np.bool_)
         self._laps: list[tuple[list[float], list[float]]] = [([], []) for _ in range(num_races)]
 
     def note(self, world: World, step: Step) -> None:
         """Take a step into account, in races that were not decided before it."""
-        verdict, going = step.verdict, ~self.over.unsqueeze(1)
+        seen, going = step.verdicts, ~self.over[:, None]
         for name, count in self._count.items():
-            count += getattr(verdict, name) & going
-        self._metres += torch.where(going, verdict.advance.clamp(min=0.0), 0.0)
-        self._dirty |= verdict.mistake | verdict.was_hit | verdict.released
-        lap = verdict.lap & going
-        for race, car in (lap & ~self._dirty).nonzero().tolist():
-            self._laps[race][car].append(float(world.standing.last_lap_s[race, car]))
-        self._dirty = self._dirty & ~verdict.lap
-        home = step.terminated.any(dim=1)
-        decided = (home | step.truncated.any(dim=1)) & ~self.over
-        if bool(decided.any()):
-            finish, distance = world.standing.finish_s, world.standing.distance
+            count += seen[name] & going
+        self._metres += np.where(going, seen["advance"].clip(min=0.0), 0.0)
+        self._dirty |= seen["mistake"] | seen["was_hit"] | seen["released"]
+        for race, car in np.argwhere(seen["lap"] & going & ~self._dirty).tolist():
+            self._laps[race][car].append(float(world.cars["last_lap_s"][race, car]))
+        self._dirty &= ~seen["lap"]
+        home = np.any(step.terminated, axis=1)
+        decided = (home | step.truncated.any(axis=1)) & ~self.over
+        for race in np.flatnonzero(decided):
+            finish = world.cars["finish_s"][race].tolist()
+            distance = world.cars["distance"][race].tolist()
             # Who is home first has won; if nobody is when time is up, who came farther.
-            sooner = finish[:, 1] - finish[:, 0]
-            lead = torch.where(home, sooner, distance[:, 0] - distance[:, 1])
-            first = 0.5 + 0.5 * torch.sign(lead)
-            won = torch.stack([first, 1.0 - first], dim=1)
-            self._wins = torch.where(decided.unsqueeze(1), won, self._wins)
-        self.over = self.over | decided
+            lead = np.where(home[race], finish[1] - finish[0], distance[0] - distance[1])
+            first = 0.5 + 0.5 * float(np.sign(lead))
+            self._wins[race] = first, 1.0 - first
+        self.over |= decided
 
     def scores(self) -> list[tuple[Score, Score]]:
         """Return both drivers' scores of each race, by slot."""

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import torch
-from torch import Tensor
+import numpy as np
 
 from league.envs.race_env import RaceEnv
-from league.sim import draws, meeting
+from league.sim import draws
 from league.training.selfplay.opponent import Opponent
 from league.training.selfplay.settings import SelfPlayConfig
 
@@ -35,17 +34,17 @@ class Handicap:
         """
         self._cfg, self._top_speed, self._seats = cfg, top_speed, seats
 
-    def __call__(self, env: RaceEnv) -> Tensor:
+    def __call__(self, env: RaceEnv) -> np.ndarray:
         """Return the largest speed that each car obeys now [m/s], (num_worlds, num_cars)."""
         others = (self._seats[car].speed_limit for car in sorted(self._seats))
-        return torch.stack([self._learner(env), *others], dim=1)
+        return np.stack([self._learner(env), *others], axis=1)
 
-    def _learner(self, env: RaceEnv) -> Tensor:
+    def _learner(self, env: RaceEnv) -> np.ndarray:
         """Return the learner's limit [m/s], (num_worlds,)."""
-        world, (least, most) = env.world, self._cfg.own_limits
+        worlds, (least, most) = env.world.worlds, self._cfg.own_limits
         # Told by the step it began at, a draw is the same throughout an episode.
-        began = world.step - env.episode_steps[:, 0]
-        held = draws.uniform(world.seed, _WHETHER, began) < self._cfg.own_share
-        drawn = least + (most - least) * draws.uniform(world.seed, _HOW, began)
-        held = held & meeting.parked(world)[:, 1]
-        return torch.where(held, drawn * self._top_speed, env.cfg.sim.car.max_speed)
+        began = worlds["step"] - env.episode_steps[:, 0]
+        held = draws.uniform(worlds["seed"], _WHETHER, began) < self._cfg.own_share
+        drawn = least + (most - least) * draws.uniform(worlds["seed"], _HOW, began)
+        held = held & env.world.cars["parked"][:, 1]
+        return np.where(held, drawn * self._top_speed, env.cfg.sim.car.max_speed)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import torch
-from torch import Tensor
+import numpy as np
 
 from league.agents.driver import Driver
 from league.envs.race_env import Step
@@ -51,8 +50,6 @@ class Opponent(Seats):
         num_rows: int,
         seed: int,
         records: Records,
-        *,
-        device: torch.device | str = "cpu",
     ) -> None:
         """Begin with nobody to draw.
 
@@ -62,11 +59,10 @@ class Opponent(Seats):
             num_rows: number of worlds.
             seed: makes the draws.
             records: where results go.
-            device: of the worlds.
         """
         super().__init__(f"past selves {car}", sensors, ())
         self._car, self._num_rows, self._records = car, num_rows, records
-        self._seed, self._device = torch.tensor(seed), device
+        self._seed = seed
         self._count = 0
         self._field = Field((), (), (), ())
         self._sit_nobody()
@@ -81,59 +77,54 @@ class Opponent(Seats):
         self._field, self.drivers, self._count = field, list(field.drivers), count
         self.reset(None)
 
-    def reset(self, rows: Tensor | None) -> None:
+    def reset(self, rows: np.ndarray | None) -> None:
         """Draw who drives some rows, and have it forget them."""
-        if rows is not None and rows.dtype == torch.bool:
-            rows = rows.nonzero()[:, 0]
+        if rows is not None and rows.dtype == np.bool_:
+            rows = np.flatnonzero(rows)
         if rows is None:
             self._sit_nobody()
-            rows = torch.arange(self._num_rows, device=self._device)
+            rows = np.arange(self._num_rows)
         super().reset(rows)
         if self._field.names:
-            self.who = self.who.clone()
-            who, speed = self._drawn(rows.to("cpu"))
-            self.who[rows] = who.to(self._device)
-            self.speed_limit = self.speed_limit.clone()
-            self.speed_limit[rows] = speed.to(self._device)
-        self._gained = self._gained.clone()
+            self.who[rows], self.speed_limit[rows] = self._drawn(rows)
         self._gained[rows] = 0.0
         self._count += 1
 
-    def act(self, observations) -> Tensor:  # noqa: ANN001
+    def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return actions [steering, speed] in [-1, 1], float32 (num_rows, 2)."""
         self._awake = awake(observations["state"])
         return super().act(observations)
 
     def watch(self, car: int, step: Step) -> None:
         """Count what the learner, car 0, gained in a step, and meetings that ended with it."""
-        seen = step.verdict
-        self._gained = self._gained + seen.advance[:, 0] - seen.advance[:, car]
+        seen = step.verdicts
+        self._gained += seen["advance"][:, 0] - seen["advance"][:, car]
         over = step.began[:, car] & self._awake & (self.who != NOBODY)
-        if not bool(over.any()):
+        if not over.any():
             return
-        mine, other = seen.mistake[:, 0], seen.mistake[:, car]
-        ahead = self._gained.clamp(-2 * CLEAR_GAIN, 2 * CLEAR_GAIN) / CLEAR_GAIN
-        points = torch.where(mine == other, ahead, torch.where(other, 2.0, -2.0))
-        points = torch.where(mine & other, 0.0, points)
+        mine, other = seen["mistake"][:, 0], seen["mistake"][:, car]
+        ahead = self._gained.clip(-2 * CLEAR_GAIN, 2 * CLEAR_GAIN) / CLEAR_GAIN
+        points = np.where(mine == other, ahead, np.where(other, 2.0, -2.0))
+        points = np.where(mine & other, 0.0, points)
         for who, merit in zip(self.who[over].tolist(), points[over].tolist(), strict=True):
             result = WON if merit > 1 else LOST if merit < -1 else DRAWN
             self._records.add(self._field.names[who], result)
 
-    def _drawn(self, rows: Tensor) -> tuple[Tensor, Tensor]:
-        """Return who drives these rows, and how fast; on the CPU, where there is float64."""
-        edges = torch.tensor(self._field.shares, dtype=torch.float64).cumsum(0)
+    def _drawn(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return who drives these rows, and how fast."""
+        edges = np.cumsum(self._field.shares)
         drawn = draws.uniform(self._seed, _MEMBER, self._count, self._car, rows)
-        picked = torch.searchsorted(edges, drawn.to(torch.float64), right=True)
-        picked = picked.clamp(max=len(self._field.names) - 1)
-        least, most = torch.tensor(self._field.speed_limits)[picked].unbind(1)
+        picked = np.searchsorted(edges, drawn, side="right")
+        picked = np.minimum(picked, len(self._field.names) - 1)
+        least, most = np.array(self._field.speed_limits, np.float32)[picked].T
         share = draws.uniform(self._seed, _LIMIT, self._count, self._car, rows)
         return picked, least + (most - least) * share
 
     def _sit_nobody(self) -> None:
-        self.who = torch.full((self._num_rows,), NOBODY, device=self._device)
-        self.speed_limit = torch.full((self._num_rows,), torch.inf, device=self._device)
-        self._gained = torch.zeros(self._num_rows, device=self._device)
-        self._awake = torch.zeros(self._num_rows, dtype=torch.bool, device=self._device)
+        self.who = np.full(self._num_rows, NOBODY)
+        self.speed_limit = np.full(self._num_rows, np.inf, np.float32)
+        self._gained = np.zeros(self._num_rows, np.float32)
+        self._awake = np.zeros(self._num_rows, np.bool_)
 
 
 def shares(

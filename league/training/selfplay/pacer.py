@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
 import torch
-from torch import Tensor
 
 from league.agents.scripted import LineDriver, Style
 from league.envs.state import INDEX, NEIGHBOURS
@@ -27,8 +27,6 @@ class Pacer(LineDriver):
         car: CarConfig,
         seed: int,
         number: int,
-        *,
-        device: torch.device | str = "cpu",
     ) -> None:
         """Seek the line.
 
@@ -37,38 +35,36 @@ class Pacer(LineDriver):
             car: what it drives.
             seed: makes the draws.
             number: of its car in each world; another car is another draw.
-            device: of the worlds.
         """
-        super().__init__(PACER, track, car, Style(), device=device)
-        self._seed, self._number = torch.tensor(seed), number
+        super().__init__(PACER, track, car, Style())
+        self._seed, self._number = seed, number
         self._between, self._count = (1.0, 1.0), 0
-        self._shares = torch.zeros(0)
+        self._shares = np.zeros(0, np.float32)
 
     def keep_between(self, paces: tuple[float, float], count: int) -> None:
         """Draw shares between these from now on; `count` is the number of the first draw."""
         self._between, self._count = paces, count
 
-    def reset(self, rows: Tensor | None) -> None:
+    def reset(self, rows: np.ndarray | None) -> None:
         """Draw another pace in these rows, and forget what was driven."""
         super().reset(rows)
         self._count += 1
         if rows is None:
-            self._shares = torch.zeros(0)
+            self._shares = np.zeros(0, np.float32)
         elif len(self._shares):
-            rows = rows.nonzero()[:, 0] if rows.dtype == torch.bool else rows
-            self._shares = self._shares.clone()
+            rows = np.flatnonzero(rows) if rows.dtype == np.bool_ else rows
             self._shares[rows] = self._drawn(rows)
 
-    def act(self, observations: Mapping[str, Tensor]) -> Tensor:
+    def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return actions from the `state` group."""
-        state = observations["state"].clone()
+        state = np.array(observations["state"])
         if len(self._shares) != len(state):
-            self._shares = self._drawn(torch.arange(len(state), device=state.device))
+            self._shares = self._drawn(np.arange(len(state)))
         state[:, _PRESENT] = 0.0
-        self._pace = self._shares.unsqueeze(1)
+        self._pace = torch.from_numpy(self._shares[:, None])
         return super().act({"state": state})
 
-    def _drawn(self, rows: Tensor) -> Tensor:
+    def _drawn(self, rows: np.ndarray) -> np.ndarray:
         least, most = self._between
         share = draws.uniform(self._seed, _PACE, self._count, self._number, rows)
         return least + (most - least) * share

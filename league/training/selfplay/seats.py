@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import torch
-from torch import Tensor
+import numpy as np
 
 from league.agents.driver import Driver
 from league.agents.policy import Policy
@@ -15,7 +14,7 @@ from league.sim.config import SensorConfig
 _FROZEN = INDEX["frozen"]
 
 
-def awake(state: Tensor) -> Tensor:
+def awake(state: np.ndarray) -> np.ndarray:
     """Return which cars are not frozen, told by the `state` group, bool, (num_rows,)."""
     return state[:, _FROZEN] == 0
 
@@ -37,28 +36,28 @@ class Seats:
         """
         self.name, self.sensors = name, sensors
         self.drivers = list(drivers)
-        self.who = torch.zeros(0, dtype=torch.int64)
+        self.who = np.zeros(0, np.int64)
 
-    def sit(self, who: Tensor) -> None:
+    def sit(self, who: np.ndarray) -> None:
         """Seat drivers by index, int64, (num_rows,)."""
         self.who = who
 
-    def reset(self, rows: Tensor | None) -> None:
+    def reset(self, rows: np.ndarray | None) -> None:
         """Have all drivers forget these rows."""
-        if rows is not None and rows.dtype == torch.bool:
-            rows = rows.nonzero()[:, 0]
+        if rows is not None and rows.dtype == np.bool_:
+            rows = np.flatnonzero(rows)
         for driver in self.drivers:
             driver.reset(rows)
 
-    def act(self, observations: Mapping[str, Tensor]) -> Tensor:
+    def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return actions [steering, speed] in [-1, 1], float32 (num_rows, 2)."""
         told = observations["state"]
-        actions = told.new_zeros((told.shape[0], 2))
+        actions = np.zeros((told.shape[0], 2), np.float32)
         moving = awake(told)
         for index, driver in enumerate(self.drivers):
             mine = self.who == index
             alone = isinstance(driver, Policy)
-            rows = (mine & moving if alone else mine).nonzero()[:, 0]
+            rows = np.flatnonzero(mine & moving if alone else mine)
             if not len(rows):
                 continue
             if alone:

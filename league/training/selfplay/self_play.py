@@ -78,10 +78,7 @@ class SelfPlay:
         self._policies: dict[str, Policy] = {}
         self._done, self._quickness = 0.0, 0.0
         self._seats = {
-            car: Opponent(
-                *(car, train.sensors, train.num_worlds, train.seed, self.records),
-                device=tracks.device,
-            )
+            car: Opponent(car, train.sensors, train.num_worlds, train.seed, self.records)
             for car in range(1, train.num_cars)
         }
         self._car = worlds.env_config(train).sim.car
@@ -195,7 +192,7 @@ class SelfPlay:
         if len(self._tracks.tracks) == 1:
             drivers["centerline"] = roster.load("centerline", self._tracks, self._car)
         drivers |= {member.name: self._racer(member) for member in chosen}
-        drivers[matrix.FINAL] = self._built(weights, matrix.FINAL, exact=True)
+        drivers[matrix.FINAL] = self._built(weights, matrix.FINAL)
         return matrix.measure(self._tracks, self._car, drivers, self._cfg, seed=seed)
 
     def snapshot(self, name: str) -> tuple[int, Checkpoint]:
@@ -209,7 +206,7 @@ class SelfPlay:
         rivals = self._rivals()
         rates: dict[str, float] = {}
         if rivals:
-            field = [self._built(snapshot, "candidate", exact=True), *map(self._racer, rivals)]
+            field = [self._built(snapshot, "candidate"), *map(self._racer, rivals)]
             found = duels.meet(
                 self._tracks,
                 self._car,
@@ -292,7 +289,7 @@ class SelfPlay:
         """Return the scripted drivers of a car, each with its part of their share."""
         pacers = self._cfg.pacers
         tracks, seed = self._tracks, self._train.seed
-        pacer = Pacer(tracks.tracks[0], self._car, seed, car, device=tracks.device)
+        pacer = Pacer(tracks.tracks[0], self._car, seed, car)
         slow = roster.load("centerline", self._tracks, self._car)
         return {slow: 1.0 - pacers, pacer: pacers}
 
@@ -308,13 +305,12 @@ class SelfPlay:
 
     def _racer(self, member: Member) -> Policy:
         """Return a member that answers a row alike among any others, to be measured with."""
-        return self._built(self.pool.load(member), member.name, exact=True)
+        return self._built(self.pool.load(member), member.name)
 
-    def _built(self, kept: Checkpoint, name: str, *, exact: bool = False) -> Policy:
+    def _built(self, kept: Checkpoint, name: str) -> Policy:
         # A new network draws first weights from torch's generator, with which the learner explores.
         with torch.random.fork_rng(devices=[]):
-            device = self._tracks.device
-            return Policy(kept, self._car, name=name, exact=exact, device=device)
+            return Policy(kept, self._car, name=name)
 
     def _beaten(self) -> float:
         """Return the learner's mean win rate against those who are slow; 0 if there are none."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+from league.envs.meeting import Meeting
 from league.errors import ConfigError
 from league.sim.config import Spread
-from league.sim.meeting_config import Meeting
 
 
 @dataclass(frozen=True)
