@@ -16,13 +16,13 @@ from league.track.course import TrackSet
 @pytest.fixture
 def ring() -> Callable[..., TrackSet]:
     """Return a factory of TrackSets of one ring of 12 m."""
-    return lambda **settings: TrackSet.of(make_ring(**settings))
+    return lambda **settings: TrackSet(make_ring(**settings))
 
 
 @pytest.fixture
 def straight() -> Callable[..., TrackSet]:
     """Return a factory of TrackSets of one open straight of 10 m."""
-    return lambda **settings: TrackSet.of(make_straight(**settings))
+    return lambda **settings: TrackSet(make_straight(**settings))
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ def race_env() -> Iterator[Callable[..., RaceEnv]]:
         **settings: object,
     ) -> RaceEnv:
         env = RaceEnv(
-            tracks or TrackSet.of(make_ring()),
+            tracks or TrackSet(make_ring()),
             EnvConfig(sim=sim or SimConfig(), **settings),  # pyright: ignore[reportArgumentType]
             num_worlds=num_worlds,
             seed=seed,

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import lru_cache
 
-import torch
+from scenes import start
 
 from league import race
 from league.race_spec import CarResult, Entry, Event, RaceResult, RaceSpec
 from league.replay import Recorder, Replay
-from league.sim import grid
 from league.sim.config import ObstacleConfig, SimConfig
 from league.sim.world import World
 from league.track import files
@@ -34,15 +32,17 @@ def by_hand(frames: int, change: Change = lambda world, _: world, cars: int = 2)
 
 def told(frames: int, change: Change = lambda world, _: world, cars: int = 2) -> Recorder:
     """Return a recorder that was told such a race."""
-    tracks = TrackSet.of(files.load("reinvent_2018"))
+    tracks = TrackSet(files.load("reinvent_2018"))
     world = first_world(tracks, cars)
     recorder = Recorder(spec(cars), tracks)
     for number in range(frames):
-        now = replace(change(world, number), step=torch.tensor([number]))
+        now = change(world, number).copy()
+        now.worlds["step"] = number
+        now.cars["action_steering"] = now.cars["action_speed"] = 0.25 if number else 0.0
         if number == 0:
             recorder.start(now)
         else:
-            recorder.add(now, torch.full((1, cars, 2), 0.25))
+            recorder.add(now)
     return recorder
 
 
@@ -50,7 +50,7 @@ def first_world(tracks: TrackSet, cars: int = 2) -> World:
     """Return one world on the grid."""
     kind = "head_to_head" if cars > 1 else "obstacle_avoidance"
     sim = SimConfig(kind=kind, num_cars=cars, obstacles=ObstacleConfig(count=3))
-    return grid.start(tracks, sim, torch.tensor([5]), torch.tensor([0]))
+    return start(tracks, sim, [5])
 
 
 def spec(cars: int = 2) -> RaceSpec:
@@ -96,5 +96,7 @@ def finish(recorder: Recorder, frames: int, cars: int = 2) -> Replay:
 
 def moved(world: World, **columns: list[float]) -> World:
     """Return the world with these columns of motion replaced, one number for each car."""
-    told_of = {name: torch.tensor([values]) for name, values in columns.items()}
-    return replace(world, motion=replace(world.motion, **told_of))
+    world = world.copy()
+    for name, values in columns.items():
+        world.cars[name] = values
+    return world

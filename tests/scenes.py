@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-import torch
 
+from league.envs.config import EnvConfig
+from league.envs.meeting import Meeting
+from league.envs.race_env import RaceEnv
 from league.envs.state import INDEX
-from league.geometry import heading_of, wrap_angle
-from league.sim import grid
+from league.sim import records
 from league.sim.config import (
     CameraConfig,
     CarConfig,
@@ -23,11 +25,8 @@ from league.sim.config import (
     SimConfig,
     Spread,
 )
-from league.sim.meeting_config import Meeting
-from league.sim.world import Contacts, World
+from league.sim.world import World
 from league.track.course import Track, TrackSet
-
-torch.set_num_threads(1)
 
 SETTINGS = (
     CameraConfig, CarConfig, ContactConfig, LidarConfig, LookConfig, Meeting, ObstacleConfig,
@@ -90,6 +89,13 @@ def _resampled(name: str, outline: np.ndarray, width: float) -> Track:
     return replace(bare, left=center + normal * width / 2, right=center - normal * width / 2)
 
 
+def start(tracks: TrackSet, sim: SimConfig, seeds: list[int]) -> World:
+    """Return worlds on the starting grid."""
+    env = RaceEnv(tracks, EnvConfig(sim=sim), num_worlds=len(seeds))
+    env.reset(seeds=seeds, track_index=[0] * len(seeds))
+    return env.world.copy()
+
+
 def put_cars(
     tracks: TrackSet,
     sim: SimConfig,
@@ -100,84 +106,74 @@ def put_cars(
     step: int = 0,
 ) -> World:
     """Return worlds with each car at (distance along the track, lateral), heading along it."""
-    seed = torch.arange(1, num_worlds + 1)
-    world = grid.start(tracks, sim, seed, torch.zeros(num_worlds, dtype=torch.int64))
-    distance = torch.tensor([[s for s, _ in places]] * num_worlds)
-    lateral = torch.tensor([[across for _, across in places]] * num_worlds)
+    world = start(tracks, sim, list(range(1, num_worlds + 1)))
+    distance = np.array([[s for s, _ in places]] * num_worlds, np.float32)
     world = go_to(tracks, world, places, speed=speed)
-    _, _, frame = tracks.at(world.track, distance)
-    ahead = distance.unsqueeze(2) > distance.unsqueeze(1)
-    laps = torch.clamp(torch.floor(distance / RING_LENGTH), min=0).to(torch.int64)
-    return replace(
-        world,
-        step=torch.full_like(world.step, step),
-        standing=replace(
-            world.standing,
-            s=frame.s,
-            lateral=lateral,
-            distance=distance,
-            best_distance=distance,
-            laps=laps,
-            ahead=ahead,
-            leader=ahead.sum(dim=2).argmax(dim=1),
-        ),
-    )
+    cars = world.cars
+    cars["s"] = tracks.at(world.track, distance).s
+    cars["lateral"] = [across for _, across in places]
+    cars["distance"] = cars["best_distance"] = distance
+    cars["laps"] = np.maximum(np.floor(distance / RING_LENGTH), 0)
+    ahead = distance[:, :, None] > distance[:, None, :]
+    cars["ahead"] = (ahead << np.arange(len(places))).sum(axis=2)
+    world.worlds["leader"] = ahead.sum(axis=2).argmax(axis=1)
+    world.worlds["step"] = step
+    return world
 
 
 def go_to(
     tracks: TrackSet, world: World, places: list[tuple[float, float]], *, speed: float = 1.0
 ) -> World:
     """Return the worlds one step later, physics having brought the cars there; the book is old."""
-    distance = torch.tensor([[s for s, _ in places]] * world.num_worlds)
-    lateral = torch.tensor([[across for _, across in places]] * world.num_worlds)
-    x, y, frame = tracks.at(world.track, distance)
-    motion = replace(
-        world.motion,
-        x=x - frame.sin * lateral,
-        y=y + frame.cos * lateral,
-        yaw=wrap_angle(heading_of(frame.cos, frame.sin)),
-        velocity_x=frame.cos * speed,
-        velocity_y=frame.sin * speed,
-    )
-    return replace(world, step=world.step + 1, motion=motion)
+    world = world.copy()
+    distance = np.array([[s for s, _ in places]] * world.num_worlds, np.float32)
+    lateral = np.array([across for _, across in places], np.float32)
+    frame, cars = tracks.at(world.track, distance), world.cars
+    cars["x"], cars["y"] = frame.x - frame.sin * lateral, frame.y + frame.cos * lateral
+    cars["yaw"] = np.arctan2(frame.sin, frame.cos)
+    cars["velocity_x"], cars["velocity_y"] = frame.cos * speed, frame.sin * speed
+    world.worlds["step"] += 1
+    return world
 
 
 def touch(
     world: World,
     *pairs: tuple[int, int],
     obstacles: tuple[tuple[int, int], ...] = (),
-) -> Contacts:
+) -> np.ndarray:
     """Return contacts between these pairs of cars, and of these (car, obstacle), in all worlds."""
-    shape = (world.num_worlds, world.num_cars)
-    cars = torch.zeros((*shape, world.num_cars), dtype=torch.bool)
-    things = torch.zeros((*shape, world.obstacles.s.shape[1]), dtype=torch.bool)
+    contacts = np.zeros(world.cars.shape, records.CONTACT)
     for one, other in pairs:
-        cars[:, one, other] = cars[:, other, one] = True
+        contacts["cars"][:, one] |= 1 << other
+        contacts["cars"][:, other] |= 1 << one
     for car, thing in obstacles:
-        things[:, car, thing] = True
-    return Contacts(cars=cars, obstacles=things, walls=torch.zeros(shape, dtype=torch.bool))
+        contacts["obstacles"][:, car] |= 1 << thing
+    return contacts
 
 
 def follow_center(
-    observations: dict[str, torch.Tensor], speed: float = 1.5, lateral: float = 0.0
-) -> torch.Tensor:
+    observations: Mapping[str, np.ndarray], speed: float = 1.5, lateral: float = 0.0
+) -> np.ndarray:
     """Return actions that follow the centreline, or a line beside it: a driver for tests."""
     state = observations["state"]
     error = 1.5 * (state[:, INDEX["lateral"]] - lateral) + 2.5 * state[:, INDEX["heading_error"]]
-    steering = torch.atan(0.164 * (state[:, INDEX["curvature_0.25m"]] - error)) / 0.5236
-    share = torch.full_like(steering, (speed - 0.1) / 3.9 * 2 - 1)
-    return torch.stack([steering.clamp(-1, 1), share], dim=1)
+    steering = np.arctan(0.164 * (state[:, INDEX["curvature_0.25m"]] - error)) / 0.5236
+    share = np.full_like(steering, (speed - 0.1) / 3.9 * 2 - 1)
+    return np.stack([steering.clip(-1, 1), share], axis=1).astype(np.float32)
 
 
 def assert_same(one: object, other: object, where: str = "") -> None:
     """Fail unless the two are equal to the last bit, field by field."""
-    if isinstance(one, torch.Tensor):
-        assert isinstance(other, torch.Tensor)
+    if isinstance(one, np.ndarray):
+        assert isinstance(other, np.ndarray), where
         assert one.dtype == other.dtype, where
-        assert torch.equal(one, other), where
-    elif isinstance(one, dict):
-        assert isinstance(other, dict)
-        assert one.keys() == other.keys()
+        for name in one.dtype.names or ():
+            assert np.array_equal(one[name], other[name], equal_nan=True), f"{where}.{name}"
+        if not one.dtype.names:
+            assert np.array_equal(one, other), where
+    elif isinstance(one, Mapping):
+        assert isinstance(other, Mapping)
+        assert list(one) == list(other)
         for name in one:
             assert_same(one[name], other[name], f"{where}.{name}")
     elif isinstance(one, tuple | list):

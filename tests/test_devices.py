@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from league.sim.meeting_config import Meeting
 from recorded import finish, spec
 from scenes import follow_center, make_ring, make_straight, put_cars
 from torch import Tensor
@@ -32,7 +33,6 @@ from league.envs.race_env import RaceEnv, Step
 from league.envs.state import SIZE
 from league.replay import Recorder, Replay
 from league.sim.config import CameraConfig, CarConfig, LidarConfig, SensorConfig, SimConfig
-from league.sim.meeting_config import Meeting
 from league.sim.planar import PlanarSolver
 from league.sim.vehicle import forces
 from league.sim.world import CarParameters, Motion, World
@@ -206,7 +206,7 @@ def race(
     **settings: object,
 ) -> tuple[World, Tensor]:
     """Drive some cars of two worlds for some steps; return the worlds and the last actions."""
-    tracks = TrackSet.of(RING, device=device)
+    tracks = TrackSet(RING, device=device)
     env = RaceEnv(tracks, EnvConfig(**settings), num_worlds=2, seed=3)  # type: ignore
     seated = Opponents(drivers(tracks))
     told = env.reset(seed=3)
@@ -251,7 +251,7 @@ def test_scripted_drivers_drive_worlds_of_another_device(name):
 
 def test_a_driver_forgets_rows_of_another_device():
     def run(device: str) -> object:
-        driver = roster.load("racing_line", TrackSet.of(RING, device=device), CAR)
+        driver = roster.load("racing_line", TrackSet(RING, device=device), CAR)
         state = torch.rand((4, SIZE), generator=torch.Generator().manual_seed(2)).to(device)
         driver.act({"state": state})
         driver.reset(torch.tensor([1, 3], device=device))
@@ -280,7 +280,7 @@ def test_places_along_tracks_are_compiled_on_the_cpu_to_the_bits_of_another_devi
     index = torch.arange(num_worlds) % len(tracks)
 
     def run(device: str) -> object:
-        courses = TrackSet.of(*tracks, device=device)
+        courses = TrackSet(*tracks, device=device)
         track = index.to(device)
         s = random(num_worlds, 3, size=40.0, seed=1).to(device)
         x, y, frame = courses.at(track, s)
@@ -314,11 +314,11 @@ def test_tyres_are_compiled_on_the_cpu_to_the_bits_of_another_device(speed):
 def test_contacts_are_worked_out_on_the_cpu_and_go_back():
     sim = SimConfig(kind="head_to_head", num_cars=3)
     # Two cars overlap, the third one stands in the wall.
-    tracks = TrackSet.of(make_straight())
+    tracks = TrackSet(make_straight())
     world = put_cars(tracks, sim, [(3.0, 0.0), (3.2, 0.1), (6.0, 1.2)], num_worlds=2, speed=2.0)
 
     def run(device: str) -> object:
-        solver = PlanarSolver(sim, TrackSet.of(make_straight(), device=device))
+        solver = PlanarSolver(sim, TrackSet(make_straight(), device=device))
         here = go(world, device)
         outcome = solver.step(here, here.control)
         assert outcome.contacts.cars.tolist()[1][0] == [False, True, False]
@@ -330,7 +330,7 @@ def test_contacts_are_worked_out_on_the_cpu_and_go_back():
 
 def test_a_race_of_another_device_is_recorded_as_on_the_cpu():
     def run(device: str) -> Replay:
-        tracks = TrackSet.of(RING, device=device)
+        tracks = TrackSet(RING, device=device)
         env = RaceEnv(tracks, EnvConfig(sim=TWO))
         recorder, told = Recorder(spec(), tracks), env.reset(seed=3)
         recorder.start(env.world)
@@ -396,7 +396,7 @@ def test_duels_are_raced_on_another_device():
     cfg = DuelConfig(laps=1, slowest=12.0, grace_s=0.0)
 
     def run(device: str) -> object:
-        tracks = TrackSet.of(RING, device=device)
+        tracks = TrackSet(RING, device=device)
         field = [roster.load(name, tracks, CAR) for name in ("racing_line", "centerline")]
         return duels.meet(tracks, CAR, field, [(0, 1)], cfg, races=2)
 

@@ -65,7 +65,7 @@ def test_two_thousand_random_actions_at_gymnasiums_door_step_or_are_refused():
 @pytest.mark.parametrize("space", [None, ContinuousActions(), grid(3, 30, 2, 3)])
 def test_thousand_random_actions_at_rsl_rls_door_step_or_are_refused(space):
     cfg = EnvConfig(sim=SimConfig(decimation=2), mode="training", episode_s=4.0)
-    env = RacingVecEnv(TrackSet.of(make_ring()), cfg, num_worlds=2, action_space=space)
+    env = RacingVecEnv(TrackSet(make_ring()), cfg, num_worlds=2, action_space=space)
     dice = random.Random(0)
     steps = refused = 0
     for _ in range(1000):

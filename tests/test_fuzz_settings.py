@@ -122,7 +122,7 @@ def test_random_settings_that_are_accepted_can_be_driven(seed):
     senses = SensorConfig(camera=drawn(dice, CameraConfig), lidar=drawn(dice, LidarConfig))
     mode = dice.choice(["race", "training"])
     cfg = EnvConfig(sim=sim, mode=mode, sensors=(senses,), looks=drawn(dice, LookConfig))
-    env = RaceEnv(TrackSet.of(make_ring()), cfg, num_worlds=2, seed=seed)
+    env = RaceEnv(TrackSet(make_ring()), cfg, num_worlds=2, seed=seed)
     generator = torch.Generator().manual_seed(seed)
     told = [env.reset(seed=seed)]
     for _ in range(10):

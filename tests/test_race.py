@@ -291,7 +291,7 @@ def test_drivers_of_races_run_together_may_carry_other_sensors():
 
 
 def test_scripted_drivers_with_seats_in_two_races_remember_each_of_them():
-    tracks = TrackSet.of(files.load("reinvent_2018"))
+    tracks = TrackSet(files.load("reinvent_2018"))
     one, two = (roster.load(name, tracks, CarConfig()) for name in ("racing_line", "blocker"))
     asked = {"track": tracks.tracks[0], "max_time_s": 4.0}
     together(contest((one, two), **asked), contest((two, one), seed=2, **asked))

@@ -76,7 +76,7 @@ def test_who_drives_the_wrong_way_or_stands_is_not_paid(ring):
 
 
 def test_each_world_is_told_the_line_of_its_own_track():
-    tracks = TrackSet.of(make_ring(points=400), make_ring(clockwise=True))
+    tracks = TrackSet(make_ring(points=400), make_ring(clockwise=True))
     small = 0.025 / math.sin(math.pi / 240)
     found = paid(tracks, -INSIDE, speed_at(small - INSIDE), track=1)
     assert float(found[0, 0]) == pytest.approx(1.0, abs=0.03)
@@ -84,7 +84,7 @@ def test_each_world_is_told_the_line_of_its_own_track():
 
 def test_an_open_track_has_a_line_to_its_end():
     track = make_straight()
-    reward = AlongTheLine(TrackSet.of(track), CAR)
+    reward = AlongTheLine(TrackSet(track), CAR)
     there = torch.tensor([[0.0, 0.5, 1.0]])
     _, speed = reward._beside(torch.zeros_like(there, dtype=torch.int64), there)
     assert speed.tolist() == [pytest.approx([CAR.max_speed] * 3, rel=0.02)]
@@ -108,4 +108,4 @@ def test_it_is_found_by_its_name_and_others_are_presets(ring):
 def test_so_many_tracks_that_their_lines_take_minutes_are_refused(ring, monkeypatch):
     monkeypatch.setattr(line_reward, "MOST_TRACKS", 2)
     with pytest.raises(ConfigError, match=r"on each of 3 tracks.*give at most 2"):
-        AlongTheLine(TrackSet.of(*[make_ring()] * 3), CAR)
+        AlongTheLine(TrackSet(*[make_ring()] * 3), CAR)

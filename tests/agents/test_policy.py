@@ -166,7 +166,7 @@ def test_a_car_with_other_sensors_is_told_of(spoil):
 
 def test_the_roster_loads_a_checkpoint_for_any_set_of_tracks(tmp_path):
     checkpoint.save(tmp_path / "a.pt", make_checkpoint("lidar", name="Rookie of May"))
-    both = TrackSet.of(files.load("harbour_oval"), files.load("peanut"))
+    both = TrackSet(files.load("harbour_oval"), files.load("peanut"))
     driver = roster.load(str(tmp_path / "a.pt"), both, CAR)
     assert driver.name == "Rookie of May"
     assert driver.sensors == SENSES["lidar"]
@@ -174,7 +174,7 @@ def test_the_roster_loads_a_checkpoint_for_any_set_of_tracks(tmp_path):
 
 def test_the_roster_names_the_file_it_cannot_load(tmp_path):
     with pytest.raises(PolicyError, match=r"nobody\.pt.*cannot be read \(No such file"):
-        roster.load(str(tmp_path / "nobody.pt"), TrackSet.of(files.load("peanut")), CAR)
+        roster.load(str(tmp_path / "nobody.pt"), TrackSet(files.load("peanut")), CAR)
 
 
 def test_two_checkpoints_race_each_other_and_again_the_same_way(tmp_path):
@@ -196,7 +196,7 @@ def test_a_checkpoint_drives_an_opponent_in_training(tmp_path):
     checkpoint.save(tmp_path / "a.pt", make_checkpoint("lidar"))
     cfg = EnvConfig(sim=SimConfig(kind="head_to_head", num_cars=2), mode="training")
     env = RacingVecEnv(
-        TrackSet.of(files.load("peanut")),
+        TrackSet(files.load("peanut")),
         cfg,
         num_worlds=3,
         opponents={1: str(tmp_path / "a.pt")},

@@ -13,7 +13,7 @@ from league.track.course import TrackSet
 
 
 def one_track() -> TrackSet:
-    return TrackSet.of(files.load("harbour_oval"))
+    return TrackSet(files.load("harbour_oval"))
 
 
 @pytest.mark.parametrize("name", roster.NAMES)
@@ -34,7 +34,7 @@ def test_a_missing_checkpoint_says_where_checkpoints_come_from():
 
 
 def test_two_tracks_at_once_are_refused():
-    both = TrackSet.of(files.load("harbour_oval"), files.load("peanut"))
+    both = TrackSet(files.load("harbour_oval"), files.load("peanut"))
     with pytest.raises(PolicyError, match="2 tracks"):
         roster.load("cautious", both, CarConfig())
 

@@ -23,7 +23,7 @@ CAR = CarConfig()
 
 def drive(track: Track, names: list[str], sim: SimConfig, *, num_worlds: int = 1) -> Standing:
     """Race drivers until all have finished or time is up; return the referee's book."""
-    tracks = TrackSet.of(track)
+    tracks = TrackSet(track)
     drivers = [roster.load(name, tracks, CAR) for name in names]
     env = RaceEnv(tracks, EnvConfig(sim=sim), num_worlds=num_worlds)
     return finish(env, lambda told: [one.act(its) for one, its in zip(drivers, told, strict=True)])
@@ -31,8 +31,8 @@ def drive(track: Track, names: list[str], sim: SimConfig, *, num_worlds: int = 1
 
 def tour(starts: list[tuple[Track, str]], laps: int) -> Standing:
     """Drive each driver alone on its track, all of them at once; return the referee's book."""
-    tracks = TrackSet.of(*(track for track, _ in starts))
-    drivers = [roster.load(name, TrackSet.of(track), CAR) for track, name in starts]
+    tracks = TrackSet(*(track for track, _ in starts))
+    drivers = [roster.load(name, TrackSet(track), CAR) for track, name in starts]
     cfg = EnvConfig(sim=SimConfig(rules=RaceRules(laps=laps)))
     env = RaceEnv(tracks, cfg, num_worlds=len(starts))
 
@@ -161,7 +161,7 @@ def states(count: int) -> torch.Tensor:
 
 @pytest.mark.parametrize("name", roster.NAMES)
 def test_a_row_in_a_batch_is_driven_as_alone(name):
-    tracks, batch = TrackSet.of(reinvent()), states(37)
+    tracks, batch = TrackSet(reinvent()), states(37)
     together = roster.load(name, tracks, CAR)
     actions = [together.act({"state": batch}) for _ in range(2)]
     for row in (0, 7, 36):
@@ -172,7 +172,7 @@ def test_a_row_in_a_batch_is_driven_as_alone(name):
 
 @pytest.mark.parametrize("name", roster.NAMES)
 def test_after_a_reset_nothing_of_the_past_remains(name):
-    tracks, batch = TrackSet.of(reinvent()), states(5)
+    tracks, batch = TrackSet(reinvent()), states(5)
     driver = roster.load(name, tracks, CAR)
     fresh = driver.act({"state": batch})
     driver.act({"state": batch.flip(0)})
@@ -186,7 +186,7 @@ def test_after_a_reset_nothing_of_the_past_remains(name):
 
 @pytest.mark.parametrize("name", roster.NAMES)
 def test_actions_are_always_in_range(name):
-    actions = roster.load(name, TrackSet.of(reinvent()), CAR).act({"state": states(64)})
+    actions = roster.load(name, TrackSet(reinvent()), CAR).act({"state": states(64)})
     assert actions.shape == (64, 2) and actions.dtype == torch.float32
     assert bool((actions.abs() <= 1).all())
 
@@ -194,7 +194,7 @@ def test_actions_are_always_in_range(name):
 def test_the_blocker_moves_in_front_of_the_car_behind():
     from league.envs.state import INDEX
 
-    tracks = TrackSet.of(reinvent())
+    tracks = TrackSet(reinvent())
     state = torch.zeros(2, len(INDEX))
     state[:, INDEX["speed_ahead"]] = 2.0
     state[:, INDEX["car_0_present"]] = 1.0
@@ -207,7 +207,7 @@ def test_the_blocker_moves_in_front_of_the_car_behind():
 
 @pytest.mark.parametrize("name", ["racing_line", "cautious", "centerline"])
 def test_a_car_that_stands_a_penalty_is_driven_through_as_if_it_were_not_there(name):
-    tracks = TrackSet.of(files.load("reinvent_2018"))
+    tracks = TrackSet(files.load("reinvent_2018"))
     clear, frozen, solid = torch.zeros((3, 1, SIZE)).unbind()
     for state in (clear, frozen, solid):
         state[:, INDEX["s"]], state[:, INDEX["speed_ahead"]] = 3.0, 2.0

@@ -176,12 +176,12 @@ def closest(lines, s, *, track=0):
 
 def test_waypoints_of_its_own_are_told_as_they_are():
     track = told_waypoints(make_ring(), 0, 3, 3, 6, 9, 12)
-    told = alone(TrackSet.of(track), (2.9, 0.0), (3.0, 0.0))
+    told = alone(TrackSet(track), (2.9, 0.0), (3.0, 0.0))
     assert told["waypoints"] == [tuple(point) for point in track.waypoints.tolist()]
     assert len(told["waypoints"]) == 6
     assert told["waypoints"][1] == told["waypoints"][2] == pytest.approx((RADIUS, RADIUS), abs=1e-3)
     assert told["closest_waypoints"] == [2, 3]  # the nose is at 3.14 m
-    earlier = alone(TrackSet.of(track), (2.7, 0.0), (2.8, 0.0))
+    earlier = alone(TrackSet(track), (2.7, 0.0), (2.8, 0.0))
     assert earlier["closest_waypoints"] == [0, 1]  # the nose is at 2.94 m
 
 
@@ -197,7 +197,7 @@ def test_closest_of_a_tracks_own_waypoints_wherever_the_first_one_lies(
     first, clockwise, further, pair
 ):
     places = [first + place for place in (0, 1, 4, 4, 9, 12)]
-    lines = Lines.of(TrackSet.of(told_waypoints(make_ring(clockwise=clockwise), *places)))
+    lines = Lines.of(TrackSet(told_waypoints(make_ring(clockwise=clockwise), *places)))
     assert closest(lines, (first + further) % 12) == pair
 
 
@@ -210,7 +210,7 @@ def test_closest_of_a_tracks_own_waypoints_wherever_the_first_one_lies(
 def test_closest_waypoints_of_a_reversed_track_count_the_other_way(further, pair):
     track = told_waypoints(make_ring(), 1.5, 2.5, 5.5, 5.5, 10.5, 13.5)
     back = track.reversed()
-    lines = Lines.of(TrackSet.of(track, back))
+    lines = Lines.of(TrackSet(track, back))
     assert lines.waypoints[1] == lines.waypoints[0][::-1]
     # The first one is 1.5 m behind the start line now.
     assert closest(lines, (10.5 + further) % 12, track=1) == pair
@@ -225,7 +225,7 @@ def test_closest_waypoints_of_a_straight_have_nothing_before_the_first_and_0_aft
     s, pair
 ):
     # They begin 0.5 m after the start and end 0.5 m before the end.
-    lines = Lines.of(TrackSet.of(told_waypoints(make_straight(), 0.5, 4, 4, 9.5)))
+    lines = Lines.of(TrackSet(told_waypoints(make_straight(), 0.5, 4, 4, 9.5)))
     assert closest(lines, s) == pair
 
 
@@ -233,19 +233,19 @@ def test_tracks_with_waypoints_of_their_own_and_without_stand_side_by_side():
     own = told_waypoints(make_ring(), 0, 1, 4, 4, 9, 12)
     other = told_waypoints(make_ring(), 0, 2, 12)
     plain = make_straight()
-    lines = Lines.of(TrackSet.of(own, plain, other, plain))
+    lines = Lines.of(TrackSet(own, plain, other, plain))
     pairs = [closest(lines, 4.6, track=number) for number in range(4)]
     # 67 stretches on 10 m: 4.6 m is the 30.8th.
     assert pairs == [[3, 4], [30, 31], [1, 2], [30, 31]]
-    assert lines.waypoints[1] == Lines.of(TrackSet.of(plain)).waypoints[0]
-    told = Told(TrackSet.of(own, other), ALONE, [(4.5, 0.0)], num_worlds=2)
+    assert lines.waypoints[1] == Lines.of(TrackSet(plain)).waypoints[0]
+    told = Told(TrackSet(own, other), ALONE, [(4.5, 0.0)], num_worlds=2)
     told.world = replace(told.world, track=torch.tensor([0, 1]))
     assert [row["closest_waypoints"] for row in told.step([(4.6, 0.0)])] == [[3, 4], [1, 2]]
 
 
 def test_no_two_closest_waypoints_are_the_same_place():
     # The first, the last and one in between come twice, as files have them.
-    lines = Lines.of(TrackSet.of(told_waypoints(make_ring(), 0, 0, 3, 3, 9, 12, 12)))
+    lines = Lines.of(TrackSet(told_waypoints(make_ring(), 0, 0, 3, 3, 9, 12, 12)))
     for s in (0.0, 1.5, 3.0, 6.0, 9.0, 11.9999999, math.nextafter(12.0, 0.0), 12.0):
         behind, ahead = closest(lines, s)
         assert lines.waypoints[0][behind] != lines.waypoints[0][ahead]
@@ -405,7 +405,7 @@ def test_car_that_stands_a_penalty_is_not_asked(ring):
 
 
 def test_places_are_found_as_the_tracks_themselves_find_them():
-    tracks = TrackSet.of(make_square())
+    tracks = TrackSet(make_square())
     s = torch.linspace(0.0, float(tracks.length[0]) - 0.01, 200).unsqueeze(0)
     index = torch.zeros(1, dtype=torch.int64)
     x, y, frame = tracks.at(index, s)

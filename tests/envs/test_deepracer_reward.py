@@ -41,7 +41,7 @@ def reward_file(tmp_path):
 def env_with(path, *, num_worlds=1, sim=ALONE, cars=(0,), mode="training"):
     paid = user_reward(path, num_worlds, cars, sim=sim)
     env = RaceEnv(
-        TrackSet.of(make_ring()), EnvConfig(sim=sim, mode=mode), num_worlds=num_worlds, reward=paid
+        TrackSet(make_ring()), EnvConfig(sim=sim, mode=mode), num_worlds=num_worlds, reward=paid
     )
     return env, paid
 
@@ -257,7 +257,7 @@ def test_a_call_that_does_not_come_back_ends_with_its_line(reward_file):
     path = reward_file(f"{text}    return 1.0\n")
     cfg = EnvConfig(sim=ALONE, mode="training")
     paid = UserReward(Source.read(path), ALONE, 2, (0,), time_limit_s=0.3)
-    env = RaceEnv(TrackSet.of(make_ring()), cfg, num_worlds=2, reward=paid)
+    env = RaceEnv(TrackSet(make_ring()), cfg, num_worlds=2, reward=paid)
     env.reset(seed=1)
     env.step(torch.zeros(2, 1, 2))
     with pytest.raises(RewardError, match=r"reward\.py, line [34]: still running after 0\.3 s"):
@@ -369,7 +369,7 @@ def test_recorded_drives_show_the_first_and_last_steps_of_all_kinds():
 
 def test_built_in_reward_is_what_an_environment_pays_by_default():
     cfg = EnvConfig(sim=ALONE, mode="training", reward=RewardConfig(progress=2.0))
-    env = RaceEnv(TrackSet.of(make_ring()), cfg)
+    env = RaceEnv(TrackSet(make_ring()), cfg)
     step = drive(env, 5)[-1]
     assert env.reward.terms == ("progress", "off_track", "crash")
     assert float(step.rewards[0, 0]) == pytest.approx(2 * float(step.verdict.advance[0, 0]))
@@ -399,7 +399,7 @@ def test_reward_is_told_of_every_episode_that_begins():
 
     heard = Listener()
     cfg = replace(EnvConfig(sim=ALONE, mode="training"), episode_s=0.2)
-    env = RaceEnv(TrackSet.of(make_ring()), cfg, num_worlds=2, reward=heard)
+    env = RaceEnv(TrackSet(make_ring()), cfg, num_worlds=2, reward=heard)
     env.reset(seed=1)
     assert heard.begun == [[[True], [True]]] * 2  # once built, once reset
     env.step(torch.zeros(2, 1, 2), anew=torch.tensor([False, True]), seeds=torch.tensor([0, 9]))

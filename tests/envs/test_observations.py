@@ -112,7 +112,7 @@ def test_state_of_a_mirrored_world_is_mirrored():
     flips = {"lateral", "heading_error", "speed_left", "yaw_rate", "steering"}
     told = []
     for track, side in ((make_ring(), 1.0), (make_ring().mirrored(), -1.0)):
-        tracks = TrackSet.of(track)
+        tracks = TrackSet(track)
         told.append(
             seen(tracks, sim, put_cars(tracks, sim, [(3.0, 0.1 * side), (3.9, -0.2 * side)]))
         )
@@ -126,7 +126,7 @@ def test_layout_names_every_column_once():
 
 
 def test_curvature_ahead_is_held_at_the_end_of_an_open_track():
-    tracks, sim = TrackSet.of(make_straight()), field(1)
+    tracks, sim = TrackSet(make_straight()), field(1)
     told = seen(tracks, sim, put_cars(tracks, sim, [(9.0, 0.0)]))
     assert told["curvature_6m"] == pytest.approx(0.0, abs=1e-6)
 

@@ -134,7 +134,7 @@ def test_two_to_eight_cars_race(race_env, solver, num_cars):
 @pytest.mark.parametrize("solver", ["planar", "bullet"])
 def test_fast_car_that_rams_a_slow_one_is_penalised_and_put_behind_it(race_env, solver):
     sim = SimConfig(kind="head_to_head", num_cars=2)
-    env = race_env(tracks=TrackSet.of(make_square(side=6.0)), sim=sim, solver=solver)
+    env = race_env(tracks=TrackSet(make_square(side=6.0)), sim=sim, solver=solver)
     told = env.reset(seed=1)
     seen = None
     for _ in range(60):
@@ -277,7 +277,7 @@ CASES = {
 @pytest.mark.parametrize("solver", ["planar", "bullet"])
 @pytest.mark.parametrize("case", list(CASES))
 def test_world_in_a_batch_equals_that_world_alone_bit_for_bit(race_env, case, solver):
-    tracks = TrackSet.of(make_ring(), make_square(), make_ring(clockwise=True))
+    tracks = TrackSet(make_ring(), make_square(), make_ring(clockwise=True))
     settings = {**CASES[case], "solver": solver, "sensors": (SMALL,)}
     together = race_env(tracks=tracks, num_worlds=3, **settings)
     alone = RaceEnv(tracks, together.cfg, num_worlds=1, track_index=torch.tensor([1]))
@@ -349,7 +349,7 @@ def test_what_was_told_is_not_changed_by_later_steps(race_env):
 
 
 def test_worlds_take_turns_on_the_tracks():
-    tracks = TrackSet.of(make_ring(), make_square())
+    tracks = TrackSet(make_ring(), make_square())
     env = RaceEnv(tracks, EnvConfig(), num_worlds=5)
     assert env.world.track.tolist() == [0, 1, 0, 1, 0]
     env.close()

@@ -149,7 +149,7 @@ def test_noise_of_the_lidar_depends_on_the_seed(race_env):
 
 
 def test_race_on_many_tracks_shows_each_world_its_own(race_env):
-    tracks = TrackSet.of(make_ring(), make_ring(clockwise=True))
+    tracks = TrackSet(make_ring(), make_ring(clockwise=True))
     env = race_env(tracks=tracks, num_worlds=2, sensors=(carried(),))
     left_hand, right_hand = env.reset(seeds=torch.tensor([4, 4]))[0]["stereo"]
     assert not torch.equal(left_hand, right_hand)

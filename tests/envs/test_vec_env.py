@@ -53,7 +53,7 @@ def build(
         }
     )
     return RacingVecEnv(
-        TrackSet.of(make_ring()),
+        TrackSet(make_ring()),
         cfg,
         num_worlds=num_worlds,
         learners=learners,

@@ -1,14 +1,13 @@
 """Worlds to look at: cars and boxes put where a test wants them, on a ring or at random."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
-import torch
+from scenes import start
 
-from league.sim import grid
+from league.sim import records
 from league.sim.config import SimConfig
-from league.sim.world import Obstacles, World
+from league.sim.world import World
 from league.track.course import Track, TrackSet
 
 COLUMNS, LINES = 160, 120
@@ -27,7 +26,7 @@ def room(*, half: float = 6.0) -> TrackSet:
         left=(border - 0.8) * out,
         right=border * out,
     )
-    return TrackSet.of(ring)
+    return TrackSet(ring)
 
 
 def settings(num_cars: int = 2) -> SimConfig:
@@ -46,29 +45,22 @@ def world(
 
     Both are lists for one world, or lists of such lists.
     """
-    places = torch.tensor(cars, dtype=torch.float32)
-    places = places if places.dim() == 3 else places.unsqueeze(0)
+    places = np.array(cars, np.float32)
+    places = places if places.ndim == 3 else places[None]
     num_worlds, num_cars = places.shape[:2]
-    start = grid.start(
-        tracks,
-        settings(num_cars),
-        torch.arange(1, num_worlds + 1),
-        torch.zeros(num_worlds, dtype=torch.int64),
-    )
-    x, y, yaw = (part.contiguous() for part in places.unbind(2))
-    motion = replace(start.motion, x=x, y=y, yaw=yaw, steering=torch.full_like(x, steering))
+    found = start(tracks, settings(num_cars), list(range(1, num_worlds + 1)))
+    found.cars["x"], found.cars["y"], found.cars["yaw"] = np.moveaxis(places, 2, 0)
+    found.cars["steering"] = steering
     if penalty is not None:
-        frozen = torch.tensor(penalty).expand(num_worlds, -1)
-        start = replace(start, standing=replace(start.standing, penalty_s=frozen))
+        found.cars["penalty_s"] = penalty
     if boxes:
-        stood = torch.tensor(boxes, dtype=torch.float32)
-        stood = stood if stood.dim() == 3 else stood.unsqueeze(0)
-        blank = torch.zeros(stood.shape[:2])
-        body = dict.fromkeys(Obstacles.__dataclass_fields__, blank)
-        names = ("x", "y", "yaw", "half_length", "half_width")
-        body |= {name: stood[..., k].contiguous() for k, name in enumerate(names)}
-        start = replace(start, obstacles=Obstacles(**body))
-    return replace(start, motion=motion)
+        stood = np.array(boxes, np.float32)
+        stood = stood if stood.ndim == 3 else stood[None]
+        things = np.zeros(stood.shape[:2], records.OBSTACLE)
+        for k, name in enumerate(("x", "y", "yaw", "half_length", "half_width")):
+            things[name] = stood[..., k]
+        found = World(found.worlds, found.cars, things)
+    return found
 
 
 def random_scenes(tracks: TrackSet, number: int, *, seed: int = 0) -> World:

@@ -25,7 +25,7 @@ def floor() -> TrackSet:
         left=19.6 * direction,
         right=(WALL - 0.84) * direction,
     )
-    return TrackSet.of(ring)
+    return TrackSet(ring)
 
 
 def settings(num_cars: int = 1, **changes) -> SimConfig:

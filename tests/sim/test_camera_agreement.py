@@ -16,8 +16,8 @@ spread by less than this, in every channel."""
 
 def both(now, tracks, looks=None, **camera) -> tuple[np.ndarray, np.ndarray]:
     parts = (tracks, settings(now.num_cars), CameraConfig(**camera), looks)
-    painted = PaintRenderer(*parts).render(now, 0).numpy()
-    cast = RayRenderer(*parts).render(now, 0).numpy()
+    painted = PaintRenderer(*parts).render(now, 0)
+    cast = RayRenderer(*parts).render(now, 0)
     return painted, cast
 
 

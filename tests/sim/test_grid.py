@@ -51,7 +51,7 @@ def test_car_alone_starts_on_the_start_line_in_the_middle(ring):
 
 
 def test_grid_of_an_open_track_stands_on_the_track():
-    world = started(TrackSet.of(make_straight()), field(4))
+    world = started(TrackSet(make_straight()), field(4))
     assert world.motion.x[0].tolist() == pytest.approx([2.45, 1.7, 0.95, 0.2], abs=1e-5)
 
 
@@ -149,7 +149,7 @@ def test_fixed_obstacles_stay_in_place_from_episode_to_episode(ring):
 
 
 def test_restart_of_one_world_does_not_depend_on_its_batch():
-    tracks, sim = TrackSet.of(make_ring()), field(3, spread=Spread(grip=0.3))
+    tracks, sim = TrackSet(make_ring()), field(3, spread=Spread(grip=0.3))
     together = started(tracks, sim, seeds=torch.tensor([5, 6, 7]))
     who = torch.tensor([[True, True, False], [True, False, True], [False, False, False]])
     alone = started(tracks, sim, seeds=torch.tensor([6]))

@@ -14,7 +14,7 @@ from league.track.course import TrackSet
 
 
 def placed(sim, tracks=None, num_worlds=1):
-    tracks = tracks or TrackSet.of(make_ring())
+    tracks = tracks or TrackSet(make_ring())
     seed, track = torch.arange(num_worlds), torch.zeros(num_worlds, dtype=torch.int64)
     return tracks, start(tracks, sim, seed, track)
 
@@ -37,7 +37,7 @@ def drive(tracks, sim, world, steps):
 @pytest.mark.parametrize("clockwise", [False, True])
 def test_fixed_obstacles_are_evenly_spaced_with_lanes_from_the_inner_one(num_worlds, clockwise):
     # The first 2 m from the start, the last 1 m before it: 2, 5, 8, 11 on a lap of 12 m.
-    tracks = TrackSet.of(make_ring(clockwise=clockwise))
+    tracks = TrackSet(make_ring(clockwise=clockwise))
     _, world = placed(avoiding(count=4, random_places=False), tracks, num_worlds)
     assert world.obstacles.s[-1].tolist() == pytest.approx([2, 5, 8, 11], abs=1e-4)
     inner = -0.2 if clockwise else 0.2
@@ -152,6 +152,6 @@ def test_bots_drive_past_the_start_line_and_on():
 
 
 def test_obstacles_of_an_open_track_stand_on_it():
-    _, world = placed(avoiding(count=6), TrackSet.of(make_straight()), num_worlds=20)
+    _, world = placed(avoiding(count=6), TrackSet(make_straight()), num_worlds=20)
     assert float(world.obstacles.x.min()) > 0.5
     assert float(world.obstacles.x.max()) <= 9.0001

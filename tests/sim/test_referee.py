@@ -121,7 +121,7 @@ def test_penalty_is_stood_for_exactly_its_steps(straight, num_worlds, seconds, s
 
 def test_frozen_car_beyond_the_middle_of_a_hairpin_keeps_its_place():
     # A ring of 0.477 m radius: from beyond its middle the nearest point of the road is elsewhere.
-    tracks = TrackSet.of(make_ring(points=60, width=0.6))
+    tracks = TrackSet(make_ring(points=60, width=0.6))
     before = put_cars(tracks, ALONE, [(1.0, 0.3)])
     _, world = raced(tracks, ALONE, before, [(1.1, 0.6)])
     kept = world.standing
@@ -537,7 +537,7 @@ def test_mirrored_track_gives_the_mirrored_verdict(lateral):
     assert flipped.direction == "clockwise"
     outcome = []
     for track, side in ((plain, 1.0), (flipped, -1.0)):
-        tracks = TrackSet.of(track)
+        tracks = TrackSet(track)
         before = put_cars(tracks, ALONE, [(3.0, side * lateral)])
         verdict, world = raced(tracks, ALONE, before, [(3.1, side * lateral)])
         for _ in range(30):

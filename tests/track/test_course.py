@@ -30,11 +30,11 @@ def test_a_bend_to_the_right_has_negative_curvature():
     track = files.parse(shapes.text(points, direction="clockwise"))
     assert track.direction == "clockwise"
     np.testing.assert_allclose(track.curvature, -0.5, rtol=0.05)
-    assert TrackSet.of(track).inner.tolist() == [-1.0]
+    assert TrackSet(track).inner.tolist() == [-1.0]
 
 
 def test_at_gives_the_hand_worked_place_and_heading_on_a_circle():
-    tracks = TrackSet.of(shapes.circle())
+    tracks = TrackSet(shapes.circle())
     quarter = torch.tensor([[tracks.tracks[0].length / 4]])
     x, y, frame = tracks.at(_index(), quarter)
     assert (x.item(), y.item()) == pytest.approx((0.0, 2.0), abs=2e-3)
@@ -45,7 +45,7 @@ def test_at_gives_the_hand_worked_place_and_heading_on_a_circle():
 @pytest.mark.parametrize("name", ["reinvent_2018", "needle_pass", "thread_lane", "long_meadow"])
 def test_projecting_a_point_beside_the_track_gives_back_its_s_and_lateral(name):
     track = files.load(name)
-    tracks = TrackSet.of(track)
+    tracks = TrackSet(track)
     s = torch.linspace(0, 0.999 * track.length, 400).unsqueeze(0)
     for side in (-0.6, 0.0, 0.6):
         x, y, frame = tracks.at(_index(), s)
@@ -58,7 +58,7 @@ def test_projecting_a_point_beside_the_track_gives_back_its_s_and_lateral(name):
 
 
 def test_s_wraps_at_the_start_line_of_a_loop():
-    tracks = TrackSet.of(shapes.circle())
+    tracks = TrackSet(shapes.circle())
     length = tracks.tracks[0].length
     x, y = torch.tensor([[2.0]]), torch.tensor([[-0.1]])  # 0.1 m before the line
     found = tracks.project(_index(), x, y, torch.tensor([[0.05]]))
@@ -69,14 +69,14 @@ def test_s_wraps_at_the_start_line_of_a_loop():
 
 
 def test_s_stays_below_the_length_just_before_the_line():
-    tracks = TrackSet.of(files.load("reinvent_2018"))
+    tracks = TrackSet(files.load("reinvent_2018"))
     s = torch.tensor([[-1e-9, -1e-7, -1e-3, 0.0, tracks.length.item()]])
     _, _, frame = tracks.at(_index(), s)
     assert (frame.s >= 0).all() and (frame.s < tracks.length).all()
 
 
 def test_an_open_track_holds_s_at_its_ends():
-    tracks = TrackSet.of(shapes.straight(6.0))
+    tracks = TrackSet(shapes.straight(6.0))
     x = torch.tensor([[-0.4, 3.0, 6.4]])
     y = torch.tensor([[0.1, 0.1, 0.1]])
     found = tracks.project(_index(), x, y, torch.tensor([[0.0, 3.2, 5.9]]))
@@ -89,7 +89,7 @@ def test_an_open_track_holds_s_at_its_ends():
 def test_a_car_on_the_inside_of_a_hairpin_is_found_where_it_is():
     points = shapes.stadium_points(straight=4.0, radius=0.4)
     track = files.parse(shapes.text(points, width=0.61))
-    tracks = TrackSet.of(track)
+    tracks = TrackSet(track)
     # Round the middle of the eastern half circle at (2, 0.4), 0.15 m from it: 0.25 m to the left.
     angle = torch.linspace(-1.3, 1.3, 9)
     x, y = (2 + 0.15 * torch.cos(angle)).unsqueeze(0), (0.4 + 0.15 * torch.sin(angle)).unsqueeze(0)
@@ -102,7 +102,7 @@ def test_a_car_on_the_inside_of_a_hairpin_is_found_where_it_is():
 
 def test_a_point_between_two_stretches_stays_on_the_stretch_it_came_from():
     points = shapes.stadium_points(straight=6.0, radius=0.5)
-    tracks = TrackSet.of(files.parse(shapes.text(points, width=0.61)))
+    tracks = TrackSet(files.parse(shapes.text(points, width=0.61)))
     length = tracks.tracks[0].length
     x, y = torch.tensor([[0.0, 0.0]]), torch.tensor([[0.6, 0.6]])
     # The upper straight (y = 1) is nearer, but the first point was last seen on the lower one.
@@ -115,7 +115,7 @@ def test_a_point_between_two_stretches_stays_on_the_stretch_it_came_from():
 
 def test_a_world_of_a_batch_equals_that_world_alone():
     chosen = [files.load(name) for name in ("reinvent_2018", "needle_pass", "broad_street")]
-    tracks = TrackSet.of(*chosen, shapes.straight())
+    tracks = TrackSet(*chosen, shapes.straight())
     worlds = 37
     generator = torch.Generator().manual_seed(3)
     index = _index(4, worlds)
@@ -127,7 +127,7 @@ def test_a_world_of_a_batch_equals_that_world_alone():
     for world in range(worlds):
         row = slice(world, world + 1)
         alone = tracks.project(index[row], x[row], y[row], s[row])
-        own = TrackSet.of(tracks.tracks[int(index[world])])
+        own = TrackSet(tracks.tracks[int(index[world])])
         single = own.project(_index(), x[row], y[row], s[row])
         for name in ("s", "lateral", "cos", "sin", "curvature", "left", "right"):
             assert torch.equal(getattr(alone, name)[0], getattr(together, name)[world])
@@ -140,16 +140,16 @@ def test_mirroring_a_track_mirrors_what_is_found_on_it():
     track = files.parse(shapes.text(points.tolist()))
     mirrored = files.parse(shapes.text((points * (1, -1)).tolist(), direction="clockwise"))
     s = torch.linspace(0, 12, 50).unsqueeze(0)
-    x, y, _ = TrackSet.of(track).at(_index(), s)
-    found = TrackSet.of(track).project(_index(), x + 0.1, y + 0.05, s)
-    other = TrackSet.of(mirrored).project(_index(), x + 0.1, -(y + 0.05), s)
+    x, y, _ = TrackSet(track).at(_index(), s)
+    found = TrackSet(track).project(_index(), x + 0.1, y + 0.05, s)
+    other = TrackSet(mirrored).project(_index(), x + 0.1, -(y + 0.05), s)
     assert (found.s - other.s).abs().max() < 1e-4
     assert (found.lateral + other.lateral).abs().max() < 1e-5
 
 
 def test_a_track_set_without_tracks_is_refused():
     with pytest.raises(ValueError, match="at least one"):
-        TrackSet.of()
+        TrackSet()
 
 
 def test_reversed_track_is_driven_the_other_way_from_the_same_line():
@@ -178,7 +178,7 @@ def test_track_reversed_twice_is_the_track(name):
 
 def test_reversed_place_is_a_lap_less_the_place_and_on_the_other_side():
     track = files.load("reinvent_2018")
-    ways = TrackSet.of(track, track.reversed())
+    ways = TrackSet(track, track.reversed())
     x, y, frame = ways.at(_index(2, 1), torch.tensor([[3.0]]))
     lateral = 0.2
     point = (x - lateral * frame.sin, y + lateral * frame.cos)
@@ -227,7 +227,7 @@ def test_reversed_straight_is_driven_from_its_far_end():
 
 @pytest.mark.parametrize("index", [[0, 1], [0, -1], [0, 0, 0]])
 def test_a_world_on_no_track_of_the_set_is_an_error_and_no_wild_reading(index):
-    tracks = TrackSet.of(shapes.circle())
+    tracks = TrackSet(shapes.circle())
     places = torch.ones(2, 2)
     for look in (
         lambda: tracks.at(torch.tensor(index), places),

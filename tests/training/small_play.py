@@ -22,7 +22,7 @@ from league.training.selfplay import SelfPlay, SelfPlayConfig
 from league.training.selfplay.settings import DuelConfig
 from league.training.settings import PpoConfig, TrainConfig
 
-RING = TrackSet.of(make_ring())
+RING = TrackSet(make_ring())
 CAR = CarConfig()
 FREE = (CAR.max_speed,) * 2
 """Limits of an opponent that may go as fast as it can [m/s]."""

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from league.sim.meeting_config import Meeting
 from small_play import CAR, CARD, FREE, RING, SHORT, Constant, blind, learnt, playing
 
 from league.agents.checkpoint import Checkpoint
@@ -16,7 +17,6 @@ from league.envs.vec_env import RacingVecEnv
 from league.errors import ConfigError
 from league.sim import meeting
 from league.sim.config import SensorConfig, SimConfig
-from league.sim.meeting_config import Meeting
 from league.training.selfplay import SelfPlayConfig
 from league.training.selfplay.handicap import Handicap
 from league.training.selfplay.opponent import Field, Opponent

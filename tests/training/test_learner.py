@@ -49,7 +49,7 @@ def settings(
 
 def learner(cfg: TrainConfig | None = None, **wishes: object) -> Learner:
     cfg = cfg or settings(**wishes)  # pyright: ignore
-    return Learner(worlds.make(TrackSet.of(make_ring()), cfg), cfg)
+    return Learner(worlds.make(TrackSet(make_ring()), cfg), cfg)
 
 
 def same(one: dict[str, torch.Tensor], other: dict[str, torch.Tensor]) -> bool:

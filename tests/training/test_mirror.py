@@ -37,7 +37,7 @@ def drawn(kind: str) -> tuple[SimConfig, World, torch.Tensor]:
         num_cars=3 if kind == "head_to_head" else 1,
         obstacles=ObstacleConfig(count=5),
     )
-    env = RaceEnv(TrackSet.of(make_square()), EnvConfig(sim=sim), num_worlds=4, seed=5)
+    env = RaceEnv(TrackSet(make_square()), EnvConfig(sim=sim), num_worlds=4, seed=5)
     generator = torch.Generator().manual_seed(3)
     for _ in range(25):
         actions = 2 * torch.rand(4, sim.num_cars, 2, generator=generator) - 1
@@ -76,8 +76,8 @@ def told_twice(kind: str, sensors: SensorConfig) -> list[tuple[TensorDict, Tenso
     sim, world, last = drawn(kind)
     cfg = EnvConfig(sim=sim, sensors=(sensors,))
     track = make_square()
-    here = Sensing(TrackSet.of(track), cfg).observe(world, last)
-    there = Sensing(TrackSet.of(track.mirrored()), cfg).observe(
+    here = Sensing(TrackSet(track), cfg).observe(world, last)
+    there = Sensing(TrackSet(track.mirrored()), cfg).observe(
         in_a_mirror(world), last * torch.tensor([-1.0, 1.0])
     )
     rows = [world.num_worlds]

@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 import small
 import torch
+from league.sim.meeting_config import Meeting
 from small_play import CAR, CARD, FREE, RING, SHORT, TRAIN, Constant, blind, learnt, playing, saved
 
 from league.agents import checkpoint
@@ -18,7 +19,6 @@ from league.envs.state import INDEX, SIZE
 from league.envs.vec_env import RacingVecEnv
 from league.errors import ConfigError, PolicyError
 from league.sim.config import SensorConfig, SimConfig
-from league.sim.meeting_config import Meeting
 from league.training import run as run_room
 from league.training.selfplay import SelfPlay, SelfPlayConfig, opponent
 from league.training.selfplay.matrix import WinMatrix

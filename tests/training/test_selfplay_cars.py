@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from league.sim.meeting_config import Meeting
 from small_play import FREE, RING, SHORT, Constant, blind, playing
 
 from league.agents.policy import Policy
@@ -15,7 +16,6 @@ from league.envs.state import INDEX
 from league.envs.vec_env import RacingVecEnv
 from league.sim import meeting
 from league.sim.config import SensorConfig, SimConfig
-from league.sim.meeting_config import Meeting
 from league.training.selfplay import SelfPlayConfig
 from league.training.selfplay.opponent import Field, Opponent
 from league.training.selfplay.records import LOST, WON, Records

@@ -31,7 +31,7 @@ def test_races_side_by_side_end_each_at_its_own_time():
 
 def test_seeds_take_the_tracks_in_turn_from_one_that_is_drawn():
     # Who always turns left leaves the mirrored ring.
-    tracks = TrackSet.of(RING.tracks[0], RING.tracks[0].mirrored())
+    tracks = TrackSet(RING.tracks[0], RING.tracks[0].mirrored())
     drivers = [Constant(0.164, 0.0), Constant(0.164, -1.0)]
     cfg = DuelConfig(laps=1, slowest=4.0, grace_s=0.0)
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from league.sim.meeting_config import Meeting
 from scenes import assert_same, make_ring
 
 from league.envs.config import EnvConfig
@@ -14,11 +15,10 @@ from league.errors import ConfigError
 from league.sim import grid, meeting
 from league.sim.camera.paint import PaintRenderer
 from league.sim.config import CameraConfig, SimConfig
-from league.sim.meeting_config import Meeting
 from league.sim.world import row
 from league.track.course import TrackSet
 
-RING = TrackSet.of(make_ring())
+RING = TrackSet(make_ring())
 ON_THE_ROAD = Meeting(alone=0.0, standing=0.0)
 
 

@@ -21,7 +21,7 @@ from league.training.tutor import CALM, TOLD, TutoredLearner
 
 
 def tutored(cfg: TrainConfig | None = None) -> TutoredLearner:
-    made = tutor.tutored(TrackSet.of(make_ring()), cfg or replace(settings(), tutor=0.5))
+    made = tutor.tutored(TrackSet(make_ring()), cfg or replace(settings(), tutor=0.5))
     last = made._tutor._alg.get_policy().mlp[-1]
     with torch.no_grad():  # untaught, it asks for next to nothing
         last.weight.mul_(100.0)

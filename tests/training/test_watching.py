@@ -25,7 +25,7 @@ from league.web_viewer import HOST
 def made(num_worlds: int, *tracks, **settings: object):
     cfg = TrainConfig(num_worlds=num_worlds, sensors=SensorConfig(), **settings)  # pyright: ignore
     field = {car: "centerline" for car in range(1, cfg.num_cars)}
-    return worlds.make(TrackSet.of(*(tracks or (make_ring(),))), cfg, opponents=field)
+    return worlds.make(TrackSet(*(tracks or (make_ring(),))), cfg, opponents=field)
 
 
 def shown(path: Path, env, steps: int, step_s: float) -> tuple[Practice, list[float]]:
