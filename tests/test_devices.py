@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import fields, replace
 from typing import Any
 
+import actor
 import numpy as np
 import pytest
 import torch
@@ -25,7 +26,7 @@ from league.agents import roster
 from league.agents.card import Card
 from league.agents.checkpoint import Checkpoint
 from league.agents.driver import Driver
-from league.agents.network import Actor, NetworkConfig, from_learner
+from league.agents.network import NetworkConfig
 from league.agents.policy import Policy
 from league.envs.config import EnvConfig
 from league.envs.opponents import Opponents
@@ -192,9 +193,7 @@ def go(record: Any, device: str) -> Any:
 def blind() -> Checkpoint:
     """Return a policy that is told its own motion alone."""
     card = Card(name="blind", sensors=SensorConfig(), network=NetworkConfig(hidden=(8,)))
-    torch.manual_seed(1)
-    actor = Actor(card.network, card.group_shapes, card.space.size)
-    return Checkpoint(card, from_learner(actor.state_dict()))
+    return actor.untrained(card, seed=1)
 
 
 def race(

@@ -71,7 +71,7 @@ def _model(checkpoint: Checkpoint) -> ModelProto:
     graph = _Graph()
     for name, weight in checkpoint.weights.items():
         if not name.startswith("obs_normalizer"):
-            graph.constant(name, weight.numpy())
+            graph.constant(name, weight)
     outputs = graph.actor(card, checkpoint)
     graph.actions(card, outputs)
     inputs = [
@@ -212,8 +212,8 @@ class _Graph:
         if mean is None:
             return flat
         spread = checkpoint.weights["obs_normalizer._std"] + NORMALISER_EPS
-        shifted = self.add("Sub", [flat, self.constant("mean", mean.numpy())], "flat.shifted")
-        return self.add("Div", [shifted, self.constant("spread", spread.numpy())], "flat.scaled")
+        shifted = self.add("Sub", [flat, self.constant("mean", mean)], "flat.shifted")
+        return self.add("Div", [shifted, self.constant("spread", spread)], "flat.scaled")
 
     def picture(self, card: Card, group: str) -> str:
         from onnx import TensorProto

@@ -7,16 +7,18 @@ drive here, without rsl-rl.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
-import torch
-from torch import Tensor, nn
+import numpy as np
 
 from league.envs.observations import MOTION_FIELDS
 from league.errors import ConfigError
 from league.sim.config import SensorConfig
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 Activation = Literal["elu", "selu", "relu", "lrelu", "tanh", "gelu", "swish", "mish"]
 """Names are rsl-rl's."""
@@ -36,16 +38,6 @@ MAX_ACTIVATIONS = 1_000_000
 NORMALISER_EPS = 1e-2
 """Added to the standard deviations before dividing, as rsl-rl does."""
 
-_ACTIVATIONS: dict[str, Callable[[], nn.Module]] = {
-    "elu": nn.ELU,
-    "selu": nn.SELU,
-    "relu": nn.ReLU,
-    "lrelu": nn.LeakyReLU,
-    "tanh": nn.Tanh,
-    "gelu": nn.GELU,
-    "swish": nn.SiLU,
-    "mish": nn.Mish,
-}
 _FEWEST_COUNTED = 16
 _LIMITS = {"channels": 256, "kernels": 15, "strides": 8, "hidden": 1024}
 
@@ -150,74 +142,15 @@ def _check_work(count: int, cost: int, held: int) -> None:
         )
 
 
-class Actor(nn.Module):
-    """Tells means (continuous) or scores (discrete) of what to do, from groups of float32."""
+def from_learner(state_dict: Mapping[str, Tensor]) -> dict[str, np.ndarray]:
+    """Return the actor's weights from the state of rsl-rl's actor, as float32 copies.
 
-    def __init__(self, cfg: NetworkConfig, shapes: Shapes, outputs: int) -> None:
-        """Build the layers with torch's default weights.
-
-        Args:
-            cfg: the layers.
-            shapes: shape of one row of each group: (channels, height, width) is a picture, which
-                goes through convolutions of its own; (size,) is taken as it is.
-            outputs: numbers to answer with.
-        """
-        super().__init__()
-        weights = weight_shapes(cfg, shapes, outputs)
-        self.flat = tuple(group for group, shape in shapes.items() if len(shape) == 1)
-        self.pictures = tuple(group for group, shape in shapes.items() if len(shape) == 3)
-        self.obs_normalizer = None
-        if "obs_normalizer._mean" in weights:
-            self.obs_normalizer = _Normaliser(weights["obs_normalizer._mean"][1])
-        self.cnns = nn.ModuleDict(
-            {group: _convolutions(cfg, shapes[group][0]) for group in self.pictures}
-        )
-        self.mlp = _connected(cfg, weights["mlp.0.weight"][1], outputs)
-
-    def forward(self, told: Mapping[str, Tensor]) -> Tensor:
-        """Return outputs, (num_rows, outputs), of groups, each (num_rows, *shape)."""
-        parts: list[Tensor] = []
-        if self.flat:
-            flat = torch.cat([told[group] for group in self.flat], dim=-1)
-            parts.append(flat if self.obs_normalizer is None else self.obs_normalizer(flat))
-        parts += [self.cnns[group](told[group]) for group in self.pictures]
-        return self.mlp(torch.cat(parts, dim=-1))
-
-
-def from_learner(state_dict: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Return the actor's weights out of the state of rsl-rl's actor, as copies on the CPU.
-
-    What only learning needs is left: the distribution's spread, the normaliser's variance, count.
+    Left out is what only learning needs: the distribution's spread, the normaliser's variance and
+    count.
     """
     wanted = ("cnns.", "mlp.", "obs_normalizer._mean", "obs_normalizer._std")
     return {
-        name: value.detach().to("cpu", torch.float32, copy=True).contiguous()
+        name: np.array(value.detach().cpu().numpy(), np.float32, order="C")
         for name, value in state_dict.items()
         if name.startswith(wanted)
     }
-
-
-class _Normaliser(nn.Module):
-    def __init__(self, size: int) -> None:
-        super().__init__()
-        self.register_buffer("_mean", torch.zeros(1, size))
-        self.register_buffer("_std", torch.ones(1, size))
-
-    def forward(self, flat: Tensor) -> Tensor:
-        return (flat - self.get_buffer("_mean")) / (self.get_buffer("_std") + NORMALISER_EPS)
-
-
-def _convolutions(cfg: NetworkConfig, channels: int) -> nn.Sequential:
-    layers: list[nn.Module] = []
-    for made, kernel, stride in zip(cfg.channels, cfg.kernels, cfg.strides, strict=True):
-        layers += [nn.Conv2d(channels, made, kernel, stride), _ACTIVATIONS[cfg.activation]()]
-        channels = made
-    return nn.Sequential(*layers, nn.Flatten(start_dim=1))
-
-
-def _connected(cfg: NetworkConfig, told: int, outputs: int) -> nn.Sequential:
-    layers: list[nn.Module] = []
-    for size in cfg.hidden:
-        layers += [nn.Linear(told, size), _ACTIVATIONS[cfg.activation]()]
-        told = size
-    return nn.Sequential(*layers, nn.Linear(told, outputs))

@@ -36,8 +36,7 @@ class Policy:
         self.digest = checkpoint.digest
         self._car, self._space = car, checkpoint.card.space
         self._shapes = checkpoint.card.group_shapes
-        weights = {name: weight.numpy() for name, weight in checkpoint.weights.items()}
-        self._network = Network.of(checkpoint.card.network, self._shapes, weights)
+        self._network = Network.of(checkpoint.card.network, self._shapes, checkpoint.weights)
 
     def reset(self, rows: np.ndarray | None) -> None:
         """Do nothing: there is no memory to lose."""

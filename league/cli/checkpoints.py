@@ -102,7 +102,7 @@ class Export(OnLeague):
 def _lines(loaded: Checkpoint, digest: str) -> list[tuple[str, str]]:
     """Return the card for people: the name of a line, and what it says."""
     card = loaded.card
-    numbers = sum(weight.numel() for weight in loaded.weights.values())
+    numbers = sum(weight.size for weight in loaded.weights.values())
     told = card.model_dump(mode="json")
     lines = [
         ("name", card.name),

@@ -7,6 +7,7 @@ tensors are the actor's weights. Reading it takes a JSON parser and arithmetic; 
 from __future__ import annotations
 
 import json
+import math
 import os
 import struct
 import time
@@ -14,8 +15,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from league.agents import checkpoint
 from league.agents.card import Card
@@ -42,10 +41,9 @@ def pack(given: Checkpoint) -> bytes:
     Raises:
         PolicyError: the card is too long for the header.
     """
-    from safetensors.torch import save
+    from safetensors.numpy import save
 
-    weights = {name: weight.contiguous() for name, weight in given.weights.items()}
-    content = save(weights, {"card": given.text})
+    content = save(dict(given.weights), {"card": given.text})
     (size,) = struct.unpack("<Q", content[:8])
     if size > MAX_HEADER:
         raise PolicyError(
@@ -88,7 +86,7 @@ def _parsed(content: bytes) -> Checkpoint:
     if end != len(numbers):
         raise RefusedError(f"its numbers take {len(numbers)} bytes, its header tells of {end}")
     weights = {
-        name: _tensor(numbers[slice(*places[name])], shape) for name, shape in expected.items()
+        name: _weight(numbers[slice(*places[name])], shape) for name, shape in expected.items()
     }
     try:
         return Checkpoint(card, weights, canonical)
@@ -145,15 +143,15 @@ def _place(name: str, told: object, shape: tuple[int, ...]) -> tuple[int, int]:
     if not all(type(number) is int for number in (*given, start, stop)):
         raise RefusedError(f"the weight {name!r} has a shape or offsets that are no whole numbers")
     soundness.check_shape(name, tuple(given), shape)
-    if start < 0 or stop - start != 4 * torch.Size(shape).numel():
+    if start < 0 or stop - start != 4 * math.prod(shape):
         raise RefusedError(f"the weight {name!r} has {brief(stop - start)} bytes, not its shape's")
     return start, stop
 
 
-def _tensor(numbers: memoryview, shape: tuple[int, ...]) -> Tensor:
+def _weight(numbers: memoryview, shape: tuple[int, ...]) -> np.ndarray:
     if not numbers:
         raise RefusedError("a weight has no numbers")
-    return torch.frombuffer(bytearray(numbers), dtype=torch.float32).reshape(shape)
+    return np.frombuffer(bytearray(numbers), "<f4").astype(np.float32, copy=False).reshape(shape)
 
 
 @dataclass(frozen=True)

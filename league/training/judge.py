@@ -134,9 +134,7 @@ class Judge:
         if self._process is None:
             self._process = side_process.start(_work, self._exam, self._orders, self._answers)
         self._waiting += 1
-        # As arrays: torch would hand tensors over as shared memory, which has to outlive us.
-        weights = {name: value.numpy() for name, value in checkpoint.weights.items()}
-        self._orders.put((number, checkpoint.card, weights))
+        self._orders.put((number, checkpoint.card, dict(checkpoint.weights)))
 
     def take(self, *, wait: bool = False) -> list[Judgement]:
         """Return the judgements that have come; with `wait` at least one, if any is due.
@@ -191,16 +189,12 @@ class Judge:
 
 def _work(exam: Exam, orders: multiprocessing.Queue, answers: multiprocessing.Queue) -> None:
     """Judge until stopped."""
-    import torch
-
-    torch.set_num_threads(1)
     os.nice(10)  # where cores are few, learning goes first
     while True:
         number, card, weights = orders.get()
         started = time.perf_counter()
         try:
-            found = {name: torch.from_numpy(value) for name, value in weights.items()}
-            evaluation = judged(exam, Checkpoint(card, found))
+            evaluation = judged(exam, Checkpoint(card, weights))
         except LeagueError as error:
             answers.put(str(error))
             return

@@ -6,7 +6,7 @@ import contextlib
 import io
 import pickle
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +15,6 @@ import torch
 from rsl_rl.algorithms import PPO
 from rsl_rl.models import MLPModel
 from rsl_rl.modules.distribution import GaussianDistribution
-from torch import Tensor
 
 from league.agents import network
 from league.envs.vec_env import RacingVecEnv
@@ -114,11 +113,11 @@ class Learner:
         """Whether the policy is other than it began, and worth a look."""
         return self.updates > 0
 
-    def weights(self) -> dict[str, Tensor]:
+    def weights(self) -> dict[str, np.ndarray]:
         """Return the actor's weights as copies."""
         return network.from_learner(self._alg.get_policy().state_dict())
 
-    def begin(self, weights: dict[str, Tensor]) -> None:
+    def begin(self, weights: Mapping[str, np.ndarray]) -> None:
         """Start from the weights of another policy of the same shape.
 
         Raises:
@@ -131,7 +130,8 @@ class Learner:
                 "the policy to begin from has other layers, sensors or actions than this run: "
                 "give the run the same, or begin anew"
             )
-        self._alg.get_policy().load_state_dict({**own, **weights})
+        given = {name: torch.from_numpy(value) for name, value in weights.items()}
+        self._alg.get_policy().load_state_dict({**own, **given})
 
     def update(self, share: float) -> Update:
         """Collect one round of steps and learn from it.

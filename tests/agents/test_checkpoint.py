@@ -5,9 +5,10 @@ import json
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
-from trained import SENSES, make_card, make_checkpoint, told
+from trained import SENSES, make_card, make_checkpoint, readings
 
 from league.agents import checkpoint
 from league.agents.checkpoint import Checkpoint
@@ -18,6 +19,11 @@ from league.errors import PolicyError
 from league.sim.config import CameraConfig, CarConfig, SensorConfig
 
 
+def tensors(made: Checkpoint) -> dict[str, torch.Tensor]:
+    """Return the weights as torch would save them."""
+    return {name: torch.from_numpy(weight) for name, weight in made.weights.items()}
+
+
 @pytest.mark.parametrize("senses", SENSES)
 def test_what_is_loaded_is_what_was_saved(tmp_path, senses):
     made = make_checkpoint(senses, action_space=grid(5, 30, 2, 3), tracks=("peanut",))
@@ -25,10 +31,10 @@ def test_what_is_loaded_is_what_was_saved(tmp_path, senses):
     again = checkpoint.load(tmp_path / "a.pt")
     assert again.card == made.card
     assert again.weights.keys() == made.weights.keys()
-    assert all(torch.equal(again.weights[name], made.weights[name]) for name in made.weights)
-    groups = told(made.card, 3)
+    assert all(np.array_equal(again.weights[name], made.weights[name]) for name in made.weights)
+    groups = readings(made.card, 3)
     one, other = (Policy(each, CarConfig()).outputs(groups) for each in (made, again))
-    assert torch.equal(one, other)
+    assert np.array_equal(one, other)
 
 
 def test_the_same_content_gives_the_same_bytes_and_digest(tmp_path):
@@ -45,7 +51,7 @@ def test_any_change_of_content_changes_the_digest():
     found.add(make_checkpoint(name="other").digest)
     nudged = make_checkpoint()
     bias = nudged.weights["mlp.2.bias"]
-    bias[0] = torch.nextafter(bias[0], torch.tensor(2.0))
+    bias[0] = np.nextafter(bias[0], np.float32(2.0))
     found.add(nudged.digest)
     assert len(found) == 4
 
@@ -54,7 +60,7 @@ def test_the_digest_does_not_depend_on_how_the_file_was_packed(tmp_path):
     made = make_checkpoint()
     checkpoint.save(tmp_path / "a.pt", made)
     spaced = json.dumps(json.loads(made.text), indent=2)
-    backwards = dict(reversed(list(made.weights.items())))
+    backwards = dict(reversed(list(tensors(made).items())))
     torch.save({"weights": backwards, "card": spaced}, tmp_path / "by_hand.pt")
     assert checkpoint.digest(tmp_path / "by_hand.pt") == made.digest
 
@@ -65,7 +71,7 @@ def test_a_card_of_an_earlier_version_keeps_its_digest(tmp_path):
     found = json.loads(made.text)
     del found["command"], found["sensors"]["camera"]["baseline"]
     text = json.dumps(found, sort_keys=True, separators=(",", ":"))
-    torch.save({"card": text, "weights": dict(made.weights)}, tmp_path / "old.pt")
+    torch.save({"card": text, "weights": tensors(made)}, tmp_path / "old.pt")
     again = checkpoint.load(tmp_path / "old.pt")
     assert again.card == made.card
     assert again.text == text
@@ -80,7 +86,7 @@ def test_torch_reads_it_too_and_the_card_is_plain_json(tmp_path):
     found = torch.load(tmp_path / "a.pt", weights_only=True)
     assert set(found) == {"card", "weights"}
     assert json.loads(found["card"])["name"] == "rookie"
-    assert torch.equal(found["weights"]["mlp.0.bias"], made.weights["mlp.0.bias"])
+    assert np.array_equal(found["weights"]["mlp.0.bias"].numpy(), made.weights["mlp.0.bias"])
 
 
 def test_a_stock_zip_of_the_same_members_is_read(tmp_path):
@@ -103,7 +109,7 @@ def test_the_default_network_takes_at_most_two_megabytes(tmp_path):
 
 def test_weights_that_share_memory_are_saved_apart(tmp_path):
     made = make_checkpoint("blind")
-    numbers = torch.arange(256, dtype=torch.float32)
+    numbers = np.arange(256, dtype=np.float32)
     weights = {**made.weights, "mlp.0.bias": numbers[:128], "mlp.2.bias": numbers[:2]}
     checkpoint.save(tmp_path / "a.pt", Checkpoint(made.card, weights))
     again = checkpoint.load(tmp_path / "a.pt")
@@ -114,13 +120,13 @@ def test_weights_that_share_memory_are_saved_apart(tmp_path):
     ("name", "value", "reason"),
     [
         ("mlp.0.bias", None, "lacks the weight 'mlp.0.bias'"),
-        ("extra", torch.zeros(1), "has the weight 'extra'"),
-        ("mlp.2.bias", torch.zeros(3), r"shape \(3,\), its card asks \(2,\)"),
-        ("mlp.2.bias", torch.tensor([0.0, float("nan")]), "NaN"),
-        ("mlp.2.bias", torch.tensor([0.0, 1e5]), "beyond 10000"),
-        ("mlp.2.bias", torch.zeros(2, dtype=torch.float64), "no plain float32"),
-        ("mlp.2.bias", torch.zeros(2, device="meta"), "no plain float32"),
-        ("mlp.2.bias", torch.zeros(1).expand(2), "no plain float32"),
+        ("extra", np.zeros(1, np.float32), "has the weight 'extra'"),
+        ("mlp.2.bias", np.zeros(3, np.float32), r"shape \(3,\), its card asks \(2,\)"),
+        ("mlp.2.bias", np.array([0.0, np.nan], np.float32), "NaN"),
+        ("mlp.2.bias", np.array([0.0, 1e5], np.float32), "beyond 10000"),
+        ("mlp.2.bias", np.zeros(2), "not a contiguous float32"),
+        ("mlp.2.bias", torch.zeros(2), "not a contiguous float32"),
+        ("mlp.2.bias", np.zeros(4, np.float32)[::2], "not a contiguous float32"),
     ],
 )
 def test_weights_that_are_not_sound_make_no_checkpoint(name, value, reason):

@@ -4,11 +4,11 @@ import json
 import math
 from typing import get_args
 
+import numpy as np
 import onnx
 import onnxruntime
 import pytest
-import torch
-from trained import SENSES, make_card, make_checkpoint, told
+from trained import SENSES, make_card, make_checkpoint, readings
 
 from league.agents.card import Card
 from league.agents.export import input_notes, to_onnx
@@ -21,27 +21,25 @@ from league.sim.camera.scene import LUMA
 from league.sim.config import CameraConfig, CarConfig, LidarConfig, SensorConfig
 
 
-def answers(path, groups) -> tuple[torch.Tensor, torch.Tensor]:
+def answers(path, groups) -> list[np.ndarray]:
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
-    given = {name: group.numpy() for name, group in groups.items()}
-    actions, outputs = session.run(["actions", "outputs"], given)
-    return torch.tensor(actions), torch.tensor(outputs)
+    return session.run(["actions", "outputs"], groups)
 
 
 def check(trained, path) -> None:
     to_onnx(trained, path)
     for rows in (1, 7):
-        groups = told(trained.card, rows)
+        groups = readings(trained.card, rows)
         actions, outputs = answers(path, groups)
         expected = Policy(trained, CarConfig()).outputs(groups)
-        torch.testing.assert_close(outputs, expected, rtol=0, atol=1e-5)
-        asked = torch.stack(trained.card.space.controls(expected), dim=1)
-        torch.testing.assert_close(actions, asked, rtol=0, atol=1e-4)
+        np.testing.assert_allclose(outputs, expected, rtol=0, atol=1e-5)
+        asked = np.stack(trained.card.space.controls(expected), axis=1)
+        np.testing.assert_allclose(actions, asked, rtol=0, atol=1e-4)
 
 
 @pytest.mark.parametrize("senses", SENSES)
 @pytest.mark.parametrize("space", [ContinuousActions(-20, 25, 0.5, 3), grid(5, 30, 2, 3)])
-def test_onnxruntime_answers_what_torch_answers(tmp_path, senses, space):
+def test_onnxruntime_answers_what_the_policy_answers(tmp_path, senses, space):
     check(make_checkpoint(senses, action_space=space), tmp_path / "a.onnx")
 
 
@@ -53,10 +51,10 @@ def test_every_activation_is_exported(tmp_path, activation):
 
 def test_an_answer_beyond_the_range_is_cut_off(tmp_path):
     trained = make_checkpoint("blind", action_space=ContinuousActions(-20, 20, 1, 3))
-    trained.weights["mlp.2.weight"].zero_()
-    trained.weights["mlp.2.bias"][:] = torch.tensor([-7.0, 0.5])
+    trained.weights["mlp.2.weight"][:] = 0.0
+    trained.weights["mlp.2.bias"][:] = -7.0, 0.5
     to_onnx(trained, tmp_path / "a.onnx")
-    actions, outputs = answers(tmp_path / "a.onnx", told(trained.card, 1))
+    actions, outputs = answers(tmp_path / "a.onnx", readings(trained.card, 1))
     assert outputs.tolist() == [[-7.0, 0.5]]
     assert actions.tolist() == [[-20.0, 2.5]]  # 1 + 1.5 / 2 * (3 - 1)
 
@@ -114,12 +112,12 @@ def test_the_scales_in_the_metadata_make_what_a_car_is_told(race_env):
     env = race_env()
     assert env.reset(seed=1)[0]["motion"][0, 3:].tolist() == [0.0, -1.0]
     for _ in range(8):
-        told = env.step(torch.tensor([[[0.4, 0.1]]])).observations[0]["motion"][0].tolist()
-    body = env.world.motion
+        told = env.step(np.array([[[0.4, 0.1]]], np.float32)).observations[0]["motion"][0].tolist()
+    car = env.world.cars[0, 0]
     measured = [
-        math.hypot(float(body.velocity_x), float(body.velocity_y)),
-        float(body.yaw_rate),
-        math.degrees(float(body.steering)),
+        math.hypot(car["velocity_x"], car["velocity_y"]),
+        float(car["yaw_rate"]),
+        math.degrees(car["steering"]),
     ]
     answered = [0.4 * 30.0, 0.1 + (0.1 + 1) / 2 * (4.0 - 0.1)]  # [deg], [m/s]
     made = [

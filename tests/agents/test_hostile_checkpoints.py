@@ -46,10 +46,14 @@ def saved(content: object) -> bytes:
     return buffer.getvalue()
 
 
+def tensors(made: Checkpoint) -> dict[str, torch.Tensor]:
+    return {name: torch.from_numpy(weight) for name, weight in made.weights.items()}
+
+
 def packed(made: Checkpoint, *, card: object = None, **weights: object) -> bytes:
     """Return the file of a checkpoint with its card or some weights replaced."""
     named = {name.replace("__", "."): value for name, value in weights.items()}
-    given = {**made.weights, **named}
+    given = {**tensors(made), **named}
     return saved({"card": made.text if card is None else card, "weights": given})
 
 
@@ -148,7 +152,7 @@ def corpus(folder: Path) -> Corpus:
     aliased = {"mlp__2__weight": shared.view(2, 128), "mlp__0__bias": shared.flatten()[:128]}
     write("aliased", packed(made, **aliased), "do not lie|share their numbers")
     write("extra_name", packed(made, backdoor=torch.zeros(1)), "has the weight 'backdoor'")
-    few = {name: value for name, value in made.weights.items() if name != head}
+    few = {name: value for name, value in tensors(made).items() if name != head}
     write("lacking", saved({"card": made.text, "weights": few}), "lacks the weight 'mlp.2.bias'")
     write("numbered", packed(made, **{"7": torch.zeros(1)}), "has the weight '7'")
 
@@ -199,8 +203,8 @@ def corpus(folder: Path) -> Corpus:
     )
     callable_ = {"activation": "os.system"}
     write("activation", carded(made, network=callable_), "activation is 'os.system'")
-    write("list", saved([made.text, dict(made.weights)]), "opcode")
-    write("tuple", saved((made.text, dict(made.weights))), "a card and weights")
+    write("list", saved([made.text, tensors(made)]), "opcode")
+    write("tuple", saved((made.text, tensors(made))), "a card and weights")
     write("more", saved({"card": made.text, "weights": {}, "optimizer": {}}), "nothing else")
 
     # Nothing in a file moves the cursor, turns the line round or fills the terminal.

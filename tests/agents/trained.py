@@ -1,10 +1,11 @@
 """Untrained policies for tests: real cards with random weights."""
 
-import torch
+import numpy as np
+from actor import untrained
 
 from league.agents.card import Card
 from league.agents.checkpoint import Checkpoint
-from league.agents.network import Actor, NetworkConfig, from_learner
+from league.agents.network import NetworkConfig
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig
 
 SENSES = {
@@ -21,25 +22,22 @@ def make_card(senses: str = "all", **settings) -> Card:
 
 
 def make_checkpoint(senses: str = "all", *, seed: int = 0, **settings) -> Checkpoint:
-    card = make_card(senses, **settings)
-    torch.manual_seed(seed)
-    actor = Actor(card.network, card.group_shapes, card.space.size)
-    weights = from_learner(actor.state_dict())
-    if "obs_normalizer._mean" in weights:
-        weights["obs_normalizer._mean"].uniform_(-0.5, 0.5)
-        weights["obs_normalizer._std"].uniform_(0.2, 2.0)
-    return Checkpoint(card, weights)
+    made = untrained(make_card(senses, **settings), seed)
+    draw = np.random.default_rng(seed)
+    for name, low, high in (("_mean", -0.5, 0.5), ("_std", 0.2, 2.0)):
+        weight = made.weights.get(f"obs_normalizer.{name}")
+        if weight is not None:
+            weight[:] = draw.uniform(low, high, weight.shape)
+    return made
 
 
-def told(card: Card, rows: int, *, seed: int = 1) -> dict[str, torch.Tensor]:
-    """Return what a car with these sensors could be told."""
-    generator = torch.Generator().manual_seed(seed)
+def readings(card: Card, rows: int, *, seed: int = 1) -> dict[str, np.ndarray]:
+    """Return observations that a car with these sensors could get."""
+    draw = np.random.default_rng(seed)
     groups = {}
     for name, shape in card.group_shapes.items():
         if len(shape) == 3:
-            groups[name] = torch.randint(
-                0, 256, (rows, *shape), dtype=torch.uint8, generator=generator
-            )
+            groups[name] = draw.integers(0, 256, (rows, *shape), dtype=np.uint8)
         else:
-            groups[name] = 2.0 * torch.rand(rows, *shape, generator=generator) - 1.0
+            groups[name] = draw.uniform(-1.0, 1.0, (rows, *shape)).astype(np.float32)
     return groups

@@ -12,8 +12,7 @@ import zipfile
 
 import numpy as np
 import pytest
-import torch
-from safetensors.torch import load as safetensors_load
+from safetensors.numpy import load as safetensors_load
 from season_kit import SHORT, new_league
 from trained import make_card, make_checkpoint
 
@@ -126,13 +125,13 @@ HOSTILE = {
 def test_what_is_packed_is_what_is_read():
     again = submission.unpack(SOUND)
     assert again.digest == GIVEN.digest and again.card == GIVEN.card
-    assert all(torch.equal(again.weights[name], GIVEN.weights[name]) for name in GIVEN.weights)
+    assert all(np.array_equal(again.weights[name], GIVEN.weights[name]) for name in GIVEN.weights)
 
 
 def test_the_safetensors_package_reads_the_same_numbers():
     theirs = safetensors_load(SOUND)
     assert theirs.keys() == GIVEN.weights.keys()
-    assert all(torch.equal(theirs[name], GIVEN.weights[name]) for name in theirs)
+    assert all(np.array_equal(theirs[name], GIVEN.weights[name]) for name in theirs)
 
 
 def test_packing_twice_gives_the_same_bytes_and_so_the_same_entry():
@@ -186,7 +185,7 @@ def test_ten_thousand_mutated_submissions_are_refused_or_sound():
 def test_a_network_that_overflows_is_refused_by_the_probe():
     # Seven layers, each adding 65 or 512 inputs times 9e3: beyond 4e45, where float32 ends at 3e38.
     deep = make_checkpoint("lidar", network=NetworkConfig(hidden=(512,) * 6, activation="relu"))
-    weights = {name: torch.full_like(weight, 9e3) for name, weight in deep.weights.items()}
+    weights = {name: np.full_like(weight, 9e3) for name, weight in deep.weights.items()}
     with pytest.raises(PolicyError, match="NaN or infinity"):
         submission.probe(checkpoint.Checkpoint(deep.card, weights))
 

@@ -3,12 +3,13 @@
 from dataclasses import replace
 from pathlib import Path
 
+import actor
 import torch
 
 from league.agents import checkpoint
 from league.agents.card import Card
 from league.agents.checkpoint import Checkpoint
-from league.agents.network import Actor, NetworkConfig, from_learner
+from league.agents.network import NetworkConfig
 from league.envs.action_space import ContinuousActions
 from league.sim.config import CameraConfig, SensorConfig
 from league.training.run import Run, RunConfig
@@ -95,6 +96,4 @@ def untrained(sensors: SensorConfig | None = None) -> Checkpoint:
         network=train().network,
         created="2025-06-01",
     )
-    torch.manual_seed(0)
-    actor = Actor(card.network, card.group_shapes, card.space.size)
-    return Checkpoint(card, from_learner(actor.state_dict()))
+    return actor.untrained(card)

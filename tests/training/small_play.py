@@ -8,12 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import torch
+import actor
 from scenes import make_ring
 
 from league.agents.card import Card
 from league.agents.checkpoint import Checkpoint
-from league.agents.network import Actor, NetworkConfig, from_learner
+from league.agents.network import NetworkConfig
 from league.sim.config import CarConfig, SensorConfig
 from league.track.course import TrackSet
 from league.training import worlds
@@ -49,9 +49,7 @@ CARD = Card(name="blind", sensors=SensorConfig(), network=BLIND, created="2025-0
 
 def blind(seed: int = 0) -> Checkpoint:
     """Return a policy that has learnt nothing."""
-    torch.manual_seed(seed)
-    actor = Actor(BLIND, CARD.group_shapes, CARD.space.size)
-    return Checkpoint(CARD, from_learner(actor.state_dict()))
+    return actor.untrained(CARD, seed)
 
 
 class Constant:
@@ -60,13 +58,13 @@ class Constant:
     sensors = SensorConfig()
 
     def __init__(self, steering: float, speed: float) -> None:
-        self.name, self._action = f"{steering} {speed}", torch.tensor([steering, speed])
+        self.name, self._action = f"{steering} {speed}", np.array([[steering, speed]], np.float32)
 
     def reset(self, rows):
         pass
 
     def act(self, observations):
-        return self._action.expand(len(observations["state"]), 2)
+        return self._action.repeat(len(observations["state"]), axis=0)
 
 
 def playing(

@@ -13,9 +13,8 @@ from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 
-import torch
+import numpy as np
 from pydantic import ValidationError
-from torch import Tensor
 
 from league.agents.card import FORMAT, Card
 from league.agents.checkpoint import archive, pickled, soundness
@@ -41,8 +40,8 @@ class Checkpoint:
 
     card: Card
     """What it is."""
-    weights: Mapping[str, Tensor]
-    """Weights by name, float32, in the CPU's memory."""
+    weights: Mapping[str, np.ndarray]
+    """Weights by name, float32."""
     text: str = field(default="")
     """The card as JSON with sorted keys; made of the card unless it was read from a file."""
 
@@ -81,8 +80,13 @@ def save(path: str | os.PathLike[str], checkpoint: Checkpoint) -> None:
     Raises:
         PolicyError: the file cannot be written, or would be too large.
     """
-    # Clones, so that each tensor's storage holds its own numbers and no others.
-    weights = {name: checkpoint.weights[name].clone() for name in sorted(checkpoint.weights)}
+    import torch
+
+    # Copies, so that each tensor's storage holds its own numbers and no others.
+    weights = {
+        name: torch.from_numpy(checkpoint.weights[name].copy())
+        for name in sorted(checkpoint.weights)
+    }
     buffer = BytesIO()
     torch.save({"card": checkpoint.text, "weights": weights}, buffer)
     content = buffer.getvalue()
@@ -172,8 +176,8 @@ def _parsed(content: bytes) -> Checkpoint:
 
 def _weight(
     name: str, stored: object, members: Mapping[str, memoryview], shape: tuple[int, ...]
-) -> Tensor:
-    """Return the tensor that the file describes, once it is known to be what is expected."""
+) -> np.ndarray:
+    """Return the weight that the file describes, once it is known to be what is expected."""
     if not isinstance(stored, Stored):
         raise RefusedError(f"the weight {name!r} is no tensor")
     soundness.check_shape(name, stored.shape, shape)
@@ -185,7 +189,7 @@ def _weight(
     numbers = members[f"data/{stored.member}"]
     if len(numbers) != 4 * count:
         raise RefusedError(f"the weight {name!r} has {len(numbers)} bytes, its shape {4 * count}")
-    return torch.frombuffer(bytearray(numbers), dtype=torch.float32).reshape(shape)
+    return np.frombuffer(bytearray(numbers), "<f4").astype(np.float32, copy=False).reshape(shape)
 
 
 def read_card(text: str) -> tuple[Card, str]:
@@ -245,6 +249,6 @@ def _limit(card: Card) -> int:
     return MAX_SIZE if card.sensors.camera is None else MAX_SIZE_CAMERA
 
 
-def _bytes(weight: Tensor) -> bytes:
+def _bytes(weight: np.ndarray) -> bytes:
     """Return the numbers as float32, lowest byte first."""
-    return weight.detach().numpy().astype("<f4").tobytes()
+    return weight.astype("<f4").tobytes()

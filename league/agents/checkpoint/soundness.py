@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-import torch
-from torch import Tensor
+import numpy as np
 
 from league.agents.card import Card
 from league.agents.checkpoint.archive import RefusedError
@@ -52,22 +51,18 @@ def check_shape(name: str, shape: tuple[int, ...], expected: tuple[int, ...]) ->
         )
 
 
-def check_numbers(name: str, weight: Tensor) -> None:
-    """Refuse a weight that is no plain float32 tensor, or holds NaN, infinity or huge numbers."""
-    plain = (
-        weight.dtype == torch.float32
-        and weight.layout == torch.strided
-        and weight.device.type == "cpu"
-    )
-    if not plain or not weight.is_contiguous():
-        raise RefusedError(f"the weight {name!r} is no plain float32 tensor in the CPU's memory")
-    if weight.numel() and not bool((weight.abs() <= MAX_WEIGHT).all()):  # False for NaN
+def check_numbers(name: str, weight: np.ndarray) -> None:
+    """Refuse a weight that is no float32 array, or holds NaN, infinity or huge numbers."""
+    plain = type(weight) is np.ndarray and weight.dtype == np.float32
+    if not plain or not weight.flags.c_contiguous:
+        raise RefusedError(f"the weight {name!r} is not a contiguous float32 NumPy array")
+    if not bool((np.abs(weight) <= MAX_WEIGHT).all()):  # False for NaN
         raise RefusedError(f"the weight {name!r} holds NaN or a number beyond {MAX_WEIGHT:g}")
-    if name == "obs_normalizer._std" and bool((weight < 0).any()):
+    if name == "obs_normalizer._std" and bool(np.any(weight < 0)):
         raise RefusedError("the normaliser's deviations are negative")
 
 
-def check(card: Card, weights: Mapping[str, Tensor]) -> None:
+def check(card: Card, weights: Mapping[str, np.ndarray]) -> None:
     """Refuse weights that are not sound for a card."""
     expected = wanted(card)
     check_names(set(weights), expected)

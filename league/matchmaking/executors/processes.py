@@ -159,11 +159,8 @@ def _started() -> _Seat:
 
 def _work(pipe: Connection) -> None:
     """Race jobs until the pipe ends, as it does when the matchmaker dies."""
-    import torch
-
     from league.matchmaking.worker import Pit
 
-    torch.set_num_threads(1)  # the other cores have workers of their own
     pit = Pit()
     with contextlib.suppress(OSError):
         pipe.send(None)  # ready: what goes wrong from here on is a job's affair

@@ -14,12 +14,9 @@ from league.matchmaking.worker import Job, Pit, Report
 
 
 class Bench:
-    """What an actor is: a worker's pit, with one thread."""
+    """What an actor is: a worker's pit."""
 
     def __init__(self) -> None:
-        import torch
-
-        torch.set_num_threads(1)
         self._pit = Pit()
 
     def race(self, job: Job) -> Report:
