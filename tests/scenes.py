@@ -6,13 +6,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
+import numba
 import numpy as np
 
 from league.envs.config import EnvConfig
 from league.envs.meeting import Meeting
 from league.envs.race_env import RaceEnv
 from league.envs.state import INDEX
-from league.sim import records
+from league.sim import records, referee
 from league.sim.config import (
     CameraConfig,
     CarConfig,
@@ -25,6 +26,7 @@ from league.sim.config import (
     SimConfig,
     Spread,
 )
+from league.sim.settings import settings
 from league.sim.world import World
 from league.track.course import Track, TrackSet
 
@@ -149,6 +151,34 @@ def touch(
     for car, thing in obstacles:
         contacts["obstacles"][:, car] |= 1 << thing
     return contacts
+
+
+def judge(
+    tracks: TrackSet, sim: SimConfig, before: World, after: World, contacts: np.ndarray
+) -> np.ndarray:
+    """Return the referee's VERDICT records of a step, and bring the book in `after` up to date."""
+    verdicts = np.zeros(after.cars.shape, records.VERDICT)
+    _judge(
+        *(before.cars, after.cars, after.obstacles, after.worlds, verdicts, contacts),
+        *(tracks.points, tracks.courses, settings(sim)),
+    )
+    return verdicts
+
+
+@numba.njit
+def _judge(before, cars, obstacles, worlds, verdicts, contacts, points, courses, sim):
+    for w in range(len(worlds)):
+        referee.judge(
+            before[w],
+            cars[w],
+            obstacles[w],
+            worlds[w],
+            verdicts[w],
+            contacts[w],
+            points,
+            courses[worlds[w].track],
+            sim[0],
+        )
 
 
 def follow_center(

@@ -1,9 +1,8 @@
 """Own motion and the `state` group, number by number."""
 
-from dataclasses import replace
-
+import numba
+import numpy as np
 import pytest
-import torch
 from scenes import make_ring, make_straight, put_cars
 
 from league.envs import observations
@@ -16,32 +15,39 @@ def field(num_cars: int) -> SimConfig:
     return SimConfig(kind="head_to_head" if num_cars > 1 else "time_trial", num_cars=num_cars)
 
 
-def seen(tracks, sim, world, car=0, row=0) -> dict[str, float]:
-    told = observations.state(tracks, sim, world, car)
-    assert told.shape == (world.num_worlds, SIZE)
-    assert told.dtype == torch.float32
-    return dict(zip(FIELDS, told[row].tolist(), strict=True))
-
-
-@pytest.mark.parametrize("num_worlds", [1, 3])
-def test_own_motion_is_scaled_and_ends_with_the_last_action(straight, num_worlds):
-    world = put_cars(straight(), field(1), [(3.0, 0.1)], num_worlds=num_worlds, speed=2.0)
-    body = replace(
-        world.motion,
-        yaw_rate=torch.full_like(world.motion.x, 4.0),
-        steering=torch.full_like(world.motion.x, -0.2618),
+def state(tracks, world) -> np.ndarray:
+    """Return the `state` group of every car, (num_cars, num_worlds, SIZE)."""
+    out = np.full((world.cars.shape[1], world.num_worlds, SIZE), np.nan, np.float32)
+    observations.states(
+        world.cars, world.obstacles, world.worlds, tracks.points, tracks.courses, out
     )
-    last = torch.tensor([[[0.25, -0.75]]]).expand(num_worlds, 1, 2)
-    told = observations.motion(replace(world, motion=body), last, 0)
+    return out
+
+
+def seen(tracks, world, car=0, row=0) -> dict[str, float]:
+    return dict(zip(FIELDS, state(tracks, world)[car, row].tolist(), strict=True))
+
+
+def test_own_motion_is_scaled_and_ends_with_the_last_action(straight):
+    cars = put_cars(straight(), field(1), [(3.0, 0.1)], speed=2.0).cars
+    cars["yaw_rate"], cars["steering"] = 4.0, -0.2618
+    cars["action_steering"], cars["action_speed"] = 0.25, -0.75
+    out = np.empty(5, np.float32)
+    motion(cars, out)
     # 2 of 4 m/s, 4 of 8 rad/s, -15 of 30 deg.
-    assert told[-1].tolist() == pytest.approx([0.5, 0.5, -0.5, 0.25, -0.75], abs=1e-4)
+    assert out.tolist() == pytest.approx([0.5, 0.5, -0.5, 0.25, -0.75], abs=1e-4)
+
+
+@numba.njit
+def motion(cars, out):
+    observations.motion(cars[0, 0], out)
 
 
 @pytest.mark.parametrize("num_worlds", [1, 3])
 def test_state_tells_place_speed_and_borders(ring, num_worlds):
     tracks, sim = ring(), field(1)
     world = put_cars(tracks, sim, [(15.0, 0.1)], num_worlds=num_worlds, speed=2.0)
-    told = seen(tracks, sim, world, row=-1)
+    told = seen(tracks, world, row=-1)
     assert told["s"] == pytest.approx(3.0, abs=1e-4)
     assert told["lateral"] == pytest.approx(0.1, abs=1e-5)
     assert told["heading_error"] == pytest.approx(0.0, abs=1e-3)
@@ -55,8 +61,8 @@ def test_state_tells_place_speed_and_borders(ring, num_worlds):
 def test_heading_error_is_positive_to_the_left(straight):
     tracks, sim = straight(), field(1)
     world = put_cars(tracks, sim, [(3.0, 0.0)])
-    turned = replace(world, motion=replace(world.motion, yaw=torch.tensor([[0.3]])))
-    told = seen(tracks, sim, turned)
+    world.cars["yaw"] = 0.3
+    told = seen(tracks, world)
     assert told["heading_error"] == pytest.approx(0.3)
     # 1 m/s along the track is to the right of a car that looks to the left.
     assert told["speed_left"] == pytest.approx(-0.2955, abs=1e-4)
@@ -65,7 +71,7 @@ def test_heading_error_is_positive_to_the_left(straight):
 def test_neighbours_are_told_nearest_first_ahead_or_behind(ring):
     tracks, sim = ring(), field(5)
     places = [(11.5, 0.0), (12.3, 0.1), (11.0, -0.1), (14.5, 0.0), (6.0, 0.2)]
-    told = seen(tracks, sim, put_cars(tracks, sim, places, speed=1.5))
+    told = seen(tracks, put_cars(tracks, sim, places, speed=1.5))
     assert told["car_0_gap"] == pytest.approx(-0.5, abs=1e-3)
     assert told["car_0_lateral"] == pytest.approx(-0.1, abs=1e-4)
     assert told["car_1_gap"] == pytest.approx(0.8, abs=1e-3)  # across the start line
@@ -77,7 +83,7 @@ def test_neighbours_are_told_nearest_first_ahead_or_behind(ring):
 @pytest.mark.parametrize("num_cars", [1, 2, 3])
 def test_absent_neighbours_are_told_as_far_away(ring, num_cars):
     tracks, sim = ring(), field(num_cars)
-    told = seen(tracks, sim, put_cars(tracks, sim, [(float(car), 0.0) for car in range(num_cars)]))
+    told = seen(tracks, put_cars(tracks, sim, [(float(car), 0.0) for car in range(num_cars)]))
     for rank in range(num_cars - 1, NEIGHBOURS):
         assert told[f"car_{rank}_present"] == 0
         assert told[f"car_{rank}_gap"] == ABSENT_GAP
@@ -86,9 +92,8 @@ def test_absent_neighbours_are_told_as_far_away(ring, num_cars):
 def test_frozen_cars_are_told_as_such(ring):
     tracks, sim = ring(), field(2)
     world = put_cars(tracks, sim, [(1.0, 0.0), (2.0, 0.0)])
-    book = replace(world.standing, penalty_s=torch.tensor([[0.0, 1.0]]))
-    world = replace(world, standing=book)
-    first, second = (seen(tracks, sim, world, car) for car in (0, 1))
+    world.cars["penalty_s"] = 0.0, 1.0
+    first, second = (seen(tracks, world, car) for car in (0, 1))
     assert (first["frozen"], first["car_0_frozen"]) == (0, 1)
     assert (second["frozen"], second["car_0_frozen"]) == (1, 0)
 
@@ -98,7 +103,7 @@ def test_next_obstacles_ahead_are_told_and_one_beside_counts_until_it_is_passed(
     sim = SimConfig(kind="obstacle_avoidance", obstacles=ObstacleConfig(count=3, places=places))
     tracks = ring()
     for s, gaps in ((2.0, [1, 4]), (3.3, [-0.3, 2.7]), (3.4, [2.6, 5.6]), (8.0, [1.0, None])):
-        told = seen(tracks, sim, put_cars(tracks, sim, [(s, -0.2)]))
+        told = seen(tracks, put_cars(tracks, sim, [(s, -0.2)]))
         for rank, gap in enumerate(gaps):
             if gap is None:  # the next one is nearer behind than ahead
                 continue
@@ -113,9 +118,7 @@ def test_state_of_a_mirrored_world_is_mirrored():
     told = []
     for track, side in ((make_ring(), 1.0), (make_ring().mirrored(), -1.0)):
         tracks = TrackSet(track)
-        told.append(
-            seen(tracks, sim, put_cars(tracks, sim, [(3.0, 0.1 * side), (3.9, -0.2 * side)]))
-        )
+        told.append(seen(tracks, put_cars(tracks, sim, [(3.0, 0.1 * side), (3.9, -0.2 * side)])))
     for name in FIELDS:
         sign = -1 if name in flips or name.startswith("curvature") or "lateral" in name else 1
         assert told[0][name] == pytest.approx(sign * told[1][name], abs=1e-4), name
@@ -127,17 +130,16 @@ def test_layout_names_every_column_once():
 
 def test_curvature_ahead_is_held_at_the_end_of_an_open_track():
     tracks, sim = TrackSet(make_straight()), field(1)
-    told = seen(tracks, sim, put_cars(tracks, sim, [(9.0, 0.0)]))
+    told = seen(tracks, put_cars(tracks, sim, [(9.0, 0.0)]))
     assert told["curvature_6m"] == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("rate_hz", [*range(1, 16), 0.3, 3.7, 7.5, 14.9, 60])
 @pytest.mark.parametrize("step_hz", [10, 15, 30])
 def test_sensors_are_due_at_the_same_steps_as_ever(rate_hz, step_hz):
-    step = torch.arange(100_001)
+    step = np.arange(100_001)
     # As races have been recorded: in float64, a little after each multiple of the period.
     share = min(rate_hz / step_hz, 1.0)
-    count, before = (torch.floor(at.double() * share + 1e-9) for at in (step, step - 1))
-    assert torch.equal(
-        observations.due(float(rate_hz), step_hz, step), (count != before) | (step == 0)
-    )
+    count, before = (np.floor(at * share + 1e-9) for at in (step, step - 1))
+    expected = (count != before) | (step == 0)
+    assert np.array_equal(observations.due(float(rate_hz), step_hz, step), expected)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import actor
+import numpy as np
 from scenes import make_ring
 
 from league.agents.card import Card
