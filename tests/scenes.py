@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numba
@@ -179,6 +179,11 @@ def _judge(before, cars, obstacles, worlds, verdicts, contacts, points, courses,
             courses[worlds[w].track],
             sim[0],
         )
+
+
+def taken(observations: Iterable[Mapping[str, np.ndarray]]) -> list[dict[str, np.ndarray]]:
+    """Return copies of each car's groups, which the next step does not overwrite."""
+    return [{name: np.array(group) for name, group in groups.items()} for groups in observations]
 
 
 def follow_center(

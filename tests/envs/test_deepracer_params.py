@@ -5,15 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
-from scenes import go_to, make_ring, make_square, make_straight, put_cars, touch
+from scenes import go_to, judge, make_ring, make_square, make_straight, put_cars, touch
 
 from league.envs.deepracer import telling
 from league.envs.deepracer.lines import Lines
 from league.envs.deepracer.situation import KEYS, Situations
-from league.sim import referee
 from league.sim.config import ObstacleConfig, RaceRules, SimConfig
-from league.sim.world import Control
 from league.track.course import TrackSet
 
 ALONE = SimConfig(rules=RaceRules(laps=1))
@@ -37,19 +34,16 @@ class Told:
         self.restart()
 
     def restart(self):
-        self.situations.restart(torch.ones_like(self.world.standing.ghost))
+        self.situations.restart(np.ones(self.world.cars.shape, bool))
 
     def step(self, end, *, pairs=(), speed=1.0, asked=(0.0, 1.0), hits=(), yaw=None):
         after = go_to(self.tracks, self.world, end, speed=speed)
-        steering, target = (torch.full_like(after.motion.x, one) for one in asked)
-        after = replace(after, control=Control(steering=steering, speed=target))
+        after.cars["target_steering"], after.cars["target_speed"] = asked
         if yaw is not None:
-            motion = replace(after.motion, yaw=torch.full_like(after.motion.yaw, yaw))
-            after = replace(after, motion=motion)
+            after.cars["yaw"] = yaw
         contacts = touch(after, *pairs, obstacles=hits)
-        verdict, book = referee.judge(self.tracks, self.sim, self.world, after, contacts)
-        after = replace(after, standing=book)
-        rows = self.situations.rows(self.tracks, self.world, after, verdict)
+        verdicts = judge(self.tracks, self.sim, self.world, after, contacts)
+        rows = self.situations.rows(self.tracks, self.world, after, verdicts)
         self.world = after
         return rows.params
 
@@ -239,7 +233,7 @@ def test_tracks_with_waypoints_of_their_own_and_without_stand_side_by_side():
     assert pairs == [[3, 4], [30, 31], [1, 2], [30, 31]]
     assert lines.waypoints[1] == Lines.of(TrackSet(plain)).waypoints[0]
     told = Told(TrackSet(own, other), ALONE, [(4.5, 0.0)], num_worlds=2)
-    told.world = replace(told.world, track=torch.tensor([0, 1]))
+    told.world.worlds["track"] = 0, 1
     assert [row["closest_waypoints"] for row in told.step([(4.6, 0.0)])] == [[3, 4], [1, 2]]
 
 
@@ -275,9 +269,7 @@ def test_progress_is_counted_from_where_the_episode_began(ring):
 
 def test_progress_grows_across_the_start_line_and_falls_backwards(ring):
     told = Told(ring(), ALONE, [(11.7, 0.0)])
-    told.world = replace(
-        told.world, standing=replace(told.world.standing, best_distance=torch.tensor([[13.0]]))
-    )  # no lap ends here
+    told.world.cars["best_distance"] = 13.0  # no lap ends here
     assert told.step([(12.3, 0.0)])[0]["progress"] == pytest.approx(5.0, abs=1e-3)
     assert told.step([(11.4, 0.0)])[0]["progress"] == pytest.approx(-2.5, abs=1e-3)
 
@@ -286,8 +278,7 @@ def test_progress_is_100_when_the_lap_is_complete_and_then_begins_anew(ring):
     two_laps = replace(ALONE, rules=RaceRules(laps=2))
     told = Told(ring(), two_laps, [(0.0, 0.0)])
     # As if it had been round: the book knows of 11.9 m.
-    place = put_cars(ring(), two_laps, [(11.9, 0.0)])
-    told.world = replace(told.world, motion=place.motion, standing=place.standing)
+    told.world.cars[:] = put_cars(ring(), two_laps, [(11.9, 0.0)]).cars
     memory = told.situations._memory
     memory["fresh"], memory["lead"] = False, NOSE
     before, at, after = (told.step([(s, 0.0)])[0] for s in (11.95, 12.05, 12.17))
@@ -299,10 +290,9 @@ def test_progress_is_100_when_the_lap_is_complete_and_then_begins_anew(ring):
 
 def test_progress_is_held_below_100_until_the_lap_is_counted(ring):
     told = Told(ring(), TWO, [(-0.75, 0.0), (-3.0, 0.0)])
-    place = put_cars(ring(), TWO, [(11.8, 0.0), (6.0, 0.0)])
     memory = told.situations._memory
     memory["fresh"][:], memory["lead"][:], memory["start"][:] = False, NOSE, -0.75
-    told.world = replace(told.world, motion=place.motion, standing=place.standing)
+    told.world.cars[:] = put_cars(ring(), TWO, [(11.8, 0.0), (6.0, 0.0)]).cars
     params = told.step([(11.9, 0.0), (6.1, 0.0)])[0]  # 12.65 m since the grid
     assert 99.999 < params["progress"] < 100.0
 
@@ -327,8 +317,7 @@ def test_boxes_that_are_moved_by_a_restart_are_told_where_they_are_now(ring):
     told = Told(ring(), BOXES, [(4.9, 0.0)])
     first, again = (told.step([(end, 0.0)])[0]["objects_location"] for end in (5.0, 5.1))
     assert again == first
-    boxes = told.world.obstacles
-    told.world = replace(told.world, obstacles=replace(boxes, x=boxes.x + 0.5))
+    told.world.obstacles["x"] += 0.5
     moved = told.step([(5.2, 0.0)])[0]["objects_location"]
     assert moved == [pytest.approx([x + 0.5, y], abs=1e-6) for x, y in first]
 
@@ -397,26 +386,23 @@ def test_next_object_is_in_the_camera_when_it_lies_in_its_view(straight, gap, la
 
 def test_car_that_stands_a_penalty_is_not_asked(ring):
     told = Told(ring(), ALONE, [(3.0, 0.0)])
-    book = told.world.standing
-    told.world = replace(
-        told.world, standing=replace(book, penalty_s=torch.full_like(book.penalty_s, 2.0))
-    )
+    told.world.cars["penalty_s"] = 2.0
     assert told.step([(3.0, 0.0)]) == []
 
 
 def test_places_are_found_as_the_tracks_themselves_find_them():
     tracks = TrackSet(make_square())
-    s = torch.linspace(0.0, float(tracks.length[0]) - 0.01, 200).unsqueeze(0)
-    index = torch.zeros(1, dtype=torch.int64)
-    x, y, frame = tracks.at(index, s)
-    x, y = x - 0.3 * frame.sin, y + 0.3 * frame.cos
-    wanted = tracks.project(index, x, y, s + 0.1)
+    s = np.linspace(0.0, tracks.length[0] - 0.01, 200, dtype=np.float32)[None]
+    index = np.zeros(1, np.int64)
+    center = tracks.at(index, s)
+    x, y = center.x - 0.3 * center.sin, center.y + 0.3 * center.cos
+    frame, lateral = tracks.project(x, y, index, near_s=s + np.float32(0.1))
     lines = Lines.of(tracks)
     places = zip(*(one[0].tolist() for one in (x, y, s + 0.1)), strict=True)
     found = np.array([telling.project(lines.rows, lines.measures[0], *place) for place in places])
-    assert found[:, 0] == pytest.approx(wanted.s[0].numpy(), abs=1e-4)
-    assert found[:, 1] == pytest.approx(wanted.lateral[0].numpy(), abs=1e-5)
-    assert found[:, 2] == pytest.approx(wanted.left[0].numpy(), abs=1e-5)
+    assert found[:, 0] == pytest.approx(frame.s[0], abs=1e-4)
+    assert found[:, 1] == pytest.approx(lateral[0], abs=1e-5)
+    assert found[:, 2] == pytest.approx(frame.left[0], abs=1e-5)
 
 
 def test_speed_of_an_object_counts_both_axes(ring):

@@ -1,5 +1,6 @@
 """Reward files run unchanged: private state, captured print, and errors that name the line."""
 
+import copy
 import gc
 import hashlib
 import re
@@ -7,8 +8,8 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
-import torch
 from scenes import follow_center, make_ring
 
 from league.envs import rewards
@@ -49,9 +50,9 @@ def env_with(path, *, num_worlds=1, sim=ALONE, cars=(0,), mode="training"):
 def drive(env, steps, speed=1.5):
     told, paid = env.reset(seed=3), []
     for _ in range(steps):
-        step = env.step(torch.stack([follow_center(one, speed) for one in told], dim=1))
+        step = env.step(np.stack([follow_center(one, speed) for one in told], axis=1))
         told = step.observations
-        paid.append(step)
+        paid.append(copy.deepcopy(step))
     return paid
 
 
@@ -64,9 +65,9 @@ def test_reward_of_the_file_is_the_reward_of_the_step(reward_file, num_worlds):
     )
     for number, step in enumerate(drive(env, 3), 1):
         assert step.rewards.tolist() == [[number / 2]] * num_worlds
-        assert step.rewards.dtype == torch.float32
-        assert torch.equal(step.log["user"], step.rewards)
-    assert env.reward.terms == ("user",)
+        assert step.rewards.dtype == np.float32
+        assert np.array_equal(step.log["user"], step.rewards)
+    assert env.terms == ("user",)
 
 
 def test_cars_that_are_not_paid_get_nothing(reward_file):
@@ -102,7 +103,7 @@ def test_module_state_belongs_to_one_car_of_one_world_and_outlives_episodes(rewa
     steps = drive(env, 3)
     assert [step.rewards.tolist() for step in steps] == [[[n, n], [n, n]] for n in (1.0, 2.0, 3.0)]
     env.reset()
-    step = env.step(torch.zeros(2, 2, 2))
+    step = env.step(np.zeros((2, 2, 2), np.float32))
     assert step.rewards.tolist() == [[4.0, 4.0], [4.0, 4.0]]
 
 
@@ -134,7 +135,7 @@ def test_penalty_is_paid_nothing_and_the_function_is_not_called(reward_file):
     text = "def reward_function(params):\n    print(params['steps'])\n    return 1.0\n"
     env, paid = env_with(reward_file(text), mode="race")
     env.reset(seed=1)
-    ahead = torch.tensor([[[0.0, 0.5]]])  # straight on, off the ring
+    ahead = np.array([[[0.0, 0.5]]])  # straight on, off the ring
     earned = [float(env.step(ahead).rewards[0, 0]) for _ in range(70)]
     off = earned.index(0.0)
     assert earned[:off] == [1.0] * off
@@ -186,7 +187,7 @@ def test_failing_step_names_file_line_and_what_it_was(reward_file, text, line, s
     path = reward_file(text)
     env, _ = env_with(path)
     with pytest.raises(RewardError) as caught:
-        env.step(torch.zeros(1, 1, 2))
+        env.step(np.zeros((1, 1, 2), np.float32))
     sentence = str(caught.value)
     assert sentence.startswith(f"{path}, line {line}: ")
     assert says in sentence
@@ -242,7 +243,7 @@ def test_file_that_cannot_be_run_is_refused_in_one_sentence(reward_file, text, s
 def test_a_hint_is_given_only_for_what_it_is_about(reward_file, line, hinted):
     env, _ = env_with(reward_file(f"SPEED = {{}}\ndef reward_function(params):\n    {line}\n"))
     with pytest.raises(RewardError) as caught:
-        env.step(torch.zeros(1, 1, 2))
+        env.step(np.zeros((1, 1, 2), np.float32))
     assert str(caught.value).endswith("steps 1)") != hinted
 
 
@@ -259,9 +260,9 @@ def test_a_call_that_does_not_come_back_ends_with_its_line(reward_file):
     paid = UserReward(Source.read(path), ALONE, 2, (0,), time_limit_s=0.3)
     env = RaceEnv(TrackSet(make_ring()), cfg, num_worlds=2, reward=paid)
     env.reset(seed=1)
-    env.step(torch.zeros(2, 1, 2))
+    env.step(np.zeros((2, 1, 2), np.float32))
     with pytest.raises(RewardError, match=r"reward\.py, line [34]: still running after 0\.3 s"):
-        env.step(torch.zeros(2, 1, 2))
+        env.step(np.zeros((2, 1, 2), np.float32))
     # Nothing is left that would be thrown later.
     assert sum(range(10_000)) == 49_995_000
 
@@ -371,8 +372,8 @@ def test_built_in_reward_is_what_an_environment_pays_by_default():
     cfg = EnvConfig(sim=ALONE, mode="training", reward=RewardConfig(progress=2.0))
     env = RaceEnv(TrackSet(make_ring()), cfg)
     step = drive(env, 5)[-1]
-    assert env.reward.terms == ("progress", "off_track", "crash")
-    assert float(step.rewards[0, 0]) == pytest.approx(2 * float(step.verdict.advance[0, 0]))
+    assert env.terms == ("progress", "off_track", "crash")
+    assert float(step.rewards[0, 0]) == pytest.approx(2 * float(step.verdicts["advance"][0, 0]))
 
 
 def test_presets_are_named_and_others_refused():
@@ -395,15 +396,17 @@ def test_reward_is_told_of_every_episode_that_begins():
             self.begun.append(who.tolist())
 
         def __call__(self, tracks, before, world, actions, verdict):
-            return torch.zeros_like(verdict.advance), {}
+            return np.zeros(verdict.shape, np.float32), {}
 
     heard = Listener()
     cfg = replace(EnvConfig(sim=ALONE, mode="training"), episode_s=0.2)
     env = RaceEnv(TrackSet(make_ring()), cfg, num_worlds=2, reward=heard)
     env.reset(seed=1)
     assert heard.begun == [[[True], [True]]] * 2  # once built, once reset
-    env.step(torch.zeros(2, 1, 2), anew=torch.tensor([False, True]), seeds=torch.tensor([0, 9]))
+    env.step(
+        np.zeros((2, 1, 2), np.float32), restart=np.array([False, True]), seeds=np.array([0, 9])
+    )
     assert heard.begun[2:] == [[[False], [True]]]
-    env.step(torch.zeros(2, 1, 2))
-    env.step(torch.zeros(2, 1, 2))  # three steps of 1/15 s: the first world's time is up
+    env.step(np.zeros((2, 1, 2), np.float32))
+    env.step(np.zeros((2, 1, 2), np.float32))  # three steps of 1/15 s: the first world's time is up
     assert heard.begun[3:] == [[[True], [False]]]

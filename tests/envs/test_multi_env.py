@@ -137,7 +137,7 @@ def test_two_environments_in_one_process_do_not_know_of_each_other(solver):
 def test_without_a_seed_each_reset_brings_another_race_and_a_seed_brings_the_row_again():
     def places(env, seed):
         env.reset(seed=seed)
-        return env._env.world.obstacles.s[0].tolist()
+        return env._env.world.obstacles["s"][0].tolist()
 
     env = parallel_env(kind="obstacle_avoidance", sensors=())
     row = [places(env, 5), places(env, None), places(env, None)]
@@ -175,11 +175,7 @@ def steer(env, car, speed):
     """Follow the centreline by the truth."""
     from scenes import follow_center
 
-    from league.envs import observations
-
-    race = env._env
-    truth = observations.state(race.tracks, race.cfg.sim, race.world, car)
-    return follow_center({"state": truth}, speed)[0].numpy()
+    return follow_center(env._env.observations[car], speed)[0]
 
 
 def test_infos_tell_place_progress_penalty_and_verdict():
@@ -287,7 +283,7 @@ def test_the_settings_of_the_world_can_be_given_and_the_words_win():
     sim = SimConfig(obstacles=ObstacleConfig(count=3))
     env = parallel_env(kind="obstacle_avoidance", sim=sim, laps=7, sensors=())
     env.reset(seed=0)
-    assert env._env.world.obstacles.s.shape == (1, 3)
+    assert env._env.world.obstacles.shape == (1, 3)
     assert env._env.cfg.sim.rules.laps == 7
 
 
@@ -304,7 +300,7 @@ def test_the_live_viewer_is_told_of_every_race_on_one_clock(monkeypatch):
             return cls()
 
         def add(self, world):
-            told.append(int(world.step[0]))
+            told.append(int(world.worlds["step"][0]))
 
         def close(self):
             told.append(-1)
