@@ -4,8 +4,8 @@ import csv
 import math
 from dataclasses import dataclass, field
 
+import numpy as np
 import pytest
-import torch
 from scenes import RING_LENGTH, follow_center, make_ring, make_straight
 
 from league import race
@@ -29,7 +29,7 @@ class Follower:
     leaves: tuple[int, int] = (0, 0)
     """First and last step, since the last reset, of driving off the road."""
     sensors: SensorConfig = field(default_factory=SensorConfig)
-    steps: torch.Tensor | None = None
+    steps: np.ndarray | None = None
 
     def reset(self, rows):
         if rows is None or self.steps is None:
@@ -40,11 +40,11 @@ class Follower:
     def act(self, observations):
         actions = follow_center(observations, self.speed, self.lateral)
         if self.steps is None:
-            self.steps = torch.zeros(len(actions), dtype=torch.int64)
+            self.steps = np.zeros(len(actions), np.int64)
         self.steps = self.steps + 1
         first, last = self.leaves
         leaving = (self.steps >= first) & (self.steps <= last)
-        actions[:, 0] = torch.where(leaving, -1.0, actions[:, 0])
+        actions[leaving, 0] = -1.0
         return actions
 
 
@@ -141,7 +141,7 @@ def test_attempt_after_a_mistake_is_a_fresh_one():
 
 
 def test_standing_still_is_told_by_its_name():
-    done = evaluated(Stubborn(answer=torch.tensor([[0.0, -1.0]])), mode="episode", laps=1)
+    done = evaluated(Stubborn(answer=np.array([[0.0, -1.0]])), mode="episode", laps=1)
     # The smallest speed is 0.1 m/s, so the car creeps off the ring's bend straight ahead.
     assert done.trials[0].status == "off_track"
     done = evaluated(
@@ -223,7 +223,7 @@ def test_settings_out_of_range_are_refused(settings, named):
 
 
 @pytest.mark.parametrize(
-    "answer", [None, torch.zeros(2), torch.full((1, 2), math.nan), torch.full((1, 2), 1.5)]
+    "answer", [None, np.zeros(2), np.full((1, 2), math.nan), np.full((1, 2), 1.5)]
 )
 def test_answer_that_is_no_action_is_refused(answer):
     with pytest.raises(ActionError):

@@ -17,7 +17,6 @@ from league import rerun_view, web_viewer
 from league.errors import ReplayError
 from league.rerun_view import paths, poses, record, shapes
 from league.sim.camera.scene import CAR
-from league.sim.world import row
 from league.track import files
 
 
@@ -202,7 +201,7 @@ def test_a_live_race_sends_each_step_and_touches_nothing(tmp_path):
     live = rerun_view.Live(made.spec, made.track, recording)
     worlds = made.worlds()
     for number in range(6):
-        live.add(row(worlds, number))
+        live.add(worlds.row(number))
     live.close()
     rows = rows_of(tmp_path / "live.rrd")
     assert rows[paths.car(0)] == rows[paths.CHASE] == rows[paths.PLOT_GAP] == 6
