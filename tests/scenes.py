@@ -9,6 +9,7 @@ from dataclasses import replace
 import numba
 import numpy as np
 
+from league.envs import observations
 from league.envs.config import EnvConfig
 from league.envs.meeting import Meeting
 from league.envs.race_env import RaceEnv
@@ -181,16 +182,30 @@ def _judge(before, cars, obstacles, worlds, verdicts, contacts, points, courses,
         )
 
 
-def taken(observations: Iterable[Mapping[str, np.ndarray]]) -> list[dict[str, np.ndarray]]:
+def motions(world: World) -> np.ndarray:
+    """Return the `motion` group of every car, float32 (num_cars, num_worlds, 5)."""
+    out = np.empty((world.num_cars, world.num_worlds, 5), np.float32)
+    _motions(world.cars, out)
+    return out
+
+
+@numba.njit
+def _motions(cars, out):
+    for w in range(cars.shape[0]):
+        for c in range(cars.shape[1]):
+            observations.motion(cars[w, c], out[c, w])
+
+
+def taken(groups_of_cars: Iterable[Mapping[str, np.ndarray]]) -> list[dict[str, np.ndarray]]:
     """Return copies of each car's groups, which the next step does not overwrite."""
-    return [{name: np.array(group) for name, group in groups.items()} for groups in observations]
+    return [{name: np.array(group) for name, group in groups.items()} for groups in groups_of_cars]
 
 
 def follow_center(
-    observations: Mapping[str, np.ndarray], speed: float = 1.5, lateral: float = 0.0
+    groups: Mapping[str, np.ndarray], speed: float = 1.5, lateral: float = 0.0
 ) -> np.ndarray:
     """Return actions that follow the centreline, or a line beside it: a driver for tests."""
-    state = observations["state"]
+    state = groups["state"]
     error = 1.5 * (state[:, INDEX["lateral"]] - lateral) + 2.5 * state[:, INDEX["heading_error"]]
     steering = np.arctan(0.164 * (state[:, INDEX["curvature_0.25m"]] - error)) / 0.5236
     share = np.full_like(steering, (speed - 0.1) / 3.9 * 2 - 1)

@@ -1,9 +1,8 @@
 """Own motion and the `state` group, number by number."""
 
-import numba
 import numpy as np
 import pytest
-from scenes import make_ring, make_straight, put_cars
+from scenes import make_ring, make_straight, motions, put_cars
 
 from league.envs import observations
 from league.envs.state import ABSENT_GAP, FIELDS, INDEX, NEIGHBOURS, SIZE
@@ -29,18 +28,13 @@ def seen(tracks, world, car=0, row=0) -> dict[str, float]:
 
 
 def test_own_motion_is_scaled_and_ends_with_the_last_action(straight):
-    cars = put_cars(straight(), field(1), [(3.0, 0.1)], speed=2.0).cars
+    world = put_cars(straight(), field(1), [(3.0, 0.1)], speed=2.0)
+    cars = world.cars
     cars["yaw_rate"], cars["steering"] = 4.0, -0.2618
     cars["action_steering"], cars["action_speed"] = 0.25, -0.75
-    out = np.empty(5, np.float32)
-    motion(cars, out)
     # 2 of 4 m/s, 4 of 8 rad/s, -15 of 30 deg.
-    assert out.tolist() == pytest.approx([0.5, 0.5, -0.5, 0.25, -0.75], abs=1e-4)
-
-
-@numba.njit
-def motion(cars, out):
-    observations.motion(cars[0, 0], out)
+    expected = pytest.approx([0.5, 0.5, -0.5, 0.25, -0.75], abs=1e-4)
+    assert motions(world)[0, 0].tolist() == expected
 
 
 @pytest.mark.parametrize("num_worlds", [1, 3])

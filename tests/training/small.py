@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import actor
-import torch
+import numpy as np
 
 from league.agents import checkpoint
 from league.agents.card import Card
@@ -54,7 +54,7 @@ def run(folder: Path, asked: RunConfig | None = None) -> Run:
     return Run(asked or cfg(), folder, beside=False)
 
 
-def weights(path: Path) -> dict[str, torch.Tensor]:
+def weights(path: Path) -> dict[str, np.ndarray]:
     """Return the weights of a checkpoint."""
     return dict(checkpoint.load(path).weights)
 
@@ -62,7 +62,7 @@ def weights(path: Path) -> dict[str, torch.Tensor]:
 def equal(one: Path, other: Path) -> bool:
     """Return whether two checkpoints hold the same numbers, to the bit."""
     mine, its = weights(one), weights(other)
-    return mine.keys() == its.keys() and all(torch.equal(mine[name], its[name]) for name in mine)
+    return mine.keys() == its.keys() and all(np.array_equal(mine[name], its[name]) for name in mine)
 
 
 class Onlooker:

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import textwrap
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from small import untrained
@@ -105,7 +106,7 @@ def test_program_ends_although_policies_are_still_waiting(tmp_path):
         textwrap.dedent(
             f"""
             import sys
-            sys.path.insert(0, {os.path.dirname(__file__)!r})
+            sys.path[:0] = {[os.path.dirname(__file__), str(Path(__file__).parents[1])]!r}
             from league import side_process
             from league.track import files
             from league.training.judge import Exam, Judge

@@ -1,10 +1,9 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
+import numpy as np
 import pytest
 import torch
-from scenes import make_square
+from scenes import make_square, motions, taken
 from tensordict import TensorDict
 
 from league.envs.action_space import ContinuousActions, DiscreteActions, grid
@@ -15,7 +14,7 @@ from league.envs.sensing import Sensing
 from league.envs.state import INDEX
 from league.sim.config import CameraConfig, LidarConfig, ObstacleConfig, SensorConfig, SimConfig
 from league.sim.world import World
-from league.track.course import TrackSet
+from league.track.course import Track, TrackSet
 from league.training import mirror
 
 LIDARS = {
@@ -30,61 +29,46 @@ def seen(form: str = "ranges", *, colour: bool = False, eyes: str = "stereo") ->
     return SensorConfig(camera=camera, lidar=LIDARS[form])
 
 
-def drawn(kind: str) -> tuple[SimConfig, World, torch.Tensor]:
-    """Return worlds in the middle of driving, and the last actions."""
+def drawn(kind: str) -> tuple[SimConfig, World]:
+    """Return worlds in the middle of driving."""
     sim = SimConfig(
         kind=kind,  # pyright: ignore
         num_cars=3 if kind == "head_to_head" else 1,
         obstacles=ObstacleConfig(count=5),
     )
     env = RaceEnv(TrackSet(make_square()), EnvConfig(sim=sim), num_worlds=4, seed=5)
-    generator = torch.Generator().manual_seed(3)
+    draw = np.random.default_rng(3)
     for _ in range(25):
-        actions = 2 * torch.rand(4, sim.num_cars, 2, generator=generator) - 1
-        actions[..., 0] *= 0.7
-        actions[..., 1] = actions[..., 1] * 0.3 - 0.4
-        env.step(actions)
-    return sim, env.world, env.last_action
+        actions = draw.uniform(-1.0, 1.0, (4, sim.num_cars, 2))
+        env.step(actions * [0.7, 0.3] - [0.0, 0.4])
+    return sim, env.world
 
 
 def in_a_mirror(world: World) -> World:
     """Return the worlds with y swapped for -y; the tracks are swapped elsewhere."""
-    body, things, book = world.motion, world.obstacles, world.standing
-    return replace(
-        world,
-        motion=replace(
-            body,
-            y=-body.y,
-            yaw=-body.yaw,
-            velocity_y=-body.velocity_y,
-            yaw_rate=-body.yaw_rate,
-            steering=-body.steering,
-        ),
-        obstacles=replace(
-            things,
-            y=-things.y,
-            yaw=-things.yaw,
-            velocity_y=-things.velocity_y,
-            lateral=-things.lateral,
-        ),
-        standing=replace(book, lateral=-book.lateral),
-    )
+    world = world.copy()
+    for name in ("y", "yaw", "velocity_y", "lateral"):
+        world.cars[name] *= -1
+        world.obstacles[name] *= -1
+    for name in ("yaw_rate", "steering", "action_steering"):
+        world.cars[name] *= -1
+    return world
+
+
+def shown(track: Track, cfg: EnvConfig, world: World) -> list[TensorDict]:
+    """Return what each car observes in these worlds."""
+    sensing = Sensing(TrackSet(track), cfg)
+    sensing.observe(world)
+    groups = sensing.groups(world, motions(world))
+    return [TensorDict(one, [world.num_worlds]) for one in taken(groups)]
 
 
 def told_twice(kind: str, sensors: SensorConfig) -> list[tuple[TensorDict, TensorDict]]:
-    """Return what each car is told, and what it is told in the mirrored world."""
-    sim, world, last = drawn(kind)
-    cfg = EnvConfig(sim=sim, sensors=(sensors,))
-    track = make_square()
-    here = Sensing(TrackSet(track), cfg).observe(world, last)
-    there = Sensing(TrackSet(track.mirrored()), cfg).observe(
-        in_a_mirror(world), last * torch.tensor([-1.0, 1.0])
-    )
-    rows = [world.num_worlds]
-    return [
-        (TensorDict(dict(one), rows), TensorDict(dict(other), rows))
-        for one, other in zip(here, there, strict=True)
-    ]
+    """Return what each car observes, and what it observes in the mirrored world."""
+    sim, world = drawn(kind)
+    cfg, track = EnvConfig(sim=sim, sensors=(sensors,)), make_square()
+    here = shown(track, cfg, world)
+    return list(zip(here, shown(track.mirrored(), cfg, in_a_mirror(world)), strict=True))
 
 
 @pytest.mark.parametrize("kind", ["time_trial", "obstacle_avoidance", "head_to_head"])

@@ -57,7 +57,7 @@ def test_who_wins_enters_unforced_and_so_does_who_has_no_rival(tmp_path):
 def test_candidates_are_measured_by_mirrored_races(tmp_path):
     cfg = replace(SHORT, races=4, forced_every=1)
     play, _ = learnt(tmp_path, blind(2), cfg=cfg)
-    drivers = [Policy(play.snapshot(name)[1], CAR, exact=True) for name in ("000001", "parent")]
+    drivers = [Policy(play.snapshot(name)[1], CAR) for name in ("000001", "parent")]
     again = duels.meet(RING, CAR, drivers, [(0, 1)], cfg.duel, races=4, seed=1)
     (tried,) = told(tmp_path)["candidates"]
     assert tried["win_rates"] == {"parent": again[0, 1][0].win_rate}

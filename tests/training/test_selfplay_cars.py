@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
-from league.sim.meeting_config import Meeting
 from small_play import FREE, RING, SHORT, Constant, blind, playing
 
 from league.agents.policy import Policy
 from league.envs.config import EnvConfig
+from league.envs.meeting import Meeting
 from league.envs.race_env import RaceEnv
 from league.envs.state import INDEX
 from league.envs.vec_env import RacingVecEnv
-from league.sim import meeting
 from league.sim.config import SensorConfig, SimConfig
 from league.training.selfplay import SelfPlayConfig
 from league.training.selfplay.opponent import Field, Opponent
@@ -44,14 +44,14 @@ def test_each_of_several_is_drawn_and_remembers_for_itself(tmp_path):
     play, learner = playing(tmp_path, blind(), num_cars=3, num_worlds=64)
     play.begin(learner)
     one, two = play.drivers().values()
-    assert not torch.equal(one.who, two.who)
+    assert not np.array_equal(one.who, two.who)
     memories = {
         id(each) for seat in (one, two) for each in seat.drivers if type(each) is not Policy
     }
     assert len(memories) == 4  # a centerline and a pacer for each
-    first, second = one.who.clone(), two.who.clone()
-    one.reset(torch.arange(64))
-    assert torch.equal(two.who, second) and not torch.equal(one.who, first)
+    first, second = one.who.copy(), two.who.copy()
+    one.reset(np.arange(64))
+    assert np.array_equal(two.who, second) and not np.array_equal(one.who, first)
 
 
 def test_only_rows_of_the_first_car_reach_the_learner(tmp_path):
@@ -59,10 +59,10 @@ def test_only_rows_of_the_first_car_reach_the_learner(tmp_path):
     play.begin(learner)
     done = learner.update(0.0)
     assert learner.env.num_envs == 4 and done.samples == 4 * 8
-    book = learner.env.race_env.world.standing
+    cars = learner.env.race_env.world.cars
     told = learner.env.get_observations()["state"]
-    assert torch.equal(told[:, INDEX["s"]], book.s[:, 0])
-    assert torch.equal(told[:, INDEX["lateral"]], book.lateral[:, 0])
+    for name in ("s", "lateral"):
+        assert np.array_equal(told[:, INDEX[name]], cars[name][:, 0])
 
 
 def test_a_mistake_of_one_ends_no_meeting_with_another():
@@ -82,8 +82,8 @@ def test_a_mistake_of_the_learner_is_lost_against_all():
 def test_alone_is_without_any_of_several_and_counts_no_meeting():
     records, env = race(Meeting(alone=1.0, standing=0.0), [LEAVES, FOLLOWS, FOLLOWS])
     world = env.race_env.world
-    assert meeting.parked(world).tolist() == [[False, True, True]] * 16
-    assert bool(world.standing.ghost[:, 1:].all())
+    assert world.cars["parked"].tolist() == [[False, True, True]] * 16
+    assert world.cars["ghost"][:, 1:].all()
     assert records.state() == {}
 
 
@@ -95,5 +95,5 @@ def test_all_have_room_and_nobody_is_left_behind_at_once(num_cars, standing):
     how = replace(usual, alone=0.0, standing=standing)
     sim = SimConfig(kind="head_to_head", num_cars=num_cars)
     env = RaceEnv(RING, EnvConfig(sim=sim, mode="training", meeting=how), num_worlds=100, seed=3)
-    step = env.step(torch.zeros(100, num_cars, 2))
-    assert not bool(step.verdict.crashed.any() | step.began.any())
+    step = env.step(np.zeros((100, num_cars, 2)))
+    assert not step.verdicts["crashed"].any() and not step.began.any()
