@@ -1,8 +1,9 @@
 """Numba as we use it: compiled functions, and the folder in which their machine code is kept.
 
 Numba's own cache looks for changes in a function's own file alone, so a changed helper in another
-file would go unnoticed. Here the cache is keyed by a hash of every compiled source of the package
-and of Numba's version: any change compiles everything again, once.
+file would go unnoticed. Here the cache is keyed by a hash of every compiled source of the package,
+of the files whose constants they take, and of Numba's version: any change compiles everything
+again, once.
 
 Results are the same bits on every machine: no fast-math, so LLVM neither fuses a multiplication
 with an addition nor reorders a sum.
@@ -15,6 +16,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import tempfile
 from collections.abc import Callable
 from functools import cache
@@ -27,17 +29,31 @@ from numba.core import caching
 
 _Function = TypeVar("_Function", bound=Callable)
 _MARK = b"from league.jit import"
+# Machine code holds the value of a constant, whatever file it is from.
+_CONSTANTS = re.compile(
+    rb"^from league\.([\w.]+) import (?:\([^)]*?|[^(\n]*?)\b[A-Z][A-Z0-9_]+\b", re.MULTILINE
+)
+
+
+def sources() -> dict[str, bytes]:
+    """Return the files that machine code is made from, by their paths within the package."""
+    package = Path(__file__).parent
+    files = {
+        path.relative_to(package).as_posix(): path.read_bytes() for path in package.rglob("*.py")
+    }
+    found = {name for name, content in files.items() if _MARK in content} | {Path(__file__).name}
+    for name in list(found):
+        rooms = _CONSTANTS.findall(files[name])
+        found |= {f"{room.decode().replace('.', '/')}.py" for room in rooms}
+    return {name: files[name] for name in sorted(found)}
 
 
 @cache
 def source_digest() -> str:
-    """Return a hash of all compiled sources, of this file and of Numba's version."""
-    package = Path(__file__).parent
+    """Return a hash of all compiled sources and of Numba's version."""
     digest = hashlib.sha256(numba.__version__.encode())
-    for path in sorted(package.rglob("*.py")):
-        content = path.read_bytes()
-        if _MARK in content or path == Path(__file__):
-            digest.update(path.relative_to(package).as_posix().encode() + b"\0" + content)
+    for name, content in sources().items():
+        digest.update(name.encode() + b"\0" + content)
     return digest.hexdigest()[:16]
 
 

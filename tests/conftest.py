@@ -54,7 +54,7 @@ def race_env() -> Iterator[Callable[..., RaceEnv]]:
 
 @pytest.fixture
 def same() -> Callable[[object, object], None]:
-    """Return a check that two records of tensors are equal to the last bit."""
+    """Return a check that two records are equal to the last bit."""
     return assert_same
 
 

@@ -11,7 +11,7 @@ import pytest
 
 HOUSE = Path(__file__).parents[1] / "league"
 FLOORS = {
-    "league": 1, "geometry": 1, "errors": 1, "whole_file": 1, "compiled": 1,
+    "league": 1, "errors": 1, "whole_file": 1, "jit": 1, "portable_math": 1,
     "track": 2,
     "sim": 3,
     "race_spec": 4, "envs": 4, "replay": 4,
@@ -25,7 +25,7 @@ FLOORS = {
 HEAVY = {
     "rerun": ("rerun_view",),
     "pybullet": ("sim.bullet",),
-    "numba": ("compiled", "sim.camera.raster"),
+    "numba": ("jit", "sim.camera.raster"),
     "pettingzoo": ("envs.multi_env",),
     "rsl_rl": ("envs.vec_env", "training"),
     "tensordict": ("envs.vec_env", "training"),
@@ -42,6 +42,7 @@ HEAVY = {
 }
 LOADED_LATE = (
     "torch",
+    "numba",
     "rerun",
     "pybullet",
     "pettingzoo",

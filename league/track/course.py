@@ -242,7 +242,7 @@ class TrackSet:
 
         s = np.asarray(s, np.float32)
         flat = s.ravel()
-        found = projection.frames_at(self.points, self.courses, _spread(index, s), flat)
+        found = projection.frames_at(self.points, self.courses, self._spread(index, s), flat)
         return _projection(found, np.zeros_like(flat), s.shape)
 
     def project(
@@ -259,10 +259,12 @@ class TrackSet:
         """
         from league.track import projection
 
-        x, y = np.asarray(x, np.float32), np.asarray(y, np.float32)
-        near_s = np.full_like(x, np.nan) if near_s is None else np.asarray(near_s, np.float32)
+        near_s = np.full(np.shape(x), np.nan) if near_s is None else near_s
+        x, y, near_s = np.broadcast_arrays(
+            *(np.asarray(given, np.float32) for given in (x, y, near_s))
+        )
         found = projection.projections(
-            self.points, self.courses, _spread(index, x), x.ravel(), y.ravel(), near_s.ravel()
+            self.points, self.courses, self._spread(index, x), x.ravel(), y.ravel(), near_s.ravel()
         )
         return _projection(found, found[:, 8], x.shape)
 
@@ -276,7 +278,9 @@ class TrackSet:
         ahead, behind = np.broadcast_arrays(
             np.asarray(ahead, np.float32), np.asarray(behind, np.float32)
         )
-        found = projection.gaps(self.courses, _spread(index, ahead), ahead.ravel(), behind.ravel())
+        found = projection.gaps(
+            self.courses, self._spread(index, ahead), ahead.ravel(), behind.ravel()
+        )
         return found.reshape(ahead.shape)
 
     def curvature_at(self, index: np.ndarray, s: np.ndarray) -> np.ndarray:
@@ -284,8 +288,27 @@ class TrackSet:
         from league.track import projection
 
         s = np.asarray(s, np.float32)
-        found = projection.curvatures_at(self.points, self.courses, _spread(index, s), s.ravel())
+        found = projection.curvatures_at(
+            self.points, self.courses, self._spread(index, s), s.ravel()
+        )
         return found.reshape(s.shape)
+
+    def _spread(self, index: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """Return the track of each place, int64 (places.size,).
+
+        Raises:
+            IndexError: there is no such track, or not one for each world: compiled code would read
+                whatever lies in memory there.
+        """
+        index, number = np.asarray(index, np.int64), len(self.tracks)
+        known = index.size == 0 or (index.min() >= 0 and index.max() < number)
+        if not known or index.shape != places.shape[: index.ndim]:
+            raise IndexError(
+                f"the worlds are on tracks {index.tolist()}, and the places have shape "
+                f"{places.shape}: give the track of each world, 0 to {number - 1}"
+            )
+        shape = index.shape + (1,) * (places.ndim - index.ndim)
+        return np.broadcast_to(index.reshape(shape), places.shape).ravel()
 
 
 def _projection(found: np.ndarray, lateral: np.ndarray, shape: tuple[int, ...]) -> Projection:
@@ -293,13 +316,6 @@ def _projection(found: np.ndarray, lateral: np.ndarray, shape: tuple[int, ...]) 
         found[:, column].reshape(shape) for column in range(8)
     )
     return Projection(s, lateral.reshape(shape), x, y, cos, sin, curvature, left, right)
-
-
-def _spread(index: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return the track of each point, int64 (points.size,)."""
-    index = np.asarray(index, np.int64)
-    shape = index.shape + (1,) * (points.ndim - index.ndim)
-    return np.broadcast_to(index.reshape(shape), points.shape).ravel()
 
 
 def _points(track: Track) -> np.ndarray:

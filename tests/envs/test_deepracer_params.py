@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import go_to, judge, make_ring, make_square, make_straight, put_cars, touch
+from scenes import Stages, go_to, make_ring, make_square, make_straight, put_cars, touch
 
 from league.envs.deepracer import telling
 from league.envs.deepracer.lines import Lines
@@ -42,7 +42,7 @@ class Told:
         if yaw is not None:
             after.cars["yaw"] = yaw
         contacts = touch(after, *pairs, obstacles=hits)
-        verdicts = judge(self.tracks, self.sim, self.world, after, contacts)
+        verdicts, after = Stages(self.tracks, self.sim).judge(self.world, after, contacts)
         rows = self.situations.rows(self.tracks, self.world, after, verdicts)
         self.world = after
         return rows.params
@@ -396,7 +396,7 @@ def test_places_are_found_as_the_tracks_themselves_find_them():
     index = np.zeros(1, np.int64)
     center = tracks.at(index, s)
     x, y = center.x - 0.3 * center.sin, center.y + 0.3 * center.cos
-    frame, lateral = tracks.project(x, y, index, near_s=s + np.float32(0.1))
+    frame, lateral = tracks.project(index, x, y, s + np.float32(0.1))
     lines = Lines.of(tracks)
     places = zip(*(one[0].tolist() for one in (x, y, s + 0.1)), strict=True)
     found = np.array([telling.project(lines.rows, lines.measures[0], *place) for place in places])

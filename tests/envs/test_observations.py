@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scenes import make_ring, make_straight, motions, put_cars
+from scenes import Stages, make_ring, make_straight, put_cars
 
 from league.envs import observations
 from league.envs.state import ABSENT_GAP, FIELDS, INDEX, NEIGHBOURS, SIZE
@@ -28,13 +28,14 @@ def seen(tracks, world, car=0, row=0) -> dict[str, float]:
 
 
 def test_own_motion_is_scaled_and_ends_with_the_last_action(straight):
-    world = put_cars(straight(), field(1), [(3.0, 0.1)], speed=2.0)
+    tracks = straight()
+    world = put_cars(tracks, field(1), [(3.0, 0.1)], speed=2.0)
     cars = world.cars
     cars["yaw_rate"], cars["steering"] = 4.0, -0.2618
     cars["action_steering"], cars["action_speed"] = 0.25, -0.75
     # 2 of 4 m/s, 4 of 8 rad/s, -15 of 30 deg.
     expected = pytest.approx([0.5, 0.5, -0.5, 0.25, -0.75], abs=1e-4)
-    assert motions(world)[0, 0].tolist() == expected
+    assert Stages(tracks, field(1)).motions(world)[0, 0].tolist() == expected
 
 
 @pytest.mark.parametrize("num_worlds", [1, 3])

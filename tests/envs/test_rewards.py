@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import go_to, judge, put_cars, touch
+from scenes import Stages, go_to, put_cars, touch
 
 from league.envs import rewards
 from league.envs.config import RewardConfig
@@ -23,7 +23,7 @@ def pay(tracks, cfg, world, verdicts) -> tuple[np.ndarray, dict[str, np.ndarray]
 def paid(tracks, cfg, start, end, pairs=(), num_worlds=1):
     before = put_cars(tracks, TWO, start, num_worlds=num_worlds)
     after = go_to(tracks, before, end)
-    verdicts = judge(tracks, TWO, before, after, touch(after, *pairs))
+    verdicts, after = Stages(tracks, TWO).judge(before, after, touch(after, *pairs))
     return pay(tracks, cfg, after, verdicts)
 
 
@@ -81,7 +81,7 @@ def test_nobody_gains_on_a_car_that_stands_or_is_home(ring):
     tracks = ring()
     before = put_cars(tracks, TWO, [(3.0, 0.1), (3.5, -0.1)])
     after = go_to(tracks, before, [(3.25, 0.1), (3.5, -0.1)])
-    verdicts = judge(tracks, TWO, before, after, touch(after))
+    verdicts, after = Stages(tracks, TWO).judge(before, after)
     cfg = replace(NOTHING, gain=1.0)
 
     def gain(world: World, seen: np.ndarray) -> list[float]:

@@ -1,25 +1,26 @@
 import math
 from types import SimpleNamespace
 
+import numba
 import numpy as np
 import open_floor
 import pytest
-import torch
 
-from league.sim import collision, near
+from league.sim import collision, planar
 from league.sim.config import ContactConfig
+from league.sim.settings import settings
 
 BOX = (0.162, 0.098, 0.0, 0.0)
 
 
 def meet(one, two):
-    """Return whether two cars' boxes at x, y, yaw lie opposite, and what `manifold` tells."""
-    told = []
+    """Return whether two cars' boxes at x, y, yaw lie opposite, and what `manifold` finds."""
+    given = []
     for x, y, yaw in (one, two):
         turn = np.array([math.cos(yaw), math.sin(yaw)], np.float32)
-        told += [np.array([x, y, yaw, 0, 0, 0], np.float32), turn, np.array(BOX, np.float32)]
+        given += [np.array([x, y, yaw, 0, 0, 0], np.float32), turn, np.array(BOX, np.float32)]
     out = np.zeros(14, np.float32)
-    exists = collision.manifold.py_func(*told, out)
+    exists = collision.manifold.py_func(*given, out)
     return exists, SimpleNamespace(
         normal=out[:2], gap=out[2:4], first_x=out[4:6], first_y=out[6:8], second_x=out[8:10],
         second_y=out[10:12],
@@ -71,78 +72,93 @@ def test_manifold_turns_with_the_pair():
 
 
 @pytest.mark.parametrize("num_cars", [2, 3, 5, 8])
-def test_schedule_pairs_everyone_once_and_nobody_twice_in_a_round(num_cars):
-    schedule = near.schedule(num_cars)
-    for part in schedule:
-        seats = [car for pair in part for car in pair]
-        assert len(seats) == len(set(seats))
-    pairs = sorted(pair for part in schedule for pair in part)
+def test_schedule_pairs_all_cars_once_and_no_car_twice_in_a_round(num_cars):
+    schedule = planar.schedule(num_cars)
+    # A round has a pair for each two cars; of an odd number one car pauses.
+    for part in schedule.reshape(-1, num_cars // 2 * 2):
+        assert len(set(part.tolist())) == len(part)
+    pairs = sorted(map(tuple, schedule.tolist()))
     assert pairs == [(a, b) for a in range(num_cars) for b in range(a + 1, num_cars)]
 
 
+def test_car_alone_has_no_pairs():
+    assert planar.schedule(1).shape == (0, 2)
+
+
 def crash(friction, restitution, steps=16, **motion):
-    """Let two cars without grip meet; return their motion after some physics steps."""
+    """Let two cars without grip meet; return them after some physics steps."""
     contact = ContactConfig(friction, restitution)
     sim = open_floor.settings(2, contact=contact, step_hz=120, decimation=1)
     now = open_floor.slippery(open_floor.world(sim, **motion))
     asked = open_floor.control(now, [0.0], [0.0])
-    return open_floor.drive(open_floor.make("planar", sim), now, asked, steps)[-1].motion
+    return open_floor.drive(open_floor.make("planar", sim), now, asked, steps)[-1].cars[0]
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
 def test_restitution_is_the_share_of_speed_that_comes_back(restitution):
     last = crash(0.0, restitution, x=[0.0, 0.4], velocity_x=[1.0, -1.0])
-    assert last.velocity_x.tolist()[0] == pytest.approx([-restitution, restitution], abs=1e-3)
+    assert last["velocity_x"].tolist() == pytest.approx([-restitution, restitution], abs=1e-3)
 
 
 def test_friction_takes_at_most_its_share_of_the_impulse():
     motion = {"y": [0.0, 0.2], "velocity_y": [0.5, -0.5], "velocity_x": [2.0, 0.0]}
     last = crash(0.1, 0.0, steps=1, **motion)
     # Each car's sideways 0.5 m/s is stopped, so 0.1 * 0.5 m/s of speed goes over along the flank.
-    assert last.velocity_y.tolist()[0] == pytest.approx([0.0, 0.0], abs=1e-4)
-    assert last.velocity_x.tolist()[0] == pytest.approx([1.95, 0.05], abs=1e-4)
+    assert last["velocity_y"].tolist() == pytest.approx([0.0, 0.0], abs=1e-4)
+    assert last["velocity_x"].tolist() == pytest.approx([1.95, 0.05], abs=1e-4)
     # It acts 0.1 m off the middle (midway between the flanks): 8.2 * 0.05 * 0.1 / 0.085 rad/s.
-    assert last.yaw_rate.tolist()[0] == pytest.approx([0.4824, 0.4824], rel=1e-3)
+    assert last["yaw_rate"].tolist() == pytest.approx([0.4824, 0.4824], rel=1e-3)
 
 
 def test_friction_stops_sliding_when_it_can():
     motion = {"y": [0.0, 0.2], "velocity_y": [0.5, -0.5], "velocity_x": [0.1, 0.0]}
     last = crash(0.3, 0.0, steps=1, **motion)
     # The flanks no longer slide on each other where they touch.
-    slide = last.velocity_x - torch.tensor([[0.1, -0.1]]) * last.yaw_rate
-    assert slide[0, 0].item() == pytest.approx(slide[0, 1].item(), abs=1e-4)
+    slide = last["velocity_x"] - np.array([0.1, -0.1]) * last["yaw_rate"]
+    assert slide[0] == pytest.approx(slide[1], abs=1e-4)
 
 
 def test_elastic_crash_keeps_the_energy():
     last = crash(0.0, 1.0, x=[0.0, 0.42], y=[0.0, 0.06], yaw=[0.0, 0.5], velocity_x=[1.0, -1.0])
-    energy = 0.5 * 8.2 * (last.velocity_x**2 + last.velocity_y**2) + 0.5 * 0.085 * last.yaw_rate**2
-    assert energy.sum().item() == pytest.approx(8.2, rel=1e-3)
-    assert last.yaw_rate.abs().max() > 0.5
+    linear = 0.5 * 8.2 * (last["velocity_x"] ** 2 + last["velocity_y"] ** 2)
+    energy = linear + 0.5 * 0.085 * last["yaw_rate"] ** 2
+    assert energy.sum() == pytest.approx(8.2, rel=1e-3)
+    assert abs(last["yaw_rate"]).max() > 0.5
 
 
 def test_boxes_put_into_each_other_come_apart_without_speed():
     last = crash(0.3, 0.15, y=[0.0, 0.15])
     # 0.046 m of overlap, mended by 20 % of what is left, 5 mm at most, in each of 16 steps.
-    assert last.y[0, 1].item() - last.y[0, 0].item() > 0.19
-    assert not last.velocity_y.any()
+    assert last["y"][1] - last["y"][0] > 0.19
+    assert not last["velocity_y"].any()
 
 
 def test_car_pressed_against_a_wall_by_another_stands():
     wall = open_floor.WALL - 0.162
     last = crash(0.0, 0.0, steps=1, x=[wall - 0.3255, wall - 0.0005], velocity_x=[1.0, 0.2])
     # The pair is worked three times, the wall after it each time: 0.6, 0.3, 0.15 m/s are left.
-    assert last.velocity_x.tolist()[0] == pytest.approx([0.15, 0.0], abs=1e-3)
+    assert last["velocity_x"].tolist() == pytest.approx([0.15, 0.0], abs=1e-3)
 
 
-def test_far_cars_are_no_pairs():
+@numba.njit
+def count_near(cars, obstacles, course, pairs, sim):
+    return planar._near(cars, obstacles, course, pairs, sim, np.empty((0, 2), np.int64))
+
+
+def test_only_bodies_that_may_meet_within_the_step_are_pairs():
     sim = open_floor.settings(3)
-    now = open_floor.world(sim, x=[0.0, 1.5, 3.0])
-    assert near.find_rounds(now, now.standing.ghost, sim, open_floor.floor()) == []
+    pairs, course = planar.schedule(3), open_floor.floor().courses[0]
 
+    def near(**fields):
+        now = open_floor.world(sim, **fields)
+        return count_near(now.cars[0], now.obstacles[0], course, pairs, settings(sim)[0])
 
-def test_a_lone_car_in_a_corner_meets_the_code_that_is_compiled_already():
-    place = open_floor.WALL - 0.162
-    crash(0.0, 0.0, x=[0.0, 0.4], velocity_x=[1.0, -1.0])
-    known = list(collision.part.signatures)
-    crash(0.0, 0.0, steps=1, x=[place, 0.0], y=[place, 0.0], velocity_x=[1.0, 0.0])
-    assert collision.part.signatures == known
+    assert near(x=[0.0, 1.5, 3.0]) == 0
+    assert near(x=[0.0, 0.5, 3.0]) == 1
+    assert near(x=[0.0, 0.5, 3.0], ghost=[True, False, False]) == 0
+    assert near(x=[0.0, 0.5, 3.0], penalty_s=[1.0, 1.0, 0.0]) == 0
+    # 0.38 m of boxes, 0.2 of margin; the rest of 1.5 m is driven in a step of 1/15 s.
+    assert near(x=[0.0, 1.5, 8.0], velocity_x=[8.0, -7.0, 0.0]) == 1
+    # In a corner there are two walls.
+    wall = open_floor.WALL
+    assert near(x=[0.0, 3.0, wall - 0.2], y=[0.0, 0.0, 0.2 - wall]) == 2

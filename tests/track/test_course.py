@@ -2,7 +2,6 @@ import math
 
 import numpy as np
 import pytest
-import torch
 
 from league.track import check, files
 from league.track.course import TrackSet
@@ -10,8 +9,8 @@ from league.track.course import TrackSet
 from . import shapes
 
 
-def _index(tracks: int = 1, worlds: int = 1) -> torch.Tensor:
-    return torch.arange(worlds) % tracks
+def _index(tracks: int = 1, worlds: int = 1) -> np.ndarray:
+    return np.arange(worlds) % tracks
 
 
 def test_circle_has_the_length_radius_and_direction_of_a_circle():
@@ -30,14 +29,14 @@ def test_a_bend_to_the_right_has_negative_curvature():
     track = files.parse(shapes.text(points, direction="clockwise"))
     assert track.direction == "clockwise"
     np.testing.assert_allclose(track.curvature, -0.5, rtol=0.05)
-    assert TrackSet(track).inner.tolist() == [-1.0]
+    assert TrackSet(track).courses["inner"].tolist() == [-1.0]
 
 
 def test_at_gives_the_hand_worked_place_and_heading_on_a_circle():
     tracks = TrackSet(shapes.circle())
-    quarter = torch.tensor([[tracks.tracks[0].length / 4]])
-    x, y, frame = tracks.at(_index(), quarter)
-    assert (x.item(), y.item()) == pytest.approx((0.0, 2.0), abs=2e-3)
+    quarter = np.array([[tracks.tracks[0].length / 4]])
+    frame = tracks.at(_index(), quarter)
+    assert (frame.x.item(), frame.y.item()) == pytest.approx((0.0, 2.0), abs=2e-3)
     assert (frame.cos.item(), frame.sin.item()) == pytest.approx((-1.0, 0.0), abs=2e-3)
     assert frame.left.item() == pytest.approx(0.4, abs=1e-3)
 
@@ -46,22 +45,21 @@ def test_at_gives_the_hand_worked_place_and_heading_on_a_circle():
 def test_projecting_a_point_beside_the_track_gives_back_its_s_and_lateral(name):
     track = files.load(name)
     tracks = TrackSet(track)
-    s = torch.linspace(0, 0.999 * track.length, 400).unsqueeze(0)
+    s = np.linspace(0, 0.999 * track.length, 400)[None]
     for side in (-0.6, 0.0, 0.6):
-        x, y, frame = tracks.at(_index(), s)
-        lateral = side * torch.minimum(frame.left, frame.right)
-        found = tracks.project(
-            _index(), x - lateral * frame.sin, y + lateral * frame.cos, (s + 0.2).contiguous()
-        )
-        assert tracks.signed_gap(_index(), found.s, s).abs().max() < 0.02
-        assert (found.lateral - lateral).abs().max() < 0.01
+        frame = tracks.at(_index(), s)
+        lateral = side * np.minimum(frame.left, frame.right)
+        x, y = frame.x - lateral * frame.sin, frame.y + lateral * frame.cos
+        found = tracks.project(_index(), x, y, s + 0.2)
+        assert abs(tracks.signed_gap(_index(), found.s, s)).max() < 0.02
+        assert abs(found.lateral - lateral).max() < 0.01
 
 
 def test_s_wraps_at_the_start_line_of_a_loop():
     tracks = TrackSet(shapes.circle())
     length = tracks.tracks[0].length
-    x, y = torch.tensor([[2.0]]), torch.tensor([[-0.1]])  # 0.1 m before the line
-    found = tracks.project(_index(), x, y, torch.tensor([[0.05]]))
+    x, y = np.array([[2.0]]), np.array([[-0.1]])  # 0.1 m before the line
+    found = tracks.project(_index(), x, y, np.array([[0.05]]))
     assert found.s.item() == pytest.approx(length - 0.1, abs=5e-3)
     again = tracks.project(_index(), x, -y, found.s + 0.15)  # and 0.1 m beyond
     assert again.s.item() == pytest.approx(0.1, abs=5e-3)
@@ -70,19 +68,19 @@ def test_s_wraps_at_the_start_line_of_a_loop():
 
 def test_s_stays_below_the_length_just_before_the_line():
     tracks = TrackSet(files.load("reinvent_2018"))
-    s = torch.tensor([[-1e-9, -1e-7, -1e-3, 0.0, tracks.length.item()]])
-    _, _, frame = tracks.at(_index(), s)
+    s = np.array([[-1e-9, -1e-7, -1e-3, 0.0, tracks.length.item()]])
+    frame = tracks.at(_index(), s)
     assert (frame.s >= 0).all() and (frame.s < tracks.length).all()
 
 
 def test_an_open_track_holds_s_at_its_ends():
     tracks = TrackSet(shapes.straight(6.0))
-    x = torch.tensor([[-0.4, 3.0, 6.4]])
-    y = torch.tensor([[0.1, 0.1, 0.1]])
-    found = tracks.project(_index(), x, y, torch.tensor([[0.0, 3.2, 5.9]]))
+    x = np.array([[-0.4, 3.0, 6.4]])
+    y = np.array([[0.1, 0.1, 0.1]])
+    found = tracks.project(_index(), x, y, np.array([[0.0, 3.2, 5.9]]))
     assert found.s[0].tolist() == pytest.approx([0.0, 3.0, 6.0], abs=1e-3)
     assert found.lateral[0].tolist() == pytest.approx([0.1] * 3, abs=1e-4)
-    gap = tracks.signed_gap(_index(), torch.tensor([[0.5]]), torch.tensor([[5.5]]))
+    gap = tracks.signed_gap(_index(), np.array([[0.5]]), np.array([[5.5]]))
     assert gap.item() == pytest.approx(-5.0)  # no shorter way round
 
 
@@ -91,12 +89,12 @@ def test_a_car_on_the_inside_of_a_hairpin_is_found_where_it_is():
     track = files.parse(shapes.text(points, width=0.61))
     tracks = TrackSet(track)
     # Round the middle of the eastern half circle at (2, 0.4), 0.15 m from it: 0.25 m to the left.
-    angle = torch.linspace(-1.3, 1.3, 9)
-    x, y = (2 + 0.15 * torch.cos(angle)).unsqueeze(0), (0.4 + 0.15 * torch.sin(angle)).unsqueeze(0)
-    near = (2 + 0.4 * (angle + math.pi / 2)).unsqueeze(0)
+    angle = np.linspace(-1.3, 1.3, 9)
+    x, y = (2 + 0.15 * np.cos(angle))[None], (0.4 + 0.15 * np.sin(angle))[None]
+    near = (2 + 0.4 * (angle + math.pi / 2))[None]
     found = tracks.project(_index(), x, y, near + 0.1)
-    assert (found.lateral - 0.25).abs().max() < 0.02
-    assert (found.s - near).abs().max() < 0.06
+    assert abs(found.lateral - 0.25).max() < 0.02
+    assert abs(found.s - near).max() < 0.06
     assert (found.lateral < found.left).all()
 
 
@@ -104,12 +102,12 @@ def test_a_point_between_two_stretches_stays_on_the_stretch_it_came_from():
     points = shapes.stadium_points(straight=6.0, radius=0.5)
     tracks = TrackSet(files.parse(shapes.text(points, width=0.61)))
     length = tracks.tracks[0].length
-    x, y = torch.tensor([[0.0, 0.0]]), torch.tensor([[0.6, 0.6]])
+    x, y = np.array([[0.0, 0.0]]), np.array([[0.6, 0.6]])
     # The upper straight (y = 1) is nearer, but the first point was last seen on the lower one.
-    found = tracks.project(_index(), x, y, torch.tensor([[0.1, length / 2 - 0.1]]))
+    found = tracks.project(_index(), x, y, np.array([[0.1, length / 2 - 0.1]]))
     assert found.lateral[0].tolist() == pytest.approx([0.6, 0.4], abs=5e-3)
     assert found.s[0, 1].item() == pytest.approx(length / 2, abs=0.01)
-    located = tracks.locate(_index(), x[:, :1], y[:, :1])
+    located = tracks.project(_index(), x[:, :1], y[:, :1])
     assert located.lateral.item() == pytest.approx(0.4, abs=5e-3)
 
 
@@ -117,34 +115,35 @@ def test_a_world_of_a_batch_equals_that_world_alone():
     chosen = [files.load(name) for name in ("reinvent_2018", "needle_pass", "broad_street")]
     tracks = TrackSet(*chosen, shapes.straight())
     worlds = 37
-    generator = torch.Generator().manual_seed(3)
+    draw = np.random.default_rng(3)
     index = _index(4, worlds)
-    s = torch.rand(worlds, 3, generator=generator) * 5
-    x, y, _ = tracks.at(index, s)
-    x = x + torch.rand(worlds, 3, generator=generator) * 0.3
+    s = (5 * draw.random((worlds, 3))).astype(np.float32)
+    frame = tracks.at(index, s)
+    x, y = frame.x + 0.3 * draw.random((worlds, 3), np.float32), frame.y
     together = tracks.project(index, x, y, s)
-    placed = tracks.locate(index, x, y)
+    placed = tracks.project(index, x, y)
     for world in range(worlds):
         row = slice(world, world + 1)
         alone = tracks.project(index[row], x[row], y[row], s[row])
         own = TrackSet(tracks.tracks[int(index[world])])
         single = own.project(_index(), x[row], y[row], s[row])
-        for name in ("s", "lateral", "cos", "sin", "curvature", "left", "right"):
-            assert torch.equal(getattr(alone, name)[0], getattr(together, name)[world])
-            assert torch.equal(getattr(single, name)[0], getattr(together, name)[world])
-        assert torch.equal(tracks.locate(index[row], x[row], y[row]).s[0], placed.s[world])
+        for name in ("s", "lateral", "x", "y", "cos", "sin", "curvature", "left", "right"):
+            assert np.array_equal(getattr(alone, name)[0], getattr(together, name)[world])
+            assert np.array_equal(getattr(single, name)[0], getattr(together, name)[world])
+        assert np.array_equal(tracks.project(index[row], x[row], y[row]).s[0], placed.s[world])
 
 
 def test_mirroring_a_track_mirrors_what_is_found_on_it():
     points = np.array(shapes.circle_points()) * (1.5, 1.0)
     track = files.parse(shapes.text(points.tolist()))
     mirrored = files.parse(shapes.text((points * (1, -1)).tolist(), direction="clockwise"))
-    s = torch.linspace(0, 12, 50).unsqueeze(0)
-    x, y, _ = TrackSet(track).at(_index(), s)
-    found = TrackSet(track).project(_index(), x + 0.1, y + 0.05, s)
-    other = TrackSet(mirrored).project(_index(), x + 0.1, -(y + 0.05), s)
-    assert (found.s - other.s).abs().max() < 1e-4
-    assert (found.lateral + other.lateral).abs().max() < 1e-5
+    s = np.linspace(0, 12, 50)[None]
+    frame = TrackSet(track).at(_index(), s)
+    x, y = frame.x + 0.1, frame.y + 0.05
+    found = TrackSet(track).project(_index(), x, y, s)
+    other = TrackSet(mirrored).project(_index(), x, -y, s)
+    assert abs(found.s - other.s).max() < 1e-4
+    assert abs(found.lateral + other.lateral).max() < 1e-5
 
 
 def test_a_track_set_without_tracks_is_refused():
@@ -179,10 +178,10 @@ def test_track_reversed_twice_is_the_track(name):
 def test_reversed_place_is_a_lap_less_the_place_and_on_the_other_side():
     track = files.load("reinvent_2018")
     ways = TrackSet(track, track.reversed())
-    x, y, frame = ways.at(_index(2, 1), torch.tensor([[3.0]]))
+    frame = ways.at(_index(2, 1), np.array([[3.0]]))
     lateral = 0.2
-    point = (x - lateral * frame.sin, y + lateral * frame.cos)
-    back = ways.locate(torch.tensor([1]), *point)
+    point = (frame.x - lateral * frame.sin, frame.y + lateral * frame.cos)
+    back = ways.project(np.array([1]), *point)
     assert back.s.item() == pytest.approx(track.length - 3.0, abs=0.01)
     assert back.lateral.item() == pytest.approx(-0.2, abs=5e-3)
     assert back.cos.item() == pytest.approx(-frame.cos.item(), abs=1e-3)
@@ -228,10 +227,29 @@ def test_reversed_straight_is_driven_from_its_far_end():
 @pytest.mark.parametrize("index", [[0, 1], [0, -1], [0, 0, 0]])
 def test_a_world_on_no_track_of_the_set_is_an_error_and_no_wild_reading(index):
     tracks = TrackSet(shapes.circle())
-    places = torch.ones(2, 2)
+    places, index = np.ones((2, 2)), np.array(index)
     for look in (
-        lambda: tracks.at(torch.tensor(index), places),
-        lambda: tracks.project(torch.tensor(index), places, places, places),
+        lambda: tracks.at(index, places),
+        lambda: tracks.project(index, places, places, places),
+        lambda: tracks.signed_gap(index, places, places),
+        lambda: tracks.curvature_at(index, places),
     ):
-        with pytest.raises(IndexError):
+        with pytest.raises(IndexError, match="track"):
             look()
+
+
+def test_curvature_at_a_place_is_that_of_the_nearest_centre_point():
+    track = files.load("reinvent_2018")
+    tracks, spacing = TrackSet(track), track.length / len(track.center)
+    s = spacing * np.array([[0.0, 10.4, 10.6, len(track.center) - 0.4]])
+    expected = track.curvature[[0, 10, 11, 0]]
+    np.testing.assert_allclose(tracks.curvature_at(_index(), s)[0], expected, rtol=1e-5)
+    # An open track holds it at its ends.
+    ends = TrackSet(shapes.straight(6.0)).curvature_at(_index(), np.array([[-1.0, 7.0]]))
+    np.testing.assert_allclose(ends, 0.0, atol=1e-6)
+
+
+def test_lap_is_the_loop_or_an_open_track_but_its_last_30_cm():
+    tracks = TrackSet(shapes.circle(), shapes.straight(6.0))
+    laps = tracks.lap_length(np.array([0, 1]))
+    assert laps.tolist() == pytest.approx([tracks.length[0], 5.7], abs=1e-5)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from scenes import make_square, motions, taken
+from scenes import Stages, make_square, taken
 from tensordict import TensorDict
 
 from league.envs.action_space import ContinuousActions, DiscreteActions, grid
@@ -57,9 +57,10 @@ def in_a_mirror(world: World) -> World:
 
 def shown(track: Track, cfg: EnvConfig, world: World) -> list[TensorDict]:
     """Return what each car observes in these worlds."""
-    sensing = Sensing(TrackSet(track), cfg)
+    tracks = TrackSet(track)
+    sensing = Sensing(tracks, cfg)
     sensing.observe(world)
-    groups = sensing.groups(world, motions(world))
+    groups = sensing.groups(world, Stages(tracks, cfg.sim).motions(world))
     return [TensorDict(one, [world.num_worlds]) for one in taken(groups)]
 
 

@@ -1,0 +1,186 @@
+"""What is compiled: changes that its cache on disk must not miss, and where that cache is."""
+
+import ast
+import importlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import league
+from league import jit
+
+PACKAGE = Path(league.__file__).parent
+SOURCES = list(jit.sources())
+
+
+def imports(path: str) -> list[tuple[str, str]]:
+    """Return (module, name) of what a file imports from the package when it is loaded."""
+    tree = ast.parse((PACKAGE / path).read_text(encoding="utf-8"))
+    return [
+        (str(node.module), alias.name)
+        for node in tree.body
+        if isinstance(node, ast.ImportFrom) and str(node.module).split(".")[0] == "league"
+        for alias in node.names
+    ]
+
+
+def digest_of(monkeypatch, package: Path) -> str:
+    """Return the key of the cache of a package in this folder."""
+    monkeypatch.setattr(jit, "__file__", str(package / "jit.py"))
+    return jit.source_digest.__wrapped__()
+
+
+@pytest.fixture(scope="module")
+def copied(tmp_path_factory) -> Path:
+    """A copy of the package's sources."""
+    package = tmp_path_factory.mktemp("copy") / "league"
+    shutil.copytree(PACKAGE, package, ignore=shutil.ignore_patterns("__pycache__", "_*s"))
+    return package
+
+
+def test_every_file_that_uses_numba_is_part_of_the_key():
+    users = {
+        path.relative_to(PACKAGE).as_posix()
+        for path in PACKAGE.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if (isinstance(node, ast.ImportFrom) and node.module in {"league.jit", "numba"})
+        or (isinstance(node, ast.Import | ast.ImportFrom) and "numba" in ast.unparse(node))
+    }
+    assert "sim/planar.py" in users
+    assert users <= set(SOURCES)
+
+
+@pytest.mark.parametrize("path", SOURCES)
+def test_compiled_code_takes_numbers_only_from_files_of_the_key(path):
+    for module, name in imports(path):
+        source = module.removeprefix("league.").replace(".", "/") + ".py"
+        value = getattr(importlib.import_module(module), name)
+        if source in SOURCES:
+            continue
+        if isinstance(value, type(ast)):
+            assert f"{source[:-3]}/{name}.py" in SOURCES, (module, name)
+        assert not isinstance(value, int | float | tuple | np.ndarray | np.generic), (module, name)
+
+
+@pytest.mark.parametrize("path", SOURCES)
+def test_key_changes_with_every_compiled_file(monkeypatch, copied, path):
+    before, content = digest_of(monkeypatch, copied), (copied / path).read_bytes()
+    (copied / path).write_bytes(content + b"\n")
+    changed = digest_of(monkeypatch, copied)
+    (copied / path).write_bytes(content)
+    assert changed != before == digest_of(monkeypatch, copied)
+
+
+def test_key_is_that_of_the_package_and_does_not_change_with_what_is_not_compiled(
+    monkeypatch, copied
+):
+    (copied / "race.py").write_bytes((copied / "race.py").read_bytes() + b"\n")
+    assert digest_of(monkeypatch, copied) == jit.source_digest()
+
+
+GAP = """
+import json, numpy as np
+from league import jit
+from league.track import projection
+course = np.zeros(1, projection.COURSE)
+course["length"], course["closed"] = 12.0, True
+ahead, behind = np.float32([0.5]), np.float32([11.5])
+gap = projection.gaps(course, np.zeros(1, np.int64), ahead, behind).item()
+loaded = sum(projection.gaps.stats.cache_hits.values())
+print(json.dumps([gap, loaded, str(jit.cache_folder())]))
+"""
+
+
+class Installation:
+    """A part of the package in a folder of its own, whose caches are in `home`."""
+
+    def __init__(self, folder: Path) -> None:
+        self.package, self.home = folder / "league", folder / "home"
+        for name in ("__init__.py", "jit.py", "portable_math.py", "track/__init__.py"):
+            self._take(name)
+        self._take("track/projection.py")
+
+    def _take(self, name: str) -> None:
+        (self.package / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(PACKAGE / name, self.package / name)
+
+    def make_read_only(self) -> None:
+        """Put a file where the folder of machine code would be: it stops root too."""
+        (self.package / "__pycache__").touch()
+
+    def gap(self) -> tuple[float, int, str]:
+        """Return a compiled function's result, how often it was loaded, and from which folder."""
+        environment = {"PATH": os.environ["PATH"], "XDG_CACHE_HOME": str(self.home)}
+        ran = subprocess.run(
+            [sys.executable, "-B", "-c", GAP],
+            cwd=self.package.parent,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        return json.loads(ran.stdout)
+
+
+def test_machine_code_is_kept_and_made_again_when_a_helper_elsewhere_changes(tmp_path):
+    here = Installation(tmp_path)
+    gap, loaded, folder = here.gap()
+    assert (gap, loaded) == (1.0, 0)
+    assert Path(folder).parent == here.package / "__pycache__"
+    assert here.gap() == [1.0, 1, folder]
+    source = here.package / "portable_math.py"
+    text = source.read_text(encoding="utf-8")
+    changed = text.replace(
+        "value = _ZERO\n    return value", "value = _ZERO\n    return value + _ONE"
+    )
+    assert changed != text
+    source.write_text(changed, encoding="utf-8")
+    gap, loaded, other = here.gap()
+    assert (gap, loaded) == (2.0, 0)
+    assert other != folder
+    assert not here.home.exists()
+
+
+def test_read_only_installation_compiles_into_the_users_cache(tmp_path):
+    here = Installation(tmp_path)
+    here.make_read_only()
+    gap, loaded, folder = here.gap()
+    assert (gap, loaded) == (1.0, 0)
+    assert Path(folder).parent == here.home / "racing-league"
+    assert list(Path(folder).glob("projection.gaps*.nbc"))
+    assert here.gap() == [1.0, 1, folder]
+
+
+def test_without_a_folder_to_write_to_it_compiles_all_the_same(tmp_path):
+    here = Installation(tmp_path)
+    here.make_read_only()
+    here.home.touch()
+    assert here.gap() == [1.0, 0, "None"]
+
+
+def test_worlds_of_any_size_meet_the_code_that_is_compiled_already(race_env):
+    from league.envs import step
+    from league.sim.config import ObstacleConfig, SimConfig
+
+    boxes = SimConfig(kind="obstacle_avoidance", obstacles=ObstacleConfig(count=2))
+    placed = ObstacleConfig(count=1, kind="bot", places=((0.5, 1.0),))
+    bots = SimConfig(kind="obstacle_avoidance", obstacles=placed)
+    known = None
+    for sim, num_worlds, mode in (
+        (SimConfig(), 1, "race"),
+        (SimConfig(kind="head_to_head", num_cars=3), 5, "training"),
+        (boxes, 1, "training"),
+        (bots, 2, "race"),
+    ):
+        env = race_env(sim=sim, num_worlds=num_worlds, mode=mode)
+        env.reset()
+        env.step(np.zeros((num_worlds, sim.num_cars, 2)))
+        signatures = [*step.step.signatures, *step.reset.signatures]
+        known = known or signatures
+        assert signatures == known
