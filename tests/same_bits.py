@@ -1,4 +1,4 @@
-"""Fixed races and one policy's decisions, hashed field by field; run as a program it prints them."""
+"""Fixed races and one policy's decisions, hashed field by field; as a program it prints them."""
 
 from __future__ import annotations
 
