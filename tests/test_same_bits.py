@@ -1,0 +1,133 @@
+"""The same races and decisions give the same bits, whatever processor the code is compiled for."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import re
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import same_bits
+from numba import njit
+
+from league.agents import inference
+from league.envs import step as stages
+
+RECORDED = {
+    "bots": "86f63b35e015a38c",
+    "boxes": "1fd12f9c3a7dfc14",
+    "crowd": "c9bb5e3367058a27",
+    "meeting": "13d12b0c06e545a4",
+    "policy": "9bbdda3c3ab6207c",
+    "race": "43e07c0a6cabdcba",
+}
+"""SHA-256 over the hashes of all fields of a race, in the order of their names, shortened."""
+X86 = pytest.mark.skipif(platform.machine() != "x86_64", reason="features of x86-64")
+FLAGS = re.compile(r"\b(fast|contract|reassoc|arcp|afn|nnan|ninf|nsz)\b|llvm\.(fma|fmuladd)\b")
+FUSED = re.compile(r"\bvfn?m(add|sub)")
+
+
+@cache
+def here() -> dict[str, str]:
+    return same_bits.digests()
+
+
+def elsewhere(**environment: str) -> tuple[list[str], dict[str, str]]:
+    """Return what another process compiled for, and the hash of each field there."""
+    root = Path(__file__).parents[1]
+    run = subprocess.run(
+        [sys.executable, str(root / "tests" / "same_bits.py")],
+        env={**os.environ, "PYTHONPATH": str(root), "OMP_NUM_THREADS": "1", **environment},
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+        cwd=root,
+    )
+    told = json.loads(run.stdout.splitlines()[-1])
+    return told["target"], told["digests"]
+
+
+def differing(found: dict[str, str]) -> list[str]:
+    assert found.keys() == here().keys()
+    return [field for field, seen in found.items() if seen != here()[field]]
+
+
+def test_races_and_decisions_are_the_recorded_ones_to_the_last_bit():
+    parts: dict[str, hashlib._Hash] = {}
+    for field, seen in sorted(here().items()):
+        parts.setdefault(field.split()[0], hashlib.sha256()).update(seen.encode())
+    assert {name: part.hexdigest()[:16] for name, part in parts.items()} == RECORDED
+
+
+def test_races_meet_what_may_differ():
+    """Contacts, walls, penalties, laps and passes occur, so the bits above went through them."""
+    for name, expected in {
+        "race": ("crashed", "off_track", "released", "lap", "finished", "overtook", "wall"),
+        "boxes": ("crashed", "off_track", "released"),
+        "bots": ("crashed", "off_track", "released"),
+        "meeting": ("crashed", "off_track", "overtook"),
+        "crowd": ("crashed", "off_track", "released", "overtook"),
+    }.items():
+        seen = [env._verdicts.copy() for env in same_bits.drive(*same_bits.races()[name])]
+        for field in expected:
+            assert np.any(np.stack(seen)[field]), f"{name} {field}"
+
+
+@pytest.mark.parametrize("threads", ["1", "3", "7"])
+def test_bits_do_not_depend_on_the_number_of_threads(monkeypatch, threads):
+    monkeypatch.setenv("OMP_NUM_THREADS", threads)
+    found: dict[str, hashlib._Hash] = {}
+    for field, numbers in same_bits.raced("crowd"):
+        found.setdefault(field, hashlib.sha256()).update(numbers.tobytes())
+    assert {field: seen.hexdigest() for field, seen in found.items()} == {
+        field: seen for field, seen in here().items() if field.startswith("crowd")
+    }
+
+
+def test_bits_do_not_depend_on_the_processor_compiled_for():
+    # The first run on a machine compiles; the machine code is then kept beside that of its own.
+    target, found = elsewhere(NUMBA_CPU_NAME="generic")
+    assert target == ["generic", ""]
+    assert differing(found) == []
+
+
+@pytest.mark.slow
+@X86
+@pytest.mark.parametrize(
+    "environment",
+    [
+        {"NUMBA_CPU_NAME": "x86-64", "NUMBA_CPU_FEATURES": "-sse3,-ssse3,-sse4.1,-avx"},
+        {"NUMBA_CPU_FEATURES": "-avx,-avx2,-avx512f,-fma"},
+        {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "+avx,+avx2,+fma"},
+        {"NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4", "OPENBLAS_CORETYPE": "Nehalem"},
+    ],
+    ids=["oldest", "no vectors", "fused", "numpy"],
+)
+def test_bits_do_not_depend_on_processor_features(environment):
+    if "+fma" in environment.get("NUMBA_CPU_FEATURES", ""):
+        flags = Path("/proc/cpuinfo").read_text(encoding="utf-8").split()
+        if not {"fma", "avx2"} <= set(flags):
+            pytest.skip("this processor has no fused multiply-add")
+    target, found = elsewhere(**environment)
+    assert target[1] == environment.get("NUMBA_CPU_FEATURES", target[1])
+    assert differing(found) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("entry", [stages.step, stages.reset, inference._decide])
+def test_no_sum_is_fused_or_reordered(entry):
+    here()
+    dispatcher = njit(nogil=True, error_model="numpy")(entry.py_func)
+    dispatcher.compile(entry.signatures[0])  # what comes from the cache on disk cannot be read
+    (code,) = dispatcher.inspect_llvm().values()
+    assert "fmul float" in code
+    assert not FLAGS.search(code)
+    (machine_code,) = dispatcher.inspect_asm().values()
+    assert "mul" in machine_code and not FUSED.search(machine_code)
