@@ -8,11 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from league.envs import episodes, rewards
+from league.envs import step as stages
 from league.envs.config import EnvConfig
 from league.envs.meeting import Meeting
 from league.envs.race_env import RaceEnv
 from league.envs.state import INDEX
-from league.sim import records
+from league.sim import planar, records
 from league.sim.config import (
     CameraConfig,
     CarConfig,
@@ -25,6 +27,7 @@ from league.sim.config import (
     SimConfig,
     Spread,
 )
+from league.sim.settings import settings
 from league.sim.world import World
 from league.track.course import Track, TrackSet
 
@@ -33,6 +36,8 @@ SETTINGS = (
     RaceRules, SensorConfig, SimConfig, Spread,
 )  # fmt: skip
 """All classes of settings of a world."""
+MOTION = ["x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "steering"]
+"""Fields of a car's movement in the plane."""
 RING_LENGTH = 12.0
 """Length of the ring: 240 points, 5 cm apart."""
 
@@ -149,6 +154,77 @@ def touch(
     for car, thing in obstacles:
         contacts["obstacles"][:, car] |= 1 << thing
     return contacts
+
+
+class Stages:
+    """The stages of a step, each by itself; they take worlds and return changed copies."""
+
+    def __init__(self, tracks: TrackSet, sim: SimConfig, *, training: bool = False) -> None:
+        cfg = EnvConfig(sim=sim, mode="training" if training else "race")
+        self._rules = settings(sim), episodes.settings(cfg)
+        places = np.array(sim.obstacles.places, np.float32).reshape(-1, 2)
+        self._course = tracks.points, tracks.courses, places, planar.schedule(sim.num_cars)
+
+    def aim(self, world: World) -> tuple[World, World]:
+        """Return the worlds with the velocity of each bot car, and with the bots at their goals."""
+        moving, arrivals = world.copy(), world.obstacles.copy()
+        self._run(stages.PREPARE, moving, arrivals=arrivals)
+        return moving, World(world.worlds, world.cars, arrivals)
+
+    def drive(self, world: World, controls: np.ndarray) -> tuple[World, np.ndarray]:
+        """Return the worlds after the planar physics, and the contacts.
+
+        Args:
+            world: before the step.
+            controls: target steering [rad] and speed [m/s], float32 (num_worlds, num_cars, 2).
+        """
+        after, contacts = world.copy(), touch(world)
+        self._run(stages.PHYSICS, after, controls=controls, contacts=contacts)
+        return after, contacts
+
+    def judge(
+        self, before: World, after: World, contacts: np.ndarray | None = None
+    ) -> tuple[np.ndarray, World]:
+        """Return the verdicts, and the worlds with the book of this step.
+
+        Args:
+            before: the worlds before the step.
+            after: the worlds after physics, with the old book.
+            contacts: what touched what; None: nothing.
+        """
+        after, verdicts = after.copy(), np.zeros(before.cars.shape, records.VERDICT)
+        after.worlds["step"] = before.worlds["step"]
+        contacts = touch(after) if contacts is None else contacts
+        self._run(
+            stages.JUDGE, after, before=before.cars.copy(), contacts=contacts, verdicts=verdicts
+        )
+        return verdicts, after
+
+    def settle(self, world: World, verdicts: np.ndarray) -> World:
+        """Return the worlds after penalties, or in training after new episodes began."""
+        world = world.copy()
+        self._run(stages.SETTLE, world, verdicts=verdicts)
+        return world
+
+    def _run(self, phase: int, world: World, **given: np.ndarray) -> None:
+        cars, shape = world.cars, world.cars.shape
+        arrays = {
+            "actions": np.stack([cars["action_steering"], cars["action_speed"]], axis=-1),
+            "cars": cars,
+            "before": cars.copy(),
+            "obstacles": world.obstacles,
+            "arrivals": world.obstacles.copy(),
+            "worlds": world.worlds,
+            "controls": np.stack([cars["target_steering"], cars["target_speed"]], axis=-1),
+            "contacts": touch(world),
+            "verdicts": np.zeros(shape, records.VERDICT),
+            "outcomes": np.zeros(shape, stages.OUTCOME),
+            "terms": np.zeros((*shape, len(rewards.TERMS)), np.float32),
+            "motions": np.zeros((shape[1], shape[0], 5), np.float32),
+            "weight": np.zeros(0, np.float32),
+        }
+        inputs = *(arrays | given).values(), *self._course, *self._rules
+        assert stages.step(phase, 0, shape[0], *inputs) == stages.FINE
 
 
 def follow_center(

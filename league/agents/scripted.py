@@ -105,16 +105,16 @@ class LineDriver:
 
     def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return actions from the `state` group."""
-        state = np.ascontiguousarray(observations["state"], np.float64)
-        return self.drive(state, np.ones(len(state)))
+        return self.drive(observations["state"], 1.0)
 
-    def drive(self, state: np.ndarray, pace: np.ndarray) -> np.ndarray:
-        """Return actions from the `state` group; pace is the part of its own pace for each row."""
-        if len(self._memory) != len(state):
-            self._memory = np.zeros(len(state), _MEMORY)
-        controls, records = np.empty((2, len(state))), self._records
-        rows = state.view(STATE)[:, 0]
-        _drive(rows, pace, self._path, self._gains, *records, self._memory, controls)
+    def drive(self, state: np.ndarray, pace: np.ndarray | float) -> np.ndarray:
+        """Return actions from the `state` group, at a part of the own pace, one or for each row."""
+        rows = np.ascontiguousarray(state, np.float64).view(STATE)[:, 0]
+        paces = np.full(len(rows), pace, np.float64)
+        if len(self._memory) != len(rows):
+            self._memory = np.zeros(len(rows), _MEMORY)
+        controls = np.empty((2, len(rows)))
+        _drive(rows, paces, self._path, self._gains, *self._records, self._memory, controls)
         return actions_from(*controls, self._car)
 
 

@@ -18,7 +18,6 @@ import numpy as np
 from league.agents.pace import GRAVITY
 from league.agents.path import at, between
 from league.jit import compiled, inner
-from league.portable_math import clamp
 from league.sim.config import CarConfig
 
 STEP_DT = 1 / 15
