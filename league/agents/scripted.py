@@ -20,7 +20,7 @@ import numpy as np
 
 from league.agents.driver import actions_from
 from league.agents.pace import GRAVITY
-from league.agents.path import NODE, NODE_GAP, NODES, Path, at, look_ahead
+from league.agents.path import NODE, NODE_GAP, NODES, Path, at, circle, look_ahead, start
 from league.agents.racing_line import center_line, optimal_line
 from league.agents.steering import STEP_DT, gains, steering_target
 from league.agents.traffic import STATE, THING, cover, gather, go_round, largest_speed
@@ -129,11 +129,11 @@ def _drive(states, paces, path, gain_table, cars, styles, memories, controls):
         look_ahead(path, state.s, road)
         limit = _around(state, things, road, style, memory)
         first = road[0]
-        # Metres of line for each metre of the path beside it, and the angle between them.
-        along = 1.0 - first.curvature * first.aside
-        across = (1.5 * road[1].aside - 1.25 * first.aside - 0.25 * road[2].aside) / NODE_GAP
-        along_line = speed / clamp(math.sqrt(along * along + across * across), 0.4, 2.5)
-        turned = atan(f32(across / along))
+        # Metres of the path beside the line for each metre of it, and the angle between them.
+        (ax, ay), (bx, by) = start(road, 0.0), start(road, 1.0)
+        longer = math.sqrt((bx * bx + by * by) / (ax * ax + ay * ay))
+        along_line = speed / clamp(longer, 0.4, 2.5)
+        turned = atan(f32((ax * by - ay * bx) / (ax * bx + ay * by)))
         lateral = clamp(state.lateral - first.lateral - first.aside, -0.2, 0.2)
         heading = clamp(state.heading_error - first.heading - turned, -0.8, 0.8)
         errors = (lateral, heading, state.speed_left, state.yaw_rate, memory.steering)
@@ -177,10 +177,10 @@ def _around(state, things, road, style, memory):
             road[k].aside = (before + 2.0 * here + road[k + 1].aside) / 4.0
             before = here
     for k in range(NODES):
-        i = min(max(k, 1), NODES - 2)
-        bent = (road[i - 1].aside - 2.0 * road[i].aside + road[i + 1].aside) / NODE_GAP**2
-        curvature = road[k].curvature
-        road[k].bend = curvature / max(1.0 - curvature * road[k].aside, 0.4) + bent
+        # Coarse nodes tell bends badly, but the same measure of both tells their difference well.
+        inside = min(max(k, 1), NODES - 2)
+        extra = circle(road, inside, 1.0) - circle(road, inside, 0.0)
+        road[k].bend = road[k].curvature + extra
     return limit
 
 
