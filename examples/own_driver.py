@@ -3,8 +3,7 @@
 Run it: python examples/own_driver.py
 """
 
-import torch
-from torch import Tensor
+import numpy as np
 
 from league import race
 from league.agents import roster
@@ -22,23 +21,23 @@ class Weaver:
     name = "weaver"
     sensors = SensorConfig()  # no camera, no lidar: it reads the true state
 
-    def reset(self, rows: Tensor | None) -> None:
+    def reset(self, rows: np.ndarray | None) -> None:
         """Forget everything; this driver remembers nothing."""
 
-    def act(self, observations) -> Tensor:
+    def act(self, observations) -> np.ndarray:
         """Return steering and speed in [-1, 1], one row for each world."""
         state = observations["state"]
         curvature = state[:, INDEX["curvature_0.25m"]]
         lateral, heading_error = state[:, INDEX["lateral"]], state[:, INDEX["heading_error"]]
         wished = curvature - 1.5 * lateral - 2.5 * heading_error
-        steering = torch.atan(CarConfig().wheelbase * wished)
-        speed = 2.2 - 0.8 * curvature.abs().clamp(max=1.5)
+        steering = np.arctan(CarConfig().wheelbase * wished)
+        speed = 2.2 - 0.8 * np.minimum(np.abs(curvature), 1.5)
         return actions_from(steering, speed, CarConfig())
 
 
 def main() -> None:
     """Race it."""
-    tracks = TrackSet.of(files.load("reinvent_2018"))
+    tracks = TrackSet(files.load("reinvent_2018"))
     spec = RaceSpec(entries=(Entry(name="weaver"), Entry(name="centerline")), laps=2)
     rival = roster.load("centerline", tracks, CarConfig())
     result = race.run(spec, drivers=[Weaver(), rival]).result

@@ -1,156 +1,149 @@
-"""A racing line as tables that a batch of cars reads: beside each car, and ahead along the line."""
+"""Compiled: a line round a track as a table, and what a car sees of it ahead."""
+
+# Numba gives its types a meaning that the checker does not know.
+# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
+# pyright: reportAttributeAccessIssue=false
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from typing import NamedTuple
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from league.agents.racing_line import RacingLine
+from league.jit import compiled, inner
+from league.portable_math import clamp
 from league.track.course import Track
 
 NODE_GAP = 0.2
-"""Distance between two nodes of a horizon [m]."""
+"""Distance between two nodes of the road ahead, along the line [m]."""
 NODES = 21
-"""Nodes of a horizon, the first at the car."""
+"""Nodes of the road ahead, the first at the car."""
+
+_OF_LINE = ("lateral", "heading", "curvature", "speed", "stretch")
+_OF_TRACK = ("left", "right", "x", "y", "normal_x", "normal_y")
+POINT = np.dtype([(name, np.float64) for name in (*_OF_LINE, *_OF_TRACK)])
+"""One place of a line: columns of RacingLine; then the distance from the centreline to the left and
+to the right border, the line's place in the world frame [m], and the TRACK's normal to the left."""
+NODE = np.dtype(
+    [*POINT.descr, *((name, np.float64) for name in ("ahead", "target", "aside", "bend"))]
+)
+"""One place of the road ahead: POINT, the distance from the car along the centreline [m], where to
+drive left of the centreline and left of the line [m], and the curvature of that path [1/m]."""
 
 
-@dataclass(frozen=True, eq=False)
-class Place:
-    """Where the line is beside each car, (num_rows,)."""
+class Path(NamedTuple):
+    """A line as compiled code reads it."""
 
-    distance: Tensor
-    """Along the line [m]."""
-    lateral: Tensor
-    """Line to the left of the centreline [m]."""
-    heading: Tensor
-    """Line's direction minus the track's [rad]."""
-
-
-@dataclass(frozen=True, eq=False)
-class Horizon:
-    """The line ahead of each car, (num_rows, NODES): nodes NODE_GAP metres of line apart."""
-
-    ahead: Tensor
-    """Centreline metres from the car [m]."""
-    lateral: Tensor
-    """Line to the left of the centreline [m]."""
-    curvature: Tensor
-    """[1/m]."""
-    speed: Tensor
-    """Speed the line allows [m/s]."""
-    left: Tensor
-    """Distance from the centreline to the left border [m]."""
-    right: Tensor
-    """Distance from the centreline to the right border [m]."""
-    x: Tensor
-    """World frame [m]."""
-    y: Tensor
-    """World frame [m]."""
-    normal_x: Tensor
-    """The TRACK's normal to the left, along which lateral places are told."""
-    normal_y: Tensor
-    """The same."""
-
-
-@dataclass(frozen=True, eq=False)
-class Path:
-    """A line's tables; uniform in s for `beside`, uniform along the line for `ahead_of`."""
-
-    closed: bool
+    points: np.ndarray
+    """POINT records, uniform in s; a closed line repeats its first one at the end."""
     length: float
     """Of the centreline [m]."""
-    total: float
-    """Of the line [m]."""
-    by_s: Tensor
-    """Columns distance, lateral, heading; a closed one repeats its first row at the end."""
-    by_distance: Tensor
-    """Columns s minus its even share, then those of a Horizon after `ahead`."""
-    nodes: Tensor
-    """How far ahead of a car a horizon's nodes lie along the line [m], (NODES,)."""
+    closed: bool
+    """Whether the line is a loop."""
 
     @classmethod
-    def of(cls, line: RacingLine, track: Track, *, device: torch.device | str = "cpu") -> Path:
-        """Build the tables of a line on its track, on a device."""
-        step = track.length / (len(line.s) if line.closed else len(line.s) - 1)
-        run = np.concatenate([[0.0], np.cumsum(line.stretch * step)])
-        run = run if line.closed else run[:-1]
-        s = np.arange(len(run)) * step
+    def of(cls, line: RacingLine, track: Track) -> Path:
+        """Put a line of a track into a table."""
+        points = np.empty(len(line.s) + line.closed, POINT)
+        for name in _OF_LINE:
+            points[name] = _whole(getattr(line, name), line.closed)
 
-        def whole(values: np.ndarray) -> np.ndarray:
-            return np.append(values, values[0]) if line.closed else values
+        def spread(values: np.ndarray) -> np.ndarray:
+            return _spread(_whole(values, track.closed), len(points))
 
-        def of_track(values: np.ndarray) -> np.ndarray:
-            given = np.arange(len(values) + track.closed)
-            spacing = track.length / (len(given) - 1)
-            return np.interp(s, given * spacing, whole(values))
-
-        lateral, total = whole(line.lateral), float(run[-1])
-        even = np.linspace(0.0, total, len(run))
-        tangent_x, tangent_y = (of_track(track.tangent[:, axis]) for axis in (0, 1))
-        size = np.hypot(tangent_x, tangent_y)
-        normal_x, normal_y = -tangent_y / size, tangent_x / size
-        columns = [
-            s,
-            lateral,
-            whole(line.curvature),
-            whole(line.speed),
-            of_track(np.linalg.norm(track.left - track.center, axis=1)),
-            of_track(np.linalg.norm(track.right - track.center, axis=1)),
-            of_track(track.center[:, 0]) + lateral * normal_x,
-            of_track(track.center[:, 1]) + lateral * normal_y,
-            normal_x,
-            normal_y,
-        ]
-        ahead = [np.interp(even, run, column) for column in columns]
-        ahead[0] = ahead[0] - even * (track.length / total)
-        beside = [run, lateral, whole(line.heading)]
-        return cls(
-            closed=line.closed,
-            length=track.length,
-            total=total,
-            by_s=_table(beside, device),
-            by_distance=_table(ahead, device),
-            nodes=torch.arange(NODES, dtype=torch.float32, device=device) * NODE_GAP,
-        )
-
-    def beside(self, s: Tensor) -> Place:
-        """Return where the line is at these places of the track."""
-        distance, lateral, heading = self._read(self.by_s, s, self.length)
-        return Place(distance, lateral, heading)
-
-    def ahead_of(self, place: Place) -> Horizon:
-        """Return the line ahead of these places."""
-        distance = place.distance.unsqueeze(1) + self.nodes
-        uneven, *others = self._read(self.by_distance, distance, self.total)
-        ahead = uneven - uneven[:, :1] + self.nodes * (self.length / self.total)
-        return Horizon(ahead, *others)
-
-    def _read(self, table: Tensor, where: Tensor, end: float) -> tuple[Tensor, ...]:
-        """Mix the two rows next to each place; loops wrap, open lines hold their ends."""
-        last = len(table) - 1
-        where = torch.remainder(where, end) if self.closed else torch.clamp(where, 0.0, end)
-        cell = torch.clamp(where * (last / end), 0.0, last)
-        low = torch.clamp(cell.to(torch.int64), max=last - 1)
-        part = (cell - low).unsqueeze(-1)
-        mixed = table[low] + (table[low + 1] - table[low]) * part
-        return mixed.unbind(dim=-1)
+        for name in ("left", "right"):
+            points[name] = spread(_size(getattr(track, name) - track.center))
+        tangent = np.stack([spread(track.tangent[:, axis]) for axis in (0, 1)], axis=1)
+        size = _size(tangent)
+        points["normal_x"], points["normal_y"] = -tangent[:, 1] / size, tangent[:, 0] / size
+        for axis, name in enumerate(("x", "y")):
+            points[name] = spread(track.center[:, axis])
+            points[name] += points["lateral"] * points[f"normal_{name}"]
+        return cls(points, float(track.length), line.closed)
 
 
-def _table(columns: list[np.ndarray], device: torch.device | str) -> Tensor:
-    return torch.tensor(np.stack(columns, axis=1), dtype=torch.float32, device=device)
+def _size(vectors: np.ndarray) -> np.ndarray:
+    return np.sqrt(vectors[:, 0] * vectors[:, 0] + vectors[:, 1] * vectors[:, 1])
 
 
-def read_nodes(values: Tensor, distance: Tensor) -> Tensor:
-    """Return node values at distances ahead along the line, held at the ends.
+def _whole(values: np.ndarray, closed: bool) -> np.ndarray:
+    return np.append(values, values[:1]) if closed else values
 
-    Args:
-        values: (num_rows, NODES).
-        distance: [m], (num_rows, K).
+
+@compiled
+def _spread(values, count):
+    """Return evenly spaced values interpolated at `count` evenly spaced places."""
+    out = np.empty(count)
+    for k in range(count):
+        out[k] = between(values, k * (len(values) - 1) / (count - 1))
+    return out
+
+
+@inner
+def between(values, place):
+    """Return the value at a fractional index, held at the ends."""
+    low = min(max(int(place), 0), len(values) - 2)
+    return values[low] + (values[low + 1] - values[low]) * clamp(place - low, 0.0, 1.0)
+
+
+@inner
+def at(values, distance):
+    """Return node values at a distance ahead along the line [m], held at the ends."""
+    return between(values, distance / NODE_GAP)
+
+
+@inner
+def _index(path, s):
+    """Return the fractional index of a place of the track."""
+    if path.closed:
+        s -= math.floor(s / path.length) * path.length
+    return s * (len(path.points) - 1) / path.length
+
+
+@inner
+def look_ahead(path, s, road):
+    """Write the line ahead of a place of the track into NODE records, (NODES,)."""
+    points, ahead = path.points, 0.0
+    for node in road:
+        place = _index(path, s + ahead)
+        node.ahead = ahead
+        node.lateral = between(points.lateral, place)
+        node.heading = between(points.heading, place)
+        node.curvature = between(points.curvature, place)
+        node.speed = between(points.speed, place)
+        node.left, node.right = between(points.left, place), between(points.right, place)
+        node.x, node.y = between(points.x, place), between(points.y, place)
+        node.normal_x = between(points.normal_x, place)
+        node.normal_y = between(points.normal_y, place)
+        middle = s + ahead + NODE_GAP / between(points.stretch, place) / 2
+        ahead += NODE_GAP / between(points.stretch, _index(path, middle))
+
+
+@inner
+def way(road, k, share):
+    """Return the way from a node to the next [m]: on the line (share 0) or beside it (1)."""
+    here, there = road[k], road[k + 1]
+    x = there.x - here.x + share * (there.aside * there.normal_x - here.aside * here.normal_x)
+    y = there.y - here.y + share * (there.aside * there.normal_y - here.aside * here.normal_y)
+    return x, y
+
+
+@inner
+def circle(road, k, share):
+    """Return the curvature of the circle through three nodes [1/m]; share as of `way`."""
+    (ax, ay), (bx, by) = way(road, k - 1, share), way(road, k, share)
+    cx, cy = ax + bx, ay + by
+    sides = (ax * ax + ay * ay) * (bx * bx + by * by) * (cx * cx + cy * cy)
+    return 2.0 * (ax * by - ay * bx) / math.sqrt(max(sides, 1e-9))
+
+
+@inner
+def start(road, share):
+    """Return the way at the first node, between the first and the second order.
+
+    First order lags where a line bends fast; second order overshoots where a path has a kink.
     """
-    cell = torch.clamp(distance / NODE_GAP, 0.0, NODES - 1.0)
-    low = torch.clamp(cell.to(torch.int64), max=NODES - 2)
-    first = torch.gather(values, 1, low)
-    return first + (torch.gather(values, 1, low + 1) - first) * (cell - low)
+    (ax, ay), (bx, by) = way(road, 0, share), way(road, 1, share)
+    return 1.25 * ax - 0.25 * bx, 1.25 * ay - 0.25 * by

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from league.agents import garage
 from league.agents.driver import Driver
-from league.agents.scripted import CenterlineDriver, LineDriver, Style
-from league.agents.traffic import Manners
+from league.agents.scripted import LineDriver, Style
 from league.errors import PolicyError, nearest_names
 from league.sim.config import CarConfig
 from league.track.course import TrackSet
@@ -25,13 +24,27 @@ _STYLES: dict[str, Style] = {
         grip=0.85,
         margin=0.12,
         reserve=0.25,
-        manners=Manners(
-            clearance=0.1, edge=0.04, approach=2.6, braking=2.0, gap=0.3, freer_side=True
-        ),
+        clearance=0.1,
+        edge=0.04,
+        braking=2.0,
+        gap=0.3,
+        freer_side=True,
+    ),
+    "centerline": Style(
+        on_centerline=True,
+        top_speed=2.0,
+        grip=0.36,
+        clearance=0.08,
+        edge=0.05,
+        approach=1.5,
+        lead=0.4,
+        braking=1.5,
+        gap=0.3,
+        waits=True,
     ),
     "racing_line": Style(),
 }
-"""How those drive that follow the racing line."""
+"""How they drive."""
 
 
 def load(name_or_path: str, tracks: TrackSet, car: CarConfig) -> Driver:
@@ -55,10 +68,7 @@ def load(name_or_path: str, tracks: TrackSet, car: CarConfig) -> Driver:
             f"{name_or_path!r} was asked to drive {len(tracks.tracks)} tracks at once: scripted "
             "drivers are built for one; give a set of one track"
         )
-    track = tracks.tracks[0]
-    if name_or_path in _STYLES:
-        return LineDriver(name_or_path, track, car, _STYLES[name_or_path])
-    return CenterlineDriver(name_or_path, track, car)
+    return LineDriver(name_or_path, tracks.tracks[0], car, _STYLES[name_or_path])
 
 
 def check(name_or_path: str) -> None:

@@ -1,18 +1,17 @@
 """The reward that knows the racing line, by hand: on a ring the line and its speed are known."""
 
 import math
-from dataclasses import replace
 
+import numpy as np
 import pytest
-import torch
-from scenes import go_to, make_ring, make_straight, put_cars, touch
+from scenes import Stages, go_to, make_ring, make_straight, put_cars
 
 from league.agents import line_reward
 from league.agents.line_reward import FAR, SLOW, AlongTheLine, built_in
 from league.agents.pace import Limits
 from league.envs import rewards
+from league.envs.rewards import BuiltIn
 from league.errors import ConfigError
-from league.sim import referee
 from league.sim.config import CarConfig, RaceRules, SimConfig
 from league.track.course import TrackSet
 
@@ -30,18 +29,16 @@ def paid(tracks, aside, speed, track=0):
     """Return what two cars earn for 0.1 m at these places beside the centreline."""
     start, end = ([(3.0 + way, aside), (5.0 + way, -0.3)] for way in (0.0, 0.1))
     before = put_cars(tracks, TWO, start, num_worlds=2)
-    before = replace(before, track=torch.full_like(before.track, track))
+    before.worlds["track"] = track
     after = go_to(tracks, before, end, speed=speed)
-    verdict, standing = referee.judge(tracks, TWO, before, after, touch(after))
+    verdicts, after = Stages(tracks, TWO).judge(before, after)
+    told = tracks, before, after, np.zeros((2, 2, 2), np.float32), verdicts
     reward = AlongTheLine(tracks, CAR)
-    total, terms = reward(
-        tracks, before, replace(after, standing=standing), torch.zeros(2, 2, 2), verdict
-    )
+    total, terms = reward(*told)
     assert list(terms) == list(reward.terms)
-    torch.testing.assert_close(total, sum(terms.values()))
-    usual = rewards.preset("progress")
-    earned, _ = rewards.total(tracks, usual, replace(after, standing=standing), verdict)
-    torch.testing.assert_close(total - terms["racing_line"], earned)
+    assert np.allclose(total, sum(terms.values()))
+    earned, _ = BuiltIn(rewards.preset("progress"))(*told)
+    assert np.allclose(total - terms["racing_line"], earned, atol=1e-6)
     return terms["racing_line"]
 
 
@@ -70,9 +67,9 @@ def test_who_drives_the_wrong_way_or_stands_is_not_paid(ring):
     speed = speed_at(0.025 / math.sin(math.pi / 240) - INSIDE)
     before = put_cars(tracks, TWO, [(3.0, INSIDE), (5.0, INSIDE)])
     after = go_to(tracks, before, [(2.8, INSIDE), (5.0, INSIDE)], speed=speed)
-    verdict, standing = referee.judge(tracks, TWO, before, after, touch(after))
-    told = (before, replace(after, standing=standing), torch.zeros(1, 2, 2), verdict)
-    assert reward(tracks, *told)[1]["racing_line"].tolist() == [[0.0, 0.0]]
+    verdicts, after = Stages(tracks, TWO).judge(before, after)
+    _, terms = reward(tracks, before, after, np.zeros((1, 2, 2), np.float32), verdicts)
+    assert terms["racing_line"].tolist() == [[0.0, 0.0]]
 
 
 def test_each_world_is_told_the_line_of_its_own_track():
@@ -85,15 +82,15 @@ def test_each_world_is_told_the_line_of_its_own_track():
 def test_an_open_track_has_a_line_to_its_end():
     track = make_straight()
     reward = AlongTheLine(TrackSet(track), CAR)
-    there = torch.tensor([[0.0, 0.5, 1.0]])
-    _, speed = reward._beside(torch.zeros_like(there, dtype=torch.int64), there)
+    there = np.array([[0.0, 0.5, 1.0]])
+    _, speed = reward._beside(np.zeros(there.shape, np.int64), there)
     assert speed.tolist() == [pytest.approx([CAR.max_speed] * 3, rel=0.02)]
 
 
 def test_a_lap_ends_where_it_begins(ring):
     reward = AlongTheLine(ring(), CAR)
-    there = torch.tensor([[0.0, 1.0]])
-    lateral, speed = reward._beside(torch.zeros_like(there, dtype=torch.int64), there)
+    there = np.array([[0.0, 1.0]])
+    lateral, speed = reward._beside(np.zeros(there.shape, np.int64), there)
     assert lateral[0, 0] == pytest.approx(float(lateral[0, 1]), abs=1e-4)
     assert speed[0, 0] == pytest.approx(float(speed[0, 1]), abs=1e-3)
 

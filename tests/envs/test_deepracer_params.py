@@ -396,12 +396,12 @@ def test_places_are_found_as_the_tracks_themselves_find_them():
     index = np.zeros(1, np.int64)
     center = tracks.at(index, s)
     x, y = center.x - 0.3 * center.sin, center.y + 0.3 * center.cos
-    frame, lateral = tracks.project(index, x, y, s + np.float32(0.1))
+    frame = tracks.project(index, x, y, s + np.float32(0.1))
     lines = Lines.of(tracks)
     places = zip(*(one[0].tolist() for one in (x, y, s + 0.1)), strict=True)
     found = np.array([telling.project(lines.rows, lines.measures[0], *place) for place in places])
     assert found[:, 0] == pytest.approx(frame.s[0], abs=1e-4)
-    assert found[:, 1] == pytest.approx(lateral[0], abs=1e-5)
+    assert found[:, 1] == pytest.approx(frame.lateral[0], abs=1e-5)
     assert found[:, 2] == pytest.approx(frame.left[0], abs=1e-5)
 
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 from small_play import CAR, RING, Constant
 
-from league.agents.scripted import CenterlineDriver
+from league.agents import roster
 from league.track.course import TrackSet
 from league.training.selfplay import duels
 from league.training.selfplay.settings import DuelConfig
 
 
 def test_a_driver_and_its_copy_win_half_of_mirrored_races_each():
-    twins = [CenterlineDriver("centerline", RING.tracks[0], CAR) for _ in range(2)]
+    twins = [roster.load("centerline", RING, CAR) for _ in range(2)]
     cfg = DuelConfig(laps=1, slowest=12.0, grace_s=2.0)
     ((one, two),) = duels.meet(RING, CAR, twins, [(0, 1)], cfg, races=4).values()
     assert one.races == two.races == 4
@@ -21,7 +21,7 @@ def test_a_driver_and_its_copy_win_half_of_mirrored_races_each():
 
 
 def test_races_side_by_side_end_each_at_its_own_time():
-    drivers = [CenterlineDriver("centerline", RING.tracks[0], CAR), Constant(1.0, 0.0)]
+    drivers = [roster.load("centerline", RING, CAR), Constant(1.0, 0.0)]
     found = [
         duels.meet(RING, CAR, drivers, [(0, 1)], DuelConfig(laps=1, at_once=at_once), races=4)
         for at_once in (1, 3, 128)
@@ -47,7 +47,7 @@ def test_seeds_take_the_tracks_in_turn_from_one_that_is_drawn():
 
 
 def test_who_leaves_the_road_loses_from_either_slot():
-    drivers = [CenterlineDriver("centerline", RING.tracks[0], CAR), Constant(1.0, 0.0)]
+    drivers = [roster.load("centerline", RING, CAR), Constant(1.0, 0.0)]
     cfg = DuelConfig(laps=1)
     ((one, two),) = duels.meet(RING, CAR, drivers, [(0, 1)], cfg, races=4).values()
     assert (one.win_rate, two.win_rate) == (1.0, 0.0)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-import torch
 
 from league.agents.scripted import LineDriver, Style
 from league.envs.state import INDEX, NEIGHBOURS
@@ -61,8 +60,7 @@ class Pacer(LineDriver):
         if len(self._shares) != len(state):
             self._shares = self._drawn(np.arange(len(state)))
         state[:, _PRESENT] = 0.0
-        self._pace = torch.from_numpy(self._shares[:, None])
-        return super().act({"state": state})
+        return self.drive(state, self._shares)
 
     def _drawn(self, rows: np.ndarray) -> np.ndarray:
         least, most = self._between
