@@ -10,7 +10,7 @@ from gymnasium.utils.env_checker import data_equivalence
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 from pettingzoo.test.max_cycles_test import max_cycles_test
 from pettingzoo.utils.conversions import parallel_to_aec
-from scenes import make_ring
+from scenes import follow_center, make_ring
 
 from league.envs import parallel_env
 from league.errors import ActionError, ConfigError, LeagueError, TrackError
@@ -61,6 +61,18 @@ def test_neither_the_package_nor_its_envs_load_a_heavy_neighbour():
         "import sys, league, league.envs;"
         "heavy = {'torch', 'pettingzoo', 'rsl_rl', 'pybullet', 'rerun', 'cv2'} & set(sys.modules);"
         "assert not heavy, heavy"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_races_run_where_torch_was_never_loaded():
+    code = (
+        "import sys, gymnasium; from league.envs import parallel_env;"
+        "race = parallel_env(kind='time_trial', sensors=());"
+        "race.reset(); race.step({'car_0': [0, 1]});"
+        "trial = gymnasium.make('league/TimeTrial-v0', sensors=()).unwrapped;"
+        "trial.reset(); trial.step([0, 1]);"
+        "assert 'torch' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
 
@@ -137,7 +149,7 @@ def test_two_environments_in_one_process_do_not_know_of_each_other(solver):
 def test_without_a_seed_each_reset_brings_another_race_and_a_seed_brings_the_row_again():
     def places(env, seed):
         env.reset(seed=seed)
-        return env._env.world.obstacles.s[0].tolist()
+        return env._env.world.obstacles["s"][0].tolist()
 
     env = parallel_env(kind="obstacle_avoidance", sensors=())
     row = [places(env, 5), places(env, None), places(env, None)]
@@ -173,13 +185,7 @@ def test_an_agent_that_finishes_leaves_and_never_comes_back_until_reset():
 
 def steer(env, car, speed):
     """Follow the centreline by the truth."""
-    from scenes import follow_center
-
-    from league.envs import observations
-
-    race = env._env
-    truth = observations.state(race.tracks, race.cfg.sim, race.world, car)
-    return follow_center({"state": truth}, speed)[0].numpy()
+    return follow_center(env._env.observations[car], speed)[0]
 
 
 def test_infos_tell_place_progress_penalty_and_verdict():
@@ -287,7 +293,7 @@ def test_the_settings_of_the_world_can_be_given_and_the_words_win():
     sim = SimConfig(obstacles=ObstacleConfig(count=3))
     env = parallel_env(kind="obstacle_avoidance", sim=sim, laps=7, sensors=())
     env.reset(seed=0)
-    assert env._env.world.obstacles.s.shape == (1, 3)
+    assert env._env.world.obstacles.shape == (1, 3)
     assert env._env.cfg.sim.rules.laps == 7
 
 
@@ -304,7 +310,7 @@ def test_the_live_viewer_is_told_of_every_race_on_one_clock(monkeypatch):
             return cls()
 
         def add(self, world):
-            told.append(int(world.step[0]))
+            told.append(int(world.worlds["step"][0]))
 
         def close(self):
             told.append(-1)

@@ -2,12 +2,12 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Mapping
 from importlib.metadata import entry_points
 
 import gymnasium
 import numpy as np
 import pytest
-import torch
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 from scenes import follow_center, make_ring
@@ -27,10 +27,10 @@ class Follower:
     def __init__(self, sensors: SensorConfig | None = None) -> None:
         self.name, self.sensors, self.resets = "follower", sensors or SensorConfig(), 0
 
-    def reset(self, rows: torch.Tensor | None) -> None:
+    def reset(self, rows: np.ndarray | None) -> None:
         self.resets += 1
 
-    def act(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+    def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
         return follow_center(observations)
 
 
@@ -117,8 +117,8 @@ def test_a_race_is_lost_by_nobody_and_ends_after_its_laps():
     told, _ = env.reset(seed=0)
     laps = []
     for _ in range(400):
-        action = follow_center({"state": torch.from_numpy(told["state"][None])}, 2.0)[0]
-        told, _, terminated, truncated, info = env.step(action.numpy())
+        action = follow_center({"state": told["state"][None]}, 2.0)[0]
+        told, _, terminated, truncated, info = env.step(action)
         if info["lap"]:
             laps.append(info["last_lap_s"])
         if terminated or truncated:
@@ -141,10 +141,10 @@ def test_the_others_are_driven_by_the_given_drivers():
     env = SingleEnv(make_ring(), "head_to_head", opponents=(follower, "centerline"), sensors=())
     told, _ = env.reset(seed=0)
     assert set(told) == {"motion"}  # the learner's own, whatever the others carry
-    before = env._seat.env.world.standing.distance.clone()
+    before = env._seat.env.world.cars["distance"].copy()
     for _ in range(30):
         env.step(np.array([0.0, -1.0]))
-    moved = (env._seat.env.world.standing.distance - before)[0]
+    moved = (env._seat.env.world.cars["distance"] - before)[0]
     assert float(moved[0]) < 0.3 < float(moved[1:].min())
     assert follower.resets >= 1
     env.reset()
