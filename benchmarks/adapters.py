@@ -46,7 +46,7 @@ class Drive:
 
 
 def follow(state: np.ndarray, car: int = 0) -> np.ndarray:
-    """Return actions that follow the centreline, car 0 at 2.4 and car 1 at 1.5 m/s, (num_rows, 2)."""
+    """Return actions that follow the centreline, even cars at 2.4, odd ones at 1.5 m/s, (rows, 2)."""
     from league.envs.state import INDEX
 
     error = 1.5 * state[:, INDEX["lateral"]] + 2.5 * state[:, INDEX["heading_error"]]
@@ -213,7 +213,7 @@ def _sized(num_worlds: int, num_cars: int) -> Row:
 
 
 ROWS = (
-    Row("RaceEnv, 1 world x 2 cars", lambda: race_env(1, 2, 300, "race"), 100_000, "car-steps/s"),
+    Row("RaceEnv, a race of 2", lambda: race_env(1, 2, 300, "race"), 100_000, "car-steps/s"),
     Row("PettingZoo, 2 cars", pettingzoo, 12_000),
     Row("Gymnasium, time trial without cameras", lambda: gymnasium_env(()), 15_000),
     Row("Gymnasium, time trial with 64x48 stereo", lambda: gymnasium_env((_camera(),)), 7_000),
