@@ -228,7 +228,7 @@ def run(task_name: str, variation: Variation, seed: int) -> Trial:
 
 
 def _learner(cfg: TrainConfig, variation: Variation) -> Learner:
-    env = worlds.make(TrackSet.of(files.load("reinvent_2018")), cfg)
+    env = worlds.make(TrackSet(files.load("reinvent_2018")), cfg)
     if variation.critic_sees == "state":
         learner = Learner(env, cfg)
     else:

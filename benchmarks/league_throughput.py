@@ -32,7 +32,7 @@ GOAL_A_DAY = 20_000
 MINUTE_S = 60.0
 SHARES = {
     "physics": ("solver", "bullet.py", "step"),
-    "referee": ("referee", "referee.py", "judge"),
+    "referee": ("judging, rewards and penalties", "race_env.py", "_run"),
     "sensors": ("cameras and lidars", "sensing.py", "read"),
     "inference": ("inference", "policy.py", "act"),
     "recording": ("recording", "recording.py", "add"),
