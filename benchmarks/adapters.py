@@ -55,8 +55,18 @@ def follow(state: np.ndarray, car: int = 0) -> np.ndarray:
     return np.stack([steering.clip(-1, 1), speed], axis=1).astype(np.float32)
 
 
-def race_env(num_worlds: int, num_cars: int, steps: int, mode: str = "training") -> Drive:
-    """Drive a RaceEnv without cameras; in training cars are spread round the track."""
+def race_env(
+    num_worlds: int, num_cars: int, steps: int, mode: str = "training", *, truth: bool = False
+) -> Drive:
+    """Drive a RaceEnv without cameras; in training cars are spread round the track.
+
+    Args:
+        num_worlds: worlds.
+        num_cars: cars in each.
+        steps: steps in a block.
+        mode: race or training.
+        truth: whether the `state` of all cars is read at each step, as learners' critics do.
+    """
     from league.envs import problem
     from league.envs.race_env import RaceEnv
 
@@ -72,7 +82,10 @@ def race_env(num_worlds: int, num_cars: int, steps: int, mode: str = "training")
 
     def run() -> None:
         for action in actions:
-            env.step(action)
+            told = env.step(action).observations
+            if truth:
+                for groups in told:
+                    groups["state"]
 
     def seen() -> dict[str, np.ndarray]:
         told = env.step(actions[-1]).observations
@@ -220,6 +233,12 @@ ROWS = (
     Row("Gymnasium, 64 worlds with 64x48 stereo", gymnasium_vector, 25_000, "car-steps/s"),
     Row("4,096 x 2, one core", lambda: race_env(4096, 2, 10), 1_200_000, "car-steps/s"),
     Row("4,096 x 2, two cores", lambda: race_env(4096, 2, 10), 2_200_000, "car-steps/s", 2),
+    Row(
+        "4,096 x 2, one core, state read",
+        lambda: race_env(4096, 2, 10, truth=True),
+        None,
+        "car-steps/s",
+    ),
     Row("decision of a 64x48 policy", decision, 10_000, "decisions/s"),
 )
 SIZES = (
@@ -310,8 +329,6 @@ def main(arguments: Sequence[str] = ()) -> None:
     given = parser.parse_args(arguments)
     rows = {row.name: row for row in (*ROWS, *SIZES)}
     if given.row:
-        if os.environ.get("OMP_NUM_THREADS") == "1" and "torch" in sys.modules:
-            sys.modules["torch"].set_num_threads(1)
         print(json.dumps(measure(rows[given.row])))
         return
     from benchmarks.report import figure, heading, machine
