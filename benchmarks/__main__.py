@@ -6,7 +6,7 @@ import sys
 NAMES = (
     "tracks",
     "cameras",
-    "worlds",
+    "adapters",
     "solvers",
     "lap_bound",
     "lap_optimum",

@@ -8,15 +8,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pybullet
-import torch
 
 from benchmarks.report import fastest, figure, heading, machine
-from league.sim import grid
+from league.envs.config import EnvConfig
+from league.envs.race_env import RaceEnv
 from league.sim.camera import scene
 from league.sim.camera.paint import PaintRenderer
 from league.sim.camera.ray import RayRenderer
 from league.sim.config import CameraConfig, SimConfig
-from league.sim.world import Obstacles, World, row
+from league.sim.records import OBSTACLE
+from league.sim.world import World
 from league.track import files, paint
 from league.track.course import TrackSet
 
@@ -28,34 +29,37 @@ EDGE = 12
 def one_ahead(tracks: TrackSet, num_worlds: int) -> tuple[SimConfig, World]:
     """Return worlds with a car to look from and one in its view, 0.6 to 2 m ahead, all over."""
     sim = SimConfig(kind="head_to_head", num_cars=2)
-    blank = torch.zeros(num_worlds, dtype=torch.int64)
-    world = grid.start(tracks, sim, torch.arange(num_worlds), blank)
+    world = _on_the_grid(tracks, sim, num_worlds)
     draw = np.random.default_rng(3)
-    length = tracks.tracks[0].length
-    s = torch.tensor(draw.uniform(0, length, (num_worlds, 1)), dtype=torch.float32)
-    gap = torch.tensor(draw.uniform(0.6, 2.0, (num_worlds, 1)), dtype=torch.float32)
-    x, y, frame = tracks.at(world.track, torch.cat([s, s + gap], dim=1))
-    yaw = torch.atan2(frame.sin, frame.cos)
+    s = draw.uniform(0, tracks.tracks[0].length, (num_worlds, 1))
+    gap = draw.uniform(0.6, 2.0, (num_worlds, 1))
+    frame, cars = tracks.at(world.track, np.concatenate([s, s + gap], axis=1)), world.cars
+    cars["x"], cars["y"], cars["steering"] = frame.x, frame.y, 0.2
+    cars["yaw"] = np.arctan2(frame.sin, frame.cos)
     # The one looks at the other, as if turning in behind it.
-    yaw[:, 0] = torch.atan2(y[:, 1] - y[:, 0], x[:, 1] - x[:, 0]) + 0.1
-    steering = torch.full_like(yaw, 0.2)
-    return sim, replace(world, motion=replace(world.motion, x=x, y=y, yaw=yaw, steering=steering))
+    away_x, away_y = np.diff(frame.x)[:, 0], np.diff(frame.y)[:, 0]
+    cars["yaw"][:, 0] = np.arctan2(away_y, away_x) + 0.1
+    return sim, world
 
 
 def behind(world: World) -> World:
     """Return the worlds with the second car far behind the first."""
-    motion = world.motion
-    x, y = motion.x.clone(), motion.y.clone()
-    x[:, 1] = x[:, 0] - 100 * torch.cos(motion.yaw[:, 0])
-    y[:, 1] = y[:, 0] - 100 * torch.sin(motion.yaw[:, 0])
-    return replace(world, motion=replace(motion, x=x, y=y))
+    world = world.copy()
+    first, second = world.cars[:, 0], world.cars[:, 1]
+    second["x"] = first["x"] - 100 * np.cos(first["yaw"])
+    second["y"] = first["y"] - 100 * np.sin(first["yaw"])
+    return world
 
 
-def check_car_is_seen(seen: torch.Tensor, alone: torch.Tensor) -> None:
+def _on_the_grid(tracks: TrackSet, sim: SimConfig, num_worlds: int) -> World:
+    return RaceEnv(tracks, EnvConfig(sim=sim), num_worlds=num_worlds).world.copy()
+
+
+def check_car_is_seen(seen: np.ndarray, alone: np.ndarray) -> None:
     """Stop unless every picture has contrast and shows the car."""
-    changed = ((seen.int() - alone.int()).abs() > 5).flatten(1).sum(dim=1)
-    assert int(changed.min()) > 20, "a picture does not show its car"
-    assert float(seen.float().flatten(1).std(dim=1).min()) > 10, "a picture is blank"
+    changed = np.abs(seen.astype(int) - alone) > 5
+    assert changed.sum(axis=(1, 2, 3)).min() > 20, "a picture does not show its car"
+    assert seen.std(axis=(1, 2, 3)).min() > 10, "a picture is blank"
 
 
 def random_scenes(tracks: TrackSet, number: int) -> tuple[SimConfig, World]:
@@ -77,18 +81,17 @@ def random_scenes(tracks: TrackSet, number: int) -> tuple[SimConfig, World]:
             if inside and all(math.dist((x, y), one[:2]) > 0.45 for one in (me, *others)):
                 others.append((x, y, draw.uniform(-math.pi, math.pi)))
         cars.append([me, *others[:2]])
-        boxes.append([(*place, 0.15, 0.2) for place in others[2:]])
+        boxes.append(others[2:])
+    # A race among cars has no boxes: they are added by hand.
     sim = SimConfig(kind="head_to_head", num_cars=3)
-    blank = torch.zeros(number, dtype=torch.int64)
-    world = grid.start(tracks, sim, torch.arange(number), blank)
-    x, y, yaw = torch.tensor(np.array(cars), dtype=torch.float32).unbind(2)
-    stood = torch.tensor(np.array(boxes), dtype=torch.float32)
-    body = dict.fromkeys(Obstacles.__dataclass_fields__, torch.zeros(stood.shape[:2]))
-    names = ("x", "y", "yaw", "half_length", "half_width")
-    body |= {name: stood[..., k] for k, name in enumerate(names)}
-    steering = torch.tensor(draw.uniform(-0.5, 0.5, (number, 3)), dtype=torch.float32)
-    motion = replace(world.motion, x=x, y=y, yaw=yaw, steering=steering)
-    return sim, replace(world, motion=motion, obstacles=Obstacles(**body))
+    world = _on_the_grid(tracks, sim, number)
+    world = replace(world, obstacles=np.zeros((number, 2), OBSTACLE))
+    for stood, places in ((world.cars, cars), (world.obstacles, boxes)):
+        for k, name in enumerate(("x", "y", "yaw")):
+            stood[name] = np.array(places)[..., k]
+    world.obstacles["half_length"], world.obstacles["half_width"] = 0.15, 0.2
+    world.cars["steering"] = draw.uniform(-0.5, 0.5, (number, 3))
+    return sim, world
 
 
 def speed(tracks: TrackSet) -> None:
@@ -104,7 +107,7 @@ def speed(tracks: TrackSet) -> None:
                 taken = fastest(lambda: renderer.render(world, 0))  # noqa: B023
             else:
                 # One world a call, each of the 64 in turn.
-                singles = [row(world, index) for index in range(64)]
+                singles = [world.row(index) for index in range(64)]
                 taken = fastest(lambda: [renderer.render(one, 0) for one in singles])  # noqa: B023
             name = f"stereo {width}x{height}, a car in view, {num_worlds} world(s) a call"
             figure(name, 64 / taken, "pairs/s", goal)
@@ -126,7 +129,7 @@ class TinyScene:
             x, y = middle[0] + sign * (half[0] + thick), middle[1] + sign * (half[1] + thick)
             self._box((x, middle[1], high), (thick, half[1], high), track.colours.wall)
             self._box((middle[0], y, high), (half[0], thick, high), track.colours.wall)
-        x, y, yaw = (float(part[0, 1]) for part in _places(world))
+        x, y, yaw = _place(world, 1)
         turn = (0, 0, math.sin(yaw / 2), math.cos(yaw / 2))
         for solid in scene.CAR.solids:
             self._solid(solid, (x, y, 0), turn)
@@ -202,7 +205,7 @@ class TinyScene:
 
     def _eyes(self, world: World) -> None:
         cfg = self._camera
-        x, y, yaw = (float(part[0, 0]) for part in _places(world))
+        x, y, yaw = _place(world, 0)
         cos, sin = math.cos(yaw), math.sin(yaw)
         self._views = []
         for eye in (cfg.baseline / 2, -cfg.baseline / 2):
@@ -241,13 +244,13 @@ def against_bullet(tracks: TrackSet, folder: Path | None = None) -> None:
     """Print how much faster a pair is than two pictures of PyBullet's software renderer."""
     camera = CameraConfig()
     sim, worlds = one_ahead(tracks, 8)
-    world = row(worlds, 0)
+    world = worlds.row(0)
     renderer = PaintRenderer(tracks, sim, camera)
     check_car_is_seen(renderer.render(world, 0), renderer.render(behind(world), 0))
     tiny, tiny_empty = (TinyScene(tracks, one, camera) for one in (world, behind(world)))
     theirs, bare = (np.stack(one.pair()) for one in (tiny, tiny_empty))
     assert theirs.std() > 10 and (np.abs(theirs.astype(int) - bare) > 5).sum() > 60
-    ours = renderer.render(world, 0)[0].numpy()
+    ours = renderer.render(world, 0)[0]
     gray = theirs @ np.array(scene.LUMA)
     alike = np.corrcoef(ours.reshape(-1), gray.reshape(-1))[0, 1]
     assert alike > 0.6, f"the two do not show the same scene: correlation {alike:.2f}"
@@ -272,8 +275,8 @@ def agreement(tracks: TrackSet) -> None:
     sim, world = random_scenes(tracks, SCENES)
     for width, height in ((160, 120), (64, 48)):
         camera = CameraConfig(width=width, height=height)
-        painted = PaintRenderer(tracks, sim, camera).render(world, 0).numpy()
-        cast = RayRenderer(tracks, sim, camera).render(world, 0).numpy()
+        painted = PaintRenderer(tracks, sim, camera).render(world, 0)
+        cast = RayRenderer(tracks, sim, camera).render(world, 0)
         square = np.ones((3, 3), np.uint8)
         flat = cast.reshape(-1, height, width)
         spread = [cv2.dilate(image, square) - cv2.erode(image, square) for image in flat]
@@ -287,21 +290,18 @@ def agreement(tracks: TrackSet) -> None:
         figure(f"  share of pixels away from edges, {size}", 100 * away.mean(), "%")
 
 
-def _places(world: World) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    return world.motion.x, world.motion.y, world.motion.yaw
+def _place(world: World, car: int) -> list[float]:
+    return [float(world.cars[name][0, car]) for name in ("x", "y", "yaw")]
 
 
 def main(folder: Path | None = None) -> None:
     """Print all figures of the cameras; with a folder, leave the two renderers' pictures there."""
     heading("Cameras")
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    print(machine(), "one thread")
-    tracks = TrackSet.of(files.load("reinvent_2018"))
+    print(machine())
+    tracks = TrackSet(files.load("reinvent_2018"))
     speed(tracks)
     against_bullet(tracks, folder)
     agreement(tracks)
-    torch.set_num_threads(threads)
 
 
 if __name__ == "__main__":

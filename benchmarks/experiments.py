@@ -31,7 +31,6 @@ from league.envs.rewards import preset
 from league.sim.config import CameraConfig, SensorConfig
 from league.track import files
 from league.track.course import TrackSet
-from league.training import learner as learner_room
 from league.training import mirror, worlds
 from league.training.judge import Exam, judged
 from league.training.learner import Learner
@@ -228,22 +227,22 @@ def run(task_name: str, variation: Variation, seed: int) -> Trial:
 
 
 def _learner(cfg: TrainConfig, variation: Variation) -> Learner:
-    env = worlds.make(TrackSet.of(files.load("reinvent_2018")), cfg)
+    env = worlds.make(TrackSet(files.load("reinvent_2018")), cfg)
     if variation.critic_sees == "state":
         learner = Learner(env, cfg)
     else:
-        with patch.object(learner_room, "_runner_settings", _blindfolded):
+        with patch.object(Learner, "_settings", _blindfolded):
             learner = Learner(env, cfg)
     variation.alter(learner)
     return learner
 
 
-_settings_as_they_are = learner_room._runner_settings
+_settings_as_they_are = Learner._settings
 
 
-def _blindfolded(cfg: TrainConfig) -> dict:
+def _blindfolded(learner: Learner) -> dict:
     """Return rsl-rl's settings with a critic of the actor's layers, which is told no more."""
-    settings = _settings_as_they_are(cfg)
+    settings = _settings_as_they_are(learner)
     critic = dict(settings["actor"])
     del critic["distribution_cfg"]
     groups = {**settings["obs_groups"], "critic": settings["obs_groups"]["actor"]}

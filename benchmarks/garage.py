@@ -12,8 +12,6 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-import torch
-
 from benchmarks.lap_bound import lap_bound
 from benchmarks.report import figure, heading, machine
 from league.agents import checkpoint, roster
@@ -131,7 +129,7 @@ def novice(found: Found) -> None:
 
 def duelist(found: Found, races: int = 200) -> None:
     """Mirrored races against its parent, against the centreline, and against its own past."""
-    tracks, car = TrackSet.of(files.load(HOME)), CarConfig()
+    tracks, car = TrackSet(files.load(HOME)), CarConfig()
     mine = roster.policy(str(found["duelist"]), tracks, car)
     rivals: dict[str, tuple[Driver, float]] = {}
     if "novice" in found:  # its parent
@@ -195,7 +193,6 @@ def main(arguments: list[str] | None = None) -> None:
     found |= {name: Path(path) for name, path in given.items()}
     heading("The garage")
     print(machine())
-    torch.set_num_threads(1)
     there = {name: path for name, path in found.items() if path.exists()}
     for name, ask in ASKED.items():
         if name not in there:

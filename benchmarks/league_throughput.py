@@ -15,8 +15,6 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
-import torch
-
 from benchmarks.report import figure, heading, machine
 from league import race, side_process
 from league.agents import checkpoint
@@ -32,7 +30,7 @@ GOAL_A_DAY = 20_000
 MINUTE_S = 60.0
 SHARES = {
     "physics": ("solver", "bullet.py", "step"),
-    "referee": ("referee", "referee.py", "judge"),
+    "referee": ("controls, referee and penalties", "step.py", "step"),
     "sensors": ("cameras and lidars", "sensing.py", "read"),
     "inference": ("inference", "policy.py", "act"),
     "recording": ("recording", "recording.py", "add"),
@@ -188,7 +186,6 @@ def main() -> None:
     """Print the figures."""
     heading("The league's throughput")
     print(machine())
-    torch.set_num_threads(1)
     starting()
     drivers = policies([path for path in sys.argv[1:] if path.endswith(".pt")])
     if len(drivers) < 2:

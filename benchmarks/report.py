@@ -5,6 +5,7 @@ import platform
 import statistics
 import time
 from collections.abc import Callable
+from importlib.metadata import version
 
 
 def heading(title: str) -> None:
@@ -33,8 +34,6 @@ def figure(
 
 def machine() -> str:
     """Describe the machine in one line."""
-    import torch
-
     model = platform.processor() or platform.machine()
     try:
         with open("/proc/cpuinfo", encoding="utf-8") as lines:
@@ -44,7 +43,7 @@ def machine() -> str:
         pass
     return (
         f"{os.cpu_count()} cores of {model}, Python {platform.python_version()}, "
-        f"torch {torch.__version__}"
+        f"Numba {version('numba')}, torch {version('torch')}"
     )
 
 
@@ -70,7 +69,7 @@ def _times(action: Callable[[], object], repeats: int) -> list[float]:
 
 def product(num_worlds: int, num_cars: int) -> float:
     """Return the time of one elementwise product of that shape [s], the yardstick of tables."""
-    import torch
+    import numpy as np
 
-    one = torch.rand(num_worlds, num_cars)
+    one = np.random.default_rng(0).random((num_worlds, num_cars), np.float32)
     return fastest(lambda: [one * one for _ in range(20)], 30) / 20

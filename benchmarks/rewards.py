@@ -3,7 +3,7 @@
 import tempfile
 from pathlib import Path
 
-import torch
+import numpy as np
 
 from benchmarks.report import fastest, figure, heading, machine
 from league.envs.config import EnvConfig
@@ -30,34 +30,32 @@ class _Kept:
 
     def __call__(self, *told):
         self.told = told
-        return torch.zeros_like(told[-1].advance), {}
+        return np.zeros(told[-1].shape, np.float32), {}
 
 
 def overhead_us(kind: RaceKind, num_worlds: int, path: Path) -> float:
     """Return the time of a call of a trivial function, in a batch of one row for each world."""
     sim = SimConfig(kind=kind, num_cars=2 if kind == "head_to_head" else 1)
     kept = _Kept()
-    tracks = TrackSet.of(files.load("reinvent_2018"))
+    tracks = TrackSet(files.load("reinvent_2018"))
     cfg = EnvConfig(sim=sim, mode="training")
     env = RaceEnv(tracks, cfg, num_worlds=num_worlds, seed=1, reward=kept)
     for _ in range(10):
-        env.step(torch.zeros(num_worlds, sim.num_cars, 2))
+        env.step(np.zeros((num_worlds, sim.num_cars, 2)))
     reward = user_reward(path, num_worlds, (0,), sim=sim)
-    reward.restart(env.world, torch.ones(num_worlds, sim.num_cars, dtype=torch.bool))
+    reward.restart(env.world, np.ones((num_worlds, sim.num_cars), np.bool_))
 
     def call() -> None:
         for _ in range(CALLS):
             reward(*kept.told)
 
-    with torch.inference_mode():
-        return 1e6 * fastest(call) / CALLS / num_worlds
+    return 1e6 * fastest(call) / CALLS / num_worlds
 
 
 def main() -> None:
     """Print the figures."""
     heading("Reward functions: our overhead for each call, the fastest of 40 times a hundred")
     print(machine())
-    torch.set_num_threads(1)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "trivial.py"
         path.write_text("def reward_function(params):\n    return 1.0\n", encoding="utf-8")

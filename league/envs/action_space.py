@@ -63,7 +63,7 @@ class ContinuousActions:
 
     def controls(self, outputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return steering [deg] and speed [m/s], each (num_rows,), of outputs (num_rows, 2)."""
-        share = (outputs.clip(-1.0, 1.0) + np.float32(1.0)) * np.float32(0.5)
+        share = (outputs.clip(-1.0, 1.0) + 1.0) * 0.5
         steering = self.steering_low + share[:, 0] * (self.steering_high - self.steering_low)
         speed = self.speed_low + share[:, 1] * (self.speed_high - self.speed_low)
         return steering, speed
@@ -137,10 +137,11 @@ def to_actions(space: ActionSpace, outputs: np.ndarray, car: CarConfig) -> np.nd
         Steering and speed in [-1, 1], float32 (num_rows, 2).
     """
     steering, speed = space.controls(outputs)
-    share = (speed - np.float32(car.min_speed)) / np.float32(car.max_speed - car.min_speed)
-    angle = steering * np.float32(math.pi / 180.0) / np.float32(car.max_steering)
-    both = np.stack([angle, np.float32(2.0) * share - np.float32(1.0)], axis=1)
-    return both.astype(np.float32, copy=False).clip(-1.0, 1.0)
+    both = np.empty((len(outputs), 2), np.float32)
+    both[:, 0] = steering * (math.pi / 180.0) / car.max_steering
+    share = (speed - car.min_speed) / (car.max_speed - car.min_speed)
+    both[:, 1] = 2.0 * share - 1.0
+    return both.clip(-1.0, 1.0)
 
 
 def grid(steerings: int, max_steering: float, speeds: int, max_speed: float) -> DiscreteActions:

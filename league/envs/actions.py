@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from league.errors import ActionError, brief, nearest_names
 
@@ -31,10 +31,17 @@ def checked(action: object, whose: str, rows: int | None = None) -> np.ndarray:
         raise ActionError(
             f"the action of {whose} has shape {numbers.shape}: expected {shape}, [steering, speed]"
         )
-    # Rounded first, so that 1 + 1e-9 in double precision is still full speed.
-    with np.errstate(over="ignore"):
-        rounded = numbers.astype(np.float32)
-    if not bool((np.abs(rounded) <= 1.0).all()):  # False for NaN
+    rounded = numbers
+    if numbers.dtype != np.float32:
+        # Rounded first, so that 1 + 1e-9 in double precision is still full speed.
+        with np.errstate(over="ignore"):
+            rounded = numbers.astype(np.float32)
+    if rows is None:  # plain numbers, because NumPy takes longer over two
+        steering, speed = rounded.tolist()
+        in_range = -1.0 <= steering <= 1.0 and -1.0 <= speed <= 1.0
+    else:
+        in_range = np.abs(rounded).max() <= 1.0
+    if not in_range:  # so with NaN
         raise ActionError(
             f"the action of {whose} is {brief(numbers.tolist())}: "
             "steering and speed must be numbers from -1 to 1"
@@ -43,7 +50,7 @@ def checked(action: object, whose: str, rows: int | None = None) -> np.ndarray:
 
 
 def of_agents(
-    actions: object, racing: Iterable[str], known: Iterable[str]
+    actions: object, racing: Sequence[str], known: Sequence[str]
 ) -> dict[str, np.ndarray]:
     """Return the action of each agent still racing.
 
@@ -55,25 +62,29 @@ def of_agents(
     Raises:
         ActionError: an agent without an action, an action without its agent, or no action.
     """
-    racing, known = list(racing), list(known)
     if not isinstance(actions, Mapping):
         raise ActionError(
             f"actions are {brief(actions)}: give a dict with one action for each agent, "
             f"{{'car_0': [steering, speed], ...}}"
         )
-    for name in actions:
-        if name not in racing:
-            raise ActionError(_stranger(name, racing, known))
     missing = [name for name in racing if name not in actions]
-    if missing:
+    if missing or len(actions) > len(racing):
+        for name in actions:
+            if name not in racing:
+                raise ActionError(_stranger(name, racing, known))
         raise ActionError(
             f"there is no action for {', '.join(missing)}: give one for each of {', '.join(racing)}"
         )
     return {name: checked(actions[name], name) for name in racing}
 
 
-def _numbers(action: object, whose: str, shape: tuple[int, ...]) -> np.ndarray:
-    if isinstance(action, Tensor):
+def _numbers(
+    action: Any,  # noqa: ANN401
+    whose: str,
+    shape: tuple[int, ...],
+) -> np.ndarray:
+    torch = sys.modules.get("torch")  # without torch nothing is a tensor
+    if torch is not None and isinstance(action, torch.Tensor):
         if action.is_complex() or action.dtype == torch.bool:
             raise ActionError(_no_numbers(action, whose, shape))
         # Half-precision formats that numpy does not know are widened.
@@ -94,11 +105,11 @@ def _no_numbers(action: object, whose: str, shape: tuple[int, ...]) -> str:
     )
 
 
-def _stranger(name: object, racing: list[str], known: list[str]) -> str:
+def _stranger(name: object, racing: Sequence[str], known: Sequence[str]) -> str:
     if name in known:
         left = f"only {', '.join(racing)} still race" if racing else "the race is over: call reset"
         return f"there is an action for {name}, whose race has ended: {left}"
     if not known:
         return f"there is an action for {brief(name)} before the first reset: call reset"
-    near = nearest_names(name, known) if isinstance(name, str) else ", ".join(known)
+    near = nearest_names(name, list(known)) if isinstance(name, str) else ", ".join(known)
     return f"there is an action for {brief(name)}, who is no agent here: there are {near}"

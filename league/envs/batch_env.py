@@ -84,6 +84,8 @@ class BatchEnv(VectorEnv[Told, np.ndarray, np.ndarray]):
         space = batch_space(self.single_observation_space, num_envs)
         assert isinstance(space, Dict)
         self.observation_space: Dict = space
+        self._reader = spaces.Reader(space)
+        self._infos = infos.Infos(self._seat.env, car)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._generators: list[np.random.Generator] = []
         self._done = np.zeros(num_envs, dtype=bool)
@@ -103,7 +105,7 @@ class BatchEnv(VectorEnv[Told, np.ndarray, np.ndarray]):
         self._seed(seed)
         groups = self._seat.reset([seeds.drawn(each) for each in self._generators])
         self._done[:] = False
-        return spaces.told(groups, self.observation_space), self._info(None)
+        return self._reader.read(groups), self._info(None)
 
     def step(
         self, actions: np.ndarray
@@ -116,19 +118,18 @@ class BatchEnv(VectorEnv[Told, np.ndarray, np.ndarray]):
         if not self._generators:
             raise ActionError("step was called before the first reset: call reset")
         drive = door_actions.checked(actions, "the learners", rows=self.num_envs)
-        ended = self._done.copy()
-        drawn = [
-            seeds.drawn(each) if over else 0
-            for each, over in zip(self._generators, ended, strict=True)
-        ]
-        step = self._seat.step(drive, ended, drawn) if ended.any() else self._seat.step(drive)
+        ended = self._done
+        if ended.any():
+            step = self._seat.step(drive, ended, self._drawn(ended))
+        else:
+            step = self._seat.step(drive)
         car = self._seat.car
         terminated = step.terminated[:, car] & ~ended
         truncated = step.truncated[:, car] & ~ended
         rewards = np.where(ended, 0.0, step.rewards[:, car].astype(np.float64))
         info = self._info(step, ended)
         self._done = terminated | truncated
-        told = spaces.told(step.observations[car], self.observation_space)
+        told = self._reader.read(step.observations[car])
         return told, rewards, terminated, truncated, info
 
     def close_extras(self, **kwargs: Any) -> None:  # noqa: ANN401
@@ -151,8 +152,13 @@ class BatchEnv(VectorEnv[Told, np.ndarray, np.ndarray]):
             for one, old in zip(each, kept, strict=True)
         ]
 
+    def _drawn(self, ended: np.ndarray) -> list[int]:
+        """Return seeds for the races that start; others draw none."""
+        each = zip(self._generators, ended, strict=True)
+        return [seeds.drawn(generator) if over else 0 for generator, over in each]
+
     def _info(self, step: Step | None, ended: np.ndarray | None = None) -> dict[str, Any]:
-        told = infos.of_car(self._seat.env, self._seat.car, step)
+        told = self._infos.of_all(step)
         if ended is not None and ended.any():
-            told = infos.mixed(ended, infos.of_car(self._seat.env, self._seat.car, None), told)
+            told = infos.mixed(ended, self._infos.of_all(None), told)
         return infos.masked(told, self.num_envs)

@@ -88,6 +88,10 @@ class MultiEnv(ParallelEnv[str, Any, np.ndarray]):
         }
         self._action_spaces = {agent: spaces.action() for agent in self.possible_agents}
         self.observation_spaces, self.action_spaces = {**self._told_spaces}, {**self._action_spaces}
+        self._readers = [spaces.Reader(space) for space in self._told_spaces.values()]
+        self._infos = [infos.Infos(env, car) for car in range(env.num_cars)]
+        self._cars = {agent: car for car, agent in enumerate(self.possible_agents)}
+        self._driven = np.zeros((1, env.num_cars, door_actions.SIZE), np.float32)
         self._was_reset = False
 
     def observation_space(self, agent: str) -> Dict:
@@ -110,7 +114,7 @@ class MultiEnv(ParallelEnv[str, Any, np.ndarray]):
         told = self._env.reset(seeds=[self._seeds.next(seed)])
         self.agents, self._was_reset = list(self.possible_agents), True
         self._pictures.started()
-        return self._observations(told), self._infos(None)
+        return self._observations(told), self._told_infos(None)
 
     def step(
         self, actions: dict[str, np.ndarray]
@@ -130,20 +134,15 @@ class MultiEnv(ParallelEnv[str, Any, np.ndarray]):
         given = door_actions.of_agents(actions, self.agents, known)
         if not self.agents:
             return {}, {}, {}, {}, {}
-        driven = self._env.last_action
         for agent, action in given.items():
-            driven[0, self._car(agent)] = action
-        step = self._env.step(driven)
+            self._driven[0, self._cars[agent]] = action
+        step = self._env.step(self._driven)
         self._pictures.stepped()
-        terminated = {agent: bool(step.terminated[0, self._car(agent)]) for agent in self.agents}
-        truncated = {agent: bool(step.truncated[0, self._car(agent)]) for agent in self.agents}
-        brought = (
-            self._observations(step.observations),
-            {agent: float(step.rewards[0, self._car(agent)]) for agent in self.agents},
-            terminated,
-            truncated,
-            self._infos(step),
+        rewards, terminated, truncated = (
+            self._by_agent(each) for each in (step.rewards, step.terminated, step.truncated)
         )
+        observed = self._observations(step.observations)
+        brought = (observed, rewards, terminated, truncated, self._told_infos(step))
         self._part_with([name for name in self.agents if terminated[name] or truncated[name]])
         return brought
 
@@ -162,20 +161,18 @@ class MultiEnv(ParallelEnv[str, Any, np.ndarray]):
 
     def _part_with(self, leaving: list[str]) -> None:
         for agent in leaving:
-            self._env.retire(self._car(agent))
+            self._env.retire(self._cars[agent])
             self.agents.remove(agent)
 
     def _observations(self, told: Observations) -> dict[str, Told]:
-        return {
-            agent: spaces.told(told[self._car(agent)], self._told_spaces[agent])
-            for agent in self.agents
-        }
+        return {agent: self._readers[car].read(told[car]) for agent, car in self._racing()}
 
-    def _infos(self, step: Step | None) -> dict[str, dict[str, Any]]:
-        return {
-            agent: infos.of_world(infos.of_car(self._env, self._car(agent), step), 0)
-            for agent in self.agents
-        }
+    def _told_infos(self, step: Step | None) -> dict[str, dict[str, Any]]:
+        return {agent: self._infos[car].of_first(step) for agent, car in self._racing()}
 
-    def _car(self, agent: str) -> int:
-        return self.possible_agents.index(agent)
+    def _by_agent(self, values: np.ndarray) -> dict[str, Any]:
+        numbers = values[0].tolist()
+        return {agent: numbers[car] for agent, car in self._racing()}
+
+    def _racing(self) -> list[tuple[str, int]]:
+        return [(agent, self._cars[agent]) for agent in self.agents]

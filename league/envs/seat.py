@@ -9,6 +9,7 @@ from typing import Unpack
 import numpy as np
 
 from league.envs import problem
+from league.envs.actions import SIZE
 from league.envs.driver import Driver
 from league.envs.opponents import Opponents, named
 from league.envs.problem import Settings
@@ -75,6 +76,7 @@ class Seat:
         self.env, self.car = RaceEnv(tracks, cfg, num_worlds=num_worlds), car
         self.sensors = cfg.sensors_of(car)
         self._opponents = Opponents(dict(zip(others, drivers, strict=True)))
+        self._driven = np.zeros((num_worlds, len(carried), SIZE), np.float32)
 
     def reset(self, seeds: list[int]) -> Mapping[str, np.ndarray]:
         """Start all races; return what the learner is told."""
@@ -88,19 +90,14 @@ class Seat:
         """Drive the learner by its actions and the others by their drivers.
 
         Args:
-            actions: of the learner, (num_worlds, 2).
+            actions: of the learner, (num_worlds, 2), or (2,) in one world.
             restart: worlds to start again instead, bool, (num_worlds,).
             seeds: their seeds.
         """
-        env = self.env
-        driven = env.last_action
-        driven[:, self.car] = actions
-        driven = self._opponents.act(driven, self._told)
-        step = env.step(driven, restart=restart, seeds=seeds)
-        restarted = np.zeros_like(step.terminated)
-        if env.cfg.mode == "training":
-            restarted = step.terminated | step.truncated
-        if restart is not None:
-            restarted = restarted | restart[:, None]
-        self._opponents.forget(restarted)
+        self._driven[:, self.car] = actions
+        if not self._opponents.cars:
+            return self.env.step(self._driven, restart=restart, seeds=seeds)
+        driven = self._opponents.act(self._driven, self._told)
+        step = self.env.step(driven, restart=restart, seeds=seeds)
+        self._opponents.forget(step.began)
         return step

@@ -13,7 +13,6 @@ from league.envs import actions, infos, problem, seeds, spaces
 from league.envs.driver import Driver
 from league.envs.pictures import Pictures
 from league.envs.problem import Settings
-from league.envs.race_env import Step
 from league.envs.seat import Seat
 from league.errors import ActionError
 from league.sim.config import RaceKind
@@ -65,7 +64,9 @@ class SingleEnv(gymnasium.Env[Any, np.ndarray]):
         self._seat = Seat(track, kind, sensors, car=car, opponents=opponents, **settings)
         self.render_mode = render_mode
         self._pictures = Pictures(self._seat.env, render_mode, view, car)
-        self._space = self.observation_space = spaces.observation(self._seat.sensors, privileged)
+        self.observation_space = spaces.observation(self._seat.sensors, privileged)
+        self._reader = spaces.Reader(self.observation_space)
+        self._infos = infos.Infos(self._seat.env, car)
         self.action_space = spaces.action()
         self._over = True
 
@@ -82,7 +83,7 @@ class SingleEnv(gymnasium.Env[Any, np.ndarray]):
         groups = self._seat.reset([seeds.drawn(self.np_random)])
         self._over = False
         self._pictures.started()
-        return spaces.told(groups, self._space), self._info(None)
+        return self._reader.read(groups), self._infos.of_first(None)
 
     def step(self, action: np.ndarray) -> tuple[Told, float, bool, bool, dict[str, Any]]:
         """Drive for 1/15 s.
@@ -92,14 +93,13 @@ class SingleEnv(gymnasium.Env[Any, np.ndarray]):
         """
         if self._over:
             raise ActionError("step was called on a race that is over or not begun: call reset")
-        drive = actions.checked(action, "the learner")
-        step = self._seat.step(drive[np.newaxis])
+        step = self._seat.step(actions.checked(action, "the learner"))
         self._pictures.stepped()
         car = self._seat.car
-        terminated, truncated = bool(step.terminated[0, car]), bool(step.truncated[0, car])
+        terminated, truncated = step.terminated.item(0, car), step.truncated.item(0, car)
         self._over = terminated or truncated
-        told = spaces.told(step.observations[car], self._space)
-        return told, float(step.rewards[0, car]), terminated, truncated, self._info(step)
+        told, reward = self._reader.read(step.observations[car]), step.rewards.item(0, car)
+        return told, reward, terminated, truncated, self._infos.of_first(step)
 
     def render(self) -> np.ndarray | None:
         """Return a picture, uint8 (height, width, 3), or show the race in the live viewer."""
@@ -109,6 +109,3 @@ class SingleEnv(gymnasium.Env[Any, np.ndarray]):
         """Give back the physics engine and the viewer; may be called twice."""
         self._pictures.close()
         self._seat.env.close()
-
-    def _info(self, step: Step | None) -> dict[str, Any]:
-        return infos.of_world(infos.of_car(self._seat.env, self._seat.car, step), 0)

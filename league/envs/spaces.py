@@ -40,21 +40,29 @@ def observation(sensors: SensorConfig, privileged: bool) -> Dict:
     return Dict(groups)
 
 
-def told(groups: Mapping[str, np.ndarray], space: Dict) -> dict[str, np.ndarray]:
-    """Return the groups of a space as arrays of their own, within its bounds.
+class Reader:
+    """Copies the groups of a space, bounded by it, out of what a car observes."""
 
-    Args:
-        groups: what a car is told, leading axis num_worlds.
-        space: the space, of one world or of the batch.
-    """
-    arrays: dict[str, np.ndarray] = {}
-    for name, box in space.items():
-        assert isinstance(box, Box)
-        values = np.asarray(groups[name]).reshape(box.shape)
-        # A copy, always: a reading that is told again must not be the caller's array.
-        copied = values.copy() if box.dtype == np.uint8 else np.clip(values, box.low, box.high)
-        arrays[name] = copied
-    return arrays
+    def __init__(self, space: Dict) -> None:
+        """Set up for a space made by `observation`, of one world or batched."""
+        self._boxes = [
+            (name, box.shape, box.dtype == np.uint8, box.low.flat[0], box.high.flat[0])
+            for name, box in space.items()
+            if isinstance(box, Box)
+        ]
+
+    def read(self, groups: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Return arrays that the caller may keep.
+
+        Args:
+            groups: what a car observes, leading axis num_worlds.
+        """
+        arrays: dict[str, np.ndarray] = {}
+        for name, shape, is_bytes, low, high in self._boxes:
+            values = np.asarray(groups[name]).reshape(shape)
+            # Always a copy: the environment gives a reading that is not due again.
+            arrays[name] = values.copy() if is_bytes else np.minimum(np.maximum(values, low), high)
+        return arrays
 
 
 def _lidar(lidar: LidarConfig) -> Box:

@@ -10,7 +10,7 @@ from gymnasium.utils.env_checker import data_equivalence
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 from pettingzoo.test.max_cycles_test import max_cycles_test
 from pettingzoo.utils.conversions import parallel_to_aec
-from scenes import make_ring
+from scenes import follow_center, make_ring
 
 from league.envs import parallel_env
 from league.errors import ActionError, ConfigError, LeagueError, TrackError
@@ -61,6 +61,18 @@ def test_neither_the_package_nor_its_envs_load_a_heavy_neighbour():
         "import sys, league, league.envs;"
         "heavy = {'torch', 'pettingzoo', 'rsl_rl', 'pybullet', 'rerun', 'cv2'} & set(sys.modules);"
         "assert not heavy, heavy"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_races_run_where_torch_was_never_loaded():
+    code = (
+        "import sys, gymnasium; from league.envs import parallel_env;"
+        "race = parallel_env(kind='time_trial', sensors=());"
+        "race.reset(); race.step({'car_0': [0, 1]});"
+        "trial = gymnasium.make('league/TimeTrial-v0', sensors=()).unwrapped;"
+        "trial.reset(); trial.step([0, 1]);"
+        "assert 'torch' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
 
@@ -173,7 +185,6 @@ def test_an_agent_that_finishes_leaves_and_never_comes_back_until_reset():
 
 def steer(env, car, speed):
     """Follow the centreline by the truth."""
-    from scenes import follow_center
 
     return follow_center(env._env.observations[car], speed)[0]
 

@@ -2,12 +2,12 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Mapping
 from importlib.metadata import entry_points
 
 import gymnasium
 import numpy as np
 import pytest
-import torch
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 from scenes import follow_center, make_ring
@@ -27,10 +27,10 @@ class Follower:
     def __init__(self, sensors: SensorConfig | None = None) -> None:
         self.name, self.sensors, self.resets = "follower", sensors or SensorConfig(), 0
 
-    def reset(self, rows: torch.Tensor | None) -> None:
+    def reset(self, rows: np.ndarray | None) -> None:
         self.resets += 1
 
-    def act(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+    def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
         return follow_center(observations)
 
 
