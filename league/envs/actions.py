@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, TypeGuard
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from league.errors import ActionError, brief, nearest_names
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 SIZE = 2
 """Numbers in one action: steering (1 is full left) and speed (1 is the largest command)."""
@@ -73,7 +76,9 @@ def of_agents(
 
 
 def _numbers(action: object, whose: str, shape: tuple[int, ...]) -> np.ndarray:
-    if isinstance(action, Tensor):
+    if _is_tensor(action):
+        import torch
+
         if action.is_complex() or action.dtype == torch.bool:
             raise ActionError(_no_numbers(action, whose, shape))
         # Half-precision formats that numpy does not know are widened.
@@ -85,6 +90,12 @@ def _numbers(action: object, whose: str, shape: tuple[int, ...]) -> np.ndarray:
     if numbers.dtype.kind not in "fiu":
         raise ActionError(_no_numbers(action, whose, shape))
     return numbers
+
+
+def _is_tensor(action: object) -> TypeGuard[Tensor]:
+    # Whoever has a tensor has loaded torch, which takes seconds; nobody else should wait for it.
+    torch = sys.modules.get("torch")
+    return torch is not None and isinstance(action, torch.Tensor)
 
 
 def _no_numbers(action: object, whose: str, shape: tuple[int, ...]) -> str:
