@@ -77,9 +77,9 @@ def check(name_or_path: str) -> None:
     Raises:
         PolicyError: the name is unknown, or the checkpoint not sound.
     """
-    from league.agents import checkpoint
-
     if path := _file(name_or_path):
+        from league.agents import checkpoint  # late: torch takes seconds
+
         checkpoint.load(path)
 
 

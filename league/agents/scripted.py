@@ -19,7 +19,6 @@ from functools import lru_cache
 import numpy as np
 
 from league.agents.driver import actions_from
-from league.agents.pace import GRAVITY
 from league.agents.path import NODE, NODE_GAP, NODES, Path, at, circle, look_ahead, start
 from league.agents.racing_line import center_line, optimal_line
 from league.agents.steering import STEP_DT, gains, steering_target
@@ -28,6 +27,7 @@ from league.envs.state import NEAR_OBSTACLES, NEIGHBOURS
 from league.jit import compiled, inner
 from league.portable_math import atan, clamp, f32
 from league.sim.config import CarConfig, SensorConfig
+from league.sim.settings import GRAVITY
 from league.track.course import Track
 
 

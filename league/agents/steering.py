@@ -15,10 +15,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from league.agents.pace import GRAVITY
 from league.agents.path import at, between
 from league.jit import compiled, inner
 from league.sim.config import CarConfig
+from league.sim.settings import GRAVITY
 
 STEP_DT = 1 / 15
 """Length of a control step [s]."""

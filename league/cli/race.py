@@ -121,18 +121,24 @@ def _spec(command: Race, track: str) -> RaceSpec:
 
 def entries(drivers: Sequence[str]) -> list[dict[str, str]]:
     """Return the entries of a spec; a checkpoint is shown by its name and found by its path."""
-    from league.agents import checkpoint, garage
+    from league.agents import garage
 
     found = []
     for given, name in zip(drivers, labels(drivers), strict=True):
         entry = {"name": name}
         if given.endswith(".pt"):
-            entry |= {"path": given, "digest": checkpoint.digest(given)}
+            entry |= {"path": given, "digest": _digest(given)}
         elif given in garage.names():
             # No path: on every machine the garage has it under this name.
-            entry["digest"] = checkpoint.digest(garage.path(given))
+            entry["digest"] = _digest(garage.path(given))
         found.append(entry)
     return found
+
+
+def _digest(path: str | Path) -> str:
+    from league.agents import checkpoint  # late: torch takes seconds
+
+    return checkpoint.digest(path)
 
 
 def labels(drivers: Sequence[str]) -> list[str]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from league.race_spec import Event
 from league.replay.replay import Replay
@@ -58,6 +57,8 @@ def speeds(replay: Replay) -> np.ndarray:
 
 def chase_path(replay: Replay) -> ChasePath:
     """Return where to chase from: the last of those close behind the leader, to see them all."""
+    from scipy.ndimage import gaussian_filter1d  # late: SciPy takes a while
+
     columns = replay.columns
     distance = np.where(_watched(replay), columns.distance, -np.inf)
     gap = distance.max(axis=1, keepdims=True) - distance

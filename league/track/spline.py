@@ -1,9 +1,15 @@
 """Curves through points: a smooth centreline at even spacing, and how far its normals may reach."""
 
+# Numba gives its types a meaning that the checker does not know.
+# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
+
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
-from scipy.interpolate import CubicSpline
+
+from league.jit import compiled
 
 FOLD_REACH = 1.3 * np.pi
 """How far along the line a bend can fold its own border, in half widths.
@@ -16,12 +22,61 @@ width, so nothing but folds is clipped.
 _CLIP_MARGIN = 0.98  # keeps the two sides of a fold from touching
 
 
-def through(points: np.ndarray, *, closed: bool) -> CubicSpline:
+_WRAPPED = 64  # points of a loop that are repeated: its ends then bend alike, to the last bits
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A cubic spline."""
+
+    places: np.ndarray
+    """Of its points, growing, (K,)."""
+    points: np.ndarray
+    """(K, 2)."""
+    bends: np.ndarray
+    """Its second derivative at the points, (K, 2)."""
+
+    def __call__(self, places: np.ndarray) -> np.ndarray:
+        """Return points of the curve, (num_places, 2)."""
+        low = np.searchsorted(self.places, places, side="right") - 1
+        low = np.clip(low, 0, len(self.places) - 2)
+        step = (self.places[low + 1] - self.places[low])[:, None]
+        part = (places - self.places[low])[:, None] / step
+        rest = 1.0 - part
+        before, after = self.bends[low], self.bends[low + 1]
+        bent = (rest * rest * rest - rest) * before + (part * part * part - part) * after
+        return rest * self.points[low] + part * self.points[low + 1] + bent * (step * step / 6.0)
+
+
+def through(points: np.ndarray, *, closed: bool) -> Curve:
     """Return the smooth curve through the points, by chord length: periodic, or natural if open."""
-    ring = np.concatenate([points, points[:1]]) if closed else points
-    chord = np.linalg.norm(np.diff(ring, axis=0), axis=1)
-    place = np.concatenate([[0.0], np.cumsum(chord)])
-    return CubicSpline(place, ring, bc_type="periodic" if closed else "natural")
+    count = len(points)
+    extra = _WRAPPED if closed else 0
+    rows = np.arange(-extra, count + closed + extra) % count
+    chord = np.linalg.norm(np.diff(points[rows], axis=0), axis=1)
+    bends = _bends(chord, points[rows].astype(np.float64))
+    kept = slice(extra, extra + count + closed)
+    places = np.concatenate([[0.0], np.cumsum(chord[extra : extra + count + closed - 1])])
+    return Curve(places, points[rows[kept]], bends[kept])
+
+
+@compiled
+def _bends(steps, points):
+    """Return the second derivatives of the natural cubic spline, by elimination."""
+    count = len(points)
+    bends, share = np.zeros((count, 2)), np.zeros(count)
+    for k in range(1, count - 1):
+        before, after = steps[k - 1], steps[k]
+        pivot = 2.0 * (before + after) - before * share[k - 1]
+        share[k] = after / pivot
+        for axis in range(2):
+            turn = (points[k + 1, axis] - points[k, axis]) / after
+            turn -= (points[k, axis] - points[k - 1, axis]) / before
+            bends[k, axis] = (6.0 * turn - before * bends[k - 1, axis]) / pivot
+    for k in range(count - 2, 0, -1):
+        for axis in range(2):
+            bends[k, axis] -= share[k] * bends[k + 1, axis]
+    return bends
 
 
 def resample(
@@ -50,14 +105,14 @@ def resample(
     return np.ascontiguousarray(curve(np.interp(wanted, s, place)))
 
 
-def _arc_length(curve: CubicSpline) -> tuple[np.ndarray, np.ndarray]:
+def _arc_length(curve: Curve) -> tuple[np.ndarray, np.ndarray]:
     """Return places along the curve, dense in every piece, and the distance travelled there [m]."""
-    counts = np.clip(np.ceil(np.diff(curve.x) / 0.01), 8, 10_000).astype(int)
+    counts = np.clip(np.ceil(np.diff(curve.places) / 0.01), 8, 10_000).astype(int)
     pieces = [
         np.linspace(low, high, count, endpoint=False)
-        for low, high, count in zip(curve.x[:-1], curve.x[1:], counts, strict=True)
+        for low, high, count in zip(curve.places[:-1], curve.places[1:], counts, strict=True)
     ]
-    place = np.concatenate([*pieces, curve.x[-1:]])
+    place = np.concatenate([*pieces, curve.places[-1:]])
     steps = np.linalg.norm(np.diff(curve(place), axis=0), axis=1)
     return place, np.concatenate([[0.0], np.cumsum(steps)])
 

@@ -1,5 +1,7 @@
 """Scripted drivers drive: laps, speed, boxes, traffic, memory and batches."""
 
+import subprocess
+import sys
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
@@ -220,3 +222,14 @@ def test_a_car_that_stands_a_penalty_is_driven_through_as_if_it_were_not_there(n
     ]
     assert np.array_equal(acts[0], acts[1])
     assert not np.array_equal(acts[0], acts[2])
+
+
+def test_a_race_of_scripted_drivers_waits_for_no_heavy_library(tmp_path):
+    late = ("torch", "pybullet", "pandas", "cv2", "rerun", "matplotlib", "sqlalchemy")
+    program = f"""
+import sys
+from league.cli import main
+main("race centerline racing_line --laps 1 --solver planar --json".split())
+assert not {set(late)} & set(sys.modules), {set(late)} & set(sys.modules)
+"""
+    subprocess.run([sys.executable, "-c", program], cwd=tmp_path, check=True)
