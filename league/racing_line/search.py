@@ -22,11 +22,14 @@ from league.racing_line.speed_profile import speed_profile, travel_time
 
 ROUNDS = 60
 """Most steps of Newton's method."""
-_FIRST_WEIGHT, _LAST_WEIGHT, _LESS = 1e-2, 1e-6, 0.5
+_FIRST_WEIGHT, _LAST_WEIGHT = 1e-2, 1e-6
 _NEAREST = 0.05
 """Part of its room that a step must leave to every rule."""
-_RULES, _ACCELERATION, _CORNERING, _NEXT = 11, 11, 12, 13
-"""Rules at a point, and rows of `rows` after theirs: how a, y and the next point's y change."""
+_RISE, _BENT, _TURN, _ASIDE, _ENERGY, _DRIVE, _BRAKE, _RULES = 0, 1, 2, 3, 4, 5, 6, 7
+"""Rules at a point, each on a value between two bounds: a, k, its change to the next point, the
+lateral place, e, and squared grip used beside drive (with y here) and beside braking (y there)."""
+_CORNERING, _NEXT, _GAP, _ROWS = 7, 8, 9, 10
+"""Values without a rule, whose derivatives are needed: y here and at the next point, and d."""
 _COLUMNS = 6
 """Offsets of the points -1, 0, 1, 2 and squared speeds of the points 0, 1."""
 _BAND = 14
@@ -46,81 +49,70 @@ def fastest(road, low, high, closed, limits, curvature_rate):
         curvature_rate: largest change of curvature along the line [1/m per m].
     """
     count = len(low)
-    offset = np.empty(count)
+    offset, winner = np.empty(count), np.empty(count)
     for i in range(count):
-        offset[i] = min(max(0.0, 0.9 * low[i] + 0.1 * high[i]), 0.1 * low[i] + 0.9 * high[i])
-    shape, tried = np.zeros((count, 3, 4)), np.zeros((count, 3, 4))
+        inset = 0.1 * (high[i] - low[i])
+        offset[i] = winner[i] = min(max(0.0, low[i] + inset), high[i] - inset)
+    shape, values, rows = np.empty((count, 3, 4)), np.empty((count, _ROWS)), _empty(count)
     measure(road, offset, closed, shape)
-    turn, pieces = 0.0, (count if closed else count - 1)
-    for i in range(pieces):
-        turn += shape[i, SIZE, 0] * curvature_rate / pieces
-    best, speed = _judged(shape, limits, closed)
-    squared, winner = 0.8 * speed * speed, offset.copy()
-    bounds = np.empty((count, 4))
+    best, squared = _judged(shape, limits, closed)
     for i in range(count):
-        bounds[i, 0] = bounds[i, 1] = bounds[i, 3] = 1e9
-        bounds[i, 2] = -1e9
-    _tighten(bounds, shape, limits.curvature, turn, low, high)
-    room, new_room = np.empty((count, _RULES)), np.empty((count, _RULES))
-    _rooms(shape, squared, bounds, limits, closed, room)
+        squared[i] *= 0.6
+    _evaluate(shape, squared, limits, closed, values, rows)
+    walls, bounds = np.empty((count, _RULES, 2)), np.empty((count, _RULES, 2))
+    _set_walls(walls, bounds, low, high, limits, curvature_rate * values[0, _GAP])
+    price, new_values = np.empty((count, _RULES, 2)), np.empty((count, _ROWS))
+    _tighten(bounds, walls, values)
     weight, calm = _FIRST_WEIGHT, 1e-4
-    price = weight / room
+    for i in range(count):
+        for c in range(_RULES):
+            price[i, c, 0] = weight / (values[i, c] - bounds[i, c, 0])
+            price[i, c, 1] = weight / (bounds[i, c, 1] - values[i, c])
     matrix, step = np.empty((2 * count, _BAND)), np.empty(2 * count)
-    new_offset, new_squared = offset.copy(), squared.copy()
+    new_offset, new_squared = np.empty(count), np.empty(count)
     for _ in range(ROUNDS):
-        sound = False
-        while not sound and calm < 1e6:
-            _linearise(shape, squared, bounds, limits, closed, price, weight, calm, matrix, step)
-            sound = _factorise(matrix)
-            if not sound:
-                calm = max(8.0 * calm, 1e-6)
-        if not sound:
-            break
+        _linearise(values, rows, bounds, price, weight, calm, limits, closed, matrix, step)
+        while not _factorise(matrix) and calm < 1e6:
+            calm = 8.0 * calm
+            _linearise(values, rows, bounds, price, weight, calm, limits, closed, matrix, step)
         _solve(matrix, step)
         part, sound = 1.0, False
         while not sound and part > 1e-4:
-            sound = True
             for i in range(count):
                 column = _column(i, count, closed)
                 new_offset[i] = offset[i] + part * step[column]
                 new_squared[i] = squared[i] + part * step[column + 1]
-                sound = sound and new_squared[i] > 0.1 * squared[i]
-            if sound:
-                measure(road, new_offset, closed, tried)
-                _rooms(tried, new_squared, bounds, limits, closed, new_room)
-                for i in range(count):
-                    for c in range(_RULES):
-                        sound = sound and new_room[i, c] > _NEAREST * room[i, c]
-            if not sound:
-                part *= 0.7
+            measure(road, new_offset, closed, shape)
+            _evaluate(shape, new_squared, limits, closed, new_values, rows)
+            sound = _is_inside(values, new_values, bounds)
+            part = part if sound else 0.7 * part
         if not sound:
             break
-        for i in range(count):
-            for c in range(_RULES):
-                fewer = (room[i, c] - new_room[i, c]) / part
-                wanted = (weight + price[i, c] * fewer) / room[i, c]
-                found = price[i, c] + part * (wanted - price[i, c])
-                usual = weight / new_room[i, c]
-                price[i, c] = min(max(found, 0.03 * usual), 30.0 * usual)
+        _update(price, values, new_values, bounds, weight, part)
         offset, new_offset = new_offset, offset
         squared, new_squared = new_squared, squared
-        shape, tried = tried, shape
+        values, new_values = new_values, values
         time, _ = _judged(shape, limits, closed)
         if time < best:
             best = time
-            winner[:] = offset
-        _tighten(bounds, shape, limits.curvature, turn, low, high)
-        _rooms(shape, squared, bounds, limits, closed, room)
+            for i in range(count):
+                winner[i] = offset[i]
+        _tighten(bounds, walls, values)
         if part > 0.3:
-            weight, calm = max(_LAST_WEIGHT, _LESS * weight), max(0.5 * calm, 1e-9)
+            weight, calm = max(_LAST_WEIGHT, 0.5 * weight), max(1e-9, 0.5 * calm)
         elif part < 0.1:
             calm *= 4.0
     return winner
 
 
 @inner
+def _empty(count):
+    return np.empty((count, _ROWS, _COLUMNS))
+
+
+@inner
 def _judged(shape, limits, closed):
-    """Return the time of a line [s], with a price on too tight bends, and its speeds [m/s]."""
+    """Return the time of a line [s], with a price on too tight bends, and its squared speeds."""
     count = len(shape)
     bend, gap = np.empty(count), np.empty(count if closed else count - 1)
     excess = 0.0
@@ -130,152 +122,171 @@ def _judged(shape, limits, closed):
     for i in range(len(gap)):
         gap[i] = 0.5 * (shape[i, SIZE, 0] + shape[(i + 1) % count, SIZE, 0])
     speed = speed_profile(bend, gap, limits, closed)
-    return travel_time(speed, gap) + excess, speed
-
-
-@inner
-def _tighten(bounds, shape, curvature, turn, low, high):
-    """Set the rules' bounds: a line that breaks one may stay as it is, but not get worse."""
-    count = len(shape)
+    time = travel_time(speed, gap) + excess
     for i in range(count):
-        bend, place = shape[i, BEND, 0], shape[i, PLACE, 0]
-        turned = shape[(i + 1) % count, BEND, 0] - bend
-        bounds[i, 0] = max(curvature, min(bounds[i, 0], 1.05 * abs(bend) + 0.01))
-        bounds[i, 1] = max(turn, min(bounds[i, 1], 1.05 * abs(turned) + 0.01))
-        bounds[i, 2] = min(low[i], max(bounds[i, 2], place - 1e-3))
-        bounds[i, 3] = max(high[i], min(bounds[i, 3], place + 1e-3))
+        speed[i] *= speed[i]
+    return time, speed
 
 
 @inner
-def _rooms(shape, squared, bounds, limits, closed, room):
-    """Work out what is left to every rule, (N, _RULES)."""
-    rows = np.empty((_NEXT + 1, _COLUMNS))
-    for i in range(len(squared)):
-        _rules(i, shape, squared, bounds, limits, closed, room[i], rows)
+def _set_walls(walls, bounds, low, high, limits, turn):
+    """Fill in between which walls the values of the rules should lie, and bounds without end."""
+    grip = limits.lateral * limits.lateral
+    for i in range(len(walls)):
+        for c, least, most in (
+            (_RISE, -limits.braking, limits.acceleration),
+            (_BENT, -limits.curvature, limits.curvature),
+            (_TURN, -turn, turn),
+            (_ASIDE, low[i], high[i]),
+            (_ENERGY, 0.0, limits.speed * limits.speed),
+            (_DRIVE, -1e9, grip),
+            (_BRAKE, -1e9, grip),
+        ):
+            walls[i, c, 0], walls[i, c, 1] = least, most
+            bounds[i, c, 0], bounds[i, c, 1] = -1e9, 1e9
 
 
 @inner
-def _rules(i, shape, squared, bounds, limits, closed, room, rows):
-    """Work out what is left to every rule at a point, and how the use of it changes.
+def _tighten(bounds, walls, values):
+    """Draw the bounds in to the walls: a value beyond may stay where it is, not get worse."""
+    for i in range(len(walls)):
+        for c in range(_RULES):
+            slack = 0.05 * abs(values[i, c]) + 1e-3
+            bounds[i, c, 0] = min(walls[i, c, 0], max(bounds[i, c, 0], values[i, c] - slack))
+            bounds[i, c, 1] = max(walls[i, c, 1], min(bounds[i, c, 1], values[i, c] + slack))
+
+
+@inner
+def _is_inside(values, new_values, bounds):
+    """Return whether new values keep a part of the old ones' room to every bound."""
+    for i in range(len(values)):
+        for c in range(_RULES):
+            low, high = bounds[i, c, 0], bounds[i, c, 1]
+            below, above = values[i, c] - low, high - values[i, c]
+            found = new_values[i, c]
+            if not (found - low > _NEAREST * below and high - found > _NEAREST * above):
+                return False
+    return True
+
+
+@inner
+def _update(price, values, new_values, bounds, weight, part):
+    """Move the prices of the rules as far as the line has moved."""
+    for i in range(len(values)):
+        for c in range(_RULES):
+            for side in range(2):
+                sign = 2.0 * side - 1.0
+                room = sign * (bounds[i, c, side] - values[i, c])
+                new_room = sign * (bounds[i, c, side] - new_values[i, c])
+                paid = price[i, c, side]
+                wanted = (part * weight + paid * (room - new_room)) / room
+                usual = weight / new_room
+                paid = min(max(paid - part * paid + wanted, 0.03 * usual), 30.0 * usual)
+                price[i, c, side] = paid
+
+
+@inner
+def _evaluate(shape, squared, limits, closed, values, rows):
+    """Work out the values at every point and their derivatives.
 
     Args:
-        i: the point.
         shape: of the line, see `measure`.
         squared: speeds [m^2/s^2].
-        bounds: most curvature and change of it, least and most lateral place.
         limits: what the car can do.
         closed: whether the line is a loop.
-        room: takes what is left, (_RULES,).
-        rows: takes the derivatives of what is used, (_NEXT + 1, _COLUMNS).
+        values: takes them, (N, _ROWS).
+        rows: takes their derivatives, (N, _ROWS, _COLUMNS).
     """
-    j = (i + 1) % len(squared)
-    here, after = shape[i], shape[j]
-    gap = 0.5 * (here[SIZE, 0] + after[SIZE, 0])
-    rise = 0.5 * (squared[j] - squared[i]) / gap
-    across, next_across = here[BEND, 0] * squared[i], after[BEND, 0] * squared[j]
-    rows[:] = 0.0
-    for k in range(3):
-        rows[4, k], rows[5, k] = here[BEND, k + 1], -here[BEND, k + 1]
-        rows[6, k] -= here[BEND, k + 1]
-        rows[6, k + 1] += after[BEND, k + 1]
-        rows[8, k], rows[9, k] = here[PLACE, k + 1], -here[PLACE, k + 1]
-        rows[_ACCELERATION, k] -= 0.5 * rise / gap * here[SIZE, k + 1]
-        rows[_ACCELERATION, k + 1] -= 0.5 * rise / gap * after[SIZE, k + 1]
-        rows[_CORNERING, k] = squared[i] * here[BEND, k + 1]
-        rows[_NEXT, k + 1] = squared[j] * after[BEND, k + 1]
-    rows[10, 4] = 1.0
-    rows[_ACCELERATION, 4], rows[_ACCELERATION, 5] = -0.5 / gap, 0.5 / gap
-    rows[_CORNERING, 4], rows[_NEXT, 5] = here[BEND, 0], after[BEND, 0]
+    count = len(squared)
     # Squared grip (spare_grip): (1 - Y^2 t^2) a^2 + 2 Y^2 t |a| + y^2 <= Y^2.
-    grip = limits.lateral * limits.lateral
-    loss = grip * limits.transfer
+    loss = limits.lateral * limits.lateral * limits.transfer
     square = 1.0 - loss * limits.transfer
-    for k in range(_COLUMNS):
-        along = rows[_ACCELERATION, k]
-        rows[0, k], rows[1, k], rows[7, k] = along, -along, -rows[6, k]
-        rows[2, k] = 2.0 * ((square * rise + loss) * along + across * rows[_CORNERING, k])
-        rows[3, k] = 2.0 * ((square * rise - loss) * along + next_across * rows[_NEXT, k])
-    turn = after[BEND, 0] - here[BEND, 0]
-    room[0], room[1] = limits.acceleration - rise, limits.braking + rise
-    room[2] = grip - (square * rise + 2.0 * loss) * rise - across * across
-    room[3] = grip - (square * rise - 2.0 * loss) * rise - next_across * next_across
-    room[4], room[5] = bounds[i, 0] - here[BEND, 0], bounds[i, 0] + here[BEND, 0]
-    room[6], room[7] = bounds[i, 1] - turn, bounds[i, 1] + turn
-    room[8], room[9] = bounds[i, 3] - here[PLACE, 0], here[PLACE, 0] - bounds[i, 2]
-    room[10] = limits.speed * limits.speed - squared[i]
-    if not closed and j == 0:  # nothing comes after the last point of an open line
-        for c in (0, 1, 2, 3, 6, 7, _ACCELERATION, _CORNERING, _NEXT):
-            rows[c] = 0.0
-            if c < _RULES:
-                room[c] = 1.0
+    for i in range(count):
+        j = (i + 1) % count
+        here, after, value, row = shape[i], shape[j], values[i], rows[i]
+        gap = 0.5 * (here[SIZE, 0] + after[SIZE, 0])
+        rise = 0.5 * (squared[j] - squared[i]) / gap
+        bend, next_bend = here[BEND, 0], after[BEND, 0]
+        value[_RISE], value[_BENT], value[_TURN] = rise, bend, next_bend - bend
+        value[_ASIDE], value[_ENERGY], value[_GAP] = here[PLACE, 0], squared[i], gap
+        value[_CORNERING], value[_NEXT] = bend * squared[i], next_bend * squared[j]
+        row[:] = 0.0
+        for k in range(3):
+            row[_BENT, k], row[_ASIDE, k] = here[BEND, k + 1], here[PLACE, k + 1]
+            row[_TURN, k] -= here[BEND, k + 1]
+            row[_TURN, k + 1] += after[BEND, k + 1]
+            row[_GAP, k] += 0.5 * here[SIZE, k + 1]
+            row[_GAP, k + 1] += 0.5 * after[SIZE, k + 1]
+            row[_CORNERING, k] = squared[i] * here[BEND, k + 1]
+            row[_NEXT, k + 1] = squared[j] * after[BEND, k + 1]
+        row[_ENERGY, 4], row[_CORNERING, 4], row[_NEXT, 5] = 1.0, bend, next_bend
+        row[_RISE, 4], row[_RISE, 5] = -0.5 / gap, 0.5 / gap
+        for k in range(_COLUMNS):
+            row[_RISE, k] -= rise / gap * row[_GAP, k]
+        for side, across in ((1.0, _CORNERING), (-1.0, _NEXT)):
+            c, push, pull = across - 2, square * rise + side * loss, value[across]
+            value[c] = (push + side * loss) * rise + pull * pull
+            for k in range(_COLUMNS):
+                row[c, k] = 2.0 * (push * row[_RISE, k] + pull * row[across, k])
+        if not closed and j == 0:  # nothing comes after the last point of an open line
+            for c in range(_ROWS):
+                if c not in (_BENT, _ASIDE, _ENERGY):
+                    value[c] = 0.0
+                    for k in range(_COLUMNS):
+                        row[c, k] = 0.0
 
 
 @inner
-def _linearise(shape, squared, bounds, limits, closed, price, weight, calm, matrix, step):
+def _linearise(values, rows, bounds, price, weight, calm, limits, closed, matrix, step):
     """Set up Newton's equations about a line: a banded symmetric matrix and the right side."""
-    count = len(squared)
+    count = len(values)
     matrix[:] = 0.0
     step[:] = 0.0
-    room, rows = np.empty(_RULES), np.empty((_NEXT + 1, _COLUMNS))
-    second, first = np.empty((_COLUMNS, _COLUMNS)), np.empty(_COLUMNS)
+    second, first, factor = np.empty((_COLUMNS, _COLUMNS)), np.empty(_COLUMNS), np.zeros(_ROWS)
     columns = np.empty(_COLUMNS, np.int64)
     grip = limits.lateral * limits.transfer
-    square = max(0.0, 1.0 - grip * grip)
     for i in range(count):
         j = (i + 1) % count
-        _rules(i, shape, squared, bounds, limits, closed, room, rows)
+        row = rows[i]
         second[:] = 0.0
         first[:] = 0.0
         for c in range(_RULES):
-            _add(second, rows[c], price[i, c] / room[c])
+            below, above = values[i, c] - bounds[i, c, 0], bounds[i, c, 1] - values[i, c]
+            factor[c] = price[i, c, 0] / below + price[i, c, 1] / above
             for k in range(_COLUMNS):
-                first[k] += weight / room[c] * rows[c, k]
-        _add(second, rows[_ACCELERATION], 2.0 * square * (price[i, 2] + price[i, 3]))
-        _add(second, rows[_CORNERING], 2.0 * price[i, 2])
-        _add(second, rows[_NEXT], 2.0 * price[i, 3])
-        _add(second, rows[4], calm)
+                first[k] += (weight / above - weight / below) * row[c, k]
+        drive, brake = 2.0 * price[i, _DRIVE, 1], 2.0 * price[i, _BRAKE, 1]
+        factor[_RISE] += max(0.0, 1.0 - grip * grip) * (drive + brake)
+        factor[_BENT] += calm
+        factor[_CORNERING], factor[_NEXT] = drive, brake
+        for c in range(_GAP):
+            for k in range(_COLUMNS):
+                for m in range(k + 1):
+                    second[k, m] += factor[c] * row[c, k] * row[c, m]
         second[1, 1] += calm
-        if closed or j > 0:
-            _add_time(shape[i], shape[j], squared[i], squared[j], first, second)
-            for k in range(3):
-                bend, after = shape[i, BEND], shape[j, BEND]
-                second[4, k] += 2.0 * price[i, 2] * bend[0] * squared[i] * bend[k + 1]
-                second[5, k + 1] += 2.0 * price[i, 3] * after[0] * squared[j] * after[k + 1]
         for k in range(4):
+            second[4, k] += drive * values[i, _BENT] * row[_CORNERING, k]
+            second[5, k] += brake * values[j, _BENT] * row[_NEXT, k]
             columns[k] = _column((i - 1 + k) % count, count, closed)
         columns[4], columns[5] = columns[1] + 1, columns[2] + 1
+        # The time of a piece is 2 d / (v + v').
+        one, two = math.sqrt(values[i, _ENERGY]), math.sqrt(values[j, _ENERGY])
+        both = one + two
+        slope = -2.0 * values[i, _GAP] / (both * both)
+        bent = -2.0 * slope / both
+        for k in range(_COLUMNS):
+            first[k] += 2.0 / both * row[_GAP, k]
+        first[4] += 0.5 * slope / one
+        first[5] += 0.5 * slope / two
+        second[4, 4] += 0.25 * (bent - slope / one) / (one * one)
+        second[5, 5] += 0.25 * (bent - slope / two) / (two * two)
+        second[5, 4] += 0.25 * bent / (one * two)
         for k in range(_COLUMNS):
             step[columns[k]] -= first[k]
             for m in range(k + 1):
-                row, column = max(columns[k], columns[m]), min(columns[k], columns[m])
+                line, column = max(columns[k], columns[m]), min(columns[k], columns[m])
                 if second[k, m] != 0.0:
-                    matrix[row, row - column] += second[k, m]
-
-
-@inner
-def _add(second, row, factor):
-    """Add a row times itself to the lower half of a matrix."""
-    for k in range(_COLUMNS):
-        for m in range(k + 1):
-            second[k, m] += factor * row[k] * row[m]
-
-
-@inner
-def _add_time(here, after, squared, next_squared, first, second):
-    """Add the derivatives of a piece's time 2 d / (v + v')."""
-    gap = 0.5 * (here[SIZE, 0] + after[SIZE, 0])
-    one, two = math.sqrt(squared), math.sqrt(next_squared)
-    both = one + two
-    slope = -2.0 * gap / (both * both)
-    bent = -2.0 * slope / both
-    first[4] += 0.5 * slope / one
-    first[5] += 0.5 * slope / two
-    second[4, 4] += 0.25 * (bent - slope / one) / squared
-    second[5, 5] += 0.25 * (bent - slope / two) / next_squared
-    second[5, 4] += 0.25 * bent / (one * two)
-    for k in range(3):
-        first[k] += here[SIZE, k + 1] / both
-        first[k + 1] += after[SIZE, k + 1] / both
+                    matrix[line, line - column] += second[k, m]
 
 
 @inner
