@@ -13,7 +13,7 @@ What the simulated car itself could do, with its axles and its inertia, tells la
 from __future__ import annotations
 
 from benchmarks.report import heading
-from league.agents.racing_line import optimal_line
+from league.racing_line.racing_line import optimal_line
 from league.sim.config import CarConfig
 from league.track.course import Track
 

@@ -25,7 +25,7 @@ from scipy.interpolate import CubicSpline
 
 from benchmarks.lap_bound import lap_bound
 from benchmarks.report import heading
-from league.agents.line_search import Road
+from league.racing_line.road import Road
 from league.sim.config import CarConfig
 from league.sim.vehicle import DRIVE_SHARE, GRAVITY, Vehicle
 from league.sim.world import CarParameters, Motion

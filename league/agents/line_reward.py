@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from league.agents.racing_line import optimal_line
+from league.racing_line.racing_line import optimal_line
 from league.envs import rewards
 from league.envs.rewards import BuiltIn, Reward
 from league.errors import ConfigError

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from league.agents.racing_line import RacingLine
+from league.racing_line.racing_line import RacingLine
 from league.track.course import Track
 
 NODE_GAP = 0.2

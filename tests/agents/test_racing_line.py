@@ -8,8 +8,8 @@ import pytest
 
 from benchmarks.lap_bound import lap_bound
 from benchmarks.lap_optimum import lap_optimum, strays
-from league.agents.pace import Limits, spare_grip, speed_profile, travel_time
-from league.agents.racing_line import center_line, optimal_line
+from league.racing_line.speed_profile import Limits, spare_grip, speed_profile, travel_time
+from league.racing_line.racing_line import center_line, optimal_line
 from league.sim.config import CarConfig
 from league.track import files
 from league.track.course import Track
