@@ -16,11 +16,12 @@ import numpy as np
 
 from league.jit import compiled, inner
 from league.portable_math import f32, heading_of
-from league.racing_line.road import Road, mixed
+from league.racing_line.road import sample
 from league.racing_line.search import fastest
 from league.racing_line.speed_profile import Limits, speed_profile, travel_time
 from league.sim.config import CarConfig
-from league.track.course import Track
+from league.track.course import Track, TrackSet
+from league.track.projection import frame_at
 
 STEP = 0.03
 """Wished distance between two rows of a finished line [m]."""
@@ -71,101 +72,89 @@ def optimal_line(
         curvature_rate: largest change of curvature along the line [1/m per m].
     """
     limits = Limits.of(car, share, load_transfer=load_transfer)
-    road = Road.of(track, spacing, margin)
-    offset = fastest(road.reference, road.low, road.high, road.closed, limits, curvature_rate)
-    return _finished(track, road, offset, limits)
+    tracks = TrackSet(track)
+    road = road_of(tracks, spacing, margin)
+    offset = fastest(road, track.closed, limits, curvature_rate)
+    return _finished(tracks, road, offset, limits)
 
 
 def center_line(track: Track, car: CarConfig, *, share: float, top_speed: float) -> RacingLine:
     """Return the centreline itself, with the speed a share of the car's limits allows."""
     limits = Limits.of(car, share)._replace(speed=top_speed)
-    road = Road.of(track, 0.15, 0.0)
-    return _finished(track, road, road.aside, limits)
+    tracks = TrackSet(track)
+    road = road_of(tracks, 0.12, 0.0)
+    return _finished(tracks, road, road["aside"], limits)
 
 
-def _finished(track: Track, road: Road, offset: np.ndarray, limits: Limits) -> RacingLine:
+def road_of(tracks: TrackSet, spacing: float, margin: float) -> np.ndarray:
+    """Return the first track of a set as ROAD records at about a spacing [m], (N,)."""
+    steps = max(8, round(tracks.tracks[0].length / spacing))
+    return sample(tracks.points, tracks.courses, steps, margin)
+
+
+def _finished(
+    tracks: TrackSet, road: np.ndarray, offset: np.ndarray, limits: Limits
+) -> RacingLine:
     """Read the curve at even distances along the track, in the track's own frame."""
-    steps = max(16, round(track.length / STEP))
-    count = steps if track.closed else steps + 1
-    control = np.stack([road.x + offset * road.normal_x, road.y + offset * road.normal_y], axis=1)
-    s = np.arange(count) * (track.length / steps)
-    lateral, heading, curvature, x, y = _read(
-        control, track.center, track.tangent, count, steps, track.closed
-    )
+    length, closed = float(tracks.length[0]), bool(tracks.closed[0])
+    steps = max(16, round(length / STEP))
+    x, y = road["x"] + offset * road["normal_x"], road["y"] + offset * road["normal_y"]
+    if closed:  # as an open road begins one point before the start
+        x, y = np.roll(x, 1), np.roll(y, 1)
+    s = np.arange(steps if closed else steps + 1) * (length / steps)
+    lateral, heading, curvature, x, y = _read(tracks.points, tracks.courses, x, y, s)
     dx, dy = np.roll(x, -1) - x, np.roll(y, -1) - y
     gap = np.sqrt(dx * dx + dy * dy)[:steps]
-    speed = speed_profile(curvature, gap, limits, track.closed)
+    speed = speed_profile(curvature, gap, limits, closed)
     return RacingLine(
         s=s,
         lateral=lateral,
         heading=heading,
         curvature=curvature,
         speed=speed,
-        stretch=np.append(gap, gap[-1:])[:count] / (track.length / steps),
+        stretch=np.append(gap, gap[-1:])[: len(s)] / (length / steps),
         lap_time=travel_time(speed, gap),
-        closed=track.closed,
+        closed=closed,
     )
 
 
 @compiled
-def _read(control, center, tangent, count, steps, closed):
-    """Return lateral place, heading, curvature, x and y of a curve, float64 (5, count).
+def _read(points, courses, x, y, places):
+    """Return lateral place, heading, curvature, x and y of a curve, float64 (5, num_places).
 
     Args:
-        control: control points of the curve [m], float64 (N, 2).
-        center: of the track [m], float64 (M, 2).
-        tangent: of the track, float64 (M, 2).
-        count: places where it is read.
-        steps: pieces of the track between them.
-        closed: whether it is a loop.
+        points: of the tracks.
+        courses: of the tracks.
+        x: control points [m], the first one before the start of the track, float64 (N,).
+        y: control points [m], float64 (N,).
+        places: distances along the track, where the curve meets its normals [m].
     """
-    out = np.empty((5, count))
-    knots = len(control) if closed else len(control) - 1
-    points = len(center) if closed else len(center) - 1
-    for i in range(count):
-        at = i * points / steps
-        tx, ty = mixed(tangent[:, 0], at, closed), mixed(tangent[:, 1], at, closed)
-        size = math.sqrt(tx * tx + ty * ty)
-        tx, ty = tx / size, ty / size
-        cx, cy = mixed(center[:, 0], at, closed), mixed(center[:, 1], at, closed)
-        place = i * knots / steps  # where the curve crosses the normal of the track there
+    out, course = np.empty((5, len(places))), courses[0]
+    pieces = len(x) if course.closed else len(x) - 3
+    for i in range(len(places)):
+        frame = frame_at(points, course, f32(places[i]))
+        place = places[i] * pieces / course.length
         for _ in range(8):
-            (x, slope_x, _), (y, slope_y, _) = _point(control, place, closed)
-            ahead = (x - cx) * tx + (y - cy) * ty
-            place -= ahead / max(slope_x * tx + slope_y * ty, 0.2 * steps * STEP / knots)
-        (x, slope_x, bent_x), (y, slope_y, bent_y) = _point(control, place, closed)
+            (px, slope_x, bent_x), (py, slope_y, bent_y) = _at(x, place), _at(y, place)
+            along = slope_x * frame.cos + slope_y * frame.sin
+            ahead = (px - frame.x) * frame.cos + (py - frame.y) * frame.sin
+            place -= ahead / max(along, 0.2 * course.length / pieces)
         pace = math.sqrt(slope_x * slope_x + slope_y * slope_y)
-        along, across = slope_x * tx + slope_y * ty, slope_y * tx - slope_x * ty
-        out[0, i] = (y - cy) * tx - (x - cx) * ty
+        out[0, i] = (py - frame.y) * frame.cos - (px - frame.x) * frame.sin
+        across = slope_y * frame.cos - slope_x * frame.sin
         out[1, i] = heading_of(f32(along), f32(across))
         out[2, i] = (slope_x * bent_y - slope_y * bent_x) / (pace * pace * pace)
-        out[3, i], out[4, i] = x, y
+        out[3, i], out[4, i] = px, py
     return out
 
 
 @inner
-def _point(control, place, closed):
-    """Return value, slope and second derivative of a B-spline in x and in y, by control points."""
-    count = len(control)
-    cell = int(math.floor(place))
-    if not closed:
-        cell = min(max(cell, 0), count - 2)
+def _at(control, place):
+    """Return value, slope and second derivative of a cubic B-spline, by its pieces."""
+    count, cell = len(control), int(math.floor(place))
     u = place - cell
-    v = 1.0 - u
-    weights = (v * v * v / 6.0, (3.0 * u - 6.0) * u * u / 6.0 + 2.0 / 3.0,
-               (3.0 * v - 6.0) * v * v / 6.0 + 2.0 / 3.0, u * u * u / 6.0)  # fmt: skip
-    slopes = (-0.5 * v * v, (1.5 * u - 2.0) * u, (2.0 - 1.5 * v) * v, 0.5 * u * u)
-    bends = (v, 3.0 * u - 2.0, 3.0 * v - 2.0, u)
-    x = y = slope_x = slope_y = bent_x = bent_y = 0.0
-    for k in range(4):
-        p = cell - 1 + k
-        px, py = control[p % count]
-        if not closed and p < 0:
-            px, py = 2.0 * control[0, 0] - control[1, 0], 2.0 * control[0, 1] - control[1, 1]
-        if not closed and p >= count:
-            px = 2.0 * control[count - 1, 0] - control[count - 2, 0]
-            py = 2.0 * control[count - 1, 1] - control[count - 2, 1]
-        x, y = x + weights[k] * px, y + weights[k] * py
-        slope_x, slope_y = slope_x + slopes[k] * px, slope_y + slopes[k] * py
-        bent_x, bent_y = bent_x + bends[k] * px, bent_y + bends[k] * py
-    return (x, slope_x, bent_x), (y, slope_y, bent_y)
+    a, b = control[cell % count], control[(cell + 1) % count]
+    c, d = control[(cell + 2) % count], control[(cell + 3) % count]
+    cubic, half, start = d - a + 3.0 * (b - c), a - 2.0 * b + c, 0.5 * (c - a)
+    value = (a + 4.0 * b + c) / 6.0 + u * (start + u * (0.5 * half + u * cubic / 6.0))
+    return value, start + u * (half + 0.5 * u * cubic), half + u * cubic

@@ -1,16 +1,14 @@
-"""Compiled: the search for the fastest line, an interior-point method on offsets and speeds.
+"""Compiled: the search for the fastest line, a barrier method on offsets and speeds together.
 
 It minimises TIME, not curvature. Unknowns are the lateral offset of each control point and the
 squared speed e at each point. With curvature k and distance d to the next point, the longitudinal
 acceleration is a = (e' - e) / 2 d and the lateral one y = k e. Every iterate keeps all rules; a
-weight that falls from round to round keeps it away from them (J. Nocedal and S. Wright, Numerical
-Optimization, chapter 19). The exact forward-backward pass says which round's line is the fastest.
+barrier that falls from round to round keeps it away from their bounds (J. Nocedal and S. Wright,
+Numerical Optimization, chapter 19). The exact forward-backward pass says which line is fastest.
 """
 
 # Numba gives its types a meaning that the checker does not know.
 # pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
-from __future__ import annotations
 
 import math
 
@@ -20,9 +18,9 @@ from league.jit import compiled, inner
 from league.racing_line.road import BEND, PLACE, SIZE, measure
 from league.racing_line.speed_profile import speed_profile, travel_time
 
-ROUNDS = 60
+ROUNDS = 120
 """Most steps of Newton's method."""
-_FIRST_WEIGHT, _LAST_WEIGHT = 1e-2, 1e-6
+_FIRST_BARRIER, _LAST_BARRIER, _LESS = 1e-2, 1e-6, 0.7
 _NEAREST = 0.05
 """Part of its room that a step must leave to every rule."""
 _RISE, _BENT, _TURN, _ASIDE, _ENERGY, _DRIVE, _BRAKE, _RULES = 0, 1, 2, 3, 4, 5, 6, 7
@@ -37,44 +35,40 @@ _BAND = 14
 
 
 @compiled
-def fastest(road, low, high, closed, limits, curvature_rate):
+def fastest(road, closed, limits, curvature_rate):
     """Return the offsets of the control points of the fastest line found [m], float64 (N,).
 
     Args:
-        road: see Road.reference.
-        low: smallest lateral place [m], float64 (N,).
-        high: largest lateral place [m], float64 (N,).
+        road: see ROAD, (N,).
         closed: whether the line is a loop.
         limits: what the car can do.
         curvature_rate: largest change of curvature along the line [1/m per m].
     """
-    count = len(low)
+    count = len(road)
     offset, winner = np.empty(count), np.empty(count)
     for i in range(count):
-        inset = 0.1 * (high[i] - low[i])
-        offset[i] = winner[i] = min(max(0.0, low[i] + inset), high[i] - inset)
-    shape, values, rows = np.empty((count, 3, 4)), np.empty((count, _ROWS)), _empty(count)
+        inset = 0.1 * (road[i].high - road[i].low)
+        offset[i] = min(max(0.0, road[i].low + inset), road[i].high - inset)
+        winner[i] = offset[i]
+    shape, values = np.empty((count, 3, 4)), np.empty((count, _ROWS))
+    rows, bounds = np.empty((count, _ROWS, _COLUMNS)), np.empty((count, _RULES, 2))
     measure(road, offset, closed, shape)
     best, squared = _judged(shape, limits, closed)
     for i in range(count):
         squared[i] *= 0.6
-    _evaluate(shape, squared, limits, closed, values, rows)
-    walls, bounds = np.empty((count, _RULES, 2)), np.empty((count, _RULES, 2))
-    _set_walls(walls, bounds, low, high, limits, curvature_rate * values[0, _GAP])
-    price, new_values = np.empty((count, _RULES, 2)), np.empty((count, _ROWS))
-    _tighten(bounds, walls, values)
-    weight, calm = _FIRST_WEIGHT, 1e-4
-    for i in range(count):
         for c in range(_RULES):
-            price[i, c, 0] = weight / (values[i, c] - bounds[i, c, 0])
-            price[i, c, 1] = weight / (bounds[i, c, 1] - values[i, c])
+            bounds[i, c, 0], bounds[i, c, 1] = -1e9, 1e9
+    _evaluate(shape, squared, limits, closed, values, rows)
+    turn = curvature_rate * (road[1].s - road[0].s)
     matrix, step = np.empty((2 * count, _BAND)), np.empty(2 * count)
-    new_offset, new_squared = np.empty(count), np.empty(count)
+    new_offset, new_squared, new_values = np.empty(count), np.empty(count), np.empty_like(values)
+    barrier, calm = _FIRST_BARRIER, 1e-4
     for _ in range(ROUNDS):
-        _linearise(values, rows, bounds, price, weight, calm, limits, closed, matrix, step)
+        _tighten(bounds, values, road, limits, turn)
+        _linearise(values, rows, bounds, barrier, calm, limits, closed, matrix, step)
         while not _factorise(matrix) and calm < 1e6:
-            calm = 8.0 * calm
-            _linearise(values, rows, bounds, price, weight, calm, limits, closed, matrix, step)
+            calm *= 8.0
+            _linearise(values, rows, bounds, barrier, calm, limits, closed, matrix, step)
         _solve(matrix, step)
         part, sound = 1.0, False
         while not sound and part > 1e-4:
@@ -88,7 +82,6 @@ def fastest(road, low, high, closed, limits, curvature_rate):
             part = part if sound else 0.7 * part
         if not sound:
             break
-        _update(price, values, new_values, bounds, weight, part)
         offset, new_offset = new_offset, offset
         squared, new_squared = new_squared, squared
         values, new_values = new_values, values
@@ -97,17 +90,11 @@ def fastest(road, low, high, closed, limits, curvature_rate):
             best = time
             for i in range(count):
                 winner[i] = offset[i]
-        _tighten(bounds, walls, values)
         if part > 0.3:
-            weight, calm = max(_LAST_WEIGHT, 0.5 * weight), max(1e-9, 0.5 * calm)
+            barrier, calm = max(_LAST_BARRIER, _LESS * barrier), max(1e-9, 0.5 * calm)
         elif part < 0.1:
             calm *= 4.0
     return winner
-
-
-@inner
-def _empty(count):
-    return np.empty((count, _ROWS, _COLUMNS))
 
 
 @inner
@@ -129,31 +116,22 @@ def _judged(shape, limits, closed):
 
 
 @inner
-def _set_walls(walls, bounds, low, high, limits, turn):
-    """Fill in between which walls the values of the rules should lie, and bounds without end."""
+def _tighten(bounds, values, road, limits, turn):
+    """Draw the bounds in to the limits: a value beyond may stay where it is, not get worse."""
     grip = limits.lateral * limits.lateral
-    for i in range(len(walls)):
-        for c, least, most in (
+    for i in range(len(values)):
+        for c, low, high in (
             (_RISE, -limits.braking, limits.acceleration),
             (_BENT, -limits.curvature, limits.curvature),
             (_TURN, -turn, turn),
-            (_ASIDE, low[i], high[i]),
+            (_ASIDE, road[i].low, road[i].high),
             (_ENERGY, 0.0, limits.speed * limits.speed),
             (_DRIVE, -1e9, grip),
             (_BRAKE, -1e9, grip),
         ):
-            walls[i, c, 0], walls[i, c, 1] = least, most
-            bounds[i, c, 0], bounds[i, c, 1] = -1e9, 1e9
-
-
-@inner
-def _tighten(bounds, walls, values):
-    """Draw the bounds in to the walls: a value beyond may stay where it is, not get worse."""
-    for i in range(len(walls)):
-        for c in range(_RULES):
-            slack = 0.05 * abs(values[i, c]) + 1e-3
-            bounds[i, c, 0] = min(walls[i, c, 0], max(bounds[i, c, 0], values[i, c] - slack))
-            bounds[i, c, 1] = max(walls[i, c, 1], min(bounds[i, c, 1], values[i, c] + slack))
+            value, slack = values[i, c], 0.05 * abs(values[i, c]) + 1e-3
+            bounds[i, c, 0] = min(low, max(bounds[i, c, 0], value - slack))
+            bounds[i, c, 1] = max(high, min(bounds[i, c, 1], value + slack))
 
 
 @inner
@@ -162,27 +140,10 @@ def _is_inside(values, new_values, bounds):
     for i in range(len(values)):
         for c in range(_RULES):
             low, high = bounds[i, c, 0], bounds[i, c, 1]
-            below, above = values[i, c] - low, high - values[i, c]
-            found = new_values[i, c]
-            if not (found - low > _NEAREST * below and high - found > _NEAREST * above):
+            below, above = _NEAREST * (values[i, c] - low), _NEAREST * (high - values[i, c])
+            if not (new_values[i, c] - low > below and high - new_values[i, c] > above):
                 return False
     return True
-
-
-@inner
-def _update(price, values, new_values, bounds, weight, part):
-    """Move the prices of the rules as far as the line has moved."""
-    for i in range(len(values)):
-        for c in range(_RULES):
-            for side in range(2):
-                sign = 2.0 * side - 1.0
-                room = sign * (bounds[i, c, side] - values[i, c])
-                new_room = sign * (bounds[i, c, side] - new_values[i, c])
-                paid = price[i, c, side]
-                wanted = (part * weight + paid * (room - new_room)) / room
-                usual = weight / new_room
-                paid = min(max(paid - part * paid + wanted, 0.03 * usual), 30.0 * usual)
-                price[i, c, side] = paid
 
 
 @inner
@@ -237,7 +198,7 @@ def _evaluate(shape, squared, limits, closed, values, rows):
 
 
 @inner
-def _linearise(values, rows, bounds, price, weight, calm, limits, closed, matrix, step):
+def _linearise(values, rows, bounds, barrier, calm, limits, closed, matrix, step):
     """Set up Newton's equations about a line: a banded symmetric matrix and the right side."""
     count = len(values)
     matrix[:] = 0.0
@@ -251,11 +212,12 @@ def _linearise(values, rows, bounds, price, weight, calm, limits, closed, matrix
         second[:] = 0.0
         first[:] = 0.0
         for c in range(_RULES):
-            below, above = values[i, c] - bounds[i, c, 0], bounds[i, c, 1] - values[i, c]
-            factor[c] = price[i, c, 0] / below + price[i, c, 1] / above
+            below, above = 1.0 / (values[i, c] - bounds[i, c, 0]), 1.0 / (bounds[i, c, 1] - values[i, c])
+            factor[c] = barrier * (below * below + above * above)
             for k in range(_COLUMNS):
-                first[k] += (weight / above - weight / below) * row[c, k]
-        drive, brake = 2.0 * price[i, _DRIVE, 1], 2.0 * price[i, _BRAKE, 1]
+                first[k] += barrier * (above - below) * row[c, k]
+        drive = 2.0 * barrier / (bounds[i, _DRIVE, 1] - values[i, _DRIVE])
+        brake = 2.0 * barrier / (bounds[i, _BRAKE, 1] - values[i, _BRAKE])
         factor[_RISE] += max(0.0, 1.0 - grip * grip) * (drive + brake)
         factor[_BENT] += calm
         factor[_CORNERING], factor[_NEXT] = drive, brake
