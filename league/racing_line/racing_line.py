@@ -92,9 +92,7 @@ def road_of(tracks: TrackSet, spacing: float, margin: float) -> np.ndarray:
     return sample(tracks.points, tracks.courses, steps, margin)
 
 
-def _finished(
-    tracks: TrackSet, road: np.ndarray, offset: np.ndarray, limits: Limits
-) -> RacingLine:
+def _finished(tracks: TrackSet, road: np.ndarray, offset: np.ndarray, limits: Limits) -> RacingLine:
     """Read the curve at even distances along the track, in the track's own frame."""
     length, closed = float(tracks.length[0]), bool(tracks.closed[0])
     steps = max(16, round(length / STEP))

@@ -45,39 +45,35 @@ def fastest(road, closed, limits, curvature_rate):
         curvature_rate: largest change of curvature along the line [1/m per m].
     """
     count = len(road)
-    offset, winner = np.empty(count), np.empty(count)
+    offset, squared, new_squared = np.empty(count), np.ones(count), np.empty(count)
     for i in range(count):
         inset = 0.1 * (road[i].high - road[i].low)
         offset[i] = min(max(0.0, road[i].low + inset), road[i].high - inset)
-        winner[i] = offset[i]
-    shape, values = np.empty((count, 3, 4)), np.empty((count, _ROWS))
-    rows, bounds = np.empty((count, _ROWS, _COLUMNS)), np.empty((count, _RULES, 2))
-    measure(road, offset, closed, shape)
-    best, squared = _judged(shape, limits, closed)
-    for i in range(count):
-        squared[i] *= 0.6
-        for c in range(_RULES):
-            bounds[i, c, 0], bounds[i, c, 1] = -1e9, 1e9
-    _evaluate(shape, squared, limits, closed, values, rows)
-    turn = curvature_rate * (road[1].s - road[0].s)
+    winner, new_offset, best = offset.copy(), np.empty(count), np.inf
+    shape, rows = np.empty((count, 3, 4)), np.empty((count, _ROWS, _COLUMNS))
+    values, new_values = np.empty((_ROWS, count)), np.empty((_ROWS, count))
+    _evaluate(road, offset, squared, closed, limits, shape, values, rows)
+    bounds, turn = np.empty((_RULES, count, 2)), curvature_rate * (road[1].s - road[0].s)
+    for c in range(_RULES):
+        for i in range(count):
+            bounds[c, i, 0], bounds[c, i, 1] = -1e9, 1e9
     matrix, step = np.empty((2 * count, _BAND)), np.empty(2 * count)
-    new_offset, new_squared, new_values = np.empty(count), np.empty(count), np.empty_like(values)
     barrier, calm = _FIRST_BARRIER, 1e-4
     for _ in range(ROUNDS):
         _tighten(bounds, values, road, limits, turn)
-        _linearise(values, rows, bounds, barrier, calm, limits, closed, matrix, step)
-        while not _factorise(matrix) and calm < 1e6:
-            calm *= 8.0
-            _linearise(values, rows, bounds, barrier, calm, limits, closed, matrix, step)
+        sound = False
+        while not sound and calm < 1e6:
+            _linearise(values, rows, bounds, barrier, calm, limits, matrix, step)
+            sound = _factorise(matrix)
+            calm = calm if sound else 8.0 * calm
         _solve(matrix, step)
         part, sound = 1.0, False
         while not sound and part > 1e-4:
             for i in range(count):
-                column = _column(i, count, closed)
+                column = _column(i, count)
                 new_offset[i] = offset[i] + part * step[column]
                 new_squared[i] = squared[i] + part * step[column + 1]
-            measure(road, new_offset, closed, shape)
-            _evaluate(shape, new_squared, limits, closed, new_values, rows)
+            _evaluate(road, new_offset, new_squared, closed, limits, shape, new_values, rows)
             sound = _is_inside(values, new_values, bounds)
             part = part if sound else 0.7 * part
         if not sound:
@@ -85,11 +81,11 @@ def fastest(road, closed, limits, curvature_rate):
         offset, new_offset = new_offset, offset
         squared, new_squared = new_squared, squared
         values, new_values = new_values, values
-        time, _ = _judged(shape, limits, closed)
+        time = travel_time(speed_profile(values[_BENT], values[_GAP], limits, closed), values[_GAP])
+        for i in range(count):  # too tight bends have their price
+            time += max(abs(values[_BENT, i]) - limits.curvature, 0.0)
         if time < best:
-            best = time
-            for i in range(count):
-                winner[i] = offset[i]
+            winner, best = offset.copy(), time
         if part > 0.3:
             barrier, calm = max(_LAST_BARRIER, _LESS * barrier), max(1e-9, 0.5 * calm)
         elif part < 0.1:
@@ -98,28 +94,10 @@ def fastest(road, closed, limits, curvature_rate):
 
 
 @inner
-def _judged(shape, limits, closed):
-    """Return the time of a line [s], with a price on too tight bends, and its squared speeds."""
-    count = len(shape)
-    bend, gap = np.empty(count), np.empty(count if closed else count - 1)
-    excess = 0.0
-    for i in range(count):
-        bend[i] = shape[i, BEND, 0]
-        excess += max(abs(bend[i]) - limits.curvature, 0.0)
-    for i in range(len(gap)):
-        gap[i] = 0.5 * (shape[i, SIZE, 0] + shape[(i + 1) % count, SIZE, 0])
-    speed = speed_profile(bend, gap, limits, closed)
-    time = travel_time(speed, gap) + excess
-    for i in range(count):
-        speed[i] *= speed[i]
-    return time, speed
-
-
-@inner
 def _tighten(bounds, values, road, limits, turn):
     """Draw the bounds in to the limits: a value beyond may stay where it is, not get worse."""
     grip = limits.lateral * limits.lateral
-    for i in range(len(values)):
+    for i in range(len(road)):
         for c, low, high in (
             (_RISE, -limits.braking, limits.acceleration),
             (_BENT, -limits.curvature, limits.curvature),
@@ -129,42 +107,34 @@ def _tighten(bounds, values, road, limits, turn):
             (_DRIVE, -1e9, grip),
             (_BRAKE, -1e9, grip),
         ):
-            value, slack = values[i, c], 0.05 * abs(values[i, c]) + 1e-3
-            bounds[i, c, 0] = min(low, max(bounds[i, c, 0], value - slack))
-            bounds[i, c, 1] = max(high, min(bounds[i, c, 1], value + slack))
+            value, bound, slack = values[c, i], bounds[c, i], 0.05 * abs(values[c, i]) + 1e-3
+            bound[0] = min(low, max(bound[0], value - slack))
+            bound[1] = max(high, min(bound[1], value + slack))
 
 
 @inner
 def _is_inside(values, new_values, bounds):
     """Return whether new values keep a part of the old ones' room to every bound."""
-    for i in range(len(values)):
-        for c in range(_RULES):
-            low, high = bounds[i, c, 0], bounds[i, c, 1]
-            below, above = _NEAREST * (values[i, c] - low), _NEAREST * (high - values[i, c])
-            if not (new_values[i, c] - low > below and high - new_values[i, c] > above):
+    for c in range(_RULES):
+        for i in range(values.shape[1]):
+            low, high = bounds[c, i]
+            below, above = _NEAREST * (values[c, i] - low), _NEAREST * (high - values[c, i])
+            if not (new_values[c, i] - low > below and high - new_values[c, i] > above):
                 return False
     return True
 
 
 @inner
-def _evaluate(shape, squared, limits, closed, values, rows):
-    """Work out the values at every point and their derivatives.
-
-    Args:
-        shape: of the line, see `measure`.
-        squared: speeds [m^2/s^2].
-        limits: what the car can do.
-        closed: whether the line is a loop.
-        values: takes them, (N, _ROWS).
-        rows: takes their derivatives, (N, _ROWS, _COLUMNS).
-    """
-    count = len(squared)
+def _evaluate(road, offset, squared, closed, limits, shape, values, rows):
+    """Work out shape (see `measure`), values (_ROWS, N) and their derivatives rows, (N, ...)."""
+    count = len(road)
+    measure(road, offset, closed, shape)
     # Squared grip (spare_grip): (1 - Y^2 t^2) a^2 + 2 Y^2 t |a| + y^2 <= Y^2.
     loss = limits.lateral * limits.lateral * limits.transfer
     square = 1.0 - loss * limits.transfer
     for i in range(count):
         j = (i + 1) % count
-        here, after, value, row = shape[i], shape[j], values[i], rows[i]
+        here, after, value, row = shape[i], shape[j], values[:, i], rows[i]
         gap = 0.5 * (here[SIZE, 0] + after[SIZE, 0])
         rise = 0.5 * (squared[j] - squared[i]) / gap
         bend, next_bend = here[BEND, 0], after[BEND, 0]
@@ -198,9 +168,9 @@ def _evaluate(shape, squared, limits, closed, values, rows):
 
 
 @inner
-def _linearise(values, rows, bounds, barrier, calm, limits, closed, matrix, step):
+def _linearise(values, rows, bounds, barrier, calm, limits, matrix, step):
     """Set up Newton's equations about a line: a banded symmetric matrix and the right side."""
-    count = len(values)
+    count = len(rows)
     matrix[:] = 0.0
     step[:] = 0.0
     second, first, factor = np.empty((_COLUMNS, _COLUMNS)), np.empty(_COLUMNS), np.zeros(_ROWS)
@@ -212,12 +182,13 @@ def _linearise(values, rows, bounds, barrier, calm, limits, closed, matrix, step
         second[:] = 0.0
         first[:] = 0.0
         for c in range(_RULES):
-            below, above = 1.0 / (values[i, c] - bounds[i, c, 0]), 1.0 / (bounds[i, c, 1] - values[i, c])
+            below = 1.0 / (values[c, i] - bounds[c, i, 0])
+            above = 1.0 / (bounds[c, i, 1] - values[c, i])
             factor[c] = barrier * (below * below + above * above)
             for k in range(_COLUMNS):
                 first[k] += barrier * (above - below) * row[c, k]
-        drive = 2.0 * barrier / (bounds[i, _DRIVE, 1] - values[i, _DRIVE])
-        brake = 2.0 * barrier / (bounds[i, _BRAKE, 1] - values[i, _BRAKE])
+        drive = 2.0 * barrier / (bounds[_DRIVE, i, 1] - values[_DRIVE, i])
+        brake = 2.0 * barrier / (bounds[_BRAKE, i, 1] - values[_BRAKE, i])
         factor[_RISE] += max(0.0, 1.0 - grip * grip) * (drive + brake)
         factor[_BENT] += calm
         factor[_CORNERING], factor[_NEXT] = drive, brake
@@ -227,14 +198,14 @@ def _linearise(values, rows, bounds, barrier, calm, limits, closed, matrix, step
                     second[k, m] += factor[c] * row[c, k] * row[c, m]
         second[1, 1] += calm
         for k in range(4):
-            second[4, k] += drive * values[i, _BENT] * row[_CORNERING, k]
-            second[5, k] += brake * values[j, _BENT] * row[_NEXT, k]
-            columns[k] = _column((i - 1 + k) % count, count, closed)
+            second[4, k] += drive * values[_BENT, i] * row[_CORNERING, k]
+            second[5, k] += brake * values[_BENT, j] * row[_NEXT, k]
+            columns[k] = _column((i - 1 + k) % count, count)
         columns[4], columns[5] = columns[1] + 1, columns[2] + 1
         # The time of a piece is 2 d / (v + v').
-        one, two = math.sqrt(values[i, _ENERGY]), math.sqrt(values[j, _ENERGY])
+        one, two = math.sqrt(values[_ENERGY, i]), math.sqrt(values[_ENERGY, j])
         both = one + two
-        slope = -2.0 * values[i, _GAP] / (both * both)
+        slope = -2.0 * values[_GAP, i] / (both * both)
         bent = -2.0 * slope / both
         for k in range(_COLUMNS):
             first[k] += 2.0 / both * row[_GAP, k]
@@ -252,13 +223,11 @@ def _linearise(values, rows, bounds, barrier, calm, limits, closed, matrix, step
 
 
 @inner
-def _column(i, count, closed):
-    """Return the column of a point's offset; its squared speed follows.
+def _column(i, count):
+    """Return the column of a point's offset, which that of its squared speed follows.
 
-    A loop's points are taken from both ends in turn, so that neighbours stay within the band.
+    Points are taken from both ends in turn, so that a loop's neighbours stay within the band.
     """
-    if not closed:
-        return 2 * i
     return 4 * i if 2 * i < count else 4 * (count - 1 - i) + 2
 
 

@@ -103,19 +103,13 @@ def speed_profile(curvature, distance, limits, closed):
         # On a loop the slowest corner is never left faster than its corner speed: start there.
         if closed and squared[i] < squared[first]:
             first = i
-    pieces = count if closed else count - 1
-    for k in range(pieces):
-        i = (first + k) % count
-        j = (i + 1) % count
-        spare = spare_grip(curvature[i] * squared[i], limits.lateral, limits.transfer)
-        most = min(limits.acceleration, spare)
-        squared[j] = min(squared[j], squared[i] + 2.0 * distance[i] * most)
-    for k in range(pieces - 1, -1, -1):
-        i = (first + k) % count
-        j = (i + 1) % count
-        spare = spare_grip(curvature[j] * squared[j], limits.lateral, limits.transfer)
-        most = min(limits.braking, spare)
-        squared[i] = min(squared[i], squared[j] + 2.0 * distance[i] * most)
+    for way, start, most in ((1, first, limits.acceleration), (-1, first - 1, limits.braking)):
+        start = first if closed else start
+        for k in range(count if closed else count - 1):
+            i, j = (start + way * k) % count, (start + way * (k + 1)) % count
+            spare = spare_grip(curvature[i] * squared[i], limits.lateral, limits.transfer)
+            gap = distance[i] if way > 0 else distance[j]
+            squared[j] = min(squared[j], squared[i] + 2.0 * gap * min(most, spare))
     for i in range(count):
         squared[i] = math.sqrt(squared[i])
     return squared
