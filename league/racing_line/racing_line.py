@@ -104,28 +104,17 @@ def _finished(tracks: TrackSet, road: np.ndarray, offset: np.ndarray, limits: Li
     dx, dy = np.roll(x, -1) - x, np.roll(y, -1) - y
     gap = np.sqrt(dx * dx + dy * dy)[:steps]
     speed = speed_profile(curvature, gap, limits, closed)
-    return RacingLine(
-        s=s,
-        lateral=lateral,
-        heading=heading,
-        curvature=curvature,
-        speed=speed,
-        stretch=np.append(gap, gap[-1:])[: len(s)] / (length / steps),
-        lap_time=travel_time(speed, gap),
-        closed=closed,
-    )
+    stretch = np.append(gap, gap[-1:])[: len(s)] / (length / steps)
+    time = travel_time(speed, gap)
+    return RacingLine(s, lateral, heading, curvature, speed, stretch, time, closed)
 
 
 @compiled
 def _read(points, courses, x, y, places):
-    """Return lateral place, heading, curvature, x and y of a curve, float64 (5, num_places).
+    """Return lateral place, heading, curvature, x and y of a B-spline, float64 (5, num_places).
 
-    Args:
-        points: of the tracks.
-        courses: of the tracks.
-        x: control points [m], the first one before the start of the track, float64 (N,).
-        y: control points [m], float64 (N,).
-        places: distances along the track, where the curve meets its normals [m].
+    Its control points begin one before the start of the track; it is read where it meets the
+    normals at the places.
     """
     out, course = np.empty((5, len(places))), courses[0]
     pieces = len(x) if course.closed else len(x) - 3

@@ -41,11 +41,11 @@ BEND, SIZE, PLACE = 0, 1, 2
 
 @compiled
 def sample(points, courses, steps, margin):
-    """Return the first track of a set as ROAD records, (N,).
+    """Return the first of some tracks as ROAD records, (N,).
 
     Args:
-        points: of the set.
-        courses: of the set.
+        points: of the tracks.
+        courses: of the tracks.
         steps: pieces between two points of the road, at least 8.
         margin: smallest distance to a border [m].
     """

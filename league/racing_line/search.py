@@ -36,14 +36,7 @@ _BAND = 14
 
 @compiled
 def fastest(road, closed, limits, curvature_rate):
-    """Return the offsets of the control points of the fastest line found [m], float64 (N,).
-
-    Args:
-        road: see ROAD, (N,).
-        closed: whether the line is a loop.
-        limits: what the car can do.
-        curvature_rate: largest change of curvature along the line [1/m per m].
-    """
+    """Return the offsets of the control points of the fastest line found on a ROAD [m], (N,)."""
     count = len(road)
     offset, squared, new_squared = np.empty(count), np.ones(count), np.empty(count)
     for i in range(count):
@@ -53,17 +46,15 @@ def fastest(road, closed, limits, curvature_rate):
     shape, rows = np.empty((count, 3, 4)), np.empty((count, _ROWS, _COLUMNS))
     values, new_values = np.empty((_ROWS, count)), np.empty((_ROWS, count))
     _evaluate(road, offset, squared, closed, limits, shape, values, rows)
-    bounds, turn = np.empty((_RULES, count, 2)), curvature_rate * (road[1].s - road[0].s)
-    for c in range(_RULES):
-        for i in range(count):
-            bounds[c, i, 0], bounds[c, i, 1] = -1e9, 1e9
+    low, high = np.full((_RULES, count), -1e9), np.full((_RULES, count), 1e9)
+    turn = curvature_rate * (road[1].s - road[0].s)
     matrix, step = np.empty((2 * count, _BAND)), np.empty(2 * count)
     barrier, calm = _FIRST_BARRIER, 1e-4
     for _ in range(ROUNDS):
-        _tighten(bounds, values, road, limits, turn)
+        _tighten(low, high, values, road, limits, turn)
         sound = False
         while not sound and calm < 1e6:
-            _linearise(values, rows, bounds, barrier, calm, limits, matrix, step)
+            _linearise(values, rows, low, high, barrier, calm, limits, matrix, step)
             sound = _factorise(matrix)
             calm = calm if sound else 8.0 * calm
         _solve(matrix, step)
@@ -74,7 +65,7 @@ def fastest(road, closed, limits, curvature_rate):
                 new_offset[i] = offset[i] + part * step[column]
                 new_squared[i] = squared[i] + part * step[column + 1]
             _evaluate(road, new_offset, new_squared, closed, limits, shape, new_values, rows)
-            sound = _is_inside(values, new_values, bounds)
+            sound = _is_inside(values, new_values, low, high)
             part = part if sound else 0.7 * part
         if not sound:
             break
@@ -88,17 +79,15 @@ def fastest(road, closed, limits, curvature_rate):
             winner, best = offset.copy(), time
         if part > 0.3:
             barrier, calm = max(_LAST_BARRIER, _LESS * barrier), max(1e-9, 0.5 * calm)
-        elif part < 0.1:
-            calm *= 4.0
     return winner
 
 
 @inner
-def _tighten(bounds, values, road, limits, turn):
+def _tighten(low, high, values, road, limits, turn):
     """Draw the bounds in to the limits: a value beyond may stay where it is, not get worse."""
     grip = limits.lateral * limits.lateral
     for i in range(len(road)):
-        for c, low, high in (
+        for c, least, most in (
             (_RISE, -limits.braking, limits.acceleration),
             (_BENT, -limits.curvature, limits.curvature),
             (_TURN, -turn, turn),
@@ -107,19 +96,19 @@ def _tighten(bounds, values, road, limits, turn):
             (_DRIVE, -1e9, grip),
             (_BRAKE, -1e9, grip),
         ):
-            value, bound, slack = values[c, i], bounds[c, i], 0.05 * abs(values[c, i]) + 1e-3
-            bound[0] = min(low, max(bound[0], value - slack))
-            bound[1] = max(high, min(bound[1], value + slack))
+            slack = 0.05 * abs(values[c, i]) + 1e-3
+            low[c, i] = min(least, max(low[c, i], values[c, i] - slack))
+            high[c, i] = max(most, min(high[c, i], values[c, i] + slack))
 
 
 @inner
-def _is_inside(values, new_values, bounds):
+def _is_inside(values, new_values, low, high):
     """Return whether new values keep a part of the old ones' room to every bound."""
     for c in range(_RULES):
         for i in range(values.shape[1]):
-            low, high = bounds[c, i]
-            below, above = _NEAREST * (values[c, i] - low), _NEAREST * (high - values[c, i])
-            if not (new_values[c, i] - low > below and high - new_values[c, i] > above):
+            below = (new_values[c, i] - low[c, i]) / (values[c, i] - low[c, i])
+            above = (high[c, i] - new_values[c, i]) / (high[c, i] - values[c, i])
+            if not min(below, above) > _NEAREST:
                 return False
     return True
 
@@ -168,7 +157,7 @@ def _evaluate(road, offset, squared, closed, limits, shape, values, rows):
 
 
 @inner
-def _linearise(values, rows, bounds, barrier, calm, limits, matrix, step):
+def _linearise(values, rows, low, high, barrier, calm, limits, matrix, step):
     """Set up Newton's equations about a line: a banded symmetric matrix and the right side."""
     count = len(rows)
     matrix[:] = 0.0
@@ -182,13 +171,13 @@ def _linearise(values, rows, bounds, barrier, calm, limits, matrix, step):
         second[:] = 0.0
         first[:] = 0.0
         for c in range(_RULES):
-            below = 1.0 / (values[c, i] - bounds[c, i, 0])
-            above = 1.0 / (bounds[c, i, 1] - values[c, i])
+            below = 1.0 / (values[c, i] - low[c, i])
+            above = 1.0 / (high[c, i] - values[c, i])
             factor[c] = barrier * (below * below + above * above)
             for k in range(_COLUMNS):
                 first[k] += barrier * (above - below) * row[c, k]
-        drive = 2.0 * barrier / (bounds[_DRIVE, i, 1] - values[_DRIVE, i])
-        brake = 2.0 * barrier / (bounds[_BRAKE, i, 1] - values[_BRAKE, i])
+        drive = 2.0 * barrier / (high[_DRIVE, i] - values[_DRIVE, i])
+        brake = 2.0 * barrier / (high[_BRAKE, i] - values[_BRAKE, i])
         factor[_RISE] += max(0.0, 1.0 - grip * grip) * (drive + brake)
         factor[_BENT] += calm
         factor[_CORNERING], factor[_NEXT] = drive, brake
