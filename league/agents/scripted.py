@@ -11,13 +11,14 @@ import torch
 from torch import Tensor
 
 from league.agents.driver import actions_from
-from league.racing_line.speed_profile import Limits
 from league.agents.path import NODE_GAP, NODES, Horizon, Path, Place, read_nodes
-from league.racing_line.racing_line import RacingLine, center_line, optimal_line
 from league.agents.steering import STEP_DT, STEPS, Errors, PreviewSteering
 from league.agents.traffic import Manners, Others, largest_speed, plan
 from league.envs.state import INDEX, NEIGHBOURS
+from league.racing_line.racing_line import RacingLine, center_line, optimal_line
+from league.racing_line.speed_profile import Limits
 from league.sim.config import CarConfig, SensorConfig
+from league.sim.settings import GRAVITY
 from league.track.course import Track
 
 _SMOOTHINGS = 2

@@ -138,7 +138,7 @@ def _read(points, courses, x, y, places):
 @inner
 def _at(control, place):
     """Return value, slope and second derivative of a cubic B-spline, by its pieces."""
-    count, cell = len(control), int(math.floor(place))
+    count, cell = len(control), math.floor(place)
     u = place - cell
     a, b = control[cell % count], control[(cell + 1) % count]
     c, d = control[(cell + 2) % count], control[(cell + 3) % count]

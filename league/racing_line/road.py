@@ -78,7 +78,7 @@ def sample(points, courses, steps, margin):
 
 @inner
 def _along(points, course, s):
-    """Return the centreline's place and direction at s; an open one goes straight on at its ends"""
+    """Return the centreline's place and direction at s; an open one goes on straight."""
     frame = frame_at(points, course, np.float32(s))
     beyond = 0.0 if course.closed else s - min(max(s, 0.0), course.length)
     return frame.x + beyond * frame.cos, frame.y + beyond * frame.sin, frame.cos, frame.sin

@@ -9,9 +9,9 @@ from scenes import go_to, make_ring, make_straight, put_cars, touch
 
 from league.agents import line_reward
 from league.agents.line_reward import FAR, SLOW, AlongTheLine, built_in
-from league.racing_line.speed_profile import Limits
 from league.envs import rewards
 from league.errors import ConfigError
+from league.racing_line.speed_profile import Limits
 from league.sim import referee
 from league.sim.config import CarConfig, RaceRules, SimConfig
 from league.track.course import TrackSet
