@@ -121,6 +121,7 @@ def _read(points, courses, x, y, places):
     for i in range(len(places)):
         frame = frame_at(points, course, f32(places[i]))
         place = places[i] * pieces / course.length
+        px = py = slope_x = slope_y = bent_x = bent_y = along = 0.0
         for _ in range(8):
             (px, slope_x, bent_x), (py, slope_y, bent_y) = _at(x, place), _at(y, place)
             along = slope_x * frame.cos + slope_y * frame.sin

@@ -100,10 +100,10 @@ def test_the_centreline_stays_on_the_centreline():
 
 
 def test_an_open_track_is_driven_from_end_to_end_within_its_borders():
-    angle = np.linspace(0, math.pi / 2, 80)  # a quarter of a circle to the left, radius 2.5
+    angle = np.linspace(0, math.pi / 2, 32)  # a quarter of a circle to the left, radius 1
     unit = np.stack([np.sin(angle), 1 - np.cos(angle)], axis=1)
     normal = np.stack([-np.sin(angle), np.cos(angle)], axis=1)
-    center = 2.5 * unit
+    center = 1.0 * unit
     track = Track(
         "bend", "Bend", center, center + 0.4 * normal, center - 0.4 * normal, closed=False
     )
@@ -111,21 +111,23 @@ def test_an_open_track_is_driven_from_end_to_end_within_its_borders():
     line = optimal_line(track, car, margin=0.1)
     assert line.s[0] == 0.0 and line.s[-1] == pytest.approx(track.length)
     assert np.abs(line.lateral).max() < 0.3 + 0.005
-    # Outside, inside, outside: wider than any circle round the same centre.
-    assert line.lateral[0] < -0.2 and line.lateral[-1] < -0.2 and line.lateral.max() > 0.25
+    # It cuts the bend on the way from the middle to the inside and back, nearly at 4 m/s.
+    assert line.lateral[0] < 0.2 and line.lateral[-1] < 0.2 and line.lateral.max() > 0.28
+    assert line.speed.min() > 3.9
     assert line.lap_time < center_line(track, car, share=1.0, top_speed=4.0).lap_time
 
 
 def test_a_line_bends_no_tighter_and_no_faster_than_was_asked():
     track, car = files.load("switchback"), CarConfig()
-    line = optimal_line(track, car, margin=0.05)
-    step = line.stretch * (line.s[1] - line.s[0])
-    assert np.abs(line.curvature).max() < 1.05 * Limits.of(car).curvature
-    assert (np.abs(np.diff(line.curvature)) / step[:-1]).max() < 1.1 * 12.0
-    calm = optimal_line(track, car, margin=0.05, curvature_rate=4.0)
-    step = calm.stretch * (calm.s[1] - calm.s[0])
-    assert (np.abs(np.diff(calm.curvature)) / step[:-1]).max() < 1.3 * 4.0
-    assert calm.lap_time > line.lap_time
+    times = []
+    for rate in (12.0, 2.0):
+        line = optimal_line(track, car, margin=0.05, curvature_rate=rate)
+        step = line.stretch * (line.s[1] - line.s[0])
+        turns = np.abs(np.diff(line.curvature)) / step[:-1]
+        assert np.abs(line.curvature).max() < 1.05 * Limits.of(car).curvature
+        assert turns.max() < 1.6 * rate  # inside of bends the points are closer
+        times.append(line.lap_time)
+    assert times[1] > 1.005 * times[0]
 
 
 def test_a_mirrored_track_has_the_mirrored_line():
