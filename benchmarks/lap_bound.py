@@ -4,7 +4,7 @@ The car is a point with all its grip in every direction (a friction circle of Ca
 max_acceleration and max_braking), at most max_speed, on a line no tighter than the steering allows,
 that changes acceleration at once. Its base may use all that the rules allow: the road and, on both
 sides, half of the wheel track more, where the last wheel still touches. The line is the best that
-is found from several starts, so the figure is a bound as good as the search, which agrees with
+is found on several grids, so the figure is a bound as good as the search, which agrees with
 itself to about 0.3 % when its grid is refined.
 
 What the simulated car itself could do, with its axles and its inertia, tells lap_optimum.py.
@@ -13,12 +13,12 @@ What the simulated car itself could do, with its axles and its inertia, tells la
 from __future__ import annotations
 
 from benchmarks.report import heading
-from league.agents.racing_line import optimal_line
+from league.racing_line.racing_line import optimal_line
 from league.sim.config import CarConfig
 from league.track.course import Track
 
-SEARCHES = ((0.08, 0.16), (0.12, 0.24), (0.15, 0.45))
-"""Grids (distance of points, of knots) [m] that are tried; the fastest line counts."""
+SPACINGS = (0.08, 0.12, 0.15)
+"""Distances between control points [m] that are tried; the fastest line counts."""
 
 
 def lap_bound(track: Track, car: CarConfig) -> float:
@@ -35,11 +35,9 @@ def lap_bound(track: Track, car: CarConfig) -> float:
             -car.wheel_track / 2,
             load_transfer=False,
             spacing=spacing,
-            knot_spacing=knots,
-            rounds=40,
             curvature_rate=60.0,
         ).lap_time
-        for spacing, knots in SEARCHES
+        for spacing in SPACINGS
     ]
     return min(times)
 

@@ -17,19 +17,21 @@ from __future__ import annotations
 
 import importlib.util
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 
 import numpy as np
-import torch
+from numba import njit
 from scipy.interpolate import CubicSpline
 
 from benchmarks.lap_bound import lap_bound
 from benchmarks.report import heading
-from league.agents.line_search import Road
-from league.sim.config import CarConfig
-from league.sim.vehicle import DRIVE_SHARE, GRAVITY, Vehicle
-from league.sim.world import CarParameters, Motion
-from league.track.course import Track
+from league.racing_line.racing_line import road_of
+from league.sim import records
+from league.sim.brush_tyre import DRIVE_SHARE
+from league.sim.config import CarConfig, SimConfig
+from league.sim.settings import GRAVITY, settings
+from league.sim.vehicle import push
+from league.track.course import Track, TrackSet
 
 SPACING = 0.1
 """Distance between two points of a lap along the centreline [m]."""
@@ -40,10 +42,10 @@ SMOOTH = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Lap:
-    """A lap at N points; all arrays float64."""
+    """A lap at N points; all arrays but the road's float64."""
 
-    road: Road
-    """The points."""
+    road: np.ndarray
+    """The points, ROAD records (N,)."""
     time: float
     """Of the whole lap [s]."""
     lasts: np.ndarray
@@ -67,7 +69,7 @@ def lap_optimum(track: Track, car: CarConfig) -> Lap:
     """
     import casadi as ca  # the extra `optimum`
 
-    road = Road.of(track, SPACING, -car.wheel_track / 2)
+    road = road_of(TrackSet(track), SPACING, -car.wheel_track / 2)
     bend, gap = _shape(road)
     count = len(gap)
     state, control, curvature = ca.MX.sym("x", STATES), ca.MX.sym("u", CONTROLS), ca.MX.sym("k")
@@ -145,7 +147,7 @@ def _rates(state, control, curvature, car: CarConfig) -> list:
         z = sliding / rolling * load * car.cornering_stiffness / (3 * rest)
         size = ca.sqrt(z * z + SMOOTH**2)
         pushes.append(-rest * z * (size * (size - 3) + 3))
-        shares += [z, push / grip / DRIVE_SHARE]
+        shares += [z, push / grip / float(DRIVE_SHARE)]
     aside = sin * push + cos * pushes[0]
     along = (ahead * ca.cos(yaw) - left * ca.sin(yaw)) / (1 - offset * curvature)
     change = ca.vertcat(
@@ -159,25 +161,27 @@ def _rates(state, control, curvature, car: CarConfig) -> list:
     return [change / along, 1 / along, ca.vertcat(*shares)]
 
 
-def _shape(road: Road) -> tuple[np.ndarray, np.ndarray]:
+def _shape(road: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the road's curvature [1/m] and its length from each point to the next [m]."""
-    knots = np.append(road.s, 2 * road.s[-1] - road.s[-2])
-    points = np.stack([np.append(road.x, road.x[0]), np.append(road.y, road.y[0])], axis=1)
+    knots = np.append(road["s"], 2 * road["s"][-1] - road["s"][-2])
+    points = np.stack(
+        [np.append(road["x"], road["x"][0]), np.append(road["y"], road["y"][0])], axis=1
+    )
     curve = CubicSpline(knots, points, bc_type="periodic")
-    slope, bent = curve(road.s, 1), curve(road.s, 2)
+    slope, bent = curve(road["s"], 1), curve(road["s"], 2)
     pace = np.hypot(*slope.T)
     bend = (slope[:, 0] * bent[:, 1] - slope[:, 1] * bent[:, 0]) / pace**3
     between = np.hypot(*curve((knots[1:] + knots[:-1]) / 2, 1).T)
     return bend, np.diff(knots) * (pace + 4 * between + np.roll(pace, -1)) / 6
 
 
-def _limits(road: Road, car: CarConfig) -> tuple[np.ndarray, np.ndarray]:
+def _limits(road: np.ndarray, car: CarConfig) -> tuple[np.ndarray, np.ndarray]:
     """Return the least and largest value of every unknown."""
-    count = len(road.s)
+    count = len(road["s"])
     highest = [math.pi / 3, car.max_speed, 2.0, 12.0, car.max_steering]
     lowest = [-math.pi / 3, 0.5, *(-value for value in highest[2:])]
-    least = np.column_stack([road.low, np.tile(lowest, (count, 1))])
-    most = np.column_stack([road.high, np.tile(highest, (count, 1))])
+    least = np.column_stack([road["low"], np.tile(lowest, (count, 1))])
+    most = np.column_stack([road["high"], np.tile(highest, (count, 1))])
     slowest, fastest = (
         [-car.steering_rate, -car.max_braking],
         [car.steering_rate, car.max_acceleration],
@@ -188,11 +192,11 @@ def _limits(road: Road, car: CarConfig) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-def _first_guess(road: Road, bend: np.ndarray, car: CarConfig) -> np.ndarray:
+def _first_guess(road: np.ndarray, bend: np.ndarray, car: CarConfig) -> np.ndarray:
     """Return the middle of the road, driven slowly."""
     zeros = np.zeros_like(bend)
     speed = zeros + 1.5
-    states = [road.aside, zeros, speed, zeros, 1.5 * bend, np.arctan(car.wheelbase * bend)]
+    states = [road["aside"], zeros, speed, zeros, 1.5 * bend, np.arctan(car.wheelbase * bend)]
     return np.concatenate([np.column_stack(states).ravel(), np.zeros(CONTROLS * len(bend))])
 
 
@@ -209,46 +213,51 @@ def strays(lap: Lap, car: CarConfig, steps: int = 40) -> tuple[float, float]:
     Returns:
         Largest distance [m], and largest difference of velocity [m/s].
     """
-    road = lap.road
-    offset, yaw, ahead, left, turn, steering = torch.from_numpy(lap.states).T[:, None]
-    across = np.arctan2(road.normal_y, road.normal_x) - math.pi / 2
-    x = torch.from_numpy(road.x) + offset * torch.from_numpy(road.normal_x)
-    y = torch.from_numpy(road.y) + offset * torch.from_numpy(road.normal_y)
-    yaw = yaw + torch.from_numpy(across)
-    cos, sin = torch.cos(yaw), torch.sin(yaw)
-    begun = Motion(*(x, y, yaw, cos * ahead - sin * left, sin * ahead + cos * left, turn, steering))
-    still = torch.zeros_like(x, dtype=torch.float32)
-    others = [still] * (len(fields(CarParameters)) - 2)
-    vehicle = Vehicle.of(CarParameters(still + car.grip, still + car.mass, *others), car, 1e-3)
-    steer, drive = torch.from_numpy(lap.controls).T[:, None]
-    dt = torch.from_numpy(lap.lasts) / steps
-    now = begun
-    for _ in range(steps):
-        rolling = torch.cos(now.yaw) * now.velocity_x + torch.sin(now.yaw) * now.velocity_y
-        asked = rolling + drive / car.speed_gain
-        pushed = vehicle.push(_single(now), now.steering.float(), asked.float())
-        velocity_x = now.velocity_x + dt * pushed.force_x / car.mass
-        velocity_y = now.velocity_y + dt * pushed.force_y / car.mass
-        rate = now.yaw_rate + dt * pushed.torque / car.yaw_inertia
-        now = Motion(
-            x=now.x + dt * velocity_x,
-            y=now.y + dt * velocity_y,
-            yaw=now.yaw + dt * rate,
-            velocity_x=velocity_x,
-            velocity_y=velocity_y,
-            yaw_rate=rate,
-            steering=now.steering + dt * steer,
-        )
-    place = torch.hypot(now.x - x.roll(-1), now.y - y.roll(-1))
-    gained = torch.hypot(
-        now.velocity_x - begun.velocity_x.roll(-1), now.velocity_y - begun.velocity_y.roll(-1)
+    road, world = lap.road, settings(SimConfig(car=car, step_hz=1000, decimation=1))[0]
+    across = np.arctan2(road["normal_y"], road["normal_x"]) - math.pi / 2
+    states = lap.states.copy()
+    states[:, 1] += across
+    cos, sin = np.cos(states[:, 1]), np.sin(states[:, 1])
+    begun = np.column_stack(
+        [
+            road["x"] + states[:, 0] * road["normal_x"],
+            road["y"] + states[:, 0] * road["normal_y"],
+            states[:, 1],
+            cos * states[:, 2] - sin * states[:, 3],
+            sin * states[:, 2] + cos * states[:, 3],
+            states[:, 4],
+            states[:, 5],
+        ]
     )
-    return float(place.max()), float(gained.max())
+    row = np.zeros(1, records.CAR)
+    row["grip"], row["mass"] = car.grip, car.mass
+    limits = (car.mass, car.yaw_inertia, car.speed_gain)
+    driven = np.array(
+        [
+            _driven(row, world, start, *control, lasts / steps, steps, limits)
+            for start, control, lasts in zip(begun, lap.controls, lap.lasts, strict=True)
+        ]
+    )
+    off = driven - np.roll(begun, -1, axis=0)
+    return float(np.hypot(off[:, 0], off[:, 1]).max()), float(np.hypot(off[:, 3], off[:, 4]).max())
 
 
-def _single(now: Motion) -> Motion:
-    """Return the same in single precision, as the simulator has it."""
-    return replace(now, **{one.name: getattr(now, one.name).float() for one in fields(now)})
+@njit(error_model="numpy")
+def _driven(row, settings, begun, steer, drive, dt, steps, limits):
+    """Return x, y, yaw, velocity x and y, yaw rate and steering after a piece, (7,)."""
+    mass, inertia, gain = limits
+    now, car = begun.copy(), row[0]
+    for _ in range(steps):
+        car.x, car.y, car.yaw, car.velocity_x = now[0], now[1], now[2], now[3]
+        car.velocity_y, car.yaw_rate, car.steering = now[4], now[5], now[6]
+        rolling = math.cos(now[2]) * now[3] + math.sin(now[2]) * now[4]
+        pushed = push(car, settings, np.float32(now[6]), np.float32(rolling + drive / gain))
+        now[3] += dt * pushed.force_x / mass
+        now[4] += dt * pushed.force_y / mass
+        now[5] += dt * pushed.torque / inertia
+        now[0], now[1] = now[0] + dt * now[3], now[1] + dt * now[4]
+        now[2], now[6] = now[2] + dt * now[5], now[6] + dt * steer
+    return now
 
 
 def main() -> None:

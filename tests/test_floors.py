@@ -14,7 +14,7 @@ FLOORS = {
     "league": 1, "errors": 1, "whole_file": 1, "jit": 1, "portable_math": 1,
     "track": 2,
     "sim": 3,
-    "race_spec": 4, "envs": 4, "replay": 4,
+    "race_spec": 4, "envs": 4, "replay": 4, "racing_line": 4,
     "agents": 5, "rerun_view": 5, "video": 5, "web_viewer": 5,
     "race": 6,
     "evaluation": 6.5, "side_process": 6.6, "training": 6.7,

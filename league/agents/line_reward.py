@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from league.agents.racing_line import optimal_line
 from league.envs import rewards
 from league.envs.rewards import BuiltIn, Reward
 from league.errors import ConfigError
+from league.racing_line.racing_line import optimal_line
 from league.sim.config import CarConfig
 from league.sim.world import World
 from league.track.course import Track, TrackSet
@@ -15,7 +15,7 @@ from league.track.course import Track, TrackSet
 RACING_LINE = "racing_line"
 """Its name beside those of the presets."""
 MOST_TRACKS = 64
-"""Tracks whose lines are sought; each takes about a second."""
+"""Tracks whose lines are sought."""
 FAR = 0.7
 """Distance to the line at which nothing is paid for it any more [m]."""
 SLOW = 1.4
@@ -106,7 +106,7 @@ def check(name: str, num_tracks: int) -> None:
     elif num_tracks > MOST_TRACKS:
         raise ConfigError(
             f"the reward racing_line seeks a line on each of {num_tracks} tracks (each direction "
-            f"counts), about a second each: give at most {MOST_TRACKS}, or the reward progress"
+            f"counts), a tenth of a second each: give at most {MOST_TRACKS}, or the reward progress"
         )
 
 

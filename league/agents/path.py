@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from league.agents.racing_line import RacingLine
 from league.jit import compiled, inner
 from league.portable_math import clamp
+from league.racing_line.racing_line import RacingLine
 from league.track.course import Track
 
 NODE_GAP = 0.2

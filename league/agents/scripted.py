@@ -20,12 +20,12 @@ import numpy as np
 
 from league.agents.driver import actions_from
 from league.agents.path import NODE, NODE_GAP, NODES, Path, at, circle, look_ahead, start
-from league.agents.racing_line import center_line, optimal_line
 from league.agents.steering import STEP_DT, gains, steering_target
 from league.agents.traffic import STATE, THING, cover, gather, go_round, largest_speed
 from league.envs.state import NEAR_OBSTACLES, NEIGHBOURS
 from league.jit import compiled, inner
 from league.portable_math import atan, clamp, f32
+from league.racing_line.racing_line import center_line, optimal_line
 from league.sim.config import CarConfig, SensorConfig
 from league.sim.settings import GRAVITY
 from league.track.course import Track

@@ -154,9 +154,10 @@ def _reach(
             f"({center[row, 0]:.2f}, {center[row, 1]:.2f}) m; give it along the whole track, on "
             "the driver's own left and right"
         )
-    rows = np.arange(len(center))
-    period = len(center) if file.closed else None
-    return np.interp(rows, rows[~missed], reach[~missed], period=period)
+    count, met = len(center), np.flatnonzero(~missed)
+    if file.closed:
+        met = np.concatenate([met[-1:] - count, met, met[:1] + count])
+    return spline.interpolate(np.arange(count), met, reach[met % count])
 
 
 def _colours(file: TrackFile) -> Colours:

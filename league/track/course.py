@@ -7,6 +7,7 @@ about 5 cm, so a point's neighbours are found by dividing s.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
@@ -66,7 +67,7 @@ class Track:
     @cached_property
     def length(self) -> float:
         """Length of the centreline [m]."""
-        return float(self.segment_lengths.sum())
+        return math.fsum(self.segment_lengths)
 
     @cached_property
     def segment_lengths(self) -> np.ndarray:
@@ -91,11 +92,12 @@ class Track:
     @cached_property
     def curvature(self) -> np.ndarray:
         """Signed curvature [1/m] over a window of about 0.3 m, shape (N,); positive turns left."""
-        heading = np.unwrap(np.arctan2(self.tangent[:, 1], self.tangent[:, 0]))
-        spacing = float(self.segment_lengths.mean())
+        turns = _angles(self.tangent, np.roll(self.tangent, -1, axis=0))
+        heading = np.concatenate([[0.0], np.cumsum(turns[:-1])])
+        spacing = self.length / len(self.segment_lengths)
         reach = max(1, round(0.15 / spacing))
         if self.closed:
-            turn = heading[-1] + _wrapped(heading[0] - heading[-1]) - heading[0]
+            turn = heading[-1] + turns[-1]
             padded = np.concatenate([heading[-reach:] - turn, heading, heading[:reach] + turn])
         else:
             padded = np.pad(heading, reach, mode="edge")
@@ -337,5 +339,17 @@ def _points(track: Track) -> np.ndarray:
     return np.ascontiguousarray(table, dtype=np.float32)
 
 
-def _wrapped(angle: float) -> float:
-    return float((angle + np.pi) % (2 * np.pi) - np.pi)
+def _angles(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the angles from unit vectors to others [rad], (N,), the same bits on every machine.
+
+    Each is halved until the series of the arc tangent is short.
+    """
+    cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    along = first[:, 0] * second[:, 0] + first[:, 1] * second[:, 1]
+    tangent = cross / np.maximum(1.0 + along, 1e-9)
+    for _ in range(3):
+        tangent = tangent / (1.0 + np.sqrt(1.0 + tangent * tangent))
+    series, square = np.zeros_like(tangent), tangent * tangent
+    for power in range(21, 0, -2):
+        series = (1.0 if power % 4 == 1 else -1.0) / power + square * series
+    return 16.0 * tangent * series

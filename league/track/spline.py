@@ -1,15 +1,14 @@
-"""Curves through points: a smooth centreline at even spacing, and how far its normals may reach."""
+"""Curves through points: a smooth centreline at even spacing, and how far its normals may reach.
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
+Races depend on every bit of a track, so NumPy is asked here only for what it rounds alike on every
+machine: + - * / and square roots of arrays, and running sums.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-
-from league.jit import compiled
 
 FOLD_REACH = 1.3 * np.pi
 """How far along the line a bend can fold its own border, in half widths.
@@ -20,63 +19,59 @@ width, so nothing but folds is clipped.
 """
 
 _CLIP_MARGIN = 0.98  # keeps the two sides of a fold from touching
-
-
-_WRAPPED = 64  # points of a loop that are repeated: its ends then bend alike, to the last bits
+_SWEEPS = 60  # each halves what is missing at least
 
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A cubic spline."""
+    """A cubic spline through K points; a closed one repeats its first point as the last."""
 
-    places: np.ndarray
-    """Of its points, growing, (K,)."""
+    place: np.ndarray
+    """Where each point lies along the polyline through them [m], (K,)."""
     points: np.ndarray
-    """(K, 2)."""
+    """[m], (K, 2)."""
     bends: np.ndarray
-    """Its second derivative at the points, (K, 2)."""
+    """Second derivative at each point [1/m], (K, 2)."""
 
-    def __call__(self, places: np.ndarray) -> np.ndarray:
-        """Return points of the curve, (num_places, 2)."""
-        low = np.searchsorted(self.places, places, side="right") - 1
-        low = np.clip(low, 0, len(self.places) - 2)
-        step = (self.places[low + 1] - self.places[low])[:, None]
-        part = (places - self.places[low])[:, None] / step
-        rest = 1.0 - part
-        before, after = self.bends[low], self.bends[low + 1]
-        bent = (rest * rest * rest - rest) * before + (part * part * part - part) * after
-        return rest * self.points[low] + part * self.points[low + 1] + bent * (step * step / 6.0)
+    def __call__(self, place: np.ndarray) -> np.ndarray:
+        """Return the points of the curve at places [m], (num_places, 2)."""
+        row = np.clip(np.searchsorted(self.place, place, side="right") - 1, 0, len(self.place) - 2)
+        gap = (self.place[row + 1] - self.place[row])[:, None]
+        u = (place - self.place[row])[:, None] / gap
+        v = 1 - u
+        bent = (v * v * v - v) * self.bends[row] + (u * u * u - u) * self.bends[row + 1]
+        return v * self.points[row] + u * self.points[row + 1] + gap * gap / 6 * bent
 
 
 def through(points: np.ndarray, *, closed: bool) -> Curve:
     """Return the smooth curve through the points, by chord length: periodic, or natural if open."""
-    count = len(points)
-    extra = _WRAPPED if closed else 0
-    rows = np.arange(-extra, count + closed + extra) % count
-    chord = np.linalg.norm(np.diff(points[rows], axis=0), axis=1)
-    bends = _bends(chord, points[rows].astype(np.float64))
-    kept = slice(extra, extra + count + closed)
-    places = np.concatenate([[0.0], np.cumsum(chord[extra : extra + count + closed - 1])])
-    return Curve(places, points[rows[kept]], bends[kept])
+    ring = np.concatenate([points, points[:1]]) if closed else points
+    gap = np.linalg.norm(np.diff(ring, axis=0), axis=1)[:, None]
+    slope = np.diff(ring, axis=0) / gap
+    if closed:
+        gap, slope = np.concatenate([gap[-1:], gap]), np.concatenate([slope[-1:], slope])
+    before, after, change = gap[:-1], gap[1:], 6 * np.diff(slope, axis=0)
+    bends = np.zeros_like(ring)
+    inner = bends[:-1] if closed else bends[1:-1]
+    for _ in range(_SWEEPS):
+        # before * bend before + 2 (before + after) * bend + after * bend after = change
+        beside = before * (np.roll(bends[:-1], 1, axis=0) if closed else bends[:-2])
+        beside += after * (np.roll(bends[:-1], -1, axis=0) if closed else bends[2:])
+        inner[:] = (change - beside) / (2 * (before + after))
+    if closed:
+        bends[-1] = bends[0]
+    chords = gap[1:, 0] if closed else gap[:, 0]
+    return Curve(np.concatenate([[0.0], np.cumsum(chords)]), ring, bends)
 
 
-@compiled
-def _bends(steps, points):
-    """Return the second derivatives of the natural cubic spline, by elimination."""
-    count = len(points)
-    bends, share = np.zeros((count, 2)), np.zeros(count)
-    for k in range(1, count - 1):
-        before, after = steps[k - 1], steps[k]
-        pivot = 2.0 * (before + after) - before * share[k - 1]
-        share[k] = after / pivot
-        for axis in range(2):
-            turn = (points[k + 1, axis] - points[k, axis]) / after
-            turn -= (points[k, axis] - points[k - 1, axis]) / before
-            bends[k, axis] = (6.0 * turn - before * bends[k - 1, axis]) / pivot
-    for k in range(count - 2, 0, -1):
-        for axis in range(2):
-            bends[k, axis] -= share[k] * bends[k + 1, axis]
-    return bends
+def interpolate(wanted: np.ndarray, place: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return values at rising places, interpolated linearly and held at the ends.
+
+    Unlike np.interp, whose compiler may fuse a multiplication with an addition.
+    """
+    row = np.clip(np.searchsorted(place, wanted, side="right") - 1, 0, len(place) - 2)
+    part = np.clip((wanted - place[row]) / (place[row + 1] - place[row]), 0.0, 1.0)
+    return values[row] + (values[row + 1] - values[row]) * part
 
 
 def resample(
@@ -102,17 +97,17 @@ def resample(
         wanted = (first + np.arange(count) * (length / count)) % length
     else:
         wanted = np.linspace(first, length, count + 1)
-    return np.ascontiguousarray(curve(np.interp(wanted, s, place)))
+    return np.ascontiguousarray(curve(interpolate(wanted, s, place)))
 
 
 def _arc_length(curve: Curve) -> tuple[np.ndarray, np.ndarray]:
     """Return places along the curve, dense in every piece, and the distance travelled there [m]."""
-    counts = np.clip(np.ceil(np.diff(curve.places) / 0.01), 8, 10_000).astype(int)
+    counts = np.clip(np.ceil(np.diff(curve.place) / 0.01), 8, 10_000).astype(int)
     pieces = [
         np.linspace(low, high, count, endpoint=False)
-        for low, high, count in zip(curve.places[:-1], curve.places[1:], counts, strict=True)
+        for low, high, count in zip(curve.place[:-1], curve.place[1:], counts, strict=True)
     ]
-    place = np.concatenate([*pieces, curve.places[-1:]])
+    place = np.concatenate([*pieces, curve.place[-1:]])
     steps = np.linalg.norm(np.diff(curve(place), axis=0), axis=1)
     return place, np.concatenate([[0.0], np.cumsum(steps)])
 
@@ -147,7 +142,7 @@ def unfold(
         wished: distance to the border [m], shape (N,).
         closed: whether the last row is followed by the first.
     """
-    spacing = float(np.linalg.norm(center[1] - center[0]))
+    spacing = float(np.linalg.norm(center[1:2] - center[:1], axis=1)[0])
     lags = min(int(FOLD_REACH * wished.max() / max(spacing, 1e-6)), (len(center) - 1) // 2)
     limit = np.full(len(center), np.inf)
     for lag in [*range(1, lags + 1), *range(-lags, 0)]:

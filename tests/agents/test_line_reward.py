@@ -8,10 +8,10 @@ from scenes import Stages, go_to, make_ring, make_straight, put_cars
 
 from league.agents import line_reward
 from league.agents.line_reward import FAR, SLOW, AlongTheLine, built_in
-from league.agents.pace import Limits
 from league.envs import rewards
 from league.envs.rewards import BuiltIn
 from league.errors import ConfigError
+from league.racing_line.speed_profile import Limits
 from league.sim.config import CarConfig, RaceRules, SimConfig
 from league.track.course import TrackSet
 

@@ -1,0 +1,250 @@
+"""Compiled: the search for the fastest line, a barrier method on offsets and speeds together.
+
+It minimises TIME, not curvature. Unknowns are the lateral offset of each control point and the
+squared speed e at each point. With curvature k and distance d to the next point, the longitudinal
+acceleration is a = (e' - e) / 2 d and the lateral one y = k e. Every iterate keeps all rules; a
+barrier that falls from round to round keeps it away from their bounds (J. Nocedal and S. Wright,
+Numerical Optimization, chapter 19). The exact forward-backward pass says which line is fastest.
+"""
+
+# Numba gives its types a meaning that the checker does not know.
+# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
+
+import math
+
+import numpy as np
+
+from league.jit import compiled, inner
+from league.racing_line.road import BEND, PLACE, SIZE, measure
+from league.racing_line.speed_profile import speed_profile, travel_time
+
+ROUNDS = 120
+"""Most steps of Newton's method."""
+_FIRST_BARRIER, _LAST_BARRIER, _LESS = 1e-2, 1e-6, 0.7
+_NEAREST = 0.05
+"""Part of its room that a step must leave to every rule."""
+_RISE, _BENT, _TURN, _ASIDE, _ENERGY, _DRIVE, _BRAKE, _RULES = 0, 1, 2, 3, 4, 5, 6, 7
+"""Rules at a point, each on a value between two bounds: a, k, its change to the next point, the
+lateral place, e, and squared grip used beside drive (with y here) and beside braking (y there)."""
+_CORNERING, _NEXT, _GAP, _ROWS = 7, 8, 9, 10
+"""Values without a rule, whose derivatives are needed: y here and at the next point, and d."""
+_COLUMNS = 6
+"""Offsets of the points -1, 0, 1, 2 and squared speeds of the points 0, 1."""
+_BAND = 14
+"""Columns of the banded matrix: the diagonal and what is left of it."""
+
+
+@compiled
+def fastest(road, closed, limits, curvature_rate):
+    """Return the offsets of the control points of the fastest line found on a ROAD [m], (N,)."""
+    count = len(road)
+    offset, squared, new_squared = np.empty(count), np.ones(count), np.empty(count)
+    for i in range(count):
+        inset = 0.1 * (road[i].high - road[i].low)
+        offset[i] = min(max(0.0, road[i].low + inset), road[i].high - inset)
+    winner, new_offset, best = offset.copy(), np.empty(count), np.inf
+    shape, rows = np.empty((count, 3, 4)), np.empty((count, _ROWS, _COLUMNS))
+    values, new_values = np.empty((_ROWS, count)), np.empty((_ROWS, count))
+    _evaluate(road, offset, squared, closed, limits, shape, values, rows)
+    low, high = np.full((_RULES, count), -1e9), np.full((_RULES, count), 1e9)
+    turn = curvature_rate * (road[1].s - road[0].s)
+    matrix, step = np.empty((2 * count, _BAND)), np.empty(2 * count)
+    barrier, calm = _FIRST_BARRIER, 1e-4
+    for _ in range(ROUNDS):
+        _tighten(low, high, values, road, limits, turn)
+        sound = False
+        while not sound and calm < 1e6:
+            _linearise(values, rows, low, high, barrier, calm, limits, matrix, step)
+            sound = _factorise(matrix)
+            calm = calm if sound else 8.0 * calm
+        _solve(matrix, step)
+        part, sound = 1.0, False
+        while not sound and part > 1e-4:
+            for i in range(count):
+                column = _column(i, count)
+                new_offset[i] = offset[i] + part * step[column]
+                new_squared[i] = squared[i] + part * step[column + 1]
+            _evaluate(road, new_offset, new_squared, closed, limits, shape, new_values, rows)
+            sound = _is_inside(values, new_values, low, high)
+            part = part if sound else 0.7 * part
+        if not sound:
+            break
+        offset, new_offset = new_offset, offset
+        squared, new_squared = new_squared, squared
+        values, new_values = new_values, values
+        time = travel_time(speed_profile(values[_BENT], values[_GAP], limits, closed), values[_GAP])
+        for i in range(count):  # too tight bends have their price
+            time += max(abs(values[_BENT, i]) - limits.curvature, 0.0)
+        if time < best:
+            winner, best = offset.copy(), time
+        if part > 0.3:
+            barrier, calm = max(_LAST_BARRIER, _LESS * barrier), max(1e-9, 0.5 * calm)
+    return winner
+
+
+@inner
+def _tighten(low, high, values, road, limits, turn):
+    """Draw the bounds in to the limits: a value beyond may stay where it is, not get worse."""
+    grip = limits.lateral * limits.lateral
+    for i in range(len(road)):
+        for c, least, most in (
+            (_RISE, -limits.braking, limits.acceleration),
+            (_BENT, -limits.curvature, limits.curvature),
+            (_TURN, -turn, turn),
+            (_ASIDE, road[i].low, road[i].high),
+            (_ENERGY, 0.0, limits.speed * limits.speed),
+            (_DRIVE, -1e9, grip),
+            (_BRAKE, -1e9, grip),
+        ):
+            slack = 0.05 * abs(values[c, i]) + 1e-3
+            low[c, i] = min(least, max(low[c, i], values[c, i] - slack))
+            high[c, i] = max(most, min(high[c, i], values[c, i] + slack))
+
+
+@inner
+def _is_inside(values, new_values, low, high):
+    """Return whether new values keep a part of the old ones' room to every bound."""
+    for c in range(_RULES):
+        for i in range(values.shape[1]):
+            below = (new_values[c, i] - low[c, i]) / (values[c, i] - low[c, i])
+            above = (high[c, i] - new_values[c, i]) / (high[c, i] - values[c, i])
+            if not min(below, above) > _NEAREST:
+                return False
+    return True
+
+
+@inner
+def _evaluate(road, offset, squared, closed, limits, shape, values, rows):
+    """Work out shape (see `measure`), values (_ROWS, N) and their derivatives rows, (N, ...)."""
+    count = len(road)
+    measure(road, offset, closed, shape)
+    # Squared grip (spare_grip): (1 - Y^2 t^2) a^2 + 2 Y^2 t |a| + y^2 <= Y^2.
+    loss = limits.lateral * limits.lateral * limits.transfer
+    square = 1.0 - loss * limits.transfer
+    for i in range(count):
+        j = (i + 1) % count
+        here, after, value, row = shape[i], shape[j], values[:, i], rows[i]
+        gap = 0.5 * (here[SIZE, 0] + after[SIZE, 0])
+        rise = 0.5 * (squared[j] - squared[i]) / gap
+        bend, next_bend = here[BEND, 0], after[BEND, 0]
+        value[_RISE], value[_BENT], value[_TURN] = rise, bend, next_bend - bend
+        value[_ASIDE], value[_ENERGY], value[_GAP] = here[PLACE, 0], squared[i], gap
+        value[_CORNERING], value[_NEXT] = bend * squared[i], next_bend * squared[j]
+        row[:] = 0.0
+        for k in range(3):
+            row[_BENT, k], row[_ASIDE, k] = here[BEND, k + 1], here[PLACE, k + 1]
+            row[_TURN, k] -= here[BEND, k + 1]
+            row[_TURN, k + 1] += after[BEND, k + 1]
+            row[_GAP, k] += 0.5 * here[SIZE, k + 1]
+            row[_GAP, k + 1] += 0.5 * after[SIZE, k + 1]
+            row[_CORNERING, k] = squared[i] * here[BEND, k + 1]
+            row[_NEXT, k + 1] = squared[j] * after[BEND, k + 1]
+        row[_ENERGY, 4], row[_CORNERING, 4], row[_NEXT, 5] = 1.0, bend, next_bend
+        row[_RISE, 4], row[_RISE, 5] = -0.5 / gap, 0.5 / gap
+        for k in range(_COLUMNS):
+            row[_RISE, k] -= rise / gap * row[_GAP, k]
+        for side, across in ((1.0, _CORNERING), (-1.0, _NEXT)):
+            c, push, pull = across - 2, square * rise + side * loss, value[across]
+            value[c] = (push + side * loss) * rise + pull * pull
+            for k in range(_COLUMNS):
+                row[c, k] = 2.0 * (push * row[_RISE, k] + pull * row[across, k])
+        if not closed and j == 0:  # nothing comes after the last point of an open line
+            for c in range(_ROWS):
+                if c not in (_BENT, _ASIDE, _ENERGY):
+                    value[c] = 0.0
+                    for k in range(_COLUMNS):
+                        row[c, k] = 0.0
+
+
+@inner
+def _linearise(values, rows, low, high, barrier, calm, limits, matrix, step):
+    """Set up Newton's equations about a line: a banded symmetric matrix and the right side."""
+    count = len(rows)
+    matrix[:] = 0.0
+    step[:] = 0.0
+    second, first, factor = np.empty((_COLUMNS, _COLUMNS)), np.empty(_COLUMNS), np.zeros(_ROWS)
+    columns = np.empty(_COLUMNS, np.int64)
+    grip = limits.lateral * limits.transfer
+    for i in range(count):
+        j = (i + 1) % count
+        row = rows[i]
+        second[:] = 0.0
+        first[:] = 0.0
+        for c in range(_RULES):
+            below = 1.0 / (values[c, i] - low[c, i])
+            above = 1.0 / (high[c, i] - values[c, i])
+            factor[c] = barrier * (below * below + above * above)
+            for k in range(_COLUMNS):
+                first[k] += barrier * (above - below) * row[c, k]
+        drive = 2.0 * barrier / (high[_DRIVE, i] - values[_DRIVE, i])
+        brake = 2.0 * barrier / (high[_BRAKE, i] - values[_BRAKE, i])
+        factor[_RISE] += max(0.0, 1.0 - grip * grip) * (drive + brake)
+        factor[_BENT] += calm
+        factor[_CORNERING], factor[_NEXT] = drive, brake
+        for c in range(_GAP):
+            for k in range(_COLUMNS):
+                for m in range(k + 1):
+                    second[k, m] += factor[c] * row[c, k] * row[c, m]
+        second[1, 1] += calm
+        for k in range(4):
+            second[4, k] += drive * values[_BENT, i] * row[_CORNERING, k]
+            second[5, k] += brake * values[_BENT, j] * row[_NEXT, k]
+            columns[k] = _column((i - 1 + k) % count, count)
+        columns[4], columns[5] = columns[1] + 1, columns[2] + 1
+        # The time of a piece is 2 d / (v + v').
+        one, two = math.sqrt(values[_ENERGY, i]), math.sqrt(values[_ENERGY, j])
+        both = one + two
+        slope = -2.0 * values[_GAP, i] / (both * both)
+        bent = -2.0 * slope / both
+        for k in range(_COLUMNS):
+            first[k] += 2.0 / both * row[_GAP, k]
+        first[4] += 0.5 * slope / one
+        first[5] += 0.5 * slope / two
+        second[4, 4] += 0.25 * (bent - slope / one) / (one * one)
+        second[5, 5] += 0.25 * (bent - slope / two) / (two * two)
+        second[5, 4] += 0.25 * bent / (one * two)
+        for k in range(_COLUMNS):
+            step[columns[k]] -= first[k]
+            for m in range(k + 1):
+                line, column = max(columns[k], columns[m]), min(columns[k], columns[m])
+                if second[k, m] != 0.0:
+                    matrix[line, line - column] += second[k, m]
+
+
+@inner
+def _column(i, count):
+    """Return the column of a point's offset, which that of its squared speed follows.
+
+    Points are taken from both ends in turn, so that a loop's neighbours stay within the band.
+    """
+    return 4 * i if 2 * i < count else 4 * (count - 1 - i) + 2
+
+
+@inner
+def _factorise(matrix):
+    """Replace a matrix by its Cholesky factor; False if it is not positive definite."""
+    for row in range(len(matrix)):
+        for k in range(min(_BAND - 1, row), -1, -1):
+            total = matrix[row, k]
+            for m in range(k + 1, min(_BAND, row + 1)):
+                total -= matrix[row, m] * matrix[row - k, m - k]
+            if k > 0:
+                matrix[row, k] = total / matrix[row - k, 0]
+            elif total > 0.0:
+                matrix[row, 0] = math.sqrt(total)
+            else:
+                return False
+    return True
+
+
+@inner
+def _solve(matrix, step):
+    """Solve the equations whose matrix is factorised, in place."""
+    for row in range(len(matrix)):
+        for k in range(1, min(_BAND, row + 1)):
+            step[row] -= matrix[row, k] * step[row - k]
+        step[row] /= matrix[row, 0]
+    for row in range(len(matrix) - 1, -1, -1):
+        step[row] /= matrix[row, 0]
+        for k in range(1, min(_BAND, row + 1)):
+            step[row - k] -= matrix[row, k] * step[row]
