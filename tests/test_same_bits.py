@@ -30,7 +30,8 @@ RECORDED = {
 }
 """SHA-256 over the hashes of all fields of a race, in the order of their names, shortened.
 
-Who means to change what happens in a race replaces them by what the failing test says."""
+A change that is meant to alter races replaces them by what the failing test prints.
+"""
 X86 = pytest.mark.skipif(platform.machine() != "x86_64", reason="features of x86-64")
 FLAGS = re.compile(r"\b(fast|contract|reassoc|arcp|afn|nnan|ninf|nsz)\b|llvm\.(fma|fmuladd)\b")
 FUSED = re.compile(r"\bvfn?m(add|sub)")
@@ -52,8 +53,8 @@ def elsewhere(**environment: str) -> tuple[list[str], dict[str, str]]:
         check=True,
         cwd=root,
     )
-    told = json.loads(run.stdout.splitlines()[-1])
-    return told["target"], told["digests"]
+    printed = json.loads(run.stdout.splitlines()[-1])
+    return printed["target"], printed["digests"]
 
 
 def differing(found: dict[str, str]) -> list[str]:
