@@ -61,7 +61,7 @@ def drive(cfg: EnvConfig, num_worlds: int, num_steps: int) -> Iterator[RaceEnv]:
 
 
 def _actions(env: RaceEnv, number: int) -> np.ndarray:
-    """Return actions that follow the road and swerve; whoever is home swerves only.
+    """Return actions that follow the road and swerve; cars that have finished only swerve.
 
     Nothing but sums and products, which are the same on every machine.
     """
@@ -91,20 +91,20 @@ def raced(name: str) -> Iterator[tuple[str, np.ndarray]]:
             for field in records.dtype.names or ():
                 yield f"{name} {table} {field}", records[field]
         for group in env.observations[0]:
-            told = [observations[group] for observations in env.observations]
-            yield f"{name} observations {group}", np.stack(told)
+            seen = [observations[group] for observations in env.observations]
+            yield f"{name} observations {group}", np.stack(seen)
 
 
 def decided() -> np.ndarray:
     """Return what a trained policy answers to made-up pictures and motions."""
     trained = checkpoint.load(Path(__file__).parents[1] / "garage" / "dodger.pt")
     rows = np.arange(16)
-    told: dict[str, np.ndarray] = {}
+    groups: dict[str, np.ndarray] = {}
     for group, shape in trained.card.group_shapes.items():
         place = np.arange(int(np.prod(shape)))
         numbers = draws.uniform(rows[:, None], len(shape), place[None, :]).reshape(-1, *shape)
-        told[group] = (numbers * f32(255)).astype(np.uint8) if len(shape) == 3 else numbers
-    return Policy(trained, config.CarConfig()).outputs(told)
+        groups[group] = (numbers * f32(255)).astype(np.uint8) if len(shape) == 3 else numbers
+    return Policy(trained, config.CarConfig()).outputs(groups)
 
 
 def digests() -> dict[str, str]:

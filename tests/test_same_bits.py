@@ -28,7 +28,10 @@ RECORDED = {
     "policy": "9bbdda3c3ab6207c",
     "race": "43e07c0a6cabdcba",
 }
-"""SHA-256 over the hashes of all fields of a race, in the order of their names, shortened."""
+"""SHA-256 over the hashes of all fields of a race, in the order of their names, shortened.
+
+A change that is meant to alter races replaces them by what the failing test prints.
+"""
 X86 = pytest.mark.skipif(platform.machine() != "x86_64", reason="features of x86-64")
 FLAGS = re.compile(r"\b(fast|contract|reassoc|arcp|afn|nnan|ninf|nsz)\b|llvm\.(fma|fmuladd)\b")
 FUSED = re.compile(r"\bvfn?m(add|sub)")
@@ -50,8 +53,8 @@ def elsewhere(**environment: str) -> tuple[list[str], dict[str, str]]:
         check=True,
         cwd=root,
     )
-    told = json.loads(run.stdout.splitlines()[-1])
-    return told["target"], told["digests"]
+    printed = json.loads(run.stdout.splitlines()[-1])
+    return printed["target"], printed["digests"]
 
 
 def differing(found: dict[str, str]) -> list[str]:
@@ -127,7 +130,7 @@ def test_no_sum_is_fused_or_reordered(entry):
     dispatcher = njit(nogil=True, error_model="numpy")(entry.py_func)
     dispatcher.compile(entry.signatures[0])  # what comes from the cache on disk cannot be read
     (code,) = dispatcher.inspect_llvm().values()
-    assert "fmul float" in code
-    assert not FLAGS.search(code)
+    assert len(re.findall(r"= fmul ", code)) > 50
+    assert FLAGS.findall(code) == []
     (machine_code,) = dispatcher.inspect_asm().values()
-    assert "mul" in machine_code and not FUSED.search(machine_code)
+    assert FUSED.findall(machine_code) == []

@@ -134,15 +134,15 @@ def race(about, asked):
     return {name: [now[k] for now in seen] for k, name in enumerate(("verdicts", "books", "ends"))}
 
 
-told = golden.described()
+described = golden.described()
 table = dict(np.load(golden.DATA / "motion.npz"))
 for name in golden.DRIVES + golden.CONTACTS:
     table[f"{name}.seen"] = np.stack(motion(table, name))
 np.savez_compressed(golden.DATA / "motion.npz", **table)
-table = {f"{s['name']}.{part}": v for s in told["scenes"] for part, v in rules(s).items()}
+table = {f"{s['name']}.{part}": v for s in described["scenes"] for part, v in rules(s).items()}
 np.savez_compressed(golden.DATA / "rules.npz", **table)
 table = dict(np.load(golden.DATA / "races.npz"))
-for about in told["races"]:
+for about in described["races"]:
     made = race(about, table[f"{about['name']}.actions"])
     table |= {f"{about['name']}.{part}": np.stack(value) for part, value in made.items()}
 np.savez_compressed(golden.DATA / "races.npz", **table)
