@@ -14,6 +14,8 @@ from typing import Literal
 
 import numpy as np
 
+from league.track import spline
+
 SPACING = 0.05
 """Wished distance between two points of a resampled centreline [m]."""
 
@@ -92,7 +94,7 @@ class Track:
     @cached_property
     def curvature(self) -> np.ndarray:
         """Signed curvature [1/m] over a window of about 0.3 m, shape (N,); positive turns left."""
-        turns = _angles(self.tangent, np.roll(self.tangent, -1, axis=0))
+        turns = spline.turns(self.tangent, np.roll(self.tangent, -1, axis=0))
         heading = np.concatenate([[0.0], np.cumsum(turns[:-1])])
         spacing = self.length / len(self.segment_lengths)
         reach = max(1, round(0.15 / spacing))
@@ -337,19 +339,3 @@ def _points(track: Track) -> np.ndarray:
     )
     table = np.concatenate([columns, following - columns], axis=1)
     return np.ascontiguousarray(table, dtype=np.float32)
-
-
-def _angles(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the angles from unit vectors to others [rad], (N,), the same bits on every machine.
-
-    Each is halved until the series of the arc tangent is short.
-    """
-    cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
-    along = first[:, 0] * second[:, 0] + first[:, 1] * second[:, 1]
-    tangent = cross / np.maximum(1.0 + along, 1e-9)
-    for _ in range(3):
-        tangent = tangent / (1.0 + np.sqrt(1.0 + tangent * tangent))
-    series, square = np.zeros_like(tangent), tangent * tangent
-    for power in range(21, 0, -2):
-        series = (1.0 if power % 4 == 1 else -1.0) / power + square * series
-    return 16.0 * tangent * series

@@ -121,6 +121,22 @@ def tangent(center: np.ndarray, *, closed: bool) -> np.ndarray:
     return chord / np.maximum(np.linalg.norm(chord, axis=1, keepdims=True), 1e-12)
 
 
+def turns(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the angles from unit vectors to others [rad], (N,), the same bits on every machine.
+
+    Each is halved until the series of the arc tangent is short.
+    """
+    cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    along = first[:, 0] * second[:, 0] + first[:, 1] * second[:, 1]
+    tangent = cross / np.maximum(1.0 + along, 1e-9)
+    for _ in range(3):
+        tangent = tangent / (1.0 + np.sqrt(1.0 + tangent * tangent))
+    series, square = np.zeros_like(tangent), tangent * tangent
+    for power in range(21, 0, -2):
+        series = (1.0 if power % 4 == 1 else -1.0) / power + square * series
+    return 16.0 * tangent * series
+
+
 def left_normal(center: np.ndarray, *, closed: bool) -> np.ndarray:
     """Return the unit vector to the driver's left at each row."""
     along = tangent(center, closed=closed)

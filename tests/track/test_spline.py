@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from league.track import check, spline
 
@@ -80,3 +81,25 @@ def _cross(line: np.ndarray, i: int, j: int) -> bool:
     p, q, r, s = line[i], line[i + 1], line[j], line[j + 1]
     part = np.linalg.solve(np.stack([q - p, r - s], axis=1), r - p)
     return bool(((part >= 0) & (part <= 1)).all())
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_a_curve_is_the_cubic_spline_through_its_points(closed):
+    points = np.random.default_rng(3).uniform(0, 5, (20, 2))
+    curve = spline.through(points, closed=closed)
+    wanted = CubicSpline(curve.place, curve.points, bc_type="periodic" if closed else "natural")
+    place = np.linspace(0, curve.place[-1], 333)
+    np.testing.assert_allclose(curve(place), wanted(place), atol=1e-12)
+
+
+def test_interpolation_is_linear_and_holds_its_ends():
+    place, values = np.array([0.0, 1.0, 3.0]), np.array([2.0, 4.0, 0.0])
+    wanted = np.array([-1.0, 0.0, 0.25, 1.0, 2.5, 3.0, 9.0])
+    assert spline.interpolate(wanted, place, values).tolist() == [2.0, 2.0, 2.5, 4.0, 1.0, 0.0, 0.0]
+
+
+def test_turns_are_the_angles_between_directions():
+    angle = np.array([0.0, 1e-9, 0.03, -0.4, 1.5, 3.0, -3.1])
+    base = np.array([0.3, -2.0, 1.0, 0.0, 2.5, 0.7, -1.2])
+    first, second = (np.stack([np.cos(a), np.sin(a)], axis=1) for a in (base, base + angle))
+    np.testing.assert_allclose(spline.turns(first, second), angle, atol=1e-12)
