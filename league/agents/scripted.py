@@ -41,11 +41,11 @@ class Style:
     """Part of the line's speed that is driven."""
     top_speed: float = 99.0
     """Largest speed [m/s]."""
-    grip: float = 0.95
+    grip: float = 0.93
     """Part of the tyres' grip that is used on the line and beside it."""
     reserve: float = 0.5
     """Part of that grip kept in hand while driving beside the line."""
-    margin: float = 0.0
+    margin: float = 0.03
     """Smallest distance from the fastest line to a border [m]."""
     clearance: float = 0.06
     """Air left between two bodies side by side [m]."""

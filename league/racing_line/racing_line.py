@@ -57,7 +57,7 @@ def optimal_line(
     share: float = 1.0,
     load_transfer: bool = True,
     spacing: float = 0.12,
-    curvature_rate: float = 12.0,
+    curvature_rate: float = 6.0,
 ) -> RacingLine:
     """Return the fastest line whose base keeps a margin to both borders.
 
