@@ -46,9 +46,9 @@ class CarConfig:
     """Height of the centre of mass above the ground [m]; sets the load moved by braking."""
     clearance: float = ranged(0.025, 0.0, 10.0)
     """Height of the chassis' underside above the ground [m]; read by the bullet solver."""
-    ride_hz: float = ranged(5.0, 0.1, 20.0)
+    ride_hz: float = ranged(6.0, 0.1, 20.0)
     """Frequency at which the chassis bounces on its springs [Hz]; read by the bullet solver."""
-    damping_ratio: float = ranged(0.5, 0.0, 2.0)
+    damping_ratio: float = ranged(0.6, 0.0, 2.0)
     """Share of the critical damping of that motion; read by the bullet solver."""
     grip: float = ranged(0.7, 0.01, 10.0)
     """Friction coefficient between tyre and road."""

@@ -169,7 +169,8 @@ def loads(cars, bodies, controls, sim, chassis, k, out):
 @inner
 def _load(car, body, settings, chassis, target_speed, out):
     """Write the force and the torque on one car."""
-    xx, xy, _, yx, yy, _, zx, zy, zz = axes = _axes(body)
+    axes = _axes(body)
+    xx, xy, zx, zy, zz = axes[0], axes[1], axes[6], axes[7], axes[8]
     height, mass = chassis.height, np.float64(car.mass)
     out[:] = 0.0
     if zz < LEAST_UPRIGHT:
@@ -180,43 +181,73 @@ def _load(car, body, settings, chassis, target_speed, out):
     ahead = cos * (body[7] - (body[11] * zz - body[12] * zy) * height) + sin * (
         body[8] - (body[12] * zx - body[10] * zz) * height
     )
-    wished = asked_acceleration(settings, target_speed, f32(ahead)) * car.mass * _QUARTER
+    # Open differentials: each wheel is asked for a quarter of the force.
+    asked = asked_acceleration(settings, target_speed, f32(ahead)) * car.mass * _QUARTER
     cap, slope = chassis.cap * car.mass, settings.slope_of_grip / car.grip
-    sin_steering, cos_steering = sincos(car.steering)
+    steering, share = sincos(car.steering), mass * (GRAVITY / 4)
     for front, left in _WHEELS:
         along, across = front * settings.arm, left * settings.half_track
-        # From the centre of mass to where the wheel stands, and how fast the chassis moves there.
-        rx, ry, rz = _world(axes, along, across, -height)
-        lift = (body[2] + rz) / zz
-        rx, ry, rz = rx - lift * zx, ry - lift * zy, rz - lift * zz
-        vx = body[7] + body[11] * rz - body[12] * ry
-        vy = body[8] + body[12] * rx - body[10] * rz
-        vz = body[9] + body[10] * ry - body[11] * rx
-        share = mass * (GRAVITY / 4)
-        load = mass * (GRAVITY / 4 - chassis.stiffness * lift - chassis.damping * vz / zz)
-        if load <= 0.0:
-            out[2] -= share
+        rx, ry, rz, vx, vy, vz, lift = _foot(body, axes, along, across, height)
+        # A spring that hangs free does not pull.
+        springs = GRAVITY / 4 - chassis.stiffness * lift - chassis.damping * vz / zz
+        load = max(mass * springs, 0.0)
+        out[2] += load - share
+        if load == 0.0:
             continue
-        # Direction of the wheel: rear ones ahead, front ones across the line to the one point
-        # about which all four roll (Ackermann).
-        wheel_x, wheel_y = cos, sin
-        if front > 0.0:
-            base = 2.0 * settings.arm
-            u, v = base * cos_steering - across * sin_steering, base * sin_steering
-            size = math.sqrt(u * u + v * v)
-            wheel_x, wheel_y = (cos * u - sin * v) / size, (sin * u + cos * v) / size
+        u, v = _pointing(front, across, 2.0 * settings.arm, steering)
+        wheel_x, wheel_y = cos * u - sin * v, sin * u + cos * v
         rolling = f32(vx * wheel_x + vy * wheel_y)
         sliding = f32(vy * wheel_x - vx * wheel_y)
         grip = max(f32(load), _LEAST_LOAD) * car.grip
-        drive = drive_force(wished, rolling, grip, cap)
+        drive = drive_force(asked, rolling, grip, cap)
         lateral = lateral_force(sliding, rolling, drive, grip, slope, cap)
         fx, fy = wheel_x * drive - wheel_y * lateral, wheel_y * drive + wheel_x * lateral
         out[0] += fx
         out[1] += fy
-        out[2] += load - share
         out[3] += ry * load - rz * fy
         out[4] += rz * fx - rx * load
         out[5] += rx * fy - ry * fx
+
+
+@inner
+def _foot(body, axes, along, across, height):
+    """Return where a wheel stands: where the chassis' vertical through its place meets the road.
+
+    Args:
+        body: state of the chassis.
+        axes: its axes.
+        along: place of the wheel ahead of the base [m].
+        across: place of the wheel to the left of the base [m].
+        height: of the centre of mass above the base [m].
+
+    Returns:
+        The place from the centre of mass [m] and how fast the chassis moves there [m/s], x, y, z
+        of each in the world frame; and how far the spring is extended [m].
+    """
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = axes
+    rx = xx * along + yx * across - zx * height
+    ry = xy * along + yy * across - zy * height
+    rz = xz * along + yz * across - zz * height
+    lift = (body[2] + rz) / zz
+    rx, ry, rz = rx - lift * zx, ry - lift * zy, rz - lift * zz
+    vx = body[7] + body[11] * rz - body[12] * ry
+    vy = body[8] + body[12] * rx - body[10] * rz
+    vz = body[9] + body[10] * ry - body[11] * rx
+    return rx, ry, rz, vx, vy, vz, lift
+
+
+@inner
+def _pointing(front, across, wheelbase, steering):
+    """Return the direction of a wheel, ahead and to the left: all four roll about one point.
+
+    That point lies on the line of the rear axle (Ackermann), at wheelbase / tan(steering).
+    """
+    if front < 0.0:
+        return 1.0, 0.0
+    sin, cos = np.float64(steering[0]), np.float64(steering[1])
+    u, v = wheelbase * cos - across * sin, wheelbase * sin
+    size = math.sqrt(u * u + v * v)
+    return u / size, v / size
 
 
 @inner
@@ -247,14 +278,4 @@ def _axes(body):
         2.0 * (x * z + w * y),
         2.0 * (y * z - w * x),
         1.0 - 2.0 * (x * x + y * y),
-    )
-
-
-@inner
-def _world(axes, along, across, up):
-    """Return a vector of the chassis' frame in the world frame."""
-    return (
-        axes[0] * along + axes[3] * across + axes[6] * up,
-        axes[1] * along + axes[4] * across + axes[7] * up,
-        axes[2] * along + axes[5] * across + axes[8] * up,
     )
