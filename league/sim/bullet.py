@@ -1,8 +1,8 @@
 """BulletSolver: cars as sprung rigid bodies in space; PyBullet integrates them and their contacts.
 
-Each world is a simulation of its own. A car is a box with mass and three moments of inertia; its
+Each world is a simulation of its own. A car is a rigid body of three boxes; its
 weight and its wheels act as one force and one torque from suspension.py before each step of Bullet,
-so a car squats, leans, lifts wheels and turns over; then the box lies on the ground. The records
+so a car squats, leans, lifts wheels and turns over; then its body lies on the ground. The records
 are the truth: every control step starts from them.
 """
 
@@ -14,7 +14,7 @@ import math
 import os
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import ModuleType
 from typing import Any
 
@@ -41,6 +41,12 @@ ITERATIONS = 20
 RESTITUTION_FROM = 0.05
 """Slowest approach that bounces [m/s]."""
 
+_PARTS = ((0.74, -0.74, 0.96), (1.0, -1.0, 1.0), (0.28, -0.68, 0.66))
+"""Skirt, shell and cabin of a car, much as they are drawn: where each begins and ends along the
+car, as shares of half its length, and its share of the width. The shell, which hits others first,
+lies above the centre of mass: so cars lean on each other, climb and turn over."""
+_LEVELS = (0.0, 0.25, 0.53, 1.0)
+"""Where these begin and end, as shares of the height above the clearance."""
 _UNTURNED = (HEAVY, HEAVY, HEAVY)
 _RATES = ("velocity_x", "velocity_y", "velocity_z", "yaw_rate", "roll_rate", "pitch_rate")
 _CAR, _OBSTACLE, _WALL, _GHOST = 1, 2, 4, 8
@@ -62,21 +68,22 @@ def _load_pybullet() -> ModuleType:
         os.close(null)
 
 
+Triple = tuple[float, float, float]
 pybullet = _load_pybullet()
 
 
 @dataclass(frozen=True)
 class _Body:
-    """A box to build."""
+    """A rigid body of upright boxes to build."""
 
-    half_sizes: tuple[float, float, float]
-    """Ahead, to the side and upwards [m]."""
-    mass: float
+    half_sizes: list[Triple]
+    """Of each of its boxes, ahead, to the side and upwards [m]."""
+    mass: float = 0.0
     """[kg]; 0 for what never moves."""
-    inertia: tuple[float, float, float]
+    inertia: Triple = (0.0, 0.0, 0.0)
     """About the same three axes [kg m^2]."""
-    raised: float = 0.0
-    """How far the middle of the box lies above the centre of mass [m]."""
+    middles: list[Triple] = field(default_factory=lambda: [(0.0, 0.0, 0.0)])
+    """Of each box, from the centre of mass [m]."""
 
 
 @dataclass(frozen=True)
@@ -243,26 +250,30 @@ class BulletSolver:
         for mass, held in zip(plan.masses, plan.held, strict=True):
             cars.append(self._box(client, len(cars), self._car(mass, held=held)))
         for half_length, half_width in plan.sizes:
-            body = _Body((half_length, half_width, self._height / 2), HEAVY, _UNTURNED)
+            body = _Body([(half_length, half_width, self._height / 2)], HEAVY, _UNTURNED)
             place = len(cars) + len(obstacles)
             obstacles.append(self._box(client, place, body, _OBSTACLE))
         # Bullet takes a body's new inertia into use when it moves it.
         pybullet.stepSimulation(physicsClientId=client)
         walls = self._build_walls(client, *self._rooms[plan.track])
         ground = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
-        self._body(client, ground, _Body((0.0, 0.0, 0.0), 0.0, (0.0, 0.0, 0.0)), [0, 0, 0], _WALL)
+        self._body(client, ground, _Body([]), [0, 0, 0], _WALL)
         return _Stage(plan, cars, obstacles, walls, [False] * len(cars))
 
     def _car(self, mass: float, *, held: bool) -> _Body:
         car = self.cfg.car
         share = mass / car.mass
         inertia = (share * car.roll_inertia, share * car.pitch_inertia, share * car.yaw_inertia)
-        return _Body(
-            (car.length / 2, car.width / 2, (car.height - car.clearance) / 2),
-            HEAVY if held else mass,
-            _UNTURNED if held else inertia,
-            (car.height + car.clearance) / 2 - car.mass_height,
-        )
+        heights = [car.clearance + share * (car.height - car.clearance) for share in _LEVELS]
+        half_sizes, middles = [], []
+        for (front, back, side), low, high in zip(_PARTS, heights[:-1], heights[1:], strict=True):
+            half_sizes.append(
+                ((front - back) * car.length / 4, side * car.width / 2, (high - low) / 2)
+            )
+            middle = (low + high) / 2 - car.mass_height
+            middles.append(((front + back) * car.length / 4, 0.0, middle))
+        weight = (HEAVY, _UNTURNED) if held else (mass, inertia)
+        return _Body(half_sizes, *weight, middles)
 
     def _build_walls(
         self, client: int, x_min: float, y_min: float, x_max: float, y_max: float
@@ -277,17 +288,17 @@ class BulletSolver:
         )
         walls = []
         for x, y, half_length, half_width in boxes:
-            body = _Body((half_length, half_width, WALL_HEIGHT), 0.0, (0.0, 0.0, 0.0))
+            body = _Body([(half_length, half_width, WALL_HEIGHT)])
             walls.append(self._box(client, 0, body, _WALL))
             _place(client, walls[-1], [x, y, 0.0, 0.0, 0.0, 0.0, 1.0, *[0.0] * 6])
         return walls
 
     def _box(self, client: int, place: int, body: _Body, group: int = _CAR) -> int:
         """Build a box, out of the way of others."""
-        shape = pybullet.createCollisionShape(
-            pybullet.GEOM_BOX,
+        shape = pybullet.createCollisionShapeArray(
+            shapeTypes=[pybullet.GEOM_BOX] * len(body.half_sizes),
             halfExtents=body.half_sizes,
-            collisionFramePosition=[0, 0, body.raised],
+            collisionFramePositions=body.middles,
             physicsClientId=client,
         )
         return self._body(client, shape, body, [1e3 * (place + 1), 0, 10], group)
