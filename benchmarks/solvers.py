@@ -1,4 +1,4 @@
-"""How far the planar solver is from Bullet, and how fast each steps: `python -m benchmarks solvers`.
+"""How far the planar solver is from Bullet, and how fast they are: `python -m benchmarks solvers`.
 
 Both drive the same car on the same tyres. The planar one keeps it flat and moves load between the
 axles at once; in Bullet it stands on springs, leans and turns over.

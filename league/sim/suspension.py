@@ -46,17 +46,23 @@ def chassis(car: CarConfig, dt: float) -> np.ndarray:
         car: the car.
         dt: physics step [s].
     """
-    rate, height = 2 * math.pi * car.ride_hz, car.mass_height
-    reach = (car.wheelbase**2 + car.wheel_track**2) / 4
-    # How far a unit of force at the four wheels moves them: sideways, ahead, and in a turn.
+    height, arm, half_track = car.mass_height, car.wheelbase / 2, car.wheel_track / 2
+    # How far a unit of force at the four wheels moves them: sideways or ahead, and in a turn.
     answer = max(
         1 / car.mass + height**2 / min(car.roll_inertia, car.pitch_inertia),
-        reach / car.yaw_inertia,
+        (arm**2 + half_track**2) / car.yaw_inertia,
     )
+    # The quickest motion on the springs; one that changes too much in a step would swing by itself.
+    quickest = max(
+        1.0,
+        car.mass * half_track**2 / car.roll_inertia,
+        car.mass * arm**2 / car.pitch_inertia,
+    )
+    rate = min(2 * math.pi * car.ride_hz, 0.5 / (dt * math.sqrt(quickest)))
     record = np.zeros(1, CHASSIS)
     record["height"] = height
     record["stiffness"] = rate**2 / 4
-    record["damping"] = 2 * car.damping_ratio * rate / 4
+    record["damping"] = min(2 * car.damping_ratio * rate, 0.5 / (dt * quickest)) / 4
     record["cap"] = 1 / (4 * answer * dt * car.mass)
     return record
 
