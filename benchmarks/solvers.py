@@ -25,7 +25,7 @@ from league.track.course import Track, TrackSet
 SEQUENCES, IMPACTS, BATCH = 200, 1000, 50
 STEP_HZ = 15
 SIZES = (1, 4, 16, 64, 256, 1024, 4096, 16384)
-MOTION = records.CAR.names[: records.CAR.names.index("target_steering")]
+MOTION = list(records.CAR.names or ())[:13]
 Controls = Callable[[int], np.ndarray]
 """Steering [rad] and speed [m/s] asked in a step, (num_worlds, num_cars, 2)."""
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -35,13 +35,13 @@ class Floor:
         self.touched = np.zeros(shape, records.CONTACT)
         self.solver = BulletSolver(self.sim, ROOM, self.num_worlds)
 
-    def put(self, **fields: object) -> Floor:
+    def put(self, **fields: Any) -> Floor:
         """Set fields of the cars; return the floor."""
         for name, value in fields.items():
             self.cars[name] = value
         return self
 
-    def drive(self, steps: int, steering: object = 0.0, speed: object = 0.0) -> np.ndarray:
+    def drive(self, steps: int, steering: Any = 0.0, speed: Any = 0.0) -> np.ndarray:
         """Hold a control for some steps; return the cars after each, (steps, worlds, cars)."""
         controls = np.zeros((*self.cars.shape, 2), np.float32)
         controls[..., 0], controls[..., 1] = steering, speed
@@ -56,12 +56,7 @@ class Floor:
         return np.array(seen)
 
 
-def settings(num_cars: int = 1, **changes: object) -> SimConfig:
+def settings(num_cars: int = 1, **changes: Any) -> SimConfig:
     """Return the settings of a race of some cars."""
     kind = "head_to_head" if num_cars > 1 else "time_trial"
-    return SimConfig(kind=kind, num_cars=num_cars, **changes)  # pyright: ignore
-
-
-def degrees(angle: np.ndarray) -> np.ndarray:
-    """Return angles [rad] in degrees."""
-    return angle * (180 / math.pi)
+    return SimConfig(kind=kind, num_cars=num_cars, **changes)
