@@ -23,9 +23,12 @@ from league.sim.vehicle import asked_acceleration, frozen, late_steps, steered
 
 LEAST_UPRIGHT = 0.5
 """Cosine of the lean beyond which no wheel carries the car (60 deg)."""
+STILL, STILL_TURN, STILL_STEP = 0.002, 0.02, 1e-4
+"""A car that lies on its body rests when it is slower than this and moved by less in a control step
+[m/s, rad/s, m]: contacts alone would let it creep."""
 _WHEELS = ((1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0))
 """Ahead and to the left; diagonal pairs, so that equal loads cancel without rounding."""
-_LEAST_LOAD, _HALF, _QUARTER = f32(1e-3), f32(0.5), f32(0.25)
+_ZERO, _LEAST_LOAD, _HALF, _QUARTER = f32(0.0), f32(1e-3), f32(0.5), f32(0.25)
 
 CHASSIS = np.dtype(
     [
@@ -130,6 +133,10 @@ def read_back(cars, chassis, placed, bodies):
                 continue
             old_x, old_y = _axes(placed[w, c])[:2]
             xx, xy, xz, yx, yy, yz, zx, zy, zz = _axes(body)
+            if zz < LEAST_UPRIGHT and _is_still(placed[w, c], body):
+                car.velocity_x, car.velocity_y, car.velocity_z = _ZERO, _ZERO, _ZERO
+                car.roll_rate, car.pitch_rate, car.yaw_rate = _ZERO, _ZERO, _ZERO
+                continue
             # The turn since then is added, so that a car at rest keeps the bits of its heading.
             along, across = old_x * xx + old_y * xy, old_x * xy - old_y * xx
             car.yaw = wrap_angle(car.yaw + heading_of(f32(along), f32(across)))
@@ -254,6 +261,19 @@ def _pointing(front, across, wheelbase, steering):
     u, v = wheelbase * cos - across * sin, wheelbase * sin
     size = math.sqrt(u * u + v * v)
     return u / size, v / size
+
+
+@inner
+def _is_still(placed, body):
+    """Return whether a chassis has come to rest in a control step."""
+    moved = _size(body[0] - placed[0], body[1] - placed[1], body[2] - placed[2])
+    speed, spin = _size(body[7], body[8], body[9]), _size(body[10], body[11], body[12])
+    return moved < STILL_STEP and speed < STILL and spin < STILL_TURN
+
+
+@inner
+def _size(x, y, z):
+    return math.sqrt(x * x + y * y + z * z)
 
 
 @inner

@@ -114,24 +114,28 @@ def test_car_on_its_side_or_roof_lies_still_whatever_its_motor_does(roll):
     floor.drive(60, steering=0.2, speed=3.0)
     before = floor.cars.copy()
     floor.drive(30, steering=0.2, speed=3.0)
-    assert abs(floor.cars["x"] - before["x"]) + abs(floor.cars["y"] - before["y"]) < 1e-3
+    for name in MOTION:
+        assert name == "steering" or floor.cars[name] == before[name], name
     assert abs(floor.cars["roll"]) > 1.3
 
 
-def test_car_on_its_side_is_immobilised_and_put_back_upright():
-    env = RaceEnv(TrackSet(files.load("reinvent_2018")), EnvConfig(solver="bullet"))
+@pytest.mark.parametrize("friction", [0.25, 0.3, 0.5])
+def test_car_on_its_side_is_immobilised_and_put_back_upright(friction):
+    sim = SimConfig(contact=ContactConfig(friction=friction))
+    cfg = EnvConfig(sim=sim, solver="bullet")
+    env = RaceEnv(TrackSet(files.load("reinvent_2018")), cfg)
     env.reset(seed=1)
     for _ in range(10):
         env.step(np.zeros((1, 1, 2), np.float32))
     cars = env.world.cars
     cars["roll"], cars["z"], cars["velocity_x"], cars["velocity_y"] = 1.5, 0.09, 0.0, 0.0
-    fired = 0
     for _ in range(30):
-        fired += int(env.step(np.zeros((1, 1, 2), np.float32)).verdicts["immobilised"].item())
-        if fired:
+        seen = env.step(np.zeros((1, 1, 2), np.float32)).verdicts
+        if seen["mistake"]:
             break
         assert cars["roll"].item() > 1.2
-    assert fired and cars["penalty_s"].item() == pytest.approx(2.0)
+    assert seen["immobilised"] and not seen["reversed"]
+    assert cars["penalty_s"].item() == pytest.approx(2.0)
     for _ in range(30):
         env.step(np.zeros((1, 1, 2), np.float32))
     assert cars["penalty_s"].item() == 0.0
@@ -193,7 +197,8 @@ def test_frozen_car_cannot_be_pushed(lies):
     for name in ("x", "y", "z", "yaw", "roll", "pitch"):
         assert (seen[name][:, 1] == held[name]).all(), name
     assert seen["velocity_x"][-1, 1] == 0.0
-    assert seen["x"][:, 0].max() < 0.4
+    # Bumper to bumper is 0.176; against a car that gives way it comes to 0.29.
+    assert seen["x"][:, 0].max() < 0.22
 
 
 def test_contacts_name_cars_obstacles_and_walls_and_not_the_ground():
