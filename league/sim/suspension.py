@@ -144,13 +144,13 @@ def read_back(cars, chassis, placed, bodies):
             car.roll = heading_of(f32(zz), f32(yz))
             car.x, car.y = f32(body[0] - zx * height), f32(body[1] - zy * height)
             car.z = f32(body[2] - zz * height)
-            a, b, c_ = body[10], body[11], body[12]
-            car.velocity_x = f32(body[7] - (b * zz - c_ * zy) * height)
-            car.velocity_y = f32(body[8] - (c_ * zx - a * zz) * height)
-            car.velocity_z = f32(body[9] - (a * zy - b * zx) * height)
-            car.roll_rate = f32(a * xx + b * xy + c_ * xz)
-            car.pitch_rate = f32(a * yx + b * yy + c_ * yz)
-            car.yaw_rate = f32(a * zx + b * zy + c_ * zz)
+            spin_x, spin_y, spin_z = body[10], body[11], body[12]
+            car.velocity_x = f32(body[7] - (spin_y * zz - spin_z * zy) * height)
+            car.velocity_y = f32(body[8] - (spin_z * zx - spin_x * zz) * height)
+            car.velocity_z = f32(body[9] - (spin_x * zy - spin_y * zx) * height)
+            car.roll_rate = f32(spin_x * xx + spin_y * xy + spin_z * xz)
+            car.pitch_rate = f32(spin_x * yx + spin_y * yy + spin_z * yz)
+            car.yaw_rate = f32(spin_x * zx + spin_y * zy + spin_z * zz)
 
 
 @compiled
