@@ -1,141 +1,192 @@
-"""How far the two solvers disagree, and how fast each steps: `python -m benchmarks.solvers`.
+"""How far the planar solver is from Bullet, and how fast they are: `python -m benchmarks solvers`.
 
-Both run the same car; they differ in arithmetic (torch in float32, Bullet in float64), and in how
-contacts are found and solved. Without contact the paths must agree; in contact the outcome must.
+Both drive the same car on the same tyres. The planar one keeps it flat and moves load between the
+axles at once; in Bullet it stands on springs, leans and turns over.
 """
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from benchmarks.report import fastest, figure, heading, machine, product
-from league.sim import grid, solvers
+from league import race
+from league.agents.garage import names as garage_names
+from league.agents.roster import NAMES
+from league.envs import step as stages
+from league.envs.config import EnvConfig
+from league.envs.race_env import RaceEnv
+from league.race_spec import CarResult, Entry, RaceSpec
+from league.sim import records
 from league.sim.config import SimConfig, SolverName
-from league.sim.world import Control, Motion, World
 from league.track.course import Track, TrackSet
 
-SEQUENCES, SHOVES = 200, 100
+SEQUENCES, IMPACTS, BATCH = 200, 1000, 50
+STEP_HZ = 15
 SIZES = (1, 4, 16, 64, 256, 1024, 4096, 16384)
+MOTION = list(records.CAR.names or ())[:13]
+Controls = Callable[[int], np.ndarray]
+"""Steering [rad] and speed [m/s] asked in a step, (num_worlds, num_cars, 2)."""
 
 
 def open_floor() -> TrackSet:
     """Return a ring of a track of 20 m radius: all its inside is free for driving."""
     turn = np.linspace(0, 2 * np.pi, 400, endpoint=False)
     direction = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    ring = Track("ring", "Ring", 20.0 * direction, 19.6 * direction, 20.4 * direction)
-    return TrackSet.of(ring)
+    return TrackSet(Track("ring", "Ring", 20.0 * direction, 19.6 * direction, 20.4 * direction))
 
 
-def standing(sim: SimConfig, tracks: TrackSet, num_worlds: int, **motion: Tensor) -> World:
-    """Return cars at rest in the middle of the floor, but for the fields of Motion given."""
-    seed = torch.arange(num_worlds)
-    world = grid.start(tracks, sim, seed, torch.zeros_like(seed))
-    blank = torch.zeros_like(world.motion.x)
-    names = ("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "steering")
-    return replace(world, motion=Motion(**(dict.fromkeys(names, blank) | motion)))
+class Floor:
+    """Worlds whose physics is stepped alone: no referee, no penalties."""
+
+    def __init__(self, solver: SolverName, sim: SimConfig, num_worlds: int) -> None:
+        self.name = solver
+        self.env = RaceEnv(open_floor(), EnvConfig(sim=sim, solver=solver), num_worlds=num_worlds)
+        self.cars, self.touched = self.env.world.cars, self.env._contacts
+
+    def put(self, **motion: np.ndarray | float) -> None:
+        """Put the cars at rest in the middle, but for the fields of motion given."""
+        for name in (*MOTION, "target_steering", "target_speed"):
+            self.cars[name] = motion.get(name, 0.0)
+        if self.env._solver is not None:
+            self.env._solver.reset()
+
+    def step(self, controls: np.ndarray) -> None:
+        """Move the cars through one control step."""
+        env, world = self.env, self.env.world
+        if env._solver is None:
+            env._controls[:] = controls
+            env._run(stages.PHYSICS, env._controls)
+        else:
+            env._solver.step(world.cars, world.obstacles, world.worlds, controls, self.touched)
+        self.cars["target_steering"] = controls[..., 0]
+        self.cars["target_speed"] = controls[..., 1]
 
 
 @dataclass(frozen=True)
 class Drive:
-    """How worlds ended, and which cars touched on the way."""
+    """What some steps of many worlds brought."""
 
-    motion: Motion
-    touched: Tensor
-    largest_slip: Tensor
-    """Largest angle between heading and movement above 0.5 m/s [rad]."""
-
-
-def drive(name: SolverName, sim: SimConfig, world: World, controls: list[Control]) -> Drive:
-    """Apply the controls one after another."""
-    physics = solvers.make(name, sim, open_floor(), world.num_worlds)
-    touched = torch.zeros(world.num_worlds, dtype=torch.bool)
-    slip = torch.zeros_like(world.motion.x)
-    for control in controls:
-        outcome = physics.step(world, control)
-        touched |= outcome.contacts.cars.flatten(1).any(dim=1)
-        m = outcome.motion
-        ahead = torch.cos(m.yaw) * m.velocity_x + torch.sin(m.yaw) * m.velocity_y
-        left = torch.cos(m.yaw) * m.velocity_y - torch.sin(m.yaw) * m.velocity_x
-        fast = torch.hypot(ahead, left) > 0.5
-        slip = torch.where(fast, torch.maximum(slip, torch.atan2(left, ahead).abs()), slip)
-        world = replace(world, motion=m, control=control)
-    physics.close()
-    return Drive(world.motion, touched, slip)
+    cars: list[np.ndarray]
+    """CAR records (num_worlds, num_cars) after each step."""
+    touched: np.ndarray
+    """Worlds in which the cars touched, bool."""
 
 
-def random_controls(count: int, steps: int) -> list[Control]:
-    """Return smooth random sequences over the whole range of actions, one for each world.
+def drive(floor: Floor, controls: Controls, steps: int) -> Drive:
+    """Step some worlds from where their cars are."""
+    seen, touched = [], np.zeros(len(floor.cars), np.bool_)
+    for k in range(steps):
+        floor.step(controls(k))
+        seen.append(floor.cars.copy())
+        touched |= floor.touched["cars"].any(axis=1)
+    return Drive(seen, touched)
+
+
+def random_controls(count: int, steps: int) -> np.ndarray:
+    """Return controls over the whole range of actions, (steps, count, 1, 2).
 
     Sums of four slow sines (up to 1.5 Hz), some of which ask for far more than the tyres give.
     """
-    generator = torch.Generator().manual_seed(7)
+    rng = np.random.default_rng(7)
 
-    def wave(low: float, high: float) -> Tensor:
-        rate = torch.rand((count, 4), generator=generator) * 2 * math.pi * 1.5
-        phase = torch.rand((count, 4), generator=generator) * 2 * math.pi
-        time = torch.arange(steps).reshape(-1, 1, 1) / 15
-        unit = torch.sin(time * rate + phase).sum(dim=2) * 0.6  # (steps, count)
-        return (low + high) / 2 + torch.clamp(unit, -1, 1) * (high - low) / 2
+    def wave(low: float, high: float) -> np.ndarray:
+        rate, phase = rng.random((2, count, 4)) * 2 * math.pi * np.array([1.5, 1.0])[:, None, None]
+        time = np.arange(steps).reshape(-1, 1, 1) / STEP_HZ
+        unit = np.sin(time * rate + phase).sum(axis=2) * 0.6  # (steps, count)
+        return (low + high) / 2 + unit.clip(-1, 1) * (high - low) / 2
 
-    steering, speed = wave(-math.pi / 6, math.pi / 6), wave(0.1, 4.0)
-    return [Control(steering[k].unsqueeze(1), speed[k].unsqueeze(1)) for k in range(steps)]
+    both = np.stack([wave(-math.pi / 6, math.pi / 6), wave(0.1, 4.0)], axis=-1)
+    return both[:, :, None].astype(np.float32)
+
+
+def apart(one: np.ndarray, two: np.ndarray, x: str, y: str) -> np.ndarray:
+    """Return how far two fields of the cars are apart, as vectors."""
+    return np.hypot(one[x] - two[x], one[y] - two[y]).ravel()
+
+
+def spread(name: str, values: np.ndarray, unit: str) -> None:
+    """Print the median and the 95th percentile."""
+    figure(f"{name}, median", float(np.median(values)), unit)
+    figure(f"{name}, 95th percentile", float(np.quantile(values, 0.95)), unit)
 
 
 def open_loop() -> None:
     """Compare where 2 s of the same controls lead in both solvers."""
-    sim, tracks = SimConfig(kind="time_trial"), open_floor()
-    world = standing(sim, tracks, SEQUENCES)
-    controls = random_controls(SEQUENCES, 30)
-    planar, bullet = (drive(name, sim, world, controls) for name in ("planar", "bullet"))
-    one, two = planar.motion, bullet.motion
-    apart = torch.hypot(one.x - two.x, one.y - two.y).flatten()
-    turned = torch.rad2deg((one.yaw - two.yaw + math.pi) % (2 * math.pi) - math.pi).abs().flatten()
-    travel = torch.hypot(one.x, one.y)
-    sliding = (planar.largest_slip > math.radians(20)).float().mean().item()
-    assert travel.median() > 1.0, "the cars did not go anywhere"
-    assert sliding > 0.1, "no car slid: the comparison is too easy"
-    print(f"{SEQUENCES} sequences of 2 s, median distance {travel.median():.1f} m, ", end="")
-    print(f"{sliding:.0%} slid by more than 20 deg, {(planar.largest_slip > 1.57).sum()} spun")
-    figure("open loop: largest distance of the ends", apart.max().item() * 100, "cm", 2, most=True)
-    figure("open loop: 95th percentile", apart.quantile(0.95).item() * 100, "cm")
-    figure("open loop: largest turn between the ends", turned.max().item(), "deg", 1, most=True)
-    figure("open loop: 95th percentile", turned.quantile(0.95).item(), "deg")
+    sim, controls, ends = SimConfig(), random_controls(SEQUENCES, 30), []
+    for name in ("planar", "bullet"):
+        floor = Floor(name, sim, SEQUENCES)
+        floor.put()
+        ends.append(drive(floor, controls.__getitem__, 30).cars[-1])
+        floor.env.close()
+    travel = np.hypot(ends[0]["x"], ends[0]["y"])
+    assert np.median(travel) > 1.0, "the cars did not go anywhere"
+    assert (ends[1]["roll"] != 0).all(), "the cars did not lean"
+    turned = (ends[0]["yaw"] - ends[1]["yaw"] + math.pi) % (2 * math.pi) - math.pi
+    print(f"{SEQUENCES} drives of 2 s, median distance {np.median(travel):.1f} m")
+    spread("open loop: between the ends", 100 * apart(*ends, "x", "y"), "cm")
+    spread("open loop: turn between the ends", np.degrees(np.abs(turned)).ravel(), "deg")
 
 
-def shoves() -> None:
-    """Compare who is ahead after 100 shoves: cars side by side steer into each other for 1 s."""
-    sim, tracks = SimConfig(kind="head_to_head", num_cars=2), open_floor()
-    generator = torch.Generator().manual_seed(11)
+def impacts() -> None:
+    """Compare 1,000 impacts of two cars at all angles: velocities after it, places 1 s later."""
+    sim, rng = SimConfig(kind="head_to_head", num_cars=2), np.random.default_rng(11)
+    floors = [Floor(name, sim, BATCH) for name in ("planar", "bullet")]
+    gaps, overturned, steps = [], [], (6, 21)  # the cars meet in the third step or so
+    for _ in range(IMPACTS // BATCH):
+        shape = (BATCH, 2)
+        yaw, speed = rng.uniform(-math.pi, math.pi, shape), rng.uniform(1.5, 4.0, shape)
+        velocity_x, velocity_y = speed * np.cos(yaw), speed * np.sin(yaw)
+        motion = {
+            "x": rng.uniform(-0.1, 0.1, shape) - 0.25 * velocity_x,
+            "y": rng.uniform(-0.1, 0.1, shape) - 0.25 * velocity_y,
+            **{"yaw": yaw, "velocity_x": velocity_x, "velocity_y": velocity_y},
+        }
+        asked = np.stack([np.zeros(shape), speed], axis=-1).astype(np.float32)
+        driven = []
+        for floor in floors:
+            floor.put(**motion)
+            driven.append(drive(floor, lambda _, asked=asked: asked, steps[1]))
+        both = np.repeat(driven[0].touched & driven[1].touched, 2)
+        after, later = ([one.cars[step - 1] for one in driven] for step in steps)
+        rates = np.abs(after[0]["yaw_rate"] - after[1]["yaw_rate"]).ravel()
+        velocities = apart(*after, "velocity_x", "velocity_y")
+        gaps.append(np.stack([velocities, rates, apart(*later, "x", "y")])[:, both])
+        overturned += np.abs(driven[1].cars[-1]["roll"]).max(axis=1)[both[::2]].tolist()
+    for floor in floors:
+        floor.env.close()
+    velocities, rates, places = np.concatenate(gaps, axis=1)
+    assert len(overturned) > 0.6 * IMPACTS, "most cars missed each other"
+    print(f"{len(overturned)} of {IMPACTS} pairs touch in both solvers")
+    spread("impacts: velocities after it differ by", velocities, "m/s")
+    spread("impacts: yaw rates after it differ by", rates, "rad/s")
+    spread("impacts: places one second later differ by", 100 * places, "cm")
+    tipped = 100 * float(np.mean(np.array(overturned) > 1.0))
+    figure("impacts: a car lies on its side or roof in Bullet", tipped, "%")
 
-    def draw(low: float, high: float) -> Tensor:
-        return low + torch.rand((SHOVES, 1), generator=generator) * (high - low)
 
-    nothing, speed = torch.zeros((SHOVES, 1)), draw(1.0, 3.0)
-    world = standing(
-        sim,
-        tracks,
-        SHOVES,
-        x=torch.cat((nothing, draw(-0.05, 0.05)), dim=1),
-        y=torch.cat((nothing, draw(0.22, 0.30)), dim=1),
-        velocity_x=torch.cat((speed, speed + draw(-0.3, 0.3)), dim=1),
-    )
-    steering = torch.cat((draw(0.05, 0.4), -draw(0.05, 0.4)), dim=1)
-    targets = torch.cat((speed, speed), dim=1) + 0.5
-    controls = [Control(steering, targets)] * 15
-    planar, bullet = (drive(name, sim, world, controls) for name in ("planar", "bullet"))
-    assert (planar.touched & bullet.touched).sum() >= 0.9 * SHOVES, "the cars missed each other"
-    lead = [ended.motion.x[:, 0] - ended.motion.x[:, 1] for ended in (planar, bullet)]
-    same = int(((lead[0] > 0) == (lead[1] > 0)).sum())
-    assert 20 <= int((lead[1] > 0).sum()) <= 80, "one side always wins: the set says nothing"
-    start = world.motion.x[:, 0] - world.motion.x[:, 1]
-    kept = int(((start > 0) == (lead[1] > 0)).sum())
-    print(f"{SHOVES} shoves; who led before still leads after it in {kept} (Bullet)")
-    figure("shoves: same car ahead in both solvers", same, f"of {SHOVES}", 85)
-    gap = (lead[0] - lead[1]).abs()
-    figure("shoves: median difference of the lead", gap.median().item() * 100, "cm")
+def raced(driver: str, solver: SolverName) -> CarResult:
+    """Drive a time trial of six laps on reinvent_2018 and return how it ended."""
+    spec = RaceSpec(kind="time_trial", laps=6, solver=solver, entries=(Entry(name=driver),))
+    return race.run(spec, record=False).result.order[0]
+
+
+def laps() -> None:
+    """Print lap times and off-tracks in both solvers, and what Bullet costs."""
+    print("\n| driver | planar, best lap | off | Bullet, best lap | off | longer by |")
+    print("|---|--:|--:|--:|--:|--:|")
+    losses = []
+    for name in (*NAMES, *garage_names()):
+        flat, real = raced(name, "planar"), raced(name, "bullet")
+        assert flat.best_lap_s and real.best_lap_s, f"{name} completes no lap"
+        losses.append(100 * (real.best_lap_s / flat.best_lap_s - 1))
+        print(
+            f"| {name} | {flat.best_lap_s:.3f} s | {flat.off_tracks} | {real.best_lap_s:.3f} s | "
+            f"{real.off_tracks} | {losses[-1]:.2f} % |",
+            flush=True,
+        )
+    figure("\nlargest loss of lap time in Bullet", max(losses), "%", 3, most=True)
 
 
 def stepping(name: SolverName, num_worlds: int, num_cars: int, *, close: bool = False) -> float:
@@ -148,47 +199,24 @@ def stepping(name: SolverName, num_worlds: int, num_cars: int, *, close: bool = 
         close: whether the cars run side by side, rubbing; otherwise 1 m apart.
     """
     kind = "head_to_head" if num_cars > 1 else "time_trial"
-    sim, tracks = SimConfig(kind=kind, num_cars=num_cars), open_floor()
-    spread = torch.arange(num_cars) * (0.2 if close else 1.0)
-    y = spread.expand(num_worlds, -1).contiguous().to(torch.float32)
-    speed = torch.full_like(y, 2.0)
-    world = standing(sim, tracks, num_worlds, y=y, velocity_x=speed)
-    towards = torch.where(torch.arange(num_cars) % 2 == 0, 0.1, -0.1) * torch.ones_like(y)
-    control = Control(towards if close else torch.zeros_like(y), speed)
-    physics = solvers.make(name, sim, tracks, num_worlds)
-    with torch.inference_mode():
-        for _ in range(3):
-            world = replace(world, motion=physics.step(world, control).motion)
-        outcome = physics.step(world, control)
-        taken = fastest(lambda: physics.step(world, control), 30)
-    moved = (outcome.motion.x - world.motion.x) * sim.step_hz
-    assert moved.min() > 1.5 and moved.max() < 2.5, "the cars do not drive at 2 m/s"
-    assert outcome.contacts.cars.any() == (close and num_cars > 1), "cars touch, or fail to"
-    physics.close()
+    floor = Floor(name, SimConfig(kind=kind, num_cars=num_cars), num_worlds)
+    floor.put(y=np.arange(num_cars) * (0.2 if close else 1.0), velocity_x=2.0)
+    controls = np.full((num_worlds, num_cars, 2), 2.0, np.float32)
+    controls[..., 0] = np.where(np.arange(num_cars) % 2 == 0, 0.1, -0.1) if close else 0.0
+    seen = drive(floor, lambda _: controls, 3).cars[-1]
+    taken = fastest(lambda: floor.step(controls), 30)
+    assert (floor.cars["x"] - seen["x"]).min() > 2.0, "the cars do not drive at 2 m/s"
+    floor.env.close()
     return taken
 
 
 def speed() -> None:
-    """Print what a control step of 8 physics steps costs."""
-    print(machine(), f"threads {torch.get_num_threads()}")
-    for name in ("planar", "bullet"):
-        figure(
-            f"{name}: 1 world x 2 cars, apart", stepping(name, 1, 2) * 1e3, "ms/step", 3, most=True
-        )
-        rubbing = stepping(name, 1, 2, close=True) * 1e3
+    """Print what a control step costs."""
+    print(machine())
+    for name, goal in (("planar", 0.1), ("bullet", 1.5)):
+        free, rubbing = (stepping(name, 1, 2, close=close) * 1e3 for close in (False, True))
+        figure(f"{name}: 1 world x 2 cars, apart", free, "ms/step", goal, most=True)
         figure(f"{name}: 1 world x 2 cars, rubbing", rubbing, "ms/step")
-    figure(
-        "planar: 4,096 worlds x 2 cars, apart",
-        stepping("planar", 4096, 2) * 1e3,
-        "ms/step",
-        9,
-        most=True,
-    )
-    figure(
-        "planar: 4,096 worlds x 2 cars, all rubbing",
-        stepping("planar", 4096, 2, close=True) * 1e3,
-        "ms/step",
-    )
     print("\n| worlds | cars | ms/step | car-steps/s | products of that shape |")
     print("|--:|--:|--:|--:|--:|")
     for worlds, cars in [(size, 2) for size in SIZES] + [(1024, 1), (1024, 4), (1024, 8)]:
@@ -201,7 +229,8 @@ def main() -> None:
     """Print disagreement and speed."""
     heading("Solvers: planar against Bullet")
     open_loop()
-    shoves()
+    impacts()
+    laps()
     heading("Solvers: speed (physics alone)")
     speed()
 

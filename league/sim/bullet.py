@@ -1,11 +1,10 @@
-"""BulletSolver: the same pushes on rigid bodies in PyBullet, contacts by Bullet.
+"""BulletSolver: cars as sprung rigid bodies in space; PyBullet integrates them and their contacts.
 
-Each world is a simulation of its own, without gravity and without ground: cars are upright boxes
-that nothing can tip. The records are the truth: every control step starts from them.
+Each world is a simulation of its own. A car is a rigid body of three boxes; its
+weight and its wheels act as one force and one torque from suspension.py before each step of Bullet,
+so a car squats, leans, lifts wheels and turns over; then its body lies on the ground. The records
+are the truth: every control step starts from them.
 """
-
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false
 
 from __future__ import annotations
 
@@ -14,24 +13,25 @@ import importlib
 import math
 import os
 import sys
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from league.errors import ConfigError
-from league.jit import compiled
-from league.portable_math import heading_of, wrap_angle
+from league.sim import suspension
 from league.sim.config import SimConfig
 from league.sim.settings import settings
-from league.sim.vehicle import frozen, late_steps, push
 from league.sim.world import is_frozen
 
 MAX_WORLDS = 1000
 """PyBullet keeps at most 1,024 simulations in a process."""
-HALF_HEIGHT = 2.0
-"""Half the height of every box [m]: far more than its sides, so that overlap never ends upwards."""
+LONGEST_STEP = 1 / 240
+"""Longest step of Bullet [s]; a physics step is split until none is longer."""
+WALL_HEIGHT = 2.0
+"""Height of the walls [m]: no car gets over them."""
 HEAVY = 1e7
 """Mass of what moves and cannot be pushed [kg]: Bullet takes a body of mass 0 to be standing."""
 HALF_WALL = 5.0
@@ -41,6 +41,14 @@ ITERATIONS = 20
 RESTITUTION_FROM = 0.05
 """Slowest approach that bounces [m/s]."""
 
+_PARTS = ((0.74, -0.74, 0.96), (1.0, -1.0, 1.0), (0.28, -0.68, 0.66))
+"""Skirt, shell and cabin of a car, much as they are drawn: where each begins and ends along the
+car, as shares of half its length, and its share of the width. The shell, which hits others first,
+lies above the centre of mass: so cars lean on each other, climb and turn over."""
+_LEVELS = (0.0, 0.25, 0.53, 1.0)
+"""Where these begin and end, as shares of the height above the clearance."""
+_UNTURNED = (HEAVY, HEAVY, HEAVY)
+_RATES = ("velocity_x", "velocity_y", "velocity_z", "yaw_rate", "roll_rate", "pitch_rate")
 _CAR, _OBSTACLE, _WALL, _GHOST = 1, 2, 4, 8
 _MEETS = {_CAR: _CAR | _OBSTACLE | _WALL, _OBSTACLE: _CAR, _WALL: _CAR | _GHOST, _GHOST: _WALL}
 
@@ -60,63 +68,22 @@ def _load_pybullet() -> ModuleType:
         os.close(null)
 
 
+Triple = tuple[float, float, float]
 pybullet = _load_pybullet()
-
-
-@compiled
-def _pushes(cars, controls, sim, k, out):  # noqa: ANN001, ANN202
-    """Turn every car's wheels by one physics step, and write the force and torque on it.
-
-    Args:
-        cars: CAR records (num_worlds, num_cars).
-        controls: target steering [rad] and speed [m/s], float32 (num_worlds, num_cars, 2).
-        sim: SETTINGS record, shape (1,).
-        k: number of the physics step in its control step.
-        out: force along x and y [N] and torque [N m], float64 (num_worlds, num_cars, 3).
-    """
-    for w in range(cars.shape[0]):
-        for c in range(cars.shape[1]):
-            car = cars[w, c]
-            if frozen(car):
-                continue
-            late = late_steps(car, sim[0]) > k
-            steering = car.target_steering if late else controls[w, c, 0]
-            speed = car.target_speed if late else controls[w, c, 1]
-            acting = push(car, sim[0], steering, speed)
-            out[w, c, 0], out[w, c, 1] = acting.force_x, acting.force_y
-            out[w, c, 2] = acting.torque
-            car.steering = acting.steering
-
-
-@compiled
-def _read_back(cars, bodies):  # noqa: ANN001, ANN202
-    """Write where Bullet's bodies are into the records.
-
-    Args:
-        cars: CAR records (num_worlds, num_cars).
-        bodies: x, y, z and w of the quaternion, velocity along x and y, yaw rate, float64
-            (num_worlds, num_cars, 7).
-    """
-    for w in range(cars.shape[0]):
-        for c in range(cars.shape[1]):
-            car, body = cars[w, c], bodies[w, c]
-            if frozen(car):
-                continue
-            car.x, car.y = np.float32(body[0]), np.float32(body[1])
-            half = heading_of(np.float32(body[3]), np.float32(body[2]))
-            car.yaw = wrap_angle(np.float32(2.0) * half)
-            car.velocity_x, car.velocity_y = np.float32(body[4]), np.float32(body[5])
-            car.yaw_rate = np.float32(body[6])
 
 
 @dataclass(frozen=True)
 class _Body:
-    """A box to build."""
+    """A rigid body of upright boxes to build."""
 
-    half_length: float
-    half_width: float
-    mass: float
-    inertia: float
+    half_sizes: list[Triple]
+    """Of each of its boxes, ahead, to the side and upwards [m]."""
+    mass: float = 0.0
+    """[kg]; 0 for what never moves."""
+    inertia: Triple = (0.0, 0.0, 0.0)
+    """About the same three axes [kg m^2]."""
+    middles: list[Triple] = field(default_factory=lambda: [(0.0, 0.0, 0.0)])
+    """Of each box, from the centre of mass [m]."""
 
 
 @dataclass(frozen=True)
@@ -138,6 +105,7 @@ class _Stage:
     plan: _Plan
     cars: list[int]
     obstacles: list[int]
+    walls: list[int]
     ghosts: list[bool]
 
 
@@ -161,7 +129,11 @@ class BulletSolver:
                 f"{num_worlds} worlds are too many for the bullet solver: "
                 f"give at most {MAX_WORLDS}, or choose the planar solver"
             )
-        self.cfg, self._rooms, self._settings = cfg, rooms.tolist(), settings(cfg)
+        steps = math.ceil(cfg.physics_dt / LONGEST_STEP - 1e-9)
+        self.cfg = cfg = replace(cfg, decimation=cfg.decimation * steps)
+        self._rooms, self._settings = rooms.tolist(), settings(cfg)
+        self._chassis = suspension.chassis(cfg.car, cfg.physics_dt)
+        self._height = cfg.car.height if cfg.obstacles.kind == "bot" else cfg.obstacles.height
         self._stages: list[_Stage | None] = [None] * num_worlds
         for _ in range(num_worlds):
             client = pybullet.connect(pybullet.DIRECT)
@@ -191,26 +163,31 @@ class BulletSolver:
             contacts: CONTACT records (num_worlds, num_cars); overwritten.
         """
         held = is_frozen(cars)
-        for name in ("velocity_x", "velocity_y", "yaw_rate"):
+        for name in _RATES:
             cars[name][held] = 0.0
-        stages = self._set(cars, obstacles, worlds, held)
+        placed, boxes = np.empty((*cars.shape, 13)), np.empty((*obstacles.shape, 13))
+        suspension.place(cars, self._chassis, placed)
+        suspension.place_boxes(obstacles, self._height / 2, boxes)
+        stages = self._set(cars, obstacles, worlds, held, placed.tolist(), boxes.tolist())
         contacts["cars"], contacts["obstacles"], contacts["wall"] = 0, 0, False
-        pushes = np.zeros((*cars.shape, 3))
-        bodies = np.zeros((*cars.shape, 7))
+        bodies, acting = placed.copy(), np.zeros((*cars.shape, 6))
         free = [np.flatnonzero(~row).tolist() for row in held]
+        states: Any = placed.tolist()
         for k in range(self.cfg.decimation):
-            _pushes(cars, controls, self._settings, k, pushes)
-            loads: Any = pushes.tolist()
+            suspension.loads(cars, bodies, controls, self._settings, self._chassis, k, acting)
+            forces: Any = acting.tolist()
             for index, stage in enumerate(stages):
-                client = self._clients[index]
+                client, state = self._clients[index], states[index]
                 for car in free[index]:
-                    _push(client, stage.cars[car], loads[index][car])
+                    _push(client, stage.cars[car], forces[index][car], state[car])
                 pybullet.stepSimulation(physicsClientId=client)
                 points = pybullet.getContactPoints(physicsClientId=client)
-                _note(stage, points, contacts[index])
+                if points:
+                    _note(stage, points, contacts[index])
                 for car in free[index]:
-                    bodies[index, car] = _state(client, stage.cars[car])
-            _read_back(cars, bodies)
+                    state[car] = _state(client, stage.cars[car])
+            bodies = np.array(states).reshape(bodies.shape)
+        suspension.read_back(cars, self._chassis, placed, bodies)
 
     def reset(self, worlds: list[int] | None = None) -> None:
         """Tear these worlds down (None: all); the next step builds them again."""
@@ -228,15 +205,19 @@ class BulletSolver:
         self.close()
 
     def _set(
-        self, cars: np.ndarray, obstacles: np.ndarray, worlds: np.ndarray, frozen: np.ndarray
+        self,
+        cars: np.ndarray,
+        obstacles: np.ndarray,
+        worlds: np.ndarray,
+        frozen: np.ndarray,
+        placed: list,
+        boxes: list,
     ) -> list[_Stage]:
         """Build what changed in kind, and put every body where the records say."""
         ghosts = cars["ghost"].tolist()
         held = (frozen & ~cars["ghost"]).tolist()
         mass, track = cars["mass"].tolist(), worlds["track"].tolist()
-        sizes = _rows(obstacles, "half_length", "half_width")
-        moving = _rows(obstacles, "x", "y", "yaw", "velocity_x", "velocity_y")
-        driven = _rows(cars, "x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate")
+        sizes = np.stack([obstacles["half_length"], obstacles["half_width"]], axis=-1).tolist()
         stages = []
         for index, client in enumerate(self._clients):
             plan = _Plan(track[index], mass[index], held[index], sizes[index])
@@ -244,16 +225,17 @@ class BulletSolver:
             if stage is None or stage.plan != plan:
                 stage = self._build(client, plan)
             stage = _filter(client, stage, ghosts[index])
-            for body, state in zip(stage.cars, driven[index], strict=True):
+            for body, state in zip(stage.cars, placed[index], strict=True):
                 _place(client, body, state)
-            for body, state in zip(stage.obstacles, moving[index], strict=True):
-                _place(client, body, [*state, 0.0])
+            for body, state in zip(stage.obstacles, boxes[index], strict=True):
+                _place(client, body, state)
             self._stages[index] = stage
             stages.append(stage)
         return stages
 
     def _build(self, client: int, plan: _Plan) -> _Stage:
         pybullet.resetSimulation(physicsClientId=client)
+        # The weight of the cars is among the forces of suspension.py; all else stands or is held.
         pybullet.setGravity(0, 0, 0, physicsClientId=client)
         pybullet.setPhysicsEngineParameter(
             fixedTimeStep=self.cfg.physics_dt,
@@ -264,24 +246,38 @@ class BulletSolver:
             splitImpulsePenetrationThreshold=0.0,
             physicsClientId=client,
         )
-        car = self.cfg.car
         cars, obstacles = [], []
         for mass, held in zip(plan.masses, plan.held, strict=True):
-            inertia = mass * (car.yaw_inertia / car.mass)
-            weight = (HEAVY, HEAVY) if held else (mass, inertia)
-            cars.append(self._box(client, len(cars), _Body(car.length / 2, car.width / 2, *weight)))
+            cars.append(self._box(client, len(cars), self._car(mass, held=held)))
         for half_length, half_width in plan.sizes:
+            body = _Body([(half_length, half_width, self._height / 2)], HEAVY, _UNTURNED)
             place = len(cars) + len(obstacles)
-            body = _Body(half_length, half_width, HEAVY, HEAVY)
             obstacles.append(self._box(client, place, body, _OBSTACLE))
         # Bullet takes a body's new inertia into use when it moves it.
         pybullet.stepSimulation(physicsClientId=client)
-        self._build_walls(client, *self._rooms[plan.track])
-        return _Stage(plan, cars, obstacles, [False] * len(cars))
+        walls = self._build_walls(client, *self._rooms[plan.track])
+        ground = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
+        self._body(client, ground, _Body([]), [0, 0, 0], _WALL)
+        return _Stage(plan, cars, obstacles, walls, [False] * len(cars))
+
+    def _car(self, mass: float, *, held: bool) -> _Body:
+        car = self.cfg.car
+        share = mass / car.mass
+        inertia = (share * car.roll_inertia, share * car.pitch_inertia, share * car.yaw_inertia)
+        heights = [car.clearance + share * (car.height - car.clearance) for share in _LEVELS]
+        half_sizes, middles = [], []
+        for (front, back, side), low, high in zip(_PARTS, heights[:-1], heights[1:], strict=True):
+            half_sizes.append(
+                ((front - back) * car.length / 4, side * car.width / 2, (high - low) / 2)
+            )
+            middle = (low + high) / 2 - car.mass_height
+            middles.append(((front + back) * car.length / 4, 0.0, middle))
+        weight = (HEAVY, _UNTURNED) if held else (mass, inertia)
+        return _Body(half_sizes, *weight, middles)
 
     def _build_walls(
         self, client: int, x_min: float, y_min: float, x_max: float, y_max: float
-    ) -> None:
+    ) -> list[int]:
         half_x, half_y = (x_max - x_min) / 2 + 2 * HALF_WALL, (y_max - y_min) / 2
         mid_x, mid_y = (x_min + x_max) / 2, (y_min + y_max) / 2
         boxes = (
@@ -290,31 +286,38 @@ class BulletSolver:
             (mid_x, y_max + HALF_WALL, half_x, HALF_WALL),
             (mid_x, y_min - HALF_WALL, half_x, HALF_WALL),
         )
+        walls = []
         for x, y, half_length, half_width in boxes:
-            wall = self._box(client, 0, _Body(half_length, half_width, 0.0, 0.0), _WALL)
-            _place(client, wall, [x, y, 0.0, 0.0, 0.0, 0.0])
+            body = _Body([(half_length, half_width, WALL_HEIGHT)])
+            walls.append(self._box(client, 0, body, _WALL))
+            _place(client, walls[-1], [x, y, 0.0, 0.0, 0.0, 0.0, 1.0, *[0.0] * 6])
+        return walls
 
     def _box(self, client: int, place: int, body: _Body, group: int = _CAR) -> int:
-        shape = pybullet.createCollisionShape(
-            pybullet.GEOM_BOX,
-            halfExtents=[body.half_length, body.half_width, HALF_HEIGHT],
+        """Build a box, out of the way of others."""
+        shape = pybullet.createCollisionShapeArray(
+            shapeTypes=[pybullet.GEOM_BOX] * len(body.half_sizes),
+            halfExtents=body.half_sizes,
+            collisionFramePositions=body.middles,
             physicsClientId=client,
         )
-        box = pybullet.createMultiBody(
+        return self._body(client, shape, body, [1e3 * (place + 1), 0, 10], group)
+
+    def _body(self, client: int, shape: int, body: _Body, at: list[float], group: int) -> int:
+        made = pybullet.createMultiBody(
             baseMass=body.mass,
             baseCollisionShapeIndex=shape,
-            basePosition=[1e3 * (place + 1), 0, 0],
-            # A btRigidBody: the only kind with one finite inertia and with split impulses.
+            basePosition=at,
+            # A btRigidBody: the only kind with split impulses.
             useMaximalCoordinates=1,
             physicsClientId=client,
         )
         contact = self.cfg.contact
         pybullet.changeDynamics(
-            box,
+            made,
             -1,
             mass=body.mass,
-            # 0 stands for infinite: no impulse rolls or pitches the box.
-            localInertiaDiagonal=[0, 0, body.inertia],
+            localInertiaDiagonal=body.inertia,
             linearDamping=0,
             angularDamping=0,
             # Bullet multiplies the two bodies' coefficients.
@@ -323,30 +326,26 @@ class BulletSolver:
             activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
             physicsClientId=client,
         )
-        pybullet.setCollisionFilterGroupMask(box, -1, group, _MEETS[group], physicsClientId=client)
-        return box
+        pybullet.setCollisionFilterGroupMask(made, -1, group, _MEETS[group], physicsClientId=client)
+        return made
 
 
-def _push(client: int, body: int, load: list[float]) -> None:
-    force_x, force_y, torque = load
+def _push(client: int, body: int, acting: list[float], state: Sequence[float]) -> None:
+    """Have a force and a torque act on a car in the next step of Bullet."""
     frame = pybullet.WORLD_FRAME
-    # At the centre of mass, or the force would turn the body too.
-    centre, _ = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
-    pybullet.applyExternalForce(
-        body, -1, [force_x, force_y, 0], centre, frame, physicsClientId=client
-    )
-    pybullet.applyExternalTorque(body, -1, [0, 0, torque], frame, physicsClientId=client)
+    pybullet.applyExternalForce(body, -1, acting[:3], state[:3], frame, physicsClientId=client)
+    pybullet.applyExternalTorque(body, -1, acting[3:], frame, physicsClientId=client)
 
 
 def _state(client: int, body: int) -> tuple[float, ...]:
-    """Return a body's state as `_read_back` takes it."""
+    """Return a body's state as suspension.py takes it."""
     place, turn = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
     velocity, spin = pybullet.getBaseVelocity(body, physicsClientId=client)
-    return (place[0], place[1], turn[2], turn[3], velocity[0], velocity[1], spin[2])
+    return place + turn + velocity + spin
 
 
 def _note(stage: _Stage, points: tuple, contacts: np.ndarray) -> None:
-    """Write down what touched what in one world in a physics step."""
+    """Write down what touched what in one world in a step of Bullet."""
     for point in points:
         first, second, distance, force = point[1], point[2], point[8], point[9]
         if distance > 0 and force <= 0:
@@ -359,7 +358,7 @@ def _note(stage: _Stage, points: tuple, contacts: np.ndarray) -> None:
                 mine["cars"] |= 1 << stage.cars.index(other)
             elif other in stage.obstacles:
                 mine["obstacles"] |= 1 << stage.obstacles.index(other)
-            else:
+            elif other in stage.walls:
                 mine["wall"] = True
 
 
@@ -374,16 +373,6 @@ def _filter(client: int, stage: _Stage, ghosts: list[bool]) -> _Stage:
 
 
 def _place(client: int, body: int, state: list[float]) -> None:
-    """Set x, y, yaw and their rates."""
-    x, y, yaw, velocity_x, velocity_y, yaw_rate = state
-    pybullet.resetBasePositionAndOrientation(
-        body, [x, y, 0], [0, 0, math.sin(yaw / 2), math.cos(yaw / 2)], physicsClientId=client
-    )
-    pybullet.resetBaseVelocity(
-        body, [velocity_x, velocity_y, 0], [0, 0, yaw_rate], physicsClientId=client
-    )
-
-
-def _rows(records: np.ndarray, *fields: str) -> list[list[list[float]]]:
-    """Return fields of (num_worlds, num_bodies) records as nested lists, the fields innermost."""
-    return np.stack([records[name] for name in fields], axis=-1).tolist()
+    """Set a body's state, as suspension.py writes it."""
+    pybullet.resetBasePositionAndOrientation(body, state[:3], state[3:7], physicsClientId=client)
+    pybullet.resetBaseVelocity(body, state[7:10], state[10:], physicsClientId=client)

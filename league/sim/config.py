@@ -38,8 +38,18 @@ class CarConfig:
     """Mass [kg] (facts: 8.22 with stereo cameras and lidar)."""
     yaw_inertia: float = ranged(0.085, 1e-6, 1e5)
     """Moment of inertia about the vertical [kg m^2]."""
+    roll_inertia: float = ranged(0.04, 1e-6, 1e5)
+    """Moment of inertia about the long axis [kg m^2]; read by the bullet solver."""
+    pitch_inertia: float = ranged(0.09, 1e-6, 1e5)
+    """Moment of inertia about the lateral axis [kg m^2]; read by the bullet solver."""
     mass_height: float = ranged(0.05, 0.0, 10.0)
     """Height of the centre of mass above the ground [m]; sets the load moved by braking."""
+    clearance: float = ranged(0.025, 0.0, 10.0)
+    """Height of the chassis' underside above the ground [m]; read by the bullet solver."""
+    ride_hz: float = ranged(6.0, 0.1, 20.0)
+    """Frequency at which the chassis bounces on its springs [Hz]; read by the bullet solver."""
+    damping_ratio: float = ranged(0.6, 0.0, 2.0)
+    """Share of the critical damping of that motion; read by the bullet solver."""
     grip: float = ranged(0.7, 0.01, 10.0)
     """Friction coefficient between tyre and road."""
     cornering_stiffness: float = ranged(12.0, 0.0, 1000.0)
@@ -68,13 +78,19 @@ class CarConfig:
                 f"car speeds from {self.min_speed} to {self.max_speed} m/s are no range: "
                 "min_speed must lie below max_speed"
             )
+        if not self.clearance < self.height:
+            raise ConfigError(
+                f"car clearance of {self.clearance} m leaves no body: "
+                f"it must lie below height ({self.height} m)"
+            )
         # Less than any body has (a uniform one: 1 / 12), and forces would turn it without bound.
         least = 0.001 * self.mass * (self.length**2 + self.width**2 + self.wheelbase**2)
-        if self.yaw_inertia < least:
-            raise ConfigError(
-                f"car yaw_inertia is {self.yaw_inertia}: give at least {least:.3g} for a mass of "
-                f"{self.mass} kg and this size"
-            )
+        for name in ("yaw_inertia", "roll_inertia", "pitch_inertia"):
+            if getattr(self, name) < least:
+                raise ConfigError(
+                    f"car {name} is {getattr(self, name)}: give at least {least:.3g} for a mass of "
+                    f"{self.mass} kg and this size"
+                )
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ CAR = np.dtype(
         ("yaw", _F4),  # heading, in [-pi, pi) [rad]
         ("velocity_x", _F4),  # world frame [m/s]
         ("velocity_y", _F4),  # world frame [m/s]
-        ("yaw_rate", _F4),  # [rad/s]
+        ("yaw_rate", _F4),  # about the car's own z [rad/s]
         ("steering", _F4),  # angle of the front wheels, positive to the left [rad]
         # Motion out of the plane; 0 in the planar solver.
         ("z", _F4),  # height of the base above where it stands at rest [m]
