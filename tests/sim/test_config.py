@@ -6,10 +6,9 @@ from dataclasses import fields
 import numpy as np
 import pytest
 import torch
-from scenes import SETTINGS
+from scenes import SETTINGS, make_ring, start
 
 from league.errors import ConfigError
-from league.sim import grid
 from league.sim.config import (
     CameraConfig,
     CarConfig,
@@ -21,6 +20,7 @@ from league.sim.config import (
     SimConfig,
     Spread,
 )
+from league.track.course import TrackSet
 
 NUMBERS = [(made, item) for made in SETTINGS for item in fields(made) if item.type in (int, float)]
 CHOICES = [
@@ -128,8 +128,8 @@ def test_cars_of_other_makes_are_accepted(settings):
 
 def test_no_spread_that_is_accepted_draws_a_car_without_grip_or_mass():
     sim = SimConfig(spread=Spread(grip=0.95, mass=0.95))
-    drawn = grid.parameters(sim, torch.arange(2000), torch.zeros(2000, 1, dtype=torch.int64))
-    assert drawn.grip.min() > 0.03 and drawn.mass.min() > 0.4  # 5 % of 0.7 and of 8.2 kg
+    cars = start(TrackSet(make_ring()), sim, list(range(2000))).cars
+    assert cars["grip"].min() > 0.03 and cars["mass"].min() > 0.4  # 5 % of 0.7 and of 8.2 kg
 
 
 @pytest.mark.parametrize("value", [-1.0, math.nan, math.inf])
