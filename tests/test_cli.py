@@ -209,3 +209,10 @@ def test_times_are_told_as_on_a_timing_screen():
     assert tables.clock(9.0666) == "0:09.067"
     assert tables.clock(75.5) == "1:15.500"
     assert tables.clock(59.9996) == "1:00.000"
+
+
+def test_verify_explains_why_a_race_of_another_physics_cannot_be_run_again(league):
+    old = Path(__file__).parent / "data" / "version_1.race"
+    code, _, err = league("verify", str(old))
+    assert code == 2 and "earlier physics" in err and "league view" in err
+    assert league("view", str(old), "--rrd", "old.rrd")[0] == 0

@@ -3,6 +3,7 @@ import random
 import struct
 import zlib
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ def assert_equal_columns(one, other):
         assert np.array_equal(getattr(one, item.name), getattr(other, item.name)), item.name
 
 
-def sealed(header: bytes, body: bytes, version: int = 1) -> bytes:
+def sealed(header: bytes, body: bytes, version: int = file_format.VERSION) -> bytes:
     """Return a file of these unpacked parts with a right checksum, as only a forger would."""
     packed = zlib.compress(header, 1), zlib.compress(body, 1)
     crc = zlib.crc32(packed[1], zlib.crc32(packed[0]))
@@ -360,6 +361,23 @@ def _mutated(content: bytes, draw: random.Random) -> bytes:
         else:
             changed[at:at] = draw.randbytes(draw.randrange(1, 9))
     return bytes(changed)
+
+
+def test_a_replay_of_the_first_version_is_read_and_shown():
+    old = replay.read(Path(__file__).parent / "data" / "version_1.race")
+    assert (old.num_frames, old.names, old.physics) == (46, ("centerline", "cautious"), "")
+    assert not old.columns.z.any() and not old.columns.roll.any()
+    # Where the league of then left the cars.
+    assert old.columns.x[-1] == pytest.approx([7.228, 7.478], abs=1e-3)
+    assert old.worlds().cars["x"][-1] == pytest.approx([7.228, 7.478], abs=1e-3)
+
+
+def test_height_roll_and_pitch_are_kept():
+    made = by_hand(5, lambda w, n: moved(w, z=[0.01 * n] * 2, roll=[-0.2 * n] * 2, pitch=[3.0] * 2))
+    cars = decode(encode(made)).worlds().cars
+    assert cars["z"][-1] == pytest.approx([0.04, 0.04], abs=1e-3)
+    assert cars["roll"][-1] == pytest.approx([-0.8, -0.8], abs=1e-4)
+    assert cars["pitch"][-1] == pytest.approx([3.0, 3.0], abs=1e-4)
 
 
 def test_replay_tells_the_version_of_its_league_and_older_ones_told_none():

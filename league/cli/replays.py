@@ -78,8 +78,16 @@ class Verify:
         """Run the command."""
         from league import __version__, race
         from league import replay as replays
+        from league.sim.version import PHYSICS
 
         recorded = replays.read(self.replay)
+        if recorded.physics != PHYSICS:
+            then = f"physics {recorded.physics}" if recorded.physics else "an earlier physics"
+            raise ReplayError(
+                f"{self.replay} was raced with {then}, and this league has physics {PHYSICS}, so "
+                "the race cannot be run again here: watch it with `league view`, or verify it "
+                f"with league {recorded.league_version or 'of its time'}"
+            )
         agreement = replays.compare(recorded, race.rerun(recorded, self.policies))
         print(agreement.sentence)
         then = recorded.league_version

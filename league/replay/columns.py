@@ -28,6 +28,8 @@ class Grain:
     Chosen on recorded races, whichever was smallest."""
     wraps: bool = False
     """Whether the numbers are angles, kept in 16 bits that wrap with the turn."""
+    since: int = 1
+    """Version of the file format that has it; zero in replays of earlier ones."""
 
 
 GRAINS = (
@@ -46,6 +48,9 @@ GRAINS = (
     Grain("obstacle_x", "obstacles", 1e-3, 2),
     Grain("obstacle_y", "obstacles", 1e-3, 2),
     Grain("obstacle_yaw", "obstacles", TURN_STEP, 2, wraps=True),
+    Grain("z", "cars", 1e-3, 1, since=2),
+    Grain("roll", "cars", TURN_STEP, 1, wraps=True, since=2),
+    Grain("pitch", "cars", TURN_STEP, 1, wraps=True, since=2),
 )
 """Every column but the checksums, in the order of the file."""
 
@@ -84,6 +89,12 @@ class Columns:
     """Centre [m], like obstacle_x."""
     obstacle_yaw: np.ndarray
     """[rad], like obstacle_x."""
+    z: np.ndarray
+    """Height of the base above where it stands at rest [m], (num_frames, num_cars)."""
+    roll: np.ndarray
+    """About the car's own x, positive to the right [rad], (num_frames, num_cars)."""
+    pitch: np.ndarray
+    """About the car's own y, positive nose down [rad], (num_frames, num_cars)."""
     checksum: np.ndarray
     """CRC-32 of the exact bits of each step before rounding, uint32, (num_frames,)."""
 

@@ -28,7 +28,8 @@ from league.whole_file import replacing
 
 MAGIC = b"\x89RACE\r\n\x1a"
 """Like PNG's: a text transfer breaks the line end, `type` stops at the last byte."""
-VERSION = 1
+VERSION = 2
+"""Version 2 adds height, roll, pitch and the version of the physics; version 1 is read too."""
 PREFIX = struct.Struct("<8sHHIII")
 """Magic, version, zero, bytes of header, bytes of body, CRC-32 of header and body."""
 
@@ -57,6 +58,7 @@ class _Header(BaseModel):
     names: tuple[str, ...] = Field(max_length=MAX_CARS)
     track: str = Field(min_length=1, max_length=2**20)
     league: str = Field(default="", max_length=40)
+    physics: str = Field(default="", max_length=40)
     result: RaceResult
 
     def problem(self) -> str | None:
@@ -84,6 +86,7 @@ def encode(replay: Replay) -> bytes:
         names=replay.names,
         track=files.dump(replay.track),
         league=replay.league_version,
+        physics=replay.physics,
         result=replay.result,
     )
     packed_header = zlib.compress(header.model_dump_json().encode(), 9)
@@ -125,7 +128,7 @@ def read(path: str | os.PathLike[str]) -> Replay:
 
 def decode(content: bytes) -> Replay:
     """Return the replay that these bytes are; the error's text begins with a verb."""
-    packed_header, packed_body = _split(content)
+    version, packed_header, packed_body = _split(content)
     raw_header = _unpack(packed_header, MAX_HEADER, "header")
     try:
         header = _Header.model_validate_json(raw_header)
@@ -140,7 +143,7 @@ def decode(content: bytes) -> Replay:
         raise ReplayError(
             f"contradicts itself ({problem}): get the file again from where the race was run"
         )
-    size = _body_size(header)
+    size = _body_size(header, version)
     if size > MAX_BODY or len(packed_body) < MIN_BYTES_PER_FRAME * header.frames:
         raise ReplayError(
             f"declares {header.frames} frames of {header.cars} cars in {len(packed_body)} bytes, "
@@ -152,11 +155,11 @@ def decode(content: bytes) -> Replay:
             f"holds {len(body)} bytes of columns where its header declares {size}: "
             "get the file again from where the race was run"
         )
-    return _assemble(header, body)
+    return _assemble(header, version, body)
 
 
-def _split(content: bytes) -> tuple[bytes, bytes]:
-    """Check everything outside the two packed parts and return them."""
+def _split(content: bytes) -> tuple[int, bytes, bytes]:
+    """Check everything outside the two packed parts; return the version and the two."""
     if len(content) > MAX_FILE:
         raise ReplayError(
             f"is larger than {MAX_FILE >> 20} MiB, as no replay is: give another file"
@@ -170,9 +173,9 @@ def _split(content: bytes) -> tuple[bytes, bytes]:
     if len(content) < PREFIX.size:
         raise ReplayError("ends after a few bytes: copy the whole file again")
     _, version, zero, header_size, body_size, crc = PREFIX.unpack_from(content)
-    if version != VERSION or zero != 0:
+    if not 1 <= version <= VERSION or zero != 0:
         raise ReplayError(
-            f"is of version {version}, and this league reads version {VERSION}: "
+            f"is of version {version}, and this league reads versions 1 to {VERSION}: "
             "read it with the league that wrote it"
         )
     whole = PREFIX.size + header_size + body_size
@@ -185,7 +188,7 @@ def _split(content: bytes) -> tuple[bytes, bytes]:
     if zlib.crc32(content[PREFIX.size :]) != crc:
         raise ReplayError("is damaged (its checksum differs): copy the file again")
     middle = PREFIX.size + header_size
-    return content[PREFIX.size : middle], content[middle:]
+    return version, content[PREFIX.size : middle], content[middle:]
 
 
 def _unpack(packed: bytes, limit: int, what: str) -> bytes:
@@ -220,8 +223,8 @@ def _size(grain: Grain, header: _Header) -> int:
     return count * (2 if grain.wraps else 4)
 
 
-def _body_size(header: _Header) -> int:
-    columns = sum(_size(grain, header) for grain in GRAINS)
+def _body_size(header: _Header, version: int) -> int:
+    columns = sum(_size(grain, header) for grain in GRAINS if grain.since <= version)
     return columns + 4 * (header.cars * len(PARAMETERS) + 2 * header.obstacles + header.frames)
 
 
@@ -250,10 +253,13 @@ def _unfold(grain: Grain, raw: bytes, shape: tuple[int, ...]) -> np.ndarray:
     return from_whole(grain, whole.astype(np.int64))
 
 
-def _assemble(header: _Header, body: bytes) -> Replay:
+def _assemble(header: _Header, version: int, body: bytes) -> Replay:
     at = 0
     kept: dict[str, np.ndarray] = {}
     for grain in GRAINS:
+        if grain.since > version:
+            kept[grain.name] = np.zeros(_rows(grain, header))
+            continue
         size = _size(grain, header)
         kept[grain.name] = _unfold(grain, body[at : at + size], _rows(grain, header))
         at += size
@@ -271,6 +277,7 @@ def _assemble(header: _Header, body: bytes) -> Replay:
         obstacle_sizes=floats[split:].reshape(header.obstacles, 2).astype(np.float32),
         columns=Columns(checksum=checksum.astype(np.uint32), **kept),
         league_version=header.league,
+        physics=header.physics,
     )
 
 

@@ -12,6 +12,7 @@ from league.errors import ReplayError
 from league.race_spec import RaceResult, RaceSpec
 from league.replay.columns import Columns
 from league.replay.replay import PARAMETERS, Replay
+from league.sim.version import PHYSICS
 from league.sim.world import World
 from league.track.course import TrackSet
 
@@ -19,10 +20,10 @@ _FOR_GOOD_S = 1e5
 """What a replay tells as the penalty of a car that is out of the race: longer than any race [s]."""
 _KEPT = (
     *("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "steering"),
-    *("penalty_s", "distance", "laps", "ghost"),
+    *("penalty_s", "distance", "laps", "ghost", "z", "roll", "pitch"),
 )
 """Fields of a car that a replay keeps."""
-_CHECKED = (*_KEPT, "retired", "z", "roll", "pitch")
+_CHECKED = (*_KEPT, "retired")
 """Fields of a car that a frame's checksum covers."""
 
 
@@ -96,6 +97,7 @@ class Recorder:
             ),
             columns=columns.rounded(),
             league_version=__version__,
+            physics=PHYSICS,
         )
 
     def _columns(self) -> Columns:

@@ -40,6 +40,8 @@ class Replay:
     """All steps."""
     league_version: str = ""
     """Version of the league that drove the race; empty if it was not kept yet."""
+    physics: str = ""
+    """Version of the physics that drove it (league/sim/version.py); empty before version 4."""
 
     @property
     def spec(self) -> RaceSpec:
@@ -118,11 +120,13 @@ def _worlds(replay: Replay, low: np.ndarray, part: np.ndarray) -> World:
     worlds["seed"], worlds["step"] = replay.spec.seed, low
     worlds["leader"] = replay.leader[low]
     cars = np.zeros((number, columns.num_cars), records.CAR)
-    for name in ("x", "y", "velocity_x", "velocity_y", "yaw_rate", "steering"):
+    for name in ("x", "y", "velocity_x", "velocity_y", "yaw_rate", "steering", "z"):
         column = getattr(columns, name)
         cars[name] = column[low] + (column[high] - column[low]) * share
-    turn = (columns.yaw[high] - columns.yaw[low] + np.pi) % (2 * np.pi) - np.pi
-    cars["yaw"] = (columns.yaw[low] + turn * share + np.pi) % (2 * np.pi) - np.pi
+    for name in ("yaw", "roll", "pitch"):
+        column = getattr(columns, name)
+        turn = (column[high] - column[low] + np.pi) % (2 * np.pi) - np.pi
+        cars[name] = (column[low] + turn * share + np.pi) % (2 * np.pi) - np.pi
     for place, name in enumerate(PARAMETERS):
         cars[name] = replay.parameters[:, place]
     found = replay.tracks.project(worlds["track"], cars["x"], cars["y"])

@@ -121,9 +121,10 @@ class Live:
         distance = cars["distance"]
         speed = np.hypot(velocity_x, velocity_y)
         self._spin += speed / self._step_hz / WHEEL_RADIUS
-        here = poses.places(x, y)
+        here = poses.places(x, y, cars["z"])
+        turns = poses.turned(yaw, cars["pitch"], cars["roll"])
         for slot in range(len(self._names)):
-            self._send_car(slot, here[slot], yaw[slot], steering[slot])
+            self._send_car(slot, here[slot], turns[slot], steering[slot])
         gap = distance.max() - distance
         for path, values in (
             (paths.PLOT_SPEED, speed),
@@ -137,10 +138,9 @@ class Live:
         self._before = here
         self._pace(step)
 
-    def _send_car(self, slot: int, place: np.ndarray, yaw: float, steering: float) -> None:
-        send = self._recording.log
-        turn = rr.Quaternion(xyzw=poses.about_z(np.array(yaw)))
-        send(paths.car(slot), rr.Transform3D(translation=place, quaternion=turn))
+    def _send_car(self, slot: int, place: np.ndarray, turn: np.ndarray, steering: float) -> None:
+        send, pose = self._recording.log, rr.Quaternion(xyzw=turn)
+        send(paths.car(slot), rr.Transform3D(translation=place, quaternion=pose))
         for which, centre in zip(paths.WHEELS, poses.WHEEL_PLACES, strict=True):
             angle = steering if "front" in which else 0.0
             turn = poses.steered_and_spun(np.array(angle), self._spin[slot])

@@ -19,6 +19,22 @@ def about_z(angle: np.ndarray) -> np.ndarray:
     return np.stack([zero, zero, np.sin(angle / 2), np.cos(angle / 2)], axis=-1)
 
 
+def turned(yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
+    """Return quaternions of turns about z, then the new y, then the new x [rad], (..., 4)."""
+    (sz, cz), (sy, cy), (sx, cx) = (
+        (np.sin(angle / 2), np.cos(angle / 2)) for angle in (yaw, pitch, roll)
+    )
+    return np.stack(
+        [
+            cz * cy * sx - sz * sy * cx,
+            cz * sy * cx + sz * cy * sx,
+            sz * cy * cx - cz * sy * sx,
+            cz * cy * cx + sz * sy * sx,
+        ],
+        axis=-1,
+    )
+
+
 def steered_and_spun(steering: np.ndarray, spin: np.ndarray) -> np.ndarray:
     """Return quaternions of a wheel turned about z, then rolled forward about its own axle."""
     # q = q_z(steering) * q_y(spin), written out.
@@ -39,9 +55,9 @@ def wheel_spin(replay: Replay) -> np.ndarray:
     return np.concatenate([np.zeros_like(rolled[:1]), turns])
 
 
-def places(x: np.ndarray, y: np.ndarray, z: float = 0.0) -> np.ndarray:
+def places(x: np.ndarray, y: np.ndarray, z: np.ndarray | float = 0.0) -> np.ndarray:
     """Return translations, shape (..., 3)."""
-    return np.stack([x, y, np.full_like(x, z)], axis=-1)
+    return np.stack([x, y, np.broadcast_to(z, x.shape)], axis=-1)
 
 
 def eye_place(camera: CameraConfig, side: str) -> tuple[float, float, float]:

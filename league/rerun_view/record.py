@@ -178,13 +178,11 @@ def _send_motion(recording: rr.RecordingStream, replay: Replay) -> None:
     columns, times = replay.columns, times_of(replay)
     spin = poses.wheel_spin(replay)
     for slot in range(replay.num_cars):
-        places = poses.places(columns.x[:, slot], columns.y[:, slot])
+        places = poses.places(columns.x[:, slot], columns.y[:, slot], columns.z[:, slot])
+        angles = columns.yaw, columns.pitch, columns.roll
+        turns = poses.turned(*(angle[:, slot] for angle in angles))
         recording.send_columns(
-            paths.car(slot),
-            times,
-            rr.Transform3D.columns(
-                translation=places, quaternion=poses.about_z(columns.yaw[:, slot])
-            ),
+            paths.car(slot), times, rr.Transform3D.columns(translation=places, quaternion=turns)
         )
         for which, place in zip(paths.WHEELS, poses.WHEEL_PLACES, strict=True):
             steering = columns.steering[:, slot] * ("front" in which)

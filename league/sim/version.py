@@ -1,6 +1,6 @@
 """The version of what decides a race; ratings are kept apart by it."""
 
-PHYSICS = "3"
+PHYSICS = "4"
 """Raise it with every change that can alter the outcome of a race: solvers, tyres, referee,
 sensors, pictures, scripted drivers, or how a network is evaluated. A league's ratings begin anew
 with it, for races under two versions are not comparable."""
