@@ -41,7 +41,7 @@ class Style:
     """Part of the line's speed that is driven."""
     top_speed: float = 99.0
     """Largest speed [m/s]."""
-    grip: float = 0.95
+    grip: float = 0.92
     """Part of the tyres' grip that is used on the line and beside it."""
     reserve: float = 0.5
     """Part of that grip kept in hand while driving beside the line."""
@@ -69,10 +69,9 @@ class Style:
 
 _STYLE = np.dtype([(one.name, np.float64) for one in fields(Style)])
 _CAR = np.dtype([(one.name, np.float64) for one in fields(CarConfig)])
-_MEMORY = np.dtype([("steering", np.float64), ("aside", np.float64), ("care", np.float64)])
-"""Last steering target [rad], last place beside the line [m], control steps of care left."""
+_MEMORY = np.dtype([("steering", np.float64), ("aside", np.float64)])
+"""Last steering target [rad] and last place beside the line [m]."""
 
-_CAREFUL, _CAREFUL_STEPS = 1.0, 45.0
 _GROW, _FADE = 0.5, 0.35  # of the path beside the line, for each metre ahead
 _BRAKING = 0.8  # part of the brakes that is counted on
 _SERVO = 0.6  # part of a speed error that the servo makes good within a control step
@@ -100,7 +99,7 @@ class LineDriver:
         self._memory = np.zeros(0, _MEMORY)
 
     def reset(self, rows: np.ndarray | None) -> None:
-        """Forget the last steering target, the place beside the line and the last penalty."""
+        """Forget the last steering target and the place beside the line."""
         if rows is None:
             self._memory = np.zeros(0, _MEMORY)
         elif len(self._memory):
@@ -130,7 +129,7 @@ def _drive(states, paces, memories, controls, line, points, courses, gains, cars
         state, memory = states[row], memories[row]
         speed = max(state.speed_ahead, 0.0)
         look_ahead(line, points, courses[0], state.s, road)
-        limit = _targets(state, things, road, style, memory.care)
+        limit = _targets(state, things, road, style)
         _leave_line(road, memory.aside)
         # Metres of the path beside the line for each metre of it, and the angle between them.
         ax, ay, bx, by = slope(road.x), slope(road.y), slope(road.path_x), slope(road.path_y)
@@ -140,18 +139,14 @@ def _drive(states, paces, memories, controls, line, points, courses, gains, cars
         heading = clamp(state.heading_error - road[0].heading - turned, -0.8, 0.8)
         errors = (lateral, heading, state.speed_left, state.yaw_rate, memory.steering)
         target = steering_target(gains, speed, errors, road, max(speed / longer, 0.3))
-        # More than this slides the front tyres and turns no tighter.
-        tightest = car.grip * GRAVITY / max(speed, 0.5) ** 2
-        most = min(atan(f32(car.wheelbase * tightest)) + 0.12, car.max_steering)
-        memory.steering = 0.0 if state.frozen else clamp(target, -most, most)
-        controls[0, row] = memory.steering
+        target = clamp(target, -car.max_steering, car.max_steering)
+        controls[0, row] = memory.steering = 0.0 if state.frozen else target
         controls[1, row] = _speed(speed, road, limit, paces[row], car, style)
-        memory.care = _CAREFUL_STEPS if state.frozen else max(memory.care - 1.0, 0.0)
         memory.aside = at(road.aside, speed / longer * STEP_DT)
 
 
 @inner
-def _targets(state, things, road, style, care):
+def _targets(state, things, road, style):
     """Write where to drive; return the largest speed because of others [m/s]."""
     things = things[: gather(state, things)]
     for node in road:
@@ -159,12 +154,7 @@ def _targets(state, things, road, style, care):
     if style.blocks:
         cover(state, road)
     go_round(state.lateral, things, road, style)
-    limit = min(largest_speed(state.lateral, things, road, style), style.top_speed)
-    for thing in things:
-        # Whoever has just stood a penalty passes the next body slowly.
-        if care > 0.0 and -0.4 < thing.gap < 1.5:
-            limit = min(limit, _CAREFUL)
-    return limit
+    return min(largest_speed(state.lateral, things, road, style), style.top_speed)
 
 
 @inner
@@ -199,18 +189,4 @@ def _speed(speed, road, limit, pace, car, style):
         squared = min(most, squared + 2.0 * _BRAKING * car.max_braking * NODE_GAP)
         node.speed = math.sqrt(squared)
     target = min(at(road.speed, speed * (STEP_DT + car.latency_s)), limit)
-    # Drive and brakes take grip that a bend needs: leave it its share.
-    spare = _spare(speed * speed * max(abs(road[0].bend), abs(road[1].bend)), car)
-    faster = speed + min(spare, car.max_acceleration) * STEP_DT
-    slower = speed - min(spare, car.max_braking) * STEP_DT
-    target = max(min(target, faster), slower)
     return speed + (target - speed) / _SERVO
-
-
-@inner
-def _spare(cornering, car):
-    """Return the drive or braking that tyres can give beside cornering [m/s^2]; see pace.py."""
-    most, transfer = car.grip * GRAVITY, 2.0 * car.mass_height / car.wheelbase / GRAVITY
-    left = max(most * most - cornering * cornering, 0.05 * most * most)
-    square, half = 1.0 - (most * transfer) ** 2, most * most * transfer
-    return (math.sqrt(half * half + square * left) - half) / square
