@@ -41,7 +41,7 @@ class Style:
     """Part of the line's speed that is driven."""
     top_speed: float = 99.0
     """Largest speed [m/s]."""
-    grip: float = 0.92
+    grip: float = 0.95
     """Part of the tyres' grip that is used on the line and beside it."""
     reserve: float = 0.5
     """Part of that grip kept in hand while driving beside the line."""
@@ -139,7 +139,10 @@ def _drive(states, paces, memories, controls, line, points, courses, gains, cars
         heading = clamp(state.heading_error - road[0].heading - turned, -0.8, 0.8)
         errors = (lateral, heading, state.speed_left, state.yaw_rate, memory.steering)
         target = steering_target(gains, speed, errors, road, max(speed / longer, 0.3))
-        target = clamp(target, -car.max_steering, car.max_steering)
+        # More than this slides the front tyres and turns no tighter.
+        tightest = car.grip * GRAVITY / max(speed, 0.5) ** 2
+        most = min(atan(f32(car.wheelbase * tightest)) + 0.3, car.max_steering)
+        target = clamp(target, -most, most)
         controls[0, row] = memory.steering = 0.0 if state.frozen else target
         controls[1, row] = _speed(speed, road, limit, paces[row], car, style)
         memory.aside = at(road.aside, speed / longer * STEP_DT)
@@ -189,4 +192,17 @@ def _speed(speed, road, limit, pace, car, style):
         squared = min(most, squared + 2.0 * _BRAKING * car.max_braking * NODE_GAP)
         node.speed = math.sqrt(squared)
     target = min(at(road.speed, speed * (STEP_DT + car.latency_s)), limit)
-    return speed + (target - speed) / _SERVO
+    # Drive and brakes take grip that a bend needs: leave it its share.
+    spare = _spare(speed * speed * max(abs(road[0].bend), abs(road[1].bend)), car)
+    faster = speed + min(spare, car.max_acceleration) * STEP_DT
+    slower = speed - min(spare, car.max_braking) * STEP_DT
+    return speed + (clamp(target, slower, faster) - speed) / _SERVO
+
+
+@inner
+def _spare(cornering, car):
+    """Return the drive or braking that tyres can give beside cornering [m/s^2]; see pace.py."""
+    most, transfer = car.grip * GRAVITY, 2.0 * car.mass_height / car.wheelbase / GRAVITY
+    left = max(most * most - cornering * cornering, 0.05 * most * most)
+    square, half = 1.0 - (most * transfer) ** 2, most * most * transfer
+    return (math.sqrt(half * half + square * left) - half) / square
