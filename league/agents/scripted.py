@@ -141,7 +141,7 @@ def _drive(states, paces, memories, controls, line, points, courses, gains, cars
         target = steering_target(gains, speed, errors, road, max(speed / longer, 0.3))
         # More than this slides the front tyres and turns no tighter.
         tightest = car.grip * GRAVITY / max(speed, 0.5) ** 2
-        most = min(atan(f32(car.wheelbase * tightest)) + 0.3, car.max_steering)
+        most = min(atan(f32(car.wheelbase * tightest)) + 0.12, car.max_steering)
         target = clamp(target, -most, most)
         controls[0, row] = memory.steering = 0.0 if state.frozen else target
         controls[1, row] = _speed(speed, road, limit, paces[row], car, style)
