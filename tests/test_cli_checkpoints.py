@@ -2,8 +2,8 @@
 
 import json
 
+import numpy as np
 import pytest
-import torch
 
 from league.agents import checkpoint
 from league.agents.card import Card
@@ -19,9 +19,9 @@ def blind(tmp_path):
 
     def save(name: str, seed: int = 0):
         card = Card(name="blind", sensors=SensorConfig(), created="2026-01-01", steps=1234)
-        generator = torch.Generator().manual_seed(seed)
+        draw = np.random.default_rng(seed)
         weights = {
-            part: 0.01 * torch.randn(shape, generator=generator)
+            part: draw.normal(0.0, 0.01, shape).astype(np.float32)
             for part, shape in card.weight_shapes.items()
         }
         path = tmp_path / name

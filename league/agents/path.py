@@ -7,78 +7,52 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-from league.jit import compiled, inner
-from league.portable_math import clamp
+from league.jit import inner
+from league.portable_math import clamp, f32
 from league.racing_line.racing_line import RacingLine
-from league.track.course import Track
+from league.track.projection import frame_at
 
 NODE_GAP = 0.2
 """Distance between two nodes of the road ahead, along the line [m]."""
 NODES = 21
 """Nodes of the road ahead, the first at the car."""
 
-_OF_LINE = ("lateral", "heading", "curvature", "speed", "stretch")
-_OF_TRACK = ("left", "right", "x", "y", "normal_x", "normal_y")
-POINT = np.dtype([(name, np.float64) for name in (*_OF_LINE, *_OF_TRACK)])
-"""One place of a line: columns of RacingLine; then the distance from the centreline to the left and
-to the right border, the line's place in the world frame [m], and the TRACK's normal to the left."""
-NODE = np.dtype(
-    [*POINT.descr, *((name, np.float64) for name in ("ahead", "target", "aside", "bend"))]
+POINT = np.dtype(
+    [(name, np.float64) for name in ("lateral", "heading", "curvature", "speed", "stretch")]
 )
-"""One place of the road ahead: POINT, the distance from the car along the centreline [m], where to
-drive left of the centreline and left of the line [m], and the curvature of that path [1/m]."""
+"""One place of a line: columns of RacingLine."""
+NODE = np.dtype(
+    [
+        ("ahead", np.float64),  # distance from the car along the centreline [m]
+        ("lateral", np.float64),  # of the line, to the left of the centreline [m]
+        ("heading", np.float64),  # of the line less the track's [rad]
+        ("curvature", np.float64),  # of the line [1/m]
+        ("speed", np.float64),  # largest speed [m/s]
+        ("left", np.float64),  # from the centreline to the left border [m]
+        ("right", np.float64),  # from the centreline to the right border [m]
+        ("x", np.float64),  # of the line, world frame [m]
+        ("y", np.float64),
+        ("normal_x", np.float64),  # of the TRACK, to the left
+        ("normal_y", np.float64),
+        ("target", np.float64),  # where to drive, to the left of the centreline [m]
+        ("aside", np.float64),  # of the path that leads there, to the left of the line [m]
+        ("path_x", np.float64),  # of that path, world frame [m]
+        ("path_y", np.float64),
+        ("bend", np.float64),  # its curvature [1/m]
+    ]
+)
+"""One place of the road ahead."""
 
 
-class Path(NamedTuple):
-    """A line as compiled code reads it."""
-
-    points: np.ndarray
-    """POINT records, uniform in s; a closed line repeats its first one at the end."""
-    length: float
-    """Of the centreline [m]."""
-    closed: bool
-    """Whether the line is a loop."""
-
-    @classmethod
-    def of(cls, line: RacingLine, track: Track) -> Path:
-        """Put a line of a track into a table."""
-        points = np.empty(len(line.s) + line.closed, POINT)
-        for name in _OF_LINE:
-            points[name] = _whole(getattr(line, name), line.closed)
-
-        def spread(values: np.ndarray) -> np.ndarray:
-            return _spread(_whole(values, track.closed), len(points))
-
-        for name in ("left", "right"):
-            points[name] = spread(_size(getattr(track, name) - track.center))
-        tangent = np.stack([spread(track.tangent[:, axis]) for axis in (0, 1)], axis=1)
-        size = _size(tangent)
-        points["normal_x"], points["normal_y"] = -tangent[:, 1] / size, tangent[:, 0] / size
-        for axis, name in enumerate(("x", "y")):
-            points[name] = spread(track.center[:, axis])
-            points[name] += points["lateral"] * points[f"normal_{name}"]
-        return cls(points, float(track.length), line.closed)
-
-
-def _size(vectors: np.ndarray) -> np.ndarray:
-    return np.sqrt(vectors[:, 0] * vectors[:, 0] + vectors[:, 1] * vectors[:, 1])
-
-
-def _whole(values: np.ndarray, closed: bool) -> np.ndarray:
-    return np.append(values, values[:1]) if closed else values
-
-
-@compiled
-def _spread(values, count):
-    """Return evenly spaced values interpolated at `count` evenly spaced places."""
-    out = np.empty(count)
-    for k in range(count):
-        out[k] = between(values, k * (len(values) - 1) / (count - 1))
-    return out
+def table(line: RacingLine) -> np.ndarray:
+    """Return a line as POINT records, uniform in s; a loop repeats its first one at the end."""
+    points = np.empty(len(line.s) + line.closed, POINT)
+    for name in POINT.names or ():
+        points[name] = np.resize(getattr(line, name), len(points))
+    return points
 
 
 @inner
@@ -95,55 +69,45 @@ def at(values, distance):
 
 
 @inner
-def _index(path, s):
-    """Return the fractional index of a place of the track."""
-    if path.closed:
-        s -= math.floor(s / path.length) * path.length
-    return s * (len(path.points) - 1) / path.length
-
-
-@inner
-def look_ahead(path, s, road):
-    """Write the line ahead of a place of the track into NODE records, (NODES,)."""
-    points, ahead = path.points, 0.0
+def look_ahead(line, points, course, s, road):
+    """Write the line and the track ahead of a place of the track into NODE records, (NODES,)."""
+    ahead = 0.0
     for node in road:
-        place = _index(path, s + ahead)
-        node.ahead = ahead
-        node.lateral = between(points.lateral, place)
-        node.heading = between(points.heading, place)
-        node.curvature = between(points.curvature, place)
-        node.speed = between(points.speed, place)
-        node.left, node.right = between(points.left, place), between(points.right, place)
-        node.x, node.y = between(points.x, place), between(points.y, place)
-        node.normal_x = between(points.normal_x, place)
-        node.normal_y = between(points.normal_y, place)
-        middle = s + ahead + NODE_GAP / between(points.stretch, place) / 2
-        ahead += NODE_GAP / between(points.stretch, _index(path, middle))
+        frame = frame_at(points, course, f32(s + ahead))
+        place = _index(line, course, s + ahead)
+        node.ahead, node.left, node.right = ahead, frame.left, frame.right
+        node.lateral = between(line.lateral, place)
+        node.heading = between(line.heading, place)
+        node.curvature = between(line.curvature, place)
+        node.speed = between(line.speed, place)
+        node.normal_x, node.normal_y = -frame.sin, frame.cos
+        node.x = frame.x + node.lateral * node.normal_x
+        node.y = frame.y + node.lateral * node.normal_y
+        middle = s + ahead + NODE_GAP / between(line.stretch, place) / 2
+        ahead += NODE_GAP / between(line.stretch, _index(line, course, middle))
 
 
 @inner
-def way(road, k, share):
-    """Return the way from a node to the next [m]: on the line (share 0) or beside it (1)."""
-    here, there = road[k], road[k + 1]
-    x = there.x - here.x + share * (there.aside * there.normal_x - here.aside * here.normal_x)
-    y = there.y - here.y + share * (there.aside * there.normal_y - here.aside * here.normal_y)
-    return x, y
+def _index(line, course, s):
+    """Return the fractional index of a place of the track in the table of a line."""
+    if course.closed:
+        s -= math.floor(s / course.length) * course.length
+    return s * (len(line) - 1) / course.length
 
 
 @inner
-def circle(road, k, share):
-    """Return the curvature of the circle through three nodes [1/m]; share as of `way`."""
-    (ax, ay), (bx, by) = way(road, k - 1, share), way(road, k, share)
+def circle(x, y, k):
+    """Return the curvature of the circle through a point and its neighbours [1/m]."""
+    ax, ay, bx, by = x[k] - x[k - 1], y[k] - y[k - 1], x[k + 1] - x[k], y[k + 1] - y[k]
     cx, cy = ax + bx, ay + by
     sides = (ax * ax + ay * ay) * (bx * bx + by * by) * (cx * cx + cy * cy)
     return 2.0 * (ax * by - ay * bx) / math.sqrt(max(sides, 1e-9))
 
 
 @inner
-def start(road, share):
-    """Return the way at the first node, between the first and the second order.
+def slope(values):
+    """Return the slope at the first node in node gaps, half way from first to second order.
 
     First order lags where a line bends fast; second order overshoots where a path has a kink.
     """
-    (ax, ay), (bx, by) = way(road, 0, share), way(road, 1, share)
-    return 1.25 * ax - 0.25 * bx, 1.25 * ay - 0.25 * by
+    return 1.5 * values[1] - 1.25 * values[0] - 0.25 * values[2]

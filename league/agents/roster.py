@@ -33,7 +33,7 @@ _STYLES: dict[str, Style] = {
     "centerline": Style(
         on_centerline=True,
         top_speed=2.0,
-        grip=0.36,
+        grip=0.365,
         clearance=0.08,
         edge=0.05,
         approach=1.5,

@@ -19,7 +19,7 @@ from functools import lru_cache
 import numpy as np
 
 from league.agents.driver import actions_from
-from league.agents.path import NODE, NODE_GAP, NODES, Path, at, circle, look_ahead, start
+from league.agents.path import NODE, NODE_GAP, NODES, at, circle, look_ahead, slope, table
 from league.agents.steering import STEP_DT, gains, steering_target
 from league.agents.traffic import STATE, THING, cover, gather, go_round, largest_speed
 from league.envs.state import NEAR_OBSTACLES, NEIGHBOURS
@@ -28,7 +28,7 @@ from league.portable_math import atan, clamp, f32
 from league.racing_line.racing_line import center_line, optimal_line
 from league.sim.config import CarConfig, SensorConfig
 from league.sim.settings import GRAVITY
-from league.track.course import Track
+from league.track.course import Track, TrackSet
 
 
 @dataclass(frozen=True)
@@ -69,21 +69,20 @@ class Style:
 
 _STYLE = np.dtype([(one.name, np.float64) for one in fields(Style)])
 _CAR = np.dtype([(one.name, np.float64) for one in fields(CarConfig)])
-_MEMORY = np.dtype([("steering", np.float64), ("aside", np.float64), ("care", np.float64)])
-"""Last steering target [rad], last place beside the line [m], control steps of care left."""
+_MEMORY = np.dtype([("steering", np.float64), ("aside", np.float64)])
+"""Last steering target [rad] and last place beside the line [m]."""
 
-_SMOOTHINGS = 2
-_CAREFUL, _CAREFUL_STEPS = 1.0, 45.0
 _GROW, _FADE = 0.5, 0.35  # of the path beside the line, for each metre ahead
+_BRAKING = 0.8  # part of the brakes that is counted on
 _SERVO = 0.6  # part of a speed error that the servo makes good within a control step
 
 
 @lru_cache(maxsize=8)
-def _path(track: Track, car: CarConfig, style: Style) -> Path:
+def _line(track: Track, car: CarConfig, style: Style) -> np.ndarray:
     """Make the table of a line once for all cars of a race that want the same."""
     if style.on_centerline:
-        return Path.of(center_line(track, car, share=style.grip, top_speed=style.top_speed), track)
-    return Path.of(optimal_line(track, car, style.margin, share=style.grip), track)
+        return table(center_line(track, car, share=style.grip, top_speed=style.top_speed))
+    return table(optimal_line(track, car, style.margin, share=style.grip))
 
 
 class LineDriver:
@@ -92,12 +91,15 @@ class LineDriver:
     def __init__(self, name: str, track: Track, car: CarConfig, style: Style) -> None:
         """Seek the line of a track and build the tables."""
         self.name, self.sensors = name, SensorConfig()
-        self._car, self._path, self._gains = car, _path(track, car, style), gains(car)
-        self._records = np.array([astuple(car)], _CAR), np.array([astuple(style)], _STYLE)
+        tracks, self._car = TrackSet(track), car
+        self._settings = (
+            *(_line(track, car, style), tracks.points, tracks.courses, gains(car)),
+            *(np.array([astuple(car)], _CAR), np.array([astuple(style)], _STYLE)),
+        )
         self._memory = np.zeros(0, _MEMORY)
 
     def reset(self, rows: np.ndarray | None) -> None:
-        """Forget the last steering target, the place beside the line and the last penalty."""
+        """Forget the last steering target and the place beside the line."""
         if rows is None:
             self._memory = np.zeros(0, _MEMORY)
         elif len(self._memory):
@@ -114,97 +116,87 @@ class LineDriver:
         if len(self._memory) != len(rows):
             self._memory = np.zeros(len(rows), _MEMORY)
         controls = np.empty((2, len(rows)))
-        _drive(rows, paces, self._path, self._gains, *self._records, self._memory, controls)
+        _drive(rows, paces, self._memory, controls, *self._settings)
         return actions_from(*controls, self._car)
 
 
 @compiled
-def _drive(states, paces, path, gain_table, cars, styles, memories, controls):
+def _drive(states, paces, memories, controls, line, points, courses, gains, cars, styles):
     """Write the steering targets [rad] and speeds to ask for [m/s] of all rows, (2, num_rows)."""
     road, things = np.empty(NODES, NODE), np.empty(NEIGHBOURS + NEAR_OBSTACLES, THING)
     car, style = cars[0], styles[0]
     for row in range(len(states)):
         state, memory = states[row], memories[row]
         speed = max(state.speed_ahead, 0.0)
-        look_ahead(path, state.s, road)
-        limit = _around(state, things, road, style, memory)
-        first = road[0]
+        look_ahead(line, points, courses[0], state.s, road)
+        limit = _targets(state, things, road, style)
+        _leave_line(road, memory.aside)
         # Metres of the path beside the line for each metre of it, and the angle between them.
-        (ax, ay), (bx, by) = start(road, 0.0), start(road, 1.0)
-        longer = math.sqrt((bx * bx + by * by) / (ax * ax + ay * ay))
-        along_line = speed / clamp(longer, 0.4, 2.5)
+        ax, ay, bx, by = slope(road.x), slope(road.y), slope(road.path_x), slope(road.path_y)
+        longer = clamp(math.sqrt((bx * bx + by * by) / (ax * ax + ay * ay)), 0.4, 2.5)
         turned = atan(f32((ax * by - ay * bx) / (ax * bx + ay * by)))
-        lateral = clamp(state.lateral - first.lateral - first.aside, -0.2, 0.2)
-        heading = clamp(state.heading_error - first.heading - turned, -0.8, 0.8)
+        lateral = clamp(state.lateral - road[0].lateral - road[0].aside, -0.2, 0.2)
+        heading = clamp(state.heading_error - road[0].heading - turned, -0.8, 0.8)
         errors = (lateral, heading, state.speed_left, state.yaw_rate, memory.steering)
-        target = steering_target(gain_table, (speed, errors), road, max(along_line, 0.3))
+        target = steering_target(gains, speed, errors, road, max(speed / longer, 0.3))
         # More than this slides the front tyres and turns no tighter.
         tightest = car.grip * GRAVITY / max(speed, 0.5) ** 2
         most = min(atan(f32(car.wheelbase * tightest)) + 0.12, car.max_steering)
         target = clamp(target, -most, most)
         controls[0, row] = memory.steering = 0.0 if state.frozen else target
-        controls[1, row] = _speed(speed, road, min(limit, style.top_speed), paces[row], car, style)
-        memory.care = _CAREFUL_STEPS if state.frozen else max(memory.care - 1.0, 0.0)
-        memory.aside = at(road.aside, along_line * STEP_DT)
+        controls[1, row] = _speed(speed, road, limit, paces[row], car, style)
+        memory.aside = at(road.aside, speed / longer * STEP_DT)
 
 
 @inner
-def _around(state, things, road, style, memory):
-    """Write where to drive and how that bends; return the largest speed because of others [m/s]."""
+def _targets(state, things, road, style):
+    """Write where to drive; return the largest speed because of others [m/s]."""
     things = things[: gather(state, things)]
     for node in road:
         node.target = node.lateral
     if style.blocks:
         cover(state, road)
     go_round(state.lateral, things, road, style)
-    limit = largest_speed(state.lateral, things, road, style)
-    for thing in things:
-        # Whoever has just stood a penalty passes the next body slowly.
-        if memory.care > 0.0 and -0.4 < thing.gap < 1.5:
-            limit = min(limit, _CAREFUL)
+    return min(largest_speed(state.lateral, things, road, style), style.top_speed)
+
+
+@inner
+def _leave_line(road, held):
+    """Write a path from the place beside the line that was held last towards the targets."""
     for k in range(NODES):
-        # From where the last step left it, the path leaves the line no faster than a car can
-        # follow, and comes back more slowly, because what was passed is no longer told.
-        aside, held = road[k].target - road[k].lateral, memory.aside
+        # It leaves the line no faster than a car can follow, and comes back more slowly, because
+        # what was passed is no longer told.
+        node, aside = road[k], road[k].target - road[k].lateral
         grow, fade = 0.03 + _GROW * k * NODE_GAP, 0.02 + _FADE * k * NODE_GAP
         down = fade if held > 0.0 and aside >= 0.0 else grow
         up = fade if held < 0.0 and aside <= 0.0 else grow
-        road[k].aside = clamp(aside, held - down, held + up)
-    for _ in range(_SMOOTHINGS):
-        before = road[0].aside
-        for k in range(1, NODES - 1):
-            here = road[k].aside
-            road[k].aside = (before + 2.0 * here + road[k + 1].aside) / 4.0
-            before = here
+        node.aside = clamp(aside, held - down, held + up)
+        node.path_x = node.x + node.aside * node.normal_x
+        node.path_y = node.y + node.aside * node.normal_y
     for k in range(NODES):
         # Coarse nodes tell bends badly, but the same measure of both tells their difference well.
         inside = min(max(k, 1), NODES - 2)
-        extra = circle(road, inside, 1.0) - circle(road, inside, 0.0)
+        extra = circle(road.path_x, road.path_y, inside) - circle(road.x, road.y, inside)
         road[k].bend = road[k].curvature + extra
-    return limit
 
 
 @inner
 def _speed(speed, road, limit, pace, car, style):
     """Return the speed to ask for [m/s]."""
-    allowed = 0.0
-    after = 1e9
-    for k in range(NODES - 1, -1, -1):
-        node = road[k]
+    squared = np.inf
+    for node in road[::-1]:
         # Beside the line the path changes at every step: keep grip and speed in hand.
         share = 1.0 - style.reserve * min(abs(node.aside) / 0.1, 1.0)
         corner = style.grip * car.grip * GRAVITY * share / max(abs(node.bend), 1e-3)
         most = (pace * style.pace) ** 2 * min(node.speed * node.speed * share, corner)
-        after = min(most, after + 1.6 * car.max_braking * NODE_GAP)
-        node.target = math.sqrt(after)
-    allowed = at(road.target, speed * (STEP_DT + car.latency_s))
-    target = min(allowed, limit)
+        squared = min(most, squared + 2.0 * _BRAKING * car.max_braking * NODE_GAP)
+        node.speed = math.sqrt(squared)
+    target = min(at(road.speed, speed * (STEP_DT + car.latency_s)), limit)
     # Drive and brakes take grip that a bend needs: leave it its share.
     spare = _spare(speed * speed * max(abs(road[0].bend), abs(road[1].bend)), car)
     faster = speed + min(spare, car.max_acceleration) * STEP_DT
     slower = speed - min(spare, car.max_braking) * STEP_DT
-    target = max(min(target, faster), slower)
-    return speed + (target - speed) / _SERVO
+    return speed + (clamp(target, slower, faster) - speed) / _SERVO
 
 
 @inner

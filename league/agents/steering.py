@@ -37,17 +37,17 @@ _HALVINGS = 10  # of the step, for the exponential of a matrix
 
 
 @inner
-def steering_target(gains, state, road, pace):
+def steering_target(gains, speed, errors, road, pace):
     """Return the new steering target [rad].
 
     Args:
         gains: of the car.
-        state: forward speed [m/s]; lateral error [m], heading error [rad], speed to the left [m/s],
-            yaw rate [rad/s] and last steering target [rad].
+        speed: ahead [m/s].
+        errors: lateral [m], heading [rad], speed to the left [m/s], yaw rate [rad/s], last steering
+            target [rad].
         road: NODE records with the bends of the path.
-        pace: speed along the path's line [m/s].
+        pace: speed counted along the line [m/s].
     """
-    speed, errors = state
     place = (speed - SLOWEST) / SPEED_STEP
     target = errors[4]
     for k in range(5):
