@@ -21,7 +21,7 @@ from league.agents import inference
 from league.envs import step as stages
 
 RECORDED = {
-    "bots": "86f63b35e015a38c",
+    "bots": "70c45431576efa3e",
     "boxes": "1fd12f9c3a7dfc14",
     "crowd": "c9bb5e3367058a27",
     "meeting": "13d12b0c06e545a4",
