@@ -19,7 +19,7 @@ FLOORS = {
     "race": 6,
     "evaluation": 6.5, "side_process": 6.6, "training": 6.7,
     "matchmaking": 7,
-    "web": 8,
+    "web": 8, "precompile": 8,
     "cli": 9, "__main__": 9,
 }  # fmt: skip
 HEAVY = {

@@ -184,3 +184,30 @@ def test_worlds_of_any_size_meet_the_code_that_is_compiled_already(race_env):
         signatures = [*step.step.signatures, *step.reset.signatures]
         known = known or signatures
         assert signatures == known
+
+
+@pytest.mark.slow
+def test_everything_is_compiled_in_advance(tmp_path):
+    package = tmp_path / "league"
+    shutil.copytree(PACKAGE, package, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(PACKAGE.parent / "tracks", tmp_path / "tracks")
+    ran = subprocess.run(
+        [sys.executable, "-m", "league.precompile"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    first, last = ran.stderr.splitlines()
+    assert "0 of" in first and "once for this installation" in last
+    (folder,) = (package / "__pycache__").glob("jit-*")
+    made = {path.name.split("-")[0] for path in folder.glob("*.nbi")}
+    wanted = {
+        f"{path.stem}.{node.name}"
+        for path in PACKAGE.rglob("*.py")
+        for node in ast.parse(path.read_text(encoding="utf-8")).body
+        if isinstance(node, ast.FunctionDef)
+        and any(ast.unparse(mark) == "compiled" for mark in node.decorator_list)
+    }
+    assert len(wanted) > 20
+    assert wanted - made == {"check._nearest"}  # needed when a track is imported

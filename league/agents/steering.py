@@ -16,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 
 from league.agents.path import at, between
-from league.jit import compiled, inner
+from league.jit import inner
 from league.sim.config import CarConfig
 from league.sim.settings import GRAVITY
 
@@ -32,7 +32,7 @@ _LATERAL = 30.0  # price of the lateral error squared [1/m^2]
 _COURSE = 8.0  # price of the velocity's angle to the line squared [1/rad^2]
 _CHANGE = 5.0  # price of a step's change of the steering target squared [1/rad^2]
 _FAST = 3.5  # below this speed, where turning takes more steering, a change costs less [m/s]
-_ROUNDS = 400  # of the Riccati recursion
+_SETTLED = 1e-9  # change of the price that ends the Riccati recursion
 _HALVINGS = 10  # of the step, for the exponential of a matrix
 
 
@@ -62,84 +62,69 @@ def steering_target(gains, speed, errors, road, pace):
 def gains(car: CarConfig) -> np.ndarray:
     """Return a car's gains by state and by each coming step's curvature, (5 + STEPS, speeds)."""
     speeds = np.arange(round((car.max_speed - SLOWEST) / SPEED_STEP) + 2) * SPEED_STEP + SLOWEST
-    inertia = car.yaw_inertia / car.mass
     late_s = min(car.latency_s + 0.004, STEP_DT)  # and, on average, half of the wheels' turning
-    return _gains(speeds, car.cornering_stiffness, car.wheelbase / 2, inertia, late_s)
-
-
-@compiled
-def _gains(speeds, stiffness, arm, inertia, late_s):
-    out = np.empty((5 + STEPS, len(speeds)))
-    for column in range(len(speeds)):
-        v = speeds[column]
-        a, b, bend = _model(v, _STIFFNESS_SHARE * stiffness * GRAVITY / 2, arm, inertia, late_s)
-        q = np.zeros((5, 5))
-        q[0, 0], q[1, 1] = _LATERAL, _COURSE
-        q[1, 2] = q[2, 1] = _COURSE / v
-        q[2, 2] = _COURSE / (v * v)
-        price = _CHANGE * min(1.0, v / _FAST) * min(1.0, v / _FAST)
-        p = q
-        for _ in range(_ROUNDS):
-            gain = _gain(price, p, a, b)
-            closed = a - _product(b, gain)
-            p = q + _product(a.T, _product(p, closed))
-            p = (p + p.T) / 2
-        gain = _gain(price, p, a, b)
+    a, b, bend = _model(speeds, car, late_s)
+    q, price = np.zeros_like(a), _CHANGE * np.minimum(1.0, speeds / _FAST)[:, None, None] ** 2
+    q[:, 0, 0], q[:, 1, 1] = _LATERAL, _COURSE
+    q[:, 1, 2] = q[:, 2, 1] = _COURSE / speeds
+    q[:, 2, 2] = _COURSE / (speeds * speeds)
+    p, closed, before = q, a, np.zeros_like(q)
+    while np.abs(p - before).max() > _SETTLED:
+        before = p
+        weighted = _product(_turned(b), p)
+        weight = price + _product(weighted, b)
+        gain = _product(weighted, a) / weight
         closed = a - _product(b, gain)
-        for k in range(5):
-            out[k, column] = -gain[0, k]
-        weight = price + _product(b.T, _product(p, b))[0, 0]
-        ahead = _product(p, bend)
-        for step in range(STEPS):
-            out[5 + step, column] = -_product(b.T, ahead)[0, 0] / weight
-            ahead = _product(closed.T, ahead)
+        p = q + _product(_turned(a), _product(p, closed))
+        p = (p + _turned(p)) / 2
+    out, ahead = np.empty((5 + STEPS, len(speeds))), _product(p, bend)
+    out[:5] = -gain[:, 0].T
+    for step in range(STEPS):
+        out[5 + step] = -(_product(_turned(b), ahead) / weight)[:, 0, 0]
+        ahead = _product(_turned(closed), ahead)
     return out
 
 
-@inner
-def _gain(price, p, a, b):
-    """Return the gain on the state that the price of the future p makes best, (1, 5)."""
-    weighted = _product(b.T, p)
-    return _product(weighted, a) / (price + _product(weighted, b)[0, 0])
-
-
-@inner
-def _model(v, stiffness, arm, inertia, late_s):
-    """Return x' = A x + B (change of target) + C (curvature) over one control step.
+def _model(
+    v: np.ndarray, car: CarConfig, late_s: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return x' = A x + B (change of target) + C (curvature) over a control step at each speed.
 
     Continuous, with axle stiffness over mass K, inertia over mass I, half wheelbase l, curvature k:
         e' = v h + w        h' = r - v k
         w' = -2 K w / v - v r + K d        r' = -2 K l^2 r / (I v) + K l d / I
     """
-    drift = np.zeros((6, 6))  # e, h, w, r, d, k
-    drift[0, 1], drift[0, 2] = v, 1.0
-    drift[1, 3], drift[1, 5] = 1.0, -v
-    drift[2, 2], drift[2, 3], drift[2, 4] = -2 * stiffness / v, -v, stiffness
-    drift[3, 3] = -2 * stiffness * arm * arm / (inertia * v)
-    drift[3, 4] = stiffness * arm / inertia
+    stiffness = _STIFFNESS_SHARE * car.cornering_stiffness * GRAVITY / 2
+    arm, inertia = car.wheelbase / 2, car.yaw_inertia / car.mass
+    drift = np.zeros((len(v), 6, 6))  # e, h, w, r, d, k
+    drift[:, 0, 1], drift[:, 0, 2] = v, 1.0
+    drift[:, 1, 3], drift[:, 1, 5] = 1.0, -v
+    drift[:, 2, 2], drift[:, 2, 3], drift[:, 2, 4] = -2 * stiffness / v, -v, stiffness
+    drift[:, 3, 3] = -2 * stiffness * arm * arm / (inertia * v)
+    drift[:, 3, 4] = stiffness * arm / inertia
     whole = _exponential(drift * STEP_DT)
-    b = _exponential(drift * (STEP_DT - late_s))[:5, 4:5].copy()
-    b[4, 0] = 1.0
-    return whole[:5, :5].copy(), b, whole[:5, 5:6].copy()
+    b = _exponential(drift * (STEP_DT - late_s))[:, :5, 4:5]
+    b[:, 4, 0] = 1.0
+    return whole[:, :5, :5], b, whole[:, :5, 5:6]
 
 
-@inner
-def _exponential(matrix):
-    """Return e to the power of a matrix."""
-    part = matrix / 2.0**_HALVINGS
+def _exponential(matrices: np.ndarray) -> np.ndarray:
+    """Return e to the power of each matrix."""
+    part = matrices / 2.0**_HALVINGS
     square = _product(part, part)
-    power = np.eye(len(matrix)) + part + square / 2 + _product(square, part) / 6
+    power = np.eye(matrices.shape[-1]) + part + square / 2 + _product(square, part) / 6
     for _ in range(_HALVINGS):
         power = _product(power, power)
     return power
 
 
-@inner
-def _product(a, b):
-    """Return a matrix product, summed in a fixed order."""
-    out = np.zeros((a.shape[0], b.shape[1]))
-    for i in range(a.shape[0]):
-        for k in range(a.shape[1]):
-            for j in range(b.shape[1]):
-                out[i, j] += a[i, k] * b[k, j]
-    return out
+def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return matrix products, summed in a fixed order, as a library's are not on every machine."""
+    total = a[:, :, 0, None] * b[:, 0, None, :]
+    for k in range(1, b.shape[1]):
+        total += a[:, :, k, None] * b[:, k, None, :]
+    return total
+
+
+def _turned(matrices: np.ndarray) -> np.ndarray:
+    return matrices.transpose(0, 2, 1)

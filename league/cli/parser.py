@@ -34,12 +34,32 @@ ROOMS = (
 """Where the commands are, in the order of the help; each room's `COMMANDS` names its own."""
 
 
+SIMULATING = (
+    race.Race,
+    train.Train,
+    evaluate.Evaluate,
+    rewards.Rewards,
+    replays.Verify,
+    entering.Submit,
+    running.Work,
+    heats.Audit,
+    trials.Gauntlet,
+    trials.Compare,
+)
+"""Commands that drive cars, and so need the compiled simulator."""
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; return its exit code."""
     # All goes at once in the end: to look for cycles first takes a second with torch in memory.
     atexit.register(gc.freeze)
     try:
-        return _parsed(arguments).run()
+        command = _parsed(arguments)
+        if isinstance(command, SIMULATING):
+            from league import precompile  # late: Numba takes a while
+
+            precompile.ensure()
+        return command.run()
     except LeagueError as error:
         print(f"league: {error}", file=sys.stderr)
         return 2

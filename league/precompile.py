@@ -1,0 +1,246 @@
+"""Compile the simulator once for an installation, in parallel, rather than bit by bit at first use.
+
+As a program (`python -m league.precompile`, which `make sync` runs) it compiles what is missing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from league import jit
+from league.errors import LeagueError
+
+_COMPLETE = "complete"
+_PACKAGE = Path(__file__).parent
+
+
+def ensure() -> None:
+    """Compile everything that this installation has not compiled yet; show progress on stderr.
+
+    Raises:
+        LeagueError: a part failed.
+    """
+    folder = jit.cache_folder()
+    if folder is None or (folder / _COMPLETE).exists():
+        return
+    done: list[str] = []
+    began = time.monotonic()
+    _show(0, began)
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+
+        def compile_group(parts: tuple[str, ...]) -> None:
+            for part in _compiled(parts):
+                done.append(part)
+                _show(len(done), began)
+
+        for group in [pool.submit(compile_group, parts) for parts in GROUPS]:
+            group.result()
+    (folder / _COMPLETE).touch()
+    _remove_older(folder)
+
+
+def _compiled(parts: tuple[str, ...]) -> Iterator[str]:
+    """Compile parts in a process of their own, for Numba compiles one function at a time.
+
+    Yields:
+        Each part when it is compiled.
+    """
+    with (
+        tempfile.TemporaryFile("w+") as errors,
+        subprocess.Popen(
+            [sys.executable, "-P", "-m", "league.precompile", *parts],
+            env={**os.environ, "PYTHONPATH": str(_PACKAGE.parent)},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=errors,
+            text=True,
+        ) as process,
+    ):
+        assert process.stdout is not None
+        yield from map(str.strip, process.stdout)
+        if process.wait():
+            errors.seek(0)
+            last = (errors.read().strip().splitlines() or ["no message"])[-1]
+            raise LeagueError(
+                f"compiling the simulator failed ({last}): reinstall the league's dependencies"
+            )
+
+
+def _show(done: int, began: float) -> None:
+    """Print the progress; on a terminal each line replaces the one before."""
+    last = done == len(PARTS)
+    if last or not done or sys.stderr.isatty():
+        seconds = time.monotonic() - began
+        print(
+            f"Compiling the simulator, once for this installation: {done} of {len(PARTS)} parts, "
+            f"{seconds:.0f} s",
+            end="\r" if sys.stderr.isatty() and not last else "\n",
+            file=sys.stderr,
+            flush=True,
+        )
+
+
+def _remove_older(folder: Path) -> None:
+    """Remove machine code of earlier sources that no program has begun to use within a day."""
+    for other in folder.parent.glob("jit-*"):
+        with contextlib.suppress(OSError):
+            if other != folder and other.stat().st_mtime < time.time() - 86_400:
+                shutil.rmtree(other)
+
+
+def _compile(part: str) -> None:
+    """Compile a part in a process of its own: Numba compiles one function at a time."""
+    done = subprocess.run(
+        [sys.executable, "-P", "-m", "league.precompile", part],
+        env={**os.environ, "PYTHONPATH": str(_PACKAGE.parent)},
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+    )
+    if done.returncode:
+        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        raise LeagueError(f"compiling {part} failed ({last}): reinstall the league's dependencies")
+
+
+def _worlds() -> None:
+    """Reset, step, lidar, running order and the critic's state of the planar simulator."""
+    import numpy as np
+
+    from league.envs.config import EnvConfig
+    from league.envs.race_env import RaceEnv
+    from league.sim import referee
+    from league.sim.config import LidarConfig, SensorConfig, SimConfig
+
+    sensors = (SensorConfig(lidar=LidarConfig()),)
+    sim = SimConfig(kind="head_to_head", num_cars=2)
+    env = RaceEnv(_tracks(), EnvConfig(sim=sim, sensors=sensors), num_worlds=1)
+    env.step(np.zeros((1, 2, 2), np.float32))
+    assert "state" in dict(env.observations[0])
+    referee.running_order(env.world.cars)
+
+
+def _bullet() -> None:
+    """Suspension and tyres of the Bullet solver, and the reward terms as Python calls them."""
+    import numpy as np
+
+    from league.envs.config import EnvConfig
+    from league.envs.race_env import RaceEnv
+    from league.envs.rewards import BuiltIn
+
+    cfg = EnvConfig(solver="bullet", mode="training")
+    env = RaceEnv(_tracks(), cfg, num_worlds=1, reward=BuiltIn(cfg.reward))
+    env.step(np.zeros((1, 1, 2), np.float32))
+    env.close()
+
+
+def _scripted() -> None:
+    """Racing line and scripted drivers."""
+    import numpy as np
+
+    from league.agents import roster
+    from league.envs.state import SIZE
+    from league.sim.config import CarConfig
+
+    for name in ("racing_line", "centerline"):
+        driver = roster.load(name, _tracks(), CarConfig())
+        driver.act({"state": np.zeros((1, SIZE), np.float32)})
+
+
+def _policies() -> None:
+    """The forward pass of policies."""
+    import numpy as np
+
+    from league.agents.inference import Network
+    from league.agents.network import NetworkConfig, group_shapes, weight_shapes
+    from league.sim.config import SensorConfig
+
+    cfg, shapes = NetworkConfig(), group_shapes(SensorConfig.full(64, 48))
+    flat = sum(shape[0] for shape in shapes.values() if len(shape) == 1)
+    weights = {
+        name: np.zeros(shape, np.float32) for name, shape in weight_shapes(cfg, shapes, 2).items()
+    }
+    picture = np.zeros((1, *shapes["stereo"]), np.uint8)
+    Network.of(cfg, shapes, weights).outputs(np.zeros((1, flat), np.float32), picture)
+
+
+def _cameras() -> None:
+    """The painter of pictures."""
+    import numpy as np
+
+    from league.sim import records
+    from league.sim.camera.paint import PaintRenderer
+    from league.sim.config import CameraConfig, SimConfig
+    from league.sim.world import World
+
+    world = World(
+        np.zeros(1, records.WORLD),
+        np.zeros((1, 2), records.CAR),
+        np.zeros((1, 0), records.OBSTACLE),
+    )
+    sim = SimConfig(kind="head_to_head", num_cars=2)
+    for colour in (False, True):
+        camera = CameraConfig(width=32, height=24, colour=colour)
+        PaintRenderer(_tracks(), sim, camera, None).render(world, 0)
+
+
+def _places() -> None:
+    """Places along tracks, as replays and evaluations look them up."""
+    import numpy as np
+
+    tracks, world, place = _tracks(), np.zeros(1, np.int64), np.zeros((1, 1), np.float32)
+    tracks.project(world, place, place)
+    tracks.at(world, place)
+    tracks.curvature_at(world, place)
+    tracks.signed_gap(world, place, place)
+
+
+def _reward_functions() -> None:
+    """What DeepRacer's reward functions are given, and the trace of an evaluation."""
+    from league.envs.deepracer.check import drives
+
+    drives()
+
+
+def _tracks():  # noqa: ANN202
+    from league.track import files
+    from league.track.course import TrackSet
+
+    return TrackSet(files.load("peanut"))
+
+
+PARTS: dict[str, Callable[[], None]] = {
+    "worlds": _worlds,
+    "scripted": _scripted,
+    "cameras": _cameras,
+    "policies": _policies,
+    "places": _places,
+    "bullet": _bullet,
+    "reward_functions": _reward_functions,
+}
+GROUPS = (
+    ("worlds",),
+    ("scripted", "cameras", "policies", "places"),
+    ("bullet", "reward_functions"),  # these need what `worlds` compiles
+)
+"""Parts that one process compiles; on two cores the first two groups take equally long."""
+
+
+def _main() -> None:
+    for part in sys.argv[1:]:
+        PARTS[part]()
+        print(part, flush=True)
+    if len(sys.argv) == 1:
+        ensure()
+
+
+if __name__ == "__main__":
+    _main()
