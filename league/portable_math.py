@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from league.jit import inner
+from league.jit import compiled, inner
 
 f32 = np.float32
 
@@ -71,6 +71,13 @@ def sincos(angle):
     if angle < _ZERO:
         sine = -sine
     return sine, cosine
+
+
+@compiled
+def direction(angle):
+    """Return the cosine and the sine of an angle [rad] to Python, rounded to float32."""
+    sine, cosine = sincos(f32(angle))
+    return float(cosine), float(sine)
 
 
 @inner

@@ -29,6 +29,8 @@ _SPREAD = config.Spread(
     grip=0.3, mass=0.3, latency_s=0.06, steering_offset=0.03, camera_position=0.01, camera_angle=0.1
 )
 _SENSORS = (config.SensorConfig(lidar=config.LidarConfig()),)
+_SEEING = (config.SensorConfig.full(64, 48),)
+_COLOUR = (config.SensorConfig(camera=config.CameraConfig(width=48, height=36, colour=True)),)
 
 
 def _sim(cars: int = 1, **settings) -> config.SimConfig:
@@ -42,8 +44,8 @@ def races() -> dict[str, tuple[EnvConfig, int, int]]:
     meeting = {"mode": "training", "episode_s": 4.0, "meeting": Meeting()}
     return {
         "race": (EnvConfig(sim=_sim(4, spread=_SPREAD), sensors=_SENSORS), 6, 240),
-        "boxes": (EnvConfig(sim=_sim(obstacles=boxes), sensors=_SENSORS), 6, 240),
-        "bots": (EnvConfig(sim=_sim(obstacles=bots), sensors=_SENSORS), 6, 240),
+        "boxes": (EnvConfig(sim=_sim(obstacles=boxes), sensors=_SEEING), 6, 240),
+        "bots": (EnvConfig(sim=_sim(obstacles=bots), sensors=_COLOUR), 6, 240),
         "meeting": (EnvConfig(sim=_sim(3, spread=_SPREAD), **meeting), 6, 200),
         # So many cars that threads share them.
         "crowd": (EnvConfig(sim=_sim(8)), 128, 30),

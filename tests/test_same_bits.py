@@ -21,8 +21,8 @@ from league.agents import inference
 from league.envs import step as stages
 
 RECORDED = {
-    "bots": "70c45431576efa3e",
-    "boxes": "1fd12f9c3a7dfc14",
+    "bots": "c09a73990b93b0da",
+    "boxes": "a91c6f3c8e135ae5",
     "crowd": "c9bb5e3367058a27",
     "meeting": "13d12b0c06e545a4",
     "policy": "9bbdda3c3ab6207c",
@@ -109,9 +109,14 @@ def test_bits_do_not_depend_on_the_processor_compiled_for():
         {"NUMBA_CPU_NAME": "x86-64", "NUMBA_CPU_FEATURES": "-sse3,-ssse3,-sse4.1,-avx"},
         {"NUMBA_CPU_FEATURES": "-avx,-avx2,-avx512f,-fma"},
         {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "+avx,+avx2,+fma"},
-        {"NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4", "OPENBLAS_CORETYPE": "Nehalem"},
+        {
+            "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4",
+            "OPENBLAS_CORETYPE": "Nehalem",
+            "OPENCV_CPU_DISABLE": "AVX512-SKX,AVX2,FMA3,AVX,SSE4.2",
+            "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX512F,-AVX2,-AVX,-FMA,-FMA4",
+        },
     ],
-    ids=["oldest", "no vectors", "fused", "numpy"],
+    ids=["oldest", "no vectors", "fused", "libraries"],
 )
 def test_bits_do_not_depend_on_processor_features(environment):
     if "+fma" in environment.get("NUMBA_CPU_FEATURES", ""):

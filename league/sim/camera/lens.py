@@ -8,6 +8,7 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
+from league.portable_math import direction
 from league.sim.camera.raster import Pose
 from league.sim.config import CameraConfig
 
@@ -36,7 +37,8 @@ class Lens:
         """Return the lens of a car's camera."""
         half = cfg.baseline / 2
         eyes = {"stereo": (half, -half), "left": (half,), "mono": (0.0,)}[cfg.eyes]
-        focal = cfg.width / 2 / math.tan(cfg.field_of_view / 2)
+        cos, sin = direction(cfg.field_of_view / 2)
+        focal = cfg.width / 2 * cos / sin
         return cls(cfg.width, cfg.height, focal, eyes)
 
     @cached_property
@@ -51,11 +53,13 @@ class Lens:
 
     def horizon(self, pitch: float) -> float:
         """Return the row of the horizon [px] for a camera tilted down by pitch [rad]."""
-        return self.cy - self.focal * math.tan(pitch)
+        cos, sin = direction(pitch)
+        return self.cy - self.focal * sin / cos
 
     def metres_per_pixel(self, row: float, height: float, pitch: float) -> float:
         """Return the width of a floor pixel in this row [m]; infinite above the horizon."""
-        fall = self.focal * math.sin(pitch) + (row - self.cy) * math.cos(pitch)
+        cos, sin = direction(pitch)
+        fall = self.focal * sin + (row - self.cy) * cos
         return height / fall if fall > 0 else math.inf
 
 
@@ -70,14 +74,12 @@ def mounted(cfg: CameraConfig, x: float, y: float, yaw: float, up: float, tilt: 
         up: what this car's camera adds in height [m].
         tilt: what this car's camera adds in downward pitch [rad].
     """
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    pitch = cfg.pitch + tilt
+    cos, sin = direction(yaw)
     return Pose(
         x + cos * cfg.forward,
         y + sin * cfg.forward,
         max(cfg.up + up, MIN_HEIGHT),
         cos,
         sin,
-        math.cos(pitch),
-        math.sin(pitch),
+        *direction(cfg.pitch + tilt),
     )

@@ -1,6 +1,7 @@
 """Random light, colours, noise and blur of pictures, for training; the same for both renderers.
 
 All of it is drawn from each world's own seed, so a world looks the same alone and in a batch.
+OpenCV rounds the last bit in its own way on each processor; races and evaluations have no looks.
 """
 
 from dataclasses import dataclass

@@ -17,6 +17,7 @@ import numpy as np
 from numba import int32, uint8, uint32
 
 from league.jit import compiled, inner
+from league.portable_math import f32, sincos
 
 MODEL, X, Y, COS, SIN, STEERING, ALONG, ACROSS, UPWARD, SHADE, SUNLIT = (*range(10), 12)
 """Columns of a thing: those of stage.Thing, with its colour as three numbers in the shade and three
@@ -372,7 +373,7 @@ def _stand(foot, thing, view, optics, slope, models):
 def _thing(pictures, optics, view, thing, foot, far, models, scratch):
     """Draw one thing: for each eye its solids, far to near, and of each the faces turned to it."""
     model = int(thing[MODEL])
-    if math.hypot(foot[0], foot[1]) > far:
+    if foot[0] * foot[0] + foot[1] * foot[1] > far * far:
         model = models.models[model, 2]
     first, last = models.models[model, 0], models.models[model, 1]
     base = models.solids[first, 0]
@@ -390,7 +391,7 @@ def _thing(pictures, optics, view, thing, foot, far, models, scratch):
             solid = first + number
             eye_x, eye_y, sun_cos, sun_sin = ahead, left, thing[COS], thing[SIN]
             if models.solids[solid, 4]:
-                cos, sin = math.cos(thing[STEERING]), math.sin(thing[STEERING])
+                sin, cos = sincos(f32(thing[STEERING]))
                 dx, dy = ahead - models.pivots[solid, 0], left - models.pivots[solid, 1]
                 eye_x, eye_y = cos * dx + sin * dy, cos * dy - sin * dx
                 sun_cos, sun_sin = cos * sun_cos - sin * sun_sin, sin * sun_cos + cos * sun_sin
@@ -416,7 +417,7 @@ def _thing(pictures, optics, view, thing, foot, far, models, scratch):
 def _project(place, base, solid, thing, foot, view, models):
     """Write the vertices of a solid as X, Y, Z of the camera's frame."""
     steered = models.solids[solid, 4] != 0
-    cos, sin = math.cos(thing[STEERING]), math.sin(thing[STEERING])
+    sin, cos = sincos(f32(thing[STEERING]))
     for vertex in range(models.solids[solid, 0], models.solids[solid, 1]):
         row = models.vertices[vertex]
         x, y = row[0], row[1]

@@ -90,7 +90,7 @@ class Solid:
             if normal @ (middle - a) > 0:
                 normal = -normal
             rows.append((*normal, normal @ a))
-        return np.array(rows)
+        return np.round(rows, 9)
 
 
 PAINTS: tuple[Rgb, ...] = (RUBBER, RIM, CHASSIS, GLASS)
@@ -119,7 +119,7 @@ def _hexahedron(planes: dict[str, tuple[float, float, float, float]], paints: tu
         np.linalg.solve([plane[:3] for plane in corner], [plane[3] for plane in corner])
         for corner in corners
     ]
-    return Solid(np.array(vertices), _HEXAHEDRON, paints)
+    return Solid(np.round(vertices, 9), _HEXAHEDRON, paints)
 
 
 def _block(
@@ -144,6 +144,7 @@ def _wheel(x: float, y: float, steered: bool) -> Solid:
     angles = (np.arange(WHEEL_SIDES) + 0.5) * 2 * math.pi / WHEEL_SIDES
     ring = np.stack([np.cos(angles), 0 * angles, np.sin(angles)], axis=1) * WHEEL_RADIUS
     ring[:, 2] += WHEEL_RADIUS
+    ring = np.round(ring, 9)
     side = np.array([0.0, WHEEL_WIDTH / 2, 0.0])
     vertices = np.concatenate([ring + side, ring - side])
     centre = np.array([x, y, 0.0])

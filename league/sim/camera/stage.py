@@ -4,11 +4,11 @@ Plain floats, because at a hundred numbers a picture they are faster than arrays
 picture made one world at a time cannot depend on its batch.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
+from league.portable_math import direction
 from league.sim.camera.lens import Pose, mounted
 from league.sim.camera.looks import Look
 from league.sim.camera.scene import BOT_COLOUR, BOX, BOX_COLOUR, CAR, CAR_COLOURS, Model, faded
@@ -105,7 +105,7 @@ class Stage:
                     found.append(_car(x, y, yaw, 0.0, BOT_COLOUR))
                 else:
                     scale = (2 * along, 2 * across, height)
-                    cos, sin = math.cos(yaw), math.sin(yaw)
+                    cos, sin = direction(yaw)
                     found.append(Thing(BOX, x, y, cos, sin, 0.0, BOX_COLOUR, scale))
         if self._tints is not None:
             tints = [tint for slot, tint in enumerate(self._tints[row]) if slot != without]
@@ -121,4 +121,4 @@ def _tinted(thing: Thing, tint: list[float]) -> Thing:
 
 
 def _car(x: float, y: float, yaw: float, steering: float, colour: tuple) -> Thing:
-    return Thing(CAR, x, y, math.cos(yaw), math.sin(yaw), steering, colour, _UNSTRETCHED)
+    return Thing(CAR, x, y, *direction(yaw), steering, colour, _UNSTRETCHED)
