@@ -139,3 +139,34 @@ def test_no_sum_is_fused_or_reordered(entry):
     assert FLAGS.findall(code) == []
     (machine_code,) = dispatcher.inspect_asm().values()
     assert FUSED.findall(machine_code) == []
+
+
+@pytest.mark.slow
+@X86
+def test_a_league_raced_on_an_older_processor_audits_clean_here(tmp_path):
+    database = f"sqlite:///{tmp_path}/league.db"
+    older = {
+        "NUMBA_CPU_NAME": "generic",
+        "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4",
+        "OPENCV_CPU_DISABLE": "AVX512-SKX,AVX2,FMA3,AVX,SSE4.2",
+        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX512F,-AVX2,-AVX,-FMA,-FMA4",
+    }
+
+    def league(*arguments: str, **environment: str) -> str:
+        run = subprocess.run(
+            [sys.executable, "-m", "league.cli", *arguments, "--league", database],
+            env={**os.environ, **environment},
+            capture_output=True,
+            text=True,
+            check=True,
+            cwd=Path(__file__).parents[1],
+        )
+        return run.stdout
+
+    league("init", "--solver", "planar", "--laps", "1", "--track", "peanut")
+    for name in ("racer", "duelist"):
+        league("submit", f"garage/{name}.pt", "--owner", name)
+    raced = league("run", "--heats", "8", "--workers", "1", **older)
+    assert "8 heats" in raced
+    audited = league("audit", "--sample", "100%", "--workers", "1")
+    assert re.search(r"(\d+) heats were run again: \1 agree, 0 differ", audited), audited
