@@ -101,7 +101,7 @@ class Recorder:
         )
 
     def _columns(self) -> Columns:
-        cars, obstacles = np.stack(self._cars), np.stack(self._obstacles)
+        cars, obstacles = _stacked(self._cars), _stacked(self._obstacles)
         actions = np.stack([cars["action_steering"], cars["action_speed"]], axis=-1)
         places = [obstacles[name] for name in ("x", "y", "yaw")]
         checksum = _checksums(*(cars[name] for name in _CHECKED), actions, *places)
@@ -120,6 +120,14 @@ class Recorder:
             obstacle_yaw=obstacle_yaw,
             checksum=checksum,
         )
+
+
+def _stacked(frames: list[np.ndarray]) -> np.ndarray:
+    """Return records of all frames as one array; np.stack would compare their fields each time."""
+    records = np.empty((len(frames), *frames[0].shape), frames[0].dtype)
+    for number, frame in enumerate(frames):
+        records[number] = frame
+    return records
 
 
 def _checksums(*parts: np.ndarray) -> np.ndarray:
