@@ -230,7 +230,7 @@ class Stages:
             "weight": np.zeros(0, np.float32),
         }
         inputs = *(arrays | given).values(), *self._course, *self._rules
-        assert stages.step(phase, 0, shape[0], *inputs) == stages.FINE
+        assert stages.step(0, shape[0], phase, *inputs) == stages.FINE
 
 
 def taken(groups_of_cars: Iterable[Mapping[str, np.ndarray]]) -> list[dict[str, np.ndarray]]:

@@ -49,10 +49,12 @@ def motion(car, out):
 
 
 @compiled
-def states(cars, obstacles, worlds, points, courses, out):
-    """Write the `state` group of every car.
+def states(first, last, cars, obstacles, worlds, points, courses, out):
+    """Write the `state` group of every car of the worlds from `first` to `last`; return 0.
 
     Args:
+        first: first world.
+        last: world behind the last one.
         cars: CAR records (num_worlds, num_cars).
         obstacles: OBSTACLE records (num_worlds, num_obstacles).
         worlds: WORLD records (num_worlds,).
@@ -60,10 +62,11 @@ def states(cars, obstacles, worlds, points, courses, out):
         courses: of the TrackSet.
         out: float32 (num_cars, num_worlds, SIZE); overwritten.
     """
-    for w in range(len(worlds)):
+    for w in range(first, last):
         course = courses[worlds[w].track]
         for c in range(cars.shape[1]):
             _state(c, cars[w], obstacles[w], points, course, out[c, w])
+    return 0
 
 
 @inner

@@ -287,7 +287,7 @@ class RaceEnv:
 
     def _run(self, phases: int, actions: np.ndarray) -> None:
         found = over_worlds(
-            stages.step, phases, self.num_worlds, self.num_cars, actions, *self._step_arrays
+            stages.step, self.num_worlds, self.num_cars, phases, actions, *self._step_arrays
         )
         if found == stages.FINE:
             return

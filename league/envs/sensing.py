@@ -9,6 +9,7 @@ import numpy as np
 
 from league.envs import observations, state
 from league.envs.config import EnvConfig
+from league.envs.threads import over_worlds
 from league.sim.config import CameraConfig
 from league.sim.world import World
 from league.track.course import TrackSet
@@ -90,8 +91,10 @@ class Sensing:
             if not self._states_fresh:
                 self._states_fresh = True
                 tables = (self._tracks.points, self._tracks.courses)
-                observations.states(
-                    world.cars, world.obstacles, world.worlds, *tables, self._states
+                over_worlds(
+                    observations.states,
+                    *(world.num_worlds, world.num_cars),
+                    *(world.cars, world.obstacles, world.worlds, *tables, self._states),
                 )
             return self._states
 

@@ -42,9 +42,9 @@ _ZERO, _HALF, _ONE = f32(0.0), f32(0.5), f32(1.0)
 
 @compiled
 def step(
-    phases,
     first,
     last,
+    phases,
     actions,
     cars,
     before,
@@ -68,9 +68,9 @@ def step(
     """Drive the worlds from `first` to `last` for one control step.
 
     Args:
-        phases: which stages to run, PREPARE to SETTLE.
         first: first world.
         last: world behind the last one.
+        phases: which stages to run, PREPARE to SETTLE.
         actions: steering and speed in [-1, 1], float32 (num_worlds, num_cars, 2).
         cars: CAR records (num_worlds, num_cars).
         before: set to the CAR records before the step.

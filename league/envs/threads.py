@@ -27,25 +27,23 @@ def _pool(process: int, size: int) -> ThreadPoolExecutor:
 
 
 def over_worlds(
-    loop: Callable[..., int], phases: int, num_worlds: int, num_cars: int, *arrays: object
+    loop: Callable[..., int], num_worlds: int, num_cars: int, *arguments: object
 ) -> int:
     """Run a loop over all worlds; return its first answer that is not 0, else 0.
 
     Args:
-        loop: takes phases, the first world, the world behind the last one, and the arrays.
-        phases: handed on.
+        loop: takes the first world, the world behind the last one, and the arguments.
         num_worlds: worlds to share out.
         num_cars: cars in each.
-        arrays: handed on.
+        arguments: handed on.
     """
     if num_worlds * num_cars < 2 * CARS_EACH or (threads := num_threads()) == 1:
-        return loop(phases, 0, num_worlds, *arrays)
+        return loop(0, num_worlds, *arguments)
     threads = min(threads, num_worlds, num_worlds * num_cars // CARS_EACH)
     bounds = [num_worlds * part // threads for part in range(threads + 1)]
     pool = _pool(os.getpid(), num_threads())
     parts = [
-        pool.submit(loop, phases, bounds[part], bounds[part + 1], *arrays)
-        for part in range(1, threads)
+        pool.submit(loop, bounds[part], bounds[part + 1], *arguments) for part in range(1, threads)
     ]
-    answers = [loop(phases, bounds[0], bounds[1], *arrays), *(part.result() for part in parts)]
+    answers = [loop(bounds[0], bounds[1], *arguments), *(part.result() for part in parts)]
     return next((answer for answer in answers if answer), 0)

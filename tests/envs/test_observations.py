@@ -17,9 +17,8 @@ def field(num_cars: int) -> SimConfig:
 def state(tracks, world) -> np.ndarray:
     """Return the `state` group of every car, (num_cars, num_worlds, SIZE)."""
     out = np.full((world.cars.shape[1], world.num_worlds, SIZE), np.nan, np.float32)
-    observations.states(
-        world.cars, world.obstacles, world.worlds, tracks.points, tracks.courses, out
-    )
+    tables = world.cars, world.obstacles, world.worlds, tracks.points, tracks.courses
+    observations.states(0, world.num_worlds, *tables, out)
     return out
 
 
