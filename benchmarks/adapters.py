@@ -20,7 +20,7 @@ import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -28,7 +28,7 @@ ROOT = Path(__file__).parents[1]
 TRACK = "reinvent_2018"
 BLOCKS = 7
 """The fastest of so many blocks counts."""
-_RACE = dict(kind="head_to_head", solver="planar", mode="race", laps=100)
+_RACE: dict[str, Any] = dict(kind="head_to_head", solver="planar", mode="race", laps=100)
 
 
 @dataclass
@@ -56,7 +56,12 @@ def follow(state: np.ndarray, car: int = 0) -> np.ndarray:
 
 
 def race_env(
-    num_worlds: int, num_cars: int, steps: int, mode: str = "training", *, truth: bool = False
+    num_worlds: int,
+    num_cars: int,
+    steps: int,
+    mode: Literal["race", "training"] = "training",
+    *,
+    truth: bool = False,
 ) -> Drive:
     """Drive a RaceEnv without cameras; in training cars are spread round the track.
 
