@@ -3,18 +3,15 @@
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.cameras import TinyScene, one_ahead
 from benchmarks.report import figure, heading, machine, seconds
-from league import race
 from league.agents import roster
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
-from league.race_spec import Entry, RaceSpec
 from league.sim.config import CameraConfig, SensorConfig, SimConfig, SolverName
 from league.track import files
 from league.track.course import TrackSet
@@ -68,18 +65,15 @@ def stereo_rate(
     return num_worlds * 2 * steps / 15 / taken
 
 
-def three_laps(folder: Path) -> float:
-    """Return how much faster than real time a three-lap race in Bullet with replay runs."""
+def three_laps(folder: Path, *drivers: str) -> tuple[float, float]:
+    """Return the time of `league race --laps 3` in Bullet with a replay, and its race time [s]."""
     from league import replay
 
-    spec = RaceSpec(entries=(Entry(name="racing_line"), Entry(name="centerline")), laps=3)
-    race.run(spec)
-    start = time.perf_counter()
-    finished = race.run(spec)
-    replay.write(finished.replay, folder / "three-laps.race")
-    taken = time.perf_counter() - start
-    assert all(car.finished for car in finished.result.order), "somebody did not finish"
-    return finished.result.race_s / taken
+    path = folder / "three-laps.race"
+    wall_s = python("-m", "league.cli", "race", *drivers, "--laps", "3", "--replay", str(path))
+    result = replay.read(path).result
+    assert all(car.finished for car in result.order), "somebody did not finish"
+    return wall_s, result.race_s
 
 
 def python(*arguments: str) -> float:
@@ -94,7 +88,7 @@ def main() -> None:
     print(machine())
     unit = "car-s per wall s"
     ours = stereo_rate("bullet", 1, 160, 120, 60)
-    figure("Bullet, 1 world, two cars, stereo 160x120", ours, unit, 16)
+    figure("Bullet, 1 world, two cars, stereo 160x120", ours, unit, 60)
     theirs = stereo_rate("bullet", 1, 160, 120, 15, by_pybullet=True)
     figure("  against the same with PyBullet's pictures", ours / theirs, "times")
     figure(
@@ -104,7 +98,13 @@ def main() -> None:
         200,
     )
     with tempfile.TemporaryDirectory() as folder:
-        figure("three laps in Bullet with replay", three_laps(Path(folder)), "x real time", 8)
+        for goal, *drivers in ((15, "racing_line", "cautious"), (None, "racer", "duelist")):
+            wall_s, race_s = three_laps(Path(folder), *drivers)
+            figure(f"league race {' '.join(drivers)} --laps 3, whole process", wall_s, "s")
+            figure("  three laps in Bullet with replay", race_s / wall_s, "x real time", goal)
+    scripted = ("race", "centerline", "racing_line", "--solver", "planar", "--replay", "none")
+    planar_s = python("-m", "league.cli", *scripted)
+    figure("league race centerline racing_line, planar", planar_s, "s", 2, most=True)
     help_s, bare_s = python("-m", "league.cli", "--help"), python("-c", "pass")
     figure("league --help", help_s, "s", 0.3, most=True)
     figure("  against Python that does nothing", help_s / bare_s, "times")
