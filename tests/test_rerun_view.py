@@ -222,3 +222,24 @@ def test_a_live_race_is_served_to_this_machine_only():
 
 def _ports(address: str) -> list[str]:
     return [part.split("&")[0] for part in unquote(address).split("127.0.0.1:")[1:]]
+
+
+def rotated(quaternion: np.ndarray, vector: tuple[float, float, float]) -> list[float]:
+    """Return a vector turned by a quaternion (x, y, z, w)."""
+    axis, w = quaternion[:3], quaternion[3]
+    across = np.cross(axis, vector)
+    return (np.array(vector) + 2 * w * across + 2 * np.cross(axis, across)).tolist()
+
+
+def test_cars_lean_and_nose_down_as_their_records_say():
+    half = np.pi / 2
+    level, right, down = (
+        poses.turned(*map(np.array, angles)) for angles in ((half, 0, 0), (0, 0, 0.3), (0, 0.3, 0))
+    )
+    ahead, up = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+    assert rotated(level, ahead) == pytest.approx([0.0, 1.0, 0.0])
+    assert rotated(right, up) == pytest.approx([0.0, -np.sin(0.3), np.cos(0.3)])
+    assert rotated(down, ahead) == pytest.approx([np.cos(0.3), 0.0, -np.sin(0.3)])
+    # First the heading, then the pitch about the new axle: the nose goes down, not aside.
+    both = poses.turned(np.array(half), np.array(0.3), np.array(0.0))
+    assert rotated(both, ahead) == pytest.approx([0.0, np.cos(0.3), -np.sin(0.3)])
