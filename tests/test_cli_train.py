@@ -242,12 +242,12 @@ def test_flag_beats_the_hyperparameters_file(league, tmp_path):
         (["--noise", "0.5", "9"], "exploration noise is (0.5, 9.0): give 0.001 to 5"),
         (["--gamma", "1.5"], "gamma is 1.5: give 0 to 1"),
         (["--lam", "-1"], "lam is -1.0: give 0 to 1"),
-        (["--forgiving", "--reward", "centerline"], "centerline takes nothing: leave it away"),
+        (["--forgiving", "--reward", "centerline"], "centerline takes nothing: omit it"),
         (["--tutor", "1"], "the tutor's share of the budget is 1"),
-        (["--tutor", "0.2", "--init-from", "rookie"], "leave --tutor or --init-from away"),
+        (["--tutor", "0.2", "--init-from", "rookie"], "omit --tutor or --init-from"),
         (
             ["--tutor", "0.2", "--kind", "head_to_head", "--self-play"],
-            "leave --tutor or --self-play away",
+            "omit --tutor or --self-play",
         ),
         (["--epochs", "0"], "epochs is 0: give at least 1"),
         (["--mini-batches", "99999"], "cannot be split into 99999 mini-batches"),
@@ -273,7 +273,7 @@ def test_run_that_is_there_is_not_replaced_without_a_word(league, tmp_path):
     code, out, err = league("train", *TINY, "--steps", "64", "--out", "mine.pt")
     assert (code, out) == (2, "")
     assert "mine.run holds a run of 32 decisions and " in err
-    assert "give --resume to go on with it, --overwrite to begin anew" in err
+    assert "give --resume to go on with it, --overwrite to start a new run" in err
     assert err.count("\n") == 1
     after = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     assert after == before
@@ -324,10 +324,10 @@ def test_resume_of_a_finished_run_asks_for_more_but_brings_a_lost_checkpoint_bac
 @pytest.mark.parametrize(
     ("flags", "said"),
     [
-        (["--seed", "3", "--gamma", "0.5"], "begun with another --seed, --gamma: leave away"),
-        (["--track", "peanut"], "begun with another --track"),
-        (["--sensors", "lidar"], "begun with another --sensors"),
-        (["--no-mirror"], "begun with another --no-mirror"),
+        (["--seed", "3", "--gamma", "0.5"], "started with another --seed, --gamma: omit what"),
+        (["--track", "peanut"], "started with another --track"),
+        (["--sensors", "lidar"], "started with another --sensors"),
+        (["--no-mirror"], "started with another --no-mirror"),
         (["--overwrite"], "--resume goes on and --overwrite begins anew: give one of them"),
         (["--steps", "16"], "--steps is 16, and the run was begun with 32: give more"),
         (["--steps", "-1"], "give one of them, more than 0"),
@@ -398,7 +398,7 @@ def test_save_points_come_as_often_as_the_work_allows(capsys):
     assert config(Train(sensors=("stereo160x120",))).train.save_every == 1
     assert capsys.readouterr().err == ""
     assert config(Train(num_worlds=1024)).train.save_every == 1
-    # Rows begin anew at a save point, and a card is given more of them at once.
+    # Rows restart at a save point, and a card is given more of them at once.
     assert config(Train(num_worlds=1024, device="cuda")).train.save_every == 4
     assert "some 16 times the work of a usual one" in capsys.readouterr().err
 

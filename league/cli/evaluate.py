@@ -103,7 +103,7 @@ def _check(command: Evaluate) -> None:
         )
     if command.replay != "none" and command.episode:
         raise ConfigError(
-            "--replay keeps a race, and with --episode there is none: leave one of the two away"
+            "--replay keeps a race, and with --episode there is none: omit one of the two"
         )
     if command.reward != "progress" and command.trace is None:
         raise ConfigError(
@@ -117,7 +117,7 @@ def _check(command: Evaluate) -> None:
     if command.opponents and command.kind != "time_trial":
         raise ConfigError(
             f"--opponents were named for {command.kind}, which is driven alone: "
-            "leave --kind away for a head-to-head race"
+            "omit --kind for a head-to-head race"
         )
 
 

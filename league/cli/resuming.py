@@ -1,4 +1,4 @@
-"""What `league train` does where its --out has a run already: go on, begin anew, or refuse."""
+"""What `league train` does if --out has a run already: resume it, start a new one, or refuse."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def refuse_taken(command: Train, folder: Path) -> None:
     if run_folder.is_taken(folder):
         raise ConfigError(
             f"{folder} holds {run_folder.told(folder)}: give --resume to go on with it, "
-            "--overwrite to begin anew in its place, or another --out"
+            "--overwrite to start a new run in its place, or another --out"
         )
     if command.out.exists():
         raise ConfigError(
@@ -115,8 +115,9 @@ def continued(command: Train, folder: Path, asked: Callable[[Train], RunConfig])
         ]
         if others:
             raise ConfigError(
-                f"the run in {folder} was begun with another {', '.join(others)}: leave away what "
-                "is not --minutes or --steps, or give --overwrite instead of --resume to begin anew"
+                f"the run in {folder} was started with another {', '.join(others)}: omit what is "
+                "not --minutes or --steps, or give --overwrite instead of --resume to start a new "
+                "run"
             )
     exam = {EXAM[name]: getattr(command, name) for name in flags.given(command, EXAM)}
     return replace(stored.with_budget(command.minutes, command.steps), **exam)

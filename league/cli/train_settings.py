@@ -84,7 +84,7 @@ def _check(command: Train) -> None:
     if command.forgiving and command.reward == "centerline":
         raise ConfigError(
             "--forgiving makes a mistake cost what the reward takes for it, and centerline takes "
-            "nothing: leave it away, or give another reward"
+            "nothing: omit it, or give another reward"
         )
     if not 2 <= command.cars <= 8:
         raise ConfigError(f"--cars is {command.cars}: give 2 to 8")
@@ -157,7 +157,7 @@ def _save_every(device: str, num_worlds: int, ppo: PpoConfig, sensors: SensorCon
     """Return the updates between two save points: as many as take 10 to 20 s, by their work.
 
     How long a card takes is not known: there it is as many as take a car round most tracks, for
-    rows begin anew at a save point.
+    rows restart at a save point.
 
     Decisions count, passes over them, and pixels where they are more than usual. Where a single
     update takes long, that is told: it can neither be saved nor ended before it is over.
@@ -197,12 +197,12 @@ def _body(command: Train) -> tuple[ActionSpace, SensorConfig, NetworkConfig]:
     if sensors != parent.sensor_config:
         raise ConfigError(
             f"--sensors are not those of {command.init_from}, whose eyes learnt to see with its "
-            "own: leave --sensors away, or begin anew without --init-from"
+            "own: omit --sensors, or start a new run without --init-from"
         )
     if type(space) is not type(parent.space) or space.size != parent.space.size:
         raise ConfigError(
-            f"--action-space is of another kind than that of {command.init_from}: leave it away, "
-            "or begin anew without --init-from"
+            f"--action-space is of another kind than that of {command.init_from}: omit it, "
+            "or start a new run without --init-from"
         )
     if space != parent.space:
         print(

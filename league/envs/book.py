@@ -76,7 +76,7 @@ class Book:
 
 
 def classify(spec: RaceSpec, world: World, book: Book) -> RaceResult:
-    """Return the classification of a race that is over (facts 5.4)."""
+    """Return the classification of a race that is over."""
     race_s = book.steps * book.step_dt
     unplaced = []
     for car, (entry, now) in enumerate(zip(spec.entries, world.cars[0], strict=True)):

@@ -1,7 +1,7 @@
 """Evaluate a driver: laps from the start line, told as the console of the original tells them.
 
 A pure function of driver, track and settings: nothing is kept, nothing is written, no policy is
-changed. The words are those of facts 5.4 to 6.3: a *trial* is one lap, or in mode "episode" one
+changed. The words are the original's: a *trial* is one lap, or in mode "episode" one
 attempt at a lap that the first mistake ends.
 """
 

@@ -1,6 +1,6 @@
 """Trace: an evaluation step by step, as the 19-column CSV that community log tools read.
 
-Columns and their order are those of the original's `*-iteration.csv` (facts 5.5); what a number
+Columns and their order are those of the original's `*-iteration.csv`; what a number
 means where the original leaves a choice is told in docs/evaluation.md.
 """
 

@@ -42,7 +42,7 @@ def digest(content: bytes) -> str:
 
 @dataclass(frozen=True)
 class Ruleset:
-    """What ratings belong to: change any of it and the ratings begin anew."""
+    """What ratings belong to: change any of it and ratings start again."""
 
     tracks: tuple[str, ...] = ("reinvent_2018",)
     """Names of the tracks that heats are drawn from."""

@@ -1,6 +1,6 @@
 """Settings of the world as frozen data; the string under a field is its documentation and its help.
 
-Sources: "facts" are figures of the original (Gazebo URDF and rules of AWS DeepRacer); the rest is
+Sources: "the original" is AWS DeepRacer, its Gazebo URDF and its rules; the rest is
 argued in docs/physics.md.
 """
 
@@ -35,7 +35,7 @@ class CarConfig:
     nose: float = ranged(0.14, -10.0, 10.0)
     """How far the reference point of x, y and progress lies ahead of the base [m]."""
     mass: float = ranged(8.2, 0.01, 1e4)
-    """Mass [kg] (facts: 8.22 with stereo cameras and lidar)."""
+    """Mass [kg]; the original's is 8.22 with stereo cameras and lidar."""
     yaw_inertia: float = ranged(0.085, 1e-6, 1e5)
     """Moment of inertia about the vertical [kg m^2]."""
     roll_inertia: float = ranged(0.04, 1e-6, 1e5)
@@ -108,7 +108,7 @@ class ContactConfig:
 
 @dataclass(frozen=True)
 class CameraConfig:
-    """A pair of parallel cameras, or one (facts section 3)."""
+    """A pair of parallel cameras, or one."""
 
     width: int = ranged(160, 8, 1920)
     """Pixels across."""
@@ -172,7 +172,7 @@ class LookConfig:
 
 @dataclass(frozen=True)
 class LidarConfig:
-    """A flat scan that looks to the rear and is blind ahead (facts section 3)."""
+    """A flat scan that looks to the rear and is blind ahead."""
 
     beams: int = ranged(64, 1, 4096)
     """Number of beams, spread evenly from -half_angle to +half_angle about the rear."""
@@ -238,7 +238,7 @@ class SensorConfig:
 
 @dataclass(frozen=True)
 class ObstacleConfig:
-    """Boxes or slow bot cars on the track (facts section 5.1)."""
+    """Boxes or slow bot cars on the track."""
 
     count: int = ranged(6, 0, 32)
     """How many."""
@@ -283,7 +283,7 @@ def _is_place(given: object) -> bool:
 
 @dataclass(frozen=True)
 class RaceRules:
-    """What ends a stretch, what it costs and how the order is made (facts section 5)."""
+    """What ends a stretch, what it costs and how the order is made."""
 
     laps: int = ranged(3, 1, 1000)
     """Laps to drive."""

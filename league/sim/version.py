@@ -2,5 +2,5 @@
 
 PHYSICS = "4"
 """Raise it with every change that can alter the outcome of a race: solvers, tyres, referee,
-sensors, pictures, scripted drivers, or how a network is evaluated. A league's ratings begin anew
+sensors, pictures, scripted drivers, or how a network is evaluated. A league's ratings start again
 with it, for races under two versions are not comparable."""

@@ -20,14 +20,14 @@ SPACING = 0.05
 """Wished distance between two points of a resampled centreline [m]."""
 
 ROOM_MARGIN = 0.84
-"""Distance from the road's bounding box to the wall round the room [m] (facts 3.1: 0.76-0.92)."""
+"""From the road's bounding box to the room's wall [m]; the original's is 0.76 to 0.92."""
 
 Rgb = tuple[int, int, int]
 
 
 @dataclass(frozen=True)
 class Colours:
-    """What the floor is painted with, sRGB 0-255 (defaults: re:Invent 2018, facts section 3.1)."""
+    """What the floor is painted with, sRGB 0-255 (defaults: re:Invent 2018)."""
 
     road: Rgb = (36, 49, 64)
     field: Rgb = (95, 136, 104)

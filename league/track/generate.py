@@ -30,7 +30,7 @@ _PALETTES: tuple[dict[str, tuple[int, int, int]], ...] = (
     {"road": (52, 50, 54), "field": (112, 104, 88), "line": (214, 212, 206)},
     {"road": (44, 46, 58), "field": (70, 118, 128), "line": (206, 208, 210)},
 )
-"""Floors to learn on: the defaults, the original's other floor (facts 3.1), and two of our own."""
+"""Floors to learn on: the defaults, the original's other floor, and two of our own."""
 
 
 def generate(

@@ -310,7 +310,7 @@ def _direction(points: np.ndarray, closed: bool) -> str:
 
 
 def _line_is_outside(width: float) -> bool:
-    """Guess the convention from the width (facts 3.1): older hand-made tracks measure inside.
+    """Guess the convention from the width: older hand-made tracks measure inside.
 
     24 and 26 inches, and the 0.906 m of 2020, are the hand-made families.
     """

@@ -18,7 +18,7 @@ from league.errors import ConfigError
 from league.track.course import Rgb, Track
 
 DASH_WIDTH, DASH_LENGTH, DASH_PITCH = 0.025, 0.051, 0.102
-"""Centre dashes [m] (facts 3.1: 1 in, 2 in, 4 in)."""
+"""Centre dashes [m]; the original's are 1 inch wide, 2 long and 4 apart."""
 START_DEPTH, START_SQUARE = 0.1, 0.05
 """Depth of the checkered start line and the side of its squares [m]."""
 START_COLOURS: tuple[Rgb, Rgb] = ((24, 24, 26), (226, 226, 222))

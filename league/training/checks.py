@@ -59,8 +59,8 @@ def memory() -> Iterator[None]:
         yield
     except torch.OutOfMemoryError as error:
         raise ConfigError(
-            f"the device's memory is full ({brief(str(error).partition('. ')[0])}): begin anew "
-            "with fewer --num-worlds, a shorter --rollout or more --mini-batches"
+            f"the device's memory is full ({brief(str(error).partition('. ')[0])}): start a new "
+            "run with fewer --num-worlds, a shorter --rollout or more --mini-batches"
         ) from None
 
 

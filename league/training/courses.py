@@ -51,7 +51,7 @@ def drawn(seed: int) -> Track:
     """Return a random track to train on.
 
     Every third one has bends near the smallest turn a car can make; every third one is narrow with
-    its white lines outside the road, as the older half of the community's tracks are (facts 3.1).
+    its white lines outside the road, as the older half of the community's tracks are.
     """
     length = (15.0, 45.0)
     if seed % 3 == 0:

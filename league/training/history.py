@@ -258,7 +258,7 @@ def read(path: Path) -> list[Row]:
         except (ValueError, TypeError, KeyError) as error:
             raise PolicyError(
                 f"line {number} of {path} is no row of a training's history "
-                f"({type(error).__name__}): take the line out, or begin anew with another --out"
+                f"({type(error).__name__}): remove the line, or start a new run with another --out"
             ) from error
     return rows
 
@@ -271,7 +271,7 @@ def _check_head(path: Path, line: str) -> None:
     if not isinstance(head, dict) or head.get("history") != FORMAT:
         raise PolicyError(
             f"{path} begins with {brief(line[:60])}: a training's history of format {FORMAT} was "
-            "expected, so take the file away or begin anew with another --out"
+            "expected, so take the file away or start a new run with another --out"
         )
 
 

@@ -56,7 +56,7 @@ class Update:
 
 
 class Learner:
-    """PPO with its worlds; what it has learnt can be taken out, saved and gone on from.
+    """PPO with its worlds; what it has learnt can be taken out, saved and resumed.
 
     Where torchrun has started several ranks, each has a learner with worlds of its own. They update
     together, with equal weights, and what is told of rewards and episodes is the rank's own.
@@ -128,7 +128,7 @@ class Learner:
         if {n: v.shape for n, v in mine.items()} != {n: v.shape for n, v in weights.items()}:
             raise PolicyError(
                 "the policy to begin from has other layers, sensors or actions than this run: "
-                "give the run the same, or begin anew"
+                "give the run the same, or start a new run"
             )
         given = {name: torch.from_numpy(value) for name, value in weights.items()}
         self._alg.get_policy().load_state_dict({**own, **given})
@@ -182,7 +182,7 @@ class Learner:
         """Write all that is needed to go on: networks, optimiser, generators, counts, notes.
 
         Of several ranks the first one writes; the others have the same networks, and their own
-        draws begin anew with the rows. It waits for nobody.
+        draws restart with the rows. It does not wait for other ranks.
 
         Raises:
             PolicyError: it cannot be written; a state that was there stays.
@@ -231,8 +231,8 @@ class Learner:
             pickle.UnpicklingError,
         ) as error:
             raise PolicyError(
-                f"{path} cannot be gone on from ({type(error).__name__}): give the run the "
-                "settings it was begun with, or begin anew with another --out"
+                f"{path} cannot be resumed ({type(error).__name__}): give the run the "
+                "settings it was started with, or start a new run with another --out"
             ) from None
         self.start_rows_anew()
         return notes

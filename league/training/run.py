@@ -90,12 +90,12 @@ class Run:
         if cfg.self_play and ranks.count() > 1:
             raise ConfigError(
                 f"self-play learns in one process, and torchrun has started {ranks.count()}: start "
-                "it without torchrun, or leave --self-play away"
+                "it without torchrun, or omit --self-play"
             )
         if train.tutor and (cfg.self_play or cfg.init_from):
             other = "--self-play" if cfg.self_play else "--init-from"
             raise ConfigError(
-                f"a tutor teaches a policy that knows nothing yet: leave --tutor or {other} away"
+                f"a tutor teaches a policy that knows nothing yet: omit --tutor or {other}"
             )
         tracks = courses.together(self._tracks, train.both_directions)
         self.train = train
@@ -144,7 +144,7 @@ class Run:
         """
         if not (self.folder / "state.pt").exists():
             raise PolicyError(
-                f"{self.folder / 'state.pt'} cannot be gone on from: the run stopped before its "
+                f"{self.folder / 'state.pt'} cannot be resumed: the run stopped before its "
                 "first save point, so begin it anew, without --resume"
             )
         notes = self.learner.restore(self.folder / "state.pt")

@@ -94,7 +94,7 @@ class RunConfig:
             if given and 0 < given < before:
                 raise ConfigError(
                     f"{flag} is {given:g}, and the run was begun with {before:g}: give more, "
-                    "counted from the run's beginning, or leave it away"
+                    "counted from the run's beginning, or omit it"
                 )
         return replace(
             self,
@@ -122,7 +122,7 @@ def settings(folder: Path) -> RunConfig:
     except (OSError, ValidationError, ConfigError) as error:
         raise PolicyError(
             f"{path} holds no settings of a run ({type(error).__name__}): give the --out of a run "
-            "that was begun, or leave --resume away"
+            "that was begun, or omit --resume"
         ) from None
 
 

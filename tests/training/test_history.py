@@ -128,7 +128,7 @@ def test_a_loss_that_is_not_a_number_is_kept_as_such(tmp_path):
 def test_a_foreign_file_is_refused(tmp_path, content):
     path = tmp_path / "a.jsonl"
     path.write_text(content)
-    with pytest.raises(PolicyError, match="begin anew with another --out"):
+    with pytest.raises(PolicyError, match="start a new run with another --out"):
         History.resumed(path, 3)
     assert path.read_text() == content
 

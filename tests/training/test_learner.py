@@ -207,7 +207,7 @@ def test_a_state_of_other_layers_is_refused_and_says_so(tmp_path):
     made = learner()
     made.update(0.0)
     made.save(tmp_path / "state.pt", {})
-    with pytest.raises(PolicyError, match="settings it was begun with"):
+    with pytest.raises(PolicyError, match="settings it was started with"):
         learner(sensors=SensorConfig(lidar=LIDAR)).restore(tmp_path / "state.pt")
 
 
@@ -216,7 +216,7 @@ def test_a_file_that_is_no_state_is_refused(tmp_path, content):
     path = tmp_path / "state.pt"
     if content is not None:
         path.write_bytes(content)
-    with pytest.raises(PolicyError, match="cannot be gone on from"):
+    with pytest.raises(PolicyError, match="cannot be resumed"):
         learner().restore(path)
 
 
@@ -274,7 +274,7 @@ def test_what_is_no_generator_of_a_card_is_refused(tmp_path, monkeypatch, wrong)
     card, path = Card(monkeypatch), tmp_path / "state.pt"
     card.learner().save(path, {})
     torch.save({**torch.load(path), "card_generator": wrong}, path)
-    with pytest.raises(PolicyError, match="cannot be gone on from"):
+    with pytest.raises(PolicyError, match="cannot be resumed"):
         card.learner().restore(path)
 
 

@@ -272,7 +272,9 @@ def test_a_full_card_stops_training_in_a_sentence_and_the_checkpoint_is_kept(tmp
         return update(learner, share)
 
     monkeypatch.setattr(Learner, "update", full)
-    with pytest.raises(ConfigError, match=r"memory is full \('CUDA out of memory'\): begin anew"):
+    with pytest.raises(
+        ConfigError, match=r"memory is full \('CUDA out of memory'\): start a new run"
+    ):
         run.learn()
     assert checkpoint.load(tmp_path / "last.pt").card.steps == 2 * small.SAMPLES
 
@@ -413,7 +415,7 @@ def test_state_of_another_run_is_refused(tmp_path):
     before = (tmp_path / "state.pt").read_bytes()
     wider = small.cfg(train=small.train(critic_hidden=(24,)))
     other = small.run(tmp_path, wider)
-    with pytest.raises(PolicyError, match=r"state.pt cannot be gone on from .*: give the run the"):
+    with pytest.raises(PolicyError, match=r"state.pt cannot be resumed .*: give the run the"):
         other.resume()
     assert (tmp_path / "state.pt").read_bytes() == before
 
@@ -422,7 +424,7 @@ def test_state_of_another_run_is_refused(tmp_path):
 def test_state_that_is_none_is_refused(tmp_path, content):
     if content is not None:
         (tmp_path / "state.pt").write_bytes(content)
-    with pytest.raises(PolicyError, match=r"state.pt cannot be gone on from"):
+    with pytest.raises(PolicyError, match=r"state.pt cannot be resumed"):
         small.run(tmp_path).resume()
 
 
@@ -431,7 +433,7 @@ def test_state_that_was_cut_off_is_refused(tmp_path):
     whole = (tmp_path / "state.pt").read_bytes()
     for part in (1000, len(whole) // 2, len(whole) - 1):
         (tmp_path / "state.pt").write_bytes(whole[:part])
-        with pytest.raises(PolicyError, match=r"state.pt cannot be gone on from"):
+        with pytest.raises(PolicyError, match=r"state.pt cannot be resumed"):
             small.run(tmp_path).resume()
 
 

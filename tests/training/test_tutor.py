@@ -207,7 +207,7 @@ def test_a_state_without_a_tutor_is_that_of_another_run(tmp_path):
     plain = learner()
     plain.update(0.0)
     plain.save(tmp_path / "state.pt", {})
-    with pytest.raises(PolicyError, match="cannot be gone on from"):
+    with pytest.raises(PolicyError, match="cannot be resumed"):
         tutored().restore(tmp_path / "state.pt")
 
 

@@ -92,7 +92,7 @@ class Store:
         return Settings(row.name, Ruleset.of(json.loads(row.settings)), row.blobs, row.created_s)
 
     def set_ruleset(self, ruleset: Ruleset) -> None:
-        """Race by other rules from now on; ratings begin anew, old results are kept."""
+        """Race by other rules from now on; ratings start again, old results are kept."""
         with self._database.writing() as connection:
             now = self._database.now(connection)
             number = founding.enact(connection, now, ruleset)

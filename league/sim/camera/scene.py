@@ -49,7 +49,7 @@ WHEEL_SIDES = 10
 WHEEL_X = 0.082
 WHEEL_Y = 0.080
 
-_SUN = (0.5, -0.1, 0.9)  # where the light comes from (facts 3.1)
+_SUN = (0.5, -0.1, 0.9)  # where the light comes from
 _SUN_LENGTH = math.sqrt(sum(part * part for part in _SUN))
 SUN = tuple(part / _SUN_LENGTH for part in _SUN)
 """Unit vector towards the sun, world frame."""

@@ -134,7 +134,7 @@ def shares(
     prioritised: float,
     hardest: float,
 ) -> tuple[float, list[float]]:
-    """Return the share of the newest self, and of each member of the pool (facts 2.2).
+    """Return the share of the newest self, and of each member of the pool.
 
     Args:
         win_rates: the learner's against each member.

@@ -98,7 +98,7 @@ class Pool:
         if found.digest != member.digest:
             raise PolicyError(
                 f"{self.path(member)} is not the policy it was: put back the file of this run, "
-                "or begin anew with another --out"
+                "or start a new run with another --out"
             )
         return found
 

@@ -123,7 +123,7 @@ class SelfPlay:
     def schedule(self, done: float) -> float:
         """Return where the learner's schedules stand when this share of the budget is used up.
 
-        They begin anew when meetings change, which is at a save point.
+        They restart when meetings change, which is at a save point.
         """
         warm_up, done = self._cfg.warm_up, min(max(done, 0.0), 1.0)
         if self._done < warm_up:
@@ -154,8 +154,8 @@ class SelfPlay:
             self._done, self._quickness = float(state["done"]), float(state["quickness"])
         except (KeyError, TypeError, ValueError) as error:
             raise PolicyError(
-                f"the state of self-play cannot be gone on from ({type(error).__name__}): "
-                "begin anew with another --out"
+                f"the state of self-play cannot be resumed ({type(error).__name__}): "
+                "start a new run with another --out"
             ) from None
         self._seat(learner)
 
