@@ -77,7 +77,7 @@ def digest(made: Learner) -> str:
 
 
 def places(made: Learner) -> list[float]:
-    return made.env.race_env.world.motion.x.flatten().tolist()
+    return made.env.race_env.world.cars["x"].ravel().tolist()
 
 
 def rank(folder: Path) -> dict[str, object]:
