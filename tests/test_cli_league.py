@@ -283,3 +283,19 @@ def test_a_run_races_what_was_submitted_and_says_what_it_did(tmp_path, monkeypat
     assert "(validation) a - a" in out and "(rated)" in out and "3 heats, 4 races" in out
     assert main(["retire", "a", "--reason", "tired"]) == 0
     assert "a is retired" in capsys.readouterr().out
+
+
+def test_upgrade_brings_an_older_league_up_to_date_and_makes_none(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["upgrade"]) == 2
+    assert "there is no league" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+    assert main(["init", "--anchors", "centerline"]) == 0
+    with sqlite3.connect("league.db") as database:
+        database.execute("ALTER TABLE results DROP COLUMN rejected")
+        database.execute("UPDATE alembic_version SET version_num = '0001'")
+    assert main(["standings"]) == 2
+    assert "bring it up to date with `league upgrade`" in capsys.readouterr().err
+    assert main(["upgrade"]) == 0
+    assert "is up to date" in capsys.readouterr().out
+    assert main(["standings"]) == 0

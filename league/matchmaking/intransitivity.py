@@ -1,7 +1,7 @@
-"""Does one number a driver tell the truth? Who beats whom beyond what the ratings say, and cycles.
+"""Goodness of fit of the ratings, and cycles: who beats whom beyond what the ratings say.
 
 Ratings promise that A beats C if A beats B and B beats C. Pearson's chi-square over pairs tests
-the promise; where it is broken a Nash mixture says who would be raced by somebody who may choose.
+the promise.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from league.errors import ConfigError
 from league.matchmaking.ratings import evidence as ev
 from league.matchmaking.ratings.evidence import ELO, Evidence
 from league.matchmaking.ratings.field import Field
@@ -19,8 +18,6 @@ from league.matchmaking.ratings.table import Ratings
 
 LEAST_VARIANCE = 1.0
 """Pairs whose score the model leaves less room than this [points^2] are too thin to be judged."""
-MOST_FOR_NASH = 200
-"""Entries up to which a Nash mixture is offered."""
 
 
 @dataclass(frozen=True)
@@ -61,18 +58,6 @@ class Goodness:
     """Pairs in the sum."""
     dispersion: float
     """Scatter of the heats of one pair over that of independent races; 1 or more."""
-
-
-@dataclass(frozen=True)
-class NashMixture:
-    """The mixed field nobody beats on average, the most even one if there are several."""
-
-    entries: np.ndarray
-    """Entry numbers, (entries,)."""
-    shares: np.ndarray
-    """Share of each entry in the mixture, sum 1, (entries,)."""
-    scores: np.ndarray
-    """Expected score of each entry against the mixture; 0.5 for those in it, (entries,)."""
 
 
 def goodness_of_fit(results: Results | Field, ratings: Ratings, *, level: float = 0.01) -> Goodness:
@@ -200,78 +185,3 @@ def _freedom(found: dict[str, np.ndarray], judged: np.ndarray, ratings: Ratings)
     graph = sparse.coo_array((np.ones(len(one)), (one, other)), shape=(size, size))
     groups = csgraph.connected_components(graph, directed=False)[0]
     return float(judged.sum() - (size - groups))
-
-
-def nash_average(goodness: Goodness, ratings: Ratings, *, caution: float = 4.0) -> NashMixture:
-    """Return the most even equilibrium of the game in which each side picks an entry to race.
-
-    Args:
-        goodness: the head-to-head records.
-        ratings: what pairs are expected to do that have not met often.
-        caution: races as the ratings promise them, added to each pair's record.
-
-    Raises:
-        ConfigError: the field is too large.
-    """
-    size = len(ratings.entries)
-    if size > MOST_FOR_NASH:
-        raise ConfigError(
-            f"{size} entries are too many for a Nash mixture: choose up to {MOST_FOR_NASH}"
-        )
-    gaps = (ratings.elo[:, None] - ratings.elo[None]) / ELO
-    payoff = 1.0 / (1.0 + np.exp(-gaps)) - 0.5
-    pairs = goodness.pairs
-    one, other = np.searchsorted(ratings.entries, [pairs.one, pairs.other])
-    # The slots' worth is taken out: what counts is the record beyond the promise of its own slots.
-    beyond = (pairs.points - pairs.expected) / (pairs.races + caution)
-    payoff[one, other] += beyond
-    payoff[other, one] -= beyond
-    payoff = np.clip(payoff, -0.5, 0.5)
-    shares = equilibrium(payoff)
-    return NashMixture(ratings.entries, shares, 0.5 + payoff @ shares)
-
-
-def equilibrium(payoff: np.ndarray) -> np.ndarray:
-    """Return the equilibrium of largest entropy of a symmetric zero-sum game, (n,).
-
-    A linear programme finds which choices any equilibrium can use: it maximises the least of
-    share + loss against the shares over all choices (positive in one of the two for every choice,
-    Goldman and Tucker 1956). Among them the dual of the entropy is smooth.
-    """
-    from scipy.optimize import linprog, minimize
-
-    n = len(payoff)
-    # max t:  payoff @ x <= 0,  x - payoff @ x >= t,  x >= 0,  sum x = 1.
-    above = np.concatenate([payoff, np.zeros((n, 1))], axis=1)
-    strict = np.concatenate([payoff - np.eye(n), np.ones((n, 1))], axis=1)
-    solved = linprog(
-        np.append(np.zeros(n), -1.0),
-        A_ub=np.concatenate([above, strict]),
-        b_ub=np.zeros(2 * n),
-        A_eq=np.append(np.ones(n), 0.0)[None],
-        b_eq=[1.0],
-        bounds=[(0, None)] * (n + 1),
-        method="highs",
-    )
-    if solved.status != 0:
-        raise ArithmeticError(f"the linear programme of the Nash mixture failed: {solved.message}")
-    shares, least = solved.x[:n], solved.x[n]
-    used = shares > 0.5 * least
-    losses = payoff[:, used]  # (choices, used)
-
-    def dual(prices: np.ndarray) -> tuple[float, np.ndarray]:
-        raised = -prices @ losses
-        top = raised.max()
-        weights = np.exp(raised - top)
-        total = weights.sum()
-        return float(top + np.log(total)), -losses @ (weights / total)
-
-    bounds = [(None, None) if own else (0, None) for own in used]
-    options = {"maxiter": 5000, "maxfun": 20000, "ftol": 1e-15, "gtol": 1e-10}
-    best = minimize(dual, np.zeros(n), jac=True, bounds=bounds, method="L-BFGS-B", options=options)
-    raised = -best.x @ losses
-    even = np.zeros(n)
-    even[used] = np.exp(raised - raised.max())
-    even /= even.sum()
-    # Rounding may leave the entropy's answer worse than the programme's own.
-    return even if (payoff @ even).max() < 1e-6 else shares / shares.sum()

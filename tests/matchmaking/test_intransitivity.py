@@ -1,4 +1,4 @@
-"""Cycles: found where they were planted, not found where they were not, and what then."""
+"""Cycles: found where they were planted, not found where they were not."""
 
 import itertools
 import sys
@@ -10,11 +10,8 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from fields import raced, random_grids
 
-from league.errors import ConfigError
-from league.matchmaking.intransitivity import equilibrium, goodness_of_fit, nash_average
+from league.matchmaking.intransitivity import goodness_of_fit
 from league.matchmaking.ratings import Field, Results, expected_score, fit, rate
-
-ROCK_PAPER_SCISSORS = np.array([[0, 1, -1], [-1, 0, 1], [1, -1, 0]]) / 2
 
 
 def round_robin(generator, leads, races, track_sd=0.0) -> Results:
@@ -145,48 +142,3 @@ def test_one_race_proves_nothing():
     assert (told.rejected, told.p_value, told.judged) == (False, 1.0, 0)
     empty = Results(np.zeros(0, int), np.zeros((0, 2), int), np.zeros((0, 2), int))
     assert not goodness_of_fit(empty, fit(empty, entries=range(3))).rejected
-
-
-def test_equilibria_by_hand():
-    assert equilibrium(ROCK_PAPER_SCISSORS) == pytest.approx([1 / 3] * 3, abs=1e-6)
-    # Losing by 2 and 3 instead of 1: the shares are as the stakes opposite, 3 : 2 : 1.
-    uneven = np.array([[0, 1, -2], [-1, 0, 3], [2, -3, 0]])
-    assert equilibrium(uneven) == pytest.approx([1 / 2, 1 / 3, 1 / 6], abs=1e-6)
-    ladder = np.array([[0, 0.1, 0.2], [-0.1, 0, 0.1], [-0.2, -0.1, 0]])
-    assert equilibrium(ladder) == pytest.approx([1, 0, 0], abs=1e-6)
-
-
-def test_equals_share_evenly():
-    # Any mixture is an equilibrium of a game without stakes; two clones of rock share rock's part.
-    assert equilibrium(np.zeros((4, 4))) == pytest.approx([1 / 4] * 4, abs=1e-6)
-    clones = ROCK_PAPER_SCISSORS[np.ix_([0, 0, 1, 2], [0, 0, 1, 2])]
-    assert equilibrium(clones) == pytest.approx([1 / 6, 1 / 6, 1 / 3, 1 / 3], abs=1e-6)
-
-
-def test_nobody_beats_the_mixture_of_a_large_field():
-    generator = np.random.default_rng(7)
-    stakes = generator.normal(0, 0.1, (80, 80))
-    stakes = stakes - stakes.T
-    shares = equilibrium(stakes)
-    assert shares.sum() == pytest.approx(1)
-    assert (stakes @ shares).max() < 1e-6
-    assert (shares >= 0).all()
-
-
-def test_nash_average_puts_a_cycle_level_and_the_rest_below():
-    generator = np.random.default_rng(8)
-    leads = leads_of(np.array([150.0, 150, 150, 0, -50, -100]), 0.85)
-    results = round_robin(generator, leads, 200)
-    ratings = fit(results)
-    told = nash_average(goodness_of_fit(results, ratings), ratings)
-    assert told.shares[:3] == pytest.approx([1 / 3] * 3, abs=0.12)
-    assert told.shares[3:] == pytest.approx([0, 0, 0], abs=1e-6)
-    assert told.scores[:3] == pytest.approx([0.5] * 3, abs=1e-6)
-    assert (told.scores[3:] < 0.4).all()
-
-
-def test_fields_too_large_for_a_mixture_are_refused():
-    results = Results(np.array([0]), np.array([[0, 1]]), np.array([[1, 2]]))
-    ratings = fit(results, entries=range(201))
-    with pytest.raises(ConfigError, match="201 entries are too many"):
-        nash_average(goodness_of_fit(results, ratings), ratings)

@@ -113,6 +113,20 @@ class Retire(OnLeague):
         return 0
 
 
+@dataclass
+class Upgrade(OnLeague):
+    """Bring the tables of a league that an older version made up to date; make a backup first."""
+
+    def run(self) -> int:
+        """Run the command."""
+        from league.matchmaking import store
+
+        store.upgrade(self.address)
+        with self.opened() as league:
+            print(f"The league in {league.url} is up to date.")
+        return 0
+
+
 def _init(command: Init) -> int:
     from league.matchmaking import season
     from league.matchmaking.store import create
@@ -199,4 +213,10 @@ def _submit(command: Submit) -> int:
     return 0
 
 
-COMMANDS = {"init": Init, "submit": Submit, "entries": Entries, "retire": Retire}
+COMMANDS = {
+    "init": Init,
+    "submit": Submit,
+    "entries": Entries,
+    "retire": Retire,
+    "upgrade": Upgrade,
+}

@@ -60,8 +60,8 @@ def found(database: Database, name: str, ruleset: Ruleset, blobs: str) -> None:
         diary.note(connection, now, "league", "found", name, ruleset=ruleset.hash)
 
 
-def check(database: Database) -> None:
-    """Refuse a database without a league, or with tables of another version."""
+def version_of(database: Database) -> str:
+    """Return the version of a league's tables; refuse a database without a league."""
     path = database.path
     if path is not None and not path.is_file():
         raise StoreError(f"there is no league in {database.shown}: make one with `league init`")
@@ -74,15 +74,21 @@ def check(database: Database) -> None:
         raise StoreError(
             f"{database.shown} holds no league: make one with `league init`, or give another place"
         )
-    if str(version) > SCHEMA:
+    return str(version)
+
+
+def check(database: Database) -> None:
+    """Refuse a database without a league, or with tables of another version."""
+    version = version_of(database)
+    if version > SCHEMA:
         raise StoreError(
             f"the league in {database.shown} has tables of version {version}, this program knows "
             f"{SCHEMA}: install a newer racing-league"
         )
-    if str(version) < SCHEMA:
+    if version < SCHEMA:
         raise StoreError(
             f"the league in {database.shown} has tables of version {version}, this program needs "
-            f"{SCHEMA}: make a backup, then bring it up to date with store.upgrade"
+            f"{SCHEMA}: make a backup, then bring it up to date with `league upgrade`"
         )
 
 

@@ -354,9 +354,14 @@ def create(
 
 
 def upgrade(url: str) -> None:
-    """Bring the tables of an older league up to date; all of it or nothing."""
+    """Bring the tables of an older league up to date; all of it or nothing.
+
+    Raises:
+        StoreError: there is no league, or a newer program made it.
+    """
     database = Database(url)
     try:
+        founding.version_of(database)
         with database.writing() as connection:
             database.alone(connection)
             founding.migrate(connection)
