@@ -14,13 +14,10 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any, Literal
 
-from league.sim.config import RaceKind, SolverName
+from league.sim.config import MAX_CARS, RaceKind, SolverName
 from league.sim.version import PHYSICS
 
 Purpose = Literal["rated", "validation", "audit", "gauntlet"]
-
-MAX_CARS = 8
-"""Cars in a race at most."""
 
 
 def canonical(value: object) -> bytes:

@@ -14,7 +14,6 @@ import numpy as np
 
 from league.matchmaking.grids import Grids
 from league.matchmaking.plans import (
-    MOST_CARS,
     RATED_STATES,
     HeatPlan,
     Lane,
@@ -26,7 +25,6 @@ from league.matchmaking.plans import (
 )
 
 __all__ = [
-    "MOST_CARS",
     "RATED_STATES",
     "HeatPlan",
     "Lane",

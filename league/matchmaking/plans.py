@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from league.errors import ConfigError
+from league.sim.config import MAX_CARS
 
 State = Literal["pending", "validating", "placement", "provisional", "ranked", "retired"]
 """An entry's way: handed in, racing itself and an anchor, then rated ever more surely."""
@@ -14,8 +15,6 @@ Lane = Literal["connection", "coverage", "informed", "random", "validation"]
 
 RATED_STATES: tuple[State, ...] = ("placement", "provisional", "ranked")
 """States in which an entry is paired for rated heats."""
-MOST_CARS = 8
-"""Cars on the largest grid."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +46,8 @@ class PairingSettings:
 
     def __post_init__(self) -> None:
         """Check sizes and shares."""
-        if not 2 <= self.field_size <= MOST_CARS:
-            raise ConfigError(f"field_size is {self.field_size}: races have 2 to {MOST_CARS} cars")
+        if not 2 <= self.field_size <= MAX_CARS:
+            raise ConfigError(f"field_size is {self.field_size}: races have 2 to {MAX_CARS} cars")
         if not self.tracks:
             raise ConfigError("there are no tracks to race on: name one or more")
         shares = self.coverage_share, self.informed_share, self.anchor_share

@@ -23,7 +23,7 @@ import numpy as np
 from league.errors import ConfigError
 from league.sim import suspension
 from league.sim.config import SimConfig
-from league.sim.settings import settings
+from league.sim.settings import HALF_WALL, RESTITUTION_FROM, settings
 from league.sim.world import is_frozen
 
 MAX_WORLDS = 1000
@@ -34,12 +34,8 @@ WALL_HEIGHT = 2.0
 """Height of the walls [m]: no car gets over them."""
 HEAVY = 1e7
 """Mass of what moves and cannot be pushed [kg]: Bullet takes a body of mass 0 to be standing."""
-HALF_WALL = 5.0
-"""Half the thickness of a wall [m]."""
 ITERATIONS = 20
 """Rounds of Bullet's impulse solver in a physics step."""
-RESTITUTION_FROM = 0.05
-"""Slowest approach that bounces [m/s]."""
 
 _PARTS = ((0.74, -0.74, 0.96), (1.0, -1.0, 1.0), (0.28, -0.68, 0.66))
 """Skirt, shell and cabin of a car, much as they are drawn: where each begins and ends along the

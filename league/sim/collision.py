@@ -19,12 +19,12 @@ import numpy as np
 
 from league.jit import inner
 from league.portable_math import sincos
+from league.sim.settings import RESTITUTION_FROM
 
 X, Y, YAW, VX, VY, TURN = range(6)
 """Columns of a body: world frame [m, rad], velocity [m/s] and yaw rate [rad/s]."""
 
-RESTITUTION_FROM = np.float32(0.05)
-"""Slowest approach that bounces [m/s]."""
+_RESTITUTION_FROM = np.float32(RESTITUTION_FROM)
 SLOP = np.float32(0.0005)
 """Overlap that is left alone [m]."""
 MENDED = np.float32(0.2)
@@ -186,7 +186,7 @@ def _goals(one, two, touch, dt, restitution):
         speed_y = two[VY] + two[TURN] * touch[8 + k] - (one[VY] + one[TURN] * touch[4 + k])
         parting = speed_x * n_x + speed_y * n_y
         # Bodies that would meet within this step bounce now; slow ones just close the gap.
-        if parting < -RESTITUTION_FROM and gap + parting * dt < _ZERO:
+        if parting < -_RESTITUTION_FROM and gap + parting * dt < _ZERO:
             goal = parting * -restitution
         else:
             goal = max(gap, _ZERO) * (-_ONE / dt)

@@ -11,10 +11,10 @@ import numpy as np
 from league.jit import inner
 from league.portable_math import f32, wrap_angle
 from league.sim.collision import part
+from league.sim.settings import HALF_WALL
 from league.sim.vehicle import frozen, late_steps, push
 
-HALF_WALL = f32(5.0)
-"""Half the thickness of a wall [m]."""
+_HALF_WALL = f32(HALF_WALL)
 REACH_MARGIN = f32(0.1)
 """Added to the distance two bodies may close in a control step [m]; covers what forces add."""
 NUM_WALLS = 4
@@ -229,11 +229,11 @@ def _bodies(cars, obstacles, course, settings):
         side = _ONE if wall == 0 or wall == 2 else -_ONE
         row = fixed + wall
         if wall < 2:
-            _write(bodies[row], middle_x + side * (half_x + HALF_WALL), middle_y, _ZERO)
-            boxes[row, 0], boxes[row, 1] = HALF_WALL, half_y + HALF_WALL
+            _write(bodies[row], middle_x + side * (half_x + _HALF_WALL), middle_y, _ZERO)
+            boxes[row, 0], boxes[row, 1] = _HALF_WALL, half_y + _HALF_WALL
         else:
-            _write(bodies[row], middle_x, middle_y + side * (half_y + HALF_WALL), _ZERO)
-            boxes[row, 0], boxes[row, 1] = half_x + HALF_WALL, HALF_WALL
+            _write(bodies[row], middle_x, middle_y + side * (half_y + _HALF_WALL), _ZERO)
+            boxes[row, 0], boxes[row, 1] = half_x + _HALF_WALL, _HALF_WALL
     return bodies, boxes
 
 

@@ -10,6 +10,10 @@ from league.sim.config import SimConfig
 
 GRAVITY = 9.81
 """[m/s^2]."""
+HALF_WALL = 5.0
+"""Half the thickness of a wall [m]."""
+RESTITUTION_FROM = 0.05
+"""Slowest approach that bounces [m/s]."""
 
 _F4, _I8, _BOOL = np.float32, np.int64, np.bool_
 SETTINGS = np.dtype(
