@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Literal
 
 from benchmarks.report import figure, heading, machine
-from league import race, side_process
+from league import race, subprocesses
 from league.agents import checkpoint
 from league.agents.checkpoint import Checkpoint
 from league.matchmaking import executors, running, season, submission
@@ -149,7 +149,7 @@ def _started(count: int, start: Callable[..., BaseProcess]) -> tuple[float, floa
     """
     began, pipes, workers = time.perf_counter(), [], []
     for _ in range(count):
-        ours, theirs = side_process.CONTEXT.Pipe()
+        ours, theirs = subprocesses.CONTEXT.Pipe()
         workers.append(start(processes._work, theirs))
         theirs.close()
         pipes.append(ours)
@@ -174,9 +174,9 @@ def starting(workers: int = 4) -> None:
         return process
 
     each_s, each_mb = _started(workers, alone)
-    side_process.prepare()
-    first_s, _ = _started(1, side_process.start)
-    served_s, served_mb = _started(workers, side_process.start)
+    subprocesses.prepare()
+    first_s, _ = _started(1, subprocesses.start)
+    served_s, served_mb = _started(workers, subprocesses.start)
     print(f"{workers} workers, all ready; the first of a server after {first_s:.2f} s:")
     figure("  each loads torch for itself", each_s, "s")
     figure("  forked off a server that has", served_s, "s")

@@ -12,11 +12,11 @@ import numpy as np
 
 from league.agents.driver import Driver
 from league.agents.seats import Seat, Seats
-from league.envs.book import Book, classify
 from league.envs.config import EnvConfig, RewardConfig
 from league.envs.race_env import Observations, RaceEnv, Step
 from league.envs.sensing import Sensing
 from league.errors import ConfigError, PolicyError
+from league.race_log import RaceLog, classify
 from league.race_spec import Entry, RaceResult, RaceSpec
 from league.sim.config import CarConfig, ObstacleConfig, RaceRules, SimConfig, Spread
 from league.sim.world import World
@@ -251,7 +251,7 @@ class _Race:
         self.readings: Observations = ()
         # Its own, because the drivers of another race may carry other sensors.
         self._sensing = Sensing(tracks, cfg)
-        self._book = Book(cfg.sim.step_dt, cfg.sim.num_cars)
+        self._log = RaceLog(cfg.sim.step_dt, cfg.sim.num_cars)
         self._faults = [0] * cfg.sim.num_cars
         self._recorder = None
         if contest.record:
@@ -269,7 +269,7 @@ class _Race:
         """Count a car's failures in a row; return whether its driver's race is over by them."""
         self._faults[car] = self._faults[car] + 1 if failed else 0
         if failed:
-            self._book.add("driver_fault", car, value=float(self._faults[car]))
+            self._log.add("driver_fault", car, value=float(self._faults[car]))
         return self._faults[car] >= FAULTS_TO_END
 
     def follow(self, world: World, news: tuple[np.ndarray, np.ndarray] | None, over: bool) -> None:
@@ -280,14 +280,14 @@ class _Race:
             news: the referee's verdicts, and who came to the wall, if there was anything.
             over: whether it was the last one.
         """
-        self._book.steps += 1
+        self._log.steps += 1
         if news is not None:
-            self._book.note(*news, world)
+            self._log.note(*news, world)
             self._sensing.refresh_after(news[0][np.newaxis])
         if self._recorder:
             self._recorder.add(world)
         if over:
-            self.result = classify(self.spec, world, self._book)
+            self.result = classify(self.spec, world, self._log)
         self._seen(world)
 
     def finished(self) -> Finished:

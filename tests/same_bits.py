@@ -17,7 +17,7 @@ from league.envs.meeting import Meeting
 from league.envs.race_env import RaceEnv
 from league.envs.state import INDEX
 from league.portable_math import f32
-from league.sim import config, draws
+from league.sim import config, rng
 from league.track import files
 from league.track.course import TrackSet
 
@@ -73,9 +73,9 @@ def _actions(env: RaceEnv, number: int) -> np.ndarray:
         state[..., INDEX[name]] for name in ("lateral", "heading_error", "curvature_0.25m")
     )
     follow = (bend - f32(1.5) * lateral - f32(2.5) * heading) * f32(0.3)
-    swerve = draws.uniform(worlds, _STEERING, number, cars) - f32(0.5)
+    swerve = rng.uniform(worlds, _STEERING, number, cars) - f32(0.5)
     steering = np.where(np.isinf(env.world.cars["finish_s"]), follow, f32(0.0)) + swerve
-    speed = draws.uniform(worlds, _SPEED, number, cars) - f32(0.6)
+    speed = rng.uniform(worlds, _SPEED, number, cars) - f32(0.6)
     return np.stack([steering.clip(-1, 1), speed], axis=-1)
 
 
@@ -104,7 +104,7 @@ def decided() -> np.ndarray:
     groups: dict[str, np.ndarray] = {}
     for group, shape in trained.card.group_shapes.items():
         place = np.arange(int(np.prod(shape)))
-        numbers = draws.uniform(rows[:, None], len(shape), place[None, :]).reshape(-1, *shape)
+        numbers = rng.uniform(rows[:, None], len(shape), place[None, :]).reshape(-1, *shape)
         groups[group] = (numbers * f32(255)).astype(np.uint8) if len(shape) == 3 else numbers
     return Policy(trained, config.CarConfig()).outputs(groups)
 

@@ -11,15 +11,15 @@ import pytest
 
 HOUSE = Path(__file__).parents[1] / "league"
 FLOORS = {
-    "league": 1, "errors": 1, "whole_file": 1, "jit": 1, "portable_math": 1,
+    "league": 1, "errors": 1, "atomic_file": 1, "jit": 1, "portable_math": 1,
     "track": 2,
     "sim": 3,
-    "race_spec": 4, "envs": 4, "replay": 4, "racing_line": 4,
+    "race_spec": 4, "race_log": 4, "envs": 4, "replay": 4, "racing_line": 4,
     "agents": 5, "rerun_view": 5, "video": 5, "web_viewer": 5,
     "race": 6,
-    "evaluation": 6.5, "side_process": 6.6, "training": 6.7,
+    "evaluation": 6.5, "subprocesses": 6.6, "training": 6.7,
     "matchmaking": 7,
-    "web": 8, "precompile": 8,
+    "precompile": 8,
     "cli": 9, "__main__": 9,
 }  # fmt: skip
 HEAVY = {

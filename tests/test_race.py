@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from scenes import follow_center, make_ring, make_square, make_straight
 
-from league import race
+from league import race, race_log
 from league.agents import roster
-from league.envs import book
 from league.errors import ConfigError, LeagueError
 from league.race_spec import CarResult, Entry, RaceResult, RaceSpec, checked
 from league.sim.config import CameraConfig, CarConfig, LidarConfig, SensorConfig
@@ -361,7 +360,7 @@ STUCK = result_of(car=3, finished=False, laps=0, total_s=40.0, lap_times_s=(), d
 )
 def test_ranking_by_total_best_or_average(ranking, order):
     spec = RaceSpec(ranking=ranking, entries=(Entry(name="x"),))
-    placed = sorted([STUCK, SLOW, A, B], key=lambda car: book.merit(spec, car))
+    placed = sorted([STUCK, SLOW, A, B], key=lambda car: race_log.merit(spec, car))
     assert [car.car for car in placed] == order
 
 
@@ -369,7 +368,7 @@ def test_equal_times_are_told_apart_by_mistakes_then_by_the_grid():
     spec = RaceSpec(entries=(Entry(name="x"),))
     clean = result_of(car=2)
     careless, lucky = result_of(car=0, off_tracks=1), result_of(car=1)
-    placed = sorted([clean, careless, lucky], key=lambda car: book.merit(spec, car))
+    placed = sorted([clean, careless, lucky], key=lambda car: race_log.merit(spec, car))
     assert [car.car for car in placed] == [1, 2, 0]
 
 

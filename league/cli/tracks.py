@@ -9,9 +9,9 @@ from typing import Annotated, Literal
 
 import tyro
 
+from league.atomic_file import replacing
 from league.cli import tables
 from league.errors import TrackError
-from league.whole_file import replacing
 
 
 @dataclass

@@ -211,8 +211,8 @@ def _hand_over(best: Path, out: Path) -> None:
     """Copy a run's best policy to where it was asked for."""
     import shutil
 
+    from league.atomic_file import replacing
     from league.errors import PolicyError
-    from league.whole_file import replacing
 
     with replacing(out, "the checkpoint", PolicyError) as file:
         shutil.copyfile(best, file)

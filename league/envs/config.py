@@ -5,8 +5,8 @@ from typing import Literal
 
 from league.envs.meeting import Meeting
 from league.errors import ConfigError
-from league.sim.checks import check, ranged
 from league.sim.config import LookConfig, SensorConfig, SimConfig, SolverName
+from league.sim.validation import check, ranged
 
 
 def _weight(default: float) -> float:

@@ -14,7 +14,7 @@ from league.jit import inner
 from league.portable_math import atan, clamp, f32, heading_of, wrap, wrap_angle
 from league.sim import grid
 from league.sim import obstacles as obstacles_room
-from league.sim.draws import SEED_MASK, bits_of, uniform_of
+from league.sim.rng import SEED_MASK, bits_of, uniform_of
 from league.sim.settings import GRAVITY
 from league.track.projection import curvature_at, frame_at, signed_gap
 

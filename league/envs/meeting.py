@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from league.errors import ConfigError
-from league.sim.checks import check, ranged
+from league.sim.validation import check, ranged
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from pettingzoo import ParallelEnv
 
 from league.envs import actions as door_actions
 from league.envs import infos, problem, seeds, spaces
-from league.envs.pictures import Pictures
 from league.envs.problem import Settings
 from league.envs.race_env import Observations, RaceEnv, Step
+from league.envs.rendering import Pictures
 from league.track.course import Track
 
 Told = dict[str, np.ndarray]

@@ -16,7 +16,7 @@ from league.envs.rewards import Reward
 from league.envs.sensing import Sensing
 from league.envs.threads import over_worlds
 from league.errors import ActionError, ConfigError, WorldError
-from league.sim import draws, planar, records
+from league.sim import planar, records, rng
 from league.sim.config import SimConfig
 from league.sim.settings import settings
 from league.sim.world import World
@@ -318,7 +318,7 @@ class RaceEnv:
         self._seed = seed
         if seeds is None:
             numbers = np.arange(self.num_worlds)
-            seeds = draws.bits(seed, _WORLD_SEED, numbers) & draws.SEED_MASK
+            seeds = rng.bits(seed, _WORLD_SEED, numbers) & rng.SEED_MASK
         given = np.asarray(seeds, np.int64)
         if given.shape != (self.num_worlds,):
             raise ValueError(f"seeds have shape {given.shape}: give ({self.num_worlds},)")

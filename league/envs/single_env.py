@@ -11,8 +11,8 @@ import numpy as np
 
 from league.envs import actions, infos, problem, seeds, spaces
 from league.envs.driver import Driver
-from league.envs.pictures import Pictures
 from league.envs.problem import Settings
+from league.envs.rendering import Pictures
 from league.envs.seat import Seat
 from league.errors import ActionError
 from league.sim.config import RaceKind

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from league.atomic_file import replacing
 from league.envs.action_space import ActionSpace, DiscreteActions
 from league.envs.deepracer import telling
 from league.envs.deepracer.lines import Lines
@@ -22,7 +23,6 @@ from league.evaluation.runs import Moment
 from league.sim import referee
 from league.sim.records import NOBODY
 from league.sim.world import is_frozen
-from league.whole_file import replacing
 
 COLUMNS = (
     "episode",

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from league.atomic_file import replacing
 from league.errors import StoreError
 from league.matchmaking import keys
-from league.whole_file import replacing
 
 MAX_BYTES = 64 * 1024 * 1024
 """Largest blob [bytes]."""

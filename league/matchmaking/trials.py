@@ -10,12 +10,12 @@ import numpy as np
 
 from league.agents.checkpoint import Checkpoint
 from league.errors import ConfigError, StoreError
-from league.matchmaking import keys, ratings, sequential, standings, submission
+from league.matchmaking import keys, ratings, sprt, standings, submission
 from league.matchmaking.crew import contestant
 from league.matchmaking.executors import Executor
 from league.matchmaking.keys import Heat
 from league.matchmaking.ratings import Ratings, Results
-from league.matchmaking.sequential import Comparison, SequentialSettings
+from league.matchmaking.sprt import Comparison, SequentialSettings
 from league.matchmaking.store import RATED, Entry, Outcome, Store
 from league.matchmaking.worker import Contestant, Job, Report, check_physics
 
@@ -307,7 +307,7 @@ def compare(
     salt = secrets.token_bytes(16)
     duels = [duel(store, one.id, other.id, draw, salt) for draw in range(most_heats)]
     scores: list[float] = []
-    found = sequential.compare(np.array(scores), settings)
+    found = sprt.compare(np.array(scores), settings)
 
     def judge(outcome: Outcome) -> bool:
         nonlocal found
@@ -318,7 +318,7 @@ def compare(
             for half, told in zip(heat.halves, outcome.races, strict=True)
         ]  # fmt: skip
         scores.append(float(np.mean(points)))
-        found = sequential.compare(np.array(scores), settings)
+        found = sprt.compare(np.array(scores), settings)
         watch(found)
         return found.decision == "undecided"
 

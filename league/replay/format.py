@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from league.atomic_file import replacing
 from league.errors import ReplayError, TrackError
 from league.race_spec import RaceResult
 from league.replay.columns import (
@@ -24,7 +25,6 @@ from league.replay.replay import PARAMETERS, Replay
 from league.sim.config import MAX_CARS
 from league.track import files
 from league.track.course import Track
-from league.whole_file import replacing
 
 MAGIC = b"\x89RACE\r\n\x1a"
 """Like PNG's: a text transfer breaks the line end, `type` stops at the last byte."""

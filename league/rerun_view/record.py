@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
+from league.atomic_file import replacing
 from league.errors import ReplayError
 from league.replay import Replay, story
 from league.replay.replay import JUMP
@@ -19,7 +20,6 @@ from league.rerun_view.shapes import Mesh
 from league.sim.camera.scene import BOT_COLOUR, BOX_COLOUR, CAR, CAR_COLOURS
 from league.sim.config import ObstacleConfig
 from league.track.course import Track
-from league.whole_file import replacing
 
 WALL_OPACITY = 0.3
 SHADOW_OPACITY = 0.45

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from league.errors import ConfigError, brief
-from league.sim.checks import check, is_number, ranged
+from league.sim.validation import check, is_number, ranged
 
 RaceKind = Literal["time_trial", "obstacle_avoidance", "head_to_head"]
 SolverName = Literal["planar", "bullet"]

@@ -10,7 +10,7 @@ import numpy as np
 from league.jit import inner
 from league.portable_math import f32, heading_of, wrap_angle
 from league.sim import obstacles as obstacles_room
-from league.sim.draws import uniform_of
+from league.sim.rng import uniform_of
 from league.sim.vehicle import frozen
 from league.track.projection import frame_at, signed_gap
 

@@ -17,14 +17,14 @@ import numpy as np
 from league.jit import compiled, inner
 from league.portable_math import f32, sincos
 from league.sim.config import LidarConfig, SimConfig
-from league.sim.draws import normal_of
+from league.sim.rng import normal_of
 from league.sim.world import World
 from league.track.course import TrackSet
 
 NEAR_SECTOR = 0.5
 """A sector reads 1 when something stands within this range [m]."""
 
-_NOISE = 7_320_001  # purpose of the draws (see league.sim.draws)
+_NOISE = 7_320_001  # purpose of the draws (see league.sim.rng)
 _FAR, _TINY, _ZERO, _HALF = f32(1e9), f32(1e-9), f32(0.0), f32(0.5)
 
 

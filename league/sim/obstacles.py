@@ -9,7 +9,7 @@ import numpy as np
 
 from league.jit import inner
 from league.portable_math import atan, clamp, f32, heading_of, wrap_angle
-from league.sim.draws import uniform_of
+from league.sim.rng import uniform_of
 from league.track.projection import frame_at
 
 _PLACE, _LANE, _PERIOD = 101, 102, 103

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
+from league.atomic_file import replacing
 from league.errors import TrackError, nearest_names
 from league.track import build, schema
 from league.track.course import Colours, Track
-from league.whole_file import replacing
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 

@@ -15,8 +15,8 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from league.atomic_file import replacing
 from league.errors import PolicyError, brief
-from league.whole_file import replacing
 
 if TYPE_CHECKING:
     from league.evaluation import Evaluation

@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from league import side_process
+from league import subprocesses
 from league.agents import roster
 from league.agents.checkpoint import Checkpoint
 from league.agents.policy import Policy
@@ -110,8 +110,8 @@ class Judge:
         self._exam, self._waiting, self._done = exam, 0, []
         self._beside, self._process = beside, None
         if beside:
-            side_process.prepare()
-            self._orders, self._answers = side_process.CONTEXT.Queue(), side_process.CONTEXT.Queue()
+            subprocesses.prepare()
+            self._orders, self._answers = subprocesses.CONTEXT.Queue(), subprocesses.CONTEXT.Queue()
             # Left unread, an order would keep this process from ending.
             self._orders.cancel_join_thread()
 
@@ -132,7 +132,7 @@ class Judge:
             self._done.append(Judgement(number, evaluation, time.perf_counter() - started))
             return
         if self._process is None:
-            self._process = side_process.start(_work, self._exam, self._orders, self._answers)
+            self._process = subprocesses.start(_work, self._exam, self._orders, self._answers)
         self._waiting += 1
         self._orders.put((number, checkpoint.card, dict(checkpoint.weights)))
 

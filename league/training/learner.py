@@ -17,6 +17,7 @@ from rsl_rl.models import MLPModel
 from rsl_rl.modules.distribution import GaussianDistribution
 
 from league.agents import network
+from league.atomic_file import replacing
 from league.envs.vec_env import RacingVecEnv
 from league.errors import PolicyError
 from league.training import mirror, ranks
@@ -24,7 +25,6 @@ from league.training.episodes import Episodes
 from league.training.models import actor_settings
 from league.training.scale import ReturnScale
 from league.training.settings import TrainConfig
-from league.whole_file import replacing
 
 STATE_FORMAT = 1
 

@@ -6,10 +6,10 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from league.atomic_file import replacing
 from league.errors import PolicyError
 from league.training.lines import TUTORING, clock
 from league.training.onlooker import Onlooker
-from league.whole_file import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -15,6 +15,7 @@ from league.agents import checkpoint, line_reward, roster
 from league.agents.card import Card
 from league.agents.card import Reward as RewardCard
 from league.agents.checkpoint import Checkpoint
+from league.atomic_file import replacing
 from league.envs.driver import Driver
 from league.envs.rewards import Reward
 from league.errors import ConfigError, LeagueError, PolicyError
@@ -27,7 +28,6 @@ from league.training.selfplay import SelfPlay, SelfPlayConfig
 from league.training.selfplay.matrix import FINAL, WinMatrix
 from league.training.selfplay.picture import draw as draw_matrix
 from league.training.tutor import tutored
-from league.whole_file import replacing
 
 if TYPE_CHECKING:
     from league.evaluation import Evaluation

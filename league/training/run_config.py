@@ -8,10 +8,10 @@ from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
 
+from league.atomic_file import replacing
 from league.errors import ConfigError, PolicyError
 from league.evaluation.driving import MAX_TRIALS
 from league.training.settings import TrainConfig
-from league.whole_file import replacing
 
 
 @dataclass(frozen=True)

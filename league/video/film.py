@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from av.error import FFmpegError
 
+from league.atomic_file import replacing
 from league.errors import ReplayError
 from league.replay import Replay, story
 from league.sim.camera.paint import PaintRenderer
@@ -19,7 +20,6 @@ from league.sim.records import CAR
 from league.sim.world import World
 from league.video.hud import Hud
 from league.video.mp4 import Coding, Mp4, interleaved
-from league.whole_file import replacing
 
 SIZE = (1280, 720)
 FPS = 30

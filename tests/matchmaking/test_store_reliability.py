@@ -19,7 +19,7 @@ import pytest
 from league.errors import StoreError
 from league.matchmaking import store
 from league.matchmaking.store import database
-from league.side_process import CONTEXT, prepare
+from league.subprocesses import CONTEXT, prepare
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -20,8 +20,8 @@ from league.agents.card import FORMAT, Card
 from league.agents.checkpoint import archive, pickled, soundness
 from league.agents.checkpoint.archive import RefusedError
 from league.agents.checkpoint.pickled import Stored
+from league.atomic_file import replacing
 from league.errors import ConfigError, PolicyError, brief
-from league.whole_file import replacing
 
 MAX_SIZE = 8 << 20
 """Bytes of a file without a camera."""

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from league.atomic_file import replacing
 from league.cli.season import door
 from league.errors import ConfigError, StoreError
-from league.whole_file import replacing
 
 if TYPE_CHECKING:
     from league.matchmaking.store import Store

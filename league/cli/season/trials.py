@@ -17,7 +17,7 @@ from league.cli.season.door import Reading
 from league.errors import ConfigError
 
 if TYPE_CHECKING:
-    from league.matchmaking.sequential import Comparison
+    from league.matchmaking.sprt import Comparison
     from league.matchmaking.store import Outcome, Store
     from league.matchmaking.worker import Contestant
 
@@ -110,7 +110,7 @@ def _gauntlet(command: Gauntlet) -> int:
 
 def _compare(command: Compare) -> int:
     from league.matchmaking import executors, trials
-    from league.matchmaking.sequential import SequentialSettings
+    from league.matchmaking.sprt import SequentialSettings
 
     flags.at_least(command, "heats", 1)
     with command.opened() as store:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from league.atomic_file import replacing
 from league.envs.deepracer.rescore import Score
 from league.errors import ReplayError
 from league.replay import Replay
-from league.whole_file import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,7 +9,7 @@ from multiprocessing import connection
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 
-from league import side_process
+from league import subprocesses
 from league.errors import ConfigError
 from league.matchmaking.executors.executor import JOB_LIMIT_S
 from league.matchmaking.worker import Job, Report
@@ -151,8 +151,8 @@ class Processes:
 
 
 def _started() -> _Seat:
-    ours, theirs = side_process.CONTEXT.Pipe()
-    process = side_process.start(_work, theirs)
+    ours, theirs = subprocesses.CONTEXT.Pipe()
+    process = subprocesses.start(_work, theirs)
     theirs.close()  # so that reading ends when the worker does
     return _Seat(process, ours)
 

@@ -10,11 +10,11 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from league.sim import draws
+from league.sim import rng
 from league.sim.config import LookConfig
 from league.sim.world import World
 
-# Purposes of the draws (see league.sim.draws): any numbers that nothing else uses.
+# Purposes of the draws (see league.sim.rng): any numbers that nothing else uses.
 _LIGHT, _CHANNEL, _BODY, _BLUR, _NOISE, _PLACE = range(7_310_001, 7_310_007)
 
 NOISE_STEP = 32.0
@@ -49,16 +49,16 @@ def draw(cfg: LookConfig, world: World, rows: np.ndarray | None, car: int, colou
     def around_one(share: float, numbers: np.ndarray) -> np.ndarray:
         return 1 + np.float32(share) * (2 * numbers - 1)
 
-    light = around_one(cfg.light, draws.uniform(wide, _LIGHT))
-    channel = draws.uniform(wide, _CHANNEL, channels)
-    body = draws.uniform(wide[..., None], _BODY, bodies[:, None], np.arange(3))
-    sigma = np.float32(cfg.blur) * draws.uniform(seed, _BLUR)
+    light = around_one(cfg.light, rng.uniform(wide, _LIGHT))
+    channel = rng.uniform(wide, _CHANNEL, channels)
+    body = rng.uniform(wide[..., None], _BODY, bodies[:, None], np.arange(3))
+    sigma = np.float32(cfg.blur) * rng.uniform(seed, _BLUR)
     return Look(
         gain=light * around_one(cfg.colour if colour else 0.0, channel),
         tint=around_one(cfg.colour, body),
         leak=sigma * sigma / 2,  # a kernel (k, 1 - 2 k, k) has variance 2 k
-        noise=np.float32(cfg.noise) * draws.uniform(seed, _NOISE),
-        place=draws.bits(seed, _PLACE, step, car) & (_SPARE - 1),
+        noise=np.float32(cfg.noise) * rng.uniform(seed, _NOISE),
+        place=rng.bits(seed, _PLACE, step, car) & (_SPARE - 1),
     )
 
 
@@ -84,5 +84,5 @@ def develop(picture: np.ndarray, look: Look, row: int) -> None:
 @lru_cache(maxsize=8)
 def grain(size: int) -> np.ndarray:
     """Return noise around 128 for pictures of this many numbers, uint8."""
-    numbers = draws.normal(0, _NOISE, np.arange(size + _SPARE))
+    numbers = rng.normal(0, _NOISE, np.arange(size + _SPARE))
     return np.rint(numbers * np.float32(NOISE_STEP) + 128).clip(0, 255).astype(np.uint8)

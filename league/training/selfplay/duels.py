@@ -12,7 +12,7 @@ from league.agents.driver import Driver
 from league.agents.policy import Policy
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv, Step
-from league.sim import draws
+from league.sim import rng
 from league.sim.config import CarConfig, RaceRules, SensorConfig, SimConfig, SolverName
 from league.sim.world import World
 from league.track.course import TrackSet
@@ -162,8 +162,8 @@ def _drive(
         kind="head_to_head", num_cars=2, car=car, rules=rules(tracks, cfg), spread=cfg.spread
     )
     number = np.array([race.seed for race in races])
-    seeds = draws.bits(seed, _RACE_SEED, number) & draws.SEED_MASK
-    first = int(draws.bits(seed, _FIRST_TRACK)[0]) % len(tracks.tracks)
+    seeds = rng.bits(seed, _RACE_SEED, number) & rng.SEED_MASK
+    first = int(rng.bits(seed, _FIRST_TRACK)[0]) % len(tracks.tracks)
     carried = sensors_for(drivers)
     env = RaceEnv(
         tracks,

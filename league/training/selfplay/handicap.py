@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from league.envs.race_env import RaceEnv
-from league.sim import draws
+from league.sim import rng
 from league.training.selfplay.opponent import Opponent
 from league.training.selfplay.settings import SelfPlayConfig
 
@@ -44,7 +44,7 @@ class Handicap:
         worlds, (least, most) = env.world.worlds, self._cfg.own_limits
         # Told by the step it began at, a draw is the same throughout an episode.
         began = worlds["step"] - env.episode_steps[:, 0]
-        held = draws.uniform(worlds["seed"], _WHETHER, began) < self._cfg.own_share
-        drawn = least + (most - least) * draws.uniform(worlds["seed"], _HOW, began)
+        held = rng.uniform(worlds["seed"], _WHETHER, began) < self._cfg.own_share
+        drawn = least + (most - least) * rng.uniform(worlds["seed"], _HOW, began)
         held = held & env.world.cars["parked"][:, 1]
         return np.where(held, drawn * self._top_speed, env.cfg.sim.car.max_speed)

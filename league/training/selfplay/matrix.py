@@ -10,6 +10,7 @@ from pathlib import Path
 from statistics import fmean
 
 from league.agents.driver import Driver
+from league.atomic_file import replacing
 from league.errors import PolicyError
 from league.sim.config import CarConfig
 from league.track.course import TrackSet
@@ -17,7 +18,6 @@ from league.training.selfplay import duels
 from league.training.selfplay.duels import Score
 from league.training.selfplay.pool import PARENT
 from league.training.selfplay.settings import SelfPlayConfig
-from league.whole_file import replacing
 
 SCRIPTED = ("centerline",)
 FINAL = "final"

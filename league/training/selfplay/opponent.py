@@ -9,7 +9,7 @@ import numpy as np
 
 from league.agents.driver import Driver
 from league.envs.race_env import Step
-from league.sim import draws
+from league.sim import rng
 from league.sim.config import SensorConfig
 from league.training.selfplay.records import DRAWN, LOST, WON, Records
 from league.training.selfplay.seats import Seats, awake
@@ -113,11 +113,11 @@ class Opponent(Seats):
     def _drawn(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return who drives these rows, and how fast."""
         edges = np.cumsum(self._field.shares)
-        drawn = draws.uniform(self._seed, _MEMBER, self._count, self._car, rows)
+        drawn = rng.uniform(self._seed, _MEMBER, self._count, self._car, rows)
         picked = np.searchsorted(edges, drawn, side="right")
         picked = np.minimum(picked, len(self._field.names) - 1)
         least, most = np.array(self._field.speed_limits, np.float32)[picked].T
-        share = draws.uniform(self._seed, _LIMIT, self._count, self._car, rows)
+        share = rng.uniform(self._seed, _LIMIT, self._count, self._car, rows)
         return picked, least + (most - least) * share
 
     def _sit_nobody(self) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from league.agents.scripted import LineDriver, Style
 from league.envs.state import INDEX, NEIGHBOURS
-from league.sim import draws
+from league.sim import rng
 from league.sim.config import CarConfig
 from league.track.course import Track
 
@@ -64,5 +64,5 @@ class Pacer(LineDriver):
 
     def _drawn(self, rows: np.ndarray) -> np.ndarray:
         least, most = self._between
-        share = draws.uniform(self._seed, _PACE, self._count, self._number, rows)
+        share = rng.uniform(self._seed, _PACE, self._count, self._number, rows)
         return least + (most - least) * share

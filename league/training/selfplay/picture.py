@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from league.atomic_file import replacing
 from league.errors import PolicyError
 from league.training.selfplay.matrix import FINAL, SCRIPTED, WinMatrix
-from league.whole_file import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,8 +10,8 @@ from statistics import fmean
 
 from league.agents import checkpoint
 from league.agents.checkpoint import Checkpoint
+from league.atomic_file import replacing
 from league.errors import PolicyError
-from league.whole_file import replacing
 
 PARENT = "parent"
 

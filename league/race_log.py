@@ -1,4 +1,4 @@
-"""The book of one race: its events and laps as the referee finds them, and the classification."""
+"""The log of a race: events and laps as the referee finds them, and the classification."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from league.sim.world import World, members
 
 
 @dataclass
-class Book:
+class RaceLog:
     """The events of a race, and each car's laps, as they happen."""
 
     step_dt: float
@@ -75,9 +75,9 @@ class Book:
             self.add("put_back", car)
 
 
-def classify(spec: RaceSpec, world: World, book: Book) -> RaceResult:
+def classify(spec: RaceSpec, world: World, log: RaceLog) -> RaceResult:
     """Return the classification of a race that is over."""
-    race_s = book.steps * book.step_dt
+    race_s = log.steps * log.step_dt
     unplaced = []
     for car, (entry, now) in enumerate(zip(spec.entries, world.cars[0], strict=True)):
         finish_s = float(now["finish_s"])
@@ -90,14 +90,14 @@ def classify(spec: RaceSpec, world: World, book: Book) -> RaceResult:
                 finished=finished,
                 laps=int(now["laps"]),
                 total_s=round(finish_s if finished else race_s, 4),
-                lap_times_s=tuple(book.laps[car]),
+                lap_times_s=tuple(log.laps[car]),
                 distance=round(float(now["best_distance"]), 3),
                 off_tracks=int(now["off_tracks"]),
                 crashes=int(now["crashes"]),
                 contacts_taken=int(now["contacts_taken"]),
                 immobilised=int(now["immobilised"]),
                 reversed=int(now["reversed"]),
-                penalty_s=round(book.penalties[car], 4),
+                penalty_s=round(log.penalties[car], 4),
                 overtakes=int(now["overtakes"]),
             )
         )
@@ -106,10 +106,10 @@ def classify(spec: RaceSpec, world: World, book: Book) -> RaceResult:
     return RaceResult(
         spec=spec,
         order=tuple(placed),
-        steps=book.steps,
+        steps=log.steps,
         race_s=round(race_s, 4),
         lead_changes=int(world.worlds[0]["lead_changes"]),
-        events=tuple(book.events),
+        events=tuple(log.events),
     )
 
 

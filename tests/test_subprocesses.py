@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from league import side_process
+from league import subprocesses
 from league.errors import ConfigError
 
 on_linux = pytest.mark.skipif(sys.platform != "linux", reason="only Linux has a server and /proc")
@@ -27,8 +27,8 @@ def tell(pipe: Connection) -> None:
 
 def told() -> tuple[int, int]:
     """Return the number of a fresh process that has ended, and of whom forked it off."""
-    ours, theirs = side_process.CONTEXT.Pipe()
-    process = side_process.start(tell, theirs)
+    ours, theirs = subprocesses.CONTEXT.Pipe()
+    process = subprocesses.start(tell, theirs)
     theirs.close()
     answer = ours.recv()
     ours.send("end")
@@ -74,7 +74,7 @@ def test_a_ctrl_c_while_one_is_started_is_not_lost():
     heard: list[bool] = []
     before = signal.signal(signal.SIGINT, lambda *_: heard.append(True))
     try:
-        with side_process._deaf():
+        with subprocesses._deaf():
             os.kill(os.getpid(), signal.SIGINT)  # another thread may hear it at once
         assert heard == [True]
     finally:
@@ -91,8 +91,8 @@ def test_a_process_started_from_a_thread_survives_ctrl_c_too():
 
 @on_linux
 def test_when_the_server_is_killed_all_end_and_the_next_start_makes_another():
-    ours, theirs = side_process.CONTEXT.Pipe()
-    side_process.start(stuck, theirs)
+    ours, theirs = subprocesses.CONTEXT.Pipe()
+    subprocesses.start(stuck, theirs)
     theirs.close()
     pid, server = ours.recv()
     assert server != os.getpid()
@@ -106,9 +106,9 @@ def test_where_none_can_be_started_there_is_one_sentence(monkeypatch):
     def refused(_self: object) -> None:
         raise EOFError("unexpected EOF")
 
-    monkeypatch.setattr(side_process.CONTEXT.Process, "start", refused)
+    monkeypatch.setattr(subprocesses.CONTEXT.Process, "start", refused)
     with pytest.raises(ConfigError, match="no process could be started beside this one: look"):
-        side_process.start(tell, None)
+        subprocesses.start(tell, None)
 
 
 @on_linux
@@ -122,7 +122,7 @@ def test_stuck_ones_end_with_their_parent_and_nothing_comes_from_the_working_fol
         textwrap.dedent(
             """
             import os, signal, sys, time
-            from league import side_process
+            from league import subprocesses
 
             def stuck(pipe):
                 pipe.send((os.getpid(), os.getppid(), "league.race" in sys.modules))
@@ -130,9 +130,9 @@ def test_stuck_ones_end_with_their_parent_and_nothing_comes_from_the_working_fol
                     time.sleep(1.0)
 
             if __name__ == "__main__":
-                side_process.prepare()
-                ours, theirs = side_process.CONTEXT.Pipe()
-                side_process.start(stuck, theirs)
+                subprocesses.prepare()
+                ours, theirs = subprocesses.CONTEXT.Pipe()
+                subprocesses.start(stuck, theirs)
                 print(*ours.recv(), flush=True)
                 os.kill(os.getpid(), signal.SIGKILL)
             """
