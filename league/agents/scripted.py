@@ -26,6 +26,7 @@ from league.envs.state import NEAR_OBSTACLES, NEIGHBOURS
 from league.jit import compiled, inner
 from league.portable_math import atan, clamp, f32
 from league.racing_line.racing_line import center_line, optimal_line
+from league.racing_line.speed_profile import spare_grip
 from league.sim.config import CarConfig, SensorConfig
 from league.sim.settings import GRAVITY
 from league.track.course import Track, TrackSet
@@ -74,6 +75,7 @@ _MEMORY = np.dtype([("steering", np.float64), ("aside", np.float64)])
 
 _GROW, _FADE = 0.5, 0.35  # of the path beside the line, for each metre ahead
 _BRAKING = 0.8  # part of the brakes that is counted on
+_MOST_CORNERING = math.sqrt(0.95)  # part of the grip; a twentieth of its square is left to drive
 _SERVO = 0.6  # part of a speed error that the servo makes good within a control step
 
 
@@ -201,8 +203,6 @@ def _speed(speed, road, limit, pace, car, style):
 
 @inner
 def _spare(cornering, car):
-    """Return the drive or braking that tyres can give beside cornering [m/s^2]; see pace.py."""
+    """Return the drive or braking that tyres can give while cornering [m/s^2], never nothing."""
     most, transfer = car.grip * GRAVITY, 2.0 * car.mass_height / car.wheelbase / GRAVITY
-    left = max(most * most - cornering * cornering, 0.05 * most * most)
-    square, half = 1.0 - (most * transfer) ** 2, most * most * transfer
-    return (math.sqrt(half * half + square * left) - half) / square
+    return spare_grip(min(cornering, _MOST_CORNERING * most), most, transfer)

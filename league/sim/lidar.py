@@ -132,34 +132,10 @@ def _scan(
         for other in range(cars.shape[1]):
             if other != me:
                 body = cars[w, other]
-                _meet(
-                    out[row],
-                    angles,
-                    x,
-                    y,
-                    cos,
-                    sin,
-                    body.x,
-                    body.y,
-                    body.yaw,
-                    half_length,
-                    half_width,
-                )
+                _meet(out[row], angles, x, y, cos, sin, body, half_length, half_width)
         for k in range(obstacles.shape[1]):
             body = obstacles[w, k]
-            _meet(
-                out[row],
-                angles,
-                x,
-                y,
-                cos,
-                sin,
-                body.x,
-                body.y,
-                body.yaw,
-                body.half_length,
-                body.half_width,
-            )
+            _meet(out[row], angles, x, y, cos, sin, body, body.half_length, body.half_width)
         if noise > _ZERO:
             for beam in range(len(angles)):
                 drawn = normal_of(worlds[w].seed, _NOISE, worlds[w].step, me, beam)
@@ -175,7 +151,7 @@ def _to_wall(course, x, y, dx, dy):
 
 
 @inner
-def _meet(ranges, angles, x, y, cos, sin, box_x, box_y, yaw, half_length, half_width):
+def _meet(ranges, angles, x, y, cos, sin, body, half_length, half_width):
     """Shorten the beams that meet a rectangle; to 0 from inside.
 
     Slab test (Kay and Kajiya, 1986): a beam is inside where it is between both pairs of sides.
@@ -187,14 +163,12 @@ def _meet(ranges, angles, x, y, cos, sin, box_x, box_y, yaw, half_length, half_w
         y: where the lidar is [m].
         cos: of the car's yaw.
         sin: of the car's yaw.
-        box_x: middle of the rectangle [m].
-        box_y: middle of the rectangle [m].
-        yaw: its heading [rad].
+        body: CAR or OBSTACLE record, for the rectangle's middle and heading.
         half_length: half of its length [m].
         half_width: half of its width [m].
     """
-    box_sin, box_cos = sincos(yaw)
-    away_x, away_y = x - box_x, y - box_y
+    box_sin, box_cos = sincos(body.yaw)
+    away_x, away_y = x - body.x, y - body.y
     along, across = box_cos * away_x + box_sin * away_y, box_cos * away_y - box_sin * away_x
     for beam in range(len(angles)):
         beam_sin, beam_cos = sincos(angles[beam])
