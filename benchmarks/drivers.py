@@ -48,7 +48,7 @@ def main() -> None:
         )
     print()
     figure("racing_line on reinvent_2018, flying lap over bound", home_ratio, "", 1.10, most=True)
-    figure("largest lap time difference of the solvers", 100 * max(differences), "%", 3, most=True)
+    figure("largest lap time difference of the solvers", 100 * max(differences), "%", 1, most=True)
 
 
 if __name__ == "__main__":

@@ -129,6 +129,14 @@ def test_racing_line_passes_most_fields_of_boxes():
     assert (cars["crashes"] > 0).sum() <= 2
 
 
+def test_racing_line_overtakes_a_slower_car_without_ramming_it():
+    sim = SimConfig(kind="head_to_head", num_cars=2, rules=RaceRules(laps=2))
+    first, second = drive(files.load("broad_street"), ["centerline", "racing_line"], sim)[0]
+    assert first["crashes"] == second["crashes"] == 0
+    assert second["overtakes"] >= 1
+    assert second["finish_s"] < first["finish_s"]
+
+
 @pytest.mark.parametrize(("slow", "fewest"), [("centerline", 11), ("cautious", 4)])
 def test_racing_line_overtakes_a_slower_car_and_seldom_rams_it(slow, fewest):
     sim = SimConfig(kind="head_to_head", num_cars=2, rules=RaceRules(laps=2))
