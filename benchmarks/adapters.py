@@ -72,7 +72,7 @@ def race_env(
         mode: race or training.
         truth: whether the `state` of all cars is read at each step, as learners' critics do.
     """
-    from league.envs import problem
+    from league.envs import make as problem
     from league.envs.race_env import RaceEnv
 
     kind = "head_to_head" if num_cars > 1 else "time_trial"
@@ -184,7 +184,7 @@ def gymnasium_vector(num_envs: int = 64, steps: int = 30) -> Drive:
 def decision(times: int = 300) -> Drive:
     """Have a policy with cameras of 64x48 decide for one car."""
     from league.agents import roster
-    from league.envs import problem
+    from league.envs import make as problem
     from league.envs.race_env import RaceEnv
     from league.sim.config import CarConfig
 

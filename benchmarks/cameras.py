@@ -13,13 +13,13 @@ from benchmarks.report import fastest, figure, heading, machine
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
 from league.sim.camera import scene
-from league.sim.camera.paint import PaintRenderer
-from league.sim.camera.ray import RayRenderer
+from league.sim.camera.paint_renderer import PaintRenderer
+from league.sim.camera.raycast import RayRenderer
 from league.sim.config import CameraConfig, SimConfig
 from league.sim.records import OBSTACLE
 from league.sim.world import World
-from league.track import files, paint
-from league.track.course import TrackSet
+from league.track import files, markings
+from league.track.track import TrackSet
 
 SCENES = 200
 EDGE = 12
@@ -137,7 +137,7 @@ class TinyScene:
 
     def _floor(self, track, middle: tuple, half: tuple) -> None:
         with tempfile.TemporaryDirectory() as folder:
-            floor = paint.floor(track, 0.01, colour=True).image
+            floor = markings.floor(track, 0.01, colour=True).image
             picture = str(Path(folder) / "floor.png")
             cv2.imwrite(picture, floor[..., ::-1])
             mesh = {

@@ -2,11 +2,11 @@
 
 from benchmarks.lap_bound import lap_bound
 from benchmarks.report import figure, heading, machine
-from league import race
 from league.race_spec import CarResult, Entry, RaceSpec
+from league.racing import race
 from league.sim.config import CarConfig
 from league.track import files
-from league.track.course import Track
+from league.track.track import Track
 
 LAPS = 3
 

@@ -30,10 +30,10 @@ from league.envs.action_space import ContinuousActions
 from league.envs.rewards import preset
 from league.sim.config import CameraConfig, SensorConfig
 from league.track import files
-from league.track.course import TrackSet
-from league.training import mirror, worlds
-from league.training.judge import Exam, judged
-from league.training.learner import Learner
+from league.track.track import TrackSet
+from league.training.evaluator import Exam, judged
+from league.training.ppo import make_env, symmetry
+from league.training.ppo.learner import Learner
 from league.training.settings import TrainConfig
 
 Change = Callable[[TrainConfig], TrainConfig]
@@ -142,12 +142,12 @@ def _loud(learner: Learner) -> None:
     [layer for layer in layers if isinstance(layer, nn.Linear)][-1].reset_parameters()
 
 
-class _Doubling(mirror.Mirroring):
+class _Doubling(symmetry.Mirroring):
     """rsl-rl's own way: mirror images are added to each mini-batch."""
 
     def augment_batch(self, batch: RolloutStorage.Batch, original_batch_size: int) -> None:
         """Append the mirror images."""
-        told = mirror.observations(batch.observations, self._sensors)  # type: ignore
+        told = symmetry.observations(batch.observations, self._sensors)  # type: ignore
         batch.observations = torch.cat([batch.observations, told])  # type: ignore
         batch.actions = torch.cat([batch.actions, self._space.mirror(batch.actions)])  # type: ignore
         for name in ("old_actions_log_prob", "values", "advantages", "returns"):
@@ -227,7 +227,7 @@ def run(task_name: str, variation: Variation, seed: int) -> Trial:
 
 
 def _learner(cfg: TrainConfig, variation: Variation) -> Learner:
-    env = worlds.make(TrackSet(files.load("reinvent_2018")), cfg)
+    env = make_env.make(TrackSet(files.load("reinvent_2018")), cfg)
     if variation.critic_sees == "state":
         learner = Learner(env, cfg)
     else:

@@ -17,11 +17,12 @@ from benchmarks.report import figure, heading, machine
 from league.agents import checkpoint, roster
 from league.agents.driver import Driver
 from league.errors import PolicyError
-from league.evaluation import Evaluation, evaluate
+from league.racing.evaluate import evaluate
+from league.racing.table import Evaluation
 from league.sim.config import CarConfig, ObstacleConfig
 from league.track import files, importer
-from league.track.course import Track, TrackSet
-from league.training.selfplay import duels
+from league.track.track import Track, TrackSet
+from league.training.selfplay import matches
 from league.training.selfplay.settings import DuelConfig
 
 ROOT = Path(__file__).parents[1]
@@ -160,9 +161,9 @@ def _past(duelist: Path) -> list[Path]:
 
 def _win_rate(
     tracks: TrackSet, mine: Driver, rival: Driver, races: int
-) -> tuple[float, duels.Score]:
+) -> tuple[float, matches.Score]:
     pairs = [(0, 1)]
-    found = duels.meet(
+    found = matches.meet(
         tracks, CarConfig(), [mine, rival], pairs, DuelConfig(), races=races, solver="bullet"
     )
     score = found[0, 1][0]

@@ -15,7 +15,7 @@ from __future__ import annotations
 from benchmarks.report import heading
 from league.racing_line.racing_line import optimal_line
 from league.sim.config import CarConfig
-from league.track.course import Track
+from league.track.track import Track
 
 SPACINGS = (0.08, 0.12, 0.15)
 """Distances between control points [m] that are tried; the fastest line counts."""

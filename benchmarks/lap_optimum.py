@@ -1,6 +1,6 @@
 """The fastest flying lap that the simulated car itself could drive, on every closed shipped track.
 
-Where lap_bound.py has a point, this has the car of league/sim/vehicle.py: inertia, two axles whose
+Where lap_bound.py has a point, this has the car of sim/physics/vehicle.py: inertia, two axles whose
 load moves with drive and brakes, brush tyres, a steering that takes time. Its base may be where the
 point's may. The lap is found by direct collocation (J. Betts, Practical Methods for Optimal Control
 and Estimation, chapter 4): states and controls at each 10 cm of road, the trapezoidal rule between
@@ -27,11 +27,11 @@ from benchmarks.lap_bound import lap_bound
 from benchmarks.report import heading
 from league.racing_line.racing_line import road_of
 from league.sim import records
-from league.sim.brush_tyre import DRIVE_SHARE
 from league.sim.config import CarConfig, SimConfig
+from league.sim.physics.brush_tyre import DRIVE_SHARE
+from league.sim.physics.vehicle import push
 from league.sim.settings import GRAVITY, settings
-from league.sim.vehicle import push
-from league.track.course import Track, TrackSet
+from league.track.track import Track, TrackSet
 
 SPACING = 0.1
 """Distance between two points of a lap along the centreline [m]."""

@@ -17,15 +17,18 @@ from pathlib import Path
 from typing import Literal
 
 from benchmarks.report import figure, heading, machine
-from league import race, subprocesses
+from league import subprocesses
 from league.agents import checkpoint
 from league.agents.checkpoint import Checkpoint
-from league.matchmaking import executors, running, season, submission
-from league.matchmaking.crew import Crew, contestant
-from league.matchmaking.executors import processes
-from league.matchmaking.keys import Half, Heat, Ruleset, mirrored
+from league.matchmaking import loop, submission
+from league.matchmaking import workers as executors
+from league.matchmaking.pairing import matchmaker
+from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset, mirrored
 from league.matchmaking.store import Store, create
-from league.matchmaking.worker import Job, Pit
+from league.matchmaking.workers import processes
+from league.matchmaking.workers.dispatcher import Crew, contestant
+from league.matchmaking.workers.worker import Job, Pit
+from league.racing import race
 
 GOAL_A_DAY, GOAL_A_DAY_PLANAR = 150_000, 500_000
 MINUTE_S = 60.0
@@ -56,7 +59,7 @@ def league(
         told = {**one.card.model_dump(), "name": f"{one.card.name} {number}"}
         renamed = Checkpoint(type(one.card)(**told), one.weights)
         submission.accept(store, submission.pack(renamed), f"policy {number}", f"owner {number}")
-    season.found(store, ())
+    matchmaker.found(store, ())
     return store
 
 
@@ -118,12 +121,12 @@ def batching(store: Store, repeats: int = 3) -> None:
 
 def throughput(store: Store, seconds: float, workers: int, goal: float) -> None:
     """Print duels of a minute a day, whole: matchmaker, store, replays, ratings and all."""
-    planner = season.Season(store)
+    planner = matchmaker.Season(store)
     with closing(executors.make("processes", workers)) as executor:
         crew = Crew(store, executor)
-        running.run(store, crew, planner, heats=2 * workers)  # workers have warmed up
+        loop.run(store, crew, planner, heats=2 * workers)  # workers have warmed up
         start = time.perf_counter()
-        tally = running.run(store, crew, planner, seconds=seconds)
+        tally = loop.run(store, crew, planner, seconds=seconds)
         wall_s = time.perf_counter() - start
     minutes = tally.race_s / MINUTE_S
     figure("race time per wall second", tally.race_s / wall_s, "x real time")

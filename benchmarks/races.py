@@ -14,7 +14,7 @@ from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
 from league.sim.config import CameraConfig, SensorConfig, SimConfig, SolverName
 from league.track import files
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 
 def stereo_rate(

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.report import figure, heading, machine
-from league.matchmaking.intransitivity import goodness_of_fit
 from league.matchmaking.ratings import RatingSettings, Results, fit
-from league.matchmaking.ratings.evidence import ELO
+from league.matchmaking.ratings.intransitivity import goodness_of_fit
+from league.matchmaking.ratings.pair_counts import ELO
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "matchmaking"))
 

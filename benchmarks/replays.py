@@ -5,8 +5,9 @@ import time
 from pathlib import Path
 
 from benchmarks.report import figure, heading, machine, seconds
-from league import race, replay, rerun_view
+from league import replay, rerun_view
 from league.race_spec import Entry, RaceSpec
+from league.racing import race
 
 
 def main() -> None:

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.report import fastest, figure, heading, machine
+from league.deepracer import user_reward
 from league.envs.config import EnvConfig
-from league.envs.deepracer import user_reward
 from league.envs.race_env import RaceEnv
 from league.sim.config import RaceKind, SimConfig
 from league.track import files
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 CALLS = 100
 GOAL_US = 25.0

@@ -11,16 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.report import fastest, figure, heading, machine, product
-from league import race
 from league.agents.garage import names as garage_names
 from league.agents.roster import NAMES
 from league.envs import step as stages
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
 from league.race_spec import CarResult, Entry, RaceSpec
+from league.racing import race
 from league.sim import records
 from league.sim.config import SimConfig, SolverName
-from league.track.course import Track, TrackSet
+from league.track.track import Track, TrackSet
 
 SEQUENCES, IMPACTS, BATCH = 200, 1000, 50
 STEP_HZ = 15

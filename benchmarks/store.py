@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.report import figure, heading, machine, seconds
-from league.matchmaking import keys, standings, store
-from league.matchmaking.keys import Ruleset, mirrored
-from league.matchmaking.store import database, history, schema
+from league.matchmaking import standings, store
+from league.matchmaking.pairing import heat_spec
+from league.matchmaking.pairing.heat_spec import Ruleset, mirrored
+from league.matchmaking.store import database, results, schema
 from league.matchmaking.store.records import FINISHED, TOLD
 
 RULES = Ruleset()
@@ -101,7 +102,7 @@ def _races(
             turn = 1 - 2 * half
             places = ((1, 2) if first else (2, 1))[::turn]
             runs = [TOLD | FINISHED | lap_ms for lap_ms in laps[half]]
-            packed = history.packed(number, half, grid[::turn], places, track=0, runs=runs)
+            packed = results.packed(number, half, grid[::turn], places, track=0, runs=runs)
             told = {"heat": number, "half": half, "ruleset": 1, "rated": True, "cars": 2}
             races.append({**told, "packed": packed})
     return races
@@ -109,7 +110,7 @@ def _races(
 
 def _heat(number: int) -> dict[str, object]:
     return {
-        "key": keys.digest(str(number).encode()),
+        "key": heat_spec.digest(str(number).encode()),
         "ruleset": 1,
         "purpose": "rated",
         "priority": 2,

@@ -27,9 +27,9 @@ from league.agents.network import Actor
 from league.envs import rewards
 from league.envs.action_space import ContinuousActions
 from league.track import files
-from league.track.course import TrackSet
-from league.training import worlds
-from league.training.learner import Learner
+from league.track.track import TrackSet
+from league.training.ppo import make_env
+from league.training.ppo.learner import Learner
 from league.training.settings import TrainConfig
 
 ROOKIE = (
@@ -196,7 +196,7 @@ def learner_config(num_worlds: int = 64) -> TrainConfig:
 def loops(rounds: int = 5) -> None:
     """Print the learner's samples per second against those of the plain loop, and the shares."""
     cfg = learner_config()
-    learner = Learner(worlds.make(TrackSet(files.load("reinvent_2018")), cfg), cfg)
+    learner = Learner(make_env.make(TrackSet(files.load("reinvent_2018")), cfg), cfg)
     shares = Shares(dict.fromkeys(("compiled step", "cameras", "policy", "learning"), 0.0))
     env = learner.env.race_env
     shares.timed("compiled step", env, "_run")

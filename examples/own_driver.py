@@ -5,14 +5,14 @@ Run it: python examples/own_driver.py
 
 import numpy as np
 
-from league import race
 from league.agents import roster
 from league.agents.driver import actions_from
 from league.envs.state import INDEX
 from league.race_spec import Entry, RaceSpec
+from league.racing import race
 from league.sim.config import CarConfig, SensorConfig
 from league.track import files
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 
 class Weaver:

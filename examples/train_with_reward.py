@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 
 from league.envs.action_space import ContinuousActions
-from league.evaluation import evaluate
+from league.racing.evaluate import evaluate
 from league.training.run import Run, RunConfig
 from league.training.settings import TrainConfig
 

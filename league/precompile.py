@@ -177,7 +177,7 @@ def _cameras() -> None:
     import numpy as np
 
     from league.sim import records
-    from league.sim.camera.paint import PaintRenderer
+    from league.sim.camera.paint_renderer import PaintRenderer
     from league.sim.config import CameraConfig, SimConfig
     from league.sim.world import World
 
@@ -205,14 +205,14 @@ def _places() -> None:
 
 def _reward_functions() -> None:
     """What DeepRacer's reward functions are given, and the trace of an evaluation."""
-    from league.envs.deepracer.check import drives
+    from league.deepracer.check import drives
 
     drives()
 
 
 def _tracks():  # noqa: ANN202
     from league.track import files
-    from league.track.course import TrackSet
+    from league.track.track import TrackSet
 
     return TrackSet(files.load("peanut"))
 

@@ -25,11 +25,11 @@ LOADED = (
     "league.agents.policy",
     "league.agents.roster",
     "league.cli",
-    "league.evaluation",
-    "league.matchmaking.executors.processes",
-    "league.race",
-    "league.sim.bullet",
-    "league.sim.camera.paint",
+    "league.racing.evaluate",
+    "league.matchmaking.workers.processes",
+    "league.racing.race",
+    "league.sim.physics.bullet",
+    "league.sim.camera.paint_renderer",
 )
 """What such processes import, and what takes them seconds without a server."""
 

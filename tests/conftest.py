@@ -10,7 +10,7 @@ from scenes import assert_same, make_ring, make_straight
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
 from league.sim.config import SimConfig
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 
 @pytest.fixture

@@ -7,13 +7,13 @@ from functools import lru_cache
 
 from scenes import start
 
-from league import race
 from league.race_spec import CarResult, Entry, Event, RaceResult, RaceSpec
+from league.racing import race
 from league.replay import Recorder, Replay
 from league.sim.config import ObstacleConfig, SimConfig
 from league.sim.world import World
 from league.track import files
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 Change = Callable[[World, int], World]
 

@@ -13,13 +13,13 @@ from league.agents import checkpoint
 from league.agents.policy import Policy
 from league.envs import step as stages
 from league.envs.config import EnvConfig
-from league.envs.meeting import Meeting
+from league.envs.encounters import Meeting
 from league.envs.race_env import RaceEnv
 from league.envs.state import INDEX
 from league.portable_math import f32
 from league.sim import config, rng
 from league.track import files
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 _STEERING, _SPEED = 1, 2
 _HELD = 5

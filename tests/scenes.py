@@ -11,10 +11,10 @@ import numpy as np
 from league.envs import episodes, rewards
 from league.envs import step as stages
 from league.envs.config import EnvConfig
-from league.envs.meeting import Meeting
+from league.envs.encounters import Meeting
 from league.envs.race_env import RaceEnv
 from league.envs.state import INDEX
-from league.sim import planar, records
+from league.sim import records
 from league.sim.config import (
     CameraConfig,
     CarConfig,
@@ -27,9 +27,10 @@ from league.sim.config import (
     SimConfig,
     Spread,
 )
+from league.sim.physics import planar
 from league.sim.settings import settings
 from league.sim.world import World
-from league.track.course import Track, TrackSet
+from league.track.track import Track, TrackSet
 
 SETTINGS = (
     CameraConfig, CarConfig, ContactConfig, LidarConfig, LookConfig, Meeting, ObstacleConfig,

@@ -23,10 +23,10 @@ def league(tmp_path_factory) -> Path:
     """Return the folder of a league in which two entries have raced for a moment."""
     from season_kit import Here, submitted
 
-    from league.matchmaking import running
-    from league.matchmaking.crew import Crew
-    from league.matchmaking.season import Season
+    from league.matchmaking import loop
+    from league.matchmaking.pairing.matchmaker import Season
     from league.matchmaking.store import Store
+    from league.matchmaking.workers.dispatcher import Crew
 
     folder = tmp_path_factory.mktemp("league")
     url = f"sqlite:///{folder / 'league.db'}"
@@ -35,7 +35,7 @@ def league(tmp_path_factory) -> Path:
     with Store(url) as store:
         for number, name in enumerate(("ann", "bob")):
             submitted(store, name, seed=number, senses="blind")
-        running.run(store, Crew(store, Here()), Season(store), heats=10)
+        loop.run(store, Crew(store, Here()), Season(store), heats=10)
     return folder
 
 

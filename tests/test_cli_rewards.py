@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from league import race
 from league import replay as replays
-from league.agents.line_reward import built_in
 from league.cli import rewards as command
+from league.deepracer import check, rescore, user_reward
 from league.envs import rewards
-from league.envs.deepracer import check, rescore, user_reward
+from league.envs.line_reward import built_in
 from league.errors import ConfigError, RewardError
 from league.race_spec import Entry, Event, RaceSpec
+from league.racing import race
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 

@@ -19,7 +19,7 @@ from league.cli.train import Train
 from league.cli.train_settings import config, parse_actions, parse_sensors
 from league.envs.action_space import ContinuousActions, DiscreteActions
 from league.errors import ConfigError, LeagueError
-from league.training import history
+from league.training.monitor import history
 from league.training.run_config import RunConfig, settings
 from league.training.settings import PpoConfig
 

@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 from scenes import assert_same
 
-from league import race
 from league.race_spec import Entry, RaceSpec
+from league.racing import race
 
 PROGRAM = """
 import hashlib, json, sys
 import numpy as np
-from league import race
+from league.racing import race
 from league.envs.state import INDEX
 from league.race_spec import Entry, RaceSpec
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig

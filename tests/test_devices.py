@@ -18,11 +18,11 @@ from scenes import make_ring
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
+from league.envs.adapters.rsl_vec_env import RacingVecEnv
 from league.envs.config import EnvConfig
-from league.envs.vec_env import RacingVecEnv
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig, SimConfig
-from league.track.course import TrackSet
-from league.training.episodes import Episodes
+from league.track.track import TrackSet
+from league.training.ppo.episode_stats import Episodes
 
 RING = make_ring(points=120)
 TWO = SimConfig(kind="head_to_head", num_cars=2)

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scenes import RING_LENGTH, follow_center, make_ring, make_straight
 
-from league import race
 from league.envs.action_space import DiscreteActions
 from league.envs.config import RewardConfig
 from league.envs.rewards import BuiltIn
 from league.errors import ActionError, ConfigError, PolicyError
-from league.evaluation import Trace, evaluate
-from league.evaluation.trace import COLUMNS, nearer
 from league.race_spec import Entry, RaceSpec
+from league.racing import race
+from league.racing.evaluate import evaluate
+from league.racing.trace import COLUMNS, Trace, nearer
 from league.sim.config import ObstacleConfig, RaceRules, SensorConfig
 
 

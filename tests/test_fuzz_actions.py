@@ -8,12 +8,12 @@ import torch
 from scenes import make_ring
 
 from league.envs.action_space import ContinuousActions, grid
+from league.envs.adapters.gym_env import SingleEnv
+from league.envs.adapters.rsl_vec_env import RacingVecEnv
 from league.envs.config import EnvConfig
-from league.envs.single_env import SingleEnv
-from league.envs.vec_env import RacingVecEnv
 from league.errors import ActionError
 from league.sim.config import SimConfig
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 JUNK = (
     None, True, 0, 0.5, 10**400, "0", b"1", 1j, [], {}, (), set(), object(), len, [[0.0], [0.0, 1]],

@@ -27,7 +27,7 @@ from league.sim.config import (
     SimConfig,
     Spread,
 )
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 CLASSES = (*SETTINGS, RewardConfig)
 JUNK = (

@@ -7,10 +7,10 @@ import pytest
 from pydantic import ValidationError
 from scenes import make_ring
 
-from league import race
 from league.envs.config import EnvConfig
 from league.errors import ConfigError, LeagueError
 from league.race_spec import RaceSpec, checked
+from league.racing import race
 from league.sim.config import SimConfig
 
 JUNK = (

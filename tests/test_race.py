@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scenes import follow_center, make_ring, make_square, make_straight
 
-from league import race, race_log
 from league.agents import roster
 from league.errors import ConfigError, LeagueError
 from league.race_spec import CarResult, Entry, RaceResult, RaceSpec, checked
+from league.racing import race, race_log
 from league.sim.config import CameraConfig, CarConfig, LidarConfig, SensorConfig
 from league.track import files
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 
 @dataclass

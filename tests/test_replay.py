@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 from recorded import by_hand, finish, first_world, moved, raced, told
 
-from league import __version__, race, replay
+from league import __version__, replay
 from league.errors import LeagueError, ReplayError
+from league.racing import race
 from league.replay import format as file_format
 from league.replay import story
 from league.replay.format import PREFIX, decode, encode
-from league.sim.camera.paint import PaintRenderer
+from league.sim.camera.paint_renderer import PaintRenderer
 from league.sim.config import CameraConfig
 from league.track import files
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 
 def assert_equal_columns(one, other):

@@ -13,9 +13,9 @@ from recorded import by_hand, moved, raced
 from recordings import rows_of
 from rerun.chunk import RrdReader
 
-from league import rerun_view, web_viewer
+from league import rerun_view
 from league.errors import ReplayError
-from league.rerun_view import paths, poses, record, shapes
+from league.rerun_view import paths, poses, record, shapes, web_server
 from league.sim.camera.scene import CAR
 from league.track import files
 
@@ -133,7 +133,7 @@ def test_a_wheel_is_turned_then_rolled_about_its_own_axle():
 def server(tmp_path_factory):
     path = tmp_path_factory.mktemp("served") / "a.rrd"
     rerun_view.save(by_hand(3), path, cameras=False)
-    with web_viewer.serve(path) as running:
+    with web_server.serve(path) as running:
         yield running
 
 
@@ -169,15 +169,15 @@ def test_other_paths_and_other_names_are_refused(server):
 
 def test_a_missing_recording_and_a_taken_port_are_one_sentence(tmp_path, server):
     with pytest.raises(ReplayError, match="no recording"):
-        web_viewer.serve(tmp_path / "none.rrd")
+        web_server.serve(tmp_path / "none.rrd")
     path = rerun_view.save(by_hand(2), tmp_path / "a.rrd", cameras=False)
     with pytest.raises(ReplayError, match="listened on"):
-        web_viewer.serve(path, port=server.port)
+        web_server.serve(path, port=server.port)
 
 
 def test_a_closed_server_is_gone(tmp_path):
     path = rerun_view.save(by_hand(2), tmp_path / "a.rrd", cameras=False)
-    running = web_viewer.serve(path)
+    running = web_server.serve(path)
     threading.Timer(0.2, running.close).start()
     running.wait()
     assert listening(running.port) == []

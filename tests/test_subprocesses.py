@@ -125,7 +125,7 @@ def test_stuck_ones_end_with_their_parent_and_nothing_comes_from_the_working_fol
             from league import subprocesses
 
             def stuck(pipe):
-                pipe.send((os.getpid(), os.getppid(), "league.race" in sys.modules))
+                pipe.send((os.getpid(), os.getppid(), "league.racing.race" in sys.modules))
                 while True:
                     time.sleep(1.0)
 

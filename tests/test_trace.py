@@ -5,7 +5,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scenes import follow_center, make_straight
 
-from league.evaluation import Trace, evaluate
+from league.racing.evaluate import evaluate
+from league.racing.trace import Trace
 from league.sim.config import SensorConfig
 
 

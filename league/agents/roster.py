@@ -7,7 +7,7 @@ from league.agents.driver import Driver
 from league.agents.scripted import LineDriver, Style
 from league.errors import PolicyError, nearest_names
 from league.sim.config import CarConfig
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 NAMES: dict[str, str] = {
     "blocker": "drives the racing line a little slower and moves in front of the car behind it",

@@ -29,7 +29,7 @@ from league.racing_line.racing_line import center_line, optimal_line
 from league.racing_line.speed_profile import spare_grip
 from league.sim.config import CarConfig, SensorConfig
 from league.sim.settings import GRAVITY
-from league.track.course import Track, TrackSet
+from league.track.track import Track, TrackSet
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from league.cli import tables
-from league.cli.season.door import OnLeague
+from league.cli.season.base import OnLeague
 from league.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ class Export(OnLeague):
         return given, path
 
     def _export_league(self) -> int:
-        from league.cli.season import exporting
+        from league.cli.season import export as exporting
 
         if self.checkpoint is not None or self.onnx is not None:
             raise ConfigError(

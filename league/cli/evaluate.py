@@ -18,9 +18,10 @@ if TYPE_CHECKING:
 
     from league.envs.action_space import ActionSpace
     from league.envs.rewards import Reward
-    from league.evaluation import Evaluation, Trace
+    from league.racing.table import Evaluation
+    from league.racing.trace import Trace
     from league.sim.config import CarConfig, ObstacleConfig
-    from league.track.course import TrackSet
+    from league.track.track import TrackSet
 
 
 @dataclass
@@ -124,10 +125,11 @@ def _check(command: Evaluate) -> None:
 def _one(command: Evaluate, track: str) -> tuple[Evaluation, Trace | None]:
     from league.agents import roster
     from league.cli.race import labels
-    from league.evaluation import Trace, evaluate
+    from league.racing.evaluate import evaluate
+    from league.racing.trace import Trace
     from league.sim.config import SimConfig
     from league.track import files
-    from league.track.course import TrackSet
+    from league.track.track import TrackSet
 
     course = files.load(track)
     tracks, car = TrackSet(course), SimConfig().car
@@ -167,10 +169,10 @@ def _obstacles(command: Evaluate) -> ObstacleConfig:
 def _reward(wish: str, tracks: TrackSet, car: CarConfig) -> Callable[[int], Reward]:
     """Return what makes the reward of so many worlds, in which car 0 is paid."""
     if wish.endswith(".py"):
-        from league.envs.deepracer import user_reward
+        from league.deepracer import user_reward
 
         return lambda num_worlds: user_reward(wish, num_worlds, (0,))
-    from league.agents.line_reward import built_in
+    from league.envs.line_reward import built_in
 
     paid = built_in(wish, tracks, car)
     return lambda num_worlds: paid
@@ -178,10 +180,10 @@ def _reward(wish: str, tracks: TrackSet, car: CarConfig) -> Callable[[int], Rewa
 
 def _keep_replay(command: Evaluate, track: str) -> None:
     """Drive the first run once more, as a race that is recorded: the same race to the bit."""
-    from league import race
     from league import replay as replays
     from league.cli.race import entries, replay_path, told
     from league.race_spec import checked
+    from league.racing import race
     from league.track import files
 
     course = files.load(track)

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import tyro
 
 from league.cli import checkpoints, drivers, evaluate, race, replays, rewards, tracks, train
-from league.cli.season import entering, heats, reading, running, trials
+from league.cli.season import entries, gauntlet, heats, run, standings
 from league.errors import LeagueError
 
 ROOMS = (
@@ -25,11 +25,11 @@ ROOMS = (
     tracks,
     drivers,
     replays,
-    entering,
-    running,
-    reading,
+    entries,
+    run,
+    standings,
     heats,
-    trials,
+    gauntlet,
 )
 """Where the commands are, in the order of the help; each room's `COMMANDS` names its own."""
 
@@ -40,11 +40,11 @@ SIMULATING = (
     evaluate.Evaluate,
     rewards.Rewards,
     replays.Verify,
-    entering.Submit,
-    running.Work,
+    entries.Submit,
+    run.Work,
     heats.Audit,
-    trials.Gauntlet,
-    trials.Compare,
+    gauntlet.Gauntlet,
+    gauntlet.Compare,
 )
 """Commands that drive cars, and so need the compiled simulator."""
 

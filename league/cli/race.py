@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from league.race_spec import RaceResult, RaceSpec
     from league.rerun_view import Live
     from league.sim.world import World
-    from league.track.course import Track
+    from league.track.track import Track
 
 
 @dataclass
@@ -58,7 +58,7 @@ class Race:
 
 
 def _race(command: Race) -> int:
-    from league import race
+    from league.racing import race
     from league.track import files
 
     if not command.drivers:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import tyro
 
 from league.cli import tables
-from league.cli.season.door import OnLeague
+from league.cli.season.base import OnLeague
 from league.errors import ReplayError
 
 if TYPE_CHECKING:
@@ -76,8 +76,9 @@ class Verify:
 
     def run(self) -> int:
         """Run the command."""
-        from league import __version__, race
+        from league import __version__
         from league import replay as replays
+        from league.racing import race
         from league.sim.version import PHYSICS
 
         recorded = replays.read(self.replay)
@@ -149,9 +150,9 @@ def _view(command: View) -> int:
         rerun_view.save(recorded, path, cameras=not command.no_cameras)
         if not command.web:
             return rerun_view.open_viewer(path)
-        from league import web_viewer
+        from league.rerun_view import web_server
 
-        with web_viewer.serve(path) as server:
+        with web_server.serve(path) as server:
             print(f"Open {server.url}   (Ctrl-C stops)", flush=True)
             server.wait()
     return 0

@@ -13,8 +13,8 @@ import tyro
 from league.cli import tables
 
 if TYPE_CHECKING:
-    from league.envs.deepracer.check import Report, Tried
-    from league.envs.deepracer.rescore import Score
+    from league.deepracer.check import Report, Tried
+    from league.deepracer.rescore import Score
     from league.replay import Replay
 
 _PRINTED = 5
@@ -31,7 +31,7 @@ class CheckReward:
 
     def run(self) -> int:
         """Run the command; 1 if the function fails anywhere."""
-        from league.envs.deepracer import check
+        from league.deepracer import check
 
         report = check.check(self.file)
         if self.json:
@@ -59,7 +59,7 @@ class ScoreReplay:
     def run(self) -> int:
         """Run the command."""
         from league import replay as replays
-        from league.envs.deepracer import score_plot
+        from league.deepracer import score_plot
 
         race = replays.read(self.replay)
         scores = [_score(race, wish) for wish in (self.reward, self.against)]
@@ -91,8 +91,8 @@ class Rewards:
 
 
 def _score(race: Replay, wish: str) -> Score:
-    from league.agents.line_reward import built_in
-    from league.envs.deepracer import rescore, user_reward
+    from league.deepracer import rescore, user_reward
+    from league.envs.line_reward import built_in
 
     if not wish.endswith(".py"):
         paid = built_in(wish, race.tracks, race.sim.car)

@@ -55,12 +55,12 @@ class ShowTrack:
 
     def run(self) -> int:
         """Run the command."""
-        from league.track import files, paint
+        from league.track import files, markings
 
         track = files.load(self.name)
         path = self.out or Path(f"{track.name}.png")
         with replacing(path, "the picture", TrackError) as file:
-            file.write_bytes(paint.png(paint.poster(track)))
+            file.write_bytes(markings.png(markings.poster(track)))
         one = files.report(track)
         print(
             f"{one['title']}: {one['length']:.2f} m, {one['width']:.3f} m wide, "

@@ -15,9 +15,9 @@ from league.cli import resuming, train_settings
 from league.errors import ConfigError, RewardError
 
 if TYPE_CHECKING:
-    from league.training.onlooker import Onlooker
+    from league.training.monitor.callback import Onlooker
     from league.training.run import Outcome, Run
-    from league.training.selfplay.matrix import WinMatrix
+    from league.training.selfplay.payoff_matrix import WinMatrix
 
 
 @dataclass
@@ -143,17 +143,17 @@ def _train(command: Train) -> int:
     else:
         cfg = train_settings.config(command)
         resuming.refuse_taken(command, folder)
-    from league.training import ranks
-    from league.training.learner import threads
+    from league.training.ppo import distributed
+    from league.training.ppo.learner import threads
     from league.training.run import Run
 
-    if ranks.is_first() and any(name.startswith("generated:") for name in cfg.tracks):
+    if distributed.is_first() and any(name.startswith("generated:") for name in cfg.tracks):
         print("Drawing the tracks; hundreds take half a minute.", flush=True)
     with threads(cfg.threads), _saved_on_sigterm():
         run = Run(cfg, folder)
         if command.resume:
             _resume(command, run)
-        if not ranks.is_first():
+        if not distributed.is_first():
             return _learn_along(run)
         try:
             outcome = run.learn(_looking_on(command, run))
@@ -230,7 +230,7 @@ def _tell_printed(folder: Path) -> None:
 
 
 def _resume(command: Train, run: Run) -> None:
-    from league.training import ranks
+    from league.training.ppo import distributed
     from league.training.run_config import settings
 
     try:
@@ -240,7 +240,7 @@ def _resume(command: Train, run: Run) -> None:
     except BaseException:
         run.close()
         raise
-    if ranks.is_first():
+    if distributed.is_first():
         print(resuming.going_on(run, before), flush=True)
 
 
@@ -286,13 +286,13 @@ def _looking_on(command: Train, run: Run) -> list[Onlooker]:
 
 
 def _onlookers(command: Train, run: Run) -> list[Onlooker]:
-    from league.training.page import Page
-    from league.training.picture import Picture
+    from league.training.monitor.dashboard import Page
+    from league.training.monitor.plot import Picture
 
     cfg = run.cfg
     found: list[Onlooker] = []
     if command.watch:
-        from league.training.watching import Watching
+        from league.training.monitor.viewer import Watching
 
         watching = Watching(*run.learner.shown)
         # Before the page, which draws over what is told while it is open.
@@ -307,7 +307,7 @@ def _onlookers(command: Train, run: Run) -> list[Onlooker]:
     )
     found += [page, Picture(run.folder / "training.png")]
     if command.tensorboard:
-        from league.training.scalars import Scalars
+        from league.training.monitor.tensorboard import Scalars
 
         found.append(Scalars(run.folder / "tensorboard"))
     return found

@@ -233,8 +233,8 @@ def _from_deepracer(path: Path, ppo: PpoConfig, command: Train, space: ActionSpa
     """Return the learner's settings with those that a hyperparameters.json names."""
     from dataclasses import asdict, replace
 
+    from league.deepracer import hyperparameters
     from league.envs.action_space import DiscreteActions
-    from league.envs.deepracer import hyperparameters
 
     asked = hyperparameters.read(path)
     rollout = command.num_worlds * (command.rollout or ppo.steps)
@@ -272,7 +272,7 @@ def parse_actions(text: str) -> ActionSpace:
     from league.envs.action_space import ContinuousActions, grid
 
     if text.endswith(".json"):
-        from league.envs.deepracer import metadata
+        from league.deepracer import model_metadata as metadata
 
         found = metadata.read(text)
         for note in found.notes:
@@ -301,7 +301,7 @@ def parse_sensors(names: tuple[str, ...]) -> SensorConfig:
     from league.sim.config import CameraConfig, LidarConfig, SensorConfig
 
     if len(names) == 1 and names[0].endswith(".json"):
-        from league.envs.deepracer import metadata
+        from league.deepracer import model_metadata as metadata
 
         return metadata.read(names[0]).sensors
     cameras, lidars = [], []

@@ -2,11 +2,11 @@
 
 from typing import TYPE_CHECKING
 
-from league.envs.registration import register
+from league.envs.adapters.registration import register
 
 if TYPE_CHECKING:
-    from league.envs.multi_env import parallel_env
-    from league.envs.vec_env import RacingVecEnv
+    from league.envs.adapters.parallel_env import parallel_env
+    from league.envs.adapters.rsl_vec_env import RacingVecEnv
 
 __all__ = ["RacingVecEnv", "parallel_env", "register"]
 
@@ -17,11 +17,11 @@ register()
 def __getattr__(name: str) -> object:
     """Open a door on first use, so that nobody waits for a neighbour that is not needed."""
     if name == "parallel_env":
-        from league.envs.multi_env import parallel_env
+        from league.envs.adapters.parallel_env import parallel_env
 
         return parallel_env
     if name == "RacingVecEnv":
-        from league.envs.vec_env import RacingVecEnv
+        from league.envs.adapters.rsl_vec_env import RacingVecEnv
 
         return RacingVecEnv
     raise AttributeError(f"module 'league.envs' has no attribute {name!r}")

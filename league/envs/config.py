@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field, fields
 from typing import Literal
 
-from league.envs.meeting import Meeting
+from league.envs.encounters import Meeting
 from league.errors import ConfigError
 from league.sim.config import LookConfig, SensorConfig, SimConfig, SolverName
 from league.sim.validation import check, ranged

@@ -19,7 +19,7 @@ import numpy as np
 from league.envs.state import ABSENT_GAP, INDEX, LOOKAHEADS, NEAR_OBSTACLES, NEIGHBOURS
 from league.jit import compiled, inner
 from league.portable_math import f32, heading_of, sincos, wrap_angle
-from league.sim.vehicle import frozen
+from league.sim.physics.vehicle import frozen
 from league.track.projection import curvature_at, frame_at, lap_length, signed_gap
 
 MOTION_FIELDS = ("speed", "yaw_rate", "steering", "last_steering", "last_speed")

@@ -12,7 +12,7 @@ from league.envs.config import EnvConfig
 from league.envs.driver import Driver
 from league.errors import ConfigError
 from league.sim.config import CarConfig
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 if TYPE_CHECKING:
     from league.envs.race_env import Step

@@ -11,16 +11,17 @@ import numpy as np
 from league.envs import episodes, rewards
 from league.envs import step as stages
 from league.envs.config import EnvConfig
-from league.envs.meeting import Meeting
+from league.envs.encounters import Meeting
 from league.envs.rewards import Reward
-from league.envs.sensing import Sensing
+from league.envs.sensor_suite import Sensing
 from league.envs.threads import over_worlds
 from league.errors import ActionError, ConfigError, WorldError
-from league.sim import planar, records, rng
+from league.sim import records, rng
 from league.sim.config import SimConfig
+from league.sim.physics import planar
 from league.sim.settings import settings
 from league.sim.world import World
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -99,7 +100,7 @@ class RaceEnv:
         self._world.worlds["track"] = self._tracks_of_worlds(track_index)
         self._solver = None
         if cfg.solver == "bullet":
-            from league.sim.bullet import BulletSolver  # late: PyBullet takes a while
+            from league.sim.physics.bullet import BulletSolver  # late: PyBullet takes a while
 
             self._solver = BulletSolver(cfg.sim, tracks.rooms, num_worlds)
         self._sensing = Sensing(tracks, cfg, device)

@@ -17,8 +17,8 @@ from league.jit import compiled, inner
 from league.portable_math import f32
 from league.sim.grid import is_racing
 from league.sim.world import World
-from league.track.course import TrackSet
 from league.track.projection import frame_at, signed_gap
+from league.track.track import TrackSet
 
 PRESETS = {
     "centerline": RewardConfig(progress=0.0, centerline=1.0, off_track=0.0, crash=0.0),

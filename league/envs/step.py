@@ -17,8 +17,9 @@ from league.envs import episodes as episodes_room
 from league.envs import observations, rewards
 from league.jit import compiled, inner
 from league.portable_math import f32
-from league.sim import grid, planar, referee
+from league.sim import grid, referee
 from league.sim import obstacles as obstacles_room
+from league.sim.physics import planar
 
 PREPARE, PHYSICS, JUDGE, SETTLE = 1, 2, 4, 8
 """Phases of a step: read the actions; move the cars; judge and pay; penalties or new episodes."""

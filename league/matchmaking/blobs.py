@@ -10,7 +10,7 @@ from typing import Protocol
 
 from league.atomic_file import replacing
 from league.errors import StoreError
-from league.matchmaking import keys
+from league.matchmaking.pairing import heat_spec
 
 MAX_BYTES = 64 * 1024 * 1024
 """Largest blob [bytes]."""
@@ -48,7 +48,7 @@ def verified(content: bytes | None, digest: str, where: str) -> bytes:
         raise StoreError(
             f"{where} holds no file {digest[:12]}: restore it from a backup, or submit it again"
         )
-    if keys.digest(content) != digest:
+    if heat_spec.digest(content) != digest:
         raise StoreError(
             f"the file {digest[:12]} in {where} is damaged (its hash differs): "
             "restore it from a backup, or submit it again"
@@ -74,7 +74,7 @@ class FolderBlobs:
 
     def put(self, content: bytes) -> str:
         """Keep some bytes and return their SHA-256."""
-        digest = keys.digest(checked(content))
+        digest = heat_spec.digest(checked(content))
         if self.has(digest):
             return digest
         path = self._path(digest)

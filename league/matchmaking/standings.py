@@ -10,9 +10,9 @@ import numpy as np
 
 from league.errors import StoreError, brief
 from league.matchmaking import ratings
-from league.matchmaking.intransitivity import Goodness, goodness_of_fit
 from league.matchmaking.ratings import Field, Ratings, Results
-from league.matchmaking.ratings.evidence import points_of
+from league.matchmaking.ratings.intransitivity import Goodness, goodness_of_fit
+from league.matchmaking.ratings.pair_counts import points_of
 from league.matchmaking.store import RATED, Entry, EntryState, Races, Store
 from league.matchmaking.store.records import BEST_MS, FINISHED, TOLD
 

@@ -23,7 +23,7 @@ from league.agents.checkpoint.archive import RefusedError
 from league.agents.checkpoint.file import MAX_SIZE, MAX_SIZE_CAMERA, read_card
 from league.agents.policy import Policy
 from league.errors import PolicyError, brief
-from league.matchmaking.keys import Ruleset
+from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.store import Entry, Store
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig, SimConfig
 

@@ -20,8 +20,8 @@ from league.racing_line.road import sample
 from league.racing_line.search import fastest
 from league.racing_line.speed_profile import Limits, speed_profile, travel_time
 from league.sim.config import CarConfig
-from league.track.course import Track, TrackSet
 from league.track.projection import frame_at
+from league.track.track import Track, TrackSet
 
 STEP = 0.03
 """Wished distance between two rows of a finished line [m]."""

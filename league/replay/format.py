@@ -24,7 +24,7 @@ from league.replay.columns import (
 from league.replay.replay import PARAMETERS, Replay
 from league.sim.config import MAX_CARS
 from league.track import files
-from league.track.course import Track
+from league.track.track import Track
 
 MAGIC = b"\x89RACE\r\n\x1a"
 """Like PNG's: a text transfer breaks the line end, `type` stops at the last byte."""

@@ -14,7 +14,7 @@ from league.replay.columns import Columns
 from league.replay.replay import PARAMETERS, Replay
 from league.sim.version import PHYSICS
 from league.sim.world import World
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 _FOR_GOOD_S = 1e5
 """What a replay tells as the penalty of a car that is out of the race: longer than any race [s]."""

@@ -12,7 +12,7 @@ from league.replay.columns import Columns
 from league.sim import records
 from league.sim.config import ObstacleConfig, SimConfig
 from league.sim.world import World
-from league.track.course import Track, TrackSet
+from league.track.track import Track, TrackSet
 
 PARAMETERS = ("grip", "mass", "latency_s", "steering_offset", "camera_up", "camera_pitch")
 """The fields of a car's parameters, in the order they are kept."""

@@ -10,17 +10,16 @@ from collections.abc import Sequence
 import numpy as np
 import rerun as rr
 
-from league import web_viewer
 from league.errors import ReplayError
 from league.race_spec import RaceSpec
 from league.replay.replay import JUMP
 from league.replay.story import PACK
-from league.rerun_view import blueprint, paths, poses, record, shapes
+from league.rerun_view import blueprint, paths, poses, record, shapes, web_server
 from league.rerun_view.stream import Stream, has_display
 from league.sim.camera.scene import BOT_COLOUR, BOX_COLOUR, CAR, CAR_COLOURS, WHEEL_RADIUS
 from league.sim.config import ObstacleConfig
 from league.sim.world import World
-from league.track.course import Track
+from league.track.track import Track
 
 CHASE_SHARE = 0.18
 """How much of the way to its subject the live chase camera goes in one step."""
@@ -32,8 +31,8 @@ def open_viewer(rrd_path: str | os.PathLike[str]) -> int:
         raise ReplayError(
             "there is no display for the viewer's window: use --web for a browser, or --rrd FILE"
         )
-    command = [str(web_viewer.rerun_program()), "--bind", web_viewer.HOST]
-    command += ["--port", str(web_viewer.free_port()), str(rrd_path)]
+    command = [str(web_server.rerun_program()), "--bind", web_server.HOST]
+    command += ["--port", str(web_server.free_port()), str(rrd_path)]
     return subprocess.call(command)
 
 

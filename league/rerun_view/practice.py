@@ -19,7 +19,7 @@ from league.rerun_view import paths, poses, record, shapes
 from league.sim.camera.scene import BOT_COLOUR, BOX_COLOUR, CAR, CAR_COLOURS
 from league.sim.config import ObstacleConfig
 from league.sim.world import World
-from league.track.course import Track
+from league.track.track import Track
 
 BATCH_S = 1.0
 """Seconds between two batches sent."""

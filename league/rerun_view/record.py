@@ -19,7 +19,7 @@ from league.rerun_view.senses import EYE_CAMERA, send_eyes, send_lidar, times_of
 from league.rerun_view.shapes import Mesh
 from league.sim.camera.scene import BOT_COLOUR, BOX_COLOUR, CAR, CAR_COLOURS
 from league.sim.config import ObstacleConfig
-from league.track.course import Track
+from league.track.track import Track
 
 WALL_OPACITY = 0.3
 SHADOW_OPACITY = 0.45

@@ -11,7 +11,7 @@ import rerun as rr
 from league.replay import Replay
 from league.rerun_view import paths
 from league.sim import lidar
-from league.sim.camera.paint import PaintRenderer
+from league.sim.camera.paint_renderer import PaintRenderer
 from league.sim.camera.scene import CAR_COLOURS
 from league.sim.config import CameraConfig, LidarConfig
 from league.video.mp4 import Coding, Mp4, interleaved

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from league.sim.camera.scene import BODY, BOX, PAINTS, WALL_HEIGHT, WHEEL_RADIUS, Model, Solid
-from league.track.course import Rgb, Track
-from league.track.paint import (
+from league.track.markings import (
     DASH_LENGTH,
     DASH_PITCH,
     DASH_WIDTH,
@@ -16,6 +15,7 @@ from league.track.paint import (
     START_DEPTH,
     START_SQUARE,
 )
+from league.track.track import Rgb, Track
 
 LIFT = 0.003
 """How far each layer of paint lies above the one below [m], so that they do not flicker."""

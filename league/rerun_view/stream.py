@@ -13,8 +13,7 @@ import uuid
 import rerun as rr
 import rerun.blueprint as rrb
 
-from league import web_viewer
-from league.rerun_view import paths
+from league.rerun_view import paths, web_server
 
 MEMORY = "512MiB"
 """What the viewer keeps; the oldest is dropped beyond it, so that it can run for days."""
@@ -48,28 +47,28 @@ class Stream:
             ReplayError: the viewer does not start.
         """
         window = has_display() if window is None else window
-        port = web_viewer.free_port()
-        url = f"rerun+http://{web_viewer.HOST}:{port}/proxy"
+        port = web_server.free_port()
+        url = f"rerun+http://{web_server.HOST}:{port}/proxy"
         self._window = window
         self._home = tempfile.TemporaryDirectory(prefix="league-", ignore_cleanup_errors=True)
-        self._server: web_viewer.Server | None = None
+        self._server: web_server.Server | None = None
         self._child = subprocess.Popen(
             _command(port, window, memory),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
-            env=None if window else web_viewer.quiet_environment(self._home.name),
+            env=None if window else web_server.quiet_environment(self._home.name),
             # Ctrl-C is for us alone, and a window stays when all is over.
             start_new_session=True,
         )
         self.address = url
         """Where it can be watched."""
         try:
-            web_viewer.wait_until_open(port, self._child)
+            web_server.wait_until_open(port, self._child)
             self.recording = rr.RecordingStream(paths.APPLICATION, recording_id=str(uuid.uuid4()))
             self.recording.connect_grpc(url, default_blueprint=layout)
             if not window:
-                self._server = web_viewer.serve_stream(url, port)
+                self._server = web_server.serve_stream(url, port)
                 self.address = self._server.url
         except BaseException:
             self._kill()
@@ -108,7 +107,7 @@ class Stream:
 
 
 def _command(port: int, window: bool, memory: str | None = MEMORY) -> list[str]:
-    command = [str(web_viewer.rerun_program()), "--bind", web_viewer.HOST, "--port", str(port)]
+    command = [str(web_server.rerun_program()), "--bind", web_server.HOST, "--port", str(port)]
     if memory is not None:
         command += ["--memory-limit", memory, "--server-memory-limit", memory]
     return command if window else [*command, "--serve-grpc"]

@@ -10,8 +10,8 @@ import numpy as np
 from league.jit import inner
 from league.portable_math import f32, heading_of, wrap_angle
 from league.sim import obstacles as obstacles_room
+from league.sim.physics.vehicle import frozen
 from league.sim.rng import uniform_of
-from league.sim.vehicle import frozen
 from league.track.projection import frame_at, signed_gap
 
 _GRIP, _MASS, _LATENCY, _STEERING, _CAMERA_UP, _CAMERA_PITCH = range(201, 207)

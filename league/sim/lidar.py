@@ -19,7 +19,7 @@ from league.portable_math import f32, sincos
 from league.sim.config import LidarConfig, SimConfig
 from league.sim.rng import normal_of
 from league.sim.world import World
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 NEAR_SECTOR = 0.5
 """A sector reads 1 when something stands within this range [m]."""

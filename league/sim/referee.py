@@ -13,8 +13,8 @@ import numpy as np
 from league.jit import compiled, inner
 from league.portable_math import clamp, f32, sincos
 from league.sim import grid
+from league.sim.physics.vehicle import frozen
 from league.sim.records import NOBODY
-from league.sim.vehicle import frozen
 from league.track.projection import lap_length, project, signed_gap
 
 _CLEAR_PASS = f32(1.0)

@@ -6,8 +6,8 @@ import numpy as np
 
 from league.errors import TrackError
 from league.track import check, spline
-from league.track.course import SPACING, Colours, Track
 from league.track.schema import TrackFile
+from league.track.track import SPACING, Colours, Track
 
 MIN_LENGTH, MAX_LENGTH = 2.0, 300.0
 """Shortest and longest centreline [m]."""

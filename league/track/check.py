@@ -12,7 +12,7 @@ import numpy as np
 
 from league.errors import TrackError
 from league.jit import compiled
-from league.track.course import Track
+from league.track.track import Track
 
 MIN_RADIUS = 0.2
 """Smallest radius of a centreline [m], smoothed over 0.3 m; the car itself turns in 0.284 m."""

@@ -13,7 +13,7 @@ import numpy as np
 from league.atomic_file import replacing
 from league.errors import TrackError, nearest_names
 from league.track import build, schema
-from league.track.course import Colours, Track
+from league.track.track import Colours, Track
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 

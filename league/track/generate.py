@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 
 from league.errors import TrackError
 from league.track import build, files, schema, spline
-from league.track.course import Track
+from league.track.track import Track
 
 Direction = Literal["counter-clockwise", "clockwise"]
 

@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 
 from league.errors import TrackError
 from league.track import build, check, files, schema, spline
-from league.track.course import SPACING, Track
+from league.track.track import SPACING, Track
 
 MAX_BYTES = 1_000_000
 """Largest array file read [bytes]; the largest of the community has 20 kB."""

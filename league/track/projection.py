@@ -1,6 +1,6 @@
 """Compiled: places along a centreline, how they are found, and the frame of the track there.
 
-A track is a COURSE record and its row of POINT records; league/track/course.py builds them.
+A track is a COURSE record and its row of POINT records; league/track/track.py builds them.
 """
 
 # Numba gives its types a meaning that the checker does not know.

@@ -11,27 +11,28 @@ from statistics import fmean
 from typing import TYPE_CHECKING
 
 from league import __version__
-from league.agents import checkpoint, line_reward, roster
+from league.agents import checkpoint, roster
 from league.agents.card import Card
 from league.agents.card import Reward as RewardCard
 from league.agents.checkpoint import Checkpoint
 from league.atomic_file import replacing
+from league.envs import line_reward
 from league.envs.driver import Driver
 from league.envs.rewards import Reward
 from league.errors import ConfigError, LeagueError, PolicyError
-from league.training import checks, courses, ranks, run_config, run_folder, worlds
-from league.training.history import History
-from league.training.judge import Exam, Judge, Judgement, judged
-from league.training.learner import Learner, Update
+from league.training import checks, run_config, run_folder, track_selection
+from league.training.evaluator import Exam, Judge, Judgement, judged
+from league.training.monitor.history import History
+from league.training.ppo import distributed, make_env
+from league.training.ppo.learner import Learner, Update
+from league.training.ppo.teacher import tutored
 from league.training.run_config import RunConfig
-from league.training.selfplay import SelfPlay, SelfPlayConfig
-from league.training.selfplay.matrix import FINAL, WinMatrix
-from league.training.selfplay.picture import draw as draw_matrix
-from league.training.tutor import tutored
+from league.training.selfplay import SelfPlay, SelfPlayConfig, payoff_plot
+from league.training.selfplay.payoff_matrix import FINAL, WinMatrix
 
 if TYPE_CHECKING:
-    from league.evaluation import Evaluation
-    from league.training.onlooker import Onlooker
+    from league.racing.table import Evaluation
+    from league.training.monitor.callback import Onlooker
 
 
 CRITIC_FIRST = 4
@@ -76,8 +77,8 @@ class Run:
         self.cfg, self.folder = cfg, folder
         if not cfg.reward.endswith(".py"):
             ways = 2 if cfg.train.both_directions else 1
-            line_reward.check(cfg.reward, ways * courses.count(cfg.tracks))
-        self._tracks = courses.load(cfg.tracks)
+            line_reward.check(cfg.reward, ways * track_selection.count(cfg.tracks))
+        self._tracks = track_selection.load(cfg.tracks)
         self._exam = _exam(cfg, self._tracks)
         train = cfg.train
         self._parents: tuple[str, ...] = ()
@@ -85,19 +86,19 @@ class Run:
         self._spent_s, self._complete = 0.0, 0
         checks.card(self._card)
         # Each rank its own card, before any is touched.
-        train = replace(train, device=ranks.device(train.device))
+        train = replace(train, device=distributed.device(train.device))
         checks.device(train.device)
-        if cfg.self_play and ranks.count() > 1:
+        if cfg.self_play and distributed.count() > 1:
             raise ConfigError(
-                f"self-play learns in one process, and torchrun has started {ranks.count()}: start "
-                "it without torchrun, or omit --self-play"
+                f"self-play learns in one process, and torchrun has started {distributed.count()}: "
+                "start it without torchrun, or omit --self-play"
             )
         if train.tutor and (cfg.self_play or cfg.init_from):
             other = "--self-play" if cfg.self_play else "--init-from"
             raise ConfigError(
                 f"a tutor teaches a policy that knows nothing yet: omit --tutor or {other}"
             )
-        tracks = courses.together(self._tracks, train.both_directions)
+        tracks = track_selection.together(self._tracks, train.both_directions)
         self.train = train
         self._parent = checkpoint.load(cfg.init_from) if cfg.init_from else None
         if self._parent is not None:
@@ -115,15 +116,15 @@ class Run:
             )
             opponents = self._self_play.drivers()
         # After what is refused at once, and before what takes seconds: it loads meanwhile.
-        self._judge = Judge(self._exam, beside=beside and ranks.is_first())
+        self._judge = Judge(self._exam, beside=beside and distributed.is_first())
         if self._reward is None:
-            car = worlds.env_config(train).sim.car
+            car = make_env.env_config(train).sim.car
             self._reward = line_reward.built_in(cfg.reward, tracks, car)
         with checks.memory():
             if train.tutor:
                 self.learner = tutored(tracks, train, opponents=opponents, reward=self._reward)
             else:
-                env = worlds.make(tracks, train, opponents=opponents, reward=self._reward)
+                env = make_env.make(tracks, train, opponents=opponents, reward=self._reward)
                 self.learner = Learner(env, train)
         if self._parent is not None:
             self.learner.begin(dict(self._parent.weights))
@@ -156,8 +157,8 @@ class Run:
         more = not self.cfg.has_budget_of(run_config.settings(self.folder))
         if more:
             self._complete = 0  # whoever gives more time wants more than complete laps
-        ranks.wait()  # all have read before the first one writes
-        if not ranks.is_first():
+        distributed.wait()  # all have read before the first one writes
+        if not distributed.is_first():
             return
         self._lock = run_folder.lock(self.folder)
         self.history.close()
@@ -194,7 +195,7 @@ class Run:
     def learn(self, onlookers: Sequence[Onlooker] = ()) -> Outcome:
         """Learn until the budget is spent or all is complete; Ctrl-C saves and raises."""
         try:
-            if self.learner.updates == 0 and ranks.is_first():
+            if self.learner.updates == 0 and distributed.is_first():
                 self._prepare()
         except BaseException:
             self.close()
@@ -202,16 +203,16 @@ class Run:
         # A run that was killed while its last policy was judged has nothing more to learn.
         started = time.perf_counter() - self._spent_s
         try:
-            with ranks.stopping_together() as stopping_place:
-                while not ranks.agreed(bool(self.over)):
+            with distributed.stopping_together() as stopping_place:
+                while not distributed.agreed(bool(self.over)):
                     update = self._updated()
                     self._spent_s = time.perf_counter() - started
-                    if ranks.is_first():
+                    if distributed.is_first():
                         self._after(update, onlookers)
                     stopping_place()
             why = self.over
-            ranks.close()  # what is left is done by the first rank alone
-            if ranks.is_first():
+            distributed.close()  # what is left is done by the first rank alone
+            if distributed.is_first():
                 self._finish(onlookers)
         except LeagueError:
             # The user's reward function failed, say: what was learnt stays.
@@ -366,7 +367,7 @@ class Run:
         policy, updates = self._checkpoint(), self.learner.updates
         found = self._matrix = self_play.report(policy)
         found.write(self.folder / "win_matrix.json")
-        draw_matrix(found, self.folder / "win_matrix.png")
+        payoff_plot.draw(found, self.folder / "win_matrix.png")
         if found.champion != FINAL:
             updates, kept = self_play.snapshot(found.champion)
             spent_s = next(row.time_s for row in self.history.updates if row.number == updates)
@@ -379,7 +380,7 @@ class Run:
         return {row.number for row in self.history.evaluations}
 
     def _save(self) -> None:
-        if self.learner.updates == 0 or not ranks.is_first():
+        if self.learner.updates == 0 or not distributed.is_first():
             return
         if self.learner.has_learnt:
             checkpoint.save(self.folder / "last.pt", self._checkpoint())
@@ -432,7 +433,11 @@ def _merit(evaluation: Evaluation) -> tuple[float, ...]:
 
 
 def _exam(cfg: RunConfig, tracks: list) -> Exam:
-    asked = courses.load(cfg.exam_tracks) if cfg.exam_tracks else courses.to_judge_on(cfg.tracks)
+    asked = (
+        track_selection.load(cfg.exam_tracks)
+        if cfg.exam_tracks
+        else track_selection.to_judge_on(cfg.tracks)
+    )
     # Who learns to race others is judged by racing them; of self-play the matrix tells.
     opponents = cfg.exam_opponents or cfg.opponents
     for name in opponents:
@@ -452,8 +457,8 @@ def _reward(cfg: RunConfig) -> tuple[Reward | None, RewardCard]:
     """Return the reward of a file, or None for a built-in one, and what the card says of it."""
     if not cfg.reward.endswith(".py"):
         return None, RewardCard(name=cfg.reward)
-    from league.envs.deepracer import user_reward
+    from league.deepracer import user_reward
 
-    sim = worlds.env_config(cfg.train).sim
+    sim = make_env.env_config(cfg.train).sim
     reward = user_reward(cfg.reward, cfg.train.num_worlds, (0,), sim=sim)
     return reward, RewardCard(name=Path(cfg.reward).stem[:80], sha256=reward.source.digest)

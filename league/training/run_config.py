@@ -10,7 +10,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from league.atomic_file import replacing
 from league.errors import ConfigError, PolicyError
-from league.evaluation.driving import MAX_TRIALS
+from league.racing.evaluate import MAX_TRIALS
 from league.training.settings import TrainConfig
 
 

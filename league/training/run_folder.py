@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from league.errors import ConfigError, PolicyError
-from league.training import history
+from league.training.monitor import history
 
 LEARNT = ("best.pt", "last.pt", "state.pt")
 """What cannot be had again without learning it again."""

@@ -7,7 +7,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from league.track.course import Rgb
+from league.track.track import Rgb
 
 WHITE: Rgb = (244, 246, 248)
 DIM: Rgb = (168, 178, 188)

@@ -14,7 +14,7 @@ from av.error import FFmpegError
 from league.atomic_file import replacing
 from league.errors import ReplayError
 from league.replay import Replay, story
-from league.sim.camera.paint import PaintRenderer
+from league.sim.camera.paint_renderer import PaintRenderer
 from league.sim.config import CameraConfig
 from league.sim.records import CAR
 from league.sim.world import World

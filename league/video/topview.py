@@ -8,8 +8,8 @@ import numpy as np
 from league.replay import Replay
 from league.sim.camera.scene import BOT_COLOUR, BOX_COLOUR, CAR, CAR_COLOURS, faded
 from league.sim.world import World, is_frozen
-from league.track import paint
-from league.track.course import Rgb
+from league.track import markings
+from league.track.track import Rgb
 
 _SHIFT = 4
 _MARGIN = 0.35
@@ -62,7 +62,7 @@ class TopView:
 
     def _paint(self, replay: Replay) -> np.ndarray:
         mpp = max(1.0 / self._scale / 3, 0.004)
-        floor = paint.floor(replay.track, mpp, colour=True)
+        floor = markings.floor(replay.track, mpp, colour=True)
         corners = np.round(floor.pixel_of(np.stack([self._low, self._high])) + 0.5).astype(int)
         (left, bottom), (right, top) = np.maximum(corners, 0)
         image = floor.image[bottom:top, left:right]

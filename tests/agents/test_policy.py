@@ -14,14 +14,14 @@ from league.agents import checkpoint, roster
 from league.agents.network import Activation, NetworkConfig
 from league.agents.policy import Policy
 from league.envs.action_space import ContinuousActions, grid, to_actions
+from league.envs.adapters.rsl_vec_env import RacingVecEnv
 from league.envs.config import EnvConfig
-from league.envs.vec_env import RacingVecEnv
 from league.errors import PolicyError
-from league.race import run
 from league.race_spec import Entry, RaceSpec
+from league.racing.race import run
 from league.sim.config import CarConfig, SimConfig
 from league.track import files
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 CAR = CarConfig()
 

@@ -9,7 +9,7 @@ from league.envs.race_env import decode
 from league.errors import PolicyError
 from league.sim.config import CarConfig, SensorConfig, SimConfig
 from league.track import files
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 
 def one_track() -> TrackSet:

@@ -16,7 +16,7 @@ from league.envs.race_env import RaceEnv
 from league.envs.state import FIELDS, INDEX, SIZE
 from league.sim.config import CarConfig, ObstacleConfig, RaceRules, SimConfig
 from league.track import files, importer
-from league.track.course import Track, TrackSet
+from league.track.track import Track, TrackSet
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "tracks"
 CAR = CarConfig()

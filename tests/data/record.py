@@ -14,7 +14,7 @@ from league.envs.race_env import RaceEnv, decode
 from league.sim import config, obstacles, referee
 from league.sim.world import Motion, select
 from league.track import files
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 CLASSES = {"rules": config.RaceRules, "spread": config.Spread, "obstacles": config.ObstacleConfig}
 HAIRPIN = make_ring(points=60, width=0.6)

@@ -7,7 +7,7 @@ from scenes import Stages, make_ring, make_straight, put_cars
 from league.envs import observations
 from league.envs.state import ABSENT_GAP, FIELDS, INDEX, NEIGHBOURS, SIZE
 from league.sim.config import ObstacleConfig, SimConfig
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 
 def field(num_cars: int) -> SimConfig:

@@ -18,7 +18,7 @@ from league.sim.config import (
     SimConfig,
     Spread,
 )
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 SMALL = SensorConfig(camera=CameraConfig(width=32, height=24), lidar=LidarConfig())
 TWO = SimConfig(kind="head_to_head", num_cars=2)

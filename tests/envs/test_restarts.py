@@ -7,7 +7,7 @@ from scenes import MOTION, Stages, assert_same, make_ring, put_cars, start
 from league.sim import records
 from league.sim.config import ObstacleConfig, SimConfig, Spread
 from league.sim.world import World
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 
 def field(num_cars: int, **settings) -> SimConfig:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from league.matchmaking.pairing import HeatPlan, PairingSettings, Standing
+from league.matchmaking.pairing.schedule import HeatPlan, PairingSettings, Standing
 from league.matchmaking.ratings import Finish, Ratings, Results, fit
 
 UNIT = np.log(10) / 400

@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 
 from league.matchmaking import store
-from league.matchmaking.keys import Half, Heat, Ruleset, mirrored
+from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset, mirrored
 
 TRACKS = ("ring", "square")
 RULES = Ruleset(tracks=TRACKS, laps=2)

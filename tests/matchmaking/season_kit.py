@@ -7,10 +7,11 @@ from unittest.mock import patch
 
 from trained import make_checkpoint
 
-from league.matchmaking import season, submission
-from league.matchmaking.keys import Ruleset
+from league.matchmaking import submission
+from league.matchmaking.pairing import matchmaker
+from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.store import Store, create
-from league.matchmaking.worker import Job, Pit, Report
+from league.matchmaking.workers.worker import Job, Pit, Report
 
 SHORT = Ruleset(solver="planar", laps=1, max_time_s=0.6)
 """Nine steps: enough for scripted drivers to be told apart by distance."""
@@ -20,9 +21,9 @@ def new_league(
     url: str, *, anchors: Sequence[str] = ("centerline",), rules: Ruleset = SHORT
 ) -> Store:
     # The same secret each time, so the same seeds: a test that fails once fails always.
-    with patch("league.matchmaking.store.founding.secrets.token_bytes", lambda size: b"s" * size):
+    with patch("league.matchmaking.store.creation.secrets.token_bytes", lambda size: b"s" * size):
         store = create(url, name="small", ruleset=rules)
-    season.found(store, anchors)
+    matchmaker.found(store, anchors)
     return store
 
 

@@ -13,11 +13,12 @@ import pytest
 from season_kit import SHORT, new_league, submitted
 
 from league.errors import ConfigError
-from league.matchmaking import executors, keys
-from league.matchmaking.crew import contestant
-from league.matchmaking.executors import processes
-from league.matchmaking.executors.processes import Processes
-from league.matchmaking.worker import Job, Pit, Report
+from league.matchmaking import workers as executors
+from league.matchmaking.pairing import heat_spec
+from league.matchmaking.workers import processes
+from league.matchmaking.workers.dispatcher import contestant
+from league.matchmaking.workers.processes import Processes
+from league.matchmaking.workers.worker import Job, Pit, Report
 
 ENDLESS = replace(SHORT, laps=1000, max_time_s=36_000.0)
 
@@ -31,7 +32,7 @@ def job(tmp_path) -> Job:
     with new_league(f"sqlite:///{tmp_path / 'league.db'}") as store:
         submitted(store, "ann", senses="blind")
         entries = store.entries()
-        heat = keys.mirrored(SHORT.hash, ("reinvent_2018",) * 2, tuple(e.id for e in entries))
+        heat = heat_spec.mirrored(SHORT.hash, ("reinvent_2018",) * 2, tuple(e.id for e in entries))
         field = {entry.id: contestant(store, entry) for entry in entries}
         return Job(heat.key, 7, heat.halves, (3, 4), SHORT, field)
 

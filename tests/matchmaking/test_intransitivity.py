@@ -10,8 +10,8 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from fields import raced, random_grids
 
-from league.matchmaking.intransitivity import goodness_of_fit
 from league.matchmaking.ratings import Field, Results, expected_score, fit, rate
+from league.matchmaking.ratings.intransitivity import goodness_of_fit
 
 
 def round_robin(generator, leads, races, track_sd=0.0) -> Results:

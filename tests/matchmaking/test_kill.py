@@ -16,7 +16,7 @@ import pytest
 from season_kit import SHORT, new_league, submitted
 
 from league.matchmaking import standings
-from league.matchmaking.keys import Half, Heat
+from league.matchmaking.pairing.heat_spec import Half, Heat
 from league.matchmaking.store import Store
 
 WORK = [sys.executable, "-m", "league.cli", "work", "--lease-s", "3", "--workers", "2", "--plain"]

@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from fields import Season, covered, misses
 
 from league.errors import ConfigError
-from league.matchmaking.pairing import (
+from league.matchmaking.pairing.schedule import (
     HeatPlan,
     PairingSettings,
     RacePlan,

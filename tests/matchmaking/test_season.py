@@ -10,11 +10,11 @@ import pytest
 from season_kit import Here, new_league, submitted
 
 from league.errors import StoreError
-from league.matchmaking import running, standings
-from league.matchmaking.crew import Crew
-from league.matchmaking.season import ROUND, Season
+from league.matchmaking import loop, standings
+from league.matchmaking.pairing.matchmaker import ROUND, Season
 from league.matchmaking.store import RATED, Outcome, RaceOutcome, Store
-from league.matchmaking.worker import Job, Report
+from league.matchmaking.workers.dispatcher import Crew
+from league.matchmaking.workers.worker import Job, Report
 
 
 class Coin(Here):
@@ -78,7 +78,7 @@ def test_a_newcomer_races_itself_and_an_anchor_before_it_is_paired(url):
         assert own.halves[0].grid == (ids["e0"],) * 2
         assert set(anchor.halves[0].grid) == {ids["e0"], ids["centerline"]}
         assert planner.plan() == 0 and states(store)["e0"] == "validating"
-        running.run(store, Crew(store, Coin()), None, heats=2)
+        loop.run(store, Crew(store, Coin()), None, heats=2)
         assert planner.plan() == 8 and states(store)["e0"] == "placement"
         assert all(r.heat.purpose == "rated" for r in store.heats(("planned",)))
 
@@ -89,7 +89,7 @@ def test_a_new_leagues_first_entries_do_not_wait_behind_races_of_its_anchors(url
         planner = Season(store)
         assert [planner.plan(), planner.plan()] == [2, 0]
         assert all(record.heat.purpose == "validation" for record in store.heats())
-        running.run(store, Crew(store, Coin()), None, heats=2)
+        loop.run(store, Crew(store, Coin()), None, heats=2)
         assert planner.plan() == 8  # now that all three are known, everybody meets everybody
         me = store.entry("e0").id
         assert any(me in record.heat.entries for record in store.heats(("planned",)))
@@ -111,9 +111,9 @@ def test_two_rounds_are_in_the_queue_and_the_next_waits_for_the_older_one(url):
         planner = Season(store)
         assert [planner.plan() for _ in range(3)] == [8, 8, 0]
         crew = Crew(store, Coin())
-        running.run(store, crew, None, heats=7)
+        loop.run(store, crew, None, heats=7)
         assert planner.plan() == 0
-        running.run(store, crew, None, heats=1)
+        loop.run(store, crew, None, heats=1)
         assert planner.plan() == 8 and planner.plan() == 0
         assert sorted({record.heat.draw // ROUND for record in store.heats()}) == [1, 2, 3]
 
@@ -131,9 +131,9 @@ def test_entries_of_one_owner_meet_only_if_the_league_allows_it(url):
         for name in ("e0", "e1"):
             submitted(store, name, seed=ord(name[1]), owner="ann", senses="blind")
         crew = Crew(store, Coin())
-        tally = running.run(store, crew, Season(store), heats=50)
+        tally = loop.run(store, crew, Season(store), heats=50)
         assert tally.idle and tally.heats == 2  # each raced itself, there is no anchor
-        tally = running.run(store, crew, Season(store, same_owner=True), heats=10)
+        tally = loop.run(store, crew, Season(store, same_owner=True), heats=10)
         assert tally.heats == 10 and not tally.idle
 
 
@@ -147,20 +147,20 @@ def test_a_season_ends_the_same_whoever_was_faster_and_however_often_it_was_rest
     path = url.removeprefix("sqlite:///")
     shutil.copy(path, f"{path}.copy")  # the same secret, so the same seeds
     with Store(url) as store:
-        running.run(store, Crew(store, Coin()), Season(store), heats=60)
+        loop.run(store, Crew(store, Coin()), Season(store), heats=60)
         plain = fingerprint(store), [record.heat.key for record in store.heats()]
     with Store(f"{url}.copy") as store:
         for _ in range(12):  # a new matchmaker each time, workers that finish the other way round
-            running.run(store, Crew(store, Late(5)), Season(store), heats=5)
+            loop.run(store, Crew(store, Late(5)), Season(store), heats=5)
         keys = [record.heat.key for record in store.heats()]
         assert keys == plain[1] and fingerprint(store) == plain[0]
 
 
 def test_entries_climb_from_placement_to_ranked_as_they_become_sure(url):
     with grown(url, 2) as store:
-        running.run(store, Crew(store, Coin()), Season(store), heats=24)
+        loop.run(store, Crew(store, Coin()), Season(store), heats=24)
         assert set(states(store).values()) <= set(RATED)
-        running.run(store, Crew(store, Coin()), Season(store), heats=70)
+        loop.run(store, Crew(store, Coin()), Season(store), heats=70)
         assert set(states(store).values()) == {"ranked"}
         table = standings.of(store)
         assert all(row.sd < 50 and not row.provisional for row in table.rows)
@@ -191,7 +191,7 @@ def test_an_entry_whose_validation_is_disputed_is_refused(url):
             store.complete("w", [Outcome(claim.heat.key, (RaceOutcome((1, 2), {"n": 1}),))])
             store.complete("w", [Outcome(claim.heat.key, (RaceOutcome((1, 2), {"n": 2}),))])
         assert store.heat(first.number).state == "quarantined"
-        running.run(store, Crew(store, Coin()), None, heats=1)
+        loop.run(store, Crew(store, Coin()), None, heats=1)
         planner.plan()
         entry = store.entry("e0")
         assert entry.state == "refused" and "deterministic" in entry.reason
@@ -211,7 +211,7 @@ def test_an_entry_refused_for_a_dispute_comes_back_when_a_third_worker_settles_i
         assert states(store)["e0"] == "validating"
         (again,) = store.claim("x", 1)
         assert store.complete("x", [Outcome(again.heat.key, rightly.races)]).accepted
-        running.run(store, Crew(store, Coin()), Season(store), heats=4)
+        loop.run(store, Crew(store, Coin()), Season(store), heats=4)
         assert states(store)["e0"] in RATED
 
 
@@ -221,7 +221,7 @@ def test_after_its_first_round_a_league_is_connected_to_the_pinned_anchor(url):
         for number in range(5):
             submitted(store, f"e{number}", seed=number, owner="garage", senses="blind")
         # Five entries validate in ten heats; eight rated ones are the fewest that connect nine.
-        running.run(store, Crew(store, Coin()), Season(store, same_owner=True), heats=18)
+        loop.run(store, Crew(store, Coin()), Season(store, same_owner=True), heats=18)
         table = standings.of(store)
         assert len(table.rows) == 9 and table.num_races == 16
         assert all(row.connected and row.provisional for row in table.rows)
@@ -245,7 +245,7 @@ class Drivers(Coin):
 
 def test_standings_tell_races_not_finished_and_best_laps_of_accepted_results(url):
     with grown(url, 2) as store:
-        running.run(store, Crew(store, Drivers()), Season(store), heats=16)
+        loop.run(store, Crew(store, Drivers()), Season(store), heats=16)
         table = standings.of(store)
         track = store.settings.ruleset.tracks[0]
         for row in table.rows:  # each heat is a race in front and one behind
@@ -263,12 +263,12 @@ def test_standings_tell_races_not_finished_and_best_laps_of_accepted_results(url
 
 def test_a_retired_entry_is_paired_no_more_and_keeps_its_results(url):
     with grown(url, 2) as store:
-        running.run(store, Crew(store, Coin()), Season(store), heats=40)
+        loop.run(store, Crew(store, Coin()), Season(store), heats=40)
         gone = store.entry("e0")
         races = standings.of(store).row(gone.number).races
         store.move({gone.id: "retired"})
         since = store.heats()[-1].number
-        running.run(store, Crew(store, Coin()), Season(store), heats=30)
+        loop.run(store, Crew(store, Coin()), Season(store), heats=30)
         later = store.heats(("done",), since=since)
         assert later and not any(gone.id in record.heat.entries for record in later)
         assert standings.of(store).row(gone.number).races >= races > 0
@@ -276,7 +276,7 @@ def test_a_retired_entry_is_paired_no_more_and_keeps_its_results(url):
 
 def test_head_to_head_records_add_up(url):
     with grown(url) as store:
-        running.run(store, Crew(store, Coin()), Season(store), heats=60)
+        loop.run(store, Crew(store, Coin()), Season(store), heats=60)
         table = standings.of(store)
         for one in table.rows:
             others = [other.number for other in table.rows if other is not one]
@@ -292,7 +292,7 @@ def test_head_to_head_records_add_up(url):
 
 def test_the_last_moment_of_a_history_is_the_present(url):
     with grown(url) as store:
-        running.run(store, Crew(store, Coin()), Season(store), heats=40)
+        loop.run(store, Crew(store, Coin()), Season(store), heats=40)
         table = standings.of(store)
         last = store.races().entries[-1]
         assert any(row.number not in last for row in table.rows)  # others raced after its last
@@ -309,7 +309,7 @@ def test_the_last_moment_of_a_history_is_the_present(url):
 
 def test_standings_do_not_depend_on_the_order_of_the_rows_in_the_database(url):
     with grown(url, 6) as store:
-        running.run(store, Crew(store, Coin()), Season(store), heats=40)
+        loop.run(store, Crew(store, Coin()), Season(store), heats=40)
         before = standings.of(store)
         with sqlite3.connect(url.removeprefix("sqlite:///")) as database:
             rows = database.execute("SELECT * FROM races").fetchall()
@@ -328,7 +328,7 @@ def test_standings_do_not_depend_on_the_order_of_the_rows_in_the_database(url):
 
 def test_ranks_that_an_entry_may_have_leave_out_those_whose_interval_is_apart(url):
     with grown(url, 4) as store:
-        running.run(store, Crew(store, Coin()), Season(store), heats=30)
+        loop.run(store, Crew(store, Coin()), Season(store), heats=30)
         rows = standings.of(store).rows
     for row in rows:
         above = sum(other.low95 > row.high95 for other in rows)
@@ -346,11 +346,9 @@ def test_ratings_are_kept_apart_by_the_rules(url):
     from dataclasses import replace
 
     with grown(url) as store:
-        running.run(store, Crew(store, Coin()), Season(store), heats=40)
+        loop.run(store, Crew(store, Coin()), Season(store), heats=40)
         store.set_ruleset(replace(store.settings.ruleset, laps=2))
         assert standings.of(store).num_races == 0
-        running.run(
-            store, Crew(store, Coin()), Season(store), heats=24
-        )  # old ones are in the queue
+        loop.run(store, Crew(store, Coin()), Season(store), heats=24)  # old ones are in the queue
         assert 0 < standings.of(store).num_races <= 48
         assert np.isfinite([row.sd for row in standings.of(store).rows]).all()

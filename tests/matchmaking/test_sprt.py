@@ -7,7 +7,7 @@ import pytest
 
 from league.errors import ConfigError
 from league.matchmaking.ratings import expected_score
-from league.matchmaking.sprt import SequentialSettings, compare, elo_of, heat_score
+from league.matchmaking.ratings.sprt import SequentialSettings, compare, elo_of, heat_score
 
 
 def heats(generator, lead, number, front=0.0):

@@ -13,10 +13,11 @@ from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 
 from league.errors import StoreError
-from league.matchmaking import keys, store
+from league.matchmaking import store
 from league.matchmaking.blobs import FolderBlobs
-from league.matchmaking.keys import Half, Heat, Ruleset
-from league.matchmaking.store import database, founding, schema
+from league.matchmaking.pairing import heat_spec
+from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset
+from league.matchmaking.store import creation, database, schema
 
 
 @pytest.fixture
@@ -48,7 +49,7 @@ def test_migrations_build_exactly_the_tables_of_the_schema(url):
         assert compare_metadata(context, schema.metadata) == []
         assert context.get_current_revision() == schema.SCHEMA
     there.close()
-    assert ScriptDirectory(str(founding.MIGRATIONS)).get_heads() == [schema.SCHEMA]
+    assert ScriptDirectory(str(creation.MIGRATIONS)).get_heads() == [schema.SCHEMA]
 
 
 def test_a_second_league_in_the_same_place_is_refused(url):
@@ -64,7 +65,7 @@ def test_founding_that_fails_leaves_nothing_behind(url, monkeypatch):
         raise RuntimeError("the machine dies")
 
     with monkeypatch.context() as patched:
-        patched.setattr(founding, "enact", broken)
+        patched.setattr(creation, "enact", broken)
         with pytest.raises(RuntimeError):
             store.create(url)
     with pytest.raises(StoreError, match="holds no league: make one"):
@@ -162,7 +163,7 @@ def test_a_missing_postgresql_database_is_named(new_postgres):
 
 def test_an_entry_is_found_by_name_id_and_beginning_of_its_id(league):
     entry = league.entries()[0]
-    assert entry.id == keys.digest(b"weights 1")
+    assert entry.id == heat_spec.digest(b"weights 1")
     assert league.entry("e1") == league.entry(entry.id) == league.entry(entry.id[:8]) == entry
     assert league.blobs.get(entry.id) == b"weights 1"
 
@@ -380,7 +381,7 @@ def test_an_audit_that_agrees_changes_nothing_and_one_that_differs_voids_the_hea
     league.plan(leagues.duels(league, 2))
     claims = league.claim("w", 2)
     league.complete("w", leagues.raced(claims))
-    assert league.plan([keys.audit_of(claim.heat) for claim in claims]) == 2
+    assert league.plan([heat_spec.audit_of(claim.heat) for claim in claims]) == 2
     audits = league.claim("auditor", 2)
     assert [audit.seeds for audit in audits] == [claim.seeds for claim in claims]
     good, bad = leagues.raced(audits)
@@ -544,7 +545,7 @@ def test_a_league_keeps_its_files_in_a_folder_if_told_so(url, tmp_path):
         races = (store.RaceOutcome((1, 2), {}, b"replay"),) * 2
         league.complete("w", [store.Outcome(claim.heat.key, races)])
         replay = league.results(claim.number)[0].replay
-        assert replay == keys.digest(b"replay")
+        assert replay == heat_spec.digest(b"replay")
         assert league.blobs.get(replay) == b"replay"
     assert not list(place.rglob("*.part")) and isinstance(league.blobs, FolderBlobs)
 

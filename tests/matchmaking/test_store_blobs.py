@@ -8,8 +8,9 @@ import leagues
 import pytest
 
 from league.errors import StoreError
-from league.matchmaking import blobs, keys
+from league.matchmaking import blobs
 from league.matchmaking.blobs import FolderBlobs
+from league.matchmaking.pairing import heat_spec
 
 
 @pytest.fixture(params=["folder", "bucket", "table"])
@@ -25,7 +26,7 @@ def kept(request, tmp_path):
 
 def test_bytes_come_back_by_their_hash(kept):
     digest = kept.put(b"weights")
-    assert digest == keys.digest(b"weights")
+    assert digest == heat_spec.digest(b"weights")
     assert kept.put(b"weights") == digest
     assert kept.get(digest) == b"weights"
     assert (kept.has(digest), kept.has("0" * 64)) == (True, False)

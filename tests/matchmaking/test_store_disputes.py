@@ -6,7 +6,8 @@ import leagues
 import pytest
 import sqlalchemy as sa
 
-from league.matchmaking import keys, store
+from league.matchmaking import store
+from league.matchmaking.pairing import heat_spec
 from league.matchmaking.store import database
 
 
@@ -80,7 +81,7 @@ def test_a_disputed_audit_is_settled_by_racing_the_heat_it_audits(league):
     league.plan(leagues.duels(league, 1))
     (claim,) = league.claim("w", 1)
     league.complete("w", leagues.raced([claim]))
-    league.plan([keys.audit_of(claim.heat)])
+    league.plan([heat_spec.audit_of(claim.heat)])
     (audit,) = league.claim("auditor", 1)
     lie = store.Outcome(audit.heat.key, tuple(map(_turned, _outcome(claim).races)))
     assert league.complete("auditor", [lie]).quarantined

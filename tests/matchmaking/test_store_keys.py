@@ -10,21 +10,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from league.matchmaking import keys
-from league.matchmaking.keys import Half, Heat, Ruleset
+from league.matchmaking.pairing import heat_spec
+from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset
 
 A, B = "a" * 64, "b" * 64
-HEAT = keys.mirrored("r" * 64, ("ring", "square"), (A, B), 7)
+HEAT = heat_spec.mirrored("r" * 64, ("ring", "square"), (A, B), 7)
 
 
 def test_canonical_json_is_the_same_whatever_the_order_of_keys():
-    assert keys.canonical({"b": [1, 0.1], "a": "ü"}) == '{"a":"ü","b":[1,0.1]}'.encode()
-    assert keys.canonical({"a": 1, "b": 2}) == keys.canonical({"b": 2, "a": 1})
+    assert heat_spec.canonical({"b": [1, 0.1], "a": "ü"}) == '{"a":"ü","b":[1,0.1]}'.encode()
+    assert heat_spec.canonical({"a": 1, "b": 2}) == heat_spec.canonical({"b": 2, "a": 1})
 
 
 def test_canonical_json_refuses_numbers_that_are_none():
     with pytest.raises(ValueError, match="JSON"):
-        keys.canonical({"time_s": float("inf")})
+        heat_spec.canonical({"time_s": float("inf")})
 
 
 def test_key_of_a_heat_is_the_hash_of_all_that_it_is():
@@ -43,7 +43,7 @@ def test_key_of_a_heat_is_the_hash_of_all_that_it_is():
         replace(HEAT, halves=HEAT.halves[::-1]),
         replace(HEAT, halves=HEAT.halves[:1]),
         replace(HEAT, halves=(Half("oval", (A, B)), HEAT.halves[1])),
-        keys.audit_of(HEAT),
+        heat_spec.audit_of(HEAT),
     ],
 )
 def test_a_heat_that_differs_in_anything_has_another_key(other):
@@ -58,20 +58,20 @@ def test_key_is_not_remembered_from_the_heat_it_was_made_of():
 
 def test_seed_is_the_hmac_of_key_and_race_under_the_secret():
     told = hmac.new(b"secret", f"{HEAT.key}/1".encode(), "sha256").digest()
-    assert keys.seed(b"secret", HEAT.key, 1) == int.from_bytes(told[:8], "big") // 2
-    assert HEAT.seeds(b"secret") == tuple(keys.seed(b"secret", HEAT.key, n) for n in (0, 1))
+    assert heat_spec.seed(b"secret", HEAT.key, 1) == int.from_bytes(told[:8], "big") // 2
+    assert HEAT.seeds(b"secret") == tuple(heat_spec.seed(b"secret", HEAT.key, n) for n in (0, 1))
 
 
 @given(st.binary(min_size=1, max_size=40), st.integers(0, 7))
 def test_seeds_fit_a_race_and_differ_with_the_secret(secret, half):
-    seed = keys.seed(secret, HEAT.key, half)
+    seed = heat_spec.seed(secret, HEAT.key, half)
     assert 0 <= seed < 2**63
-    assert seed != keys.seed(secret + b"x", HEAT.key, half)
+    assert seed != heat_spec.seed(secret + b"x", HEAT.key, half)
 
 
 def test_an_audit_has_the_seeds_of_the_heat_it_audits():
-    assert keys.audit_of(HEAT, 3).seeds(b"secret") == HEAT.seeds(b"secret")
-    assert keys.audit_of(HEAT, 3).key != keys.audit_of(HEAT, 4).key
+    assert heat_spec.audit_of(HEAT, 3).seeds(b"secret") == HEAT.seeds(b"secret")
+    assert heat_spec.audit_of(HEAT, 3).key != heat_spec.audit_of(HEAT, 4).key
 
 
 @pytest.mark.parametrize(
@@ -91,7 +91,7 @@ def test_a_heat_that_cannot_be_is_refused(wrong):
 
 def test_ruleset_comes_back_from_its_settings_with_its_hash():
     rules = Ruleset(tracks=("a", "b"), kind="time_trial", laps=5, cars=4, physics="2")
-    again = Ruleset.of(keys.settings(rules))
+    again = Ruleset.of(heat_spec.settings(rules))
     assert (again, again.hash) == (rules, rules.hash)
     assert replace(rules, physics="3").hash != rules.hash
 
@@ -103,8 +103,8 @@ def test_rules_that_cannot_be_raced_are_refused(wrong):
 
 
 def test_result_hash_does_not_depend_on_the_order_of_keys():
-    assert keys.result_hash({"a": 1, "b": 2}) == keys.result_hash({"b": 2, "a": 1})
-    assert keys.result_hash({"a": 1}) != keys.result_hash({"a": 1.5})
+    assert heat_spec.result_hash({"a": 1, "b": 2}) == heat_spec.result_hash({"b": 2, "a": 1})
+    assert heat_spec.result_hash({"a": 1}) != heat_spec.result_hash({"a": 1.5})
 
 
 def test_entries_of_a_heat_are_named_once():

@@ -19,8 +19,9 @@ from trained import make_card, make_checkpoint
 from league.agents import checkpoint
 from league.agents.network import NetworkConfig
 from league.errors import LeagueError, PolicyError
-from league.matchmaking import keys, submission
-from league.matchmaking.keys import Ruleset
+from league.matchmaking import submission
+from league.matchmaking.pairing import heat_spec
+from league.matchmaking.pairing.heat_spec import Ruleset
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig
 
 GIVEN = make_checkpoint("lidar", network=NetworkConfig(hidden=(8,)))
@@ -140,7 +141,7 @@ def test_packing_twice_gives_the_same_bytes_and_so_the_same_entry():
 
 def test_a_card_too_long_for_the_header_is_refused_when_it_is_packed():
     results = {f"figure {n} {'x' * 60}": float(n) for n in range(64)}
-    parents = tuple(keys.digest(bytes([n])) for n in range(64))
+    parents = tuple(heat_spec.digest(bytes([n])) for n in range(64))
     tracks = tuple(f"{n} " + "é" * 76 for n in range(120))
     long = make_checkpoint("blind", results=results, parents=parents, tracks=tracks)
     with pytest.raises(PolicyError, match=r"header of .* bytes: shorten"):
@@ -227,7 +228,7 @@ def test_a_refused_submission_leaves_the_league_as_it_was(tmp_path):
             with pytest.raises(LeagueError):
                 submission.accept(store, content, "evil", "mallory")
         assert (store.entries(), len(store.events())) == before
-        assert not store.blobs.has(keys.digest(HOSTILE["NaN"]))
+        assert not store.blobs.has(heat_spec.digest(HOSTILE["NaN"]))
 
 
 def test_a_checkpoint_file_becomes_a_pending_entry_whose_blob_is_no_pickle(tmp_path):
@@ -235,7 +236,7 @@ def test_a_checkpoint_file_becomes_a_pending_entry_whose_blob_is_no_pickle(tmp_p
     checkpoint.save(path, GIVEN)
     with new_league(f"sqlite:///{tmp_path / 'league.db'}") as store:
         entry = submission.submit(store, path, "ann's car", "ann")
-        assert (entry.state, entry.owner, entry.id) == ("pending", "ann", keys.digest(SOUND))
+        assert (entry.state, entry.owner, entry.id) == ("pending", "ann", heat_spec.digest(SOUND))
         assert store.blobs.get(entry.id) == SOUND
         assert entry.card["digest"] == GIVEN.digest
         assert submission.submit(store, path, "ann's car", "ann") == entry

@@ -13,12 +13,12 @@ import pytest
 from season_kit import SHORT, Here, new_league, submitted
 
 from league.errors import StoreError
-from league.matchmaking import keys, season
-from league.matchmaking.crew import Crew, Ended, contestant
-from league.matchmaking.keys import Half
+from league.matchmaking.pairing import heat_spec, matchmaker
+from league.matchmaking.pairing.heat_spec import Half
 from league.matchmaking.ratings import Run, places_of
 from league.matchmaking.store import Store, create
-from league.matchmaking.worker import Job, Pit, Report, places
+from league.matchmaking.workers.dispatcher import Crew, Ended, contestant
+from league.matchmaking.workers.worker import Job, Pit, Report, places
 from league.race_spec import CarResult, Entry, Event, RaceResult, RaceSpec
 from league.replay import format as replay_format
 
@@ -32,7 +32,7 @@ def league(tmp_path):
 
 def job(store: Store, one: str, other: str, **settings) -> Job:
     entries = [store.entry(name) for name in (one, other)]
-    heat = keys.mirrored(SHORT.hash, ("reinvent_2018",) * 2, tuple(e.id for e in entries))
+    heat = heat_spec.mirrored(SHORT.hash, ("reinvent_2018",) * 2, tuple(e.id for e in entries))
     field = {entry.id: contestant(store, entry) for entry in entries}
     return Job(heat.key, 1, heat.halves, (3, 4), SHORT, field, **settings)
 
@@ -137,7 +137,7 @@ def test_of_two_that_failed_at_the_same_place_the_one_that_lasted_longer_is_ahea
 
 def test_a_crew_hands_in_what_its_workers_raced(league):
     given = job(league, "centerline", "bob")
-    heat = keys.mirrored(SHORT.hash, ("reinvent_2018",) * 2, tuple(given.field))
+    heat = heat_spec.mirrored(SHORT.hash, ("reinvent_2018",) * 2, tuple(given.field))
     league.plan([heat])
     crew = Crew(league, Here())
     (ended,) = crew.step(0.0)
@@ -156,7 +156,7 @@ class Broken(Here):
 
 def test_a_heat_that_fails_three_times_is_an_error_with_its_traceback(league):
     given = job(league, "centerline", "bob")
-    league.plan([keys.mirrored(SHORT.hash, ("reinvent_2018",) * 2, tuple(given.field))])
+    league.plan([heat_spec.mirrored(SHORT.hash, ("reinvent_2018",) * 2, tuple(given.field))])
     crew = Crew(league, Broken())
     assert [crew.step(0.0)[0].became for _ in range(3)] == ["planned", "planned", "error"]
     assert crew.step(0.0) == []
@@ -169,7 +169,7 @@ def test_a_damaged_blob_fails_its_heat_and_not_the_season(league, tmp_path):
     ann = submitted(league, "ann", senses="blind")
     tracks = ("reinvent_2018",) * 2
     fields = [job(league, "ann", "bob").field, job(league, "centerline", "bob").field]
-    league.plan([keys.mirrored(SHORT.hash, tracks, tuple(field)) for field in fields])
+    league.plan([heat_spec.mirrored(SHORT.hash, tracks, tuple(field)) for field in fields])
     with closing(sqlite3.connect(tmp_path / "league.db")) as database, database:
         there = "update blobs set content = zeroblob(length(content)) where digest = ?"
         assert database.execute(there, [ann.id]).rowcount == 1
@@ -181,8 +181,8 @@ def test_a_damaged_blob_fails_its_heat_and_not_the_season(league, tmp_path):
 
 def test_a_heat_of_another_physics_is_not_raced(league, monkeypatch):
     given = job(league, "centerline", "bob")
-    league.plan([keys.mirrored(SHORT.hash, ("reinvent_2018",) * 2, tuple(given.field))])
-    monkeypatch.setattr("league.matchmaking.worker.PHYSICS", "another")
+    league.plan([heat_spec.mirrored(SHORT.hash, ("reinvent_2018",) * 2, tuple(given.field))])
+    monkeypatch.setattr("league.matchmaking.workers.worker.PHYSICS", "another")
     (ended,) = Crew(league, Here()).step(0.0)
     assert ended.became == "planned" and "use the version" in ended.report.traceback
 
@@ -205,7 +205,7 @@ def test_no_room_for_recordings_is_told_and_the_heat_is_raced_again_when_there_i
     blobs = tmp_path / "blobs"
     url = f"sqlite:///{tmp_path / 'league.db'}"
     with create(url, ruleset=SHORT, blobs=str(blobs)) as store:
-        season.found(store, ["centerline"])
+        matchmaker.found(store, ["centerline"])
         _one_heat(store)
         before = resource.getrlimit(resource.RLIMIT_FSIZE)
         try:
@@ -247,7 +247,7 @@ def _one_heat(store: Store) -> None:
     submitted(store, "ann", senses="blind")
     one, other = (entry.id for entry in store.entries())
     track = "reinvent_2018"
-    store.plan([keys.mirrored(SHORT.hash, (track, track), (one, other))])
+    store.plan([heat_spec.mirrored(SHORT.hash, (track, track), (one, other))])
 
 
 def _raced_by_another(store: Store) -> None:

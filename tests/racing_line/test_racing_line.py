@@ -13,7 +13,7 @@ from league.racing_line.racing_line import center_line, optimal_line
 from league.racing_line.speed_profile import Limits
 from league.sim.config import CarConfig
 from league.track import files
-from league.track.course import Track, TrackSet
+from league.track.track import Track, TrackSet
 
 
 def ring(radius: float, width: float = 0.8) -> Track:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from league.sim import records
-from league.sim.bullet import BulletSolver
 from league.sim.config import SimConfig
+from league.sim.physics.bullet import BulletSolver
 
 WALL = 20.0
 """Distance of each wall from the middle [m]."""

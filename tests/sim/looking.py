@@ -8,7 +8,7 @@ from scenes import start
 from league.sim import records
 from league.sim.config import SimConfig
 from league.sim.world import World
-from league.track.course import Track, TrackSet
+from league.track.track import Track, TrackSet
 
 COLUMNS, LINES = 160, 120
 FOCAL = 80 / math.tan(1.13 / 2)

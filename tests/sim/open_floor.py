@@ -10,7 +10,7 @@ from scenes import Stages, start, touch
 from league.sim import records
 from league.sim.config import SimConfig
 from league.sim.world import World
-from league.track.course import Track, TrackSet
+from league.track.track import Track, TrackSet
 
 WALL = 21.24
 """Distance of each wall from the middle [m]."""
@@ -103,7 +103,7 @@ def later(now: World, outcome: Outcome, asked: np.ndarray) -> World:
 def make(name: str, sim: SimConfig, num_worlds: int = 1) -> Physics:
     """Return a control step of the solver of this name."""
     if name == "bullet":
-        from league.sim.bullet import BulletSolver
+        from league.sim.physics.bullet import BulletSolver
 
         return bullet(BulletSolver(sim, floor().rooms, num_worlds))
     stages = Stages(floor(), sim)

@@ -12,10 +12,10 @@ from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
 from league.errors import ConfigError
 from league.sim import records
-from league.sim.bullet import BulletSolver, pybullet
 from league.sim.config import CarConfig, ContactConfig, SimConfig
+from league.sim.physics.bullet import BulletSolver, pybullet
 from league.track import files
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 SAG = 9.81 / (2 * math.pi * CarConfig().ride_hz) ** 2
 """How far a spring is compressed at rest [m]: a wheel whose place rises by more hangs free."""
@@ -393,7 +393,7 @@ def test_close_is_safe_twice_and_frees_the_simulations():
 
 
 def test_importing_bullet_prints_nothing():
-    script = "import league.sim.bullet, sys; print('in', file=sys.stderr)"
+    script = "import league.sim.physics.bullet, sys; print('in', file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.returncode == 0
     assert (done.stdout, done.stderr) == ("", "in\n")

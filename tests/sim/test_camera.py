@@ -7,10 +7,10 @@ import pytest
 from looking import FOCAL, random_scenes, room, settings, world
 
 from league.sim.camera.lens import Lens
-from league.sim.camera.paint import PaintRenderer
-from league.sim.camera.ray import RayRenderer
+from league.sim.camera.paint_renderer import PaintRenderer
+from league.sim.camera.raycast import RayRenderer
 from league.sim.config import CameraConfig
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 RENDERERS = [PaintRenderer, RayRenderer]
 FAR_AWAY = (-5.0, -5.0, 0.0)

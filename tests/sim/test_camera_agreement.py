@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from looking import random_scenes, room, settings, world
 
-from league.sim.camera.paint import PaintRenderer
-from league.sim.camera.ray import RayRenderer
+from league.sim.camera.paint_renderer import PaintRenderer
+from league.sim.camera.raycast import RayRenderer
 from league.sim.config import CameraConfig, LookConfig
 
 EDGE = 12

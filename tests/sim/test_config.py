@@ -20,7 +20,7 @@ from league.sim.config import (
     SimConfig,
     Spread,
 )
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 NUMBERS = [(made, item) for made in SETTINGS for item in fields(made) if item.type in (int, float)]
 CHOICES = [

@@ -6,8 +6,8 @@ import numpy as np
 import open_floor
 import pytest
 
-from league.sim import collision, planar
 from league.sim.config import ContactConfig
+from league.sim.physics import collision, planar
 from league.sim.settings import settings
 
 BOX = (0.162, 0.098, 0.0, 0.0)

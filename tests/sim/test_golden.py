@@ -11,11 +11,11 @@ from scenes import go_to, make_ring, make_straight, put_cars, touch
 
 from league.envs import step as stages
 from league.envs.config import EnvConfig
-from league.envs.meeting import Meeting
+from league.envs.encounters import Meeting
 from league.envs.race_env import RaceEnv
 from league.sim import config, referee
 from league.track import files
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 MOTION, RULES, RACES = (
     dict(np.load(golden.DATA / f"{name}.npz")) for name in ("motion", "rules", "races")

@@ -6,7 +6,7 @@ from scenes import assert_same, make_straight, start
 
 from league.sim.config import CarConfig, SimConfig, Spread
 from league.sim.world import members
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 
 def field(num_cars: int, **settings) -> SimConfig:

@@ -7,7 +7,7 @@ import pytest
 from scenes import Stages, assert_same, make_ring, make_straight, start
 
 from league.sim.config import ObstacleConfig, SimConfig
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 
 def placed(sim, tracks=None, num_worlds=1):

@@ -8,7 +8,7 @@ from league.sim import referee
 from league.sim.config import ObstacleConfig, RaceRules, SimConfig
 from league.sim.records import NOBODY
 from league.sim.world import World, members
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 ALONE = SimConfig(kind="time_trial", num_cars=1)
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from league.track import files
-from league.track.course import Track
+from league.track.track import Track
 
 HEAD = """name: {name}
 title: A Test Track

@@ -8,7 +8,7 @@ from scipy.spatial import KDTree
 
 from league.errors import TrackError
 from league.track import check, files, schema, spline
-from league.track.course import Colours
+from league.track.track import Colours
 
 from . import shapes
 

@@ -5,7 +5,7 @@ import pytest
 
 from league.errors import TrackError
 from league.track import check, files, importer
-from league.track.course import Track
+from league.track.track import Track
 
 TEXTS = 5000
 ARRAYS = 1000

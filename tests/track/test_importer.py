@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from league import race
 from league.errors import TrackError
 from league.race_spec import Entry, RaceSpec
+from league.racing import race
 from league.track import check, files, importer, spline
 
 SHARED = Path(__file__).parents[3] / "shared" / "tracks"

@@ -16,9 +16,9 @@ from league.agents.card import Card
 from league.agents.checkpoint import Checkpoint
 from league.agents.network import NetworkConfig
 from league.sim.config import CarConfig, SensorConfig
-from league.track.course import TrackSet
-from league.training import worlds
-from league.training.learner import Learner
+from league.track.track import TrackSet
+from league.training.ppo import make_env
+from league.training.ppo.learner import Learner
 from league.training.selfplay import SelfPlay, SelfPlayConfig
 from league.training.selfplay.settings import DuelConfig
 from league.training.settings import PpoConfig, TrainConfig
@@ -78,7 +78,7 @@ def playing(
     """Return self-play and its learner before either has begun, settings of training changed."""
     train = replace(TRAIN, **changes)
     play = SelfPlay(folder, RING, train, CARD, cfg=cfg, parent=parent)
-    return play, Learner(worlds.make(RING, train, opponents=play.drivers()), train)
+    return play, Learner(make_env.make(RING, train, opponents=play.drivers()), train)
 
 
 def learnt(tmp_path: Path, *args: Any, **changes: Any) -> tuple[SelfPlay, Learner]:

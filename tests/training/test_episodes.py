@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from league.training.episodes import WINDOW, Ended, Episodes, mean_completion
+from league.training.ppo.episode_stats import WINDOW, Ended, Episodes, mean_completion
 
 
 def step(

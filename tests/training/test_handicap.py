@@ -11,16 +11,16 @@ from small_play import CAR, CARD, FREE, RING, SHORT, Constant, blind, learnt, pl
 
 from league.agents.checkpoint import Checkpoint
 from league.envs.action_space import ContinuousActions, DiscreteActions
+from league.envs.adapters.rsl_vec_env import RacingVecEnv
 from league.envs.config import EnvConfig
-from league.envs.meeting import Meeting
+from league.envs.encounters import Meeting
 from league.envs.race_env import RaceEnv
-from league.envs.vec_env import RacingVecEnv
 from league.errors import ConfigError
 from league.sim.config import SensorConfig, SimConfig
 from league.training.selfplay import SelfPlayConfig
 from league.training.selfplay.handicap import Handicap
 from league.training.selfplay.opponent import Field, Opponent
-from league.training.selfplay.records import Records
+from league.training.selfplay.win_rates import Records
 
 WORLDS = 64
 TOP_SPEED = 3.0

@@ -8,8 +8,8 @@ import pytest
 from told import episodes, evaluation, update
 
 from league.errors import PolicyError
-from league.training import history
-from league.training.history import History
+from league.training.monitor import history
+from league.training.monitor.history import History
 
 
 def filled(path: Path | None = None, updates: int = 4) -> History:

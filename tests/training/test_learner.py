@@ -15,9 +15,10 @@ from league.agents.network import NetworkConfig
 from league.envs.action_space import ActionSpace, ContinuousActions, DiscreteActions
 from league.errors import ConfigError, PolicyError
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig
-from league.track.course import TrackSet
-from league.training import checks, worlds
-from league.training.learner import Learner
+from league.track.track import TrackSet
+from league.training import checks
+from league.training.ppo import make_env
+from league.training.ppo.learner import Learner
 from league.training.settings import PpoConfig, TrainConfig
 
 LIDAR = LidarConfig(beams=8)
@@ -52,7 +53,7 @@ def settings(
 
 def learner(cfg: TrainConfig | None = None, **wishes: object) -> Learner:
     cfg = cfg or settings(**wishes)  # pyright: ignore
-    return Learner(worlds.make(TrackSet(make_ring()), cfg), cfg)
+    return Learner(make_env.make(TrackSet(make_ring()), cfg), cfg)
 
 
 def same(one: Mapping[str, ArrayLike], other: Mapping[str, ArrayLike]) -> bool:

@@ -9,7 +9,7 @@ from tensordict import TensorDict
 
 from league.agents.network import NetworkConfig
 from league.envs.action_space import ContinuousActions, DiscreteActions
-from league.training.models import ByteCNNModel, Categorical, Leashed, actor_settings
+from league.training.ppo.models import ByteCNNModel, Categorical, Leashed, actor_settings
 
 SCORES = torch.log(torch.tensor([[0.5, 0.25, 0.25], [0.8, 0.1, 0.1]]))
 

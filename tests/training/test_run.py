@@ -15,10 +15,11 @@ from test_learner import CHOICES
 
 from league.agents import checkpoint
 from league.errors import ConfigError, PolicyError, RewardError
-from league.evaluation import evaluate
-from league.training import history, judge
+from league.racing.evaluate import evaluate
+from league.training import evaluator
 from league.training import run as run_room
-from league.training.learner import Learner
+from league.training.monitor import history
+from league.training.ppo.learner import Learner
 from league.training.run import Run
 from league.training.run_config import RunConfig, settings
 from league.training.selfplay import SelfPlay
@@ -67,8 +68,8 @@ def test_in_self_play_the_newest_is_best_of_those_that_come_as_far(tmp_path, mon
         exams.append(len(exams))
         return passed(exam, found) if exams[-1] != 1 else judged(exam, found)
 
-    judged = judge.judged
-    monkeypatch.setattr(judge, "judged", sat)
+    judged = evaluator.judged
+    monkeypatch.setattr(evaluator, "judged", sat)
     short = small_play.SHORT
     monkeypatch.setattr(run_room, "SelfPlayConfig", lambda **given: replace(short, **given))
     cfg = small.cfg(6, train=small.train(kind="head_to_head", num_cars=2), self_play=True)
@@ -122,7 +123,7 @@ def test_two_runs_do_not_learn_in_one_folder(tmp_path):
 
 
 def test_a_resumed_run_tells_of_its_best_though_nothing_better_came(tmp_path, monkeypatch):
-    monkeypatch.setattr(judge, "judged", passed)
+    monkeypatch.setattr(evaluator, "judged", passed)
     cfg = small.cfg(8)
     run = small.run(tmp_path, cfg)
     with pytest.raises(KeyboardInterrupt):
@@ -134,7 +135,7 @@ def test_a_resumed_run_tells_of_its_best_though_nothing_better_came(tmp_path, mo
 
 
 def test_run_ends_after_evaluations_with_every_lap_complete(tmp_path, monkeypatch):
-    monkeypatch.setattr(judge, "judged", passed)
+    monkeypatch.setattr(evaluator, "judged", passed)
     onlooker = small.Onlooker()
     run = small.run(tmp_path, small.cfg(updates=100, stop_when_complete=2))
     outcome = run.learn([onlooker])
@@ -159,7 +160,7 @@ def late(run: Run, number: int) -> small.Onlooker:
 
 
 def test_judgement_that_ends_the_run_does_not_wait_for_a_save_point(tmp_path, monkeypatch):
-    monkeypatch.setattr(judge, "judged", passed)
+    monkeypatch.setattr(evaluator, "judged", passed)
     asked = small.cfg(updates=100, stop_when_complete=1, train=small.train(save_every=4))
     run = small.run(tmp_path, asked)
     onlooker = late(run, 5)

@@ -7,7 +7,8 @@ import small
 
 from league.agents import checkpoint
 from league.errors import ConfigError, PolicyError
-from league.training import history, run_config, run_folder
+from league.training import run_config, run_folder
+from league.training.monitor import history
 from league.training.run import Run
 from league.training.run_config import RunConfig
 

@@ -13,21 +13,21 @@ from small_play import CAR, CARD, FREE, RING, SHORT, TRAIN, Constant, blind, lea
 
 from league.agents import checkpoint
 from league.agents.policy import Policy
+from league.envs.adapters.rsl_vec_env import RacingVecEnv
 from league.envs.config import EnvConfig
-from league.envs.meeting import Meeting
+from league.envs.encounters import Meeting
 from league.envs.race_env import RaceEnv
 from league.envs.state import INDEX, SIZE
-from league.envs.vec_env import RacingVecEnv
 from league.errors import ConfigError, PolicyError
 from league.sim.config import SensorConfig, SimConfig
 from league.training import run as run_room
 from league.training.selfplay import SelfPlay, SelfPlayConfig, opponent
-from league.training.selfplay.matrix import WinMatrix
 from league.training.selfplay.opponent import NOBODY, Field, Opponent
-from league.training.selfplay.pacer import Pacer
+from league.training.selfplay.payoff_matrix import WinMatrix
 from league.training.selfplay.pool import Pool, spread
-from league.training.selfplay.records import DRAWN, LOST, WON, Records
-from league.training.selfplay.seats import Seats
+from league.training.selfplay.snapshot_opponents import Seats
+from league.training.selfplay.speed_cap import Pacer
+from league.training.selfplay.win_rates import DRAWN, LOST, WON, Records
 from league.training.settings import TrainConfig
 
 

@@ -11,7 +11,7 @@ from small_play import CAR, RING, SHORT, blind, learnt, playing, saved
 
 from league.agents.policy import Policy
 from league.errors import PolicyError
-from league.training.selfplay import duels
+from league.training.selfplay import matches
 
 NEVER = replace(SHORT, admission=1.01, forced_every=3)
 
@@ -58,7 +58,7 @@ def test_candidates_are_measured_by_mirrored_races(tmp_path):
     cfg = replace(SHORT, races=4, forced_every=1)
     play, _ = learnt(tmp_path, blind(2), cfg=cfg)
     drivers = [Policy(play.snapshot(name)[1], CAR) for name in ("000001", "parent")]
-    again = duels.meet(RING, CAR, drivers, [(0, 1)], cfg.duel, races=4, seed=1)
+    again = matches.meet(RING, CAR, drivers, [(0, 1)], cfg.duel, races=4, seed=1)
     (tried,) = told(tmp_path)["candidates"]
     assert tried["win_rates"] == {"parent": again[0, 1][0].win_rate}
 

@@ -10,15 +10,15 @@ import torch
 from small_play import FREE, RING, SHORT, Constant, blind, playing
 
 from league.agents.policy import Policy
+from league.envs.adapters.rsl_vec_env import RacingVecEnv
 from league.envs.config import EnvConfig
-from league.envs.meeting import Meeting
+from league.envs.encounters import Meeting
 from league.envs.race_env import RaceEnv
 from league.envs.state import INDEX
-from league.envs.vec_env import RacingVecEnv
 from league.sim.config import SensorConfig, SimConfig
 from league.training.selfplay import SelfPlayConfig
 from league.training.selfplay.opponent import Field, Opponent
-from league.training.selfplay.records import LOST, WON, Records
+from league.training.selfplay.win_rates import LOST, WON, Records
 
 SLOWLY = Meeting(alone=0.0, standing=0.0, rolling=0.0)
 FOLLOWS, LEAVES = 0.164, 1.0

@@ -14,19 +14,19 @@ from told import episodes, evaluation, update
 
 from league.rerun_view import paths, practice
 from league.rerun_view.practice import Practice
+from league.rerun_view.web_server import HOST
 from league.sim.config import SensorConfig
-from league.track.course import TrackSet
-from league.training import worlds
-from league.training.history import History
+from league.track.track import TrackSet
+from league.training.monitor.history import History
+from league.training.monitor.viewer import MOST_CARS, Watching, seats
+from league.training.ppo import make_env
 from league.training.settings import TrainConfig
-from league.training.watching import MOST_CARS, Watching, seats
-from league.web_viewer import HOST
 
 
 def made(num_worlds: int, *tracks, **settings: object):
     cfg = TrainConfig(num_worlds=num_worlds, sensors=SensorConfig(), **settings)  # pyright: ignore
     field = {car: "centerline" for car in range(1, cfg.num_cars)}
-    return worlds.make(TrackSet(*(tracks or (make_ring(),))), cfg, opponents=field)
+    return make_env.make(TrackSet(*(tracks or (make_ring(),))), cfg, opponents=field)
 
 
 def shown(path: Path, env, steps: int, step_s: float) -> tuple[Practice, list[float]]:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import torch
 
-from league.evaluation import Evaluation, Trial
-from league.training.episodes import Episodes
-from league.training.history import History
-from league.training.learner import Update
+from league.racing.table import Evaluation, Trial
+from league.training.monitor.history import History
+from league.training.ppo.episode_stats import Episodes
+from league.training.ppo.learner import Update
 
 
 def update(number: int, *, loss: float = 0.25) -> Update:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Literal
 import tyro
 
 from league.cli import flags, tables
-from league.cli.season import door
-from league.cli.season.door import OnLeague, Reading
+from league.cli.season import base
+from league.cli.season.base import OnLeague, Reading
 from league.errors import ConfigError, StoreError, brief
 
 if TYPE_CHECKING:
@@ -36,9 +36,9 @@ class Heats(Reading):
             numbers = [store.entry(self.entry).number] if self.entry else []
             states = None if self.state == "all" else (self.state,)
             records = store.heats(states, entries=numbers)[-self.limit :]
-            names = door.names(store.entries())
+            names = base.names(store.entries())
         if self.json:
-            door.print_json([_told(record, names) for record in records])
+            base.print_json([_told(record, names) for record in records])
             return 0
         table = tables.table("Heats", "heat", "grid", "purpose", "state", "track", "done")
         table.padding = (0, 0)  # the box leaves room enough between columns
@@ -46,7 +46,7 @@ class Heats(Reading):
         for record in records:
             half = record.heat.halves[0]
             grid = " - ".join(names[id] for id in half.grid)
-            done = door.day(record.done_s)[5:]
+            done = base.day(record.done_s)[5:]
             table.add_row(
                 str(record.number), grid, record.heat.purpose, record.state, half.track, done
             )
@@ -118,11 +118,12 @@ def _audit(command: Audit) -> int:
 
     import numpy as np
 
-    from league.matchmaking import executors, trials
+    from league.matchmaking import gauntlet
+    from league.matchmaking import workers as executors
 
     share = _share(command.sample)
     with command.opened() as store:
-        audits = trials.pick_audit(store, share, np.random.default_rng(command.seed))
+        audits = gauntlet.pick_audit(store, share, np.random.default_rng(command.seed))
         if not audits:
             print("There is nothing to audit: no rated heat is done that was not audited before.")
             return 0
@@ -134,7 +135,7 @@ def _audit(command: Audit) -> int:
                 verdict = "agrees" if agrees else "DIFFERS, and is in quarantine now"
                 print(f"heat {number_of[outcome.key]} {verdict}", flush=True)
 
-            differ = trials.audit(store, executor, audits, watch=watch)
+            differ = gauntlet.audit(store, executor, audits, watch=watch)
         finally:
             executor.close()
     heats = "1 heat was" if len(audits) == 1 else f"{len(audits)} heats were"
@@ -171,10 +172,10 @@ def _told(record: HeatRecord, names: dict[str, str]) -> dict[str, object]:
 
 
 def _show(store: Store, record: HeatRecord, as_json: bool) -> int:
-    names = door.names(store.entries())
+    names = base.names(store.entries())
     results = store.results(record.number)
     if as_json:
-        door.print_json({**_told(record, names), "results": results})
+        base.print_json({**_told(record, names), "results": results})
         return 0
     print(f"Heat {record.number} ({record.heat.purpose}), {record.state}, key {record.heat.key}")
     if record.worker:

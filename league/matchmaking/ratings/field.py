@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from league.matchmaking.ratings.evidence import Evidence, evidence_of
+from league.matchmaking.ratings.pair_counts import Evidence, evidence_of
 from league.matchmaking.ratings.results import NOBODY, Results
 
 

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from league.errors import ConfigError
-from league.matchmaking.ratings import evidence as ev
-from league.matchmaking.ratings import intervals, systems
-from league.matchmaking.ratings.evidence import ELO, Evidence
+from league.matchmaking.ratings import intervals, pair_counts, systems
 from league.matchmaking.ratings.field import Field
+from league.matchmaking.ratings.pair_counts import ELO, Evidence
 from league.matchmaking.ratings.results import Results
 from league.matchmaking.ratings.systems import Maker, Squares, System
 from league.matchmaking.ratings.table import SIGMAS_95, Ratings
@@ -150,7 +149,7 @@ class _Model:
         """Climb to the best parameters under a prior, until a step is small enough."""
         prior, at = self.prior(prior_sd), self._last
         self._num_spreads += 1
-        seen = ev.slope(self._evidence, at)
+        seen = pair_counts.slope(self._evidence, at)
         value = seen.value - 0.5 * float(prior @ at**2)
         far = 1.0
         for _ in range(100):
@@ -168,7 +167,7 @@ class _Model:
             length = min(1.0, 4.0 / far)
             while True:
                 tried = at + length * step
-                seen = ev.slope(self._evidence, tried)
+                seen = pair_counts.slope(self._evidence, tried)
                 now = seen.value - 0.5 * float(prior @ tried**2)
                 # Rounding hides gains below a billionth; there the full step is right anyway.
                 if now >= value + 1e-4 * length * promised - 1e-9 * abs(value) or length < 1e-6:
@@ -273,8 +272,8 @@ def _table(
     system = posterior.system
     variances = intervals.variances(system, squares, posterior.weights)
     sd = ELO * np.sqrt(variances.strengths)
-    pairs, points = ev.points_of(field.evidence)
-    group = ev.groups(field.evidence)
+    pairs, points = pair_counts.points_of(field.evidence)
+    group = pair_counts.groups(field.evidence)
     if anchor is not None:
         home = group[np.searchsorted(names, anchor)]
     else:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from league.matchmaking.ratings.evidence import Evidence
+from league.matchmaking.ratings.pair_counts import Evidence
 from league.matchmaking.ratings.systems import Squares, System
 
 AT_ONCE = 64

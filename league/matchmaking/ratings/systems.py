@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from scipy import linalg, sparse
 
-from league.matchmaking.ratings.evidence import Evidence, race_scores
+from league.matchmaking.ratings.pair_counts import Evidence, race_scores
 from league.matchmaking.ratings.results import Results
 
 DENSE_MOST = 1500

@@ -12,8 +12,8 @@ from typing import Any
 import sqlalchemy as sa
 
 from league.errors import StoreError
-from league.matchmaking.keys import Half, Heat, Purpose
-from league.matchmaking.store import diary
+from league.matchmaking.pairing.heat_spec import Half, Heat, Purpose
+from league.matchmaking.store import audit_log
 from league.matchmaking.store.database import insert_new
 from league.matchmaking.store.records import Claim, HeatRecord, HeatState
 from league.matchmaking.store.schema import entries, heat_entries, heats, results, rulesets
@@ -82,7 +82,7 @@ def plan(connection: sa.Connection, now: float, planned: Sequence[Heat]) -> int:
     ]
     if links:
         connection.execute(insert_new(connection, heat_entries), links)
-        diary.note(connection, now, "league", "plan", "", heats=len(added))
+        audit_log.note(connection, now, "league", "plan", "", heats=len(added))
     return len(added)
 
 
@@ -111,7 +111,7 @@ def claim(
             attempts=heats.c.attempts + 1,
         )
     )
-    diary.note(connection, now, worker, "claim", "", heats=numbers)
+    audit_log.note(connection, now, worker, "claim", "", heats=numbers)
     lent = read(connection, heats.c.number.in_(numbers), secret)
     return [
         Claim(
@@ -154,7 +154,9 @@ def fail(connection: sa.Connection, now: float, worker: str, key: str, traceback
     if found is None:
         raise StoreError(f"there is no heat {key[:12]!r} in this league: give a key it planned")
     text = traceback.replace("\x00", "?")[-TRACEBACK_CHARS:]
-    diary.note(connection, now, worker, "fail", key, attempt=found.attempts, traceback=text[-500:])
+    audit_log.note(
+        connection, now, worker, "fail", key, attempt=found.attempts, traceback=text[-500:]
+    )
     if found.state != "claimed" or found.worker != worker:
         return found.state
     state: HeatState = "planned" if found.attempts < ATTEMPTS else "error"
@@ -186,7 +188,7 @@ def reap(connection: sa.Connection, now: float) -> int:
                 traceback=f"{row.traceback}\n{lost}".strip()[-TRACEBACK_CHARS:],
             )
         )
-        diary.note(connection, now, "league", "reap", str(row.number), worker=row.worker)
+        audit_log.note(connection, now, "league", "reap", str(row.number), worker=row.worker)
     return len(rows)
 
 
@@ -211,7 +213,7 @@ def retry(connection: sa.Connection, now: float, key: str) -> int:
         .values(state="planned", attempts=0, done_s=None)
     ).rowcount
     if changed:
-        diary.note(connection, now, "league", "retry", key, heat=number, was=row.state)
+        audit_log.note(connection, now, "league", "retry", key, heat=number, was=row.state)
     return number if changed else 0
 
 
@@ -224,7 +226,7 @@ def cancel(connection: sa.Connection, now: float, entry: int) -> int:
         .values(state="cancelled")
     ).rowcount
     if changed:
-        diary.note(connection, now, "league", "cancel", str(entry), heats=changed)
+        audit_log.note(connection, now, "league", "cancel", str(entry), heats=changed)
     return changed
 
 

@@ -9,8 +9,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from league.matchmaking import keys
-from league.matchmaking.keys import Heat, Ruleset
+from league.matchmaking.pairing import heat_spec
+from league.matchmaking.pairing.heat_spec import Heat, Ruleset
 
 EntryState = Literal[
     "pending", "validating", "placement", "provisional", "ranked", "retired", "refused"
@@ -105,7 +105,7 @@ class RaceOutcome:
     @cached_property
     def hash(self) -> str:
         """SHA-256 of places and result."""
-        return keys.result_hash({"places": self.places, "result": self.result})
+        return heat_spec.result_hash({"places": self.places, "result": self.result})
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,12 @@ from typing import Any, Literal, Self
 import sqlalchemy as sa
 
 from league.errors import StoreError, brief
-from league.matchmaking import keys
 from league.matchmaking.blobs import Blobs, FolderBlobs
-from league.matchmaking.keys import Heat, Ruleset
-from league.matchmaking.store import diary, founding, history, queue, roll
+from league.matchmaking.pairing import heat_spec
+from league.matchmaking.pairing.heat_spec import Heat, Ruleset
+from league.matchmaking.store import audit_log, creation, queue
+from league.matchmaking.store import entries as roll
+from league.matchmaking.store import results as history
 from league.matchmaking.store.database import Database
 from league.matchmaking.store.records import (
     Claim,
@@ -55,7 +57,7 @@ class Store:
         """
         self._database = Database(url, clock)
         try:
-            founding.check(self._database)
+            creation.check(self._database)
             with self._database.reading() as connection:
                 row = connection.execute(sa.select(league)).one()
         except BaseException:
@@ -95,9 +97,9 @@ class Store:
         """Race by other rules from now on; ratings start again, old results are kept."""
         with self._database.writing() as connection:
             now = self._database.now(connection)
-            number = founding.enact(connection, now, ruleset)
+            number = creation.enact(connection, now, ruleset)
             connection.execute(league.update().values(ruleset=number))
-            diary.note(connection, now, "league", "ruleset", ruleset.hash)
+            audit_log.note(connection, now, "league", "ruleset", ruleset.hash)
 
     def rulesets(self) -> dict[str, Ruleset]:
         """Return all rulesets the league ever had, by hash."""
@@ -133,7 +135,7 @@ class Store:
         kind: Literal["policy", "scripted"] = "policy" if scripted is None else "scripted"
         if weights is not None and self._blobs_url:
             self.blobs.put(weights)
-        id = keys.scripted_id(scripted) if scripted else keys.digest(weights or b"")
+        id = heat_spec.scripted_id(scripted) if scripted else heat_spec.digest(weights or b"")
         card = {**(card or {}), **({"driver": scripted} if scripted else {})}
         with self._database.writing() as connection:
             now = self._database.now(connection)
@@ -319,7 +321,7 @@ class Store:
     def events(self, *, since: int = 0, limit: int = 1000) -> list[Event]:
         """Return lines of the diary after number `since`, oldest first."""
         with self._database.reading() as connection:
-            return diary.read(connection, since, limit)
+            return audit_log.read(connection, since, limit)
 
     def _heats(self, match: sa.ColumnElement[bool], limit: int | None) -> list[HeatRecord]:
         with self._database.reading() as connection:
@@ -347,7 +349,7 @@ def create(
         FolderBlobs(blobs)
     database = Database(url, clock)
     try:
-        founding.found(database, name, ruleset or Ruleset(), blobs)
+        creation.found(database, name, ruleset or Ruleset(), blobs)
     finally:
         database.close()
     return Store(url, clock=clock)
@@ -361,10 +363,10 @@ def upgrade(url: str) -> None:
     """
     database = Database(url)
     try:
-        founding.version_of(database)
+        creation.version_of(database)
         with database.writing() as connection:
             database.alone(connection)
-            founding.migrate(connection)
+            creation.migrate(connection)
     finally:
         database.close()
 
@@ -372,7 +374,7 @@ def upgrade(url: str) -> None:
 def _kept(replay: bytes | None, outside: Blobs | None) -> str | None:
     if replay is None:
         return None
-    return outside.put(replay) if outside else keys.digest(replay)
+    return outside.put(replay) if outside else heat_spec.digest(replay)
 
 
 def _check_worker(worker: str) -> None:

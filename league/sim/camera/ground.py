@@ -12,8 +12,8 @@ import numpy as np
 from league.sim.camera import raster
 from league.sim.camera.lens import Lens
 from league.sim.camera.scene import SUN, WALL_HEIGHT, Colour, in_light, lit, three
-from league.track import paint
-from league.track.course import Track
+from league.track import markings
+from league.track.track import Track
 
 LEVELS = 5
 """Textures of one floor; each has half the resolution of the one before."""
@@ -147,7 +147,7 @@ def bands(lens: Lens, height: float, pitch: float, finest: float) -> tuple[Band,
 
 
 def _paint(track: Track, metres_per_pixel: float, colour: bool) -> Ground:
-    floor = paint.floor(track, metres_per_pixel, colour=colour)
+    floor = markings.floor(track, metres_per_pixel, colour=colour)
     image = np.ascontiguousarray(floor.image)
     # A rim of the floor's own colours, so that no texel mixes with what lies outside; and a size
     # that halves evenly, so that every level starts at the same corner.

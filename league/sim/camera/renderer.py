@@ -6,14 +6,14 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from league.sim.camera import looks as looks_room
+from league.sim.camera import visual_randomization
 from league.sim.camera.ground import Floor, floor_of
 from league.sim.camera.lens import Lens
-from league.sim.camera.looks import Look
 from league.sim.camera.stage import Stage
+from league.sim.camera.visual_randomization import Look
 from league.sim.config import CameraConfig, LookConfig, SimConfig
 from league.sim.world import World
-from league.track.course import TrackSet
+from league.track.track import TrackSet
 
 
 class Renderer(ABC):
@@ -55,7 +55,7 @@ class Renderer(ABC):
         """
         look = None
         if self._looks is not None:
-            look = looks_room.draw(self._looks, world, rows, car, self._camera.colour)
+            look = visual_randomization.draw(self._looks, world, rows, car, self._camera.colour)
         return self._draw(Stage(self._sim, world, rows, look), car, look)
 
     @abstractmethod

@@ -11,7 +11,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from league.track.course import Rgb
+from league.track.track import Rgb
 
 Colour = float | tuple[float, float, float]
 """What a pixel is filled with: a gray value, or red, green and blue."""

@@ -10,8 +10,8 @@ import numpy as np
 
 from league.portable_math import direction
 from league.sim.camera.lens import Pose, mounted
-from league.sim.camera.looks import Look
 from league.sim.camera.scene import BOT_COLOUR, BOX, BOX_COLOUR, CAR, CAR_COLOURS, Model, faded
+from league.sim.camera.visual_randomization import Look
 from league.sim.config import CameraConfig, SimConfig
 from league.sim.world import World, is_frozen
 

@@ -11,8 +11,8 @@ from league.agents.driver import Driver
 from league.envs.race_env import Step
 from league.sim import rng
 from league.sim.config import SensorConfig
-from league.training.selfplay.records import DRAWN, LOST, WON, Records
-from league.training.selfplay.seats import Seats, awake
+from league.training.selfplay.snapshot_opponents import Seats, awake
+from league.training.selfplay.win_rates import DRAWN, LOST, WON, Records
 
 NOBODY = -1
 CLEAR_GAIN = 0.162

@@ -15,17 +15,17 @@ from league.agents.checkpoint import Checkpoint
 from league.agents.driver import Driver
 from league.agents.policy import Policy
 from league.errors import ConfigError, PolicyError
-from league.track.course import TrackSet
-from league.training import worlds
-from league.training.learner import Learner
-from league.training.selfplay import duels, matrix, opponent
+from league.track.track import TrackSet
+from league.training.ppo import make_env
+from league.training.ppo.learner import Learner
+from league.training.selfplay import matches, opponent, payoff_matrix
 from league.training.selfplay.handicap import Handicap
-from league.training.selfplay.matrix import WinMatrix
 from league.training.selfplay.opponent import Field, Opponent
-from league.training.selfplay.pacer import PACER, Pacer
+from league.training.selfplay.payoff_matrix import WinMatrix
 from league.training.selfplay.pool import PARENT, Candidate, Member, Pool, spread
-from league.training.selfplay.records import Records
 from league.training.selfplay.settings import SelfPlayConfig
+from league.training.selfplay.speed_cap import PACER, Pacer
+from league.training.selfplay.win_rates import Records
 from league.training.settings import TrainConfig
 
 NEWEST = "newest"
@@ -81,7 +81,7 @@ class SelfPlay:
             car: Opponent(car, train.sensors, train.num_worlds, train.seed, self.records)
             for car in range(1, train.num_cars)
         }
-        self._car = worlds.env_config(train).sim.car
+        self._car = make_env.env_config(train).sim.car
         # A driver that remembers is one car's alone; with several tracks there are none.
         one_track = len(tracks.tracks) == 1 and self._cfg.scripted > 0
         self._scripted = {car: self._teachers(car) if one_track else {} for car in self._seats}
@@ -192,8 +192,8 @@ class SelfPlay:
         if len(self._tracks.tracks) == 1:
             drivers["centerline"] = roster.load("centerline", self._tracks, self._car)
         drivers |= {member.name: self._racer(member) for member in chosen}
-        drivers[matrix.FINAL] = self._built(weights, matrix.FINAL)
-        return matrix.measure(self._tracks, self._car, drivers, self._cfg, seed=seed)
+        drivers[payoff_matrix.FINAL] = self._built(weights, payoff_matrix.FINAL)
+        return payoff_matrix.measure(self._tracks, self._car, drivers, self._cfg, seed=seed)
 
     def snapshot(self, name: str) -> tuple[int, Checkpoint]:
         """Return a member of the pool by name: the updates after which it was taken, and it."""
@@ -207,7 +207,7 @@ class SelfPlay:
         rates: dict[str, float] = {}
         if rivals:
             field = [self._built(snapshot, "candidate"), *map(self._racer, rivals)]
-            found = duels.meet(
+            found = matches.meet(
                 self._tracks,
                 self._car,
                 field,

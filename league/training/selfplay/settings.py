@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from league.envs.meeting import Meeting
+from league.envs.encounters import Meeting
 from league.errors import ConfigError
 from league.sim.config import Spread
 

@@ -1,0 +1,222 @@
+"""`league init`, `submit`, `entries`, `retire`: founding a league, and who takes part."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import tyro
+
+from league.cli import tables
+from league.cli.season import base
+from league.cli.season.base import OnLeague, Reading
+from league.errors import ConfigError, nearest_names
+
+if TYPE_CHECKING:
+    from league.matchmaking.pairing.heat_spec import Ruleset
+
+ANCHORS = ("centerline", "racing_line", "cautious", "blocker")
+"""Scripted drivers that a new league begins with; the first one is 1000."""
+
+
+@dataclass
+class Init(OnLeague):
+    """Make a league; its rules cannot be changed without beginning the ratings anew."""
+
+    name: str = "league"
+    """Name shown to people."""
+    track: tuple[str, ...] = ("reinvent_2018",)
+    """Tracks that heats are drawn from (see `league tracks`)."""
+    laps: int = 3
+    """Laps of each race."""
+    cars: int = 2
+    """Cars in each race, 2 to 8."""
+    solver: Literal["bullet", "planar"] = "bullet"
+    """Physics."""
+    sensors: Literal["stock", "any"] = "stock"
+    """Stock mounts, lenses and rates only, or whatever a card asks for."""
+    max_time_s: float = 0.0
+    """A race is stopped after this time [s]; 0 chooses by length."""
+    variation: float = 1.0
+    """How much the cars of a race differ, drawn from its seed: 1 is two percent of grip."""
+    anchors: tuple[str, ...] = ANCHORS
+    """Scripted drivers that tie the scale; the first one is pinned to 1000."""
+    blobs: str = ""
+    """Directory or bucket (s3://...) for weights and recordings; by default the database."""
+
+    def run(self) -> int:
+        """Run the command."""
+        return _init(self)
+
+
+@dataclass
+class Submit(OnLeague):
+    """Submit a checkpoint; it is read here, and its weights are sent as plain numbers."""
+
+    driver: tyro.conf.Positional[str]
+    """The checkpoint (FILE.pt), or the name of a scripted driver (see `league drivers`)."""
+    name: str = ""
+    """Name shown to people; by default the file's."""
+    owner: str = ""
+    """Whose it is; by default your login name. Entries of one owner do not meet."""
+
+    def run(self) -> int:
+        """Run the command."""
+        return _submit(self)
+
+
+@dataclass
+class Entries(Reading):
+    """List the entries and where they stand."""
+
+    def run(self) -> int:
+        """Run the command."""
+        with self.opened() as store:
+            entries = store.entries()
+        if self.json:
+            base.print_json(entries)
+            return 0
+        table = tables.table("Entries", "name", "owner", "state", "id", "kind", "submitted")
+        for entry in entries:
+            kind = "anchor" if entry.anchor else entry.kind
+            table.add_row(
+                entry.name[:24],
+                entry.owner[:14],
+                entry.state,
+                entry.id[:8],
+                kind,
+                base.day(entry.created_s)[:10],
+            )
+        tables.console().print(table)
+        for entry in entries:
+            if entry.reason:
+                print(f"{entry.name} is {entry.state}: {tables.spelled(entry.reason)}")
+        return 0
+
+
+@dataclass
+class Retire(OnLeague):
+    """Take an entry out of the league; its results stay, and there is no way back."""
+
+    entry: tyro.conf.Positional[str]
+    """Name or id."""
+    reason: str = ""
+    """Why, for people to read."""
+
+    def run(self) -> int:
+        """Run the command."""
+        with self.opened() as store:
+            entry = store.entry(self.entry)
+            changed = store.move({entry.id: "retired"}, reason=self.reason, actor=entry.owner)
+        print(f"{entry.name} {'is retired' if changed else 'was retired already'}.")
+        return 0
+
+
+@dataclass
+class Upgrade(OnLeague):
+    """Bring the tables of a league that an older version made up to date; make a backup first."""
+
+    def run(self) -> int:
+        """Run the command."""
+        from league.matchmaking import store
+
+        store.upgrade(self.address)
+        with self.opened() as league:
+            print(f"The league in {league.url} is up to date.")
+        return 0
+
+
+def _init(command: Init) -> int:
+    from league.matchmaking.pairing import matchmaker
+    from league.matchmaking.store import create
+
+    rules = _rules(command)
+    with create(command.address, name=command.name, ruleset=rules, blobs=command.blobs) as store:
+        matchmaker.found(store, command.anchors)
+        print(f"League {command.name!r}: {store.url}")
+    laps = "1 lap" if rules.laps == 1 else f"{rules.laps} laps"
+    print(f"Rules {rules.hash[:12]}: {laps}, {rules.cars} cars, {', '.join(rules.tracks)}")
+    print(f"Anchors: {', '.join(command.anchors) or 'none'}")
+    return 0
+
+
+def _rules(command: Init) -> Ruleset:
+    """Return the rules that were asked for, checked before anything is written."""
+    from league.agents import roster
+    from league.matchmaking.pairing.heat_spec import Ruleset
+    from league.track import files
+
+    if not command.name.strip():
+        raise ConfigError("the league was given no name: name it, as in --name club")
+    for name in command.anchors:
+        if name not in roster.NAMES:
+            nearest = nearest_names(name, list(roster.NAMES))
+            raise ConfigError(f"there is no scripted driver {name!r}; nearest: {nearest}")
+    if command.cars < 2:
+        raise ConfigError(
+            f"{command.cars} cars in a race: a league's races have 2 to 8, give --cars 2"
+        )
+    if len(set(command.track)) < len(command.track) or len(set(command.anchors)) < len(
+        command.anchors
+    ):
+        raise ConfigError("a track or an anchor was named twice: name each once")
+    tracks = []
+    for name in command.track:
+        course = files.load(name)
+        if name != course.name:
+            raise ConfigError(
+                f"the track {name!r} is a file: a league's workers know the tracks that ship "
+                "with the program, `league tracks` lists them"
+            )
+        tracks.append(course.name)
+    try:
+        return Ruleset(
+            tracks=tuple(tracks),
+            laps=command.laps,
+            cars=command.cars,
+            solver=command.solver,
+            sensors=command.sensors,
+            max_time_s=command.max_time_s,
+            variation=command.variation,
+        )
+    except ValueError as error:
+        raise ConfigError(f"these rules are not possible: {error}") from error
+
+
+def _submit(command: Submit) -> int:
+    import getpass
+
+    from league.agents import roster
+    from league.errors import PolicyError
+    from league.matchmaking import submission
+
+    owner = command.owner or getpass.getuser()
+    with command.opened() as store:
+        if command.driver.endswith(".pt"):
+            name = command.name or Path(command.driver).stem
+            entry = submission.submit(store, command.driver, name, owner)
+        elif command.driver in roster.NAMES:
+            name = command.name or command.driver
+            entry = store.submit(name, owner, scripted=command.driver, card={"name": name})
+        else:
+            raise PolicyError(
+                f"there is no driver {command.driver!r}; nearest: "
+                f"{nearest_names(command.driver, list(roster.NAMES))}; or give a checkpoint, "
+                "FILE.pt"
+            )
+    if entry.name != name:
+        print(f"These weights are entered already, as {entry.name}; {name} is not a new entry.")
+    print(f"{entry.name} by {entry.owner}: entry {entry.id[:12]}, {entry.state}")
+    if entry.state == "pending":
+        print("It races itself and an anchor first: `league run`, then `league entries`.")
+    return 0
+
+
+COMMANDS = {
+    "init": Init,
+    "submit": Submit,
+    "entries": Entries,
+    "retire": Retire,
+    "upgrade": Upgrade,
+}

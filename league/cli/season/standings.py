@@ -1,0 +1,276 @@
+"""`league standings`, `show`, `h2h`, `history`: who is better, and how sure that is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import tyro
+
+from league.cli import flags, tables
+from league.cli.season import base
+from league.cli.season.base import Reading
+from league.errors import ConfigError, StoreError
+
+if TYPE_CHECKING:
+    from league.matchmaking.standings import Standings
+    from league.matchmaking.store import Entry, Store
+
+
+@dataclass
+class ShowStandings(Reading):
+    """Rate all entries from all races, and print the table."""
+
+    top: int | None = None
+    """Only so many."""
+
+    def run(self) -> int:
+        """Run the command."""
+        from league.cli.season import monitor
+        from league.matchmaking import standings
+
+        flags.at_least(self, "top", 1)
+        with self.opened() as store:
+            found = standings.of(store)
+        if self.json:
+            base.print_json(told(found, self.top))
+            return 0
+        tables.console().print(monitor.table(found, self.top))
+        for line in notes(found):
+            print(line)
+        return 0
+
+
+@dataclass
+class Show(Reading):
+    """Show an entry: rating, record against everybody, last heats."""
+
+    entry: tyro.conf.Positional[str]
+    """Name or id."""
+
+    def run(self) -> int:
+        """Run the command."""
+        with self.opened() as store:
+            return _show(store, store.entry(self.entry), self.json)
+
+
+@dataclass
+class HeadToHead(Reading):
+    """Compare two entries: who is stronger, how sure that is, and their meetings.
+
+    Without names: all of the best ones against each other, and where the ratings miss something.
+    """
+
+    one: tyro.conf.Positional[str] = ""
+    """Name or id."""
+    other: tyro.conf.Positional[str] = ""
+    """Name or id."""
+    top: int = 8
+    """So many of the best, where no names are given."""
+
+    def run(self) -> int:
+        """Run the command."""
+        flags.at_least(self, "top", 2)
+        if self.one and not self.other:
+            raise ConfigError(
+                f"only {self.one!r} was given: name two entries to compare them, or none for the "
+                "matrix of the best"
+            )
+        with self.opened() as store:
+            if not self.one:
+                return _matrix(store, self.top, self.json)
+            return _h2h(store, store.entry(self.one), store.entry(self.other), self.json)
+
+
+@dataclass
+class History(Reading):
+    """Show how an entry's rating came about."""
+
+    entry: tyro.conf.Positional[str]
+    """Name or id."""
+    points: int = 20
+    """How many moments."""
+
+    def run(self) -> int:
+        """Run the command."""
+        from league.matchmaking import standings
+
+        flags.at_least(self, "points", 1)
+        with self.opened() as store:
+            entry = store.entry(self.entry)
+            moments = standings.history(store, entry, points=self.points)
+        if self.json:
+            base.print_json(moments)
+            return 0
+        table = tables.table(f"{entry.name} over time", "heat", "races", "Elo, 95 %", "between")
+        for moment in moments:
+            table.add_row(
+                str(moment.heat),
+                str(moment.races),
+                base.plus_minus(moment.elo, moment.low95, moment.high95),
+                f"{moment.low95:.0f} to {moment.high95:.0f}",
+            )
+        tables.console().print(table)
+        return 0
+
+
+def told(found: Standings, top: int | None = None) -> dict[str, object]:
+    """Return standings as plain data."""
+    goodness = found.goodness
+    return {
+        "ruleset": found.ruleset,
+        "races": found.num_races,
+        "prior_sd": found.ratings.prior_sd,
+        "slot_advantages": found.ratings.slot_advantages.tolist(),
+        "fit": {
+            "chi_square": goodness.chi_square,
+            "freedom": goodness.freedom,
+            "p_value": goodness.p_value,
+            "rejected": goodness.rejected,
+        },
+        "entries": [base.plain(row) for row in found.rows[:top]],
+    }
+
+
+def notes(found: Standings) -> list[str]:
+    """Return what people must know beside the table."""
+    front = found.ratings.slot_advantages
+    lines = [
+        f"{found.num_races} races under rules {found.ruleset[:12]}; the front of the grid is worth "
+        f"{front[0] - front[-1]:+.0f} Elo over its end.",
+        "? provisional: sd above 50, listed by Elo - 2 sd   ! won or lost every pair",
+        "ranks: those the intervals allow   DNF: races not finished",
+    ]
+    if len(found.tracks) > 1:
+        lines.append(f"best lap: on {found.tracks[0]}; `league show ENTRY` tells those on others")
+    if not all(row.connected for row in found.rows):
+        lines.append("~ no chain of races leads to the anchor; such ratings lean on the prior.")
+    if found.goodness.rejected:
+        lines.append(
+            "One number a driver does not explain these results (p = "
+            f"{found.goodness.p_value:.1g}): `league h2h` shows who beats whom."
+        )
+    return lines
+
+
+def _show(store: Store, entry: Entry, as_json: bool) -> int:
+    from league.matchmaking import standings
+
+    found: Standings | None = None
+    try:
+        found = standings.of(store)
+        row = found.row(entry.number)
+    except StoreError:
+        row = None
+    others = []
+    if found is not None and row is not None:
+        for other in found.rows:
+            record = standings.record(found, entry.number, other.number)
+            if other is not row and record.races:
+                others.append((other, record))
+    recent = store.heats(entries=[entry.number])[-10:]
+    if as_json:
+        records = [{"name": other.name, **base.plain(record)} for other, record in others]
+        heats = [{"number": heat.number, "state": heat.state} for heat in recent]
+        told = {"entry": entry, "standing": row, "against": records, "heats": heats}
+        base.print_json(told)
+        return 0
+    print(f"{entry.name} by {entry.owner}   {entry.id}")
+    reason = f", {tables.spelled(entry.reason)}" if entry.reason else ""
+    print(f"{entry.state}{reason}, {entry.kind}")
+    if row is not None:
+        rating = base.plus_minus(row.elo, row.low95, row.high95)
+        print(
+            f"rank {row.rank} ({row.best_rank} to {row.worst_rank}), Elo {rating}, "
+            f"{row.races} races"
+        )
+        if row.unfinished is not None:
+            laps = [f"{tables.clock(lap_s)} on {track}" for track, lap_s in row.best_laps_s.items()]
+            print(
+                f"not finished: {100 * row.unfinished:.0f} %, best lap: {', '.join(laps) or 'none'}"
+            )
+    table = tables.table(
+        "Against", "entry", "owner", "Elo", "races", "points", "promised", "residual"
+    )
+    for other, record in others:
+        table.add_row(
+            other.name,
+            other.owner,
+            f"{other.elo:.0f}",
+            str(record.races),
+            f"{record.points:g}",
+            f"{record.expected:.1f}",
+            f"{record.residual:+.1f}",
+        )
+    if others:
+        tables.console().print(table)
+    print("Last heats: " + (", ".join(f"{h.number} ({h.state})" for h in recent) or "none"))
+    return 0
+
+
+def _h2h(store: Store, one: Entry, other: Entry, as_json: bool) -> int:
+    from league.matchmaking import standings
+
+    if one.id == other.id:
+        raise StoreError(f"{one.name!r} was given twice: name two entries")
+    found = standings.of(store)
+    for entry in (one, other):
+        found.row(entry.number, entry.name)
+    gap = found.ratings.difference(one.number, other.number)
+    record = standings.record(found, one.number, other.number)
+    heats = [heat.number for heat in store.heats(("done",), entries=[one.number, other.number])]
+    if as_json:
+        told = {"one": one.name, "other": other.name, "difference": gap, "record": record}
+        base.print_json({**told, "heats": heats})
+        return 0
+    print(f"{one.name} - {other.name}: {gap.elo:+.0f} Elo ({gap.low95:+.0f} to {gap.high95:+.0f})")
+    print(f"{one.name} is the stronger one with probability {100 * gap.superiority:.1f} %")
+    print(
+        f"{record.races} races: {record.wins} won, {record.ties} tied, "
+        f"{record.races - record.wins - record.ties} lost; {record.expected:.1f} points were "
+        f"promised, residual {record.residual:+.1f}"
+    )
+    print("Heats: " + (", ".join(map(str, heats[-20:])) or "none"))
+    return 0
+
+
+def _matrix(store: Store, top: int, as_json: bool) -> int:
+    from itertools import combinations
+
+    from league.matchmaking import standings
+
+    found = standings.of(store)
+    rows = found.rows[:top]
+    pairs = list(combinations(rows, 2))
+    forth = [standings.record(found, one.number, other.number) for one, other in pairs]
+    if as_json:
+        base.print_json(
+            [
+                {"one": one.name, "other": other.name, "points": record.points} | base.plain(record)
+                for (one, other), record in zip(pairs, forth, strict=True)
+            ]
+        )
+        return 0
+    cells = {}
+    for (one, other), record in zip(pairs, forth, strict=True):
+        if record.races:
+            left = record.races - record.points
+            cells[one.rank, other.rank] = _cell(record.points, record.races, record.residual)
+            cells[other.rank, one.rank] = _cell(left, record.races, -record.residual)
+    table = tables.table("Head to head", "", "entry", *(str(row.rank) for row in rows))
+    for row in rows:
+        met = [cells.get((row.rank, other.rank), "") for other in rows]
+        table.add_row(str(row.rank), row.name[:14], *met)
+    tables.console().print(table)
+    print("points of races; below: (points - promised) / standard deviation, * beyond 3")
+    if found.goodness.rejected:
+        print("One number a driver does not explain these results: see `league standings`.")
+    return 0
+
+
+def _cell(points: float, races: int, residual: float) -> str:
+    """Return points, races and residual of a pair that met."""
+    return f"{points:g}/{races}\n{residual:+.1f}{'*' if abs(residual) > 3 else ''}"
+
+
+COMMANDS = {"standings": ShowStandings, "show": Show, "h2h": HeadToHead, "history": History}

@@ -1,0 +1,238 @@
+"""model_metadata.json, versions 1 to 6: what a DeepRacer model may do and what it sees.
+
+Facts section 2. Missing keys mean what they meant there: discrete, clipped_ppo, the shallow
+network, and sensor "observation".
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from league.deepracer.json_file import load, reason
+from league.envs.action_space import MAX_SPEED, ActionSpace, ContinuousActions, DiscreteActions
+from league.errors import ConfigError, brief, nearest_names
+from league.sim.config import CameraConfig, LidarConfig, SensorConfig
+
+VERSIONS = ("1", "2", "3", "4", "5", "6")
+NETWORKS = (
+    "DEEP_CONVOLUTIONAL_NETWORK_SHALLOW",
+    "DEEP_CONVOLUTIONAL_NETWORK",
+    "DEEP_CONVOLUTIONAL_NETWORK_DEEP",
+)
+Algorithm = Literal["clipped_ppo", "sac"]
+_CAMERAS = {
+    "observation": "mono",
+    "FRONT_FACING_CAMERA": "mono",
+    "LEFT_CAMERA": "left",
+    "STEREO_CAMERAS": "stereo",
+}
+_LIDARS = ("LIDAR", "SECTOR_LIDAR", "DISCRETIZED_SECTOR_LIDAR")
+_SECTORS = (1, 2, 4, 8, 16, 32, 64)
+_FASTEST_ASKED = 8.0
+"""Speed that could be asked for in 2019 [m/s]."""
+_LIDAR_REACH = 1.0
+"""Range beyond which the original's plain LIDAR tells nothing [m]."""
+
+Number = Annotated[float, Field(strict=False, allow_inf_nan=False)]
+
+
+@dataclass(frozen=True)
+class Metadata:
+    """What a model_metadata.json says."""
+
+    action_space: ActionSpace
+    """What the policy may ask for."""
+    sensors: SensorConfig
+    """What its car carries."""
+    version: str = "1"
+    """Version of the original's simulator, "1" to "6"; the physics here is the same for all."""
+    training_algorithm: Algorithm = "clipped_ppo"
+    """How it was trained; the league trains by clipped PPO only."""
+    neural_network: str = NETWORKS[0]
+    """Which of the original's networks; the league's own are chosen by its training settings."""
+    notes: tuple[str, ...] = ()
+    """What the league does otherwise than the file asks."""
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class _Choice(_Strict):
+    steering_angle: Number
+    speed: Number
+    index: int | None = None
+
+
+class _Range(_Strict):
+    low: Number
+    high: Number
+
+
+class _Ranges(_Strict):
+    steering_angle: _Range
+    speed: _Range
+
+
+class _Lidar(_Strict):
+    num_sectors: int = 8
+    num_values_per_sector: int = Field(default=8, ge=1, le=64)
+    clipping_dist: float = Field(default=2.0, ge=0.15, le=12.0)
+
+
+class _File(BaseModel):
+    # Other keys are let through: community tools write some of their own.
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+    action_space_type: Literal["discrete", "continuous"] = "discrete"
+    sensor: list[str] | None = None
+    version: str | int | float | None = None
+    training_algorithm: str = "clipped_ppo"
+    neural_network: str = NETWORKS[0]
+    lidar_config: _Lidar | None = None
+
+
+class _DiscreteFile(_File):
+    action_space: list[_Choice]
+
+
+class _ContinuousFile(_File):
+    action_space: _Ranges
+
+
+def read(path: str | os.PathLike[str]) -> Metadata:
+    """Return what a model_metadata.json says.
+
+    Raises:
+        ConfigError: there is no such file, or it describes no model of the original.
+    """
+    return parse(load(path, "model_metadata.json"), str(path))
+
+
+def parse(given: Mapping[str, Any], name: str = "model_metadata") -> Metadata:
+    """Return what the content of a model_metadata.json says.
+
+    Args:
+        given: the file's object.
+        name: how to call it in an error message.
+
+    Raises:
+        ConfigError: it describes no model of the original.
+    """
+    kind = given.get("action_space_type", "discrete")
+    # Told which of the two is meant, pydantic complains about one and not about both.
+    ranges = isinstance(given.get("action_space"), Mapping)
+    try:
+        file = (_ContinuousFile if ranges else _DiscreteFile).model_validate(dict(given))
+    except ValidationError as error:
+        raise ConfigError(f"{name}: {reason(error)}") from None
+    try:
+        action_space = _action_space(file, kind)
+        return Metadata(
+            action_space=action_space,
+            sensors=_sensors(file.sensor or ["observation"], file.lidar_config),
+            version=_version(file),
+            training_algorithm=_one_of(  # type: ignore
+                "training_algorithm", file.training_algorithm, ("clipped_ppo", "sac")
+            ),
+            neural_network=_one_of("neural_network", file.neural_network, NETWORKS),
+            notes=_notes(file),
+        )
+    except ConfigError as error:
+        raise ConfigError(f"{name}: {error}") from None
+
+
+def _action_space(file: _DiscreteFile | _ContinuousFile, kind: str) -> ActionSpace:
+    ranges = isinstance(file, _ContinuousFile)
+    if ranges != (kind == "continuous"):
+        raise ConfigError(
+            f"action_space_type is {kind}, but action_space is "
+            f"{'an object of ranges' if ranges else 'a list'}: discrete goes with a list of "
+            "actions, continuous with ranges of steering_angle and speed"
+        )
+    if isinstance(file, _ContinuousFile):
+        space = file.action_space
+        return ContinuousActions(
+            steering_low=space.steering_angle.low,
+            steering_high=space.steering_angle.high,
+            speed_low=_clipped(space.speed.low),
+            speed_high=_clipped(space.speed.high),
+        )
+    if file.training_algorithm == "sac":
+        raise ConfigError(
+            "training_algorithm is sac with discrete actions: sac takes continuous ones"
+        )
+    # The place in the list counts, as in the original; an index may stand beside it.
+    return DiscreteActions(
+        tuple((one.steering_angle, _clipped(one.speed)) for one in file.action_space)
+    )
+
+
+def _clipped(speed: float) -> float:
+    """Return a speed as the original drove it: models of 2019 ask for up to 8 m/s, and get 4."""
+    return MAX_SPEED if MAX_SPEED < speed <= _FASTEST_ASKED else speed
+
+
+def _notes(file: _DiscreteFile | _ContinuousFile) -> tuple[str, ...]:
+    asked = file.action_space
+    speeds = [one.speed for one in asked] if isinstance(asked, list) else [asked.speed.high]
+    notes = []
+    if file.training_algorithm == "sac":
+        notes.append("asks for sac; the league trains by clipped PPO")
+    if max(speeds) > MAX_SPEED:
+        notes.append(f"asks for {max(speeds):g} m/s; cars drive at most {MAX_SPEED:g}")
+    return tuple(notes)
+
+
+def _sensors(names: list[str], lidar: _Lidar | None) -> SensorConfig:
+    for name in names:
+        _one_of("sensor", name, (*_CAMERAS, *_LIDARS))
+    cameras = [name for name in names if name in _CAMERAS]
+    lidars = [name for name in names if name in _LIDARS]
+    if len(cameras) != 1 or len(lidars) > 1:
+        raise ConfigError(
+            f"sensor is {brief(names)}: give exactly one camera of {', '.join(_CAMERAS)}, and at "
+            f"most one lidar of {', '.join(_LIDARS)}"
+        )
+    camera = CameraConfig(width=160, height=120, eyes=_CAMERAS[cameras[0]])  # type: ignore
+    return SensorConfig(camera=camera, lidar=_scan(lidars[0], lidar) if lidars else None)
+
+
+def _scan(name: str, wished: _Lidar | None) -> LidarConfig:
+    if name == "LIDAR":
+        return LidarConfig(max_range=_LIDAR_REACH)
+    if name == "SECTOR_LIDAR":
+        return LidarConfig(form="sectors")
+    wished = wished or _Lidar()
+    if wished.num_sectors not in _SECTORS:
+        raise ConfigError(
+            f"lidar_config.num_sectors is {wished.num_sectors}: give one of "
+            f"{', '.join(map(str, _SECTORS))}"
+        )
+    return LidarConfig(
+        form="discretised",
+        sectors=wished.num_sectors,
+        bins=wished.num_values_per_sector,
+        clip=wished.clipping_dist,
+    )
+
+
+def _version(file: _File) -> str:
+    """Return the version; without one a file that names sensors is of version 2, else 1."""
+    if file.version is None:
+        return "1" if file.sensor is None else "2"
+    given = str(file.version).strip()
+    given = given[:-2] if given.endswith(".0") else given
+    return _one_of("version", given, VERSIONS)
+
+
+def _one_of(what: str, given: str, known: tuple[str, ...]) -> str:
+    if given not in known:
+        near = nearest_names(given, list(known))
+        raise ConfigError(f"{what} is {brief(given)}; nearest: {near}")
+    return given

@@ -1,0 +1,1 @@
+"""PettingZoo, Gymnasium and rsl-rl: adapters that translate, and nothing else."""

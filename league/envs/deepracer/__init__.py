@@ -1,5 +1,0 @@
-"""What DeepRacer's users bring: reward functions, model_metadata.json, hyperparameters.json."""
-
-from league.envs.deepracer.reward import UserReward, user_reward
-
-__all__ = ["UserReward", "user_reward"]

@@ -1,0 +1,1 @@
+"""Which entries meet: states of entries, heats, and the matchmaker."""

@@ -1,0 +1,204 @@
+"""The roll: owners, entries and where they stand, and the blobs that the database keeps."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from typing import Any, cast
+
+import sqlalchemy as sa
+
+from league.errors import StoreError, brief, nearest_names
+from league.matchmaking import blobs as files
+from league.matchmaking.pairing import heat_spec
+from league.matchmaking.store import audit_log, queue
+from league.matchmaking.store.database import insert_new
+from league.matchmaking.store.records import NEXT, Entry, EntryState
+from league.matchmaking.store.schema import blobs, entries, heat_entries, heats, owners
+
+
+def submit(
+    connection: sa.Connection,
+    now: float,
+    *,
+    id: str,
+    name: str,
+    owner: str,
+    kind: str,
+    anchor: bool,
+    card: Mapping[str, Any],
+) -> Entry:
+    """Enter a driver as pending; the same content submitted again is the same entry."""
+    known = connection.execute(_query().where(entries.c.id == id)).one_or_none()
+    if known is not None:
+        if known.owner_name != owner:
+            raise StoreError(
+                f"these weights are entered already, as {known.name!r} by {known.owner_name!r}: "
+                "submit weights of your own"
+            )
+        return _entry(known)
+    _check_name(name, "an entry's name")
+    _check_name(owner, "an owner's name")
+    taken = connection.scalar(sa.select(entries.c.id).where(entries.c.name == name))
+    if taken is not None:
+        raise StoreError(f"the name {name!r} is taken by entry {taken[:12]}: choose another")
+    connection.execute(insert_new(connection, owners).values(name=owner, created_s=now))
+    number = sa.select(owners.c.number).where(owners.c.name == owner).scalar_subquery()
+    connection.execute(
+        entries.insert().values(
+            id=id,
+            name=name,
+            owner=number,
+            kind=kind,
+            anchor=anchor,
+            state="pending",
+            reason="",
+            card=heat_spec.canonical(card).decode(),
+            created_s=now,
+        )
+    )
+    audit_log.note(connection, now, owner, "submit", id, name=name, kind=kind)
+    return _entry(connection.execute(_query().where(entries.c.id == id)).one())
+
+
+def find(connection: sa.Connection, given: str) -> Entry:
+    """Return the entry with this name, id, or beginning of an id (6 digits or more)."""
+    match = entries.c.name == given
+    if len(given) >= 6 and set(given) <= set("0123456789abcdef"):
+        match = match | entries.c.id.like(f"{given}%")
+    found = connection.execute(_query().where(match).limit(20)).all()
+    exact = [row for row in found if given in (row.name, row.id)]
+    if len(exact or found) == 1:
+        return _entry((exact or found)[0])
+    if found:
+        raise StoreError(
+            f"{brief(given)} begins the ids of {len(found)} entries: give more digits, or the name"
+        )
+    names = list(connection.scalars(sa.select(entries.c.name)))
+    if not names:
+        raise StoreError(f"there is no entry {brief(given)}: this league has none yet, submit one")
+    raise StoreError(
+        f"there is no entry {brief(given)} in this league: did you mean "
+        f"{nearest_names(given, names)}?"
+    )
+
+
+def listed(connection: sa.Connection, states: Sequence[EntryState] | None) -> list[Entry]:
+    """Return the entries in these states (None: all), in the order they came."""
+    query = _query().order_by(entries.c.number)
+    if states is not None:
+        query = query.where(entries.c.state.in_(states))
+    return [_entry(row) for row in connection.execute(query)]
+
+
+def move(
+    connection: sa.Connection,
+    now: float,
+    wanted: Mapping[str, EntryState],
+    *,
+    reason: str,
+    actor: str,
+) -> int:
+    """Change where entries (by id) stand; return how many changed.
+
+    One that leaves the league has its waiting heats cancelled.
+    """
+    number_of = queue.entry_numbers(connection, wanted)
+    query = sa.select(entries.c.id, entries.c.state, entries.c.name).with_for_update()
+    rows = queue.chunked(connection, query, entries.c.id, sorted(wanted))
+    changes = [(row, wanted[row.id]) for row in rows if row.state != wanted[row.id]]
+    for row, state in changes:
+        if state not in NEXT[cast(EntryState, row.state)]:
+            raise StoreError(
+                f"entry {row.name!r} is {row.state} and cannot become {state}: "
+                f"possible is {', '.join(NEXT[cast(EntryState, row.state)]) or 'nothing more'}"
+            )
+    for row, state in changes:
+        connection.execute(
+            entries.update().where(entries.c.id == row.id).values(state=state, reason=reason)
+        )
+        audit_log.note(connection, now, actor, state, row.id, was=row.state, reason=reason)
+        if state in ("retired", "refused"):
+            queue.cancel(connection, now, number_of[row.id])
+    return len(changes)
+
+
+def reopen(connection: sa.Connection, now: float, heat: int) -> None:
+    """Let entries that were refused for a validation heat wait for it, and their others, again."""
+    theirs = sa.select(heat_entries.c.entry).where(heat_entries.c.heat == heat)
+    validates = sa.exists().where(heats.c.number == heat, heats.c.purpose == "validation")
+    refused = (entries.c.state == "refused") & entries.c.number.in_(theirs) & validates
+    for row in connection.execute(sa.select(entries.c.number, entries.c.id).where(refused)).all():
+        connection.execute(
+            entries.update()
+            .where(entries.c.number == row.number)
+            .values(state="validating", reason="")
+        )
+        others = sa.select(heat_entries.c.heat).where(heat_entries.c.entry == row.number)
+        connection.execute(
+            heats.update()
+            .where(
+                heats.c.number.in_(others),
+                heats.c.purpose == "validation",
+                heats.c.state == "cancelled",
+            )
+            .values(state="planned", attempts=0)
+        )
+        audit_log.note(connection, now, "league", "validating", row.id, was="refused", heat=heat)
+
+
+class TableBlobs:
+    """Blobs in the league's own database."""
+
+    def __init__(
+        self,
+        reading: Callable[[], AbstractContextManager[sa.Connection]],
+        writing: Callable[[], AbstractContextManager[sa.Connection]],
+        shown: str,
+    ) -> None:
+        """Be told how to begin transactions, and how the database is called."""
+        self._reading, self._writing, self._shown = reading, writing, shown
+
+    def put(self, content: bytes) -> str:
+        """Keep some bytes and return their SHA-256."""
+        with self._writing() as connection:
+            return keep(connection, 0.0, content)
+
+    def get(self, digest: str) -> bytes:
+        """Return the bytes with this SHA-256."""
+        with self._reading() as connection:
+            content = connection.scalar(sa.select(blobs.c.content).where(blobs.c.digest == digest))
+        return files.verified(content, digest, self._shown)
+
+    def has(self, digest: str) -> bool:
+        """Return whether the bytes with this SHA-256 are kept."""
+        with self._reading() as connection:
+            found = connection.scalar(sa.select(blobs.c.size).where(blobs.c.digest == digest))
+        return found is not None
+
+
+def keep(connection: sa.Connection, now: float, content: bytes) -> str:
+    """Keep some bytes in the database and return their SHA-256."""
+    digest = heat_spec.digest(files.checked(content))
+    row = {"digest": digest, "size": len(content), "created_s": now, "content": content}
+    connection.execute(insert_new(connection, blobs), [row])
+    return digest
+
+
+def _query() -> sa.Select[Any]:
+    return sa.select(entries, owners.c.name.label("owner_name")).join(
+        owners, owners.c.number == entries.c.owner
+    )
+
+
+def _entry(row: Any) -> Entry:  # noqa: ANN401
+    fields = {name: row._mapping[name] for name in Entry.__dataclass_fields__}
+    return Entry(**{**fields, "owner": row.owner_name, "card": json.loads(row.card)})
+
+
+def _check_name(name: str, what: str) -> None:
+    if not 1 <= len(name) <= 100 or not name.isprintable() or name != name.strip():
+        raise StoreError(
+            f"{what} is {brief(name)}: give 1 to 100 printable characters without spaces around"
+        )

@@ -1,0 +1,163 @@
+"""Workers as actors of a Ray cluster; Ray moves jobs and reports, the database owns results."""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+from dataclasses import dataclass
+from typing import Any
+
+from league.errors import ConfigError
+from league.matchmaking.workers.executor import JOB_LIMIT_S
+from league.matchmaking.workers.worker import Job, Pit, Report
+
+
+class Bench:
+    """What an actor is: a worker's pit."""
+
+    def __init__(self) -> None:
+        self._pit = Pit()
+
+    def race(self, job: Job) -> Report:
+        """Race a heat."""
+        return self._pit.race(job)
+
+    def pid(self) -> int:
+        """Return the process it runs in."""
+        return os.getpid()
+
+
+@dataclass
+class _Slot:
+    """One actor."""
+
+    actor: Any
+    job: Job | None = None
+    answer: Any = None
+    since_s: float = 0.0
+
+
+class Actors:
+    """An executor of Ray actors, one CPU each; one that dies is replaced.
+
+    With RAY_ADDRESS set it joins that cluster, otherwise it starts one of its own on this machine.
+    Ray is told neither to report its usage nor to open its dashboard, and never to retry: what is
+    tried again, and how often, is the queue's business.
+    """
+
+    def __init__(self, num_workers: int, *, job_limit_s: float = JOB_LIMIT_S) -> None:
+        self._ray = _ray()
+        self._limit_s = job_limit_s
+        self._own = not self._ray.is_initialized()
+        if self._own:
+            address = os.environ.get("RAY_ADDRESS")
+            local: dict[str, Any] = {"num_cpus": num_workers, "include_dashboard": False}
+            self._ray.init(
+                address=address or "local",
+                log_to_driver=False,
+                configure_logging=False,
+                **({} if address else local),
+            )
+        self._kind = self._ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0)(Bench)
+        self._slots = [_Slot(self._kind.remote()) for _ in range(num_workers)]
+
+    @property
+    def num_workers(self) -> int:
+        """How many there are."""
+        return len(self._slots)
+
+    @property
+    def free(self) -> int:
+        """How many have nothing to do."""
+        return sum(slot.job is None for slot in self._slots)
+
+    @property
+    def pids(self) -> list[int]:
+        """Process ids of the actors; waits until they have started."""
+        return [self._ray.get(slot.actor.pid.remote()) for slot in self._slots]
+
+    def offer(self, job: Job) -> None:
+        """Give a job to a worker that is free."""
+        slot = next((slot for slot in self._slots if slot.job is None), None)
+        if slot is None:
+            raise ValueError("no worker is free: ask `free` first")
+        slot.answer = slot.actor.race.remote(job)
+        slot.job, slot.since_s = job, time.monotonic()
+
+    def wait(self, timeout_s: float) -> list[Report]:
+        """Return what has come to an end; the job of an actor that died counts as failed."""
+        busy = [slot for slot in self._slots if slot.job is not None]
+        if not busy:
+            time.sleep(timeout_s)
+            return []
+        ready, _ = self._ray.wait([slot.answer for slot in busy], num_returns=1, timeout=timeout_s)
+        reports = [self._read(slot) for slot in busy if slot.answer in ready]
+        now = time.monotonic()
+        stuck = [slot for slot in busy if slot.job and now - slot.since_s > self._limit_s]
+        return reports + [
+            self._ended(slot, f"took longer than {self._limit_s:.0f} s") for slot in stuck
+        ]
+
+    def close(self) -> None:
+        """End the actors, and the cluster if it is our own."""
+        for slot in self._slots:
+            self._ray.kill(slot.actor)
+        self._slots = []
+        if self._own and self._ray.is_initialized():
+            self._ray.shutdown()
+
+    def _read(self, slot: _Slot) -> Report:
+        try:
+            report: Report = self._ray.get(slot.answer)
+        except self._ray.exceptions.RayError as lost:
+            first = (str(lost).strip().splitlines() or [type(lost).__name__])[0]
+            return self._ended(slot, f"was lost ({first[:200]})")
+        slot.job = slot.answer = None
+        return report
+
+    def _ended(self, slot: _Slot, how: str) -> Report:
+        assert slot.job is not None
+        report = Report(
+            slot.job.key,
+            None,
+            f"a Ray actor {how} while it raced heat {slot.job.number}",
+            time.monotonic() - slot.since_s,
+        )
+        self._ray.kill(slot.actor)
+        slot.actor = self._kind.remote()
+        slot.job = slot.answer = None
+        return report
+
+
+def _ray() -> Any:  # noqa: ANN401
+    """Return the ray package, told to keep to itself."""
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    try:
+        import ray
+    except ModuleNotFoundError as missing:
+        raise ConfigError(
+            "--executor ray was asked for and Ray is not installed: run pip install "
+            '"racing-league[cluster]"'
+        ) from missing
+    # Its news are not ours to tell; what fails is raised.
+    logging.getLogger("ray").setLevel(logging.ERROR)
+    _keep_stdout(ray)
+    return ray
+
+
+def _keep_stdout(ray: Any) -> None:  # noqa: ANN401
+    """Send what Ray prints about an actor's death to stderr: stdout is for results.
+
+    Ray has no setting for it, so this reaches into it; a Ray built otherwise is left as it is.
+    """
+    worker = getattr(ray._private, "worker", None)
+    prints = getattr(worker, "print_to_stdstream", None)
+    if worker is None or prints is None or getattr(prints, "league", False):
+        return
+
+    def to_stderr(data: dict[str, Any], *settings: Any, **named: Any) -> None:  # noqa: ANN401
+        prints({**data, "is_err": True}, *settings, **named)
+
+    to_stderr.league = True  # pyright: ignore[reportFunctionMemberAccess]
+    worker.print_to_stdstream = to_stderr

@@ -1,0 +1,1 @@
+"""Races and evaluations: drivers on a track, the classification, tables and traces."""

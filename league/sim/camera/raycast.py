@@ -1,0 +1,348 @@
+"""RayRenderer: the same pictures by casting a ray for each pixel, in torch, on any device.
+
+It shares the shapes, textures and colours with the painted path but none of its projection,
+clipping or painting, so that each can be held against the other.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from league.sim.camera import scene, visual_randomization
+from league.sim.camera.ground import Floor
+from league.sim.camera.lens import NEAR
+from league.sim.camera.renderer import Renderer
+from league.sim.camera.stage import Stage, Thing
+from league.sim.config import CameraConfig, LookConfig, SimConfig
+from league.track.track import TrackSet
+
+_FAR = 1e9
+_PIXELS_AT_ONCE = {"cpu": 1 << 20, "cuda": 1 << 25}
+
+
+@dataclass(frozen=True)
+class _Rays:
+    """Where each pixel looks from and to, in the frame of the camera's yaw; z [m] is up.
+
+    Ways are as long as the depth grows by 1.
+    """
+
+    x: Tensor
+    y: Tensor
+    z: Tensor
+    ahead: Tensor
+    left: Tensor
+    up: Tensor
+
+    def turned(self, x: Tensor, y: Tensor, cos: Tensor, sin: Tensor) -> "_Rays":
+        """Return the rays in the frame of a body at x, y with this heading; (num_rows,) each."""
+        x, y, cos, sin = (value.reshape(-1, 1, 1, 1) for value in (x, y, cos, sin))
+        dx, dy = self.x - x, self.y - y
+        return _Rays(
+            cos * dx + sin * dy,
+            cos * dy - sin * dx,
+            self.z,
+            cos * self.ahead + sin * self.left,
+            cos * self.left - sin * self.ahead,
+            self.up,
+        )
+
+    def stretched(self, along: Tensor, across: Tensor, upward: Tensor) -> "_Rays":
+        """Return the rays in the frame of a body that was stretched this much; (num_rows,) each."""
+        along, across, upward = (value.reshape(-1, 1, 1, 1) for value in (along, across, upward))
+        return _Rays(
+            self.x / along,
+            self.y / across,
+            self.z / upward,
+            self.ahead / along,
+            self.left / across,
+            self.up / upward,
+        )
+
+
+@dataclass(frozen=True)
+class _Body:
+    """One car or box in each world, in the frame of the camera's yaw; (num_rows,) each."""
+
+    model: scene.Model
+    x: Tensor
+    y: Tensor
+    cos: Tensor
+    sin: Tensor
+    sun_x: Tensor
+    """The sun's direction in the body's own frame."""
+    sun_y: Tensor
+    steering_cos: Tensor
+    steering_sin: Tensor
+    along: Tensor
+    across: Tensor
+    upward: Tensor
+    colour: Tensor
+    """(num_rows, 3)."""
+
+
+class RayRenderer(Renderer):
+    """Casts the rays of many worlds at once, on a device."""
+
+    def __init__(
+        self,
+        tracks: TrackSet,
+        sim: SimConfig,
+        camera: CameraConfig,
+        looks: LookConfig | None = None,
+        *,
+        device: str = "cpu",
+    ) -> None:
+        """Work out the lens; see Renderer.
+
+        Args:
+            tracks: the tracks of the worlds.
+            sim: settings of the worlds.
+            camera: the camera.
+            looks: randomisation of the pictures, if any.
+            device: where the rays are cast, and where the pictures stay.
+        """
+        super().__init__(tracks, sim, camera, looks)
+        self._device = torch.device(device)
+
+    @cached_property
+    def _textures(self) -> dict[int, list[Tensor]]:
+        """Levels of each track's floor, once they were asked for."""
+        return {}
+
+    def _draw(self, stage: Stage, car: int, look: visual_randomization.Look | None) -> np.ndarray:
+        cfg = self._camera
+        pixels = cfg.num_eyes * cfg.height * cfg.width
+        size = max(1, _PIXELS_AT_ONCE.get(self._device.type, 1 << 20) // pixels)
+        found = torch.zeros((len(stage.track), *cfg.shape), dtype=torch.uint8, device=self._device)
+        for start in range(0, len(stage.track), size):
+            part = range(start, min(start + size, len(stage.track)))
+            found[start : part.stop] = self._render(stage, car, part, look)
+        # On another device pictures stay there, for the learner that reads them.
+        return found.numpy() if self._device.type == "cpu" else found  # type: ignore[return-value]
+
+    def _render(
+        self, stage: Stage, car: int, rows: range, look: visual_randomization.Look | None
+    ) -> Tensor:
+        cfg = self._camera
+        poses = self._tensor([stage.camera(row, car, cfg) for row in rows])
+        rays = self._rays(poses)
+        depth, pictures = self._room([stage.track[row] for row in rows], poses, rays)
+        for slot in zip(*(stage.things(row, without=car) for row in rows), strict=True):
+            body = self._body(poses, slot)
+            if body.model is scene.CAR:
+                distance = torch.sqrt(body.x * body.x + body.y * body.y)
+                is_far = distance > scene.far_from(self._lens.focal)
+                for model, mask in ((scene.CAR, ~is_far), (scene.FAR_CAR, is_far)):
+                    depth, pictures = self._meet(
+                        rays, replace(body, model=model), mask, depth, pictures
+                    )
+            else:
+                mask = torch.ones_like(body.x, dtype=torch.bool)
+                depth, pictures = self._meet(rays, body, mask, depth, pictures)
+        if look is not None:
+            pictures = self._developed(pictures, look, rows)
+        # (rows, eyes, height, width, channels) -> (rows, eyes * channels, height, width)
+        pictures = pictures.permute(0, 1, 4, 2, 3).reshape(-1, *cfg.shape)
+        return torch.clamp(torch.floor(pictures + 0.5), 0, 255).to(torch.uint8)
+
+    def _tensor(self, values: Sequence | np.ndarray) -> Tensor:
+        return torch.tensor(values, dtype=torch.float32, device=self._device)
+
+    def _developed(self, pictures: Tensor, look: visual_randomization.Look, rows: range) -> Tensor:
+        """Return float pictures of (num_rows, num_eyes, height, width, channels), as drawn."""
+        part = slice(rows.start, rows.stop)
+        leak = self._tensor(look.leak[part]).reshape(-1, 1, 1, 1, 1)
+        for axis in (2, 3):
+            size = pictures.shape[axis]
+            before = torch.cat(
+                [pictures.narrow(axis, 0, 1), pictures.narrow(axis, 0, size - 1)], axis
+            )
+            after = torch.cat(
+                [pictures.narrow(axis, 1, size - 1), pictures.narrow(axis, size - 1, 1)], axis
+            )
+            pictures = pictures + leak * (before + after - 2 * pictures)
+        pictures = torch.clamp(
+            pictures * self._tensor(look.gain[part])[:, None, None, None, :], 0, 255
+        )
+        size = pictures[0].numel()
+        grain = torch.from_numpy(visual_randomization.grain(size)).to(self._device)
+        places = torch.from_numpy(look.place[part, None] + np.arange(size)).to(self._device)
+        noise = grain[places].reshape(pictures.shape).to(pictures.dtype) - 128
+        return pictures + noise * self._tensor(
+            look.noise[part] / visual_randomization.NOISE_STEP
+        ).reshape(-1, 1, 1, 1, 1)
+
+    # The room ------------------------------------------------------------------------------
+
+    def _rays(self, poses: Tensor) -> _Rays:
+        lens = self._lens
+        height, pitch_cos, pitch_sin = (poses[:, index].reshape(-1, 1, 1, 1) for index in (2, 5, 6))
+        across = (torch.arange(lens.width, device=self._device) - lens.cx) / lens.focal
+        down = (torch.arange(lens.height, device=self._device) - lens.cy) / lens.focal
+        down = down.reshape(1, 1, -1, 1)
+        shape = (len(poses), len(lens.eyes), lens.height, lens.width)
+        parts = (
+            self._tensor([0.0]),
+            self._tensor(lens.eyes).reshape(1, -1, 1, 1),
+            height,
+            pitch_cos - down * pitch_sin,
+            -across,
+            -pitch_sin - down * pitch_cos,
+        )
+        return _Rays(*(part.expand(shape) for part in parts))
+
+    def _room(self, tracks: list[int], poses: Tensor, rays: _Rays) -> tuple[Tensor, Tensor]:
+        """Return the depth and the picture of the empty room."""
+        x, y, _, cos, sin = poses.unbind(1)[:5]
+        # The world's origin in the frame of the camera's yaw.
+        inside = rays.turned(-(cos * x + sin * y), sin * x - cos * y, cos, -sin)
+        index = torch.tensor(tracks, device=self._device)
+        x_min, y_min, x_max, y_max = (
+            part.reshape(-1, 1, 1, 1) for part in self._tensor(self._tracks.rooms)[index].unbind(1)
+        )
+        far = torch.full_like(inside.x, _FAR)
+        to_x = torch.where(inside.ahead > 0, x_max - inside.x, x_min - inside.x) / inside.ahead
+        to_y = torch.where(inside.left > 0, y_max - inside.y, y_min - inside.y) / inside.left
+        to_x = torch.where(inside.ahead == 0, far, to_x)
+        to_y = torch.where(inside.left == 0, far, to_y)
+        to_wall = torch.minimum(to_x, to_y)
+        to_floor = torch.where(rays.up < 0, -rays.z / rays.up, far)
+        is_floor = to_floor <= to_wall
+        is_wall = ~is_floor & (rays.z + to_wall * rays.up <= scene.WALL_HEIGHT)
+        depth = torch.where(is_floor, to_floor, torch.where(is_wall, to_wall, far))
+        floor_x, floor_y = inside.x + depth * inside.ahead, inside.y + depth * inside.left
+        # Walls are listed as y_min, x_max, y_max, x_min; 4 is the sky.
+        on_x = torch.where(inside.ahead > 0, 1, 3)
+        side = torch.where(to_x < to_y, on_x, torch.where(inside.left > 0, 2, 0))
+        side = torch.where(is_wall, side, 4)
+        channels = 3 if self._camera.colour else 1
+        pictures = torch.empty((*far.shape, channels), device=self._device)
+        sky = scene.SKY_COLOUR if self._camera.colour else scene.luma(scene.SKY_COLOUR)
+        for track in sorted(set(tracks)):
+            here = (index == track).nonzero()[:, 0]
+            floor, textures = self._floor(track), self._textures_of(track)
+            backs = self._tensor([*floor.ground.walls, sky]).reshape(5, channels)
+            ground = self._sample(floor, textures, floor_x[here], floor_y[here])
+            on_floor = is_floor[here].unsqueeze(-1)
+            pictures[here] = torch.where(on_floor, ground, backs[side[here]])
+        return depth, pictures
+
+    def _textures_of(self, track: int) -> list[Tensor]:
+        """Return the levels of a track's floor, finest first, each (num_texels, channels)."""
+        if track not in self._textures:
+            channels = 3 if self._camera.colour else 1
+            self._textures[track] = [
+                torch.from_numpy(level.image).to(self._device).reshape(-1, channels)
+                for level in self._floor(track).ground.levels
+            ]
+        return self._textures[track]
+
+    def _sample(self, floor: Floor, textures: list[Tensor], x: Tensor, y: Tensor) -> Tensor:
+        """Return the floor's colour at places in the world, bilinear; (..., channels)."""
+        found = []
+        for band in floor.bands:
+            level, texture = floor.ground.levels[band.level], textures[band.level]
+            height, width = level.image.shape[:2]
+            size = level.metres_per_pixel
+            column = (x[:, :, band.start : band.stop] - level.origin_x) / size - 0.5
+            line = (y[:, :, band.start : band.stop] - level.origin_y) / size - 0.5
+            column = torch.clamp(column, 0, width - 1)
+            line = torch.clamp(line, 0, height - 1)
+            left = torch.clamp(column.to(torch.int64), max=width - 2)
+            low = torch.clamp(line.to(torch.int64), max=height - 2)
+            part, rise = (column - left).unsqueeze(-1), (line - low).unsqueeze(-1)
+            corner = low * width + left
+            below = texture[corner] * (1 - part) + texture[corner + 1] * part
+            above = texture[corner + width] * (1 - part) + texture[corner + width + 1] * part
+            found.append(below * (1 - rise) + above * rise)
+        return torch.cat(found, dim=2)
+
+    # Things --------------------------------------------------------------------------------
+
+    def _body(self, poses: Tensor, slot: Sequence[Thing]) -> _Body:
+        """Return what stands in one slot of each world, as tensors."""
+        x, y, _, cos, sin = poses.unbind(1)[:5]
+        places = self._tensor([(thing.x, thing.y, thing.cos, thing.sin) for thing in slot])
+        steering = self._tensor([thing.steering for thing in slot])
+        scale = self._tensor([thing.scale for thing in slot])
+        dx, dy = places[:, 0] - x, places[:, 1] - y
+        body_cos, body_sin = places[:, 2], places[:, 3]
+        return _Body(
+            model=slot[0].model,
+            x=cos * dx + sin * dy,
+            y=cos * dy - sin * dx,
+            cos=body_cos * cos + body_sin * sin,
+            sin=body_sin * cos - body_cos * sin,
+            sun_x=scene.SUN[0] * body_cos + scene.SUN[1] * body_sin,
+            sun_y=scene.SUN[1] * body_cos - scene.SUN[0] * body_sin,
+            steering_cos=torch.cos(steering),
+            steering_sin=torch.sin(steering),
+            along=scale[:, 0],
+            across=scale[:, 1],
+            upward=scale[:, 2],
+            colour=self._tensor([thing.colour for thing in slot]),
+        )
+
+    def _meet(
+        self, rays: _Rays, body: _Body, mask: Tensor, depth: Tensor, pictures: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Return depth and pictures with a body put in, in the rows of the mask."""
+        if not bool(mask.any()):
+            return depth, pictures
+        local = rays.turned(body.x, body.y, body.cos, body.sin)
+        local = local.stretched(body.along, body.across, body.upward)
+        for solid in body.model.solids:
+            seen, sun_x, sun_y = local, body.sun_x, body.sun_y
+            if solid.pivot is not None:
+                cos, sin = body.steering_cos, body.steering_sin
+                pivot = torch.tensor(solid.pivot, device=self._device).expand(len(cos), 2)
+                seen = local.turned(pivot[:, 0], pivot[:, 1], cos, sin)
+                sun_x, sun_y = cos * sun_x + sin * sun_y, cos * sun_y - sin * sun_x
+            enter, face = _enter(seen, solid)
+            hit = (enter >= NEAR) & (enter < depth) & mask.reshape(-1, 1, 1, 1)
+            colours = self._colours(solid, body, sun_x, sun_y)  # (rows, faces, channels)
+            row = torch.arange(len(colours), device=self._device).reshape(-1, 1, 1, 1)
+            depth = torch.where(hit, enter, depth)
+            pictures = torch.where(hit.unsqueeze(-1), colours[row, face], pictures)
+        return depth, pictures
+
+    def _colours(self, solid: scene.Solid, body: _Body, sun_x: Tensor, sun_y: Tensor) -> Tensor:
+        """Return the lit colour of each face in each world; (num_rows, num_faces, channels)."""
+        found = []
+        for (nx, ny, nz, _), paint in zip(solid.planes.tolist(), solid.paints, strict=True):
+            known = scene.PAINTS[paint] if paint >= 0 else None
+            base = body.colour if known is None else self._tensor(known).expand_as(body.colour)
+            if known != scene.RUBBER or not solid.rounded:
+                facing = torch.clamp(nx * sun_x + ny * sun_y + nz * scene.SUN[2], min=0)
+                sun = self._tensor(scene.DIFFUSE) * facing.unsqueeze(1)
+                base = base * (scene.AMBIENT + sun)
+            if not self._camera.colour:
+                red, green, blue = base.unbind(1)
+                parts = scene.LUMA
+                base = (parts[0] * red + parts[1] * green + parts[2] * blue).unsqueeze(1)
+            found.append(base)
+        return torch.stack(found, dim=1)
+
+
+def _enter(rays: _Rays, solid: scene.Solid) -> tuple[Tensor, Tensor]:
+    """Return where each ray enters a convex solid (infinity: nowhere), and through which face."""
+    enter = torch.full_like(rays.x, -_FAR)
+    leave = torch.full_like(rays.x, _FAR)
+    face = torch.zeros_like(rays.x, dtype=torch.int64)
+    for number, (nx, ny, nz, offset) in enumerate(solid.planes.tolist()):
+        along = nx * rays.ahead + ny * rays.left + nz * rays.up
+        gap = offset - (nx * rays.x + ny * rays.y + nz * rays.z)
+        # A ray along the face is as good as one that meets it far away.
+        along = torch.where(along.abs() < 1e-12, torch.full_like(along, 1e-12), along)
+        at = gap / along
+        later = (along < 0) & (at > enter)
+        enter = torch.where(later, at, enter)
+        face = torch.where(later, number, face)
+        leave = torch.where(along > 0, torch.minimum(leave, at), leave)
+    return torch.where(enter < leave, enter, torch.full_like(enter, math.inf)), face

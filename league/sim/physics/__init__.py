@@ -1,0 +1,1 @@
+"""Motion and contacts: tyres, bodies, and the two solvers."""

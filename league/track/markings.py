@@ -1,0 +1,298 @@
+"""The floor of a room as a picture: field, road, white lines, dashes, start line.
+
+Pixel (row, col) shows the square of the floor whose middle is
+(origin_x + (col + 0.5) mpp, origin_y + (row + 0.5) mpp): rows grow with y, so seen as a picture it
+is upside down.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy import ndimage
+
+from league.errors import ConfigError
+from league.track.track import Rgb, Track
+
+DASH_WIDTH, DASH_LENGTH, DASH_PITCH = 0.025, 0.051, 0.102
+"""Centre dashes [m]; the original's are 1 inch wide, 2 long and 4 apart."""
+START_DEPTH, START_SQUARE = 0.1, 0.05
+"""Depth of the checkered start line and the side of its squares [m]."""
+START_COLOURS: tuple[Rgb, Rgb] = ((24, 24, 26), (226, 226, 222))
+"""The start line's two colours."""
+ROAD_NOISE, FIELD_NOISE = 3.0, 6.0
+"""Standard deviation of the texture, in levels of 255; gentler than the original's 8 and 22."""
+MAX_PIXELS = 60_000_000
+"""Largest picture of a floor."""
+
+_FINE = 3  # the drawing is this much finer than the picture: anti-aliasing
+_SHIFT = 4  # fractional bits of a drawn corner
+_TILE = 512  # side of the repeated noise tile [pixels]
+_POSTER = (1600, 1000)  # largest picture of the floor on a poster [pixels]
+_HEAD = 130  # height of a poster's head [pixels]
+_PAPER: Rgb = (250, 249, 246)
+_INK: Rgb = (28, 34, 42)
+_SOFT_INK: Rgb = (104, 112, 120)
+
+
+@dataclass(frozen=True, eq=False)
+class Floor:
+    """The painted floor of the rectangle `Track.room`."""
+
+    image: np.ndarray
+    """uint8, shape (H, W) gray or (H, W, 3) RGB; rows grow with y, columns with x."""
+    origin_x: float
+    """World x of the outer edge of column 0 [m]."""
+    origin_y: float
+    """World y of the outer edge of row 0 [m]."""
+    metres_per_pixel: float
+    """Side of a pixel [m]."""
+
+    def pixel_of(self, points: np.ndarray) -> np.ndarray:
+        """Return (col, row) of world points [m]; whole numbers are pixel middles."""
+        return (points - (self.origin_x, self.origin_y)) / self.metres_per_pixel - 0.5
+
+
+def floor(track: Track, metres_per_pixel: float, *, colour: bool) -> Floor:
+    """Paint the floor of the track's room; gray is the Rec. 601 luma of the colours.
+
+    Args:
+        track: what to paint.
+        metres_per_pixel: side of a pixel [m].
+        colour: RGB instead of gray.
+    """
+    x_min, y_min, x_max, y_max = track.room
+    if not metres_per_pixel > 0:
+        raise ConfigError(f"metres_per_pixel is {metres_per_pixel}: give more than 0, such as 0.01")
+    columns = int(np.ceil((x_max - x_min) / metres_per_pixel))
+    rows = int(np.ceil((y_max - y_min) / metres_per_pixel))
+    if rows * columns > MAX_PIXELS:
+        raise ConfigError(
+            f"a floor of {columns} x {rows} pixels is too large: give more metres per pixel than "
+            f"{metres_per_pixel:g}"
+        )
+    canvas = _Canvas.blank(track, metres_per_pixel, rows, columns)
+    _draw(canvas, track)
+    image = _textured(canvas)
+    if not colour:
+        image = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    return Floor(image, x_min, y_min, metres_per_pixel)
+
+
+def _draw(canvas: _Canvas, track: Track) -> None:
+    colours = track.colours
+    inner, outer = (-track.line_width, 0.0) if track.line_inside else (0.0, track.line_width)
+    canvas.fill(_strip(track, outer, canvas.half_pixel), colours.line, road=True)
+    canvas.fill(_strip(track, inner, canvas.half_pixel), colours.road, road=True)
+    canvas.fill(_dashes(track), colours.dash)
+    if track.closed:
+        for squares, rgb in zip(_start_squares(track), START_COLOURS, strict=True):
+            canvas.fill(squares, rgb)
+
+
+@dataclass(frozen=True)
+class _Canvas:
+    """A fine drawing in colour and a coarse mask of the road."""
+
+    fine: np.ndarray
+    road: np.ndarray
+    origin: np.ndarray
+    pixel: float
+
+    @classmethod
+    def blank(cls, track: Track, pixel: float, rows: int, columns: int) -> _Canvas:
+        fine = np.empty((rows * _FINE, columns * _FINE, 3), np.uint8)
+        fine[0] = track.colours.field
+        fine[1:] = fine[0]  # whole rows at a time: four times faster than pixels
+        road = np.zeros((rows, columns), np.uint8)
+        return cls(fine, road, np.array(track.room[:2]), pixel)
+
+    @property
+    def half_pixel(self) -> float:
+        """How far a filled polygon spills over its edge on the fine drawing [m]."""
+        return 0.5 * self.pixel / _FINE
+
+    def fill(self, polygons: np.ndarray, rgb: Rgb, *, road: bool = False) -> None:
+        """Fill convex polygons [m], shape (K, corners, 2)."""
+        for corners in self._grid(polygons, self.pixel / _FINE):
+            cv2.fillConvexPoly(self.fine, corners, rgb, lineType=cv2.LINE_8, shift=_SHIFT)
+        if road:
+            for corners in self._grid(polygons, self.pixel):
+                cv2.fillConvexPoly(self.road, corners, 255, lineType=cv2.LINE_8, shift=_SHIFT)
+
+    def _grid(self, polygons: np.ndarray, pixel: float) -> Iterable[np.ndarray]:
+        place = (polygons - self.origin) / pixel - 0.5
+        return np.round(place * (1 << _SHIFT)).astype(np.int32)
+
+
+def _textured(canvas: _Canvas) -> np.ndarray:
+    """Bring the drawing to its size and add the same slight noise to all channels."""
+    rows, columns = canvas.road.shape
+    image = cv2.resize(canvas.fine, (columns, rows), interpolation=cv2.INTER_AREA)
+    noise = _noise_tile()
+    noise = np.tile(noise, (rows // _TILE + 1, columns // _TILE + 1))[:rows, :columns]
+    strength = np.where(canvas.road > 0, np.float32(ROAD_NOISE), np.float32(FIELD_NOISE))
+    return cv2.add(image, cv2.merge([noise * strength] * 3), dtype=cv2.CV_8U)
+
+
+def _noise_tile() -> np.ndarray:
+    """Return noise of unit variance that repeats at its edges, slightly blurred."""
+    white = np.random.default_rng(2018).standard_normal((_TILE, _TILE)).astype(np.float32)
+    soft = ndimage.gaussian_filter(white, 0.7, mode="wrap")
+    return soft / soft.std()
+
+
+def _strip(track: Track, wider: float, spill: float) -> np.ndarray:
+    """Return the road as quadrilaterals, shape (K, 4, 2), each border moved out by `wider` [m].
+
+    Quadrilaterals of the two halves are filled one by one, so that folds of a tight bend overlap
+    harmlessly; the clipped reach of such bends is widened to its surroundings first.
+    """
+    quads = []
+    for side, border in ((1.0, track.left), (-1.0, track.right)):
+        reach = np.linalg.norm(border - track.center, axis=1)
+        direction = (border - track.center) / reach[:, None]
+        reach = _unclipped(track, reach, side) + wider - spill
+        edge = track.center + direction * reach[:, None]
+        begin, end = _pairs(track.center, track.closed)
+        edge_begin, edge_end = _pairs(edge, track.closed)
+        folded = ((edge_end - edge_begin) * (end - begin)).sum(axis=1) < 0
+        far, near = edge_end.copy(), edge_begin.copy()
+        far[folded], near[folded] = edge_begin[folded], edge_end[folded]
+        quads.append(np.stack([begin, end, far, near], axis=1))
+    return np.concatenate(quads)
+
+
+def _unclipped(track: Track, reach: np.ndarray, side: float) -> np.ndarray:
+    """Undo the shortening of a border inside bends tighter than the half width."""
+    spacing = float(track.segment_lengths.mean())
+    window = 2 * max(1, round(2 * reach.max() / spacing)) + 1
+    mode = "wrap" if track.closed else "nearest"
+    around = ndimage.grey_closing(reach, size=min(window, len(reach)), mode=mode)
+    bend = ndimage.maximum_filter(side * track.curvature, size=window, mode=mode)
+    return np.where(bend * around > 0.5, around, reach)
+
+
+def _pairs(line: np.ndarray, closed: bool) -> tuple[np.ndarray, np.ndarray]:
+    return (line, np.roll(line, -1, axis=0)) if closed else (line[:-1], line[1:])
+
+
+def _dashes(track: Track) -> np.ndarray:
+    """Return the dashes along the centreline as rectangles, shape (K, 4, 2)."""
+    count = max(1, round(track.length / DASH_PITCH))
+    s = (np.arange(count) + 0.5) * (track.length / count)
+    rows = len(track.center)
+    knots = np.arange(rows) * float(track.segment_lengths.mean())
+    period = track.length if track.closed else None
+    x, y, dx, dy = (
+        np.interp(s, knots, column, period=period) for column in (*track.center.T, *track.tangent.T)
+    )
+    middle, along = np.stack([x, y], axis=1), np.stack([dx, dy], axis=1)
+    return _rectangles(middle, along, DASH_LENGTH, DASH_WIDTH)
+
+
+def _start_squares(track: Track) -> tuple[np.ndarray, np.ndarray]:
+    """Return the dark and the bright squares of the start line, each of shape (K, 4, 2)."""
+    along = track.tangent[0]
+    across = np.array([-along[1], along[0]])
+    reach = float(np.linalg.norm(track.left[0] - track.center[0]))
+    width = reach + float(np.linalg.norm(track.right[0] - track.center[0]))
+    count = max(2, round(width / START_SQUARE))
+    side = width / count
+    lateral = reach - (np.arange(count) + 0.5) * side
+    squares: tuple[list, list] = ([], [])
+    for row in range(2):
+        forward = (row - 0.5) * START_DEPTH / 2
+        middle = track.center[0] + along * forward + across * lateral[:, None]
+        boxes = _rectangles(middle, np.tile(along, (count, 1)), START_DEPTH / 2, side)
+        squares[0].append(boxes[row::2])
+        squares[1].append(boxes[1 - row :: 2])
+    return np.concatenate(squares[0]), np.concatenate(squares[1])
+
+
+def _rectangles(middle: np.ndarray, along: np.ndarray, length: float, width: float) -> np.ndarray:
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    ahead, aside = along * (length / 2), across * (width / 2)
+    front, rear = middle + ahead, middle - ahead
+    return np.stack([front + aside, rear + aside, rear - aside, front - aside], axis=1)
+
+
+def poster(track: Track) -> np.ndarray:
+    """Draw a track for people: north up, start line, direction, figures; RGB, shape (H, W, 3)."""
+    x_min, y_min, x_max, y_max = track.room
+    pixel = max((x_max - x_min) / _POSTER[0], (y_max - y_min) / _POSTER[1])
+    ground = floor(track, pixel, colour=True)
+    _chevrons(ground, track)
+    picture = ground.image[::-1]
+    edge = max(4, round(0.04 / pixel))
+    picture = cv2.copyMakeBorder(
+        picture, edge, edge, edge, edge, cv2.BORDER_CONSTANT, value=track.colours.wall
+    )
+    frame = 30
+    width = max(picture.shape[1] + 2 * frame, 900)
+    sheet = np.empty((_HEAD + picture.shape[0] + frame, width, 3), np.uint8)
+    sheet[:] = _PAPER
+    left = (width - picture.shape[1]) // 2
+    sheet[_HEAD : _HEAD + picture.shape[0], left : left + picture.shape[1]] = picture
+    _write(sheet, track.title, (frame, 62), 46, _INK, bold=True)
+    _write(sheet, _figures(track), (frame, 106), 26, _SOFT_INK)
+    _scale_bar(sheet, (left + edge + 24, sheet.shape[0] - frame - edge - 24), pixel)
+    _north(sheet, (width - frame - 26, 84))
+    return sheet
+
+
+def png(image: np.ndarray) -> bytes:
+    """Encode an RGB picture as PNG."""
+    return cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1].tobytes()
+
+
+def _figures(track: Track) -> str:
+    radius = f"smallest radius {track.min_radius:.2f} m" if track.min_radius < 1000 else "straight"
+    return f"{track.length:.2f} m long   {track.width:.3f} m wide   {track.direction}   {radius}"
+
+
+def _chevrons(ground: Floor, track: Track) -> None:
+    """Point out the driving direction with three marks beyond the start line."""
+    spacing = float(track.segment_lengths.mean())
+    size = 0.2 * track.width
+    for number in range(3):
+        ahead = 0.3 + size * (0.6 + 2.0 * number)
+        row = min(round(ahead / spacing), len(track.center) - 1)
+        along = track.tangent[row]
+        across = np.array([-along[1], along[0]])
+        outline = [(-1, 1.2), (0, 1.2), (1, 0), (0, -1.2), (-1, -1.2), (0, 0)]
+        corners = [track.center[row] + size * (a * along + b * across) for a, b in outline]
+        place = np.round(ground.pixel_of(np.array(corners)) * (1 << _SHIFT)).astype(np.int32)
+        white = ground.image.copy()
+        cv2.fillPoly(white, [place], (255, 255, 255), lineType=cv2.LINE_AA, shift=_SHIFT)
+        cv2.addWeighted(white, 0.85, ground.image, 0.15, 0.0, dst=ground.image)
+
+
+def _scale_bar(sheet: np.ndarray, corner: tuple[int, int], pixel: float) -> None:
+    metres = next((m for m in (1, 2, 5, 10, 20) if m / pixel > 120), 20)
+    x, y = corner
+    end = x + round(metres / pixel)
+    for thickness, rgb in ((8, _INK), (4, _PAPER)):
+        cv2.line(sheet, (x, y), (end, y), rgb, thickness, cv2.LINE_AA)
+    _write(sheet, f"{metres} m", (x, y - 16), 24, _PAPER)
+
+
+def _north(sheet: np.ndarray, middle: tuple[int, int]) -> None:
+    x, y = middle
+    needle = np.array([[x, y - 40], [x + 13, y], [x, y - 9], [x - 13, y]])
+    cv2.fillPoly(sheet, [needle.astype(np.int32)], _SOFT_INK, lineType=cv2.LINE_AA)
+    _write(sheet, "N", (x - 8, y + 26), 24, _SOFT_INK)
+
+
+def _write(
+    sheet: np.ndarray, text: str, place: tuple[int, int], size: int, rgb: Rgb, *, bold: bool = False
+) -> None:
+    """Write text with its base line at a place; OpenCV 5 has a real font, OpenCV 4 has not."""
+    if hasattr(cv2, "FontFace"):
+        cv2.putText(sheet, text, place, rgb, cv2.FontFace("sans"), size, 700 if bold else 400)
+        return
+    font, thickness = cv2.FONT_HERSHEY_DUPLEX, 2 if bold else 1
+    cv2.putText(sheet, text, place, font, size / 34, rgb, thickness, cv2.LINE_AA)

@@ -1,0 +1,1 @@
+"""The learner: networks, PPO, symmetry and the teacher."""

@@ -1,0 +1,69 @@
+"""The worlds a learner trains in, made from the settings of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+import torch
+
+from league.agents.driver import Driver
+from league.envs.adapters.rsl_vec_env import RacingVecEnv
+from league.envs.config import EnvConfig
+from league.envs.encounters import Meeting
+from league.envs.rewards import Reward
+from league.sim.config import ObstacleConfig, RaceRules, SimConfig, Spread
+from league.track.track import TrackSet
+from league.training.settings import TrainConfig
+
+_ENDLESS = 1000
+"""Laps of a race in training: an episode is ended by a mistake or by time, not by the flag."""
+
+
+def env_config(cfg: TrainConfig) -> EnvConfig:
+    """Return the settings of the worlds."""
+    sim = SimConfig(
+        kind=cfg.kind,
+        num_cars=cfg.num_cars,
+        obstacles=ObstacleConfig(count=cfg.obstacles, kind="bot" if cfg.bots else "box"),
+        rules=RaceRules(laps=_ENDLESS),
+        spread=cfg.spread or Spread(),
+    )
+    return EnvConfig(
+        sim=sim,
+        solver="planar",
+        sensors=(cfg.sensors,) * cfg.num_cars,
+        camera_path=camera_path(cfg.device),
+        looks=cfg.looks,
+        mode="training",
+        reward=cfg.reward,
+        episode_s=cfg.episode_s,
+        # Cars that start anywhere on a lap hardly ever meet.
+        meeting=Meeting() if cfg.num_cars > 1 else None,
+    )
+
+
+def camera_path(device: torch.device | str) -> Literal["paint", "ray"]:
+    """Return how pictures are made on a device: by compiled painting where there is a CPU."""
+    return "paint" if torch.device(device).type == "cpu" else "ray"
+
+
+def make(
+    tracks: TrackSet,
+    cfg: TrainConfig,
+    *,
+    opponents: Mapping[int, Driver | str] | None = None,
+    reward: Reward | None = None,
+) -> RacingVecEnv:
+    """Build the worlds: in each, car 0 learns and the others are driven."""
+    return RacingVecEnv(
+        tracks,
+        env_config(cfg),
+        num_worlds=cfg.num_worlds,
+        opponents=opponents,
+        action_space=cfg.action_space,
+        reward=reward,
+        as_bytes=True,
+        seed=cfg.seed,
+        device=cfg.device,
+    )

@@ -1,0 +1,414 @@
+"""Each key of params by hand, on a straight of 10 m and a ring of 12 m, both 0.8 m wide."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import Stages, go_to, make_ring, make_square, make_straight, put_cars, touch
+
+from league.deepracer import params_kernels
+from league.deepracer.params import KEYS, Situations
+from league.deepracer.waypoints import Lines
+from league.sim.config import ObstacleConfig, RaceRules, SimConfig
+from league.track.track import TrackSet
+
+ALONE = SimConfig(rules=RaceRules(laps=1))
+TWO = SimConfig(kind="head_to_head", num_cars=2, rules=RaceRules(laps=1))
+BOXES = SimConfig(
+    kind="obstacle_avoidance",
+    obstacles=ObstacleConfig(count=2, places=((0.25, 1.0), (0.75, -1.0))),
+)
+RADIUS = 6.0 / math.pi
+NOSE = RADIUS * math.atan(0.14 / RADIUS)  # how far round the ring the nose is ahead: 0.13975
+"""Along the ring; across it the nose of a car on the centreline is 5.1 mm outside."""
+
+
+class Told:
+    """Asks for params step after step, as an environment would."""
+
+    def __init__(self, tracks, sim, start, *, car=0, num_worlds=1):
+        self.tracks, self.sim, self.car = tracks, sim, car
+        self.situations = Situations(sim, (car,))
+        self.world = put_cars(tracks, sim, start, num_worlds=num_worlds)
+        self.restart()
+
+    def restart(self):
+        self.situations.restart(np.ones(self.world.cars.shape, bool))
+
+    def step(self, end, *, pairs=(), speed=1.0, asked=(0.0, 1.0), hits=(), yaw=None):
+        after = go_to(self.tracks, self.world, end, speed=speed)
+        after.cars["target_steering"], after.cars["target_speed"] = asked
+        if yaw is not None:
+            after.cars["yaw"] = yaw
+        contacts = touch(after, *pairs, obstacles=hits)
+        verdicts, after = Stages(self.tracks, self.sim).judge(self.world, after, contacts)
+        rows = self.situations.rows(self.tracks, self.world, after, verdicts)
+        self.world = after
+        return rows.params
+
+
+def alone(tracks, start, end, **options):
+    return Told(tracks, ALONE, [start]).step([end], **options)[0]
+
+
+@pytest.mark.parametrize("num_worlds", [1, 3])
+def test_there_are_27_keys_of_plain_python_types(ring, num_worlds):
+    told = Told(ring(), BOXES, [(1.0, 0.0)], num_worlds=num_worlds).step([(1.1, 0.0)])
+    assert len(told) == num_worlds
+    assert len(KEYS) == 27
+    for params in told:
+        assert tuple(sorted(params)) == KEYS
+        for key, value in params.items():
+            wanted = bool if key.startswith(("is_", "all_", "object_in")) else float
+            if key == "steps":
+                wanted = int
+            elif key.startswith(("closest", "objects", "waypoints")):
+                wanted = list
+            assert type(value) is wanted, key
+        assert all(type(one) is int for one in params["closest_objects"])
+        assert all(type(one) is int for one in params["closest_waypoints"])
+        assert all(type(one) is tuple and type(one[0]) is float for one in params["waypoints"])
+        assert all(type(one) is list for one in params["objects_location"])
+        assert all(type(one) is bool for one in params["objects_left_of_center"])
+
+
+def test_place_is_told_of_the_nose_14_cm_ahead_of_the_base(straight):
+    told = alone(straight(), (2.9, 0.1), (3.0, 0.1))
+    assert (told["x"], told["y"]) == pytest.approx((3.14, 0.1), abs=1e-6)
+    assert told["heading"] == pytest.approx(0.0)
+    assert told["distance_from_center"] == pytest.approx(0.1, abs=1e-6)
+    assert told["projection_distance"] == pytest.approx(3.14, abs=1e-5)
+    assert told["is_left_of_center"] is True
+    assert told["track_width"] == pytest.approx(0.8)
+    assert told["track_length"] == pytest.approx(10.0)
+
+
+def test_nose_turns_with_the_car(straight):
+    told = alone(straight(), (3.0, 0.0), (3.0, 0.0), yaw=math.pi / 2)
+    assert (told["x"], told["y"]) == pytest.approx((3.0, 0.14), abs=1e-6)
+    assert told["heading"] == pytest.approx(90.0, abs=1e-4)
+    assert told["distance_from_center"] == pytest.approx(0.14, abs=1e-6)
+
+
+def test_heading_backwards_is_180_and_not_minus_180(straight):
+    assert alone(straight(), (3.0, 0.0), (3.0, 0.0), yaw=-math.pi)["heading"] == 180.0
+
+
+def test_nose_leaves_the_centreline_of_a_bend_to_the_outside(ring):
+    outside = math.hypot(RADIUS, 0.14) - RADIUS
+    told = alone(ring(), (2.9, 0.0), (3.0, 0.0))
+    assert told["distance_from_center"] == pytest.approx(outside, abs=2e-4)
+    assert told["projection_distance"] == pytest.approx(3.0 + NOSE, abs=1e-3)
+    assert told["is_left_of_center"] is False  # the outside of a left bend is on the right
+    assert alone(ring(clockwise=True), (2.9, 0.0), (3.0, 0.0))["is_left_of_center"] is True
+
+
+@pytest.mark.parametrize("clockwise", [False, True])
+@pytest.mark.parametrize("lateral", [0.2, -0.2])
+def test_left_is_the_drivers_left_whichever_way_round(ring, clockwise, lateral):
+    told = alone(ring(clockwise=clockwise), (2.9, lateral), (3.0, lateral))
+    assert told["is_left_of_center"] is (lateral > 0)
+    assert told["is_reversed"] is clockwise
+
+
+@pytest.mark.parametrize(
+    ("lateral", "all_on", "off"),
+    # Wheels are 8 cm to either side of the base, and the road ends at 40 cm.
+    [(0.0, True, False), (0.31, True, False), (0.33, False, False), (0.47, False, False),
+     (0.49, False, True), (-0.33, False, False), (-0.49, False, True)],
+)  # fmt: skip
+def test_one_wheel_ends_all_wheels_and_four_make_offtrack(straight, lateral, all_on, off):
+    told = alone(straight(), (2.9, lateral), (3.0, lateral))
+    assert (told["all_wheels_on_track"], told["is_offtrack"]) == (all_on, off)
+
+
+def test_waypoints_close_a_loop_by_repeating_the_first(ring):
+    points = alone(ring(), (2.9, 0.0), (3.0, 0.0))["waypoints"]
+    assert len(points) == 81  # 12 m in steps of 15 cm
+    assert points[0] == points[-1] == pytest.approx((0.0, 0.0))
+    assert points[20] == pytest.approx((RADIUS, RADIUS), abs=1e-3)  # a quarter of the way round
+    assert points[1][0] > 0  # driving order
+
+
+def test_waypoints_of_a_straight_end_at_its_end(straight):
+    points = alone(straight(), (2.9, 0.0), (3.0, 0.0))["waypoints"]
+    assert len(points) == 68
+    assert points[0] == (0.0, 0.0)
+    assert points[-1] == (10.0, 0.0)
+
+
+def test_waypoints_of_a_clockwise_track_turn_right(ring):
+    points = alone(ring(clockwise=True), (2.9, 0.0), (3.0, 0.0))["waypoints"]
+    assert points[20] == pytest.approx((RADIUS, -RADIUS), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("base", "closest"),
+    # Waypoints are 15 cm apart; the nose is 13.975 cm further round than the base.
+    [(3.0, [20, 21]), (3.02, [21, 22]), (11.8, [79, 80]), (11.9, [0, 1])],
+)
+def test_closest_waypoints_are_behind_and_ahead_along_the_lap(ring, base, closest):
+    assert alone(ring(), (base - 0.1, 0.0), (base, 0.0))["closest_waypoints"] == closest
+
+
+def test_waypoint_after_the_last_one_is_the_first(straight):
+    # At the very end of a straight there is nothing ahead.
+    assert alone(straight(), (9.8, 0.0), (9.9, 0.0))["closest_waypoints"] == [67, 0]
+
+
+def told_waypoints(track, *places):
+    """Return a track with its own waypoints at these places, multiples of 5 cm."""
+    rows = [round(20 * place) % len(track.center) for place in places]
+    return replace(track, waypoints=track.center[rows])
+
+
+def closest(lines, s, *, track=0):
+    found = params_kernels.closest_waypoints(lines.places, lines.measures[track], s)
+    return [int(one) for one in found]
+
+
+def test_waypoints_of_its_own_are_told_as_they_are():
+    track = told_waypoints(make_ring(), 0, 3, 3, 6, 9, 12)
+    told = alone(TrackSet(track), (2.9, 0.0), (3.0, 0.0))
+    assert told["waypoints"] == [tuple(point) for point in track.waypoints.tolist()]
+    assert len(told["waypoints"]) == 6
+    assert told["waypoints"][1] == told["waypoints"][2] == pytest.approx((RADIUS, RADIUS), abs=1e-3)
+    assert told["closest_waypoints"] == [2, 3]  # the nose is at 3.14 m
+    earlier = alone(TrackSet(track), (2.7, 0.0), (2.8, 0.0))
+    assert earlier["closest_waypoints"] == [0, 1]  # the nose is at 2.94 m
+
+
+@pytest.mark.parametrize("first", [0.0, 1.5, 11.5])
+@pytest.mark.parametrize("clockwise", [False, True])
+@pytest.mark.parametrize(
+    ("further", "pair"),
+    # Waypoints 0, 1, 4, 4, 9 and 12 m from the first one; the last is the first again.
+    [(0.0, [0, 1]), (0.99, [0, 1]), (1.0, [1, 2]), (1.01, [1, 2]), (3.99, [1, 2]), (4.0, [3, 4]),
+     (8.99, [3, 4]), (9.0, [4, 5]), (11.99, [4, 5]), (12.0, [0, 1]), (12.01, [0, 1])],
+)  # fmt: skip
+def test_closest_of_a_tracks_own_waypoints_wherever_the_first_one_lies(
+    first, clockwise, further, pair
+):
+    places = [first + place for place in (0, 1, 4, 4, 9, 12)]
+    lines = Lines.of(TrackSet(told_waypoints(make_ring(clockwise=clockwise), *places)))
+    assert closest(lines, (first + further) % 12) == pair
+
+
+@pytest.mark.parametrize(
+    ("further", "pair"),
+    # The other way round: 0, 3, 8, 8, 11 and 12 m from the first one.
+    [(0.0, [0, 1]), (2.99, [0, 1]), (3.0, [1, 2]), (7.99, [1, 2]), (8.0, [3, 4]), (11.0, [4, 5]),
+     (11.99, [4, 5])],
+)  # fmt: skip
+def test_closest_waypoints_of_a_reversed_track_count_the_other_way(further, pair):
+    track = told_waypoints(make_ring(), 1.5, 2.5, 5.5, 5.5, 10.5, 13.5)
+    back = track.reversed()
+    lines = Lines.of(TrackSet(track, back))
+    assert lines.waypoints[1] == lines.waypoints[0][::-1]
+    # The first one is 1.5 m behind the start line now.
+    assert closest(lines, (10.5 + further) % 12, track=1) == pair
+
+
+@pytest.mark.parametrize(
+    ("s", "pair"),
+    [(0.0, [0, 1]), (0.4, [0, 1]), (1.0, [0, 1]), (4.0, [2, 3]), (9.4, [2, 3]), (9.5, [3, 0]),
+     (10.0, [3, 0])],
+)  # fmt: skip
+def test_closest_waypoints_of_a_straight_have_nothing_before_the_first_and_0_after_the_last(
+    s, pair
+):
+    # They begin 0.5 m after the start and end 0.5 m before the end.
+    lines = Lines.of(TrackSet(told_waypoints(make_straight(), 0.5, 4, 4, 9.5)))
+    assert closest(lines, s) == pair
+
+
+def test_tracks_with_waypoints_of_their_own_and_without_stand_side_by_side():
+    own = told_waypoints(make_ring(), 0, 1, 4, 4, 9, 12)
+    other = told_waypoints(make_ring(), 0, 2, 12)
+    plain = make_straight()
+    lines = Lines.of(TrackSet(own, plain, other, plain))
+    pairs = [closest(lines, 4.6, track=number) for number in range(4)]
+    # 67 stretches on 10 m: 4.6 m is the 30.8th.
+    assert pairs == [[3, 4], [30, 31], [1, 2], [30, 31]]
+    assert lines.waypoints[1] == Lines.of(TrackSet(plain)).waypoints[0]
+    told = Told(TrackSet(own, other), ALONE, [(4.5, 0.0)], num_worlds=2)
+    told.world.worlds["track"] = 0, 1
+    assert [row["closest_waypoints"] for row in told.step([(4.6, 0.0)])] == [[3, 4], [1, 2]]
+
+
+def test_no_two_closest_waypoints_are_the_same_place():
+    # The first, the last and one in between come twice, as files have them.
+    lines = Lines.of(TrackSet(told_waypoints(make_ring(), 0, 0, 3, 3, 9, 12, 12)))
+    for s in (0.0, 1.5, 3.0, 6.0, 9.0, 11.9999999, math.nextafter(12.0, 0.0), 12.0):
+        behind, ahead = closest(lines, s)
+        assert lines.waypoints[0][behind] != lines.waypoints[0][ahead]
+
+
+def test_speed_and_steering_are_what_was_asked_for_not_what_is(straight):
+    asked = (math.radians(-15.0), 2.5)
+    told = alone(straight(), (3.0, 0.0), (3.1, 0.0), speed=1.0, asked=asked)
+    assert (told["speed"], told["steering_angle"]) == (2.5, -15.0)  # to the last bit
+
+
+def test_steps_count_from_one_and_again_after_a_restart(straight):
+    told = Told(straight(), ALONE, [(3.0, 0.0)])
+    assert [told.step([(3.0 + 0.1 * n, 0.0)])[0]["steps"] for n in (1, 2, 3)] == [1, 2, 3]
+    told.restart()
+    assert told.step([(3.4, 0.0)])[0]["steps"] == 1
+
+
+def test_progress_is_counted_from_where_the_episode_began(ring):
+    told = Told(ring(), ALONE, [(4.0, 0.0)])
+    # 30 cm and 60 cm of 12 m are 2.5 and 5 %.
+    assert told.step([(4.3, 0.0)])[0]["progress"] == pytest.approx(2.5, abs=1e-3)
+    assert told.step([(4.6, 0.0)])[0]["progress"] == pytest.approx(5.0, abs=1e-3)
+    told.restart()
+    assert told.step([(4.9, 0.0)])[0]["progress"] == pytest.approx(2.5, abs=1e-3)
+
+
+def test_progress_grows_across_the_start_line_and_falls_backwards(ring):
+    told = Told(ring(), ALONE, [(11.7, 0.0)])
+    told.world.cars["best_distance"] = 13.0  # no lap ends here
+    assert told.step([(12.3, 0.0)])[0]["progress"] == pytest.approx(5.0, abs=1e-3)
+    assert told.step([(11.4, 0.0)])[0]["progress"] == pytest.approx(-2.5, abs=1e-3)
+
+
+def test_progress_is_100_when_the_lap_is_complete_and_then_begins_anew(ring):
+    two_laps = replace(ALONE, rules=RaceRules(laps=2))
+    told = Told(ring(), two_laps, [(0.0, 0.0)])
+    # As if it had been round: the book knows of 11.9 m.
+    told.world.cars[:] = put_cars(ring(), two_laps, [(11.9, 0.0)]).cars
+    memory = told.situations._memory
+    memory["fresh"], memory["lead"] = False, NOSE
+    before, at, after = (told.step([(s, 0.0)])[0] for s in (11.95, 12.05, 12.17))
+    assert before["progress"] == pytest.approx(100 * 11.95 / 12, abs=2e-3)
+    assert at["progress"] == 100.0
+    assert (at["steps"], after["steps"]) == (2, 1)
+    assert after["progress"] == pytest.approx(100 * 0.17 / 12, abs=2e-3)
+
+
+def test_progress_is_held_below_100_until_the_lap_is_counted(ring):
+    told = Told(ring(), TWO, [(-0.75, 0.0), (-3.0, 0.0)])
+    memory = told.situations._memory
+    memory["fresh"][:], memory["lead"][:], memory["start"][:] = False, NOSE, -0.75
+    told.world.cars[:] = put_cars(ring(), TWO, [(11.8, 0.0), (6.0, 0.0)]).cars
+    params = told.step([(11.9, 0.0), (6.1, 0.0)])[0]  # 12.65 m since the grid
+    assert 99.999 < params["progress"] < 100.0
+
+
+def test_time_is_of_the_simulation(straight):
+    told = Told(straight(), ALONE, [(3.0, 0.0)])
+    told.step([(3.1, 0.0)])
+    assert told.step([(3.2, 0.0)])[0]["sim_time"] == pytest.approx(2 / 15)
+
+
+def test_alone_all_object_lists_are_empty_and_closest_is_0_0(ring):
+    told = alone(ring(), (2.9, 0.0), (3.0, 0.0))
+    lists = [key for key in KEYS if key.startswith("objects_")]
+    assert len(lists) == 6
+    assert [told[key] for key in lists] == [[]] * 6
+    assert told["closest_objects"] == [0, 0]
+    assert told["object_in_camera"] is False
+    assert told["is_crashed"] is False
+
+
+def test_boxes_that_are_moved_by_a_restart_are_told_where_they_are_now(ring):
+    told = Told(ring(), BOXES, [(4.9, 0.0)])
+    first, again = (told.step([(end, 0.0)])[0]["objects_location"] for end in (5.0, 5.1))
+    assert again == first
+    told.world.obstacles["x"] += 0.5
+    moved = told.step([(5.2, 0.0)])[0]["objects_location"]
+    assert moved == [pytest.approx([x + 0.5, y], abs=1e-6) for x, y in first]
+
+
+def test_boxes_are_told_with_place_lane_and_heading(ring):
+    told = Told(ring(), BOXES, [(4.9, 0.0)]).step([(5.0, 0.0)])[0]
+    assert told["objects_distance"] == pytest.approx([3.0, 9.0], abs=1e-3)
+    # A quarter round the ring, 20 cm inside; three quarters, 20 cm outside.
+    assert told["objects_location"][0] == pytest.approx([RADIUS - 0.2, RADIUS], abs=1e-3)
+    assert told["objects_location"][1] == pytest.approx([-RADIUS - 0.2, RADIUS], abs=1e-3)
+    assert told["objects_heading"] == pytest.approx([90.0, -90.0], abs=0.01)
+    assert told["objects_left_of_center"] == [True, False]
+    assert told["objects_distance_from_center"] == pytest.approx([0.2, 0.2], abs=1e-6)
+    assert told["objects_speed"] == [0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("base", "closest"),
+    [(1.0, [1, 0]), (2.8, [1, 0]), (2.9, [0, 1]), (8.0, [0, 1]), (10.0, [1, 0])],
+)
+def test_closest_objects_are_behind_and_ahead_of_the_nose_round_the_lap(ring, base, closest):
+    told = Told(ring(), BOXES, [(base - 0.1, 0.0)]).step([(base, 0.0)])[0]
+    assert told["closest_objects"] == closest
+
+
+def test_crash_is_told_to_whom_is_to_blame_and_only_in_that_step(ring):
+    told = Told(ring(), BOXES, [(2.5, 0.2)])
+    assert told.step([(2.6, 0.2)])[0]["is_crashed"] is False
+    assert told.step([(2.7, 0.2)], hits=((0, 0),))[0]["is_crashed"] is True
+
+
+@pytest.mark.parametrize(("car", "crashed"), [(0, True), (1, False)])
+def test_of_two_cars_the_rear_one_crashed(ring, car, crashed):
+    told = Told(ring(), TWO, [(3.0, 0.1), (3.3, 0.1)], car=car)
+    (params,) = told.step([(3.1, 0.1), (3.4, 0.1)], pairs=((0, 1),))
+    assert params["is_crashed"] is crashed
+
+
+def test_other_car_is_an_object_with_its_true_speed(ring):
+    told = Told(ring(), TWO, [(3.0, 0.0), (5.9, -0.2)])
+    (params,) = told.step([(3.1, 0.0), (6.0, -0.2)], speed=1.5)
+    assert params["objects_distance"] == pytest.approx([6.0], abs=1e-3)
+    assert params["objects_location"][0] == pytest.approx([0.0, 2 * RADIUS + 0.2], abs=1e-3)
+    assert params["objects_speed"] == pytest.approx([1.5])
+    assert params["objects_heading"][0] == pytest.approx(180.0, abs=0.01)
+    assert params["objects_left_of_center"] == [False]
+    assert params["closest_objects"] == [0, 0]
+
+
+def test_each_car_is_told_of_the_other_and_not_of_itself(ring):
+    told = Told(ring(), TWO, [(3.0, 0.0), (5.9, -0.2)], car=1)
+    (params,) = told.step([(3.1, 0.0), (6.0, -0.2)])
+    assert params["objects_distance"] == pytest.approx([3.1], abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("gap", "lateral", "seen"),
+    # At 30 cm from the lens half of the view is 30 * tan(32.4 deg) = 19 cm wide, at 2 m 127 cm.
+    [(1.0, 0.0, True), (2.0, 0.35, True), (0.6, 0.38, False), (-1.0, 0.0, False)],
+)
+def test_next_object_is_in_the_camera_when_it_lies_in_its_view(straight, gap, lateral, seen):
+    told = Told(straight(), TWO, [(4.9, -0.38), (4.9 + gap, lateral)])
+    (params,) = told.step([(5.0, -0.38), (5.0 + gap, lateral)])
+    assert params["object_in_camera"] is seen
+
+
+def test_car_that_stands_a_penalty_is_not_asked(ring):
+    told = Told(ring(), ALONE, [(3.0, 0.0)])
+    told.world.cars["penalty_s"] = 2.0
+    assert told.step([(3.0, 0.0)]) == []
+
+
+def test_places_are_found_as_the_tracks_themselves_find_them():
+    tracks = TrackSet(make_square())
+    s = np.linspace(0.0, tracks.length[0] - 0.01, 200, dtype=np.float32)[None]
+    index = np.zeros(1, np.int64)
+    center = tracks.at(index, s)
+    x, y = center.x - 0.3 * center.sin, center.y + 0.3 * center.cos
+    frame = tracks.project(index, x, y, s + np.float32(0.1))
+    lines = Lines.of(tracks)
+    places = zip(*(one[0].tolist() for one in (x, y, s + 0.1)), strict=True)
+    found = np.array(
+        [params_kernels.project(lines.rows, lines.measures[0], *place) for place in places]
+    )
+    assert found[:, 0] == pytest.approx(frame.s[0], abs=1e-4)
+    assert found[:, 1] == pytest.approx(frame.lateral[0], abs=1e-5)
+    assert found[:, 2] == pytest.approx(frame.left[0], abs=1e-5)
+
+
+def test_speed_of_an_object_counts_both_axes(ring):
+    told = Told(ring(), TWO, [(3.0, 0.0), (4.4, 0.0)])
+    (params,) = told.step([(3.1, 0.0), (4.5, 0.0)], speed=2.0)  # 135 deg round the ring
+    assert params["objects_speed"] == pytest.approx([2.0])
+    assert params["objects_heading"] == pytest.approx([135.0], abs=0.01)

@@ -1,0 +1,171 @@
+"""The house keeps its plan: no arrow points up, no circle, heavy neighbours in their own rooms."""
+
+import ast
+import json
+import subprocess
+import sys
+from functools import lru_cache
+from pathlib import Path
+
+import pytest
+
+HOUSE = Path(__file__).parents[1] / "league"
+LAYERS = {
+    "league": 1, "errors": 1, "atomic_file": 1, "jit": 1, "portable_math": 1, "subprocesses": 1,
+    "track": 2,
+    "sim": 3,
+    "race_spec": 4, "racing_line": 4,
+    "envs": 5, "replay": 5,
+    "agents": 6, "rerun_view": 6, "video": 6,
+    "deepracer": 7,
+    "racing": 8,
+    "training": 9,
+    "matchmaking": 10,
+    "precompile": 11,
+    "cli": 12, "__main__": 12,
+}  # fmt: skip
+HEAVY = {
+    "rerun": ("rerun_view",),
+    "pybullet": ("sim.physics.bullet",),
+    "numba": ("jit", "sim.camera.raster"),
+    "pettingzoo": ("envs.adapters.parallel_env",),
+    "rsl_rl": ("envs.adapters.rsl_vec_env", "training"),
+    "tensordict": ("envs.adapters.rsl_vec_env", "training"),
+    "gymnasium": ("envs",),
+    "av": ("video",),
+    "ray": ("matchmaking.workers.ray",),
+    "safetensors": ("matchmaking.submission",),
+    "matplotlib": ("deepracer.score_plot", "training"),
+    "sqlite3": ("matchmaking.store",),
+    "sqlalchemy": ("matchmaking.store",),
+    "alembic": ("matchmaking.store",),
+    "psycopg": ("matchmaking.store",),
+    "fsspec": ("matchmaking.blobs",),
+}
+LOADED_LATE = (
+    "torch",
+    "numba",
+    "rerun",
+    "pybullet",
+    "pettingzoo",
+    "gymnasium",
+    "rsl_rl",
+    "cv2",
+    "scipy",
+    "av",
+)
+
+
+@lru_cache
+def modules() -> dict[str, ast.Module]:
+    """Return the tree of every room, by its name without `league.`."""
+    found = {}
+    for path in sorted(HOUSE.rglob("*.py")):
+        parts = path.relative_to(HOUSE).with_suffix("").parts
+        name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts) or "league"
+        found[name] = ast.parse(path.read_text(encoding="utf-8"))
+    return found
+
+
+def imports(tree: ast.AST, *, late: bool = True) -> set[str]:
+    """Return the full names a room imports; without `late` only those it needs to be loaded."""
+    found, rooms = set(), list(ast.iter_child_nodes(tree))
+    while rooms:
+        node = rooms.pop()
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "imports are written in full"
+            found |= {f"{node.module}.{alias.name}" for alias in node.names}
+        elif late or not _is_late(node):
+            rooms += ast.iter_child_nodes(node)
+    return found
+
+
+def _is_late(node: ast.AST) -> bool:
+    typing_only = isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+    return typing_only or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+
+
+def arrows(*, late: bool = True) -> set[tuple[str, str]]:
+    """Return (room, room it imports) within the house."""
+    rooms = modules()
+    found = set()
+    for name, tree in rooms.items():
+        for target in imports(tree, late=late):
+            if target.split(".")[0] != "league":
+                continue
+            parts = target.split(".")[1:]
+            while parts and ".".join(parts) not in rooms:
+                parts = parts[:-1]  # a function or class in a room
+            found.add((name, ".".join(parts) or "league"))
+    return found
+
+
+def upward(found: set[tuple[str, str]]) -> list[str]:
+    wings = [(one.split(".")[0], other.split(".")[0], one, other) for one, other in found]
+    return sorted(f"{a} -> {b}" for x, y, a, b in wings if LAYERS[y] > LAYERS[x])
+
+
+def circle(found: set[tuple[str, str]]) -> list[str]:
+    """Return the rooms that remain when those that import nothing left are taken away."""
+    left = {(a, b) for a, b in found if a != b}
+    while True:
+        free = {b for _, b in left} - {a for a, _ in left}
+        fewer = {(a, b) for a, b in left if b not in free}
+        if fewer == left:
+            return sorted({a for a, _ in left})
+        left = fewer
+
+
+def test_every_room_has_a_layer():
+    assert {name.split(".")[0] for name in modules()} <= LAYERS.keys()
+
+
+def test_no_arrow_points_up():
+    assert upward(arrows()) == []
+
+
+def test_nothing_imports_in_a_circle():
+    assert circle(arrows(late=False)) == []
+
+
+def test_no_wing_imports_in_a_circle_not_even_late():
+    wings = {(one.split(".")[0], other.split(".")[0]) for one, other in arrows()}
+    assert circle({(a, b) for a, b in wings if "league" not in (a, b)}) == []
+
+
+@pytest.mark.parametrize("neighbour", HEAVY)
+def test_heavy_neighbour_is_met_only_in_its_own_rooms(neighbour):
+    met = {
+        name
+        for name, tree in modules().items()
+        if any(target.split(".")[0] == neighbour for target in imports(tree))
+    }
+    own = HEAVY[neighbour]
+    assert {name for name in met if not f"{name}.".startswith(tuple(f"{o}." for o in own))} == set()
+
+
+HELP = """
+import contextlib, io, league.cli
+with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
+    league.cli.main(["--help"])
+"""
+
+
+@pytest.mark.parametrize("program", ["import league", HELP], ids=["import", "help"])
+def test_first_steps_load_none_of_the_heavy_neighbours(program):
+    program += "\nimport json, sys; print(json.dumps(sorted(sys.modules)))"
+    command = [sys.executable, "-c", program]
+    ran = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert set(json.loads(ran.stdout)) & set(LOADED_LATE) == set()
+
+
+def test_guard_sees_a_forbidden_arrow_and_a_circle():
+    late = ast.parse("def f():\n    from league.envs.race_env import RaceEnv")
+    assert imports(late) == {"league.envs.race_env.RaceEnv"}
+    assert imports(late, late=False) == set()
+    assert upward({("sim.grid", "envs.race_env"), ("envs.race_env", "sim.grid")}) == [
+        "sim.grid -> envs.race_env"
+    ]
+    assert circle({("a", "b"), ("b", "c"), ("c", "b"), ("c", "d")}) == ["a", "b", "c"]

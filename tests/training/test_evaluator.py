@@ -1,0 +1,136 @@
+"""The judge: evaluates in a process of its own what the learner hands over."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from small import untrained
+
+from league.errors import PolicyError
+from league.track import files
+from league.training import evaluator
+from league.training.evaluator import Exam, Judge, judged
+
+EXAM = Exam(tracks=(files.load("reinvent_2018"),), laps=1)
+TWO = Exam(tracks=(files.load("reinvent_2018"), files.load("peanut")), laps=1, trials=2)
+
+
+def test_judgement_is_the_same_inline_and_in_a_process_beside():
+    inline, beside = Judge(EXAM, beside=False), Judge(EXAM)
+    try:
+        for one in (inline, beside):
+            one.hand(7, untrained())
+        (here,), (there,) = inline.take(), beside.take(wait=True)
+    finally:
+        beside.close()
+    assert here.number == there.number == 7
+    assert here.evaluation == there.evaluation == judged(EXAM, untrained())
+    assert not here.evaluation.all_complete
+
+
+def test_policies_are_judged_in_the_order_they_were_handed_over():
+    one = Judge(EXAM)
+    try:
+        for number in (1, 2, 3):
+            one.hand(number, untrained())
+        assert one.waiting == 3
+        found = []
+        while one.waiting:
+            found += one.take(wait=True)
+        assert [judgement.number for judgement in found] == [1, 2, 3]
+        assert one.take() == []
+    finally:
+        one.close()
+
+
+def test_trials_on_several_tracks_are_counted_on():
+    found = judged(TWO, untrained())
+    assert found.track == "2 tracks"
+    assert found.asked == 4  # 2 tracks x 2 trials x 1 lap
+    assert [trial.trial for trial in found.trials] == [1, 2, 3, 4]
+    alone = judged(Exam(tracks=(TWO.tracks[1],), laps=1, trials=2), untrained())
+    assert [t.time_s for t in found.trials[2:]] == [t.time_s for t in alone.trials]
+
+
+def test_judge_against_opponents_tells_one_place_for_each_run():
+    found = judged(Exam(tracks=EXAM.tracks, laps=1, opponents=("centerline",)), untrained())
+    assert found.kind == "head_to_head"
+    assert len(found.places) == 1 and found.places[0] in (1, 2)
+
+
+def test_death_of_the_process_is_told_in_one_sentence():
+    one = Judge(EXAM)
+    try:
+        one.hand(1, untrained())
+        assert one._process is not None
+        assert one._process.pid is not None
+        os.kill(one._process.pid, signal.SIGKILL)
+        one._process.join(10.0)
+        with pytest.raises(PolicyError, match="the process that evaluates has died: see whether"):
+            one.take(wait=True)
+        assert one.take() == []  # told once
+    finally:
+        one.close()
+
+
+def test_judge_that_can_be_told_nothing_says_why(monkeypatch):
+    one = Judge(Exam(tracks=EXAM.tracks, opponents=("nobody",)))
+    try:
+        one.hand(1, untrained())
+        with pytest.raises(PolicyError, match="nobody"):
+            one.take(wait=True)
+    finally:
+        one.close()
+
+
+def test_judge_that_takes_too_long_is_given_up(monkeypatch):
+    monkeypatch.setattr(evaluator, "PATIENCE_S", 0.0)
+    one = Judge(replace(EXAM, trials=500))
+    try:
+        one.hand(1, untrained())
+        with pytest.raises(PolicyError, match="the process that evaluates"):
+            one.take(wait=True)
+    finally:
+        one.close()
+
+
+def test_program_ends_although_policies_are_still_waiting(tmp_path):
+    # More than a pipe holds: an order that nobody reads must not keep the learner from ending.
+    script = tmp_path / "leave.py"
+    script.write_text(
+        textwrap.dedent(
+            f"""
+            import sys
+            sys.path[:0] = {[os.path.dirname(__file__), str(Path(__file__).parents[1])]!r}
+            from league import subprocesses
+            from league.track import files
+            from league.training.evaluator import Exam, Judge
+            from small import CAMERA, untrained
+
+            if __name__ == "__main__":
+                subprocesses.LOADED = ()  # so that there is little to wait for
+                judge = Judge(Exam(tracks=(files.load("reinvent_2018"),)))
+                for number in range(20):
+                    judge.hand(number, untrained(CAMERA))
+                judge.close()
+                print("left")
+            """
+        )
+    )
+    done = subprocess.run(
+        [sys.executable, str(script)], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert done.stdout == "left\n"
+
+
+def test_ctrl_c_is_heard_as_before_once_the_judge_runs():
+    before = signal.getsignal(signal.SIGINT)
+    one = Judge(EXAM)
+    one.hand(1, untrained())
+    one.close()
+    assert signal.getsignal(signal.SIGINT) is before
