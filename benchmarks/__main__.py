@@ -1,7 +1,15 @@
-"""Run all benchmarks, or those named: python -m benchmarks [cameras solvers ...]."""
+"""Run all benchmarks, or those named: python -m benchmarks [--write] [cameras solvers ...]."""
 
+import argparse
 import importlib
+import re
 import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+from benchmarks import report
+from league.atomic_file import replacing
+from league.errors import LeagueError
 
 NAMES = (
     "tracks",
@@ -20,7 +28,67 @@ NAMES = (
     "training",
     "garage",
 )
+PAGE = Path(__file__).parents[1] / "docs" / "benchmarks.md"
+INTRODUCTION = """# Benchmarks
+
+`python -m benchmarks --write` writes this page; with names, `--write cameras races`, it replaces
+these sections only. Each benchmark in `benchmarks/` checks that its result is sane. Times are wall
+time unless a row says otherwise; ratios are taken side by side in one run. The machine is shared,
+and its pace drifts by 20 % and more, so a figure near its goal may fall on either side of it.
+"""
+MISSED = re.compile(r"^\| (.+?) \| (.+?) \| (.+?) \| not met \|$", re.MULTILINE)
+
+
+def sections(page: str) -> dict[str, str]:
+    """Return the sections of a page by the name of their benchmark."""
+    parts = re.split(r"^## (\w+)$", page, flags=re.MULTILINE)
+    return dict(zip(parts[1::2], (text.strip() for text in parts[2::2]), strict=True))
+
+
+def page_of(found: dict[str, str]) -> str:
+    """Return the page that is made of sections, with all goals that were missed at its head."""
+    missed = [
+        f"| {name} | {figure} | {measured} | {goal} |"
+        for name in NAMES
+        for figure, measured, goal in MISSED.findall(found.get(name, ""))
+    ]
+    head = (
+        ["| benchmark | figure | measured | goal |", "|---|---|--:|--:|"] if missed else ["None."]
+    )
+    bodies = [f"## {name}\n\n{found[name]}" for name in NAMES if name in found]
+    return "\n".join(
+        (INTRODUCTION, "# Goals that were missed\n", *head, *missed, "", "# Figures", "")
+    ) + "\n\n".join(("", *bodies, ""))
+
+
+def write(name: str, text: str) -> None:
+    """Replace one section of the page."""
+    source = sys.modules[f"benchmarks.{name}"].__doc__ or ""
+    summary = source.split("\n\n")[0].replace("\n", " ")
+    command = f"`python -m benchmarks {name}`, {datetime.now(UTC):%Y-%m-%d}"
+    head = f"{summary}\n\n{command}; {report.machine()}."
+    found = sections(PAGE.read_text(encoding="utf-8")) if PAGE.exists() else {}
+    found[name] = f"{head}\n\n{text}"
+    with replacing(PAGE, "the page", LeagueError) as new:
+        new.write_text(page_of(found), encoding="utf-8")
+
+
+def main() -> None:
+    """Run benchmarks, and write the page if asked to."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(NAMES)}")
+    parser.add_argument("--write", action="store_true", help=f"write {PAGE.name}")
+    given = parser.parse_args()
+    unknown = set(given.names) - set(NAMES)
+    if unknown:
+        parser.error(f"unknown: {', '.join(sorted(unknown))}; choose from {', '.join(NAMES)}")
+    print(report.machine())
+    for name in given.names or NAMES:
+        importlib.import_module(f"benchmarks.{name}").main()
+        text = report.taken()
+        if given.write:
+            write(name, text)
+
 
 if __name__ == "__main__":
-    for name in sys.argv[1:] or NAMES:
-        importlib.import_module(f"benchmarks.{name}").main()
+    main()

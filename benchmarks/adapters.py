@@ -336,10 +336,9 @@ def main(arguments: Sequence[str] = ()) -> None:
     if given.row:
         print(json.dumps(measure(rows[given.row])))
         return
-    from benchmarks.report import figure, heading, machine
+    from benchmarks.report import figure, heading
 
     heading("Worlds through each interface")
-    print(machine())
     costs: dict[str, float] = {}
     for name, row in rows.items():
         if given.only and not any(word in name for word in given.only):

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pybullet
 
-from benchmarks.report import fastest, figure, heading, machine
+from benchmarks.report import fastest, figure, heading
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
 from league.sim.camera import scene
@@ -297,7 +297,6 @@ def _place(world: World, car: int) -> list[float]:
 def main(folder: Path | None = None) -> None:
     """Print all figures of the cameras; with a folder, leave the two renderers' pictures there."""
     heading("Cameras")
-    print(machine())
     tracks = TrackSet(files.load("reinvent_2018"))
     speed(tracks)
     against_bullet(tracks, folder)

@@ -1,7 +1,7 @@
 """How good the scripted drivers are: lap times against the bound, and in the two solvers."""
 
 from benchmarks.lap_bound import lap_bound
-from benchmarks.report import figure, heading, machine
+from benchmarks.report import figure, heading, table
 from league.race_spec import CarResult, Entry, RaceSpec
 from league.racing import race
 from league.sim.config import CarConfig
@@ -26,9 +26,8 @@ def drive(driver: str, track: Track, solver: str = "bullet") -> CarResult:
 def main() -> None:
     """Print the table of laps, and how far the solvers disagree."""
     heading("Scripted drivers, three laps in Bullet")
-    print(machine())
-    print("\n| track | bound | racing_line best lap | ratio | off-tracks | planar differs |")
-    print("|---|--:|--:|--:|--:|--:|")
+    columns = "track", "bound", "racing_line best lap", "ratio", "off-tracks", "planar differs"
+    row = table(*columns)
     differences, home_ratio = [], 0.0
     for name in files.names():
         track = files.load(name)
@@ -41,12 +40,8 @@ def main() -> None:
         differences.append(difference)
         if name == "reinvent_2018":
             home_ratio = best / bound
-        print(
-            f"| {name} | {bound:.3f} s | {best:.3f} s | {best / bound:.3f} | "
-            f"{bullet.off_tracks} | {100 * difference:.3f} % |",
-            flush=True,
-        )
-    print()
+        laps = f"{bound:.3f} s", f"{best:.3f} s", f"{best / bound:.3f}"
+        row(name, *laps, bullet.off_tracks, f"{100 * difference:.3f} %")
     figure("racing_line on reinvent_2018, flying lap over bound", home_ratio, "", 1.10, most=True)
     figure("largest lap time difference of the solvers", 100 * max(differences), "%", 1, most=True)
 

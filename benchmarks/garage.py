@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from benchmarks.lap_bound import lap_bound
-from benchmarks.report import figure, heading, machine
+from benchmarks.report import figure, heading, note, table
 from league.agents import checkpoint, roster
 from league.agents.driver import Driver
 from league.errors import PolicyError
@@ -59,11 +59,9 @@ def racer(found: Found) -> None:
 def globetrotter(found: Found) -> None:
     """Three laps under race rules on tracks it has never seen, ours and the community's."""
     strange = _community()
-    print("| track | laps of 3 | off-tracks | mean lap [s] | bound [s] | ratio |")
-    print("|---|--:|--:|--:|--:|--:|")
-    ours = [_abroad(found["globetrotter"], files.load(name)) for name in files.names()]
-    theirs = [_abroad(found["globetrotter"], track) for track in strange]
-    print()
+    row = table("track", "laps of 3", "off-tracks", "mean lap [s]", "bound [s]", "ratio")
+    ours = [_abroad(row, found["globetrotter"], files.load(name)) for name in files.names()]
+    theirs = [_abroad(row, found["globetrotter"], track) for track in strange]
     closed = [(seen, ratio) for seen, ratio in ours if ratio is not None]
     _abroad_totals("our own tracks", [seen for seen, _ in ours], [r for _, r in closed])
     if theirs:
@@ -72,7 +70,7 @@ def globetrotter(found: Found) -> None:
         clean = sum(one.off_tracks == 0 and one.all_complete for one in seen)
         figure("globetrotter: community tracks without an off-track", clean, f"of {len(seen)}", 6)
     else:
-        print(f"No community tracks: {COMMUNITY.name} is not there.")
+        note(f"No community tracks: {COMMUNITY.name} is not there.")
 
 
 def _community() -> list[Track]:
@@ -81,18 +79,14 @@ def _community() -> list[Track]:
     return [track for track in found if track.closed]
 
 
-def _abroad(path: Path, track: Track) -> tuple[Evaluation, float | None]:
+def _abroad(row: Callable[..., None], path: Path, track: Track) -> tuple[Evaluation, float | None]:
     """Print one row of the table; return what was driven, and mean lap over bound."""
     seen = evaluate(str(path), track, laps=3)
     bound = lap_bound(track, CarConfig()) if track.closed else None
     mean = seen.mean_lap_s
     ratio = mean / bound if mean is not None and bound is not None else None
-    told = [f"{mean:.2f}" if mean else "-", f"{bound:.2f}" if bound else "-"]
-    print(
-        f"| {track.name} | {seen.complete_laps} of {seen.asked} | {seen.off_tracks} | "
-        f"{' | '.join(told)} | {f'{ratio:.2f}' if ratio else '-'} |",
-        flush=True,
-    )
+    times = [f"{value:.2f}" if value else "-" for value in (mean, bound, ratio)]
+    row(track.name, f"{seen.complete_laps} of {seen.asked}", seen.off_tracks, *times)
     return seen, ratio
 
 
@@ -146,10 +140,10 @@ def duelist(found: Found, races: int = 200) -> None:
         rates[path.stem] = _win_rate(tracks, mine, rival, races)[0]
     if rates:
         worst = min(rates, key=rates.__getitem__)
-        print("against its past: " + ", ".join(f"{n} {rate:.2f}" for n, rate in rates.items()))
+        note("against its past: " + ", ".join(f"{n} {rate:.2f}" for n, rate in rates.items()))
         figure(f"duelist: smallest win rate against its past ({worst})", rates[worst], "", 0.45)
     else:
-        print("No past selves lie beside the duelist: nothing to tell of them.")
+        note("The duelist's run is not there, so its past selves were not raced.")
 
 
 def _past(duelist: Path) -> list[Path]:
@@ -172,7 +166,7 @@ def _win_rate(
 
 def _lap(name: str, time_s: float | None) -> None:
     if time_s is None:
-        print(f"{name}: none")
+        note(f"{name}: none")
     else:
         figure(name, time_s, "s")
 
@@ -193,18 +187,17 @@ def main(arguments: list[str] | None = None) -> None:
     found = {name: GARAGE / f"{name}.pt" for name in ASKED} if not given else {}
     found |= {name: Path(path) for name, path in given.items()}
     heading("The garage")
-    print(machine())
     there = {name: path for name, path in found.items() if path.exists()}
     for name, ask in ASKED.items():
         if name not in there:
             if name in found:
-                print(f"{name}: there is no {found[name].name}", flush=True)
+                note(f"{name}: there is no {found[name].name}")
             continue
         began = time.perf_counter()
         try:
             ask(there)
         except PolicyError as error:
-            print(f"{name}: {error}")
+            note(f"{name}: {error}")
         print(f"({name}: {time.perf_counter() - began:.0f} s)\n", flush=True)
 
 

@@ -12,7 +12,7 @@ What the simulated car itself could do, with its axles and its inertia, tells la
 
 from __future__ import annotations
 
-from benchmarks.report import heading
+from benchmarks.report import heading, table
 from league.racing_line.racing_line import optimal_line
 from league.sim.config import CarConfig
 from league.track.track import Track
@@ -48,10 +48,10 @@ def main() -> None:
 
     car = CarConfig()
     heading("Quasi-steady-state bound of a flying lap")
-    print(f"{'track':16} {'length':>8} {'bound':>9}")
+    row = table("track", "length", "bound")
     for name in files.names():
         track = files.load(name)
-        print(f"{name:16} {track.length:6.2f} m {lap_bound(track, car):7.3f} s", flush=True)
+        row(name, f"{track.length:.2f} m", f"{lap_bound(track, car):.3f} s")
 
 
 if __name__ == "__main__":

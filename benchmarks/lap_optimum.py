@@ -24,7 +24,7 @@ from numba import njit
 from scipy.interpolate import CubicSpline
 
 from benchmarks.lap_bound import lap_bound
-from benchmarks.report import heading
+from benchmarks.report import heading, note, table
 from league.racing_line.racing_line import road_of
 from league.sim import records
 from league.sim.config import CarConfig, SimConfig
@@ -267,20 +267,17 @@ def main() -> None:
     car = CarConfig()
     heading("The fastest flying lap of the car itself")
     if importlib.util.find_spec("casadi") is None:
-        print("Not measured: pip install -c constraints.txt -e '.[optimum]' brings what it needs.")
+        note("Not measured: pip install -c constraints.txt -e '.[optimum]' brings what it needs.")
         return
-    print(f"{'track':16} {'bound':>9} {'optimum':>9} {'ratio':>6}  astray by")
+    row = table("track", "bound", "optimum", "ratio", "ends of 10 cm are off by")
     for name in files.names():
         track = files.load(name)
         if not track.closed:
             continue
         bound, lap = lap_bound(track, car), lap_optimum(track, car)
         place, speed = strays(lap, car)
-        print(
-            f"{name:16} {bound:7.3f} s {lap.time:7.3f} s {lap.time / bound:6.3f}"
-            f"  {1000 * place:.1f} mm, {speed:.3f} m/s",
-            flush=True,
-        )
+        laps = f"{bound:.3f} s", f"{lap.time:.3f} s", f"{lap.time / bound:.3f}"
+        row(name, *laps, f"{1000 * place:.1f} mm, {speed:.3f} m/s")
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Literal
 
-from benchmarks.report import figure, heading, machine
+from benchmarks.report import figure, heading, note
 from league import subprocesses
 from league.agents import checkpoint
 from league.agents.checkpoint import Checkpoint
@@ -82,7 +82,7 @@ def shares(store: Store) -> None:
     assert report.outcome is not None, report.traceback
     stats = pstats.Stats(profile).stats  # pyright: ignore[reportAttributeAccessIssue]
     whole = max(told[3] for told in stats.values())
-    print(f"one race of {report.race_s:.1f} s in {total:.2f} s of one core, under a profiler:")
+    note(f"one race of {report.race_s:.1f} s in {total:.2f} s of one core, under a profiler:")
     for name, file, function in SHARES.values():
         spent = sum(
             told[3] for (path, _, called), told in stats.items()
@@ -180,7 +180,7 @@ def starting(workers: int = 4) -> None:
     subprocesses.prepare()
     first_s, _ = _started(1, subprocesses.start)
     served_s, served_mb = _started(workers, subprocesses.start)
-    print(f"{workers} workers, all ready; the first of a server after {first_s:.2f} s:")
+    note(f"{workers} workers, all ready; the first of a server after {first_s:.2f} s:")
     figure("  each loads torch for itself", each_s, "s")
     figure("  forked off a server that has", served_s, "s")
     figure("  how much sooner", each_s / served_s, "x")
@@ -191,17 +191,16 @@ def starting(workers: int = 4) -> None:
 def main() -> None:
     """Print the figures."""
     heading("The league's throughput")
-    print(machine())
     starting()
     drivers = policies([path for path in sys.argv[1:] if path.endswith(".pt")])
     if len(drivers) < 2:
-        print("not measured: there is no camera policy in garage/, name one: FILE.pt")
+        note("not measured: there is no camera policy in garage/, name one: FILE.pt")
         return
     with tempfile.TemporaryDirectory() as folder, league(Path(folder), drivers) as store:
         shares(store)
         batching(store)
         throughput(store, 60.0, os.cpu_count() or 1, GOAL_A_DAY)
-    print("The same policies under a planar ruleset:")
+    note("The same policies under a planar ruleset:")
     with tempfile.TemporaryDirectory() as folder, league(Path(folder), drivers, "planar") as store:
         throughput(store, 30.0, os.cpu_count() or 1, GOAL_A_DAY_PLANAR)
 

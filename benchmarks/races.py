@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.cameras import TinyScene, one_ahead
-from benchmarks.report import figure, heading, machine, seconds
+from benchmarks.report import figure, heading, seconds
 from league.agents import roster
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
@@ -85,7 +85,6 @@ def python(*arguments: str) -> float:
 def main() -> None:
     """Print the figures."""
     heading("Races")
-    print(machine())
     unit = "car-s per wall s"
     ours = stereo_rate("bullet", 1, 160, 120, 60)
     figure("Bullet, 1 world, two cars, stereo 160x120", ours, unit, 60)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.report import figure, heading, machine
+from benchmarks.report import figure, heading
 from league.matchmaking.ratings import RatingSettings, Results, fit
 from league.matchmaking.ratings.intransitivity import goodness_of_fit
 from league.matchmaking.ratings.pair_counts import ELO
@@ -125,7 +125,6 @@ def seasons() -> None:
 def main() -> None:
     """Print the figures."""
     heading("Ratings")
-    print(machine())
     speed()
     iterated()
     truth()

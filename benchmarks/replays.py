@@ -4,7 +4,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from benchmarks.report import figure, heading, machine, seconds
+from benchmarks.report import figure, heading, seconds
 from league import replay, rerun_view
 from league.race_spec import Entry, RaceSpec
 from league.racing import race
@@ -13,7 +13,6 @@ from league.racing import race
 def main() -> None:
     """Print the figures for a race of two cars of about a minute."""
     heading("Replays of a two-car race")
-    print(machine())
     spec = RaceSpec(entries=(Entry(name="cautious"), Entry(name="centerline")), laps=6)
     finished = race.run(spec)
     assert finished.replay is not None

@@ -1,16 +1,28 @@
-"""What every benchmark prints alike: the machine, a heading, a figure beside its goal."""
+"""What all benchmarks print: headings, figures beside their goals, tables; and as Markdown."""
 
+import math
 import os
 import platform
+import re
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from importlib.metadata import version
+
+_lines: list[str] = []
+"""What was printed since it was last taken, as Markdown."""
 
 
 def heading(title: str) -> None:
     """Print a benchmark's title."""
     print(f"\n## {title}\n", flush=True)
+    _lines.extend(("", f"### {title}", ""))
+
+
+def note(text: str) -> None:
+    """Print a remark."""
+    print(text, flush=True)
+    _lines.extend(("", text, ""))
 
 
 def figure(
@@ -26,10 +38,53 @@ def figure(
         most: True when the goal is an upper bound.
     """
     met = goal is None or (value <= goal if most else value >= goal)
-    aim = "" if goal is None else f"  goal {'<=' if most else '>='} {goal:g}"
+    sign = "<=" if most else ">="
+    aim = "" if goal is None else f"  goal {sign} {goal:g}"
     verdict = "" if goal is None else ("  met" if met else "  NOT MET")
     print(f"{name:62s} {value:12,.4g} {unit:18s}{aim}{verdict}", flush=True)
+    if not _lines or not _lines[-1].startswith("| "):
+        _lines.extend(("", *_head(("figure", "measured", "goal", "met"))))
+    written = "" if goal is None else f"{'≤' if most else '≥'} {_number(goal)}"
+    _lines.append(_row((name, f"{_number(value)} {unit}", written, verdict.strip().lower())))
     return met
+
+
+def _number(value: float) -> str:
+    """Return a number with four digits, and never with an exponent."""
+    digits = max(0, 3 - math.floor(math.log10(abs(value)))) if value else 0
+    text = f"{value:,.{min(digits, 6)}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def table(*columns: str) -> Callable[..., None]:
+    """Print the head of a table; return what prints a row of it, a cell for each column."""
+    lines = list(_head(columns))
+    print("\n" + "\n".join(lines), flush=True)
+    _lines.extend(("", *lines))
+
+    def row(*cells: object) -> None:
+        assert len(cells) == len(columns)
+        line = _row(str(cell) for cell in cells)
+        print(line, flush=True)
+        _lines.append(line)
+
+    return row
+
+
+def _head(columns: Iterable[str]) -> tuple[str, str]:
+    columns = tuple(columns)
+    return _row(columns), _row(("---", *("--:" for _ in columns[1:])))
+
+
+def _row(cells: Iterable[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def taken() -> str:
+    """Return what was printed since the last call as Markdown."""
+    text = "\n".join(_lines)
+    _lines.clear()
+    return re.sub(r"\n{3,}", "\n\n", text).strip()
 
 
 def machine() -> str:
@@ -53,7 +108,7 @@ def seconds(action: Callable[[], object], repeats: int = 5) -> float:
 
 
 def fastest(action: Callable[[], object], repeats: int = 40) -> float:
-    """Return the least wall time of an action [s]: what it costs when nobody else runs."""
+    """Return the least wall time of an action [s]: what it costs when nothing else runs."""
     return min(_times(action, repeats))
 
 

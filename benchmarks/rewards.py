@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.report import fastest, figure, heading, machine
+from benchmarks.report import fastest, figure, heading
 from league.deepracer import user_reward
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
@@ -55,7 +55,6 @@ def overhead_us(kind: RaceKind, num_worlds: int, path: Path) -> float:
 def main() -> None:
     """Print the figures."""
     heading("Reward functions: our overhead for each call, the fastest of 40 times a hundred")
-    print(machine())
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "trivial.py"
         path.write_text("def reward_function(params):\n    return 1.0\n", encoding="utf-8")

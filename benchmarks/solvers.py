@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.report import fastest, figure, heading, machine, product
+from benchmarks.report import fastest, figure, heading, note, product, table
 from league.agents.garage import names as garage_names
 from league.agents.roster import NAMES
 from league.envs import step as stages
@@ -124,7 +124,7 @@ def open_loop() -> None:
     assert np.median(travel) > 1.0, "the cars did not go anywhere"
     assert (ends[1]["roll"] != 0).all(), "the cars did not lean"
     turned = (ends[0]["yaw"] - ends[1]["yaw"] + math.pi) % (2 * math.pi) - math.pi
-    print(f"{SEQUENCES} drives of 2 s, median distance {np.median(travel):.1f} m")
+    note(f"{SEQUENCES} drives of 2 s, median distance {np.median(travel):.1f} m")
     spread("open loop: between the ends", 100 * apart(*ends, "x", "y"), "cm")
     spread("open loop: turn between the ends", np.degrees(np.abs(turned)).ravel(), "deg")
 
@@ -158,7 +158,7 @@ def impacts() -> None:
         floor.env.close()
     velocities, rates, places = np.concatenate(gaps, axis=1)
     assert len(overturned) > 0.6 * IMPACTS, "most cars missed each other"
-    print(f"{len(overturned)} of {IMPACTS} pairs touch in both solvers")
+    note(f"{len(overturned)} of {IMPACTS} pairs touch in both solvers")
     spread("impacts: velocities after it differ by", velocities, "m/s")
     spread("impacts: yaw rates after it differ by", rates, "rad/s")
     spread("impacts: places one second later differ by", 100 * places, "cm")
@@ -174,19 +174,15 @@ def raced(driver: str, solver: SolverName) -> CarResult:
 
 def laps() -> None:
     """Print lap times and off-tracks in both solvers, and what Bullet costs."""
-    print("\n| driver | planar, best lap | off | Bullet, best lap | off | longer by |")
-    print("|---|--:|--:|--:|--:|--:|")
+    row = table("driver", "planar, best lap", "off", "Bullet, best lap", "off", "longer by")
     losses = []
     for name in (*NAMES, *garage_names()):
         flat, real = raced(name, "planar"), raced(name, "bullet")
         assert flat.best_lap_s and real.best_lap_s, f"{name} completes no lap"
         losses.append(100 * (real.best_lap_s / flat.best_lap_s - 1))
-        print(
-            f"| {name} | {flat.best_lap_s:.3f} s | {flat.off_tracks} | {real.best_lap_s:.3f} s | "
-            f"{real.off_tracks} | {losses[-1]:.2f} % |",
-            flush=True,
-        )
-    figure("\nlargest loss of lap time in Bullet", max(losses), "%", 3, most=True)
+        cells = (f"{flat.best_lap_s:.3f} s", flat.off_tracks)
+        row(name, *cells, f"{real.best_lap_s:.3f} s", real.off_tracks, f"{losses[-1]:.2f} %")
+    figure("largest loss of lap time in Bullet", max(losses), "%", 3, most=True)
 
 
 def stepping(name: SolverName, num_worlds: int, num_cars: int, *, close: bool = False) -> float:
@@ -212,17 +208,15 @@ def stepping(name: SolverName, num_worlds: int, num_cars: int, *, close: bool = 
 
 def speed() -> None:
     """Print what a control step costs."""
-    print(machine())
     for name, goal in (("planar", 0.1), ("bullet", 1.5)):
         free, rubbing = (stepping(name, 1, 2, close=close) * 1e3 for close in (False, True))
         figure(f"{name}: 1 world x 2 cars, apart", free, "ms/step", goal, most=True)
         figure(f"{name}: 1 world x 2 cars, rubbing", rubbing, "ms/step")
-    print("\n| worlds | cars | ms/step | car-steps/s | products of that shape |")
-    print("|--:|--:|--:|--:|--:|")
+    row = table("worlds", "cars", "ms/step", "car-steps/s", "products of that shape")
     for worlds, cars in [(size, 2) for size in SIZES] + [(1024, 1), (1024, 4), (1024, 8)]:
         taken = stepping("planar", worlds, cars)
         rate, products = worlds * cars / taken, taken / product(worlds, cars)
-        print(f"| {worlds:,} | {cars} | {taken * 1e3:.2f} | {rate:,.0f} | {products:,.0f} |")
+        row(f"{worlds:,}", cars, f"{taken * 1e3:.2f}", f"{rate:,.0f}", f"{products:,.0f}")
 
 
 def main() -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.report import figure, heading, machine, seconds
+from benchmarks.report import figure, heading, note, seconds
 from league.matchmaking import standings, store
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Ruleset, mirrored
@@ -169,7 +169,6 @@ def _check(table: standings.Standings, strengths: np.ndarray) -> None:
 def main() -> None:
     """Print the figures."""
     heading("The league's database")
-    print(machine())
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
         figure("the disk: 4 kB made durable", 1e3 * sync_s(place), "ms")
@@ -187,10 +186,10 @@ def _postgres() -> None:
     try:
         import postgres  # pyright: ignore[reportMissingImports]
     except ImportError:
-        print("PostgreSQL: not measured, psycopg is not installed")
+        note("PostgreSQL: not measured, psycopg is not installed")
         return
     if postgres.binaries() is None:
-        print("PostgreSQL: not measured, it is not installed")
+        note("PostgreSQL: not measured, it is not installed")
         return
     with postgres.server(durable=True) as server:
         measure(server.database(), "PostgreSQL", None)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.report import figure, heading, machine
+from benchmarks.report import figure, heading
 from league.track import files, generate
 
 SEEDS = 1000
@@ -23,7 +23,6 @@ def shape(center: np.ndarray) -> np.ndarray:
 def main() -> None:
     """Print the figures."""
     heading("Tracks")
-    print(machine())
     start = time.process_time()
     tracks = [generate.generate(seed) for seed in range(SEEDS)]
     figure("drawing 1,000 tracks, processor time", time.process_time() - start, "s", 60, most=True)

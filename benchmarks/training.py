@@ -22,7 +22,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from benchmarks.report import figure, heading, machine
+from benchmarks.report import figure, heading, note
 from league.agents.network import Actor
 from league.envs import rewards
 from league.envs.action_space import ContinuousActions
@@ -74,7 +74,7 @@ def rookies(seeds: tuple[int, ...] = (1, 2, 3)) -> None:
         runs = [rookie(seed, evaluations) for seed in seeds]
         for seed, run in zip(seeds, runs, strict=True):
             laps = "3 of 3 laps" if run.complete else "NOT COMPLETE"
-            print(f"  seed {seed}: {run.wall_s:.1f} s, {run.samples:,} decisions, {laps}")
+            note(f"  seed {seed}: {run.wall_s:.1f} s, {run.samples:,} decisions, {laps}")
         times = 1 if evaluations == 1 else evaluations
         middle = statistics.median(run.wall_s for run in runs)
         name = f"rookie: command to prompt, 3 of 3 laps {times}x in a row"
@@ -233,7 +233,6 @@ def loops(rounds: int = 5) -> None:
 def main() -> None:
     """Print the figures."""
     heading("Training")
-    print(machine())
     torch.set_num_threads(1)
     loops()
     rookies()
