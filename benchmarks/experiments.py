@@ -26,7 +26,7 @@ from torch import Tensor, nn
 from benchmarks.report import heading, machine
 from league.agents.card import Card
 from league.agents.checkpoint import Checkpoint
-from league.envs.action_space import ContinuousActions
+from league.envs.actions import ContinuousActions
 from league.envs.rewards import preset
 from league.sim.config import CameraConfig, SensorConfig
 from league.track import files

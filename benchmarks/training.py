@@ -25,7 +25,7 @@ from torch import Tensor, nn
 from benchmarks.report import figure, heading, note
 from league.agents.network import Actor
 from league.envs import rewards
-from league.envs.action_space import ContinuousActions
+from league.envs.actions import ContinuousActions
 from league.track import files
 from league.track.track import TrackSet
 from league.training.ppo import make_env

@@ -7,7 +7,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from league.envs.action_space import ContinuousActions
+from league.envs.actions import ContinuousActions
 from league.racing.evaluate import evaluate
 from league.training.run import Run, RunConfig
 from league.training.settings import TrainConfig

@@ -10,8 +10,7 @@ import numpy as np
 
 from league.envs import episodes, rewards
 from league.envs import step as stages
-from league.envs.config import EnvConfig
-from league.envs.encounters import Meeting
+from league.envs.config import EnvConfig, OpponentPlacement
 from league.envs.race_env import RaceEnv
 from league.envs.state import INDEX
 from league.sim import records
@@ -33,8 +32,8 @@ from league.sim.world import World
 from league.track.track import Track, TrackSet
 
 SETTINGS = (
-    CameraConfig, CarConfig, ContactConfig, LidarConfig, LookConfig, Meeting, ObstacleConfig,
-    RaceRules, SensorConfig, SimConfig, Spread,
+    CameraConfig, CarConfig, ContactConfig, LidarConfig, LookConfig, ObstacleConfig,
+    OpponentPlacement, RaceRules, SensorConfig, SimConfig, Spread,
 )  # fmt: skip
 """All classes of settings of a world."""
 MOTION = ["x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "steering"]

@@ -12,7 +12,7 @@ from league import replay as replays
 from league.cli import rewards as command
 from league.deepracer import check, rescore, user_reward
 from league.envs import rewards
-from league.envs.line_reward import built_in
+from league.envs.rewards import built_in
 from league.errors import ConfigError, RewardError
 from league.race_spec import Entry, Event, RaceSpec
 from league.racing import race
@@ -71,9 +71,12 @@ def test_check_finds_what_only_fails_alone_and_says_where(tmp_path, capsys):
     ("body", "says"),
     [
         ("return 3.0", "pays 3 for every step"),
-        ("return params.get('sped', 1.0) * params['steps']", "params['sped'], which there is not"),
+        (
+            "return params.get('sped', 1.0) * params['steps']",
+            "params['sped'], which does not exist",
+        ),
         ("return 2000.0 + params['steps']", "more than 1000"),
-        ("return params['steps'] + sum(params['objects_heading'])", "in degrees here"),
+        ("return params['steps'] + sum(params['objects_heading'])", "degrees here"),
     ],
 )
 def test_check_warns_of_what_will_not_be_learnt(tmp_path, body, says):

@@ -17,7 +17,7 @@ from league.agents import checkpoint, garage
 from league.cli import resuming, train
 from league.cli.train import Train
 from league.cli.train_settings import config, parse_actions, parse_sensors
-from league.envs.action_space import ContinuousActions, DiscreteActions
+from league.envs.actions import ContinuousActions, DiscreteActions
 from league.errors import ConfigError, LeagueError
 from league.training.monitor import history
 from league.training.run_config import RunConfig, settings

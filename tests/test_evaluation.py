@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scenes import RING_LENGTH, follow_center, make_ring, make_straight
 
-from league.envs.action_space import DiscreteActions
+from league.envs.actions import DiscreteActions
 from league.envs.config import RewardConfig
 from league.envs.rewards import BuiltIn
 from league.errors import ActionError, ConfigError, PolicyError

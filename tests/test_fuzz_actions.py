@@ -7,8 +7,8 @@ import pytest
 import torch
 from scenes import make_ring
 
-from league.envs.action_space import ContinuousActions, grid
-from league.envs.adapters.gym_env import SingleEnv
+from league.envs.actions import ContinuousActions, grid
+from league.envs.adapters.gym_env import GymEnv
 from league.envs.adapters.rsl_vec_env import RacingVecEnv
 from league.envs.config import EnvConfig
 from league.errors import ActionError
@@ -42,7 +42,7 @@ def readable(error):
 
 
 def test_two_thousand_random_actions_at_gymnasiums_door_step_or_are_refused():
-    env = SingleEnv(make_ring(), sensors=())
+    env = GymEnv(make_ring(), sensors=())
     env.reset(seed=0)
     dice = random.Random(0)
     steps = refused = 0

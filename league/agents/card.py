@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from league.agents.network import NetworkConfig, group_shapes, weight_shapes
-from league.envs.action_space import ContinuousActions, DiscreteActions
+from league.envs.actions import ContinuousActions, DiscreteActions
 from league.sim.config import CameraConfig, LidarConfig, RaceKind, SensorConfig
 
 FORMAT = 1

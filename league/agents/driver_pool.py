@@ -9,6 +9,8 @@ from time import thread_time
 import numpy as np
 
 from league.agents.driver import Driver
+from league.envs import actions
+from league.errors import ActionError
 
 Seat = tuple[int, int]
 """A world and a car in it."""
@@ -92,13 +94,11 @@ class _Told(Mapping[str, np.ndarray]):
 def _actions(answer: object, num_rows: int) -> list[np.ndarray | None]:
     """Return the rows of an answer that are actions; the others are None.
 
-    An answer is an array, or what becomes one without a copy, such as a tensor on the CPU.
+    An answer is an array, or what becomes one, such as a tensor.
     """
     try:
-        rows = np.asarray(answer)
-    except Exception:  # whatever a stranger's object does when it is asked to be an array
+        rows = actions.real_numbers(answer, "a driver", (num_rows, actions.SIZE))
+    except ActionError:
         return [None] * num_rows
-    if rows.shape != (num_rows, 2) or rows.dtype.kind != "f":
-        return [None] * num_rows
-    # False for NaN.
-    return [row if bool((np.abs(row) <= 1.0).all()) else None for row in rows]
+    valid = actions.valid_rows(rows)
+    return [row if is_valid else None for row, is_valid in zip(rows, valid, strict=True)]

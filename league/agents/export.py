@@ -14,7 +14,7 @@ from league.agents.card import Card
 from league.agents.checkpoint import Checkpoint
 from league.agents.network import NORMALISER_EPS
 from league.atomic_file import replacing
-from league.envs.action_space import ContinuousActions
+from league.envs.actions import ContinuousActions
 from league.envs.observations import MOTION_FIELDS, MOTION_SCALE
 from league.errors import PolicyError
 from league.sim.config import CameraConfig, SimConfig

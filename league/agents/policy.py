@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from league.agents.inference import Network
-from league.envs.action_space import to_actions
+from league.envs.actions import to_actions
 from league.errors import PolicyError
 from league.sim.config import CarConfig
 

@@ -16,7 +16,7 @@ from league.errors import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from league.envs.action_space import ActionSpace
+    from league.envs.actions import ActionSpace
     from league.envs.rewards import Reward
     from league.racing.table import Evaluation
     from league.racing.trace import Trace
@@ -172,7 +172,7 @@ def _reward(wish: str, tracks: TrackSet, car: CarConfig) -> Callable[[int], Rewa
         from league.deepracer import user_reward
 
         return lambda num_worlds: user_reward(wish, num_worlds, (0,))
-    from league.envs.line_reward import built_in
+    from league.envs.rewards import built_in
 
     paid = built_in(wish, tracks, car)
     return lambda num_worlds: paid

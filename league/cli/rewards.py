@@ -13,7 +13,7 @@ import tyro
 from league.cli import tables
 
 if TYPE_CHECKING:
-    from league.deepracer.check import Report, Tried
+    from league.deepracer.check import DriveReport, Report
     from league.deepracer.rescore import Score
     from league.replay import Replay
 
@@ -59,12 +59,12 @@ class ScoreReplay:
     def run(self) -> int:
         """Run the command."""
         from league import replay as replays
-        from league.deepracer import score_plot
+        from league.deepracer import rescore
 
         race = replays.read(self.replay)
         scores = [_score(race, wish) for wish in (self.reward, self.against)]
         path = self.out or self.replay.with_suffix(".reward.png")
-        score_plot.draw(race, scores, path)
+        rescore.draw(race, scores, path)
         if self.json:
             print(json.dumps({"picture": str(path), "scores": _totals(race, scores)}, indent=2))
             return 0
@@ -92,7 +92,7 @@ class Rewards:
 
 def _score(race: Replay, wish: str) -> Score:
     from league.deepracer import rescore, user_reward
-    from league.envs.line_reward import built_in
+    from league.envs.rewards import built_in
 
     if not wish.endswith(".py"):
         paid = built_in(wish, race.tracks, race.sim.car)
@@ -146,7 +146,7 @@ def _failures(report: Report) -> list[str]:
     ]
 
 
-def _row(one: Tried) -> tuple[str, ...]:
+def _row(one: DriveReport) -> tuple[str, ...]:
     state = "fails" if one.failure else "ok"
     if not one.rewards:
         return one.title, state, f"0 of {one.calls}", "", "", "", ""

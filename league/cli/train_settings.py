@@ -14,7 +14,7 @@ from league.errors import ConfigError, brief
 if TYPE_CHECKING:
     from league.agents.network import NetworkConfig
     from league.cli.train import Train
-    from league.envs.action_space import ActionSpace
+    from league.envs.actions import ActionSpace
     from league.sim.config import SensorConfig, Spread
     from league.training.run_config import RunConfig
     from league.training.settings import PpoConfig, TrainConfig
@@ -231,10 +231,10 @@ def _spread(share: float) -> Spread:
 
 def _from_deepracer(path: Path, ppo: PpoConfig, command: Train, space: ActionSpace) -> PpoConfig:
     """Return the learner's settings with those that a hyperparameters.json names."""
-    from dataclasses import asdict, replace
+    from dataclasses import replace
 
     from league.deepracer import hyperparameters
-    from league.envs.action_space import DiscreteActions
+    from league.envs.actions import DiscreteActions
 
     asked = hyperparameters.read(path)
     rollout = command.num_worlds * (command.rollout or ppo.steps)
@@ -256,8 +256,7 @@ def _from_deepracer(path: Path, ppo: PpoConfig, command: Train, space: ActionSpa
     if asked.beta_entropy is not None and isinstance(space, DiscreteActions):
         ppo = replace(ppo, entropy=(asked.beta_entropy, asked.beta_entropy))
         taken.add("beta_entropy")
-    left = [name for name, value in asdict(asked).items() if value is not None]
-    left = [name for name in left if name not in taken]
+    left = [name for name in asked.model_dump(exclude_none=True) if name not in taken]
     if left:
         print(f"{path}: {', '.join(left)} not used here (docs/training.md)", file=sys.stderr)
     return ppo
@@ -269,7 +268,7 @@ def parse_actions(text: str) -> ActionSpace:
     Raises:
         ConfigError: it is none of these.
     """
-    from league.envs.action_space import ContinuousActions, grid
+    from league.envs.actions import ContinuousActions, grid
 
     if text.endswith(".json"):
         from league.deepracer import model_metadata as metadata

@@ -1,5 +1,5 @@
-"""What DeepRacer's users bring: reward functions, model_metadata.json, hyperparameters.json."""
+"""Files of DeepRacer's users: reward functions, model_metadata.json, hyperparameters.json."""
 
-from league.deepracer.user_reward import UserReward, user_reward
+from league.deepracer.reward_file import UserReward, user_reward
 
 __all__ = ["UserReward", "user_reward"]

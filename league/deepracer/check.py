@@ -1,4 +1,4 @@
-"""Trying a reward file on recorded drives: what it pays, what it reads, how long it takes."""
+"""`league reward check`: try a reward file on scripted drives of every kind of race."""
 
 from __future__ import annotations
 
@@ -9,19 +9,28 @@ import time
 from collections.abc import ItemsView, Iterator, Sequence, ValuesView
 from dataclasses import dataclass, field
 
-from league.deepracer.params import KEYS, Params
-from league.deepracer.reward_file import Function, Source
-from league.deepracer.sample_drives import Drive, drives
+import numpy as np
+
+from league.deepracer.params import KEYS, Params, ParamsBuilder
+from league.deepracer.reward_file import Function, RewardFile
 from league.deepracer.watchdog import NOT_ITS_OWN, end, stuck
+from league.envs.actions import encode
+from league.envs.config import EnvConfig
+from league.envs.race_env import RaceEnv
+from league.envs.state import INDEX
 from league.errors import RewardError
+from league.sim.config import ObstacleConfig, RaceKind, RaceRules, SimConfig
+from league.sim.world import World
+from league.track import files
+from league.track.track import Track, TrackSet
 
 TIME_LIMIT_S = 5.0
 """Longest call, as in the original's validator [s]."""
 
 
 @dataclass(frozen=True)
-class Tried:
-    """What a reward file did on one drive."""
+class DriveReport:
+    """How a reward file did on one drive."""
 
     title: str
     """What the drive shows."""
@@ -44,27 +53,27 @@ class Tried:
 
 @dataclass(frozen=True)
 class Report:
-    """What became of a trial."""
+    """How a reward file did on all drives."""
 
-    source: Source
+    source: RewardFile
     """The file."""
-    drives: tuple[Tried, ...]
+    drives: tuple[DriveReport, ...]
     """Each drive."""
     keys: tuple[str, ...]
     """Keys of `params` it has read, by name."""
     unknown_keys: tuple[str, ...]
-    """Keys it has asked for that there are not."""
+    """Keys it has asked for that do not exist."""
     warnings: tuple[str, ...]
-    """What it might better not do."""
+    """Advice."""
 
     @property
-    def failures(self) -> tuple[Tried, ...]:
+    def failures(self) -> tuple[DriveReport, ...]:
         """Drives on which it failed."""
         return tuple(one for one in self.drives if one.failure)
 
 
 class _Watched(dict):
-    """Params that note what is read of them, but for what the user's own code has put there."""
+    """Params that note the keys that are read, except those the user's own code has set."""
 
     def __init__(self, params: Params, read: set[str]) -> None:
         super().__init__(params)
@@ -90,7 +99,7 @@ class _Watched(dict):
         return super().pop(key, *default)
 
     def __iter__(self) -> Iterator[str]:
-        # Not dict's own, or `dict(params)` would copy all without asking for anything.
+        # Not dict's own, or `dict(params)` would copy all values without a call of __getitem__.
         return iter(super().keys())
 
     def items(self) -> ItemsView:
@@ -107,78 +116,69 @@ class _Watched(dict):
 
 @dataclass
 class _Progress:
-    """What the thread that runs the user's code has done, for the one that waits."""
+    """State of the thread that runs the user's code."""
 
     call_began: float = field(default_factory=time.monotonic)
-    done: bool = False
-    result: Report | None = None
+    report: Report | None = None
     error: BaseException | None = None
 
 
 def check(path: str | os.PathLike[str], *, time_limit_s: float = TIME_LIMIT_S) -> Report:
-    """Try a reward file on recorded drives of every kind of race.
+    """Try a reward file on scripted drives of every kind of race.
 
     Args:
         path: the file.
         time_limit_s: longest time of one call [s].
 
     Raises:
-        RewardError: the file cannot be read or loaded, or does not come back from a call.
+        RewardError: the file cannot be read or loaded, or a call takes too long.
     """
-    source = Source.read(path)
-    shown = drives()
-    told = _Progress()
+    source = RewardFile.read(path)
+    recorded = drives()
+    progress = _Progress()
 
     def work() -> None:
         try:
-            told.result = _tried(source, shown, told)
+            progress.report = _report(source, recorded, progress)
         except BaseException as error:
-            told.error = error  # raised again by who waits
-        told.done = True
+            progress.error = error  # raised again by the thread that waits
 
     thread = threading.Thread(target=work, daemon=True, name="reward")
-    told.call_began = time.monotonic()
+    progress.call_began = time.monotonic()
     thread.start()
-    while not told.done:
+    while progress.report is None and progress.error is None:
         thread.join(0.02)
-        if not told.done and time.monotonic() - told.call_began > time_limit_s:
+        if thread.is_alive() and time.monotonic() - progress.call_began > time_limit_s:
             assert thread.ident is not None
-            found = stuck(str(source.path), thread.ident, time_limit_s)
+            error = stuck(str(source.path), thread.ident, time_limit_s)
             end(thread.ident)
-            raise found
-    if told.error is not None:
-        raise told.error
-    assert told.result is not None
-    return told.result
+            raise error
+    if progress.error is not None:
+        raise progress.error
+    assert progress.report is not None
+    return progress.report
 
 
-def _tried(source: Source, shown: Sequence[Drive], told: _Progress) -> Report:
+def _report(source: RewardFile, recorded: Sequence[Drive], progress: _Progress) -> Report:
     read: set[str] = set()
     function = source.instance()
-    tried = tuple(_try(source, function, drive, read, told) for drive in shown)
+    tried = tuple(_try(source, function, drive, read, progress) for drive in recorded)
     known = tuple(sorted(key for key in read if key in KEYS))
     unknown = tuple(sorted(str(key) for key in read if key not in KEYS))
-    return Report(
-        source=source,
-        drives=tried,
-        keys=known,
-        unknown_keys=unknown,
-        warnings=tuple(_warnings(tried, known, unknown)),
-    )
+    return Report(source, tried, known, unknown, tuple(_warnings(tried, known, unknown)))
 
 
 def _try(
-    source: Source, function: Function, drive: Drive, read: set[str], told: _Progress
-) -> Tried:
-    rewards, taken, failure = [], [], None
+    source: RewardFile, function: Function, drive: Drive, read: set[str], progress: _Progress
+) -> DriveReport:
+    rewards, times, failure = [], [], None
     for params in drive.params:
-        watched = _Watched(params, read)
-        when = f"{drive.title}, steps {params['steps']}"
-        told.call_began = time.monotonic()
+        watched, when = _Watched(params, read), f"{drive.title}, steps {params['steps']}"
+        progress.call_began = time.monotonic()
         start = time.perf_counter()
         try:
             value = function(watched)
-            taken.append(time.perf_counter() - start)
+            times.append(time.perf_counter() - start)
             rewards.append(source.number(function, value, when))
         except RewardError as error:
             failure = str(error)
@@ -188,31 +188,129 @@ def _try(
         except BaseException as error:
             failure = str(source.failed(error, when, params))
             break
-    return Tried(
-        title=drive.title,
-        kind=drive.kind,
-        calls=len(drive.params),
-        rewards=tuple(rewards),
-        failure=failure,
-        median_us=1e6 * statistics.median(taken) if taken else 0.0,
+    median_us = 1e6 * statistics.median(times) if times else 0.0
+    return DriveReport(
+        drive.title, drive.kind, len(drive.params), tuple(rewards), failure, median_us
     )
 
 
-def _warnings(tried: Sequence[Tried], keys: Sequence[str], unknown: Sequence[str]) -> list[str]:
-    said = [f"it reads params[{key!r}], which there is not" for key in unknown]
-    paid = {reward for one in tried for reward in one.rewards}
-    if len(paid) == 1 and not any(one.failure for one in tried):
-        said.append(f"it pays {paid.pop():g} for every step, whatever the car does")
+def _warnings(
+    tried: Sequence[DriveReport], keys: Sequence[str], unknown: Sequence[str]
+) -> Iterator[str]:
+    for key in unknown:
+        yield f"it reads params[{key!r}], which does not exist"
+    rewards = {reward for one in tried for reward in one.rewards}
+    if len(rewards) == 1 and not any(one.failure for one in tried):
+        yield f"it pays {min(rewards):g} for every step, whatever the car does"
     if not keys:
-        said.append("it reads nothing of params")
-    if paid and max(abs(reward) for reward in paid) > 1000:
-        said.append("it pays more than 1000 for a step: learning is steadier with about 1")
+        yield "it reads nothing of params"
+    if rewards and max(map(abs, rewards)) > 1000:
+        yield "it pays more than 1000 for a step: learning is steadier with about 1"
     if "objects_heading" in keys:
-        said.append(
-            "it reads objects_heading, which is in degrees here as documented; the original told "
-            "radians"
-        )
+        yield "it reads objects_heading: degrees here, as documented, but radians in the original"
     slow = max((one.median_us for one in tried), default=0.0)
     if slow > 1000:
-        said.append(f"it takes {slow / 1000:.1f} ms a call: training will wait for it")
-    return said
+        yield f"it takes {slow / 1000:.1f} ms a call: training will wait for it"
+
+
+_TRACK = "reinvent_2018"
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One scripted drive, as reward functions see it."""
+
+    title: str
+    """What it shows."""
+    kind: RaceKind
+    """Kind of race."""
+    params: list[Params]
+    """Argument of the function, step by step."""
+
+
+class _ParamsRecorder:
+    """A reward that pays nothing and keeps the params of a car."""
+
+    terms = ()
+
+    def __init__(self, sim: SimConfig, car: int) -> None:
+        self.params: list[Params] = []
+        self._builder = ParamsBuilder(sim, (car,))
+
+    def restart(self, world: World, begun: np.ndarray) -> None:
+        self._builder.restart(begun)
+
+    def __call__(
+        self,
+        tracks: TrackSet,
+        before: World,
+        world: World,
+        actions: np.ndarray,
+        verdicts: np.ndarray,
+    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        self.params.extend(self._builder.rows(tracks, before, world, verdicts).params)
+        return np.zeros(verdicts.shape, np.float32), {}
+
+
+def drives() -> tuple[Drive, ...]:
+    """Return scripted drives of all kinds of races: about 700 steps, in a second or two."""
+    track = files.load(_TRACK)
+    other_way = track.mirrored()
+    one_lap = RaceRules(laps=1)
+    alone = SimConfig(rules=one_lap)
+    boxes = SimConfig(
+        kind="obstacle_avoidance",
+        rules=one_lap,
+        obstacles=ObstacleConfig(count=3, places=((0.15, 1.0), (0.3, -1.0), (0.5, 0.0))),
+    )
+    two = SimConfig(kind="head_to_head", num_cars=2, rules=one_lap)
+    return (
+        _drive("alone: a whole lap", track, alone, speeds=(2.0,)),
+        _drive("alone: off the track", track, alone, speeds=(2.0,), straight_on=40),
+        _drive("alone: a lap, clockwise", other_way, alone, speeds=(2.0,)),
+        _drive("boxes: into one", track, boxes, speeds=(2.0,)),
+        _drive("cars: into the one ahead", track, two, speeds=(1.2, 2.4)),
+        _drive("cars: passing one", other_way, two, speeds=(1.6, 2.2), lanes=(0.19, -0.19)),
+    )
+
+
+def _drive(
+    title: str,
+    track: Track,
+    sim: SimConfig,
+    *,
+    speeds: Sequence[float],
+    lanes: Sequence[float] = (0.0, 0.0),
+    straight_on: int | None = None,
+) -> Drive:
+    """Drive each car at its speed [m/s] and lane [m, left of the centreline], up to 15 s.
+
+    The drive ends with an episode of the last car; from step `straight_on` it does not steer.
+    """
+    paid = sim.num_cars - 1
+    recorder = _ParamsRecorder(sim, paid)
+    env = RaceEnv(TrackSet(track), EnvConfig(sim=sim, mode="race"), seed=1, reward=recorder)
+    observations = env.reset(seed=1)
+    for number in range(15 * sim.step_hz):
+        actions = np.stack(
+            [
+                _follow(groups["state"], speed, lane, sim)
+                for groups, speed, lane in zip(observations, speeds, lanes, strict=False)
+            ],
+            axis=1,
+        )
+        if straight_on is not None and number >= straight_on:
+            actions[..., 0] = 0.0
+        verdict = env.step(actions).verdicts[0, paid]
+        if verdict["mistake"] or verdict["finished"]:
+            break
+    env.close()
+    return Drive(title=title, kind=sim.kind, params=recorder.params)
+
+
+def _follow(state: np.ndarray, speed: float, lane: float, sim: SimConfig) -> np.ndarray:
+    """Return actions that follow a line parallel to the centreline, by two gains."""
+    lateral, heading = state[:, INDEX["lateral"]] - lane, state[:, INDEX["heading_error"]]
+    bend = state[:, INDEX["curvature_0.25m"]] - 1.5 * lateral - 2.5 * heading
+    steering = np.arctan(sim.car.wheelbase * bend)
+    return encode(steering, np.full_like(steering, speed), sim.car)

@@ -1,20 +1,21 @@
-"""model_metadata.json, versions 1 to 6: what a DeepRacer model may do and what it sees.
+"""model_metadata.json, versions 1 to 6: a DeepRacer model's actions and sensors.
 
-Facts section 2. Missing keys mean what they meant there: discrete, clipped_ppo, the shallow
-network, and sensor "observation".
+Missing keys have the original's defaults: discrete, clipped_ppo, the shallow network, and sensor
+"observation".
 """
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from league.deepracer.json_file import load, reason
-from league.envs.action_space import MAX_SPEED, ActionSpace, ContinuousActions, DiscreteActions
+from league.envs.actions import MAX_SPEED, ActionSpace, ContinuousActions, DiscreteActions
 from league.errors import ConfigError, brief, nearest_names
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig
 
@@ -34,19 +35,20 @@ _CAMERAS = {
 _LIDARS = ("LIDAR", "SECTOR_LIDAR", "DISCRETIZED_SECTOR_LIDAR")
 _SECTORS = (1, 2, 4, 8, 16, 32, 64)
 _FASTEST_ASKED = 8.0
-"""Speed that could be asked for in 2019 [m/s]."""
+"""Fastest speed of an action space in 2019 [m/s]."""
 _LIDAR_REACH = 1.0
-"""Range beyond which the original's plain LIDAR tells nothing [m]."""
+"""Range of the original's plain LIDAR [m]."""
+MAX_BYTES = 1_000_000
 
 Number = Annotated[float, Field(strict=False, allow_inf_nan=False)]
 
 
 @dataclass(frozen=True)
 class Metadata:
-    """What a model_metadata.json says."""
+    """The content of a model_metadata.json."""
 
     action_space: ActionSpace
-    """What the policy may ask for."""
+    """What the policy chooses from."""
     sensors: SensorConfig
     """What its car carries."""
     version: str = "1"
@@ -54,9 +56,9 @@ class Metadata:
     training_algorithm: Algorithm = "clipped_ppo"
     """How it was trained; the league trains by clipped PPO only."""
     neural_network: str = NETWORKS[0]
-    """Which of the original's networks; the league's own are chosen by its training settings."""
+    """Which of the original's networks; the league's training settings choose its own."""
     notes: tuple[str, ...] = ()
-    """What the league does otherwise than the file asks."""
+    """Differences between the file and what the league does."""
 
 
 class _Strict(BaseModel):
@@ -86,7 +88,7 @@ class _Lidar(_Strict):
 
 
 class _File(BaseModel):
-    # Other keys are let through: community tools write some of their own.
+    # Other keys are allowed: community tools write some of their own.
     model_config = ConfigDict(extra="ignore", frozen=True)
 
     action_space_type: Literal["discrete", "continuous"] = "discrete"
@@ -106,29 +108,25 @@ class _ContinuousFile(_File):
 
 
 def read(path: str | os.PathLike[str]) -> Metadata:
-    """Return what a model_metadata.json says.
+    """Return the content of a model_metadata.json.
 
     Raises:
         ConfigError: there is no such file, or it describes no model of the original.
     """
-    return parse(load(path, "model_metadata.json"), str(path))
+    return parse(load_json(path, "model_metadata.json"), str(path))
 
 
-def parse(given: Mapping[str, Any], name: str = "model_metadata") -> Metadata:
-    """Return what the content of a model_metadata.json says.
-
-    Args:
-        given: the file's object.
-        name: how to call it in an error message.
+def parse(content: Mapping[str, Any], name: str = "model_metadata") -> Metadata:
+    """Return the content of a model_metadata.json's object; errors begin with `name`.
 
     Raises:
         ConfigError: it describes no model of the original.
     """
-    kind = given.get("action_space_type", "discrete")
-    # Told which of the two is meant, pydantic complains about one and not about both.
-    ranges = isinstance(given.get("action_space"), Mapping)
+    kind = content.get("action_space_type", "discrete")
+    # One of the two models, because pydantic would complain about both members of a union.
+    ranges = isinstance(content.get("action_space"), Mapping)
     try:
-        file = (_ContinuousFile if ranges else _DiscreteFile).model_validate(dict(given))
+        file = (_ContinuousFile if ranges else _DiscreteFile).model_validate(dict(content))
     except ValidationError as error:
         raise ConfigError(f"{name}: {reason(error)}") from None
     try:
@@ -167,20 +165,20 @@ def _action_space(file: _DiscreteFile | _ContinuousFile, kind: str) -> ActionSpa
         raise ConfigError(
             "training_algorithm is sac with discrete actions: sac takes continuous ones"
         )
-    # The place in the list counts, as in the original; an index may stand beside it.
+    # The place in the list counts, as in the original, not the optional index.
     return DiscreteActions(
         tuple((one.steering_angle, _clipped(one.speed)) for one in file.action_space)
     )
 
 
 def _clipped(speed: float) -> float:
-    """Return a speed as the original drove it: models of 2019 ask for up to 8 m/s, and get 4."""
+    """Return a speed as the original drove it: models of 2019 have up to 8 m/s, and drove 4."""
     return MAX_SPEED if MAX_SPEED < speed <= _FASTEST_ASKED else speed
 
 
 def _notes(file: _DiscreteFile | _ContinuousFile) -> tuple[str, ...]:
-    asked = file.action_space
-    speeds = [one.speed for one in asked] if isinstance(asked, list) else [asked.speed.high]
+    space = file.action_space
+    speeds = [one.speed for one in space] if isinstance(space, list) else [space.speed.high]
     notes = []
     if file.training_algorithm == "sac":
         notes.append("asks for sac; the league trains by clipped PPO")
@@ -203,22 +201,22 @@ def _sensors(names: list[str], lidar: _Lidar | None) -> SensorConfig:
     return SensorConfig(camera=camera, lidar=_scan(lidars[0], lidar) if lidars else None)
 
 
-def _scan(name: str, wished: _Lidar | None) -> LidarConfig:
+def _scan(name: str, config: _Lidar | None) -> LidarConfig:
     if name == "LIDAR":
         return LidarConfig(max_range=_LIDAR_REACH)
     if name == "SECTOR_LIDAR":
         return LidarConfig(form="sectors")
-    wished = wished or _Lidar()
-    if wished.num_sectors not in _SECTORS:
+    config = config or _Lidar()
+    if config.num_sectors not in _SECTORS:
         raise ConfigError(
-            f"lidar_config.num_sectors is {wished.num_sectors}: give one of "
+            f"lidar_config.num_sectors is {config.num_sectors}: give one of "
             f"{', '.join(map(str, _SECTORS))}"
         )
     return LidarConfig(
         form="discretised",
-        sectors=wished.num_sectors,
-        bins=wished.num_values_per_sector,
-        clip=wished.clipping_dist,
+        sectors=config.num_sectors,
+        bins=config.num_values_per_sector,
+        clip=config.clipping_dist,
     )
 
 
@@ -226,13 +224,48 @@ def _version(file: _File) -> str:
     """Return the version; without one a file that names sensors is of version 2, else 1."""
     if file.version is None:
         return "1" if file.sensor is None else "2"
-    given = str(file.version).strip()
-    given = given[:-2] if given.endswith(".0") else given
-    return _one_of("version", given, VERSIONS)
+    return _one_of("version", str(file.version).strip().removesuffix(".0"), VERSIONS)
 
 
-def _one_of(what: str, given: str, known: tuple[str, ...]) -> str:
-    if given not in known:
-        near = nearest_names(given, list(known))
-        raise ConfigError(f"{what} is {brief(given)}; nearest: {near}")
-    return given
+def _one_of(what: str, value: str, known: tuple[str, ...]) -> str:
+    if value not in known:
+        near = nearest_names(value, list(known))
+        raise ConfigError(f"{what} is {brief(value)}; nearest: {near}")
+    return value
+
+
+def load_json(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
+    """Return the object in one of DeepRacer's JSON files, named by its kind in errors.
+
+    Raises:
+        ConfigError: there is no such file, or no JSON object in it.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise ConfigError(f"{path} is larger than 1 MB: that is no {kind}")
+        content = json.loads(path.read_text(encoding="utf-8-sig"))
+    except FileNotFoundError:
+        raise ConfigError(f"there is no file {path}: give the path of a {kind}") from None
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be read: {error.strerror}") from None
+    except (ValueError, RecursionError) as error:
+        message = str(error).splitlines()[0]
+        raise ConfigError(f"{path} is no JSON ({message}): give a {kind}") from None
+    if not isinstance(content, dict):
+        raise ConfigError(f"{path} holds {brief(content)}: a {kind} is one object, {{...}}")
+    return content
+
+
+def reason(error: ValidationError) -> str:
+    """Return pydantic's first complaint as one phrase."""
+    first = error.errors(include_url=False)[0]
+    where = ".".join(str(part)[:40] for part in first["loc"]) or "the file"
+    message = first["msg"].replace("\n", " ").removeprefix("Value error, ")[:200]
+    if first["type"] == "missing":
+        return f"{where} is missing: give it"
+    if first["type"] == "extra_forbidden":
+        return f"{where} is not known: omit it"
+    if first["type"] == "literal_error":
+        message = f"give {first['ctx']['expected']}".replace("'", "")
+    return f"{where} is {brief(first['input'])}: {message[0].lower()}{message[1:]}"

@@ -1,6 +1,6 @@
-"""Situations: what the worlds look like to reward functions, one dict of 27 keys for each row.
+"""The `params` of reward functions: one dict of 27 keys for each paid car.
 
-All rows are worked out by compiled code and handed out as plain Python: floats, bools, ints, lists.
+Compiled code computes all rows, which are then plain Python: floats, bools, ints, lists.
 docs/rewards.md says what each key means.
 """
 
@@ -8,16 +8,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from league.deepracer import params_kernels
-from league.deepracer.waypoints import Lines
 from league.errors import ConfigError
 from league.sim.config import CameraConfig, CarConfig, SimConfig
 from league.sim.world import World
-from league.track.track import TrackSet
+from league.track import check
+from league.track.track import Track, TrackSet
+
+WAYPOINT_SPACING = 0.15
+"""Wished distance between two waypoints [m]: the original's re:Invent 2018 has 119 on 17.7 m."""
 
 KEYS = (
     "all_wheels_on_track",
@@ -51,64 +55,57 @@ KEYS = (
 """Every key of `params`, by name."""
 
 Params = dict[str, object]
+Point = tuple[float, float]
 
 
 class Rows(NamedTuple):
-    """Some cars of some worlds, and what each is told."""
+    """The params of some cars of some worlds."""
 
     world: list[int]
     """World of each row."""
     car: list[int]
     """Car of each row."""
     params: list[Params]
-    """What each row's function is called with; nobody else holds any list in it."""
+    """Argument of each row's function; no two share a list."""
 
 
-class Situations:
-    """Makes each paid car's params; remembers when its episode began, and where.
+class ParamsBuilder:
+    """Makes each paid car's params; remembers when and where its episode began.
 
     An episode begins at a restart, and with each lap: then `steps` counts from 1 and `progress`
     from 0 again.
     """
 
     def __init__(self, sim: SimConfig, cars: Sequence[int]) -> None:
-        """Make the memory; `restart` fits it to the worlds.
-
-        Args:
-            sim: the world's settings.
-            cars: which cars are paid.
-        """
+        """Set up for the paid cars; `restart` fits the memory to the worlds."""
         self._step_dt, self._cars = sim.step_dt, tuple(cars)
         self._body = _body(sim.car, CameraConfig())
-        self._memory: np.ndarray | None = None
+        self.memory = np.zeros((0, 0), params_kernels.MEMORY)
+        """Episodes so far, MEMORY records (num_worlds, num_cars)."""
         self._to_note = False
-        self._known: TrackSet | None = None
+        self._tracks: TrackSet | None = None
 
     def restart(self, begun: np.ndarray) -> None:
         """Begin an episode for these cars, bool, (num_worlds, num_cars).
 
         Raises:
-            ConfigError: a paid car that is not there.
+            ConfigError: a paid car does not exist.
         """
-        if self._memory is None or self._memory.shape != begun.shape:
-            self._memory = self._begun(*begun.shape)
-        self._memory["steps"][begun] = 0
-        self._memory["fresh"][begun] = True
+        if self.memory.shape != begun.shape:
+            missing = [car for car in self._cars if not 0 <= car < begun.shape[1]]
+            if missing:
+                raise ConfigError(
+                    f"car {missing[0]} is to be paid: there are {begun.shape[1]} cars, from 0"
+                )
+            self.memory = np.zeros(begun.shape, params_kernels.MEMORY)
+            self.memory["paid"][:, list(self._cars)] = True
+            self.memory["fresh"] = True
+        self.memory["steps"][begun] = 0
+        self.memory["fresh"][begun] = True
         self._to_note = True
 
-    def _begun(self, num_worlds: int, num_cars: int) -> np.ndarray:
-        strangers = [car for car in self._cars if not 0 <= car < num_cars]
-        if strangers:
-            raise ConfigError(
-                f"car {strangers[0]} is to be paid: there are {num_cars} cars, from 0"
-            )
-        memory = np.zeros((num_worlds, num_cars), dtype=params_kernels.MEMORY)
-        memory["paid"][:, list(self._cars)] = True
-        memory["fresh"] = True
-        return memory
-
     def rows(self, tracks: TrackSet, before: World, world: World, verdicts: np.ndarray) -> Rows:
-        """Return what each paid car is told of a step; cars that stand a penalty are left out.
+        """Return the params of each paid car that stands no penalty and has not finished.
 
         Args:
             tracks: the courses.
@@ -116,32 +113,31 @@ class Situations:
             world: the worlds after it, before any penalty or restart moved a car.
             verdicts: VERDICT records of the step.
         """
-        if tracks is not self._known:
-            self._lines, self._known = Lines.of(tracks), tracks
-        memory, lines = self._memory, self._lines
-        assert memory is not None
-        known = (lines.rows, lines.measures, self._body, memory)
+        if tracks is not self._tracks:
+            self._roads, self._tracks = Roads.of(tracks), tracks
+        roads = self._roads
+        known = (tracks.points, tracks.courses, roads.records, self._body, self.memory)
         if self._to_note:
             self._to_note = params_kernels.note_starts(*known, before.cars, world.worlds)
-        own, others = params_kernels.tell(
-            *(*known, lines.places, before.cars, world.cars, world.obstacles, world.worlds),
+        own, objects = params_kernels.build(
+            *(*known, roads.places, before.cars, world.cars, world.obstacles, world.worlds),
             *(verdicts, self._step_dt),
         )
-        told = own.tolist()
+        rows = own.tolist()
         return Rows(
-            world=[int(row[params_kernels.WORLD]) for row in told],
-            car=[int(row[params_kernels.CAR]) for row in told],
-            params=[_params(lines, *row) for row in zip(told, others.tolist(), strict=True)],
+            world=[int(row[params_kernels.WORLD]) for row in rows],
+            car=[int(row[params_kernels.CAR]) for row in rows],
+            params=[_params(roads, *row) for row in zip(rows, objects.tolist(), strict=True)],
         )
 
 
-def _params(lines: Lines, own: list[float], others: list[list[float]]) -> Params:
-    """Return what a car is told: of itself, and of boxes, bots and other cars, in this order."""
-    # Unpacked in the order of telling's columns: looking each up by name takes twice as long.
+def _params(roads: Roads, own: list[float], objects: list[list[float]]) -> Params:
+    """Return the params of a car, from the columns and rows of `params_kernels.build`."""
+    # Unpacked in the order of the columns: looking each up by name takes twice as long.
     (_, _, steering, speed, x, y, heading, distance, projection, width, length, progress, sim_time,
      steps, is_left, all_on_road, none_on_road, crashed, track, behind, following, last_object,
      next_object, sees_next) = own  # fmt: skip
-    objects_s, from_center, headings, speeds, objects_x, objects_y, on_left = others
+    objects_s, from_center, headings, speeds, objects_x, objects_y, on_left = objects
     return {
         "all_wheels_on_track": all_on_road > 0,
         "closest_objects": [int(last_object), int(next_object)],
@@ -151,7 +147,7 @@ def _params(lines: Lines, own: list[float], others: list[list[float]]) -> Params
         "is_crashed": crashed > 0,
         "is_left_of_center": is_left > 0,
         "is_offtrack": none_on_road > 0,
-        "is_reversed": lines.clockwise[int(track)],
+        "is_reversed": roads.clockwise[int(track)],
         "object_in_camera": sees_next > 0,
         "objects_distance": objects_s,
         "objects_distance_from_center": from_center,
@@ -167,10 +163,67 @@ def _params(lines: Lines, own: list[float], others: list[list[float]]) -> Params
         "steps": int(steps),
         "track_length": length,
         "track_width": width,
-        "waypoints": lines.waypoints[int(track)][:],
+        "waypoints": roads.waypoints[int(track)][:],
         "x": x,
         "y": y,
     }
+
+
+@dataclass(frozen=True, eq=False)
+class Roads:
+    """A TrackSet as reward functions see it; arrays have one entry for each track.
+
+    A track's own waypoints are kept as they are; others are spaced evenly along the centreline.
+    """
+
+    records: np.ndarray
+    """ROAD of each track."""
+    places: np.ndarray
+    """How far along the lap waypoints lie [m], of one track with its own after another; see
+    `check.waypoint_places`."""
+    clockwise: list[bool]
+    """Whether each is driven clockwise."""
+    waypoints: tuple[list[Point], ...]
+    """Each track's, in driving order; closed tracks repeat the first point as the last. A reward
+    function gets a copy of the list; its points are tuples, which it cannot change."""
+
+    @classmethod
+    def of(cls, tracks: TrackSet) -> Roads:
+        """Make the tables."""
+        records = np.zeros(len(tracks.courses), dtype=params_kernels.ROAD)
+        for name in ("length", "closed"):
+            records[name] = tracks.courses[name]
+        records["lap"] = tracks.lap_length(np.arange(len(records)))
+        records["steps"] = [_steps(track) for track in tracks.tracks]
+        places = [
+            np.empty(0) if track.waypoints is None else check.waypoint_places(track)
+            for track in tracks.tracks
+        ]
+        count = np.array([len(each) for each in places])
+        records["first_place"] = np.where(count > 0, np.cumsum(count) - count, -1)
+        return cls(
+            records=records,
+            places=np.concatenate(places),
+            clockwise=[track.direction == "clockwise" for track in tracks.tracks],
+            waypoints=tuple(_waypoints(track) for track in tracks.tracks),
+        )
+
+
+def _steps(track: Track) -> int:
+    if track.waypoints is not None:
+        return len(track.waypoints) - 1
+    return max(round(track.length / WAYPOINT_SPACING), 3)
+
+
+def _waypoints(track: Track) -> list[Point]:
+    if track.waypoints is not None:
+        return [(x, y) for x, y in track.waypoints.tolist()]
+    points = np.vstack([track.center, track.center[:1]]) if track.closed else track.center
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    places = np.linspace(0.0, along[-1], _steps(track) + 1)
+    x, y = (np.interp(places, along, points[:, axis]).tolist() for axis in (0, 1))
+    line = list(zip(x, y, strict=True))
+    return [*line[:-1], line[0]] if track.closed else line
 
 
 def _body(car: CarConfig, camera: CameraConfig) -> np.ndarray:

@@ -1,35 +1,42 @@
-"""Scoring a recorded race with any reward: the worlds and verdicts of a replay, told again.
+"""Scoring a recorded race with any reward: its worlds and verdicts rebuilt from the replay.
 
 A replay keeps where everything was after penalties were applied, and all events. So a car that
-crashed is looked at where it was one step earlier, for it has been moved since; all else is as it
-was told in the race, up to the rounding of the file.
+crashed is taken from one step earlier, because it has been moved since; all else is as it was in
+the race, up to the rounding of the file.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from league.envs.race_env import decode
+from league.atomic_file import replacing
+from league.envs.actions import decode
 from league.envs.rewards import Reward
+from league.errors import ReplayError
 from league.race_spec import EventKind
 from league.replay import Replay
 from league.sim.records import NOBODY, VERDICT
 from league.sim.world import World
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 
 @dataclass(frozen=True)
 class Score:
-    """What a reward pays for a recorded race."""
+    """The rewards of a recorded race."""
 
     name: str
-    """What the reward is called."""
+    """Name of the reward."""
     rewards: np.ndarray
     """For each step and car, (num_steps, num_cars); 0 after a car's finish."""
     raced: np.ndarray
-    """Steps each car raced before it was home, int64, (num_cars,)."""
+    """Steps each car raced before its finish, int64, (num_cars,)."""
 
     @property
     def totals(self) -> np.ndarray:
@@ -38,51 +45,42 @@ class Score:
 
 
 def score(replay: Replay, reward: Reward, name: str) -> Score:
-    """Return what a reward pays each car for each step of a recorded race.
-
-    Args:
-        replay: the race.
-        reward: what pays; it should pay all cars.
-        name: what it is called.
+    """Return what a reward, which should pay all cars, gives each car for each recorded step.
 
     Raises:
         RewardError: a user's function fails.
     """
-    paid = []
-    home = _happened(replay, "finish").cumsum(axis=0) > 0
-    raced = np.where(home.any(axis=0), home.argmax(axis=0), replay.num_frames - 1)
+    finished = _happened(replay, "finish").cumsum(axis=0) > 0
+    raced = np.where(finished.any(axis=0), finished.argmax(axis=0), replay.num_frames - 1)
+    steps = []
     for number, (before, world, actions, verdicts) in enumerate(_steps(replay)):
         if number == 0:
             reward.restart(before, np.ones(before.cars.shape, np.bool_))
-        earned, _ = reward(replay.tracks, before, world, actions, verdicts)
-        paid.append(earned[0].copy())
-    rewards = np.array(paid, dtype=np.float64).reshape(-1, replay.num_cars)
+        step, _ = reward(replay.tracks, before, world, actions, verdicts)
+        steps.append(step[0].copy())
+    rewards = np.array(steps, dtype=np.float64).reshape(-1, replay.num_cars)
     rewards[np.arange(len(rewards))[:, None] >= raced] = 0.0
     return Score(name=name, rewards=rewards, raced=raced)
 
 
 def _steps(replay: Replay) -> Iterator[tuple[World, World, np.ndarray, np.ndarray]]:
-    frames = _completed(replay)
+    """Yield the arguments of a reward for each step, with what a replay does not keep computed."""
+    frames = replay.worlds()
+    boxes = frames.obstacles
+    place = replay.tracks.project(frames.track, boxes["x"], boxes["y"])
+    boxes["s"], boxes["lateral"] = place.s, place.lateral
+    finished = _happened(replay, "finish").cumsum(axis=0) > 0
+    frames.cars["finish_s"] = np.where(finished, 0.0, np.inf)
     actions = replay.columns.actions.astype(np.float32).clip(-1.0, 1.0)
     verdicts = _verdicts(replay)
     for frame in range(1, replay.num_frames):
-        seen, world = verdicts[frame : frame + 1], frames.row(frame).copy()
-        before, asked = frames.row(frame - 1), actions[frame : frame + 1]
-        world.cars[seen["crashed"]] = before.cars[seen["crashed"]]
-        steering, speed = decode(replay.sim, asked)
+        verdict, action = verdicts[frame : frame + 1], actions[frame : frame + 1]
+        before, world = frames.row(frame - 1), frames.row(frame).copy()
+        crashed = verdict["crashed"]
+        world.cars[crashed] = before.cars[crashed]
+        steering, speed = decode(action, replay.sim.car)
         world.cars["target_steering"], world.cars["target_speed"] = steering, speed
-        yield before, world, asked, seen
-
-
-def _completed(replay: Replay) -> World:
-    """Return all frames as a batch of worlds, with what a replay does not keep worked out."""
-    worlds = replay.worlds()
-    things = worlds.obstacles
-    place = replay.tracks.project(worlds.track, things["x"], things["y"])
-    things["s"], things["lateral"] = place.s, place.lateral
-    home = _happened(replay, "finish").cumsum(axis=0) > 0
-    worlds.cars["finish_s"] = np.where(home, 0.0, np.inf)
-    return worlds
+        yield before, world, action, verdict
 
 
 _FLAGS: dict[str, EventKind] = {
@@ -95,45 +93,117 @@ _FLAGS: dict[str, EventKind] = {
     "finished": "finish",
     "released": "put_back",
 }
-"""Flags of a verdict and the events that tell of them."""
+"""Flags of a verdict and their events."""
 
 
 def _verdicts(replay: Replay) -> np.ndarray:
-    """Return what the referee found in each frame; the first, on the grid, is empty.
+    """Return the VERDICT records of each frame; the first, on the grid, is empty.
 
-    A record does not tell how far a car came in the step in which it crashed: that step counts as
-    none, so a built-in reward's gains on it and by it there differ from what the race paid.
+    A record does not say how far a car came in the step in which it crashed: that step counts as
+    none, so a built-in reward's gains on it and by it there differ from those of the race.
     """
-    found = np.zeros((replay.num_frames, replay.num_cars), VERDICT)
-    found["crashed_car"] = found["crashed_obstacle"] = NOBODY
+    verdicts = np.zeros((replay.num_frames, replay.num_cars), VERDICT)
+    verdicts["crashed_car"] = verdicts["crashed_obstacle"] = NOBODY
     for event in replay.result.events:
-        seen = found[_frame(replay, event.time_s), event.car]
+        verdict = verdicts[_frame(replay, event.time_s), event.car]
         if event.kind == "crash":
-            seen["crashed_car"] = NOBODY if event.other is None else event.other
+            verdict["crashed_car"] = NOBODY if event.other is None else event.other
         if event.kind == "obstacle_contact":
-            seen["crashed_obstacle"] = NOBODY if event.other is None else event.other
+            verdict["crashed_obstacle"] = NOBODY if event.other is None else event.other
         if event.kind == "overtake" and event.other is not None:
-            seen["overtook"] |= 1 << event.other
+            verdict["overtook"] |= 1 << event.other
     for flag, kind in _FLAGS.items():
-        found[flag] = _happened(replay, kind)
-    found["lead_changed"] = _happened(replay, "lead_change").any(axis=1, keepdims=True)
-    found["crashed"] = (found["crashed_car"] != NOBODY) | (found["crashed_obstacle"] != NOBODY)
+        verdicts[flag] = _happened(replay, kind)
+    verdicts["lead_changed"] = _happened(replay, "lead_change").any(axis=1, keepdims=True)
+    verdicts["crashed"] = (verdicts["crashed_car"] != NOBODY) | (
+        verdicts["crashed_obstacle"] != NOBODY
+    )
     for flag in ("off_track", "crashed", "immobilised", "reversed"):
-        found["mistake"] |= found[flag]
+        verdicts["mistake"] |= verdicts[flag]
     standing = replay.columns.penalty_s > 0
     was_standing = np.concatenate([np.zeros_like(standing[:1]), standing[:-1]])
     moved = np.diff(replay.columns.distance, axis=0, prepend=replay.columns.distance[:1])
-    found["advance"] = np.where(found["crashed"] | was_standing, 0.0, moved)
-    return found
+    verdicts["advance"] = np.where(verdicts["crashed"] | was_standing, 0.0, moved)
+    return verdicts
 
 
 def _happened(replay: Replay, kind: EventKind) -> np.ndarray:
-    found = np.zeros((replay.num_frames, replay.num_cars), np.bool_)
+    """Return in which frames an event of a kind happened to which car, bool."""
+    flags = np.zeros((replay.num_frames, replay.num_cars), np.bool_)
     for event in replay.result.events:
         if event.kind == kind:
-            found[_frame(replay, event.time_s), event.car] = True
-    return found
+            flags[_frame(replay, event.time_s), event.car] = True
+    return flags
 
 
 def _frame(replay: Replay, time_s: float) -> int:
     return min(round(time_s * replay.step_hz), replay.num_frames - 1)
+
+
+_INK, _FAINT = "#1f2933", "#d9dee4"
+_SMOOTHED_S = 1.0
+"""Width of the running mean drawn over each step's reward [s]."""
+
+
+def draw(replay: Replay, scores: Sequence[Score], path: Path) -> None:
+    """Write a PNG with a column for each score: its reward by step above, the sum so far below.
+
+    Raises:
+        ReplayError: the file cannot be written.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.4 * len(scores), 7.2), dpi=120, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(2, len(scores), sharex=True, squeeze=False)
+    for column, score in enumerate(scores):
+        top, bottom = axes[0, column], axes[1, column]
+        for car, name in enumerate(replay.names):
+            rewards = score.rewards[: score.raced[car], car]
+            times, sums = replay.times_s[1 : 1 + len(rewards)], rewards.cumsum()
+            smooth = _running_mean(rewards, round(_SMOOTHED_S * replay.step_hz))
+            top.plot(times, rewards, color=f"C{car}", alpha=0.22, linewidth=0.7)
+            top.plot(times, smooth, color=f"C{car}", linewidth=1.8)
+            label = f"{name}   {score.totals[car]:+,.1f}"
+            bottom.plot(times, sums, color=f"C{car}", linewidth=2.0, label=label)
+            # A dashed stretch is a penalty, which begins at a dot.
+            standing = replay.columns.penalty_s[1 : 1 + len(rewards), car] > 0
+            begins = standing & ~np.concatenate([[False], standing[:-1]])
+            bottom.plot(
+                times, np.where(standing, sums, np.nan), color="white", lw=2.2, ls=(0, (2, 2))
+            )
+            bottom.plot(times[begins], sums[begins], "o", color=f"C{car}", markersize=5)
+        top.set_title(score.name, loc="left", fontsize=13, fontweight="bold", color=_INK, pad=10)
+        top.set_ylabel("reward of a step\n(thick: mean over 1 s)", color=_INK)
+        bottom.set_ylabel("sum so far", color=_INK)
+        bottom.set_xlabel("race time [s]", color=_INK)
+        bottom.legend(loc="upper left", frameon=False, title="total", alignment="left")
+        for axis in (top, bottom):
+            _style(axis)
+            axis.set_xlim(0.0, max(replay.duration_s, 1e-3))
+    spec = replay.spec
+    laps = "1 lap" if spec.laps == 1 else f"{spec.laps} laps"
+    title = f"{spec.kind.replace('_', ' ')} on {spec.track}, {laps}"
+    note = "dots: a penalty begins, its stretch is dashed"
+    figure.suptitle(f"{title}   ·   {note}", x=0.01, ha="left", fontsize=10, color="#6b7280")
+    with replacing(path, "the picture", ReplayError) as out:
+        figure.savefig(out, format="png")
+
+
+def _running_mean(values: np.ndarray, width: int) -> np.ndarray:
+    """Return the mean over a window centred on each step, shorter at the ends."""
+    window = np.ones(min(max(width, 1), max(len(values), 1)))
+    if not len(values):
+        return values
+    sums = np.convolve(values, window, "same")
+    return sums / np.convolve(np.ones_like(values), window, "same")
+
+
+def _style(axis: Axes) -> None:
+    axis.grid(True, color=_FAINT, linewidth=0.7)
+    axis.set_axisbelow(True)
+    axis.tick_params(colors=_INK, length=0)
+    for side, spine in axis.spines.items():
+        spine.set_visible(side == "bottom")
+        spine.set_color(_FAINT)

@@ -1,7 +1,7 @@
-"""A user's reward file: read, compiled once, and run in a module of its own for each car.
+"""A user's DeepRacer reward file: read, compiled once, and run in a module for each paid car.
 
 It is the user's own program on the user's own machine, as `python file.py` would be; the league
-never runs anybody else's.
+never runs files of others.
 """
 
 from __future__ import annotations
@@ -19,14 +19,19 @@ import tokenize
 import traceback
 import weakref
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import CodeType, ModuleType, TracebackType
+from types import CodeType, ModuleType
 
-from league.deepracer.params import KEYS
-from league.deepracer.watchdog import NOT_ITS_OWN
+import numpy as np
+
+from league.deepracer.params import KEYS, Params, ParamsBuilder
+from league.deepracer.watchdog import NOT_ITS_OWN, TIME_LIMIT_S, Watchdog
 from league.errors import RewardError, brief, nearest_names
+from league.sim.config import SimConfig
+from league.sim.world import World
+from league.track.track import TrackSet
 
 NAME = "reward_function"
 LIMIT = 1e5
@@ -38,23 +43,24 @@ KEPT_LINES = 200
 _LONGEST_LINE = 2000
 """Characters kept of a printed line."""
 
+TERM = "user"
+"""Name under which the reward is logged."""
+
 Function = Callable[[dict], object]
 
-_NUMBERS = itertools.count()
-"""One for each module that is made of a file."""
+_MODULE_NUMBERS = itertools.count()
 
 
 class Prints:
-    """What a file has printed: its last lines."""
+    """The last lines that a file has printed."""
 
     def __init__(self) -> None:
-        """Begin with nothing."""
         self._lines: deque[str] = deque(maxlen=KEPT_LINES)
         self._begun = ""
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """The last lines, one that has not ended yet too."""
+        """The last lines, including one that has not ended yet."""
         return (*self._lines, *([self._begun] if self._begun else []))
 
     def keep(
@@ -65,7 +71,7 @@ class Prints:
         file: object = None,
         flush: bool = False,
     ) -> None:
-        """Take the place of `print`; what goes into a file of the user's own goes there."""
+        """Replace `print`; output to a file of the user's own still goes there."""
         text = (" " if sep is None else sep).join(map(str, values))
         text += "\n" if end is None else end
         if file is not None and file not in (sys.stdout, sys.stderr):
@@ -77,26 +83,26 @@ class Prints:
 
 
 @dataclass(frozen=True, eq=False)
-class Source:
+class RewardFile:
     """A reward file, compiled."""
 
     path: Path
     """Where it was read from."""
     text: str
-    """What it says."""
+    """Its content."""
     digest: str
     """SHA-256 of the file, hexadecimal."""
     code: CodeType
-    """What is run for each car."""
+    """Run once for each car."""
     prints: Prints = field(default_factory=Prints)
-    """What it has printed."""
+    """The last lines it has printed."""
 
     @classmethod
-    def read(cls, path: str | os.PathLike[str]) -> Source:
+    def read(cls, path: str | os.PathLike[str]) -> RewardFile:
         """Read and compile a file.
 
         Raises:
-            RewardError: there is no such file, it is too long, no text, or no Python.
+            RewardError: there is no such file, or it is too long, not text, or not Python.
         """
         path = Path(path)
         content, text = _text(path)
@@ -105,7 +111,7 @@ class Source:
         except SyntaxError as error:
             raise RewardError(
                 f"{path}, line {error.lineno or 1}: this is not Python ({error.msg}): "
-                "mend the line and try again"
+                "correct the line and try again"
             ) from error
         except (ValueError, RecursionError, MemoryError) as error:
             raise RewardError(f"{path} cannot be compiled: {error}") from error
@@ -117,10 +123,10 @@ class Source:
         Raises:
             RewardError: the file fails, or has no function of one parameter.
         """
-        module = ModuleType(f"{NAME}_{next(_NUMBERS)}")
+        module = ModuleType(f"{NAME}_{next(_MODULE_NUMBERS)}")
         module.__file__ = str(self.path)
         vars(module)["print"] = self.prints.keep
-        # What a file defines may look itself up by its module's name: dataclasses and pickle do.
+        # Dataclasses and pickle look classes up by their module's name.
         sys.modules[module.__name__] = module
         weakref.finalize(self, sys.modules.pop, module.__name__, None)
         try:
@@ -134,10 +140,13 @@ class Source:
     def failed(
         self, error: BaseException, when: str, params: Mapping[str, object] | None = None
     ) -> RewardError:
-        """Return what to tell of an exception in the user's code: file, line, and one sentence."""
-        line = line_of(error.__traceback__, str(self.path)) or 1
-        said = " ".join(str(error).split())[:200]
-        what = type(error).__name__ + (f": {said}" if said else "")
+        """Return the error for an exception in the user's code: file, line, and one sentence."""
+        line = 1
+        for frame, number in traceback.walk_tb(error.__traceback__):
+            if frame.f_code.co_filename == str(self.path):
+                line = number
+        message = " ".join(str(error).split())[:200]
+        what = type(error).__name__ + (f": {message}" if message else "")
         hint = self._hint(error, line, params)
         return RewardError(f"{self.path}, line {line}: {what} ({when}){hint}")
 
@@ -156,39 +165,41 @@ class Source:
         if -LIMIT <= number <= LIMIT:
             return number
         raise RewardError(
-            f"{self.path}, line {self._answering(function)}: {NAME} returned {brief(value)} "
+            f"{self.path}, line {self._line_of(function)}: {NAME} returned {brief(value)} "
             f"({when}): return a number from -1e5 to 1e5"
         )
 
-    def _answering(self, function: Function) -> int:
+    def _line_of(self, function: object) -> int:
         """Return the line of a function's only `return`, or its first line if there are several."""
         called = vars(type(function)).get("__call__")  # of an object that is called
         code = getattr(function, "__code__", None) or getattr(called, "__code__", None)
         if code is None or code.co_filename != str(self.path):
             return 1
-        answers = [
+        returns = [
             inner.lineno
             for node in ast.walk(ast.parse(self.text))
             if isinstance(node, ast.FunctionDef) and node.name == code.co_name
             for inner in ast.walk(node)
             if isinstance(inner, ast.Return)
         ]
-        return answers[0] if len(answers) == 1 else code.co_firstlineno
+        return returns[0] if len(returns) == 1 else code.co_firstlineno
 
     def _hint(self, error: BaseException, line: int, params: Mapping[str, object] | None) -> str:
-        """Return what usually mends this, or nothing."""
-        said = self.text.splitlines()[line - 1] if params is not None else ""
-        if isinstance(error, KeyError) and error.args and isinstance(error.args[0], str):
-            key, taken = error.args[0], re.search(rf"def {NAME}\(\s*(\w+)", self.text)
-            if key not in KEYS and (taken[1] if taken else "params") in said:
-                return f": params has no such key; nearest: {nearest_names(key, list(KEYS))}"
-        alone = params is not None and not params.get("objects_location")
-        if isinstance(error, IndexError) and alone and "object" in said:
-            return ": the objects_* lists are empty when there is nothing else on the track"
+        """Return the usual remedy for this error, or nothing."""
         if isinstance(error, ModuleNotFoundError) and error.name:
             if (self.path.parent / f"{error.name}.py").exists():
                 return f": a reward file stands alone, so move into it what {error.name}.py holds"
             return f": install {error.name} or do without it"
+        if params is None:
+            return ""
+        text = self.text.splitlines()[line - 1]
+        if isinstance(error, KeyError) and error.args and isinstance(error.args[0], str):
+            key, parameter = error.args[0], re.search(rf"def {NAME}\(\s*(\w+)", self.text)
+            if key not in KEYS and (parameter[1] if parameter else "params") in text:
+                return f": params has no such key; nearest: {nearest_names(key, list(KEYS))}"
+        alone = not params.get("objects_location")
+        if isinstance(error, IndexError) and alone and "object" in text:
+            return ": the objects_* lists are empty when there is nothing else on the track"
         return ""
 
     def _checked(self, function: object) -> Function:
@@ -218,22 +229,13 @@ class Source:
         return function
 
 
-def line_of(trace: TracebackType | None, path: str) -> int | None:
-    """Return the line of the user's file that a traceback came through last."""
-    found = None
-    for frame, line in traceback.walk_tb(trace):
-        if frame.f_code.co_filename == path:
-            found = line
-    return found
-
-
 def _text(path: Path) -> tuple[bytes, str]:
-    """Return a file's bytes, and what they say in the encoding that its first lines name."""
+    """Return a file's bytes, and its text in the encoding that its first lines name."""
     try:
         with path.open("rb") as file:
             content = file.read(4 * MAX_CHARACTERS + 1)  # a pipe may never end
         if len(content) > 4 * MAX_CHARACTERS:
-            raise RewardError(_too_long(path, "more than 500,000"))
+            raise _too_long(path, "more than 500,000")
         encoding, _ = tokenize.detect_encoding(io.BytesIO(content).readline)
         text = io.TextIOWrapper(io.BytesIO(content), encoding).read()
     except FileNotFoundError:
@@ -241,13 +243,123 @@ def _text(path: Path) -> tuple[bytes, str]:
             f"there is no reward file {path}: give the path of a Python file that defines {NAME}"
         ) from None
     except (UnicodeDecodeError, SyntaxError) as error:
-        raise RewardError(f"{path} is no UTF-8 text: give a Python file") from error
+        raise RewardError(f"{path} is not UTF-8 text: give a Python file") from error
     except OSError as error:
         raise RewardError(f"{path} cannot be read: {error.strerror}") from error
     if len(text) > MAX_CHARACTERS:
-        raise RewardError(_too_long(path, f"{len(text):,}"))
+        raise _too_long(path, f"{len(text):,}")
     return content, text
 
 
-def _too_long(path: Path, given: str) -> str:
-    return f"{path} has {given} characters: a reward file has at most {MAX_CHARACTERS:,}"
+def _too_long(path: Path, count: str) -> RewardError:
+    return RewardError(
+        f"{path} has {count} characters: a reward file has at most {MAX_CHARACTERS:,}"
+    )
+
+
+class UserReward:
+    """Calls `reward_function(params)` for each paid car and step, each car in its own module.
+
+    A car that stands a penalty or has finished is paid 0, and its function is not called.
+    """
+
+    terms = (TERM,)
+
+    def __init__(
+        self,
+        source: RewardFile,
+        sim: SimConfig,
+        num_worlds: int,
+        cars: Sequence[int],
+        *,
+        time_limit_s: float = TIME_LIMIT_S,
+    ) -> None:
+        """Run the file once for each paid car.
+
+        Args:
+            source: the file.
+            sim: the world's settings.
+            num_worlds: races in the batch.
+            cars: the paid cars.
+            time_limit_s: longest time of a call [s].
+
+        Raises:
+            RewardError: the file fails, or takes too long.
+        """
+        self.source, self.cars = source, tuple(cars)
+        self._builder = ParamsBuilder(sim, cars)
+        self._watchdog = Watchdog(str(source.path), time_limit_s)
+        self._functions: dict[tuple[int, int], Function] = {}
+        with self._watchdog as watchdog:
+            for world in range(num_worlds):
+                for car in cars:
+                    watchdog.calls += 1
+                    self._functions[world, car] = source.instance()
+
+    @property
+    def printed(self) -> tuple[str, ...]:
+        """The last lines that the file has printed."""
+        return self.source.prints.lines
+
+    def restart(self, world: World, begun: np.ndarray) -> None:
+        """Begin an episode for these cars; their modules keep their state."""
+        self._builder.restart(begun)
+
+    def __call__(
+        self,
+        tracks: TrackSet,
+        before: World,
+        world: World,
+        actions: np.ndarray,
+        verdicts: np.ndarray,
+    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Return each car's reward, (num_worlds, num_cars), and its only term; see Reward.
+
+        Raises:
+            RewardError: the user's code fails, takes too long, or returns no number from -1e5 to
+                1e5.
+        """
+        rows = self._builder.rows(tracks, before, world, verdicts)
+        rewards = np.zeros(verdicts.shape, dtype=np.float32)
+        with self._watchdog as watchdog:
+            for place, car, params in zip(rows.world, rows.car, rows.params, strict=True):
+                watchdog.calls += 1
+                rewards[place, car] = self._call(place, car, params)
+        return rewards, {TERM: rewards}
+
+    def _call(self, world: int, car: int, params: Params) -> float:
+        function, steps = self._functions[world, car], params["steps"]
+        try:
+            value = function(params)
+        except NOT_ITS_OWN:
+            raise
+        except BaseException as error:
+            raise self.source.failed(error, _when(world, car, steps), params) from error
+        if type(value) is float and -LIMIT <= value <= LIMIT:
+            return value
+        return self.source.number(function, value, _when(world, car, steps))
+
+
+def _when(world: int, car: int, steps: object) -> str:
+    return f"car {car} of world {world}, steps {steps}"
+
+
+def user_reward(
+    path: str | os.PathLike[str],
+    num_worlds: int,
+    cars: Sequence[int] = (0,),
+    *,
+    sim: SimConfig | None = None,
+) -> UserReward:
+    """Return the reward of a DeepRacer reward file.
+
+    Args:
+        path: a Python file that defines `reward_function(params)`.
+        num_worlds: races in the batch.
+        cars: the paid cars; all others get 0.
+        sim: the world's settings, as of the RaceEnv; None: the usual car, 15 steps per second.
+
+    Raises:
+        RewardError: the file cannot be read, is not Python, fails, or has no such function.
+    """
+    return UserReward(RewardFile.read(path), sim or SimConfig(), num_worlds, cars)

@@ -1,4 +1,4 @@
-"""Ends a user's code that does not come back, and tells on which line it was."""
+"""Ends calls of a user's code that take too long, and reports the line on which they were."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from league.errors import RewardError
 TIME_LIMIT_S = 20.0
 """Longest call while a car learns or a race is scored [s]: the first may load a large library."""
 _LOOKS = 10
-"""Looks at a call within its time. Looks are counted and not seconds, because a machine that sleeps
-or a program that was stopped by its terminal takes none."""
+"""Looks at a call within its time limit. Looks are counted instead of seconds, because a machine
+that sleeps or a program that its terminal has stopped takes none."""
 
 
 class Stopped(BaseException):
@@ -22,23 +22,17 @@ class Stopped(BaseException):
 
 
 NOT_ITS_OWN = (KeyboardInterrupt, Stopped)
-"""What may come out of the user's code without being its fault."""
+"""Exceptions that leave the user's code without being its fault."""
 
 
 class Watchdog:
     """Watches the calls that are made inside its `with`; count each in `calls`.
 
     A loop in Python ends at its next line, with a RewardError. One inside a C library, or one that
-    catches whatever is thrown, goes on until the program is ended.
+    catches every exception, goes on until the program ends.
     """
 
     def __init__(self, path: str, time_limit_s: float = TIME_LIMIT_S) -> None:
-        """Watch nothing yet.
-
-        Args:
-            path: the user's file, as its code names it.
-            time_limit_s: longest time of a call [s].
-        """
         self.calls = 0
         self._path, self._limit_s = path, time_limit_s
         self._lock, self._begun = threading.Lock(), False
@@ -46,8 +40,8 @@ class Watchdog:
         self._error: RewardError | None = None
         self._seen = self._looks = 0
 
-    # A batch of one call is paid for by what these two take, so they take no lock. Either the one
-    # that leaves sees the error, or `look` sees that it has left: each writes before it reads.
+    # These two dominate the cost of a single call, so they take no lock. Either __exit__ sees the
+    # error, or `look` sees that the call has ended: each writes before it reads.
 
     def __enter__(self) -> Watchdog:
         """Watch this thread from now on."""
@@ -63,13 +57,13 @@ class Watchdog:
         """Watch no longer.
 
         Raises:
-            RewardError: a call did not come back.
+            RewardError: a call took too long.
         """
         try:
             self._busy = False
             if self._error is not None:
                 self._settle()
-        except Stopped:  # thrown as the call came back
+        except Stopped:  # thrown as the call returned
             self._settle()
 
     def look(self) -> None:
@@ -90,21 +84,21 @@ class Watchdog:
     def _begin(self) -> None:
         self._begun, over = True, threading.Event()
         weakref.finalize(self, over.set)
-        told = (weakref.ref(self), over, self._limit_s / _LOOKS)
-        threading.Thread(target=_watch, args=told, daemon=True, name="watchdog").start()
+        arguments = (weakref.ref(self), over, self._limit_s / _LOOKS)
+        threading.Thread(target=_watch, args=arguments, daemon=True, name="watchdog").start()
 
     def _settle(self) -> None:
         with self._lock:
             error, self._error = self._error, None
-            # The call may have come back just before it was to end.
+            # The call may have returned just before it was to end.
             _throw(self._thread, None)
         if error is not None:
             raise error
 
 
-def _watch(whose: weakref.ref[Watchdog], over: threading.Event, pause_s: float) -> None:
+def _watch(reference: weakref.ref[Watchdog], over: threading.Event, pause_s: float) -> None:
     while not over.wait(pause_s):
-        watchdog = whose()
+        watchdog = reference()
         if watchdog is None:
             return
         watchdog.look()
@@ -112,14 +106,14 @@ def _watch(whose: weakref.ref[Watchdog], over: threading.Event, pause_s: float) 
 
 
 def stuck(path: str, thread: int, limit_s: float) -> RewardError:
-    """Return what to tell of a thread that is still in a call of the user's file."""
+    """Return the error for a thread that is still in a call of the user's file."""
     frame, line = sys._current_frames().get(thread), None
     while frame is not None and line is None:
         if frame.f_code.co_filename == path:
             line = frame.f_lineno
         frame = frame.f_back
     return RewardError(
-        f"{path}, line {line or 1}: still running after {limit_s:g} s: a call must come back at "
+        f"{path}, line {line or 1}: still running after {limit_s:g} s: a call must return at "
         "once, look for a loop that does not end"
     )
 
@@ -130,7 +124,7 @@ def end(thread: int) -> None:
 
 
 def is_debugged(thread: int) -> bool:
-    """Return whether somebody steps through what the thread does."""
+    """Return whether a debugger steps through the thread."""
     frame = sys._current_frames().get(thread)
     while frame is not None:
         if frame.f_globals.get("__name__") == "bdb":
@@ -139,6 +133,6 @@ def is_debugged(thread: int) -> bool:
     return False
 
 
-def _throw(thread: int | None, what: type[BaseException] | None) -> None:
-    given = None if what is None else ctypes.py_object(what)
-    ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread or 0), given)
+def _throw(thread: int, error: type[BaseException] | None) -> None:
+    thrown = None if error is None else ctypes.py_object(error)
+    ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), thrown)

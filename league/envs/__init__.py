@@ -1,4 +1,4 @@
-"""The learning problem, and its doors: PettingZoo, Gymnasium, rsl-rl."""
+"""The learning problem, and its adapters to PettingZoo, Gymnasium and rsl-rl."""
 
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,7 @@ register()
 
 
 def __getattr__(name: str) -> object:
-    """Open a door on first use, so that nobody waits for a neighbour that is not needed."""
+    """Import an adapter on first use, without the libraries of the others."""
     if name == "parallel_env":
         from league.envs.adapters.parallel_env import parallel_env
 

@@ -1,9 +1,8 @@
-"""Settings of the learning problem: the world, who sees what, what is rewarded, when it ends."""
+"""Settings of the learning problem: world, sensors, reward, episodes, opponents' placement."""
 
 from dataclasses import dataclass, field, fields
 from typing import Literal
 
-from league.envs.encounters import Meeting
 from league.errors import ConfigError
 from league.sim.config import LookConfig, SensorConfig, SimConfig, SolverName
 from league.sim.validation import check, ranged
@@ -44,13 +43,55 @@ class RewardConfig:
 
 
 @dataclass(frozen=True)
+class OpponentPlacement:
+    """How the other cars are placed around car 0, the learner, in training.
+
+    When an episode of car 0 begins, so do those of all others: near it, on the starting grid, or
+    out of the world, where no camera sees them. A car that ends its own episode, or that is left
+    behind, begins its next one near car 0, which drives on.
+    """
+
+    alone: float = ranged(0.2, 0.0, 1.0)
+    """Share of car 0's episodes that it drives alone."""
+    standing: float = ranged(0.35, 0.0, 1.0)
+    """Share that begins at rest on the starting grid, in any slot."""
+    rolling: float = ranged(0.9, 0.0, 1.0)
+    """Share of the rest that begins at speed; the others at rest."""
+    reach: float = ranged(1.5, 0.5, 1000.0)
+    """Largest distance of the others ahead of or behind car 0, along the track [m]."""
+    ahead: float = ranged(0.8, 0.0, 1.0)
+    """Share of those places that lie ahead: a car in the way teaches more."""
+    room: float = ranged(0.6, 0.5, 1000.0)
+    """Least distance to car 0 of a car that joins while car 0 is driving [m]."""
+    lost: float = ranged(2.5, 0.5, 1000.0)
+    """A car farther away than this along the track is placed near car 0 again [m]."""
+    top_speed: float = ranged(3.5, 0.0, 12.0)
+    """Fastest rolling start [m/s]; before bends it is what the grip allows."""
+    pace: float = ranged(0.15, 0.0, 0.5)
+    """Share by which each car's speed differs at a rolling start."""
+
+    def __post_init__(self) -> None:
+        check(self, "placement")
+        if self.alone + self.standing > 1:
+            raise ConfigError(
+                f"placement alone and standing are {self.alone} and {self.standing}: "
+                "give shares whose sum is at most 1"
+            )
+        if not self.room < self.reach < self.lost:
+            raise ConfigError(
+                f"placement room, reach and lost are {self.room}, {self.reach} and {self.lost}: "
+                "give metres that grow"
+            )
+
+
+@dataclass(frozen=True)
 class EnvConfig:
     """Everything a RaceEnv needs but its tracks and its seed."""
 
     sim: SimConfig = field(default_factory=SimConfig)
     """The world."""
     solver: SolverName = "planar"
-    """Who integrates it."""
+    """Physics: rigid bodies (bullet) or motion in the plane (planar)."""
     sensors: tuple[SensorConfig, ...] = (SensorConfig(),)
     """What each car carries; one entry serves all cars."""
     camera_path: Literal["paint", "ray"] = "paint"
@@ -65,9 +106,9 @@ class EnvConfig:
     """Longest episode in training [s]."""
     restarting: tuple[int, ...] | None = None
     """Cars that start their next episode by themselves, in training; None: all. Any other car is
-    frozen where its episode ended, in nobody's way, until its world is started anew."""
-    meeting: Meeting | None = None
-    """How the others are placed about car 0, which learns, in training; None: each car begins its
+    frozen where its episode ended, without contacts, until its world is reset."""
+    placement: OpponentPlacement | None = None
+    """Placement of the others around car 0, the learner, in training; None: each car begins its
     episodes on a free stretch anywhere."""
 
     def __post_init__(self) -> None:
@@ -77,12 +118,13 @@ class EnvConfig:
                 f"{len(self.sensors)} sensor settings for {self.sim.num_cars} cars: "
                 "give one for all, or one for each"
             )
-        if self.meeting is not None and (
+        if self.placement is not None and (
             self.mode != "training" or self.restarting is not None or self.sim.num_cars < 2
         ):
             raise ConfigError(
-                f"a meeting is asked for in mode {self.mode!r} with {self.sim.num_cars} cars and "
-                f"restarting {self.restarting}: give mode 'training', 2 to 8 cars and None"
+                f"a placement of opponents is set in mode {self.mode!r} with "
+                f"{self.sim.num_cars} cars and restarting {self.restarting}: "
+                "give mode 'training', 2 to 8 cars and None"
             )
         strangers = [car for car in self.restarting or () if not 0 <= car < self.sim.num_cars]
         if strangers:

@@ -1,16 +1,18 @@
-"""Driver: what decides for the cars of one seat, in every world of a batch at once.
-
-It stands here, with the doors that are given drivers; those who drive stand a floor above.
-"""
+"""Drivers of cars: the protocol, and the drivers of the cars that do not learn."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Protocol
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
+from league.envs.config import EnvConfig
+from league.errors import ConfigError
 from league.sim.config import SensorConfig
+
+if TYPE_CHECKING:
+    from league.envs.race_env import Step
 
 
 class Driver(Protocol):
@@ -20,14 +22,92 @@ class Driver(Protocol):
     """
 
     name: str
-    """What a person calls it."""
+    """Shown to people."""
     sensors: SensorConfig
-    """What its car carries; own motion and the `state` group are always told."""
+    """What its car carries; own motion and the `state` group are always observed."""
 
     def reset(self, rows: np.ndarray | None) -> None:
-        """Forget all about some worlds (indices or a mask over rows); None forgets everything."""
+        """Clear the memory of some worlds (indices or a mask over rows); None clears all of it."""
         ...
 
     def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return actions [steering, speed] in [-1, 1], float32 (num_rows, 2)."""
         ...
+
+
+@runtime_checkable
+class Watching(Protocol):
+    """A driver that observes each step, as self-play counts its wins."""
+
+    def watch(self, car: int, step: Step) -> None:
+        """Note a step, in which it drove this car."""
+        ...
+
+
+class Opponents:
+    """The drivers of the cars that do not learn, by car."""
+
+    def __init__(self, drivers: Mapping[int, Driver]) -> None:
+        if len({id(driver) for driver in drivers.values()}) < len(drivers):
+            raise ConfigError(
+                "one driver object is given for two cars, and would mix their memories: "
+                "give one object for each car"
+            )
+        self._drivers = dict(drivers)
+
+    @property
+    def cars(self) -> tuple[int, ...]:
+        """Cars that are driven."""
+        return tuple(self._drivers)
+
+    def reset(self) -> None:
+        """Clear the memories of all drivers."""
+        for driver in self._drivers.values():
+            driver.reset(None)
+
+    def forget(self, began: np.ndarray) -> None:
+        """Clear the memories of worlds in which a driver's car restarts, bool (worlds, cars)."""
+        for car, driver in self._drivers.items():
+            if began[:, car].any():
+                driver.reset(np.flatnonzero(began[:, car]))
+
+    def watch(self, step: Step) -> None:
+        """Show a step to the drivers that watch, before any of them forgets."""
+        for car, driver in self._drivers.items():
+            if isinstance(driver, Watching):
+                driver.watch(car, step)
+
+    def act(
+        self, actions: np.ndarray, observations: Sequence[Mapping[str, np.ndarray]]
+    ) -> np.ndarray:
+        """Return a copy of the actions (worlds, cars, 2), those of the driven cars filled in."""
+        filled = actions.copy()
+        for car, driver in self._drivers.items():
+            filled[:, car] = driver.act(observations[car])
+        return filled
+
+
+def check_field(
+    cfg: EnvConfig, learners: Sequence[int], drivers: Mapping[int, Driver | str]
+) -> None:
+    """Check that every car learns or has a driver, and that the learners' rows are alike.
+
+    Raises:
+        ConfigError: they do not.
+    """
+    if cfg.mode != "training" or cfg.restarting is not None:
+        raise ConfigError(
+            f"mode is {cfg.mode!r}, restarting is {cfg.restarting}: rows have episodes of "
+            "their own, give mode 'training' and restarting None"
+        )
+    field = list(range(cfg.sim.num_cars))
+    if not learners or sorted([*learners, *drivers]) != field:
+        raise ConfigError(
+            f"learners are {sorted(learners)} and opponents {sorted(drivers)}: each of the "
+            f"{len(field)} cars, {field}, must be one or the other, and one must learn"
+        )
+    if len({cfg.sensors_of(car) for car in learners}) > 1:
+        raise ConfigError(
+            "the learners carry different sensors, but rows are one batch: "
+            "give them the same, or train them apart"
+        )

@@ -13,7 +13,7 @@ import numpy as np
 from league.jit import inner
 from league.portable_math import atan, clamp, f32, heading_of, wrap, wrap_angle
 from league.sim import grid
-from league.sim import obstacles as obstacles_room
+from league.sim import obstacles as obstacle_kernels
 from league.sim.rng import SEED_MASK, bits_of, uniform_of
 from league.sim.settings import GRAVITY
 from league.track.projection import curvature_at, frame_at, signed_gap
@@ -27,8 +27,8 @@ EPISODES = np.dtype(
         ("longest", np.int64),  # steps after which an episode is cut off
         ("all_restart", np.bool_),  # whether every car begins its next episode by itself
         ("restarting", np.uint8),  # otherwise the cars that do; the others are retired
-        ("meeting", np.bool_),  # whether the others are placed about car 0
-        # The fields of Meeting.
+        ("placing", np.bool_),  # whether the others are placed around car 0
+        # The fields of OpponentPlacement.
         ("alone", f32),
         ("standing", f32),
         ("rolling", f32),
@@ -42,13 +42,13 @@ EPISODES = np.dtype(
     align=True,
 )
 """Settings of episodes."""
-_MEETING = ("alone", "standing", "rolling", "reach", "ahead", "room", "lost", "top_speed", "pace")
+_PLACEMENT = ("alone", "standing", "rolling", "reach", "ahead", "room", "lost", "top_speed", "pace")
 
 _SPOT, _SIDE, _SEED = 211, 212, 213
-_MEET_SPOT, _MEET_SIDE, _KIND, _SLOT, _ROLL, _PACE, _OWN_PACE, _GAP, _LANE = range(221, 230)
+_NEAR_SPOT, _NEAR_SIDE, _KIND, _SLOT, _ROLL, _PACE, _OWN_PACE, _GAP, _LANE = range(221, 230)
 _CANDIDATES, _ROOM = 8, f32(0.8)
-_MEET_CANDIDATES = 24
-_LANES, _BESIDE, _ALONG = f32(0.7), f32(0.3), f32(0.5)
+_NEAR_CANDIDATES = 24
+_LANES, _ACROSS, _ALONG = f32(0.7), f32(0.3), f32(0.5)
 _START, _END = f32(0.2), f32(0.5)
 _LEAST_BEND, _STEEPEST = f32(1e-3), f32(0.3)
 _SLOWEST, _FASTER = f32(0.3), f32(0.7)
@@ -65,37 +65,28 @@ def settings(cfg: EnvConfig) -> np.ndarray:
     record["longest"] = round(cfg.episode_s * cfg.sim.step_hz)
     record["all_restart"] = cfg.restarting is None
     record["restarting"] = sum(1 << car for car in cfg.restarting or ())
-    record["meeting"] = cfg.meeting is not None
-    if cfg.meeting is not None:
-        for name in _MEETING:
-            record[name] = getattr(cfg.meeting, name)
+    record["placing"] = cfg.placement is not None
+    if cfg.placement is not None:
+        for name in _PLACEMENT:
+            record[name] = getattr(cfg.placement, name)
     return record
 
 
 @inner
 def begin_all(cars, obstacles, world, points, course, places, sim, episodes):
     """Begin the first episode of every car of one world, which has just been put on the grid."""
-    everybody = (1 << len(cars)) - 1
-    _restart(everybody, cars, obstacles, world, points, course, places, sim, episodes)
+    all_cars = (1 << len(cars)) - 1
+    _restart(all_cars, cars, obstacles, world, points, course, places, sim, episodes)
 
 
 @inner
 def end_and_begin(done, cars, obstacles, world, points, course, places, sim, episodes):
     """Begin the next episodes of one world; return the mask of the cars that begin one.
 
-    Args:
-        done: mask of the cars whose episode is over.
-        cars: CAR records (num_cars,).
-        obstacles: OBSTACLE records (num_obstacles,).
-        world: WORLD record.
-        points: of the TrackSet.
-        course: COURSE record of the world's track.
-        places: fixed places of obstacles.
-        sim: SETTINGS record.
-        episodes: EPISODES record.
+    `done` is the mask of the cars with an episode that is over; see step.py for the rest.
     """
     begins = done
-    if episodes.meeting:
+    if episodes.placing:
         begins = _joining(done, cars, course, episodes)
     elif not episodes.all_restart:
         begins = done & episodes.restarting
@@ -109,9 +100,9 @@ def end_and_begin(done, cars, obstacles, world, points, course, places, sim, epi
 
 @inner
 def _joining(done, cars, course, episodes):
-    """Return the mask of the cars that begin an episode in a meeting.
+    """Return the mask of the cars that are placed around car 0 in this step.
 
-    When car 0 begins, all do; else those whose episode is over or that are left behind.
+    When car 0 begins an episode, all do; else those that have ended theirs or are left behind.
     """
     if done & 1:
         return (1 << len(cars)) - 1
@@ -125,33 +116,26 @@ def _joining(done, cars, course, episodes):
 
 @inner
 def _restart(who, cars, obstacles, world, points, course, places, sim, episodes):
-    """Begin episodes of the cars of a mask, each as its world's settings say."""
     spots = np.empty((len(cars), 2), np.float32)
-    if episodes.meeting:
-        _meet(who, cars, world, spots, points, course, sim, episodes)
+    if episodes.placing:
+        _place_around_learner(who, cars, world, spots, points, course, sim, episodes)
         return
-    everybody = who == (1 << len(cars)) - 1
-    if everybody and len(obstacles) and sim.random_places and world.step > 0:
+    all_begin = who == (1 << len(cars)) - 1
+    if all_begin and len(obstacles) and sim.random_places and world.step > 0:
         # Another seed, and with it other obstacles.
         world.seed = bits_of(world.seed, _SEED, world.step) & SEED_MASK
-        obstacles_room.place(obstacles, world, points, course, places, sim)
+        obstacle_kernels.place(obstacles, world, points, course, places, sim)
     _free_spots(who, cars, obstacles, world, spots, course)
     for c in range(len(cars)):
         if (who >> c) & 1:
             frame = frame_at(points, course, spots[c, 0])
             across = uniform_of(world.seed, _SIDE, world.step, c) - _HALF
-            _begin(
-                c,
-                cars,
-                world,
-                spots[c, 0],
-                across * min(frame.left, frame.right),
-                points,
-                course,
-                sim,
-            )
+            lateral = across * min(frame.left, frame.right)
+            _begin(c, cars, world, spots[c, 0], lateral, points, course, sim)
     _order(who, cars, course)
-    _act_as_driven(who, cars, sim)
+    for c in range(len(cars)):
+        if (who >> c) & 1:
+            encode(cars[c], sim)
 
 
 @inner
@@ -166,7 +150,7 @@ def _begin(c, cars, world, s, lateral, points, course, sim):
 
 @inner
 def _order(who, cars, course):
-    """Say who is ahead of whom, seen on the road where one of the two has begun an episode."""
+    """Set which cars are ahead on the road, for pairs in which one has begun an episode."""
     for c in range(len(cars)):
         for other in range(len(cars)):
             if other != c and ((who >> c) & 1 or (who >> other) & 1):
@@ -178,16 +162,8 @@ def _order(who, cars, course):
 
 
 @inner
-def _act_as_driven(who, cars, sim):
-    """Set the last actions of beginning cars to those that ask for what they are doing."""
-    for c in range(len(cars)):
-        if (who >> c) & 1:
-            encode(cars[c], sim)
-
-
-@inner
 def encode(car, sim):
-    """Set a car's action in [-1, 1] to the one that asks for its target controls, if any does."""
+    """Set a car's last action to the one that asks for its target controls; see actions.encode."""
     share = (car.target_speed - sim.min_speed) / (sim.max_speed - sim.min_speed)
     car.action_steering = clamp(car.target_steering / sim.max_steering, -_ONE, _ONE)
     car.action_speed = clamp(_TWO * share - _ONE, -_ONE, _ONE)
@@ -220,8 +196,8 @@ def _free_spots(who, cars, obstacles, world, spots, course):
 
 
 @inner
-def _meet(who, cars, world, spots, points, course, sim, episodes):
-    """Begin episodes of all cars where car 0's begins, else of those that join it."""
+def _place_around_learner(who, cars, world, spots, points, course, sim, episodes):
+    """Begin episodes of all cars if car 0 begins one, else of those that join it."""
     seed, step, num_cars = world.seed, world.step, len(cars)
     first = who & 1 == 1
     kind = uniform_of(seed, _KIND, step)
@@ -248,7 +224,9 @@ def _meet(who, cars, world, spots, points, course, sim, episodes):
             if speed > _ZERO:
                 _roll(cars[c], speed, points, course, sim)
     _order(who, cars, course)
-    _act_as_driven(who, cars, sim)
+    for c in range(len(cars)):
+        if (who >> c) & 1:
+            encode(cars[c], sim)
     if alone:
         far = wrap(cars[0].s + course.length * _HALF, course.length)
         for c in range(1, num_cars):
@@ -260,21 +238,21 @@ def _meet(who, cars, world, spots, points, course, sim, episodes):
 def _near_spots(who, cars, world, spots, points, course, episodes):
     """Draw places on the road for all that begin, near car 0, where no other car is.
 
-    Of the candidates the first that is clear of everybody is taken, or else the clearest.
+    Of the candidates the first that is clear of all cars is taken, or else the clearest.
     """
     seed, step = world.seed, world.step
     for c in range(len(cars)):
         spots[c, 0], spots[c, 1] = cars[c].s, cars[c].lateral
     if who & 1:
-        spots[0, 0] = uniform_of(seed, _MEET_SPOT, step) * course.length
-        side = _TWO * uniform_of(seed, _MEET_SIDE, step) - _ONE
+        spots[0, 0] = uniform_of(seed, _NEAR_SPOT, step) * course.length
+        side = _TWO * uniform_of(seed, _NEAR_SIDE, step) - _ONE
         spots[0, 1] = _across(points, course, spots[0, 0], side)
     behind = _ONE - episodes.ahead
     for c in range(1, len(cars)):
         if not (who >> c) & 1:
             continue
         best, s, lateral = -_ONE, _ZERO, _ZERO
-        for attempt in range(_MEET_CANDIDATES):
+        for attempt in range(_NEAR_CANDIDATES):
             drawn = uniform_of(seed, _GAP, step, c, attempt)
             part = behind if drawn < behind else episodes.ahead
             place = spots[0, 0] + (drawn - behind) / part * episodes.reach
@@ -293,18 +271,18 @@ def _near_spots(who, cars, world, spots, points, course, episodes):
 def _clearance(c, who, place, across, spots, course, episodes):
     """Return whether a place is clear of all other cars, and the gap to the nearest [m].
 
-    Clear is half a metre along the track or most of a lane across; of car 0 that is driving, more.
+    Clear is half a metre along the track or most of a lane across; of car 0, if it drives, more.
     """
     clear, room = True, _FAR
     for other in range(len(spots)):
         if other == c:
             continue
         away = abs(signed_gap(course, place, spots[other, 0]))
-        apart = away >= _ALONG or abs(across - spots[other, 1]) >= _BESIDE
+        apart = away >= _ALONG or abs(across - spots[other, 1]) >= _ACROSS
         if other == 0:
             apart = apart and (who & 1 == 1 or away >= episodes.room)
         elif other > c and (who >> other) & 1:
-            # Who begins too has not got its place yet.
+            # A car that begins too has no place yet.
             apart = True
         clear = clear and apart
         room = min(room, away)
@@ -313,7 +291,7 @@ def _clearance(c, who, place, across, spots, course, episodes):
 
 @inner
 def _across(points, course, s, side):
-    """Return the lateral place [m] of a share of the road's half, -1 to 1."""
+    """Return the lateral place [m] of a share of half the road's width, -1 to 1."""
     frame = frame_at(points, course, s)
     return side * _LANES * min(frame.left, frame.right)
 
@@ -330,7 +308,7 @@ def _allowed(car, s, points, course, sim, episodes):
 
 @inner
 def _roll(car, speed, points, course, sim):
-    """Have a car move along the track, its wheels turned as the bend asks."""
+    """Set a car moving along the track, its wheels turned as the bend requires."""
     frame = frame_at(points, course, car.s)
     bend = curvature_at(points, course, car.s)
     # Left of the centreline a left bend is tighter.

@@ -1,11 +1,13 @@
-"""From the plain words that a door is given to what a RaceEnv needs: TrackSet and EnvConfig."""
+"""From the arguments of the adapters to what a RaceEnv needs: TrackSet, EnvConfig and seeds."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Literal, TypedDict, get_args
+from typing import Literal, TypedDict, Unpack, get_args
+
+import numpy as np
 
 from league.envs.config import EnvConfig, RewardConfig
 from league.errors import ConfigError, TrackError, brief, nearest_names
@@ -25,17 +27,17 @@ Mode = Literal["race", "training"]
 Sensor = str | CameraConfig | LidarConfig
 """A sensor by its name, "stereo" or "lidar", or by its settings."""
 Carried = SensorConfig | Sensor | Sequence[Sensor] | None
-"""What one car carries; own motion is always told."""
+"""Sensors of one car; own motion is always observed."""
 Sensors = Carried | Mapping[str, Carried] | Sequence[SensorConfig]
 """The same for all cars, or for each by its name (car_0, ...) or in order."""
 
 BOTH: tuple[Sensor, ...] = ("stereo", "lidar")
-"""What a car of the league carries, unless told otherwise."""
+"""Default sensors of a car."""
 _NAMED = {"stereo": CameraConfig, "lidar": LidarConfig, "motion": None}
 
 
-class Settings(TypedDict, total=False):
-    """What the doors' callers may ask for besides track, kind and sensors; all have defaults."""
+class EnvOptions(TypedDict, total=False):
+    """Options of the adapters besides track, kind and sensors; all have defaults."""
 
     solver: SolverName
     """Physics: bullet, rigid bodies, or planar, for training at scale."""
@@ -73,48 +75,40 @@ def configure(
     kind: RaceKind = "time_trial",
     num_cars: int | None = None,
     sensors: Sensors = BOTH,
-    solver: SolverName = "planar",
-    laps: int = 3,
-    max_steps: int | None = None,
-    reward: RewardConfig | None = None,
-    mode: Mode = "race",
-    sim: SimConfig | None = None,
-    camera_path: Literal["paint", "ray"] = "paint",
-    looks: LookConfig | None = None,
     restarting: tuple[int, ...] | None = None,
+    **options: Unpack[EnvOptions],
 ) -> EnvConfig:
-    """Return the settings of a RaceEnv; what is named here wins over `sim`.
+    """Return the settings of a RaceEnv; options win over the settings in `sim`.
 
     Args:
         kind: alone, with obstacles, or against other cars.
         num_cars: cars in a world; None: 2 in a head_to_head race, else 1.
-        sensors: what the cars carry.
-        solver: see Settings, as for the rest.
-        laps: see Settings.
-        max_steps: see Settings.
-        reward: see Settings.
-        mode: see Settings.
-        sim: see Settings.
-        camera_path: see Settings.
-        looks: see Settings.
-        restarting: cars that start their next episode by themselves, in training.
+        sensors: of the cars.
+        restarting: see EnvConfig.
+        options: see EnvOptions; by default the solver is planar, the mode race, with 3 laps.
 
     Raises:
         ConfigError: an unknown name, or settings that contradict each other.
     """
-    _known("kind", kind, get_args(RaceKind))
-    _known("solver", solver, get_args(SolverName))
-    _known("mode", mode, get_args(Mode))
-    _known("camera_path", camera_path, ("paint", "ray"))
-    _whole("laps", laps, 1)
+    if unknown := options.keys() - EnvOptions.__annotations__:
+        name = min(unknown)
+        near = nearest_names(name, list(EnvOptions.__annotations__))
+        raise ConfigError(f"there is no option {name!r}; nearest: {near}")
+    solver, mode = options.get("solver", "planar"), options.get("mode", "race")
+    camera_path = options.get("camera_path", "paint")
+    laps, max_steps = options.get("laps", 3), options.get("max_steps")
+    _check_name("kind", kind, get_args(RaceKind))
+    _check_name("solver", solver, get_args(SolverName))
+    _check_name("mode", mode, get_args(Mode))
+    _check_name("camera_path", camera_path, ("paint", "ray"))
+    _check_whole("laps", laps, 1)
     if num_cars is None:
         num_cars = 2 if kind == "head_to_head" else 1
-    _whole("num_cars", num_cars, 1)
-    base = sim or SimConfig()
-    rules = replace(base.rules, laps=laps)
-    longest_s = EnvConfig.episode_s
+    _check_whole("num_cars", num_cars, 1)
+    base = options.get("sim") or SimConfig()
+    rules, longest_s = replace(base.rules, laps=laps), EnvConfig.episode_s
     if max_steps is not None:
-        _whole("max_steps", max_steps, 1)
+        _check_whole("max_steps", max_steps, 1)
         # Half a step early, so that rounding cannot add one.
         rules = replace(rules, max_time_s=(max_steps - 0.5) * base.step_dt)
         longest_s = max_steps * base.step_dt
@@ -123,15 +117,31 @@ def configure(
         solver=solver,
         sensors=_of_cars(sensors, num_cars),
         camera_path=camera_path,
-        looks=looks,
+        looks=options.get("looks"),
         mode=mode,
-        reward=reward or RewardConfig(),
+        reward=options.get("reward") or RewardConfig(),
         episode_s=longest_s,
         restarting=restarting,
     )
 
 
-def carried(sensors: Carried) -> SensorConfig:
+def checked_seed(seed: object) -> int:
+    """Return a user's seed as an int.
+
+    Raises:
+        ConfigError: it is not a whole number from 0.
+    """
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise ConfigError(f"seed is {seed!r}: give a whole number, 0 or more, or None")
+    return int(seed)
+
+
+def draw_seed(generator: np.random.Generator) -> int:
+    """Draw a world's seed, below 2^62, so that it can be written into a race's spec."""
+    return int(generator.integers(2**62))
+
+
+def sensors_of_car(sensors: Carried) -> SensorConfig:
     """Return what one car carries, from names or settings of its sensors."""
     if isinstance(sensors, SensorConfig):
         return sensors
@@ -160,30 +170,30 @@ def _of_cars(sensors: Sensors, num_cars: int) -> tuple[SensorConfig, ...]:
         names = [f"car_{car}" for car in range(num_cars)]
         if sorted(map(str, sensors)) != names:
             raise ConfigError(
-                f"sensors are given for {', '.join(map(str, sensors)) or 'nobody'}: "
+                f"sensors are given for {', '.join(map(str, sensors)) or 'no car'}: "
                 f"give them for {', '.join(names)}"
             )
-        return tuple(carried(each) for _, each in sorted(sensors.items()))
+        return tuple(sensors_of_car(each) for _, each in sorted(sensors.items()))
     if isinstance(sensors, list | tuple):
         each_car = [one for one in sensors if isinstance(one, SensorConfig)]
         if each_car and len(each_car) == len(sensors):
             return tuple(each_car)
-    return (carried(sensors),)  # type: ignore
+    return (sensors_of_car(sensors),)  # type: ignore
 
 
-def _no_sensor(given: object) -> str:
-    near = nearest_names(given, list(_NAMED)) if isinstance(given, str) else ", ".join(_NAMED)
+def _no_sensor(value: object) -> str:
+    near = nearest_names(value, list(_NAMED)) if isinstance(value, str) else ", ".join(_NAMED)
     return (
-        f"there is no sensor {brief(given)}; nearest: {near}; "
+        f"there is no sensor {brief(value)}; nearest: {near}; "
         "or give a CameraConfig or a LidarConfig"
     )
 
 
-def _known(what: str, given: object, known: tuple[str, ...]) -> None:
-    if given not in known:
-        raise ConfigError(f"{what} is {brief(given)}: choose one of {', '.join(known)}")
+def _check_name(what: str, value: object, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise ConfigError(f"{what} is {brief(value)}: choose one of {', '.join(known)}")
 
 
-def _whole(what: str, given: object, least: int) -> None:
-    if not isinstance(given, int) or isinstance(given, bool) or given < least:
-        raise ConfigError(f"{what} is {brief(given)}: give a whole number, {least} or more")
+def _check_whole(what: str, value: object, least: int) -> None:
+    if not isinstance(value, int) or isinstance(value, bool) or value < least:
+        raise ConfigError(f"{what} is {brief(value)}: give a whole number, {least} or more")

@@ -1,4 +1,4 @@
-"""What drivers are given: named groups of one car, leading axis num_worlds.
+"""Observations: named groups of one car, leading axis num_worlds.
 
 stereo  uint8 (channels, height, width)   the camera, if the car carries one
 lidar   float32 (size,)                   the rear scan, if the car carries one
@@ -24,13 +24,13 @@ from league.track.projection import curvature_at, frame_at, lap_length, signed_g
 
 MOTION_FIELDS = ("speed", "yaw_rate", "steering", "last_steering", "last_speed")
 MOTION_SCALE = (4.0, 8.0, 0.5236)
-"""Speed [m/s], yaw rate [rad/s] and steering [rad] that are given as 1."""
+"""Speed [m/s], yaw rate [rad/s] and steering [rad] that are reported as 1."""
 
 _SPEED_SCALE, _YAW_RATE_SCALE, _STEERING_SCALE = (f32(scale) for scale in MOTION_SCALE)
 _AHEAD = np.array(LOOKAHEADS, np.float32)
 _ABSENT = f32(ABSENT_GAP)
 _PASSED = f32(-0.35)
-"""An obstacle beside the car counts as ahead until its rear has been passed [m]."""
+"""An obstacle next to the car counts as ahead until its rear has been passed [m]."""
 _FIRST_CAR, _FIRST_OBSTACLE = INDEX["car_0_present"], INDEX["obstacle_0_present"]
 _FIRST_CURVATURE = INDEX[f"curvature_{LOOKAHEADS[0]:g}m"]
 _LARGEST_DIVISOR = 10**6  # of a sensor's rate as a fraction [1/s]
@@ -52,15 +52,7 @@ def motion(car, out):
 def states(first, last, cars, obstacles, worlds, points, courses, out):
     """Write the `state` group of every car of the worlds from `first` to `last`; return 0.
 
-    Args:
-        first: first world.
-        last: world behind the last one.
-        cars: CAR records (num_worlds, num_cars).
-        obstacles: OBSTACLE records (num_worlds, num_obstacles).
-        worlds: WORLD records (num_worlds,).
-        points: of the TrackSet.
-        courses: of the TrackSet.
-        out: float32 (num_cars, num_worlds, SIZE); overwritten.
+    `out` is float32 (num_cars, num_worlds, SIZE); the rest is as in step.py.
     """
     for w in range(first, last):
         course = courses[worlds[w].track]
@@ -71,7 +63,6 @@ def states(first, last, cars, obstacles, worlds, points, courses, out):
 
 @inner
 def _state(c, cars, obstacles, points, course, out):
-    """Write the `state` group of one car; league/envs/state.py has the layout."""
     car = cars[c]
     frame = frame_at(points, course, car.s)
     sin, cos = sincos(car.yaw)
@@ -91,7 +82,6 @@ def _state(c, cars, obstacles, points, course, out):
 
 @inner
 def _neighbours(c, cars, points, course, out):
-    """Write present, gap, lateral, speed, frozen of the nearest other cars along the track."""
     taken = 0
     for rank in range(NEIGHBOURS):
         chosen, least, gap = -1, _INFINITE, _ABSENT
@@ -114,7 +104,6 @@ def _neighbours(c, cars, points, course, out):
 
 @inner
 def _obstacles(car, obstacles, course, out):
-    """Write present, gap, lateral of the next obstacles ahead of a car."""
     taken = 0
     for rank in range(NEAR_OBSTACLES):
         chosen, least = -1, _INFINITE
@@ -131,12 +120,9 @@ def _obstacles(car, obstacles, course, out):
 
 
 def due(rate_hz: float, step_hz: int, step: np.ndarray) -> np.ndarray:
-    """Return whether a sensor of this rate has something new at these control steps, bool.
+    """Return whether a sensor of this rate is read at these control steps, bool, (num_worlds,).
 
-    Args:
-        rate_hz: readings per second asked for.
-        step_hz: control steps per second.
-        step: control steps since the start of each race, int64, (num_worlds,).
+    `step` counts control steps since the start of each race, int64, (num_worlds,).
     """
     readings, steps = _share(rate_hz, step_hz)
     # The first step at or after each multiple of the sensor's period, and the start: where
@@ -146,7 +132,6 @@ def due(rate_hz: float, step_hz: int, step: np.ndarray) -> np.ndarray:
 
 @cache
 def _share(rate_hz: float, step_hz: int) -> tuple[int, int]:
-    """Return in how many of how many control steps a sensor has something new."""
     share = Fraction(min(rate_hz, step_hz)).limit_denominator(_LARGEST_DIVISOR) / step_hz
     return share.numerator, share.denominator
 

@@ -10,14 +10,11 @@ import numpy as np
 
 from league.envs import episodes, rewards
 from league.envs import step as stages
-from league.envs.config import EnvConfig
-from league.envs.encounters import Meeting
+from league.envs.config import EnvConfig, OpponentPlacement
 from league.envs.rewards import Reward
-from league.envs.sensor_suite import Sensing
-from league.envs.threads import over_worlds
+from league.envs.sensor_suite import SensorSuite
 from league.errors import ActionError, ConfigError, WorldError
 from league.sim import records, rng
-from league.sim.config import SimConfig
 from league.sim.physics import planar
 from league.sim.settings import settings
 from league.sim.world import World
@@ -34,14 +31,13 @@ _WORLD_SEED = 301
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """What one step brought, (num_worlds, num_cars) unless said otherwise.
+    """Result of one step, (num_worlds, num_cars) unless said otherwise.
 
-    The arrays belong to the environment, which writes into them again at the next step: whoever
-    wants to keep them takes a copy.
+    The arrays belong to the environment, which overwrites them at the next step: copy what is kept.
     """
 
     observations: Observations
-    """For each car its groups, of the worlds as they are now: after restarts."""
+    """For each car its groups, of the worlds after restarts."""
     rewards: np.ndarray
     """Weighted sum of the reward terms, of the worlds before restarts, float32."""
     terminated: np.ndarray
@@ -49,7 +45,7 @@ class Step:
     truncated: np.ndarray
     """Time is up, bool."""
     verdicts: np.ndarray
-    """What the referee found, VERDICT records."""
+    """The referee's findings, VERDICT records."""
     log: Mapping[str, np.ndarray]
     """Each weighted reward term by name, float32."""
     began: np.ndarray
@@ -59,10 +55,10 @@ class Step:
 class RaceEnv:
     """Races of one kind in a batch of worlds.
 
-    In mode "race" nobody is retired: mistakes cost penalty seconds, and when the race is over
-    `step` goes on harmlessly until `reset`. In mode "training" each car has episodes of its own: a
-    mistake, a finish or the time limit ends the episode, and the car is restarted on a free stretch
-    in the same step (same-step autoreset); the other cars drive on.
+    In mode "race" mistakes cost penalty seconds and end no race; when the race is over, `step` goes
+    on harmlessly until `reset`. In mode "training" each car has episodes of its own: a mistake, a
+    finish or the time limit ends the episode, and the car is restarted on a free stretch in the
+    same step (same-step autoreset); the other cars drive on.
 
     Actions are float32 (num_worlds, num_cars, 2) in [-1, 1]: steering (1 is full left) and speed
     (-1 is the smallest, 1 the largest command).
@@ -87,8 +83,8 @@ class RaceEnv:
             num_worlds: races in the batch.
             seed: makes the worlds' own seeds, unless `reset` is given some.
             track_index: track of each world, (num_worlds,); by default they take turns.
-            reward: what pays; None: the built-in terms by the weights of `cfg.reward`.
-            device: where the cameras cast their rays, if `cfg.camera_path` is "ray".
+            reward: None: the built-in terms by the weights of `cfg.reward`.
+            device: of the cameras' rays, if `cfg.camera_path` is "ray".
         """
         if num_worlds < 1:
             raise ValueError(f"num_worlds is {num_worlds}: give at least 1")
@@ -103,21 +99,22 @@ class RaceEnv:
             from league.sim.physics.bullet import BulletSolver  # late: PyBullet takes a while
 
             self._solver = BulletSolver(cfg.sim, tracks.rooms, num_worlds)
-        self._sensing = Sensing(tracks, cfg, device)
-        self._step = self._step_views()
+        self._sensors = SensorSuite(tracks, cfg, device)
+        self._result = self._result_views()
         self._begin(seed, None)
 
     def _allocate(self) -> None:
-        """Allocate all arrays, once: what compiled code writes into stays where it is."""
+        """Allocate all arrays, once: compiled code writes into them in place."""
         sim = self.cfg.sim
-        shape, things = (self.num_worlds, sim.num_cars), (self.num_worlds, sim.num_obstacles)
+        shape = self.num_worlds, sim.num_cars
+        obstacle_shape = self.num_worlds, sim.num_obstacles
         self._world = World(
             worlds=np.zeros(self.num_worlds, records.WORLD),
             cars=np.zeros(shape, records.CAR),
-            obstacles=np.zeros(things, records.OBSTACLE),
+            obstacles=np.zeros(obstacle_shape, records.OBSTACLE),
         )
         self._before = np.zeros(shape, records.CAR)
-        self._arrivals = np.zeros(things, records.OBSTACLE)
+        self._arrivals = np.zeros(obstacle_shape, records.OBSTACLE)
         self._controls = np.zeros((*shape, 2), np.float32)
         self._contacts = np.zeros(shape, records.CONTACT)
         self._verdicts = np.zeros(shape, records.VERDICT)
@@ -139,13 +136,13 @@ class RaceEnv:
             *(*course, self._settings, self._episodes),
         )
 
-    def _step_views(self) -> Step:
-        """Return what `step` hands out: views of the arrays, and the log of a Python reward."""
+    def _result_views(self) -> Step:
+        """Return the result of every `step`: views of the arrays, and a Python reward's log."""
         built_in = {
             name: self._terms[..., rewards.TERMS.index(name)] for name in self.cfg.reward.terms
         }
         return Step(
-            observations=self._sensing.groups(self._world, self._motions),
+            observations=self._sensors.groups(self._world, self._motions),
             rewards=self._outcomes["reward"],
             terminated=self._outcomes["terminated"],
             truncated=self._outcomes["truncated"],
@@ -162,7 +159,7 @@ class RaceEnv:
     @property
     def observations(self) -> Observations:
         """For each car its groups, of the worlds as they are now; live."""
-        return self._step.observations
+        return self._result.observations
 
     @property
     def terms(self) -> tuple[str, ...]:
@@ -192,12 +189,12 @@ class RaceEnv:
 
     @episode_steps.setter
     def episode_steps(self, steps: np.ndarray) -> None:
-        """Pretend that episodes began earlier or later, so that not all end at the same time."""
+        """Set the episodes' ages, so that not all end at the same time."""
         self._world.cars["episode_steps"] = steps
 
-    def meet(self, how: Meeting) -> None:
-        """Have cars meet in another way from the next episodes on; see `EnvConfig.meeting`."""
-        self.cfg = replace(self.cfg, meeting=how)
+    def place_opponents(self, placement: OpponentPlacement) -> None:
+        """Change `EnvConfig.placement` from the next episodes on."""
+        self.cfg = replace(self.cfg, placement=placement)
         self._episodes[:] = episodes.settings(self.cfg)
 
     @property
@@ -217,13 +214,18 @@ class RaceEnv:
             seed: makes the worlds' own seeds; None goes on to fresh ones.
             seeds: or each world's seed itself, int64, (num_worlds,).
             track_index: other tracks than before for the worlds, (num_worlds,).
+
+        Raises:
+            ConfigError: both seed and seeds are given, or the environment was closed.
         """
         self._check_open()
+        if seed is not None and seeds is not None:
+            raise ConfigError("reset has both a seed and the worlds' seeds: give one of them")
         if track_index is not None:
             self._world.worlds["track"] = self._tracks_of_worlds(track_index)
         self._begin(self._seed + 1 if seed is None else seed, seeds)
-        self._sensing.observe(self._world)
-        return self._step.observations
+        self._sensors.observe(self._world)
+        return self._result.observations
 
     def step(
         self,
@@ -238,14 +240,17 @@ class RaceEnv:
             actions: steering and speed in [-1, 1], (num_worlds, num_cars, 2).
             restart: worlds that are started again at the end of the step, as `reset` would, bool,
                 (num_worlds,); verdicts and rewards are still of the race that was.
-            seeds: seeds of the worlds that are restarted (those of others are not read),
+            seeds: seeds of the worlds that are restarted (those of others are not read), int64,
                 (num_worlds,).
 
         Raises:
             ActionError: the wrong shape, or a number that is not in [-1, 1].
+            ConfigError: `restart` without `seeds`, or the other way round.
             WorldError: a car's state is NaN or infinite.
         """
         self._check_open()
+        if (restart is None) != (seeds is None):
+            raise ConfigError("step has either restart or seeds alone: give both, or neither")
         actions = np.ascontiguousarray(actions, np.float32)
         if actions.shape != self._controls.shape:
             raise ActionError(
@@ -259,41 +264,41 @@ class RaceEnv:
         if self._reward is not None and self._outcomes["began"].any():
             self._reward.restart(self._world, self._outcomes["began"])
         if self.cfg.mode == "race":
-            self._sensing.refresh_after(self._verdicts)
+            self._sensors.refresh_after(self._verdicts)
         else:
-            self._sensing.refresh(self._outcomes["began"])
-        if restart is not None and restart.any():
-            self._restart(restart, seeds)
-        self._sensing.observe(self._world)
-        return self._step
+            self._sensors.refresh(self._outcomes["began"])
+        if restart is not None and seeds is not None and restart.any():
+            self._restart(restart, np.asarray(seeds, np.int64))
+        self._sensors.observe(self._world)
+        return self._result
 
     def _run_in_parts(self, actions: np.ndarray) -> None:
-        """Run a step whose physics is Bullet's, or whose reward is written in Python."""
+        """Run a step with Bullet's physics, or with a reward written in Python."""
+        world = self._world
         if self._solver is None:
             self._run(stages.PREPARE | stages.PHYSICS | stages.JUDGE, actions)
         else:
             self._run(stages.PREPARE, actions)
-            world = self._world
             self._solver.step(
                 world.cars, world.obstacles, world.worlds, self._controls, self._contacts
             )
             self._run(stages.JUDGE, actions)
         if self._reward is not None:
-            before = replace(self._world, cars=self._before)
-            paid, log = self._reward(self.tracks, before, self._world, actions, self._verdicts)
-            self._outcomes["reward"] = paid
-            assert isinstance(self._step.log, dict)
-            self._step.log.update(log)
+            before = replace(world, cars=self._before)
+            rewards, log = self._reward(self.tracks, before, world, actions, self._verdicts)
+            self._outcomes["reward"] = rewards
+            assert isinstance(self._result.log, dict)
+            self._result.log.update(log)
         self._run(stages.SETTLE, actions)
 
     def _run(self, phases: int, actions: np.ndarray) -> None:
-        found = over_worlds(
+        status = stages.over_worlds(
             stages.step, self.num_worlds, self.num_cars, phases, actions, *self._step_arrays
         )
-        if found == stages.FINE:
+        if status == stages.FINE:
             return
-        world, car = divmod(found // 4, self.num_cars)
-        if found % 4 == stages.BAD_ACTION:
+        world, car = divmod(status // 4, self.num_cars)
+        if status % 4 == stages.BAD_ACTION:
             raise ActionError(
                 f"the action of car {car} in world {world} is {actions[world, car].tolist()}: "
                 "steering and speed must be numbers from -1 to 1"
@@ -305,12 +310,12 @@ class RaceEnv:
         )
 
     def retire(self, car: int | slice, world: int | slice = slice(None)) -> None:
-        """End one car's race, in all worlds or one: it is frozen for good, and in nobody's way."""
+        """End a car's race, in all worlds or one: it is frozen for good, without contacts."""
         self._world.cars["retired"][world, car] = True
         self._world.cars["ghost"][world, car] = True
 
     def close(self) -> None:
-        """Give back what the solver holds; nothing can be driven afterwards."""
+        """Release the solver's resources; the environment cannot be used afterwards."""
         self._closed = True
         if self._solver is not None:
             self._solver.close()
@@ -320,14 +325,14 @@ class RaceEnv:
         if seeds is None:
             numbers = np.arange(self.num_worlds)
             seeds = rng.bits(seed, _WORLD_SEED, numbers) & rng.SEED_MASK
-        given = np.asarray(seeds, np.int64)
-        if given.shape != (self.num_worlds,):
-            raise ValueError(f"seeds have shape {given.shape}: give ({self.num_worlds},)")
+        seeds = np.asarray(seeds, np.int64)
+        if seeds.shape != (self.num_worlds,):
+            raise ValueError(f"seeds have shape {seeds.shape}: give ({self.num_worlds},)")
         limit_s = time_limit(self.tracks, self.cfg, self._world.track)
         # In whole steps, so that no rounding adds one: 2 s are 30 steps.
         self._world.worlds["last_step"] = np.ceil(limit_s * self.cfg.sim.step_hz - 1e-2)
-        self._sensing.reset()
-        self._start(np.arange(self.num_worlds), given)
+        self._sensors.reset()
+        self._start(np.arange(self.num_worlds), seeds)
 
     def _start(self, which: np.ndarray, seeds: np.ndarray) -> None:
         self._world.worlds["seed"][which] = seeds
@@ -335,17 +340,15 @@ class RaceEnv:
         if self._solver is not None:
             self._solver.reset(which.tolist())
         if self._reward is not None:
-            who = np.zeros(self._world.cars.shape, np.bool_)
-            who[which] = True
-            self._reward.restart(self._world, who)
+            begun = np.zeros(self._world.cars.shape, np.bool_)
+            begun[which] = True
+            self._reward.restart(self._world, begun)
 
-    def _restart(self, restart: np.ndarray, seeds: ArrayLike | None) -> None:
-        if seeds is None:
-            raise ValueError("worlds are restarted without seeds: give the seed of each")
+    def _restart(self, restart: np.ndarray, seeds: np.ndarray) -> None:
         which = np.flatnonzero(restart)
-        self._start(which, np.asarray(seeds, np.int64)[which])
+        self._start(which, seeds[which])
         self._outcomes["began"][which] = True
-        self._sensing.refresh(np.broadcast_to(restart[:, None], self._world.cars.shape))
+        self._sensors.refresh(np.broadcast_to(restart[:, None], self._world.cars.shape))
 
     def _tracks_of_worlds(self, index: ArrayLike) -> np.ndarray:
         index, number = np.asarray(index, np.int64), len(self.tracks.tracks)
@@ -359,16 +362,6 @@ class RaceEnv:
     def _check_open(self) -> None:
         if self._closed:
             raise ConfigError("the environment was closed: make a new one")
-
-
-def decode(sim: SimConfig, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the steering angle [rad] and the target speed [m/s] that actions ask for."""
-    car = sim.car
-    share = (actions[..., 1] + 1.0) * 0.5
-    return (
-        actions[..., 0] * car.max_steering,
-        car.min_speed + share * (car.max_speed - car.min_speed),
-    )
 
 
 def time_limit(tracks: TrackSet, cfg: EnvConfig, track: np.ndarray) -> np.ndarray:

@@ -1,11 +1,10 @@
-"""What pays: the Reward protocol, and the built-in one, a weighted sum of small compiled terms."""
+"""Rewards: the protocol, the weighted sum of compiled terms, and the racing-line reward."""
 
 # Numba gives its types a meaning that the checker does not know.
 # pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import fields
 from typing import Protocol
 
@@ -15,10 +14,11 @@ from league.envs.config import RewardConfig
 from league.errors import ConfigError, nearest_names
 from league.jit import compiled, inner
 from league.portable_math import f32
+from league.sim.config import CarConfig
 from league.sim.grid import is_racing
 from league.sim.world import World
 from league.track.projection import frame_at, signed_gap
-from league.track.track import TrackSet
+from league.track.track import Track, TrackSet
 
 PRESETS = {
     "centerline": RewardConfig(progress=0.0, centerline=1.0, off_track=0.0, crash=0.0),
@@ -27,19 +27,29 @@ PRESETS = {
 }
 """Ready weights by name: of order 1 for a step (4 m/s are 0.27 m, or 0.8), so that a learner
 that discounts by 0.99 sees returns of some tens; a mistake costs what a second of racing earns. In
-`race` little is paid for progress: a mistake ends the episode and with it all that would have been
-earned, and where that is more than a pass earns nobody tries one (docs/self_play.md)."""
+`race` progress earns little: a mistake ends the episode and forfeits what it would still have
+earned, and where that exceeds what a pass earns, no policy tries one (docs/self_play.md)."""
 
 TERMS = tuple(item.name for item in fields(RewardConfig))
 """Names of the built-in terms, in order."""
 NEAR = f32(1.5)
 """Distance along the track within which gaining on another car pays [m]."""
+RACING_LINE = "racing_line"
+"""Name of the reward that is no preset, and of its term."""
+MOST_TRACKS = 64
+"""Most tracks of which the racing line is computed."""
+FAR = 0.7
+"""Distance to the racing line at which its term becomes 0 [m]."""
+SLOW = 1.4
+"""Difference to the racing line's speed at which its term becomes 0 [m/s]."""
+ROWS = 1024
+"""Rows of a line's table."""
 _ZERO, _ONE, _HALF, _QUARTER, _TENTH = f32(0.0), f32(1.0), f32(0.5), f32(0.25), f32(0.1)
 _LEAST_BAND = f32(0.001)
 
 
 class Reward(Protocol):
-    """Pays each car for each step, in Python; it may remember, so it learns of each new episode."""
+    """Rewards each car for each step, in Python; it may keep state between `restart`s."""
 
     @property
     def terms(self) -> tuple[str, ...]:
@@ -54,39 +64,60 @@ class Reward(Protocol):
         actions: np.ndarray,
         verdicts: np.ndarray,
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Return what each car earns and each term of it by name, all (num_worlds, num_cars).
+        """Return each car's reward and each term of it by name, all (num_worlds, num_cars).
 
         Args:
             tracks: the courses.
             before: the worlds before the step; only its cars are of then.
             world: the worlds after it, before any penalty or restart moved a car.
-            actions: what was asked for, in [-1, 1], (num_worlds, num_cars, 2).
+            actions: in [-1, 1], (num_worlds, num_cars, 2).
             verdicts: what happened in the step, VERDICT records (num_worlds, num_cars).
         """
         ...
 
-    def restart(self, world: World, who: np.ndarray) -> None:
-        """Learn which cars begin an episode in this world, bool, (num_worlds, num_cars)."""
+    def restart(self, world: World, begun: np.ndarray, /) -> None:
+        """Note which cars begin an episode in this world, bool, (num_worlds, num_cars)."""
         ...
 
 
-def preset(name: str, others: Sequence[str] = ()) -> RewardConfig:
-    """Return ready weights: `centerline`, `progress` or `race`.
-
-    Args:
-        name: which.
-        others: more names that would have been understood.
+def preset(name: str) -> RewardConfig:
+    """Return the weights of a preset: `centerline`, `progress` or `race`.
 
     Raises:
-        ConfigError: there are none of this name.
+        ConfigError: there is no preset of this name.
     """
     if name not in PRESETS:
         raise ConfigError(
             f"there is no built-in reward {name!r}; nearest: "
-            f"{nearest_names(name, [*PRESETS, *others])}; "
+            f"{nearest_names(name, [*PRESETS, RACING_LINE])}; "
             "or give the path of a reward file that ends in .py"
         )
     return PRESETS[name]
+
+
+def check_name(name: str, num_tracks: int) -> None:
+    """Check that there is a built-in reward of this name for so many tracks.
+
+    Raises:
+        ConfigError: there is none, or there are too many tracks for it.
+    """
+    if name != RACING_LINE:
+        preset(name)
+    elif num_tracks > MOST_TRACKS:
+        raise ConfigError(
+            f"the reward racing_line computes a line on each of {num_tracks} tracks (each "
+            "direction counts), a tenth of a second each: "
+            f"give at most {MOST_TRACKS}, or the reward progress"
+        )
+
+
+def built_in(name: str, tracks: TrackSet, car: CarConfig) -> Reward:
+    """Return a built-in reward: one of the presets, or `racing_line`.
+
+    Raises:
+        ConfigError: there is none of this name, or too many tracks for it.
+    """
+    return RacingLineReward(tracks, car) if name == RACING_LINE else BuiltIn(preset(name))
 
 
 def weights(cfg: RewardConfig) -> np.ndarray:
@@ -95,10 +126,9 @@ def weights(cfg: RewardConfig) -> np.ndarray:
 
 
 class BuiltIn:
-    """The built-in reward as Python sees it, for rewards that add to it."""
+    """The built-in terms as a Reward in Python, for rewards that add to them."""
 
     def __init__(self, cfg: RewardConfig) -> None:
-        """Keep the weights."""
         self.terms = cfg.terms
         self._weight = weights(cfg)
 
@@ -111,18 +141,83 @@ class BuiltIn:
         verdicts: np.ndarray,
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Return the weighted sum and each weighted term; see Reward."""
-        found = np.empty((*world.cars.shape, len(TERMS)), np.float32)
+        columns = np.empty((*world.cars.shape, len(TERMS)), np.float32)
         _pay_all(
-            world.cars, world.worlds, verdicts, found, self._weight, tracks.points, tracks.courses
+            world.cars, world.worlds, verdicts, columns, self._weight, tracks.points, tracks.courses
         )
-        terms = {name: found[..., TERMS.index(name)] for name in self.terms}
-        paid = np.zeros(world.cars.shape, np.float32)
+        terms = {name: columns[..., TERMS.index(name)] for name in self.terms}
+        total = np.zeros(world.cars.shape, np.float32)
         for value in terms.values():
-            paid += value
-        return paid, terms
+            total += value
+        return total, terms
 
-    def restart(self, world: World, who: np.ndarray) -> None:
-        """Nothing is remembered, so nothing is forgotten."""
+    def restart(self, world: World, begun: np.ndarray) -> None:
+        """Nothing: it keeps no state."""
+
+
+class RacingLineReward:
+    """`progress`, and up to 1 in each step for being on the racing line at its speed.
+
+    Without it, a driver that brakes too late learns of it only by its lap time, a second later. The
+    line is the quasi-steady one of racing_line.py: its car uses all its grip and may have two
+    wheels off the road. The car itself can be faster than that, so the line is a guide and
+    `progress` decides (docs/training.md says what that is worth). A car that stands, or drives the
+    wrong way, earns nothing for the line.
+    """
+
+    def __init__(self, tracks: TrackSet, car: CarConfig) -> None:
+        """Compute the line of each track.
+
+        Raises:
+            ConfigError: too many tracks.
+        """
+        check_name(RACING_LINE, len(tracks.tracks))
+        self._progress = BuiltIn(PRESETS["progress"])
+        self.terms = (*self._progress.terms, RACING_LINE)
+        table = np.stack([_line_table(track, car) for track in tracks.tracks])
+        self._table = table.astype(np.float32)
+
+    def __call__(
+        self,
+        tracks: TrackSet,
+        before: World,
+        world: World,
+        actions: np.ndarray,
+        verdicts: np.ndarray,
+    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Return each car's reward and each term of it; see Reward."""
+        total, terms = self._progress(tracks, before, world, actions, verdicts)
+        cars, index = world.cars, world.track[:, None]
+        lateral, line_speed = self.line_at(index, cars["s"] / tracks.length[index])
+        aside = (cars["lateral"] - lateral) / np.float32(FAR)
+        speed = np.sqrt(cars["velocity_x"] ** 2 + cars["velocity_y"] ** 2)
+        slower = (speed - line_speed) / np.float32(SLOW)
+        near = np.maximum(1.0 - aside * aside - slower * slower, np.float32(0.0))
+        near = np.where(verdicts["advance"] > 0, near, np.float32(0.0))
+        return total + near, terms | {RACING_LINE: near}
+
+    def restart(self, world: World, begun: np.ndarray) -> None:
+        """Nothing: it keeps no state."""
+
+    def line_at(self, index: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return lateral place [m] and speed [m/s] of a track's line at a share of the lap."""
+        place = (share * np.float32(ROWS)).clip(0.0, ROWS - 1e-3)
+        low = place.astype(np.int64)
+        part = (place - low.astype(np.float32))[..., None]
+        first = self._table[index, low]
+        row = first + (self._table[index, low + 1] - first) * part
+        return row[..., 0], row[..., 1]
+
+
+def _line_table(track: Track, car: CarConfig) -> np.ndarray:
+    """Return the line's place and speed at ROWS + 1 places from start to end, (ROWS + 1, 2)."""
+    from league.racing_line.racing_line import optimal_line  # late: SciPy takes a while
+
+    line = optimal_line(track, car, -car.wheel_track / 2)
+    places = np.linspace(0.0, track.length, ROWS + 1)
+    period = track.length if track.closed else None
+    columns = [np.interp(places, line.s, one, period=period) for one in (line.lateral, line.speed)]
+    return np.stack(columns, axis=1)
 
 
 @compiled
@@ -135,13 +230,8 @@ def _pay_all(cars, worlds, verdicts, terms, weight, points, courses):
 def pay(cars, verdicts, terms, weight, points, course):
     """Write each weighted term of each car of one world.
 
-    Args:
-        cars: CAR records (num_cars,) after the step, before any penalty or restart.
-        verdicts: VERDICT records (num_cars,).
-        terms: float32 (num_cars, num_terms), in the order of TERMS; overwritten.
-        weight: of `weights`; terms of weight 0 are not worked out.
-        points: of the TrackSet.
-        course: COURSE record of the world's track.
+    Cars are those after the step, before any penalty or restart; `terms` is float32 (num_cars,
+    num_terms), in the order of TERMS. Terms of weight 0 are not computed.
     """
     for c in range(len(cars)):
         seen = verdicts[c]
@@ -184,9 +274,9 @@ def _overtake(c, verdicts):
 def _gain(c, cars, verdicts, course):
     """Return the metres gained in this step on each car within NEAR, summed over them.
 
-    A pass that pays only once it is done is hardly ever found by chance; this pays on the way to
-    it. After Fuchs et al., "Super-Human Performance in Gran Turismo Sport" (2021), and Song et al.,
-    "Autonomous Overtaking in Gran Turismo Sport" (2021), section IV.
+    Exploration hardly ever finds a pass that pays only once it is complete; this pays on the way
+    to it. After Fuchs et al., "Super-Human Performance in Gran Turismo Sport" (2021), and Song et
+    al., "Autonomous Overtaking in Gran Turismo Sport" (2021), section IV.
     """
     total = _ZERO
     if verdicts[c].released or not is_racing(cars[c]):

@@ -1,4 +1,4 @@
-"""Each sensor on its own clock: what is due is read, what is not due is given again."""
+"""The sensors of all cars, each on its own clock; a sensor that is not due repeats its reading."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from league.envs import observations, state
 from league.envs.config import EnvConfig
-from league.envs.threads import over_worlds
+from league.envs.step import over_worlds
 from league.sim.config import CameraConfig
 from league.sim.world import World
 from league.track.track import TrackSet
@@ -21,7 +21,7 @@ Reading = Callable[[World, np.ndarray | None], np.ndarray]
 
 
 class Groups(Mapping[str, np.ndarray]):
-    """One car's groups; `state` is worked out when somebody asks: a policy in a race never does."""
+    """One car's groups; `state` is computed on access, because racing policies do not use it."""
 
     def __init__(
         self,
@@ -44,7 +44,7 @@ class Groups(Mapping[str, np.ndarray]):
         return len(self._held) + 2
 
 
-class Sensing:
+class SensorSuite:
     """The sensors of all cars, with their last readings; part of RaceEnv's state."""
 
     def __init__(self, tracks: TrackSet, cfg: EnvConfig, device: str = "cpu") -> None:
@@ -66,22 +66,20 @@ class Sensing:
             held.clear()
         self._stale: np.ndarray | None = None
 
-    def refresh(self, who: np.ndarray) -> None:
-        """Have the sensors of these cars read at once, due or not; bool, (num_worlds, num_cars)."""
-        if self._carries and who.any():
-            self._stale = who.copy() if self._stale is None else self._stale | who
+    def refresh(self, cars: np.ndarray) -> None:
+        """Read the sensors of these cars next time, due or not; bool, (num_worlds, num_cars)."""
+        if self._carries and cars.any():
+            self._stale = cars.copy() if self._stale is None else self._stale | cars
 
     def refresh_after(self, verdicts: np.ndarray) -> None:
-        """Have the sensors of the cars that the referee has moved read at once."""
+        """Read the sensors of the cars that the referee has moved next time, due or not."""
         if self._carries:
             self.refresh(verdicts["crashed"] | verdicts["released"])
 
     def groups(self, world: World, motions: np.ndarray) -> tuple[Groups, ...]:
-        """Return each car's groups, which show what was last observed.
+        """Return each car's groups, views of the last readings and of the live worlds.
 
-        Args:
-            world: the live worlds, for the truth.
-            motions: own motion, float32 (num_cars, num_worlds, 5).
+        Own motion is float32 (num_cars, num_worlds, 5).
         """
 
         def states() -> np.ndarray:
@@ -101,17 +99,13 @@ class Sensing:
         return tuple(Groups(held, motions[car], car, states) for car, held in enumerate(self._held))
 
     def observe(self, world: World) -> None:
-        """Read what is due; a reading that is not due stays the last one.
-
-        Sensors run on each race's own clock, so that a race in a batch is given what it would be
-        given alone.
-        """
+        """Read what is due, on each race's own clock: a race in a batch equals that race alone."""
         self._states_fresh = False
         if self._carries:
             self.read(world)
 
     def read(self, world: World) -> tuple[Mapping[str, np.ndarray], ...]:
-        """Return what each car's sensors read, without own motion and the truth."""
+        """Return the readings of each car's sensors, without own motion and the truth."""
         step_hz = self._cfg.sim.step_hz
         for car, sensors in enumerate(self._sensors):
             held = self._held[car]

@@ -10,15 +10,19 @@ happened in the step. Bullet, and rewards written in Python, take the stages apa
 # pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
 
 import math
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 
 import numpy as np
 
-from league.envs import episodes as episodes_room
+from league.envs import episodes as episode_kernels
 from league.envs import observations, rewards
 from league.jit import compiled, inner
 from league.portable_math import f32
 from league.sim import grid, referee
-from league.sim import obstacles as obstacles_room
+from league.sim import obstacles as obstacle_kernels
 from league.sim.physics import planar
 
 PREPARE, PHYSICS, JUDGE, SETTLE = 1, 2, 4, 8
@@ -34,7 +38,7 @@ OUTCOME = np.dtype(
     ],
     align=True,
 )
-"""What a step brought one car."""
+"""What a step yields for one car."""
 
 FINE, BAD_ACTION, BAD_STATE = 0, 1, 2
 """What `step` returns: all is well; an action is not in [-1, 1]; a car's state is not finite."""
@@ -110,15 +114,21 @@ def step(
         if phases & PREPARE:
             for c in range(num_cars):
                 before[w, c] = cars[w, c]
-                _decode(actions[w, c], controls[w, c], sim)
-            obstacles_room.aim(things, arrivals[w], world, points, course, places, sim)
+                # As actions.decode does.
+                controls[w, c, 0] = actions[w, c, 0] * sim.max_steering
+                share = (actions[w, c, 1] + _ONE) * _HALF
+                controls[w, c, 1] = sim.min_speed + share * (sim.max_speed - sim.min_speed)
+            obstacle_kernels.aim(things, arrivals[w], world, points, course, places, sim)
         if phases & PHYSICS:
             planar.step_world(cars[w], things, course, controls[w], contacts[w], pairs, sim)
         if phases & JUDGE:
             for c in range(num_cars):
                 if not _is_finite(cars[w, c]):
                     return BAD_STATE + 4 * (w * num_cars + c)
-                _remember(cars[w, c], controls[w, c], actions[w, c])
+                cars[w, c].target_steering = controls[w, c, 0]
+                cars[w, c].target_speed = controls[w, c, 1]
+                cars[w, c].action_steering = actions[w, c, 0]
+                cars[w, c].action_speed = actions[w, c, 1]
             for k in range(len(things)):
                 things[k] = arrivals[w, k]
             world.step += 1
@@ -131,18 +141,12 @@ def step(
                 _sum_terms(terms[w], outcomes[w])
         if phases & SETTLE:
             if rules.training:
-                _end_episodes(
-                    cars[w],
-                    things,
-                    world,
-                    verdicts[w],
-                    outcomes[w],
-                    points,
-                    course,
-                    places,
-                    sim,
-                    rules,
+                done = _end_episodes(cars[w], verdicts[w], outcomes[w], rules)
+                begins = episode_kernels.end_and_begin(
+                    done, cars[w], things, world, points, course, places, sim, rules
                 )
+                for c in range(num_cars):
+                    outcomes[w, c].began = (begins >> c) & 1 == 1
             else:
                 referee.penalise(cars[w], things, verdicts[w], points, course, sim)
                 _end_race(cars[w], world, outcomes[w])
@@ -155,17 +159,8 @@ def step(
 def reset(which, cars, obstacles, worlds, motions, points, courses, places, settings, episodes):
     """Start the races of some worlds: on the grid, or in training wherever episodes begin.
 
-    Args:
-        which: worlds to start, int64 (num_started,); their seeds and tracks have been set.
-        cars: see `step`, as for the rest.
-        obstacles: see `step`.
-        worlds: see `step`.
-        motions: see `step`.
-        points: see `step`.
-        courses: see `step`.
-        places: see `step`.
-        settings: see `step`.
-        episodes: see `step`.
+    `which` holds these worlds, int64 (num_started,), whose seeds and tracks have been set; for the
+    rest see `step`.
     """
     sim, rules = settings[0], episodes[0]
     for n in range(len(which)):
@@ -173,26 +168,12 @@ def reset(which, cars, obstacles, worlds, motions, points, courses, places, sett
         world, course = worlds[w], courses[worlds[w].track]
         grid.start(cars[w], obstacles[w], world, points, course, places, sim)
         if rules.training:
-            episodes_room.begin_all(
+            episode_kernels.begin_all(
                 cars[w], obstacles[w], world, points, course, places, sim, rules
             )
         for c in range(cars.shape[1]):
-            episodes_room.encode(cars[w, c], sim)
+            episode_kernels.encode(cars[w, c], sim)
             observations.motion(cars[w, c], motions[c, w])
-
-
-@inner
-def _decode(action, control, sim):
-    """Turn an action in [-1, 1] into a steering angle [rad] and a target speed [m/s]."""
-    control[0] = action[0] * sim.max_steering
-    share = (action[1] + _ONE) * _HALF
-    control[1] = sim.min_speed + share * (sim.max_speed - sim.min_speed)
-
-
-@inner
-def _remember(car, control, action):
-    car.target_steering, car.target_speed = control[0], control[1]
-    car.action_steering, car.action_speed = action[0], action[1]
 
 
 @inner
@@ -213,14 +194,15 @@ def _sum_terms(terms, outcomes):
 @inner
 def _end_race(cars, world, outcomes):
     for c in range(len(cars)):
-        home = math.isfinite(cars[c].finish_s)
-        outcomes[c].terminated = home
-        outcomes[c].truncated = world.step >= world.last_step and not home
+        finished = math.isfinite(cars[c].finish_s)
+        outcomes[c].terminated = finished
+        outcomes[c].truncated = world.step >= world.last_step and not finished
         outcomes[c].began = False
 
 
 @inner
-def _end_episodes(cars, obstacles, world, verdicts, outcomes, points, course, places, sim, rules):
+def _end_episodes(cars, verdicts, outcomes, rules):
+    """Return the mask of the cars whose episode ends in this step."""
     done = 0
     for c in range(len(cars)):
         cars[c].episode_steps += 1
@@ -229,8 +211,46 @@ def _end_episodes(cars, obstacles, world, verdicts, outcomes, points, course, pl
         outcomes[c].truncated = cars[c].episode_steps >= rules.longest and not over
         if over or outcomes[c].truncated:
             done |= 1 << c
-    begins = episodes_room.end_and_begin(
-        done, cars, obstacles, world, points, course, places, sim, rules
-    )
-    for c in range(len(cars)):
-        outcomes[c].began = (begins >> c) & 1 == 1
+    return done
+
+
+CARS_PER_THREAD = 256
+"""Fewest cars that are worth another thread."""
+
+
+def over_worlds(
+    loop: Callable[..., int], num_worlds: int, num_cars: int, *arguments: object
+) -> int:
+    """Run a compiled loop over all worlds; return its first result that is not 0, else 0.
+
+    Many worlds are shared out among threads; each drives worlds of its own, so results do not
+    depend on their number. They are Python threads, because compiled code releases the interpreter
+    and they survive a fork, unlike OpenMP's.
+
+    Args:
+        loop: takes the first world, the world behind the last one, and the arguments.
+        num_worlds: worlds to share out.
+        num_cars: cars in each.
+        arguments: passed on.
+    """
+    if num_worlds * num_cars < 2 * CARS_PER_THREAD or (threads := num_threads()) == 1:
+        return loop(0, num_worlds, *arguments)
+    threads = min(threads, num_worlds, num_worlds * num_cars // CARS_PER_THREAD)
+    bounds = [num_worlds * part // threads for part in range(threads + 1)]
+    pool = _pool(os.getpid(), num_threads())
+    parts = [
+        pool.submit(loop, bounds[part], bounds[part + 1], *arguments) for part in range(1, threads)
+    ]
+    results = [loop(bounds[0], bounds[1], *arguments), *(part.result() for part in parts)]
+    return next((result for result in results if result), 0)
+
+
+def num_threads() -> int:
+    """Return how many threads may work: OMP_NUM_THREADS, or the processors of this process."""
+    limit = os.environ.get("OMP_NUM_THREADS", "")
+    return int(limit) if limit.isdigit() and int(limit) > 0 else len(os.sched_getaffinity(0))
+
+
+@cache
+def _pool(process: int, size: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(size, thread_name_prefix="worlds")

@@ -13,10 +13,11 @@ from dataclasses import replace
 import numpy as np
 
 from league.agents.driver import Driver
+from league.envs.actions import checked
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
 from league.envs.rewards import BuiltIn, Reward
-from league.errors import ActionError, ConfigError, brief
+from league.errors import ConfigError, brief
 from league.racing.runs import Moment, Run, Told, Watcher
 from league.racing.table import Evaluation, Mode, Trial
 from league.sim.config import ObstacleConfig, RaceKind, RaceRules, SimConfig, SolverName
@@ -143,7 +144,10 @@ def _drive(
             driver.reset(None)
         while not all(run.over for run in runs):
             actions = np.stack(
-                [_answer(driver, told[car], len(runs)) for car, driver in enumerate(drivers)],
+                [
+                    checked(driver.act(told[car]), driver.name, len(runs))
+                    for car, driver in enumerate(drivers)
+                ],
                 axis=1,
             )
             restart = np.array([run.restart for run in runs])
@@ -191,18 +195,3 @@ class _Onlooker:
 
     def restart(self, world: World, who: np.ndarray) -> None:
         self._reward.restart(world, who)
-
-
-def _answer(driver: Driver, observations: object, num_worlds: int) -> np.ndarray:
-    answer = driver.act(observations)  # pyright: ignore[reportArgumentType]
-    try:
-        rows = np.asarray(answer)
-    except Exception:  # whatever a stranger's object does when it is asked to be an array
-        rows = np.empty(0, object)
-    if rows.dtype.kind != "f" or rows.shape != (num_worlds, 2):
-        shape = brief(answer) if rows.dtype.kind != "f" else rows.shape
-        raise ActionError(
-            f"the answer of {driver.name} is {shape}: expected actions of shape ({num_worlds}, 2), "
-            "[steering, speed] in each world"
-        )
-    return rows

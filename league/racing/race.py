@@ -14,7 +14,7 @@ from league.agents.driver import Driver
 from league.agents.driver_pool import Seat, Seats
 from league.envs.config import EnvConfig, RewardConfig
 from league.envs.race_env import Observations, RaceEnv, Step
-from league.envs.sensor_suite import Sensing
+from league.envs.sensor_suite import SensorSuite
 from league.errors import ConfigError, PolicyError
 from league.race_spec import Entry, RaceResult, RaceSpec
 from league.racing.race_log import RaceLog, classify
@@ -250,7 +250,7 @@ class _Race:
         self.result: RaceResult | None = None
         self.readings: Observations = ()
         # Its own, because the drivers of another race may carry other sensors.
-        self._sensing = Sensing(tracks, cfg)
+        self._sensing = SensorSuite(tracks, cfg)
         self._log = RaceLog(cfg.sim.step_dt, cfg.sim.num_cars)
         self._faults = [0] * cfg.sim.num_cars
         self._recorder = None

@@ -16,8 +16,8 @@ import numpy as np
 
 from league.atomic_file import replacing
 from league.deepracer import params_kernels
-from league.deepracer.waypoints import Lines
-from league.envs.action_space import ActionSpace, DiscreteActions
+from league.deepracer.params import Roads
+from league.envs.actions import ActionSpace, DiscreteActions
 from league.errors import ConfigError
 from league.racing.runs import Moment
 from league.sim import referee
@@ -66,14 +66,14 @@ class Trace:
         """
         self._space, self._started_s = space, started_s
         self._rows: dict[int, list[dict]] = {}
-        self._lines: Lines | None = None
+        self._roads: Roads | None = None
         self._crashes: dict[tuple[int, int], int] = {}
         self._step_dt = 0.0
 
     def add(self, moment: Moment) -> None:
         """Keep one step of every run that is under way."""
-        if self._lines is None:
-            self._lines = Lines.of(moment.tracks)
+        if self._roads is None:
+            self._roads = Roads.of(moment.tracks)
         self._step_dt = moment.sim.step_dt
         told = _told(moment)
         for seen in moment.seen:
@@ -125,16 +125,16 @@ class Trace:
     def _placed(self, moment: Moment, trial: int, row: Mapping[str, float]) -> dict:
         """Return a row with its place on the lap worked out."""
         track = moment.tracks.tracks[0]
-        lines = self._lines
-        assert lines is not None
-        pair = params_kernels.closest_waypoints(lines.places, lines.measures[0], row["nose_s"])
+        roads = self._roads
+        assert roads is not None
+        pair = params_kernels.closest_waypoints(roads.places, roads.records[0], row["nose_s"])
         # The referee counts laps where the base is; the original's progress is that of the nose.
         on_lap = row["distance"] - row["laps"] * row["lap_length"]
         progress = 100.0 * (on_lap + row["nose_ahead"]) / row["lap_length"]
         return {
             **row,
             "progress": round(min(max(progress, 0.0), 100.0), 6),
-            "closest_waypoint": nearer(lines.waypoints[0], pair, row["X"], row["Y"]),
+            "closest_waypoint": nearer(roads.waypoints[0], pair, row["X"], row["Y"]),
             "track_len": round(track.length, 6),
             "all_wheels_on_track": bool(row["all_wheels_on_track"]),
         }

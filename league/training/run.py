@@ -16,7 +16,7 @@ from league.agents.card import Card
 from league.agents.card import Reward as RewardCard
 from league.agents.checkpoint import Checkpoint
 from league.atomic_file import replacing
-from league.envs import line_reward
+from league.envs import rewards
 from league.envs.driver import Driver
 from league.envs.rewards import Reward
 from league.errors import ConfigError, LeagueError, PolicyError
@@ -77,7 +77,7 @@ class Run:
         self.cfg, self.folder = cfg, folder
         if not cfg.reward.endswith(".py"):
             ways = 2 if cfg.train.both_directions else 1
-            line_reward.check(cfg.reward, ways * track_selection.count(cfg.tracks))
+            rewards.check_name(cfg.reward, ways * track_selection.count(cfg.tracks))
         self._tracks = track_selection.load(cfg.tracks)
         self._exam = _exam(cfg, self._tracks)
         train = cfg.train
@@ -119,7 +119,7 @@ class Run:
         self._judge = Judge(self._exam, beside=beside and distributed.is_first())
         if self._reward is None:
             car = make_env.env_config(train).sim.car
-            self._reward = line_reward.built_in(cfg.reward, tracks, car)
+            self._reward = rewards.built_in(cfg.reward, tracks, car)
         with checks.memory():
             if train.tutor:
                 self.learner = tutored(tracks, train, opponents=opponents, reward=self._reward)

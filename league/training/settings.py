@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from league.agents.network import NetworkConfig
-from league.envs.action_space import ActionSpace, ContinuousActions
+from league.envs.actions import ActionSpace, ContinuousActions
 from league.envs.config import RewardConfig
 from league.errors import ConfigError
 from league.sim.config import CameraConfig, LookConfig, RaceKind, SensorConfig, Spread

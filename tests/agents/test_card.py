@@ -10,7 +10,7 @@ from trained import SENSES, make_card
 
 from league.agents.card import Card, Reward
 from league.agents.network import NetworkConfig
-from league.envs.action_space import ContinuousActions, grid
+from league.envs.actions import ContinuousActions, grid
 from league.errors import ConfigError, PolicyError
 from league.matchmaking import submission
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig

@@ -14,7 +14,7 @@ from league.agents import checkpoint
 from league.agents.checkpoint import Checkpoint
 from league.agents.network import NetworkConfig
 from league.agents.policy import Policy
-from league.envs.action_space import grid
+from league.envs.actions import grid
 from league.errors import PolicyError
 from league.sim.config import CameraConfig, CarConfig, SensorConfig
 

@@ -14,7 +14,7 @@ from league.agents.card import Card
 from league.agents.export import input_notes, to_onnx
 from league.agents.network import Activation, NetworkConfig
 from league.agents.policy import Policy
-from league.envs.action_space import ContinuousActions, grid
+from league.envs.actions import ContinuousActions, grid
 from league.envs.observations import MOTION_FIELDS
 from league.errors import PolicyError
 from league.sim.camera.scene import LUMA

@@ -13,7 +13,7 @@ from trained import SENSES, make_checkpoint, readings
 from league.agents import checkpoint, roster
 from league.agents.network import Activation, NetworkConfig
 from league.agents.policy import Policy
-from league.envs.action_space import ContinuousActions, grid, to_actions
+from league.envs.actions import ContinuousActions, grid, to_actions
 from league.envs.adapters.rsl_vec_env import RacingVecEnv
 from league.envs.config import EnvConfig
 from league.errors import PolicyError

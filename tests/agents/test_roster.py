@@ -5,9 +5,9 @@ import pytest
 
 from league.agents import roster
 from league.agents.driver import actions_from
-from league.envs.race_env import decode
+from league.envs.actions import decode
 from league.errors import PolicyError
-from league.sim.config import CarConfig, SensorConfig, SimConfig
+from league.sim.config import CarConfig, SensorConfig
 from league.track import files
 from league.track.track import TrackSet
 
@@ -42,7 +42,7 @@ def test_two_tracks_at_once_are_refused():
 def test_actions_are_the_inverse_of_what_the_environment_decodes():
     car = CarConfig()
     steering, speed = np.array([0.0, 0.3, -0.5]), np.array([0.1, 2.0, 4.0])
-    found = decode(SimConfig(car=car), actions_from(steering, speed, car))
+    found = decode(actions_from(steering, speed, car), car)
     assert np.allclose(found, (steering, speed), rtol=1e-6)
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from league.deepracer import hyperparameters
 from league.deepracer import model_metadata as metadata
-from league.envs.action_space import ContinuousActions, DiscreteActions
+from league.envs.actions import ContinuousActions, DiscreteActions
 from league.errors import ConfigError
 
 TWO = [{"steering_angle": -30, "speed": 0.6}, {"steering_angle": 30.0, "speed": "1.2", "index": 1}]

@@ -5,11 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import Stages, go_to, make_ring, make_square, make_straight, put_cars, touch
+from scenes import Stages, go_to, make_ring, make_straight, put_cars, touch
 
 from league.deepracer import params_kernels
-from league.deepracer.params import KEYS, Situations
-from league.deepracer.waypoints import Lines
+from league.deepracer.params import KEYS, ParamsBuilder, Roads
 from league.sim.config import ObstacleConfig, RaceRules, SimConfig
 from league.track.track import TrackSet
 
@@ -29,12 +28,12 @@ class Told:
 
     def __init__(self, tracks, sim, start, *, car=0, num_worlds=1):
         self.tracks, self.sim, self.car = tracks, sim, car
-        self.situations = Situations(sim, (car,))
+        self.builder = ParamsBuilder(sim, (car,))
         self.world = put_cars(tracks, sim, start, num_worlds=num_worlds)
         self.restart()
 
     def restart(self):
-        self.situations.restart(np.ones(self.world.cars.shape, bool))
+        self.builder.restart(np.ones(self.world.cars.shape, bool))
 
     def step(self, end, *, pairs=(), speed=1.0, asked=(0.0, 1.0), hits=(), yaw=None):
         after = go_to(self.tracks, self.world, end, speed=speed)
@@ -43,7 +42,7 @@ class Told:
             after.cars["yaw"] = yaw
         contacts = touch(after, *pairs, obstacles=hits)
         verdicts, after = Stages(self.tracks, self.sim).judge(self.world, after, contacts)
-        rows = self.situations.rows(self.tracks, self.world, after, verdicts)
+        rows = self.builder.rows(self.tracks, self.world, after, verdicts)
         self.world = after
         return rows.params
 
@@ -163,8 +162,8 @@ def told_waypoints(track, *places):
     return replace(track, waypoints=track.center[rows])
 
 
-def closest(lines, s, *, track=0):
-    found = params_kernels.closest_waypoints(lines.places, lines.measures[track], s)
+def closest(roads, s, *, track=0):
+    found = params_kernels.closest_waypoints(roads.places, roads.records[track], s)
     return [int(one) for one in found]
 
 
@@ -191,8 +190,8 @@ def test_closest_of_a_tracks_own_waypoints_wherever_the_first_one_lies(
     first, clockwise, further, pair
 ):
     places = [first + place for place in (0, 1, 4, 4, 9, 12)]
-    lines = Lines.of(TrackSet(told_waypoints(make_ring(clockwise=clockwise), *places)))
-    assert closest(lines, (first + further) % 12) == pair
+    roads = Roads.of(TrackSet(told_waypoints(make_ring(clockwise=clockwise), *places)))
+    assert closest(roads, (first + further) % 12) == pair
 
 
 @pytest.mark.parametrize(
@@ -204,10 +203,10 @@ def test_closest_of_a_tracks_own_waypoints_wherever_the_first_one_lies(
 def test_closest_waypoints_of_a_reversed_track_count_the_other_way(further, pair):
     track = told_waypoints(make_ring(), 1.5, 2.5, 5.5, 5.5, 10.5, 13.5)
     back = track.reversed()
-    lines = Lines.of(TrackSet(track, back))
-    assert lines.waypoints[1] == lines.waypoints[0][::-1]
+    roads = Roads.of(TrackSet(track, back))
+    assert roads.waypoints[1] == roads.waypoints[0][::-1]
     # The first one is 1.5 m behind the start line now.
-    assert closest(lines, (10.5 + further) % 12, track=1) == pair
+    assert closest(roads, (10.5 + further) % 12, track=1) == pair
 
 
 @pytest.mark.parametrize(
@@ -219,19 +218,19 @@ def test_closest_waypoints_of_a_straight_have_nothing_before_the_first_and_0_aft
     s, pair
 ):
     # They begin 0.5 m after the start and end 0.5 m before the end.
-    lines = Lines.of(TrackSet(told_waypoints(make_straight(), 0.5, 4, 4, 9.5)))
-    assert closest(lines, s) == pair
+    roads = Roads.of(TrackSet(told_waypoints(make_straight(), 0.5, 4, 4, 9.5)))
+    assert closest(roads, s) == pair
 
 
 def test_tracks_with_waypoints_of_their_own_and_without_stand_side_by_side():
     own = told_waypoints(make_ring(), 0, 1, 4, 4, 9, 12)
     other = told_waypoints(make_ring(), 0, 2, 12)
     plain = make_straight()
-    lines = Lines.of(TrackSet(own, plain, other, plain))
-    pairs = [closest(lines, 4.6, track=number) for number in range(4)]
+    roads = Roads.of(TrackSet(own, plain, other, plain))
+    pairs = [closest(roads, 4.6, track=number) for number in range(4)]
     # 67 stretches on 10 m: 4.6 m is the 30.8th.
     assert pairs == [[3, 4], [30, 31], [1, 2], [30, 31]]
-    assert lines.waypoints[1] == Lines.of(TrackSet(plain)).waypoints[0]
+    assert roads.waypoints[1] == Roads.of(TrackSet(plain)).waypoints[0]
     told = Told(TrackSet(own, other), ALONE, [(4.5, 0.0)], num_worlds=2)
     told.world.worlds["track"] = 0, 1
     assert [row["closest_waypoints"] for row in told.step([(4.6, 0.0)])] == [[3, 4], [1, 2]]
@@ -239,10 +238,10 @@ def test_tracks_with_waypoints_of_their_own_and_without_stand_side_by_side():
 
 def test_no_two_closest_waypoints_are_the_same_place():
     # The first, the last and one in between come twice, as files have them.
-    lines = Lines.of(TrackSet(told_waypoints(make_ring(), 0, 0, 3, 3, 9, 12, 12)))
+    roads = Roads.of(TrackSet(told_waypoints(make_ring(), 0, 0, 3, 3, 9, 12, 12)))
     for s in (0.0, 1.5, 3.0, 6.0, 9.0, 11.9999999, math.nextafter(12.0, 0.0), 12.0):
-        behind, ahead = closest(lines, s)
-        assert lines.waypoints[0][behind] != lines.waypoints[0][ahead]
+        behind, ahead = closest(roads, s)
+        assert roads.waypoints[0][behind] != roads.waypoints[0][ahead]
 
 
 def test_speed_and_steering_are_what_was_asked_for_not_what_is(straight):
@@ -279,7 +278,7 @@ def test_progress_is_100_when_the_lap_is_complete_and_then_begins_anew(ring):
     told = Told(ring(), two_laps, [(0.0, 0.0)])
     # As if it had been round: the book knows of 11.9 m.
     told.world.cars[:] = put_cars(ring(), two_laps, [(11.9, 0.0)]).cars
-    memory = told.situations._memory
+    memory = told.builder.memory
     memory["fresh"], memory["lead"] = False, NOSE
     before, at, after = (told.step([(s, 0.0)])[0] for s in (11.95, 12.05, 12.17))
     assert before["progress"] == pytest.approx(100 * 11.95 / 12, abs=2e-3)
@@ -290,7 +289,7 @@ def test_progress_is_100_when_the_lap_is_complete_and_then_begins_anew(ring):
 
 def test_progress_is_held_below_100_until_the_lap_is_counted(ring):
     told = Told(ring(), TWO, [(-0.75, 0.0), (-3.0, 0.0)])
-    memory = told.situations._memory
+    memory = told.builder.memory
     memory["fresh"][:], memory["lead"][:], memory["start"][:] = False, NOSE, -0.75
     told.world.cars[:] = put_cars(ring(), TWO, [(11.8, 0.0), (6.0, 0.0)]).cars
     params = told.step([(11.9, 0.0), (6.1, 0.0)])[0]  # 12.65 m since the grid
@@ -388,23 +387,6 @@ def test_car_that_stands_a_penalty_is_not_asked(ring):
     told = Told(ring(), ALONE, [(3.0, 0.0)])
     told.world.cars["penalty_s"] = 2.0
     assert told.step([(3.0, 0.0)]) == []
-
-
-def test_places_are_found_as_the_tracks_themselves_find_them():
-    tracks = TrackSet(make_square())
-    s = np.linspace(0.0, tracks.length[0] - 0.01, 200, dtype=np.float32)[None]
-    index = np.zeros(1, np.int64)
-    center = tracks.at(index, s)
-    x, y = center.x - 0.3 * center.sin, center.y + 0.3 * center.cos
-    frame = tracks.project(index, x, y, s + np.float32(0.1))
-    lines = Lines.of(tracks)
-    places = zip(*(one[0].tolist() for one in (x, y, s + 0.1)), strict=True)
-    found = np.array(
-        [params_kernels.project(lines.rows, lines.measures[0], *place) for place in places]
-    )
-    assert found[:, 0] == pytest.approx(frame.s[0], abs=1e-4)
-    assert found[:, 1] == pytest.approx(frame.lateral[0], abs=1e-5)
-    assert found[:, 2] == pytest.approx(frame.left[0], abs=1e-5)
 
 
 def test_speed_of_an_object_counts_both_axes(ring):

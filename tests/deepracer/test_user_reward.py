@@ -13,7 +13,7 @@ import pytest
 from scenes import follow_center, make_ring
 
 from league.deepracer import UserReward, check, user_reward
-from league.deepracer.reward_file import Source
+from league.deepracer.reward_file import RewardFile
 from league.envs import rewards
 from league.envs.config import EnvConfig, RewardConfig
 from league.envs.race_env import RaceEnv
@@ -257,7 +257,7 @@ def test_a_call_that_does_not_come_back_ends_with_its_line(reward_file):
     text = "count = 0\ndef reward_function(params):\n    while params['steps'] > 1:\n        pass\n"
     path = reward_file(f"{text}    return 1.0\n")
     cfg = EnvConfig(sim=ALONE, mode="training")
-    paid = UserReward(Source.read(path), ALONE, 2, (0,), time_limit_s=0.3)
+    paid = UserReward(RewardFile.read(path), ALONE, 2, (0,), time_limit_s=0.3)
     env = RaceEnv(TrackSet(make_ring()), cfg, num_worlds=2, reward=paid)
     env.reset(seed=1)
     env.step(np.zeros((2, 1, 2), np.float32))
@@ -270,7 +270,7 @@ def test_a_call_that_does_not_come_back_ends_with_its_line(reward_file):
 def test_a_file_that_does_not_come_back_from_being_loaded_ends_with_its_line(reward_file):
     path = reward_file("def reward_function(params):\n    return 1\n\nwhile True:\n    pass\n")
     with pytest.raises(RewardError, match=r"line [45]: still running after 0\.2 s"):
-        UserReward(Source.read(path), ALONE, 1, (0,), time_limit_s=0.2)
+        UserReward(RewardFile.read(path), ALONE, 1, (0,), time_limit_s=0.2)
 
 
 def test_what_a_file_defines_can_look_itself_up(reward_file):
@@ -302,13 +302,13 @@ def test_prints_without_an_end_are_one_line_and_long_ones_are_cut(reward_file):
 def test_a_file_in_another_encoding_is_read_as_it_says(tmp_path):
     path = tmp_path / "latin.py"
     path.write_bytes("# -*- coding: latin-1 -*-\nNAME = 'Zo\xe9'\n".encode("latin-1") + END)
-    source = Source.read(path)
+    source = RewardFile.read(path)
     assert source.text.splitlines()[1] == "NAME = 'Zo\xe9'"
     assert source.digest == hashlib.sha256(path.read_bytes()).hexdigest()
     for start in (b"\xef\xbb\xbf", b""):
         path.write_bytes(start + b"x = 1\r\n" + END)
-        assert Source.read(path).digest == hashlib.sha256(path.read_bytes()).hexdigest()
-        assert UserReward(Source.read(path), ALONE, 1, (0,)).printed == ()
+        assert RewardFile.read(path).digest == hashlib.sha256(path.read_bytes()).hexdigest()
+        assert UserReward(RewardFile.read(path), ALONE, 1, (0,)).printed == ()
 
 
 def test_missing_and_foreign_files_are_refused(tmp_path):
@@ -317,7 +317,7 @@ def test_missing_and_foreign_files_are_refused(tmp_path):
     with pytest.raises(RewardError, match="cannot be read"):
         user_reward(tmp_path, 1)
     (tmp_path / "b.py").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(RewardError, match="no UTF-8 text"):
+    with pytest.raises(RewardError, match="not UTF-8 text"):
         user_reward(tmp_path / "b.py", 1)
 
 

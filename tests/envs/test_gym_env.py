@@ -12,9 +12,8 @@ from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 from scenes import follow_center, make_ring
 
-from league.envs.adapters.gym_env import SingleEnv
+from league.envs.adapters.gym_env import GymEnv, GymVectorEnv
 from league.envs.adapters.registration import IDS
-from league.envs.adapters.vector_env import BatchEnv
 from league.errors import ActionError, ConfigError, LeagueError, PolicyError
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig
 
@@ -99,7 +98,7 @@ def test_an_episode_repeats_itself_with_its_seed_and_actions(name):
 
 
 def test_an_episode_ends_with_the_learners_mistake_and_tells_where():
-    env = SingleEnv(make_ring(), sensors=(), privileged=True)
+    env = GymEnv(make_ring(), sensors=(), privileged=True)
     env.reset(seed=0)
     for _ in range(60):
         told, reward, terminated, truncated, info = env.step(np.array([-1.0, 0.0]))
@@ -113,7 +112,7 @@ def test_an_episode_ends_with_the_learners_mistake_and_tells_where():
 
 
 def test_a_race_is_lost_by_nobody_and_ends_after_its_laps():
-    env = SingleEnv(make_ring(), mode="race", laps=2, sensors=(), privileged=True)
+    env = GymEnv(make_ring(), mode="race", laps=2, sensors=(), privileged=True)
     told, _ = env.reset(seed=0)
     laps = []
     for _ in range(400):
@@ -130,7 +129,7 @@ def test_a_race_is_lost_by_nobody_and_ends_after_its_laps():
 
 
 def test_an_episode_is_cut_off_after_max_steps():
-    env = SingleEnv(make_ring(), sensors=(), max_steps=5)
+    env = GymEnv(make_ring(), sensors=(), max_steps=5)
     env.reset(seed=0)
     cut = [env.step(np.array([0.0, -1.0]))[3] for _ in range(5)]
     assert cut == [False, False, False, False, True]
@@ -138,13 +137,13 @@ def test_an_episode_is_cut_off_after_max_steps():
 
 def test_the_others_are_driven_by_the_given_drivers():
     follower = Follower(SensorConfig(lidar=LidarConfig(beams=8)))
-    env = SingleEnv(make_ring(), "head_to_head", opponents=(follower, "centerline"), sensors=())
+    env = GymEnv(make_ring(), "head_to_head", opponents=(follower, "centerline"), sensors=())
     told, _ = env.reset(seed=0)
     assert set(told) == {"motion"}  # the learner's own, whatever the others carry
-    before = env._seat.env.world.cars["distance"].copy()
+    before = env.learner.env.world.cars["distance"].copy()
     for _ in range(30):
         env.step(np.array([0.0, -1.0]))
-    moved = (env._seat.env.world.cars["distance"] - before)[0]
+    moved = (env.learner.env.world.cars["distance"] - before)[0]
     assert float(moved[0]) < 0.3 < float(moved[1:].min())
     assert follower.resets >= 1
     env.reset()
@@ -153,7 +152,7 @@ def test_the_others_are_driven_by_the_given_drivers():
 
 def test_the_learner_may_start_from_any_place_on_the_grid():
     drivers = (Follower(), Follower())
-    env = SingleEnv("reinvent_2018", "head_to_head", opponents=drivers, car=2, mode="race")
+    env = GymEnv("reinvent_2018", "head_to_head", opponents=drivers, car=2, mode="race")
     _, info = env.reset(seed=0)
     assert info["place"] == 3
     assert info["distance"] == pytest.approx(-1.5)  # two grid places of 0.75 m behind
@@ -164,7 +163,7 @@ def test_the_batch_equals_gymnasiums_own_vector_step_by_step(name):
     made = dict(num_envs=3, sensors=("lidar", CAMERA), max_steps=25)
     batch = gymnasium.make_vec(name, **made)
     loop = gymnasium.make_vec(name, vectorization_mode="sync", **made)
-    assert isinstance(batch, BatchEnv) and isinstance(loop, SyncVectorEnv)
+    assert isinstance(batch, GymVectorEnv) and isinstance(loop, SyncVectorEnv)
     assert batch.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
     assert batch.observation_space == loop.observation_space
     assert batch.action_space == loop.action_space
@@ -213,7 +212,7 @@ def test_a_batch_takes_gymnasiums_name_for_the_longest_episode():
     assert [batch.step(np.zeros((2, 2)))[3].tolist() for _ in range(2)] == [[False] * 2, [True] * 2]
 
 
-@pytest.mark.parametrize("door", [SingleEnv, BatchEnv])
+@pytest.mark.parametrize("door", [GymEnv, GymVectorEnv])
 @pytest.mark.parametrize(
     ("settings", "error", "sentence"),
     [
@@ -241,8 +240,8 @@ def test_wrong_words_bring_one_sentence(door, settings, error, sentence):
 
 def test_a_batch_refuses_what_is_no_batch():
     with pytest.raises(ConfigError, match="num_envs is 0"):
-        BatchEnv(0)
-    batch = BatchEnv(2, sensors=())
+        GymVectorEnv(0)
+    batch = GymVectorEnv(2, sensors=())
     with pytest.raises(ActionError, match="before the first reset"):
         batch.step(np.zeros((2, 2)))
     with pytest.raises(ConfigError, match="3 seeds for 2 races"):

@@ -6,7 +6,8 @@ import math
 import re
 from pathlib import Path
 
-from league.envs import infos, observations, parallel_env, state
+from league.envs import observations, parallel_env, state
+from league.envs.adapters import spaces
 from league.sim.config import CameraConfig, LidarConfig
 
 PAGE = (Path(__file__).parents[2] / "docs" / "observations.md").read_text(encoding="utf-8")
@@ -38,4 +39,4 @@ def test_every_key_of_an_info_is_explained():
     _, told = env.reset(seed=0)
     explained = set(re.findall(r"`(\w+)`", PAGE[PAGE.index("### What `info`") :]))
     assert set(told["car_0"]) <= explained
-    assert set(infos.FLAGS) <= explained
+    assert set(spaces.FLAGS) <= explained

@@ -149,7 +149,7 @@ def test_two_environments_in_one_process_do_not_know_of_each_other(solver):
 def test_without_a_seed_each_reset_brings_another_race_and_a_seed_brings_the_row_again():
     def places(env, seed):
         env.reset(seed=seed)
-        return env._env.world.obstacles["s"][0].tolist()
+        return env.race_env.world.obstacles["s"][0].tolist()
 
     env = parallel_env(kind="obstacle_avoidance", sensors=())
     row = [places(env, 5), places(env, None), places(env, None)]
@@ -186,7 +186,7 @@ def test_an_agent_that_finishes_leaves_and_never_comes_back_until_reset():
 def steer(env, car, speed):
     """Follow the centreline by the truth."""
 
-    return follow_center(env._env.observations[car], speed)[0]
+    return follow_center(env.race_env.observations[car], speed)[0]
 
 
 def test_infos_tell_place_progress_penalty_and_verdict():
@@ -294,8 +294,8 @@ def test_the_settings_of_the_world_can_be_given_and_the_words_win():
     sim = SimConfig(obstacles=ObstacleConfig(count=3))
     env = parallel_env(kind="obstacle_avoidance", sim=sim, laps=7, sensors=())
     env.reset(seed=0)
-    assert env._env.world.obstacles.shape == (1, 3)
-    assert env._env.cfg.sim.rules.laps == 7
+    assert env.race_env.world.obstacles.shape == (1, 3)
+    assert env.race_env.cfg.sim.rules.laps == 7
 
 
 def test_the_live_viewer_is_told_of_every_race_on_one_clock(monkeypatch):

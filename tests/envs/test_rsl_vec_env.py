@@ -1,18 +1,21 @@
 from __future__ import annotations
 
-import numpy as np
 import pytest
 import torch
 from scenes import follow_center, make_ring
 from vec_env_kit import check_rows_are_apart, check_steps, check_vec_env
 
-from league.envs.action_space import ActionSpace, ContinuousActions, DiscreteActions, grid
-from league.envs.adapters.rsl_vec_env import NUMBERS, RacingVecEnv
+from league.envs.actions import ActionSpace, ContinuousActions, DiscreteActions, grid
+from league.envs.adapters.rsl_vec_env import RacingVecEnv
 from league.envs.config import EnvConfig, RewardConfig
 from league.errors import ActionError, ConfigError, PolicyError
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig, SimConfig
 from league.track.track import TrackSet
 
+NUMBERS = (
+    *(torch.float32, torch.float64, torch.float16, torch.bfloat16),
+    *(torch.int64, torch.int32, torch.int16, torch.int8, torch.uint8),
+)
 SMALL = SensorConfig(camera=CameraConfig(width=32, height=24), lidar=LidarConfig(beams=16))
 
 
@@ -150,18 +153,6 @@ def test_opponents_drive_and_are_told_when_their_car_starts_anew():
     assert follower.forgotten[-1] == [0, 1]
 
 
-def test_a_new_opponent_begins_without_memory():
-    env = build(1, cars=2, opponents={1: Follower()}, sensors=SensorConfig())
-    newcomer = Follower("newcomer")
-    env.seat(1, newcomer)
-    assert newcomer.forgotten == [None]
-    env.step(torch.zeros(1, 2))
-    with pytest.raises(ConfigError, match="car 0 is no opponent's"):
-        env.seat(0, Follower())
-    with pytest.raises(ConfigError, match="needs other sensors"):
-        env.seat(1, Follower(sensors=SMALL))
-
-
 def test_opponents_carry_what_their_drivers_need():
     env = build(1, cars=2, opponents={1: Follower(sensors=SMALL)}, sensors=SensorConfig())
     assert env.race_env.cfg.sensors_of(1) == SMALL
@@ -196,7 +187,7 @@ def test_a_field_that_cannot_be_is_refused(settings, sentence):
 
 def test_one_driver_object_cannot_drive_two_cars():
     driver = Follower()
-    with pytest.raises(ConfigError, match="memories would mix"):
+    with pytest.raises(ConfigError, match="mix their memories"):
         build(1, cars=3, opponents={1: driver, 2: driver})
 
 
@@ -210,12 +201,10 @@ def test_one_driver_object_cannot_drive_two_cars():
         (torch.zeros(2, 2), r"shape \(2, 2\): expected \(1, 2\)"),
         (torch.zeros(1, 3), r"shape \(1, 3\)"),
         (torch.zeros(2), r"shape \(2,\)"),
-        (torch.zeros(1, 2, dtype=torch.bool), "expected a tensor of real numbers"),
-        (torch.zeros(1, 2, dtype=torch.complex64), "expected a tensor of real numbers"),
-        (torch.zeros(1, 2).to(torch.float8_e4m3fn), "expected a tensor of real numbers"),
-        ([[0.0, 0.0]], r"actions are \[\[0.0, 0.0\]\]: expected a tensor"),
-        (np.zeros((1, 2), np.float32), "expected a tensor"),
-        (None, "actions are None: expected a tensor"),
+        (torch.zeros(1, 2, dtype=torch.bool), r"real numbers .* shape \(1, 2\), \(rows, actions"),
+        (torch.zeros(1, 2, dtype=torch.complex64), "expected real numbers"),
+        ([["a", 0.0]], r"the action of the rows is \[\['a', 0.0\]\]: expected real numbers"),
+        (None, "None: expected real numbers"),
     ],
 )
 def test_actions_that_are_none_are_refused(actions, sentence, space):
@@ -241,8 +230,8 @@ def test_actions_may_be_of_any_numbers(dtype, space):
     env.step(torch.ones(2, env.num_actions).to(dtype))
     # Full left and the largest speed, or the first choice: 30 deg and half of 3 m/s.
     speed = 1.0 if not isinstance(space, DiscreteActions) else 2 * (1.5 - 0.1) / 3.9 - 1
-    asked = env.race_env.last_action[:, 0].tolist()
-    assert asked == [pytest.approx([1.0, speed], abs=0.02)] * 2
+    last = env.race_env.last_action[:, 0].tolist()
+    assert last == [pytest.approx([1.0, speed], abs=0.02)] * 2
 
 
 @pytest.mark.parametrize("size", [1.5, 1e30])
@@ -282,7 +271,7 @@ class RestartsAll(RacingVecEnv):
         _, rewards, dones, extras = super().step(actions)
         if dones.any():
             self.race_env.reset(seed=1)
-            self._told = self.race_env.step(self.race_env.last_action).observations
+            self.race_env.step(self.race_env.last_action)
         return self.get_observations(), rewards, dones, extras
 
 

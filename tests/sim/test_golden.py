@@ -10,8 +10,7 @@ import pytest
 from scenes import go_to, make_ring, make_straight, put_cars, touch
 
 from league.envs import step as stages
-from league.envs.config import EnvConfig
-from league.envs.encounters import Meeting
+from league.envs.config import EnvConfig, OpponentPlacement
 from league.envs.race_env import RaceEnv
 from league.sim import config, referee
 from league.track import files
@@ -173,7 +172,7 @@ def test_referee_rules_as_before(scene):
 def test_races_and_training_as_before(about):
     settings, name = dict(about.get("env", {})), about["name"]
     if "meeting" in settings:
-        settings["meeting"] = Meeting(**settings["meeting"])
+        settings["placement"] = OpponentPlacement(**settings.pop("meeting"))
     cfg = EnvConfig(sim=sim_of(about), **settings)
     env = RaceEnv(course(*about["tracks"]), cfg, num_worlds=about["worlds"])
     env.reset(seeds=np.arange(1, about["worlds"] + 1))

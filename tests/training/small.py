@@ -10,7 +10,7 @@ from league.agents import checkpoint
 from league.agents.card import Card
 from league.agents.checkpoint import Checkpoint
 from league.agents.network import NetworkConfig
-from league.envs.action_space import ContinuousActions
+from league.envs.actions import ContinuousActions
 from league.sim.config import CameraConfig, SensorConfig
 from league.training.run import Run, RunConfig
 from league.training.settings import PpoConfig, TrainConfig

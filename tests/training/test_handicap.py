@@ -10,10 +10,9 @@ import torch
 from small_play import CAR, CARD, FREE, RING, SHORT, Constant, blind, learnt, playing
 
 from league.agents.checkpoint import Checkpoint
-from league.envs.action_space import ContinuousActions, DiscreteActions
+from league.envs.actions import ContinuousActions, DiscreteActions
 from league.envs.adapters.rsl_vec_env import RacingVecEnv
-from league.envs.config import EnvConfig
-from league.envs.encounters import Meeting
+from league.envs.config import EnvConfig, OpponentPlacement
 from league.envs.race_env import RaceEnv
 from league.errors import ConfigError
 from league.sim.config import SensorConfig, SimConfig
@@ -38,7 +37,7 @@ def worlds(num_cars: int = 2, **how: float) -> RaceEnv:
     cfg = EnvConfig(
         sim=SimConfig(kind="head_to_head", num_cars=num_cars),
         mode="training",
-        meeting=Meeting(rolling=0.0, **how),
+        placement=OpponentPlacement(rolling=0.0, **how),
     )
     return RaceEnv(RING, cfg, num_worlds=WORLDS, seed=4)
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scenes import make_ring
 
 from league.agents.network import NetworkConfig
-from league.envs.action_space import ActionSpace, ContinuousActions, DiscreteActions
+from league.envs.actions import ActionSpace, ContinuousActions, DiscreteActions
 from league.errors import ConfigError, PolicyError
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig
 from league.track.track import TrackSet

@@ -8,7 +8,7 @@ from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 
 from league.agents.network import NetworkConfig
-from league.envs.action_space import ContinuousActions, DiscreteActions
+from league.envs.actions import ContinuousActions, DiscreteActions
 from league.training.ppo.models import ByteCNNModel, Categorical, Leashed, actor_settings
 
 SCORES = torch.log(torch.tensor([[0.5, 0.25, 0.25], [0.8, 0.1, 0.1]]))

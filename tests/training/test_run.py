@@ -382,7 +382,7 @@ def test_resumed_run_remembers_which_policy_was_best(tmp_path):
 
 
 def test_settings_are_read_back_as_they_were(tmp_path):
-    from league.envs.action_space import grid
+    from league.envs.actions import grid
     from league.sim.config import LookConfig, Spread
 
     asked = small.cfg(

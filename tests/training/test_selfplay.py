@@ -14,8 +14,7 @@ from small_play import CAR, CARD, FREE, RING, SHORT, TRAIN, Constant, blind, lea
 from league.agents import checkpoint
 from league.agents.policy import Policy
 from league.envs.adapters.rsl_vec_env import RacingVecEnv
-from league.envs.config import EnvConfig
-from league.envs.encounters import Meeting
+from league.envs.config import EnvConfig, OpponentPlacement
 from league.envs.race_env import RaceEnv
 from league.envs.state import INDEX, SIZE
 from league.errors import ConfigError, PolicyError
@@ -113,7 +112,7 @@ def test_who_leaves_the_road_has_lost_the_meeting(learner, other, result):
     cfg = EnvConfig(
         sim=SimConfig(kind="head_to_head", num_cars=2),
         mode="training",
-        meeting=Meeting(alone=0.5, standing=0.0, rolling=0.0),
+        placement=OpponentPlacement(alone=0.5, standing=0.0, rolling=0.0),
     )
     env = RacingVecEnv(RING, cfg, num_worlds=16, opponents={1: seat})
     for _ in range(25):
@@ -252,8 +251,8 @@ def test_schedules_run_through_once_for_the_warm_up_and_once_for_the_rest():
     cfg = SelfPlayConfig(warm_up=0.2)
     told = [cfg.part_done(done) for done in (0.0, 0.1, 0.2, 0.6, 1.0)]
     assert told == pytest.approx([0.0, 0.5, 0.0, 0.5, 1.0])
-    assert cfg.meeting(0.1).alone == pytest.approx(1.0 - Meeting().standing)
-    assert cfg.meeting(0.2) == Meeting()
+    assert cfg.meeting(0.1).alone == pytest.approx(1.0 - OpponentPlacement().standing)
+    assert cfg.meeting(0.2) == OpponentPlacement()
 
 
 def test_slow_cars_become_faster_while_they_are_beaten():

@@ -11,8 +11,7 @@ from small_play import FREE, RING, SHORT, Constant, blind, playing
 
 from league.agents.policy import Policy
 from league.envs.adapters.rsl_vec_env import RacingVecEnv
-from league.envs.config import EnvConfig
-from league.envs.encounters import Meeting
+from league.envs.config import EnvConfig, OpponentPlacement
 from league.envs.race_env import RaceEnv
 from league.envs.state import INDEX
 from league.sim.config import SensorConfig, SimConfig
@@ -20,12 +19,14 @@ from league.training.selfplay import SelfPlayConfig
 from league.training.selfplay.opponent import Field, Opponent
 from league.training.selfplay.win_rates import LOST, WON, Records
 
-SLOWLY = Meeting(alone=0.0, standing=0.0, rolling=0.0)
+SLOWLY = OpponentPlacement(alone=0.0, standing=0.0, rolling=0.0)
 FOLLOWS, LEAVES = 0.164, 1.0
 """Steering that follows the ring, atan(0.164 / 1.91) of 0.5236 rad, and that leaves it."""
 
 
-def race(how: Meeting, steering: list[float], *, steps: int = 25) -> tuple[Records, RacingVecEnv]:
+def race(
+    how: OpponentPlacement, steering: list[float], *, steps: int = 25
+) -> tuple[Records, RacingVecEnv]:
     """Drive 16 worlds, car 0 learning, each car with its own steering; others are named by car."""
     records, seats = Records(400), {}
     for car, own in enumerate(steering[1:], 1):
@@ -33,7 +34,7 @@ def race(how: Meeting, steering: list[float], *, steps: int = 25) -> tuple[Recor
         it = Field((f"it {car}",), (Constant(own, -0.5),), (1.0,), (FREE,))
         seats[car].choose_from(it, 0)
     sim = SimConfig(kind="head_to_head", num_cars=len(steering))
-    cfg = EnvConfig(sim=sim, mode="training", meeting=how)
+    cfg = EnvConfig(sim=sim, mode="training", placement=how)
     env = RacingVecEnv(RING, cfg, num_worlds=16, opponents=seats)
     for _ in range(steps):
         env.step(torch.tensor([steering[0], -0.5]).expand(16, 2).clone())
@@ -80,7 +81,7 @@ def test_a_mistake_of_the_learner_is_lost_against_all():
 
 
 def test_alone_is_without_any_of_several_and_counts_no_meeting():
-    records, env = race(Meeting(alone=1.0, standing=0.0), [LEAVES, FOLLOWS, FOLLOWS])
+    records, env = race(OpponentPlacement(alone=1.0, standing=0.0), [LEAVES, FOLLOWS, FOLLOWS])
     world = env.race_env.world
     assert world.cars["parked"].tolist() == [[False, True, True]] * 16
     assert world.cars["ghost"][:, 1:].all()
@@ -91,9 +92,9 @@ def test_alone_is_without_any_of_several_and_counts_no_meeting():
 @pytest.mark.parametrize("num_cars", [2, 4, 5, 8])
 def test_all_have_room_and_nobody_is_left_behind_at_once(num_cars, standing):
     usual = SelfPlayConfig().meeting(1.0, num_cars)
-    assert (usual == Meeting()) == (num_cars <= 4)
+    assert (usual == OpponentPlacement()) == (num_cars <= 4)
     how = replace(usual, alone=0.0, standing=standing)
     sim = SimConfig(kind="head_to_head", num_cars=num_cars)
-    env = RaceEnv(RING, EnvConfig(sim=sim, mode="training", meeting=how), num_worlds=100, seed=3)
+    env = RaceEnv(RING, EnvConfig(sim=sim, mode="training", placement=how), num_worlds=100, seed=3)
     step = env.step(np.zeros((100, num_cars, 2)))
     assert not step.verdicts["crashed"].any() and not step.began.any()

@@ -6,11 +6,11 @@ import torch
 from scenes import Stages, make_square, taken
 from tensordict import TensorDict
 
-from league.envs.action_space import ContinuousActions, DiscreteActions, grid
+from league.envs.actions import ContinuousActions, DiscreteActions, grid
 from league.envs.config import EnvConfig
 from league.envs.observations import MOTION_FIELDS
 from league.envs.race_env import RaceEnv
-from league.envs.sensor_suite import Sensing
+from league.envs.sensor_suite import SensorSuite
 from league.envs.state import INDEX
 from league.sim.config import CameraConfig, LidarConfig, ObstacleConfig, SensorConfig, SimConfig
 from league.sim.world import World
@@ -58,7 +58,7 @@ def in_a_mirror(world: World) -> World:
 def shown(track: Track, cfg: EnvConfig, world: World) -> list[TensorDict]:
     """Return what each car observes in these worlds."""
     tracks = TrackSet(track)
-    sensing = Sensing(tracks, cfg)
+    sensing = SensorSuite(tracks, cfg)
     sensing.observe(world)
     groups = sensing.groups(world, Stages(tracks, cfg.sim).motions(world))
     return [TensorDict(one, [world.num_worlds]) for one in taken(groups)]

@@ -1,28 +1,103 @@
-"""Door 2: one learner as a Gymnasium Env; the other cars are driven by given drivers."""
+"""Races with one learner for Gymnasium, the other cars driven by given drivers: Env, VectorEnv."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Unpack
 
 import gymnasium
 import numpy as np
+from gymnasium.spaces import Dict
+from gymnasium.utils.seeding import np_random
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
 
-from league.envs import actions, infos, make, seeds
-from league.envs.adapters import spaces
-from league.envs.adapters.rendering import Pictures
-from league.envs.driver import Driver
-from league.envs.learner_env import Seat
-from league.envs.make import Settings
-from league.errors import ActionError
-from league.sim.config import RaceKind
-from league.track.track import Track
+from league.envs import make
+from league.envs.actions import SIZE, checked
+from league.envs.adapters import load_drivers, spaces
+from league.envs.adapters.rendering import Renderer
+from league.envs.driver import Driver, Opponents
+from league.envs.make import EnvOptions
+from league.envs.race_env import RaceEnv, Step
+from league.errors import ActionError, ConfigError
+from league.sim.config import RaceKind, SensorConfig, SimConfig
+from league.track.track import Track, TrackSet
 
-Told = dict[str, np.ndarray]
+Observation = dict[str, np.ndarray]
+
+DEFAULT_OPPONENTS = ("centerline",)
+"""Opponents in a head_to_head race unless others are given."""
 
 
-class SingleEnv(gymnasium.Env[Any, np.ndarray]):
+class LearnerEnv:
+    """A batch of races in which car `car` learns and drivers drive the others."""
+
+    def __init__(
+        self,
+        track: str | os.PathLike[str] | Track | TrackSet,
+        kind: RaceKind,
+        sensors: make.Carried,
+        *,
+        num_worlds: int = 1,
+        car: int = 0,
+        opponents: Sequence[Driver | str] | None = None,
+        **options: Unpack[EnvOptions],
+    ) -> None:
+        tracks = make.course(track)
+        racing = kind == "head_to_head"
+        if opponents is None:
+            opponents = DEFAULT_OPPONENTS if racing else ()
+        options.setdefault("mode", "training")
+        sim = options.get("sim")
+        drivers = load_drivers(opponents, tracks, (sim or SimConfig()).car) if opponents else ()
+        if drivers and not racing:
+            raise ConfigError(
+                f"{len(drivers)} opponents are given for a {kind} race, which is driven alone: "
+                "give none, or choose head_to_head"
+            )
+        if not 0 <= car <= len(drivers):
+            raise ConfigError(f"car is {car}: the field has {len(drivers) + 1} cars, from 0")
+        others = [slot for slot in range(len(drivers) + 1) if slot != car]
+        carried: dict[int, SensorConfig] = {
+            slot: driver.sensors for slot, driver in zip(others, drivers, strict=True)
+        }
+        carried[car] = make.sensors_of_car(sensors)
+        cfg = make.configure(
+            kind=kind,
+            sensors=tuple(carried[slot] for slot in sorted(carried)),
+            num_cars=len(carried),
+            restarting=tuple(others),
+            **options,
+        )
+        self.env, self.car = RaceEnv(tracks, cfg, num_worlds=num_worlds), car
+        self.sensors = cfg.sensors_of(car)
+        self._opponents = Opponents(dict(zip(others, drivers, strict=True)))
+        self._actions = np.zeros((num_worlds, len(carried), SIZE), np.float32)
+
+    def reset(self, seeds: list[int]) -> Mapping[str, np.ndarray]:
+        """Start all races; return the learner's observations."""
+        self._opponents.reset()
+        self._observations = self.env.reset(seeds=seeds)
+        return self._observations[self.car]
+
+    def step(
+        self, actions: np.ndarray, restart: np.ndarray | None = None, seeds: list[int] | None = None
+    ) -> Step:
+        """Drive the learner by its actions (num_worlds, 2) and the others by their drivers.
+
+        Worlds in `restart` are started again from their seeds; see RaceEnv.
+        """
+        self._actions[:, self.car] = actions
+        if not self._opponents.cars:
+            return self.env.step(self._actions, restart=restart, seeds=seeds)
+        actions = self._opponents.act(self._actions, self._observations)
+        step = self.env.step(actions, restart=restart, seeds=seeds)
+        self._opponents.forget(step.began)
+        return step
+
+
+class GymEnv(gymnasium.Env[Any, np.ndarray]):
     """One race, or in training one episode of the learner in it.
 
     Observations are dicts of the groups its car carries (docs/observations.md), actions are
@@ -42,51 +117,50 @@ class SingleEnv(gymnasium.Env[Any, np.ndarray]):
         privileged: bool = False,
         render_mode: str | None = None,
         view: str = "chase",
-        **settings: Unpack[Settings],
+        **options: Unpack[EnvOptions],
     ) -> None:
         """Set up the race.
 
         Args:
             track: name of a track, path of its .yaml file, or a Track.
             kind: time_trial, obstacle_avoidance or head_to_head.
-            sensors: what the learner carries: names out of stereo and lidar, or CameraConfig and
-                LidarConfig.
+            sensors: of the learner: stereo and lidar, or CameraConfig and LidarConfig.
             car: grid slot of the learner, 0 in front.
             opponents: names or drivers of the other slots, in head_to_head; one by default.
-            privileged: whether the learner is told the truth too, as group `state`.
+            privileged: whether the learner also observes the truth, as group `state`.
             render_mode: rgb_array for pictures, human for the live viewer, or None.
-            view: what is seen in pictures: chase, from behind the learner, or top.
-            settings: the rest, see league.envs.make.Settings; training is the default mode and
-                planar the default solver here.
+            view: of pictures: chase, from behind the learner, or top.
+            options: see league.envs.make.EnvOptions; training is the default mode and planar the
+                default solver here.
 
         Raises:
             LeagueError: an unknown track or name, or settings that contradict each other.
         """
-        self._seat = Seat(track, kind, sensors, car=car, opponents=opponents, **settings)
+        self.learner = LearnerEnv(track, kind, sensors, car=car, opponents=opponents, **options)
         self.render_mode = render_mode
-        self._pictures = Pictures(self._seat.env, render_mode, view, car)
-        self.observation_space = spaces.observation(self._seat.sensors, privileged)
+        self._renderer = Renderer(self.learner.env, render_mode, view, car)
+        self.observation_space = spaces.observation_space(self.learner.sensors, privileged)
         self._reader = spaces.Reader(self.observation_space)
-        self._infos = infos.Infos(self._seat.env, car)
-        self.action_space = spaces.action()
+        self._infos = spaces.Infos(self.learner.env, car)
+        self.action_space = spaces.action_space()
         self._over = True
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Told, dict[str, Any]]:
+    ) -> tuple[Observation, dict[str, Any]]:
         """Start a new race or episode; nothing of the past remains.
 
         Args:
-            seed: decides all that is drawn; None goes on to another race.
+            seed: of all random numbers; None goes on to another race.
             options: not used.
         """
-        super().reset(seed=None if seed is None else seeds.checked(seed))
-        groups = self._seat.reset([seeds.drawn(self.np_random)])
+        super().reset(seed=None if seed is None else make.checked_seed(seed))
+        groups = self.learner.reset([make.draw_seed(self.np_random)])
         self._over = False
-        self._pictures.started()
+        self._renderer.reset()
         return self._reader.read(groups), self._infos.of_first(None)
 
-    def step(self, action: np.ndarray) -> tuple[Told, float, bool, bool, dict[str, Any]]:
+    def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Drive for 1/15 s.
 
         Raises:
@@ -94,19 +168,156 @@ class SingleEnv(gymnasium.Env[Any, np.ndarray]):
         """
         if self._over:
             raise ActionError("step was called on a race that is over or not begun: call reset")
-        step = self._seat.step(actions.checked(action, "the learner"))
-        self._pictures.stepped()
-        car = self._seat.car
+        step, car = self.learner.step(checked(action, "the learner")), self.learner.car
+        self._renderer.update()
         terminated, truncated = step.terminated.item(0, car), step.truncated.item(0, car)
         self._over = terminated or truncated
-        told, reward = self._reader.read(step.observations[car]), step.rewards.item(0, car)
-        return told, reward, terminated, truncated, self._infos.of_first(step)
+        observation = self._reader.read(step.observations[car])
+        info = self._infos.of_first(step)
+        return observation, step.rewards.item(0, car), terminated, truncated, info
 
     def render(self) -> np.ndarray | None:
         """Return a picture, uint8 (height, width, 3), or show the race in the live viewer."""
-        return self._pictures.render()
+        return self._renderer.render()
 
     def close(self) -> None:
-        """Give back the physics engine and the viewer; may be called twice."""
-        self._pictures.close()
-        self._seat.env.close()
+        """Close the physics engine and the viewer; may be called twice."""
+        self._renderer.close()
+        self.learner.env.close()
+
+
+class GymVectorEnv(VectorEnv[Observation, np.ndarray, np.ndarray]):
+    """Races stepped as one batch; each equals a GymEnv of the same seed.
+
+    A race that has ended is restarted by the next step, which ignores its action and has no reward
+    (AutoresetMode.NEXT_STEP), as in Gymnasium's own vectors.
+    """
+
+    metadata = {  # noqa: RUF012
+        "render_modes": [],
+        "render_fps": 15,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        track: str | os.PathLike[str] | Track | TrackSet = "reinvent_2018",
+        kind: RaceKind = "time_trial",
+        *,
+        sensors: make.Carried = make.BOTH,
+        car: int = 0,
+        opponents: Sequence[Driver | str] | None = None,
+        privileged: bool = False,
+        render_mode: str | None = None,
+        max_episode_steps: int | None = None,
+        **options: Unpack[EnvOptions],
+    ) -> None:
+        """Set up the races; see GymEnv for what is not listed.
+
+        Args:
+            num_envs: races.
+            track: as in GymEnv, or a TrackSet, whose tracks the races take in turn.
+            kind: as in GymEnv.
+            sensors: as in GymEnv.
+            car: as in GymEnv.
+            opponents: as in GymEnv; one driver for each other slot serves all races.
+            privileged: as in GymEnv.
+            render_mode: None; to see a race, use GymEnv.
+            max_episode_steps: Gymnasium's name for max_steps.
+            options: as in GymEnv.
+        """
+        if render_mode is not None:
+            raise ConfigError(
+                f"render_mode is {render_mode!r}: a batch is not drawn, give None, or choose "
+                "vectorization_mode='sync'"
+            )
+        if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
+            raise ConfigError(f"num_envs is {num_envs!r}: give a whole number, 1 or more")
+        if max_episode_steps is not None:
+            options.setdefault("max_steps", max_episode_steps)
+        self.learner = LearnerEnv(
+            track, kind, sensors, num_worlds=num_envs, car=car, opponents=opponents, **options
+        )
+        self.num_envs = num_envs
+        self.single_observation_space = spaces.observation_space(self.learner.sensors, privileged)
+        self.single_action_space = spaces.action_space()
+        space = batch_space(self.single_observation_space, num_envs)
+        assert isinstance(space, Dict)
+        self.observation_space: Dict = space
+        self._reader = spaces.Reader(space)
+        self._infos = spaces.Infos(self.learner.env, car)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._generators: list[np.random.Generator] = []
+        self._done = np.zeros(num_envs, dtype=bool)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start all races.
+
+        Args:
+            seed: of the first race, the next ones count up from it; or one for each.
+            options: not used.
+        """
+        self._seed(seed)
+        groups = self.learner.reset([make.draw_seed(each) for each in self._generators])
+        self._done[:] = False
+        return self._reader.read(groups), self._info(None)
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[Observation, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Drive all races for 1/15 s, or restart those that have ended.
+
+        Raises:
+            ActionError: the actions are not (num_envs, 2) numbers in [-1, 1].
+        """
+        if not self._generators:
+            raise ActionError("step was called before the first reset: call reset")
+        actions, ended = checked(actions, "the learners", rows=self.num_envs), self._done
+        if ended.any():
+            step = self.learner.step(actions, ended, self._draw_seeds(ended))
+        else:
+            step = self.learner.step(actions)
+        car = self.learner.car
+        terminated = step.terminated[:, car] & ~ended
+        truncated = step.truncated[:, car] & ~ended
+        rewards = np.where(ended, 0.0, step.rewards[:, car].astype(np.float64))
+        self._done = terminated | truncated
+        observations = self._reader.read(step.observations[car])
+        return observations, rewards, terminated, truncated, self._info(step, ended)
+
+    def close_extras(self, **kwargs: Any) -> None:  # noqa: ANN401
+        """Close the physics engine."""
+        self.learner.env.close()
+
+    def _seed(self, seed: int | Sequence[int | None] | None) -> None:
+        if seed is None and self._generators:
+            return
+        if seed is None or isinstance(seed, int | np.integer):
+            first = None if seed is None else make.checked_seed(seed)
+            seeds = [None if first is None else first + race for race in range(self.num_envs)]
+        else:
+            seeds = [None if one is None else make.checked_seed(one) for one in seed]
+        if len(seeds) != self.num_envs:
+            raise ConfigError(f"{len(seeds)} seeds for {self.num_envs} races: give one for each")
+        kept = self._generators or [None] * self.num_envs
+        self._generators = [
+            old if one is None and old is not None else np_random(one)[0]
+            for one, old in zip(seeds, kept, strict=True)
+        ]
+
+    def _draw_seeds(self, ended: np.ndarray) -> list[int]:
+        """Return seeds for the races that restart; the others draw none."""
+        pairs = zip(self._generators, ended, strict=True)
+        return [make.draw_seed(generator) if over else 0 for generator, over in pairs]
+
+    def _info(self, step: Step | None, ended: np.ndarray | None = None) -> dict[str, Any]:
+        info = self._infos.of_all(step)
+        if ended is not None and ended.any():
+            info = spaces.mixed(ended, self._infos.of_all(None), info)
+        return spaces.masked(info, self.num_envs)

@@ -1,4 +1,4 @@
-"""Door 1: races as a PettingZoo ParallelEnv, one agent for each car."""
+"""Races as a PettingZoo ParallelEnv, one agent for each car."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import numpy as np
 from gymnasium.spaces import Box, Dict
 from pettingzoo import ParallelEnv
 
-from league.envs import actions as door_actions
-from league.envs import infos, make, seeds
+from league.envs import make
+from league.envs.actions import SIZE, of_agents
 from league.envs.adapters import spaces
-from league.envs.adapters.rendering import Pictures
-from league.envs.make import Settings
+from league.envs.adapters.rendering import Renderer
+from league.envs.make import EnvOptions
 from league.envs.race_env import Observations, RaceEnv, Step
 from league.track.track import Track
 
-Told = dict[str, np.ndarray]
+Observation = dict[str, np.ndarray]
 
 
 def parallel_env(
@@ -29,31 +29,31 @@ def parallel_env(
     privileged: bool = False,
     render_mode: str | None = None,
     view: str = "chase",
-    **settings: Unpack[Settings],
-) -> MultiEnv:
+    **options: Unpack[EnvOptions],
+) -> RaceParallelEnv:
     """Return a race in which every car is an agent: car_0, car_1, ...
 
     Args:
         track: name of a track, path of its .yaml file, or a Track.
         kind: time_trial, obstacle_avoidance or head_to_head.
         num_cars: agents; by default 2 in a head_to_head race, else 1.
-        sensors: what the cars carry: names (stereo, lidar), CameraConfig or LidarConfig objects;
-            the same for all, or a dict by agent.
-        privileged: whether the agents are told the truth too, as group `state`.
+        sensors: of the cars: names (stereo, lidar), CameraConfig or LidarConfig objects; the same
+            for all, or a dict by agent.
+        privileged: whether the agents also observe the truth, as group `state`.
         render_mode: rgb_array for pictures, human for the live viewer, or None.
-        view: what is seen in pictures: chase, from behind the leader, or top.
-        settings: the rest, see league.envs.make.Settings; bullet is the default solver here.
+        view: of pictures: chase, from behind the leader, or top.
+        options: see league.envs.make.EnvOptions; bullet is the default solver here.
 
     Raises:
         LeagueError: an unknown track or name, or settings that contradict each other.
     """
-    settings.setdefault("solver", "bullet")
-    cfg = make.configure(kind=kind, num_cars=num_cars, sensors=sensors, restarting=(), **settings)
+    options.setdefault("solver", "bullet")
+    cfg = make.configure(kind=kind, num_cars=num_cars, sensors=sensors, restarting=(), **options)
     env = RaceEnv(make.course(track), cfg)
-    return MultiEnv(env, privileged=privileged, render_mode=render_mode, view=view)
+    return RaceParallelEnv(env, privileged=privileged, render_mode=render_mode, view=view)
 
 
-class MultiEnv(ParallelEnv[str, Any, np.ndarray]):
+class RaceParallelEnv(ParallelEnv[str, Any, np.ndarray]):
     """One race; an agent whose race or episode has ended leaves, until the next reset.
 
     Observations are dicts of the groups its car carries (docs/observations.md), actions are
@@ -75,27 +75,31 @@ class MultiEnv(ParallelEnv[str, Any, np.ndarray]):
         render_mode: str | None = None,
         view: str = "chase",
     ) -> None:
-        """Open the door to a race; use `parallel_env` to make one from plain words."""
         self._env, self.render_mode = env, render_mode
-        self._pictures = Pictures(env, render_mode, view)
-        self._seeds = seeds.Seeds()
+        self._renderer = Renderer(env, render_mode, view)
+        self._generator: np.random.Generator | None = None
         self.possible_agents = [f"car_{car}" for car in range(env.num_cars)]
         self.agents: list[str] = []
-        self._told_spaces = {
-            agent: spaces.observation(env.cfg.sensors_of(car), privileged)
+        self._observation_spaces = {
+            agent: spaces.observation_space(env.cfg.sensors_of(car), privileged)
             for car, agent in enumerate(self.possible_agents)
         }
-        self._action_spaces = {agent: spaces.action() for agent in self.possible_agents}
-        self.observation_spaces, self.action_spaces = {**self._told_spaces}, {**self._action_spaces}
-        self._readers = [spaces.Reader(space) for space in self._told_spaces.values()]
-        self._infos = [infos.Infos(env, car) for car in range(env.num_cars)]
+        self._action_spaces = {agent: spaces.action_space() for agent in self.possible_agents}
+        self.observation_spaces = {**self._observation_spaces}
+        self.action_spaces = {**self._action_spaces}
+        self._readers = [spaces.Reader(space) for space in self._observation_spaces.values()]
+        self._infos = [spaces.Infos(env, car) for car in range(env.num_cars)]
         self._cars = {agent: car for car, agent in enumerate(self.possible_agents)}
-        self._driven = np.zeros((1, env.num_cars, door_actions.SIZE), np.float32)
-        self._was_reset = False
+        self._actions = np.zeros((1, env.num_cars, SIZE), np.float32)
+
+    @property
+    def race_env(self) -> RaceEnv:
+        """The race, to look at."""
+        return self._env
 
     def observation_space(self, agent: str) -> Dict:
-        """Return the space of what an agent is told; always the same object."""
-        return self._told_spaces[agent]
+        """Return the space of an agent's observations; always the same object."""
+        return self._observation_spaces[agent]
 
     def action_space(self, agent: str) -> Box:
         """Return the space of an agent's actions; always the same object."""
@@ -103,22 +107,26 @@ class MultiEnv(ParallelEnv[str, Any, np.ndarray]):
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Told], dict[str, dict[str, Any]]]:
+    ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
         """Start a new race; nothing of the past remains.
 
         Args:
-            seed: decides obstacles, noise and all else that is drawn; None goes on to another race.
+            seed: of obstacles, noise and all other random numbers; None goes on to another race.
             options: not used.
         """
-        told = self._env.reset(seeds=[self._seeds.next(seed)])
-        self.agents, self._was_reset = list(self.possible_agents), True
-        self._pictures.started()
-        return self._observations(told), self._told_infos(None)
+        if seed is not None:
+            self._generator = np.random.default_rng(make.checked_seed(seed))
+        elif self._generator is None:
+            self._generator = np.random.default_rng()
+        observations = self._env.reset(seeds=[make.draw_seed(self._generator)])
+        self.agents = list(self.possible_agents)
+        self._renderer.reset()
+        return self._read(observations), self._infos_of(None)
 
     def step(
         self, actions: dict[str, np.ndarray]
     ) -> tuple[
-        dict[str, Told],
+        dict[str, Observation],
         dict[str, float],
         dict[str, bool],
         dict[str, bool],
@@ -129,21 +137,22 @@ class MultiEnv(ParallelEnv[str, Any, np.ndarray]):
         Raises:
             ActionError: an agent without an action, an action without its agent, or no action.
         """
-        known = self.possible_agents if self._was_reset else []
-        given = door_actions.of_agents(actions, self.agents, known)
+        known = self.possible_agents if self._generator is not None else []
+        checked = of_agents(actions, self.agents, known)
         if not self.agents:
             return {}, {}, {}, {}, {}
-        for agent, action in given.items():
-            self._driven[0, self._cars[agent]] = action
-        step = self._env.step(self._driven)
-        self._pictures.stepped()
+        for agent, action in checked.items():
+            self._actions[0, self._cars[agent]] = action
+        step = self._env.step(self._actions)
+        self._renderer.update()
         rewards, terminated, truncated = (
             self._by_agent(each) for each in (step.rewards, step.terminated, step.truncated)
         )
-        observed = self._observations(step.observations)
-        brought = (observed, rewards, terminated, truncated, self._told_infos(step))
-        self._part_with([name for name in self.agents if terminated[name] or truncated[name]])
-        return brought
+        observations, infos = self._read(step.observations), self._infos_of(step)
+        for agent in [name for name in self.agents if terminated[name] or truncated[name]]:
+            self._env.retire(self._cars[agent])
+            self.agents.remove(agent)
+        return observations, rewards, terminated, truncated, infos
 
     def state(self) -> np.ndarray:
         """Return the truth about all cars, float32, (num_cars * league.envs.state.SIZE,)."""
@@ -151,22 +160,17 @@ class MultiEnv(ParallelEnv[str, Any, np.ndarray]):
 
     def render(self) -> np.ndarray | None:
         """Return a picture, uint8 (height, width, 3), or show the race in the live viewer."""
-        return self._pictures.render()
+        return self._renderer.render()
 
     def close(self) -> None:
-        """Give back the physics engine and the viewer; may be called twice."""
-        self._pictures.close()
+        """Close the physics engine and the viewer; may be called twice."""
+        self._renderer.close()
         self._env.close()
 
-    def _part_with(self, leaving: list[str]) -> None:
-        for agent in leaving:
-            self._env.retire(self._cars[agent])
-            self.agents.remove(agent)
+    def _read(self, observations: Observations) -> dict[str, Observation]:
+        return {agent: self._readers[car].read(observations[car]) for agent, car in self._racing()}
 
-    def _observations(self, told: Observations) -> dict[str, Told]:
-        return {agent: self._readers[car].read(told[car]) for agent, car in self._racing()}
-
-    def _told_infos(self, step: Step | None) -> dict[str, dict[str, Any]]:
+    def _infos_of(self, step: Step | None) -> dict[str, dict[str, Any]]:
         return {agent: self._infos[car].of_first(step) for agent, car in self._racing()}
 
     def _by_agent(self, values: np.ndarray) -> dict[str, Any]:

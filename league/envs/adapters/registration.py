@@ -1,4 +1,4 @@
-"""The ids under which Gymnasium finds the races; nothing heavy is loaded for them."""
+"""The ids under which Gymnasium finds the races; registering them loads nothing heavy."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def register() -> None:
         if name not in gymnasium.registry:
             gymnasium.register(
                 id=name,
-                entry_point="league.envs.adapters.gym_env:SingleEnv",
-                vector_entry_point="league.envs.adapters.vector_env:BatchEnv",
+                entry_point="league.envs.adapters.gym_env:GymEnv",
+                vector_entry_point="league.envs.adapters.gym_env:GymVectorEnv",
                 kwargs={"kind": kind},
             )

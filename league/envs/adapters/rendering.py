@@ -1,68 +1,66 @@
-"""What `render` shows at the doors: a picture of the race, or the race in the live viewer."""
+"""`render` of the adapters: a picture of the race, or the race in the live viewer."""
 
 from __future__ import annotations
 
-import importlib
 import logging
 from dataclasses import replace
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from league.envs.race_env import RaceEnv
 from league.errors import ConfigError
 from league.race_spec import Entry, RaceSpec
-from league.sim.world import World
+
+if TYPE_CHECKING:
+    from league.rerun_view import Live
 
 MODES = ("rgb_array", "human")
 VIEWS = ("chase", "top")
 SIZE = (640, 360)
 """Width and height of pictures."""
-VIEWER = "league.rerun_view:Live"
-"""Who shows a race live, as "module:class": named by a string and not imported, because the viewer
-stands a floor above the doors."""
 
 
-class _Live(Protocol):
-    address: str
-
-    def add(self, world: World) -> None: ...
-
-    def close(self) -> None: ...
-
-
-class Pictures:
-    """Shows the first world of a RaceEnv; it never touches it."""
+class Renderer:
+    """Shows the first world of a RaceEnv; it never changes it."""
 
     def __init__(self, env: RaceEnv, mode: str | None, view: str, car: int | None = None) -> None:
-        """Check what is asked; nothing is opened yet.
+        """Check the arguments; nothing is opened yet.
 
         Args:
             env: the races.
             mode: rgb_array, human or None.
             view: chase or top.
-            car: whom the chase camera follows; None: the leader.
+            car: followed by the chase camera; None: the leader.
         """
         if mode is not None and mode not in MODES:
             raise ConfigError(f"render_mode is {mode!r}: choose one of {', '.join(MODES)}, or None")
         if view not in VIEWS:
             raise ConfigError(f"view is {view!r}: choose one of {', '.join(VIEWS)}")
         self._env, self._mode, self._view, self._car = env, mode, view, car
-        self._live: _Live | None = None
+        self._live: Live | None = None
         self._shown = 0
 
-    def started(self) -> None:
-        """Take note of a new race."""
+    def reset(self) -> None:
+        """Show the start of a race."""
         # The viewer's clock runs on from race to race.
         self._before = self._shown
-        self._show()
+        self.update()
 
-    def stepped(self) -> None:
-        """Take note of a step."""
-        self._show()
+    def update(self) -> None:
+        """Show the worlds in the live viewer as they are now, in human mode."""
+        if self._mode != "human":
+            return
+        if self._live is None:
+            self._live = self._open_viewer()
+        world = self._env.world
+        self._shown = self._before + int(world.worlds["step"][0]) + 1
+        worlds = world.worlds.copy()
+        worlds["step"] += self._before
+        self._live.add(replace(world, worlds=worlds))
 
     def render(self) -> np.ndarray | None:
-        """Return a picture, uint8 (height, width, 3), in rgb_array mode; else nothing."""
+        """Return a picture, uint8 (height, width, 3), in rgb_array mode, otherwise None."""
         if self._mode is None:
             raise ConfigError(
                 "render was called with render_mode None: make the environment with "
@@ -84,26 +82,15 @@ class Pictures:
             self._live.close()
             self._live = None
 
-    def _show(self) -> None:
-        if self._mode != "human":
-            return
-        if self._live is None:
-            self._live = self._opened()
-        world = self._env.world
-        self._shown = self._before + int(world.worlds["step"][0]) + 1
-        worlds = world.worlds.copy()
-        worlds["step"] += self._before
-        self._live.add(replace(world, worlds=worlds))
+    def _open_viewer(self) -> Live:
+        from league.rerun_view import Live  # late: rerun is heavy
 
-    def _opened(self) -> _Live:
-        module, _, name = VIEWER.partition(":")
-        viewer = getattr(importlib.import_module(module), name)
         sim, track = self._env.cfg.sim, self._env.tracks.tracks[0]
         entries = tuple(Entry(name=f"car_{car}") for car in range(sim.num_cars))
         spec = RaceSpec(
             track=track.name, kind=sim.kind, laps=sim.rules.laps, entries=entries,
             obstacles=sim.num_obstacles, obstacle_kind=sim.obstacles.kind,
         )  # fmt: skip
-        live = viewer.start(spec, track)
+        live = Live.start(spec, track)
         logging.getLogger("league").warning("the race can be watched at %s", live.address)
         return live

@@ -1,38 +1,54 @@
-"""Observation and action spaces of one car, and its observations as fresh numpy arrays."""
+"""What the adapters return for one car: spaces, observations as fresh arrays, and infos."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from operator import itemgetter
+from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box, Dict, Space
 
 from league.envs import actions, observations, state
-from league.sim.config import LidarConfig, SensorConfig
+from league.envs.race_env import RaceEnv, Step
+from league.sim import referee
+from league.sim.config import SensorConfig
+from league.sim.records import CAR, VERDICT
 
 MOTION_LIMIT = 16.0
 """Bound of the scaled own motion; a car that is hit turns faster than it can by itself."""
 STATE_LIMIT = 10_000.0
-"""Bound of the truth, in whatever unit."""
+"""Bound of the `state` group, in any unit."""
+
+FLAGS = (
+    "off_track",
+    "crashed",
+    "was_hit",
+    "wall",
+    "immobilised",
+    "reversed",
+    "lap",
+    "finished",
+    "released",
+)
+"""Fields of the VERDICT that an info has; all False after a reset."""
+_COUNTS = ("laps", "off_tracks", "crashes", "contacts_taken", "overtakes")
+_LENGTHS = ("distance", "last_lap_s", "best_lap_s", "penalty_s")
 
 
-def action() -> Box:
+def action_space() -> Box:
     """Return the space of one car's actions: steering and speed."""
     return Box(-1.0, 1.0, (actions.SIZE,), np.float32)
 
 
-def observation(sensors: SensorConfig, privileged: bool) -> Dict:
-    """Return the space of what a car with these sensors is told.
-
-    Args:
-        sensors: what the car carries.
-        privileged: whether it is told the truth too.
-    """
+def observation_space(sensors: SensorConfig, privileged: bool) -> Dict:
+    """Return the space of one car's observations; with the group `state` if privileged."""
     groups: dict[str, Space] = {}
     if sensors.camera is not None:
         groups["stereo"] = Box(0, 255, sensors.camera.shape, np.uint8)
-    if sensors.lidar is not None:
-        groups["lidar"] = _lidar(sensors.lidar)
+    if (lidar := sensors.lidar) is not None:
+        low, high = (lidar.min_range, lidar.max_range) if lidar.form == "ranges" else (0, 1)
+        groups["lidar"] = Box(low, high, (lidar.size,), np.float32)
     size = len(observations.MOTION_FIELDS)
     groups["motion"] = Box(-MOTION_LIMIT, MOTION_LIMIT, (size,), np.float32)
     if privileged:
@@ -41,10 +57,10 @@ def observation(sensors: SensorConfig, privileged: bool) -> Dict:
 
 
 class Reader:
-    """Copies the groups of a space, bounded by it, out of what a car observes."""
+    """Copies the groups of a space, bounded by it, out of a car's observations."""
 
     def __init__(self, space: Dict) -> None:
-        """Set up for a space made by `observation`, of one world or batched."""
+        """Set up for a space made by `observation_space`, of one world or batched."""
         self._boxes = [
             (name, box.shape, box.dtype == np.uint8, box.low.flat[0], box.high.flat[0])
             for name, box in space.items()
@@ -52,19 +68,91 @@ class Reader:
         ]
 
     def read(self, groups: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Return arrays that the caller may keep.
-
-        Args:
-            groups: what a car observes, leading axis num_worlds.
-        """
+        """Return arrays that the caller may keep, of groups with leading axis num_worlds."""
         arrays: dict[str, np.ndarray] = {}
         for name, shape, is_bytes, low, high in self._boxes:
             values = np.asarray(groups[name]).reshape(shape)
-            # Always a copy: the environment gives a reading that is not due again.
+            # Always a copy: the environment repeats a reading that is not due.
             arrays[name] = values.copy() if is_bytes else np.minimum(np.maximum(values, low), high)
         return arrays
 
 
-def _lidar(lidar: LidarConfig) -> Box:
-    nearest, farthest = (lidar.min_range, lidar.max_range) if lidar.form == "ranges" else (0, 1)
-    return Box(nearest, farthest, (lidar.size,), np.float32)
+def _getter(record: np.dtype, names: tuple[str, ...]) -> Callable[[tuple], tuple]:
+    """Return a function that takes some fields out of a record given as a tuple."""
+    return itemgetter(*(list(record.names or ()).index(name) for name in names))
+
+
+_CAR_FIELDS, _VERDICT_FLAGS = _getter(CAR, (*_LENGTHS, *_COUNTS)), _getter(VERDICT, FLAGS)
+
+
+class Infos:
+    """The infos of one car: laps, place, penalties, verdict, reward terms and sensor rates."""
+
+    def __init__(self, env: RaceEnv, car: int) -> None:
+        self._env, self._car, self._world = env, car, env.world
+        self._terms, self._step_dt = env.cfg.reward.terms, env.cfg.sim.step_dt
+        sensors, step_hz = env.cfg.sensors_of(car), env.cfg.sim.step_hz
+        # Own motion is read at every step.
+        self._rates = {"motion": float(step_hz)}
+        for name, sensor in (("stereo", sensors.camera), ("lidar", sensors.lidar)):
+            if sensor is not None:
+                self._rates[name] = observations.effective_rate_hz(sensor.rate_hz, step_hz)
+
+    def of_all(self, step: Step | None) -> dict[str, Any]:
+        """Return the info of all worlds: arrays of shape (num_worlds,), some nested.
+
+        Args:
+            step: the last step; None after a reset, where all flags are False and all rewards 0.
+        """
+        cars, car, number = self._world.cars[:, self._car], self._car, self._env.num_worlds
+        info: dict[str, Any] = {"time_s": self._env.time_s, "place": self._places() + 1}
+        info |= {name: cars[name].astype(np.float64) for name in _LENGTHS}
+        info |= {name: cars[name].astype(np.int64) for name in _COUNTS}
+        for name in FLAGS:
+            flags = np.zeros(number, np.bool_) if step is None else step.verdicts[name][:, car]
+            info[name] = flags.copy()
+        info["rewards"] = {
+            name: np.zeros(number) if step is None else step.log[name][:, car].astype(np.float64)
+            for name in self._terms
+        }
+        info["sensor_rates_hz"] = {name: np.full(number, hz) for name, hz in self._rates.items()}
+        return info
+
+    def of_first(self, step: Step | None) -> dict[str, Any]:
+        """Return the info of the first world as plain numbers; see `of_all`."""
+        world, car = self._world, self._car
+        info: dict[str, Any] = {
+            "time_s": world.worlds["step"].item(0) * self._step_dt,
+            "place": self._places().item(0) + 1,
+        }
+        info.update(zip((*_LENGTHS, *_COUNTS), _CAR_FIELDS(world.cars.item(0, car)), strict=True))
+        if step is None:
+            info.update(dict.fromkeys(FLAGS, False))
+            info["rewards"] = dict.fromkeys(self._terms, 0.0)
+        else:
+            info.update(zip(FLAGS, _VERDICT_FLAGS(step.verdicts.item(0, car)), strict=True))
+            info["rewards"] = {name: step.log[name].item(0, car) for name in self._terms}
+        info["sensor_rates_hz"] = self._rates.copy()
+        return info
+
+    def _places(self) -> np.ndarray:
+        return referee.running_order(self._world.cars)[:, self._car]
+
+
+def mixed(where: np.ndarray, one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
+    """Return an info that is `one` in some worlds and `other` elsewhere."""
+    return {
+        name: mixed(where, value, other[name])
+        if isinstance(value, dict)
+        else np.where(where, value, other[name])
+        for name, value in one.items()
+    }
+
+
+def masked(info: dict[str, Any], num_worlds: int) -> dict[str, Any]:
+    """Return an info with the masks of Gymnasium's vectors: `_name` says where `name` is known."""
+    result: dict[str, Any] = {}
+    for name, value in info.items():
+        result[name] = masked(value, num_worlds) if isinstance(value, dict) else value
+        result[f"_{name}"] = np.ones(num_worlds, dtype=bool)
+    return result

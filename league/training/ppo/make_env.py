@@ -9,8 +9,7 @@ import torch
 
 from league.agents.driver import Driver
 from league.envs.adapters.rsl_vec_env import RacingVecEnv
-from league.envs.config import EnvConfig
-from league.envs.encounters import Meeting
+from league.envs.config import EnvConfig, OpponentPlacement
 from league.envs.rewards import Reward
 from league.sim.config import ObstacleConfig, RaceRules, SimConfig, Spread
 from league.track.track import TrackSet
@@ -39,7 +38,7 @@ def env_config(cfg: TrainConfig) -> EnvConfig:
         reward=cfg.reward,
         episode_s=cfg.episode_s,
         # Cars that start anywhere on a lap hardly ever meet.
-        meeting=Meeting() if cfg.num_cars > 1 else None,
+        placement=OpponentPlacement() if cfg.num_cars > 1 else None,
     )
 
 

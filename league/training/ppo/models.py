@@ -9,7 +9,7 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 
 from league.agents.network import NetworkConfig
-from league.envs.action_space import ActionSpace, ContinuousActions
+from league.envs.actions import ActionSpace, ContinuousActions
 
 
 class ByteCNNModel(CNNModel):

@@ -7,7 +7,7 @@ from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 from torch import Tensor
 
-from league.envs.action_space import ActionSpace
+from league.envs.actions import ActionSpace
 from league.envs.observations import MOTION_FIELDS
 from league.envs.state import FIELDS
 from league.sim.config import SensorConfig

@@ -22,7 +22,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from league.agents.network import NetworkConfig
-from league.envs.action_space import ContinuousActions
+from league.envs.actions import ContinuousActions
 from league.envs.adapters.rsl_vec_env import RacingVecEnv
 from league.envs.driver import Driver
 from league.envs.rewards import Reward

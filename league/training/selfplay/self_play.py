@@ -282,7 +282,7 @@ class SelfPlay:
             top_speed = self._train.action_space.top_speed
             learner.env.speed_limit = Handicap(cfg, top_speed, self._seats)
         # Anew, so that a run that goes on from here begins with the same meetings.
-        learner.env.race_env.meet(cfg.meeting(self._done, self._train.num_cars))
+        learner.env.race_env.place_opponents(cfg.meeting(self._done, self._train.num_cars))
         learner.start_rows_anew()
 
     def _teachers(self, car: int) -> dict[Driver, float]:

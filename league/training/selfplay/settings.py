@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from league.envs.encounters import Meeting
+from league.envs.config import OpponentPlacement
 from league.errors import ConfigError
 from league.sim.config import Spread
 
@@ -97,9 +97,9 @@ class SelfPlayConfig:
             scripted=share,
         )
 
-    def meeting(self, done: float, num_cars: int = 2) -> Meeting:
+    def meeting(self, done: float, num_cars: int = 2) -> OpponentPlacement:
         """Return how so many cars meet when so much of the run is done."""
-        usual, more = Meeting(), max(num_cars - 4, 0)
+        usual, more = OpponentPlacement(), max(num_cars - 4, 0)
         # More than four about the learner would stand on each other's places, and those at the far
         # end of a starting grid, 0.75 m for each car, would count as left behind at once.
         usual = replace(usual, reach=usual.reach + 0.5 * more, lost=usual.lost + 0.8 * more)

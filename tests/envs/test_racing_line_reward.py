@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scenes import Stages, go_to, make_ring, make_straight, put_cars
 
-from league.envs import line_reward, rewards
-from league.envs.line_reward import FAR, SLOW, AlongTheLine, built_in
-from league.envs.rewards import BuiltIn
+from league.envs import rewards
+from league.envs.rewards import FAR, SLOW, BuiltIn, RacingLineReward, built_in
 from league.errors import ConfigError
 from league.racing_line.speed_profile import Limits
 from league.sim.config import CarConfig, RaceRules, SimConfig
@@ -32,7 +31,7 @@ def paid(tracks, aside, speed, track=0):
     after = go_to(tracks, before, end, speed=speed)
     verdicts, after = Stages(tracks, TWO).judge(before, after)
     told = tracks, before, after, np.zeros((2, 2, 2), np.float32), verdicts
-    reward = AlongTheLine(tracks, CAR)
+    reward = RacingLineReward(tracks, CAR)
     total, terms = reward(*told)
     assert list(terms) == list(reward.terms)
     assert np.allclose(total, sum(terms.values()))
@@ -62,7 +61,7 @@ def test_far_from_the_line_nothing_is_paid_and_nothing_taken(ring):
 
 def test_who_drives_the_wrong_way_or_stands_is_not_paid(ring):
     tracks = ring()
-    reward = AlongTheLine(tracks, CAR)
+    reward = RacingLineReward(tracks, CAR)
     speed = speed_at(0.025 / math.sin(math.pi / 240) - INSIDE)
     before = put_cars(tracks, TWO, [(3.0, INSIDE), (5.0, INSIDE)])
     after = go_to(tracks, before, [(2.8, INSIDE), (5.0, INSIDE)], speed=speed)
@@ -80,28 +79,28 @@ def test_each_world_is_told_the_line_of_its_own_track():
 
 def test_an_open_track_has_a_line_to_its_end():
     track = make_straight()
-    reward = AlongTheLine(TrackSet(track), CAR)
+    reward = RacingLineReward(TrackSet(track), CAR)
     there = np.array([[0.0, 0.5, 1.0]])
-    _, speed = reward._beside(np.zeros(there.shape, np.int64), there)
+    _, speed = reward.line_at(np.zeros(there.shape, np.int64), there)
     assert speed.tolist() == [pytest.approx([CAR.max_speed] * 3, rel=0.02)]
 
 
 def test_a_lap_ends_where_it_begins(ring):
-    reward = AlongTheLine(ring(), CAR)
+    reward = RacingLineReward(ring(), CAR)
     there = np.array([[0.0, 1.0]])
-    lateral, speed = reward._beside(np.zeros(there.shape, np.int64), there)
+    lateral, speed = reward.line_at(np.zeros(there.shape, np.int64), there)
     assert lateral[0, 0] == pytest.approx(float(lateral[0, 1]), abs=1e-4)
     assert speed[0, 0] == pytest.approx(float(speed[0, 1]), abs=1e-3)
 
 
 def test_it_is_found_by_its_name_and_others_are_presets(ring):
-    assert isinstance(built_in("racing_line", ring(), CAR), AlongTheLine)
+    assert isinstance(built_in("racing_line", ring(), CAR), RacingLineReward)
     assert built_in("race", ring(), CAR).terms == rewards.preset("race").terms
     with pytest.raises(ConfigError, match="nearest: racing_line"):
         built_in("racingline", ring(), CAR)
 
 
 def test_so_many_tracks_that_their_lines_take_minutes_are_refused(ring, monkeypatch):
-    monkeypatch.setattr(line_reward, "MOST_TRACKS", 2)
+    monkeypatch.setattr(rewards, "MOST_TRACKS", 2)
     with pytest.raises(ConfigError, match=r"on each of 3 tracks.*give at most 2"):
-        AlongTheLine(TrackSet(*[make_ring()] * 3), CAR)
+        RacingLineReward(TrackSet(*[make_ring()] * 3), CAR)

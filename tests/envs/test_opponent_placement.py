@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scenes import assert_same, make_ring
 
-from league.envs.config import EnvConfig
-from league.envs.encounters import Meeting
+from league.envs.config import EnvConfig, OpponentPlacement
 from league.envs.race_env import RaceEnv
 from league.errors import ConfigError
 from league.sim.camera.paint_renderer import PaintRenderer
@@ -18,15 +17,17 @@ from league.sim.world import World
 from league.track.track import TrackSet
 
 RING = TrackSet(make_ring())
-ON_THE_ROAD = Meeting(alone=0.0, standing=0.0)
+ON_THE_ROAD = OpponentPlacement(alone=0.0, standing=0.0)
 
 
 def sim(num_cars: int = 2) -> SimConfig:
     return SimConfig(kind="head_to_head", num_cars=num_cars)
 
 
-def env(how: Meeting | None, num_worlds: int = 64, num_cars: int = 2, **settings) -> RaceEnv:
-    cfg = EnvConfig(sim=sim(num_cars), mode="training", meeting=how, **settings)
+def env(
+    how: OpponentPlacement | None, num_worlds: int = 64, num_cars: int = 2, **settings
+) -> RaceEnv:
+    cfg = EnvConfig(sim=sim(num_cars), mode="training", placement=how, **settings)
     return RaceEnv(RING, cfg, num_worlds=num_worlds, seed=3)
 
 
@@ -73,7 +74,7 @@ def test_nine_of_ten_begin_at_like_speeds_along_the_track():
 
 
 def test_on_the_grid_the_learner_starts_from_either_slot():
-    world = env(Meeting(alone=0.0, standing=1.0), num_worlds=40).world
+    world = env(OpponentPlacement(alone=0.0, standing=1.0), num_worlds=40).world
     gap = gaps(world)[:, 0]
     assert set(np.rint(gap * 100).tolist()) == {-75, 75}
     ahead = np.where(gap > 0, 11.25, 0.0)  # the second slot is 0.75 m before the line
@@ -142,7 +143,7 @@ def test_a_car_that_is_left_behind_joins_the_learner_again():
 
 def test_a_world_in_a_batch_meets_as_it_would_alone():
     def run(num_worlds, seeds):
-        cars = env(Meeting(), num_worlds=num_worlds, num_cars=3, episode_s=1.5)
+        cars = env(OpponentPlacement(), num_worlds=num_worlds, num_cars=3, episode_s=1.5)
         cars.reset(seeds=seeds)
         for number in range(50):
             cars.step(drive(cars, steering=0.3 - 0.01 * number, speed=0.2))
@@ -170,11 +171,11 @@ def test_without_a_meeting_cars_begin_when_their_own_episodes_end():
 )
 def test_settings_that_make_no_sense_are_refused(wrong, said):
     with pytest.raises(ConfigError, match=said):
-        Meeting(**wrong)
+        OpponentPlacement(**wrong)
 
 
 def test_a_meeting_needs_training_and_two_cars():
     with pytest.raises(ConfigError, match="give mode 'training', 2 to 8 cars"):
-        EnvConfig(sim=sim(), mode="race", meeting=Meeting())
+        EnvConfig(sim=sim(), mode="race", placement=OpponentPlacement())
     with pytest.raises(ConfigError, match="with 1 cars"):
-        EnvConfig(mode="training", meeting=Meeting())
+        EnvConfig(mode="training", placement=OpponentPlacement())
