@@ -21,16 +21,18 @@ def one(steps: int = 300) -> float:
         sensors=["lidar"],
         privileged=True,  # the truth too, as group `state`: for a first controller, or a critic
     )
-    told, _ = env.reset(seed=0)
+    observation, _ = env.reset(seed=0)
     total = 0.0
     for _ in range(steps):
-        lateral, heading_error = told["state"][1:3]  # see docs/observations.md
+        lateral, heading_error = observation["state"][1:3]  # see docs/observations.md
         steering = np.clip(-2.0 * lateral - 2.0 * heading_error, -1.0, 1.0)
-        told, reward, terminated, truncated, info = env.step(np.array([steering, -0.4], np.float32))
+        observation, reward, terminated, truncated, info = env.step(
+            np.array([steering, -0.4], np.float32)
+        )
         total += float(reward)
         if terminated or truncated:
             print(f"the episode ended after {info['distance']:.1f} m in place {info['place']}")
-            told, _ = env.reset()
+            observation, _ = env.reset()
     env.close()
     return total
 

@@ -22,15 +22,15 @@ class Weaver:
     sensors = SensorConfig()  # no camera, no lidar: it reads the true state
 
     def reset(self, rows: np.ndarray | None) -> None:
-        """Forget everything; this driver remembers nothing."""
+        """Nothing: this driver has no memory."""
 
     def act(self, observations) -> np.ndarray:
         """Return steering and speed in [-1, 1], one row for each world."""
         state = observations["state"]
         curvature = state[:, INDEX["curvature_0.25m"]]
         lateral, heading_error = state[:, INDEX["lateral"]], state[:, INDEX["heading_error"]]
-        wished = curvature - 1.5 * lateral - 2.5 * heading_error
-        steering = np.arctan(CarConfig().wheelbase * wished)
+        curvature_wanted = curvature - 1.5 * lateral - 2.5 * heading_error
+        steering = np.arctan(CarConfig().wheelbase * curvature_wanted)
         speed = 2.2 - 0.8 * np.minimum(np.abs(curvature), 1.5)
         return actions_from(steering, speed, CarConfig())
 

@@ -11,10 +11,10 @@ import numpy as np
 from league.envs import parallel_env
 
 
-def follow_the_road(told: dict[str, np.ndarray], speed: float) -> np.ndarray:
-    """Steer towards where the road lies in the picture: it is darker than the field beside it."""
-    height, width = told["stereo"].shape[1:]
-    ahead = told["stereo"][0, height // 2 : 3 * height // 4].astype(np.float32)
+def follow_the_road(observation: dict[str, np.ndarray], speed: float) -> np.ndarray:
+    """Steer towards where the road lies in the picture: it is darker than the field next to it."""
+    height, width = observation["stereo"].shape[1:]
+    ahead = observation["stereo"][0, height // 2 : 3 * height // 4].astype(np.float32)
     road = ahead < np.percentile(ahead, 40)
     column = np.nonzero(road)[1].mean() if road.any() else width / 2
     steering = np.clip(1.6 * (width / 2 - column) / (width / 2), -1.0, 1.0)  # 1 is full left
@@ -24,12 +24,14 @@ def follow_the_road(told: dict[str, np.ndarray], speed: float) -> np.ndarray:
 def main(seconds: float = 10.0, picture: str = "pettingzoo.png") -> dict[str, float]:
     """Race two cars for a while and return how far each came [m]."""
     env = parallel_env(track="reinvent_2018", num_cars=2, render_mode="rgb_array")
-    told, infos = env.reset(seed=1)
+    observations, infos = env.reset(seed=1)
     speeds = {"car_0": -0.6, "car_1": -0.5}  # -1 is 0.1 m/s, 1 is 4 m/s
 
     for _ in range(round(seconds * 15)):
-        actions = {agent: follow_the_road(told[agent], speeds[agent]) for agent in env.agents}
-        told, _rewards, _terminated, _truncated, infos = env.step(actions)
+        actions = {
+            agent: follow_the_road(observations[agent], speeds[agent]) for agent in env.agents
+        }
+        observations, _rewards, _terminated, _truncated, infos = env.step(actions)
         for agent, info in infos.items():
             if info["off_track"] or info["crashed"]:
                 print(f"{info['time_s']:5.1f} s  {agent} waits {info['penalty_s']:.0f} s")

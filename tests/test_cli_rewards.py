@@ -123,7 +123,7 @@ def test_a_fault_is_told_once_with_the_drives_on_which_it_came(tmp_path, capsys)
     assert command.CheckReward(path).run() == 1
     failed = [line for line in capsys.readouterr().out.split("Fails: ")[1:]]
     assert len(failed) == 1
-    assert "line 2: reward_function returned None (alone: a whole lap, steps 1)" in failed[0]
+    assert "line 1: reward_function returned None (alone: a whole lap, steps 1)" in failed[0]
     assert "(and on 5 more drives)" in failed[0]
 
 

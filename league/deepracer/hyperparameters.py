@@ -21,9 +21,7 @@ _WORDS = {"mean squared error": "mse", "e_greedy": "e-greedy"}
 class Hyperparameters(BaseModel):
     """The values of a hyperparameters.json."""
 
-    model_config = ConfigDict(
-        frozen=True, allow_inf_nan=False, populate_by_name=True, use_attribute_docstrings=True
-    )
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False, loc_by_alias=False)
 
     batch_size: int | None = Field(None, ge=1, le=8192)
     """Samples in one minibatch."""

@@ -267,5 +267,5 @@ def reason(error: ValidationError) -> str:
     if first["type"] == "extra_forbidden":
         return f"{where} is not known: omit it"
     if first["type"] == "literal_error":
-        message = f"give {first['ctx']['expected']}".replace("'", "")
+        message = f"give {first.get('ctx', {})['expected']}".replace("'", "")
     return f"{where} is {brief(first['input'])}: {message[0].lower()}{message[1:]}"

@@ -6,7 +6,6 @@ never runs files of others.
 
 from __future__ import annotations
 
-import ast
 import hashlib
 import inspect
 import io
@@ -165,24 +164,9 @@ class RewardFile:
         if -LIMIT <= number <= LIMIT:
             return number
         raise RewardError(
-            f"{self.path}, line {self._line_of(function)}: {NAME} returned {brief(value)} "
+            f"{self.path}, line {_first_line(function)}: {NAME} returned {brief(value)} "
             f"({when}): return a number from -1e5 to 1e5"
         )
-
-    def _line_of(self, function: object) -> int:
-        """Return the line of a function's only `return`, or its first line if there are several."""
-        called = vars(type(function)).get("__call__")  # of an object that is called
-        code = getattr(function, "__code__", None) or getattr(called, "__code__", None)
-        if code is None or code.co_filename != str(self.path):
-            return 1
-        returns = [
-            inner.lineno
-            for node in ast.walk(ast.parse(self.text))
-            if isinstance(node, ast.FunctionDef) and node.name == code.co_name
-            for inner in ast.walk(node)
-            if isinstance(inner, ast.Return)
-        ]
-        return returns[0] if len(returns) == 1 else code.co_firstlineno
 
     def _hint(self, error: BaseException, line: int, params: Mapping[str, object] | None) -> str:
         """Return the usual remedy for this error, or nothing."""
@@ -214,7 +198,7 @@ class RewardFile:
             return function
         needed = [p for p in parameters if p.default is p.empty and p.kind not in (2, 4)]
         takes_one = any(p.kind in (0, 1, 2) for p in parameters)
-        line = getattr(getattr(function, "__code__", None), "co_firstlineno", 1)
+        line = _first_line(function)
         if any(p.name == "on_track" for p in parameters):
             raise RewardError(
                 f"{self.path}, line {line}: {NAME} takes {len(parameters)} parameters, the "
@@ -227,6 +211,10 @@ class RewardFile:
                 f"take one, `def {NAME}(params):`"
             )
         return function
+
+
+def _first_line(function: object) -> int:
+    return getattr(getattr(function, "__code__", None), "co_firstlineno", 1)
 
 
 def _text(path: Path) -> tuple[bytes, str]:

@@ -36,8 +36,9 @@ def encode(steering: np.ndarray, speed: np.ndarray, car: CarConfig) -> np.ndarra
     Returns:
         Float32, (..., 2).
     """
+    steering, speed = np.asarray(steering), np.asarray(speed)
     share = (speed - car.min_speed) / (car.max_speed - car.min_speed)
-    actions = np.empty((*np.shape(speed), SIZE), np.float32)
+    actions = np.empty((*speed.shape, SIZE), np.float32)
     actions[..., 0] = steering / car.max_steering
     actions[..., 1] = 2.0 * share - 1.0
     return actions.clip(-1.0, 1.0)
@@ -172,7 +173,7 @@ def of_agents(
 def _unknown_agent(name: object, racing: Sequence[str], known: Sequence[str]) -> str:
     if name in known:
         left = f"only {', '.join(racing)} still race" if racing else "the race is over: call reset"
-        return f"there is an action for {name}, whose race has ended: {left}"
+        return f"there is an action for {name}, but its race has ended: {left}"
     if not known:
         return f"there is an action for {brief(name)} before the first reset: call reset"
     near = nearest_names(name, list(known)) if isinstance(name, str) else ", ".join(known)

@@ -115,26 +115,26 @@ def _joining(done, cars, course, episodes):
 
 
 @inner
-def _restart(who, cars, obstacles, world, points, course, places, sim, episodes):
+def _restart(mask, cars, obstacles, world, points, course, places, sim, episodes):
     spots = np.empty((len(cars), 2), np.float32)
     if episodes.placing:
-        _place_around_learner(who, cars, world, spots, points, course, sim, episodes)
+        _place_around_learner(mask, cars, world, spots, points, course, sim, episodes)
         return
-    all_begin = who == (1 << len(cars)) - 1
+    all_begin = mask == (1 << len(cars)) - 1
     if all_begin and len(obstacles) and sim.random_places and world.step > 0:
         # Another seed, and with it other obstacles.
         world.seed = bits_of(world.seed, _SEED, world.step) & SEED_MASK
         obstacle_kernels.place(obstacles, world, points, course, places, sim)
-    _free_spots(who, cars, obstacles, world, spots, course)
+    _free_spots(mask, cars, obstacles, world, spots, course)
     for c in range(len(cars)):
-        if (who >> c) & 1:
+        if (mask >> c) & 1:
             frame = frame_at(points, course, spots[c, 0])
             across = uniform_of(world.seed, _SIDE, world.step, c) - _HALF
             lateral = across * min(frame.left, frame.right)
             _begin(c, cars, world, spots[c, 0], lateral, points, course, sim)
-    _order(who, cars, course)
+    _order(mask, cars, course)
     for c in range(len(cars)):
-        if (who >> c) & 1:
+        if (mask >> c) & 1:
             encode(cars[c], sim)
 
 
@@ -149,11 +149,11 @@ def _begin(c, cars, world, s, lateral, points, course, sim):
 
 
 @inner
-def _order(who, cars, course):
+def _order(mask, cars, course):
     """Set which cars are ahead on the road, for pairs in which one has begun an episode."""
     for c in range(len(cars)):
         for other in range(len(cars)):
-            if other != c and ((who >> c) & 1 or (who >> other) & 1):
+            if other != c and ((mask >> c) & 1 or (mask >> other) & 1):
                 bit = np.uint8(1 << other)
                 if signed_gap(course, cars[c].s, cars[other].s) > _ZERO:
                     cars[c].ahead |= bit
@@ -170,7 +170,7 @@ def encode(car, sim):
 
 
 @inner
-def _free_spots(who, cars, obstacles, world, spots, course):
+def _free_spots(mask, cars, obstacles, world, spots, course):
     """Draw s of a free stretch for each car of a mask; those that begin together keep clear.
 
     Of eight places the first that is 0.8 m clear of all else is taken, or the clearest.
@@ -178,7 +178,7 @@ def _free_spots(who, cars, obstacles, world, spots, course):
     for c in range(len(cars)):
         spots[c, 0] = cars[c].s
     for c in range(len(cars)):
-        if not (who >> c) & 1:
+        if not (mask >> c) & 1:
             continue
         best, chosen = -_ONE, _ZERO
         for attempt in range(_CANDIDATES):
@@ -196,14 +196,14 @@ def _free_spots(who, cars, obstacles, world, spots, course):
 
 
 @inner
-def _place_around_learner(who, cars, world, spots, points, course, sim, episodes):
+def _place_around_learner(mask, cars, world, spots, points, course, sim, episodes):
     """Begin episodes of all cars if car 0 begins one, else of those that join it."""
     seed, step, num_cars = world.seed, world.step, len(cars)
-    first = who & 1 == 1
+    first = mask & 1 == 1
     kind = uniform_of(seed, _KIND, step)
     alone = first and kind < episodes.alone
     on_grid = first and not alone and kind < episodes.alone + episodes.standing
-    _near_spots(who, cars, world, spots, points, course, episodes)
+    _near_spots(mask, cars, world, spots, points, course, episodes)
     if on_grid:
         shift = np.int64(uniform_of(seed, _SLOT, step) * f32(num_cars))
         for c in range(num_cars):
@@ -216,16 +216,16 @@ def _place_around_learner(who, cars, world, spots, points, course, sim, episodes
         if uniform_of(seed, _ROLL, step) < episodes.rolling and not on_grid:
             base = (_SLOWEST + _FASTER * uniform_of(seed, _PACE, step)) * episodes.top_speed
     for c in range(num_cars):
-        if (who >> c) & 1:
+        if (mask >> c) & 1:
             limit = _allowed(cars[c], spots[c, 0], points, course, sim, episodes)
             own = _TWO * uniform_of(seed, _OWN_PACE, step, c) - _ONE
             speed = min(base * (_ONE + episodes.pace * own), limit)
             _begin(c, cars, world, spots[c, 0], spots[c, 1], points, course, sim)
             if speed > _ZERO:
                 _roll(cars[c], speed, points, course, sim)
-    _order(who, cars, course)
+    _order(mask, cars, course)
     for c in range(len(cars)):
-        if (who >> c) & 1:
+        if (mask >> c) & 1:
             encode(cars[c], sim)
     if alone:
         far = wrap(cars[0].s + course.length * _HALF, course.length)
@@ -235,7 +235,7 @@ def _place_around_learner(who, cars, world, spots, points, course, sim, episodes
 
 
 @inner
-def _near_spots(who, cars, world, spots, points, course, episodes):
+def _near_spots(mask, cars, world, spots, points, course, episodes):
     """Draw places on the road for all that begin, near car 0, where no other car is.
 
     Of the candidates the first that is clear of all cars is taken, or else the clearest.
@@ -243,13 +243,13 @@ def _near_spots(who, cars, world, spots, points, course, episodes):
     seed, step = world.seed, world.step
     for c in range(len(cars)):
         spots[c, 0], spots[c, 1] = cars[c].s, cars[c].lateral
-    if who & 1:
+    if mask & 1:
         spots[0, 0] = uniform_of(seed, _NEAR_SPOT, step) * course.length
         side = _TWO * uniform_of(seed, _NEAR_SIDE, step) - _ONE
         spots[0, 1] = _across(points, course, spots[0, 0], side)
     behind = _ONE - episodes.ahead
     for c in range(1, len(cars)):
-        if not (who >> c) & 1:
+        if not (mask >> c) & 1:
             continue
         best, s, lateral = -_ONE, _ZERO, _ZERO
         for attempt in range(_NEAR_CANDIDATES):
@@ -260,7 +260,7 @@ def _near_spots(who, cars, world, spots, points, course, episodes):
                 place = min(max(place, _START), course.length - _END)
             side = _TWO * uniform_of(seed, _LANE, step, c, attempt) - _ONE
             across = _across(points, course, place, side)
-            clear, room = _clearance(c, who, place, across, spots, course, episodes)
+            clear, room = _clearance(c, mask, place, across, spots, course, episodes)
             merit = _PREFERRED - f32(attempt) * _LATER if clear else room
             if merit > best:
                 best, s, lateral = merit, place, across
@@ -268,7 +268,7 @@ def _near_spots(who, cars, world, spots, points, course, episodes):
 
 
 @inner
-def _clearance(c, who, place, across, spots, course, episodes):
+def _clearance(c, mask, place, across, spots, course, episodes):
     """Return whether a place is clear of all other cars, and the gap to the nearest [m].
 
     Clear is half a metre along the track or most of a lane across; of car 0, if it drives, more.
@@ -280,8 +280,8 @@ def _clearance(c, who, place, across, spots, course, episodes):
         away = abs(signed_gap(course, place, spots[other, 0]))
         apart = away >= _ALONG or abs(across - spots[other, 1]) >= _ACROSS
         if other == 0:
-            apart = apart and (who & 1 == 1 or away >= episodes.room)
-        elif other > c and (who >> other) & 1:
+            apart = apart and (mask & 1 == 1 or away >= episodes.room)
+        elif other > c and (mask >> other) & 1:
             # A car that begins too has no place yet.
             apart = True
         clear = clear and apart

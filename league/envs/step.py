@@ -159,7 +159,7 @@ def step(
 def reset(which, cars, obstacles, worlds, motions, points, courses, places, settings, episodes):
     """Start the races of some worlds: on the grid, or in training wherever episodes begin.
 
-    `which` holds these worlds, int64 (num_started,), whose seeds and tracks have been set; for the
+    `which` holds these worlds, int64 (num_started,); their seeds and tracks have been set. For the
     rest see `step`.
     """
     sim, rules = settings[0], episodes[0]
@@ -202,7 +202,7 @@ def _end_race(cars, world, outcomes):
 
 @inner
 def _end_episodes(cars, verdicts, outcomes, rules):
-    """Return the mask of the cars whose episode ends in this step."""
+    """Return the mask of the cars that end an episode in this step."""
     done = 0
     for c in range(len(cars)):
         cars[c].episode_steps += 1

@@ -175,6 +175,7 @@ def test_absent_hyperparameters_are_none_and_numbers_may_be_strings():
     ("given", "says"),
     [
         ({"batchsize": 64}, "nearest: batch_size"),
+        ({"learning_rate": 1, "entropy": 0}, "lr is 1: give 1e-08 to 0.1"),
         ({"lr": 0.5}, "give 1e-08 to 0.1"),
         ({"lr": float("nan")}, "finite"),
         ({"num_epochs": 0}, "give 1 to 100"),

@@ -328,6 +328,17 @@ def test_seeds_of_the_wrong_shape_are_refused(race_env, shape):
         race_env().reset(seeds=np.zeros(shape, np.int64))
 
 
+@pytest.mark.parametrize("given", [{"restart": np.array([True])}, {"seeds": [3]}])
+def test_a_restart_needs_its_seeds_and_seeds_a_restart(race_env, given):
+    with pytest.raises(ConfigError, match="give both, or neither"):
+        race_env().step(np.zeros((1, 1, 2)), **given)
+
+
+def test_a_reset_takes_a_seed_or_the_worlds_own(race_env):
+    with pytest.raises(ConfigError, match="give one of them"):
+        race_env().reset(seed=1, seeds=[2])
+
+
 def test_worlds_take_turns_on_the_tracks():
     tracks = TrackSet(make_ring(), make_square())
     env = RaceEnv(tracks, EnvConfig(), num_worlds=5)

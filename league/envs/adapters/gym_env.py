@@ -213,19 +213,11 @@ class GymVectorEnv(VectorEnv[Observation, np.ndarray, np.ndarray]):
         max_episode_steps: int | None = None,
         **options: Unpack[EnvOptions],
     ) -> None:
-        """Set up the races; see GymEnv for what is not listed.
+        """Set up the races, by the arguments of GymEnv.
 
-        Args:
-            num_envs: races.
-            track: as in GymEnv, or a TrackSet, whose tracks the races take in turn.
-            kind: as in GymEnv.
-            sensors: as in GymEnv.
-            car: as in GymEnv.
-            opponents: as in GymEnv; one driver for each other slot serves all races.
-            privileged: as in GymEnv.
-            render_mode: None; to see a race, use GymEnv.
-            max_episode_steps: Gymnasium's name for max_steps.
-            options: as in GymEnv.
+        `track` may also be a TrackSet, whose tracks the races take in turn; a driver in `opponents`
+        serves all races; `max_episode_steps` is Gymnasium's name for `max_steps`. A batch is not
+        drawn, so `render_mode` is None.
         """
         if render_mode is not None:
             raise ConfigError(
@@ -259,9 +251,8 @@ class GymVectorEnv(VectorEnv[Observation, np.ndarray, np.ndarray]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Start all races.
 
-        Args:
-            seed: of the first race, the next ones count up from it; or one for each.
-            options: not used.
+        `seed` is that of the first race, from which the next ones count up, or one for each; None
+        goes on to other races.
         """
         self._seed(seed)
         groups = self.learner.reset([make.draw_seed(each) for each in self._generators])
