@@ -12,7 +12,7 @@ import pytest
 HOUSE = Path(__file__).parents[1] / "league"
 LAYERS = {
     "league": 1, "errors": 1, "atomic_file": 1, "jit": 1, "portable_math": 1, "subprocesses": 1,
-    "track": 2,
+    "figures": 2, "track": 2,
     "sim": 3,
     "race_spec": 4, "racing_line": 4,
     "envs": 5, "replay": 5,
@@ -35,7 +35,7 @@ HEAVY = {
     "av": ("video",),
     "ray": ("matchmaking.workers.ray",),
     "safetensors": ("matchmaking.submission",),
-    "matplotlib": ("deepracer.rescore", "training"),
+    "matplotlib": ("figures", "deepracer.rescore", "training"),
     "sqlite3": ("matchmaking.store",),
     "sqlalchemy": ("matchmaking.store",),
     "alembic": ("matchmaking.store",),

@@ -286,8 +286,8 @@ def _looking_on(command: Train, run: Run) -> list[Onlooker]:
 
 
 def _onlookers(command: Train, run: Run) -> list[Onlooker]:
-    from league.training.monitor.dashboard import Page
-    from league.training.monitor.plot import Picture
+    from league.training.monitor.dashboard import Dashboard
+    from league.training.monitor.plot import TrainingPlot
 
     cfg = run.cfg
     found: list[Onlooker] = []
@@ -298,16 +298,16 @@ def _onlookers(command: Train, run: Run) -> list[Onlooker]:
         # Before the page, which draws over what is told while it is open.
         print(f"Watching live: {watching.address}", file=sys.stderr, flush=True)
         found.append(watching)
-    page = Page(
+    dashboard = Dashboard(
         run.train,
         60.0 * cfg.minutes or None,
         cfg.steps or None,
         cfg.name,
         plain=command.plain,
     )
-    found += [page, Picture(run.folder / "training.png")]
+    found += [dashboard, TrainingPlot(run.folder / "training.png")]
     if command.tensorboard:
-        from league.training.monitor.tensorboard import Scalars
+        from league.training.monitor.tensorboard import TensorBoard
 
-        found.append(Scalars(run.folder / "tensorboard"))
+        found.append(TensorBoard(run.folder / "tensorboard"))
     return found

@@ -14,17 +14,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from league.atomic_file import replacing
+from league import figures
 from league.envs.actions import decode
 from league.envs.rewards import Reward
 from league.errors import ReplayError
+from league.figures import GRID, INK
 from league.race_spec import EventKind
 from league.replay import Replay
 from league.sim.records import NOBODY, VERDICT
 from league.sim.world import World
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+    pass
 
 
 @dataclass(frozen=True)
@@ -140,7 +141,6 @@ def _frame(replay: Replay, time_s: float) -> int:
     return min(round(time_s * replay.step_hz), replay.num_frames - 1)
 
 
-_INK, _FAINT = "#1f2933", "#d9dee4"
 _SMOOTHED_S = 1.0
 """Width of the running mean drawn over each step's reward [s]."""
 
@@ -151,11 +151,7 @@ def draw(replay: Replay, scores: Sequence[Score], path: Path) -> None:
     Raises:
         ReplayError: the file cannot be written.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6.4 * len(scores), 7.2), dpi=120, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = figures.figure(6.4 * len(scores), 7.2)
     axes = figure.subplots(2, len(scores), sharex=True, squeeze=False)
     for column, score in enumerate(scores):
         top, bottom = axes[0, column], axes[1, column]
@@ -174,21 +170,22 @@ def draw(replay: Replay, scores: Sequence[Score], path: Path) -> None:
                 times, np.where(standing, sums, np.nan), color="white", lw=2.2, ls=(0, (2, 2))
             )
             bottom.plot(times[begins], sums[begins], "o", color=f"C{car}", markersize=5)
-        top.set_title(score.name, loc="left", fontsize=13, fontweight="bold", color=_INK, pad=10)
-        top.set_ylabel("reward of a step\n(thick: mean over 1 s)", color=_INK)
-        bottom.set_ylabel("sum so far", color=_INK)
-        bottom.set_xlabel("race time [s]", color=_INK)
+        top.set_title(score.name, loc="left", fontsize=13, fontweight="bold", color=INK, pad=10)
+        top.set_ylabel("reward of a step\n(thick: mean over 1 s)", color=INK)
+        bottom.set_ylabel("sum so far", color=INK)
+        bottom.set_xlabel("race time [s]", color=INK)
         bottom.legend(loc="upper left", frameon=False, title="total", alignment="left")
         for axis in (top, bottom):
-            _style(axis)
+            axis.grid(True, color=GRID, linewidth=0.7)
+            axis.set_axisbelow(True)
+            figures.strip(axis, keep=("bottom",))
             axis.set_xlim(0.0, max(replay.duration_s, 1e-3))
     spec = replay.spec
     laps = "1 lap" if spec.laps == 1 else f"{spec.laps} laps"
     title = f"{spec.kind.replace('_', ' ')} on {spec.track}, {laps}"
     note = "dots: a penalty begins, its stretch is dashed"
     figure.suptitle(f"{title}   ·   {note}", x=0.01, ha="left", fontsize=10, color="#6b7280")
-    with replacing(path, "the picture", ReplayError) as out:
-        figure.savefig(out, format="png")
+    figures.save(figure, path, "the plot", ReplayError, dpi=120)
 
 
 def _running_mean(values: np.ndarray, width: int) -> np.ndarray:
@@ -198,12 +195,3 @@ def _running_mean(values: np.ndarray, width: int) -> np.ndarray:
         return values
     sums = np.convolve(values, window, "same")
     return sums / np.convolve(np.ones_like(values), window, "same")
-
-
-def _style(axis: Axes) -> None:
-    axis.grid(True, color=_FAINT, linewidth=0.7)
-    axis.set_axisbelow(True)
-    axis.tick_params(colors=_INK, length=0)
-    for side, spine in axis.spines.items():
-        spine.set_visible(side == "bottom")
-        spine.set_color(_FAINT)

@@ -5,7 +5,7 @@ import math
 from pathlib import Path
 
 import pytest
-from told import episodes, evaluation, update
+from metrics import episodes, evaluation, update
 
 from league.errors import PolicyError
 from league.training.monitor import history

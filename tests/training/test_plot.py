@@ -2,13 +2,12 @@ from __future__ import annotations
 
 import cv2
 import pytest
-from told import evaluation, history, update
+from metrics import evaluation, history, update
 
 from league.errors import PolicyError
 from league.training.monitor import plot
-from league.training.monitor.console import TUTORING
-from league.training.monitor.history import History
-from league.training.monitor.plot import Picture
+from league.training.monitor.history import TUTORING, History
+from league.training.monitor.plot import TrainingPlot
 
 
 def test_the_three_curves_are_drawn_over_samples():
@@ -61,13 +60,13 @@ def test_a_run_without_evaluations_is_drawn_too(tmp_path):
         assert cv2.imread(str(tmp_path / "a.png")) is not None
 
 
-def test_the_picture_is_written_when_all_is_over(tmp_path):
-    onlooker = Picture(tmp_path / "run" / "training.png")
+def test_the_plot_is_written_when_all_is_over(tmp_path):
+    sink = TrainingPlot(tmp_path / "run" / "training.png")
     made = history(8)
-    onlooker.update(made, update(8))
-    onlooker.evaluated(made, evaluation(7.0))
+    sink.update(made, update(8))
+    sink.evaluated(made, evaluation(7.0))
     assert not (tmp_path / "run").exists()  # the next one is due in a minute
-    onlooker.close()
+    sink.close()
     image = cv2.imread(str(tmp_path / "run" / "training.png"))
     assert image is not None
     assert image.shape == (594, 1100, 3)
@@ -75,21 +74,21 @@ def test_the_picture_is_written_when_all_is_over(tmp_path):
     assert [path.name for path in (tmp_path / "run").iterdir()] == ["training.png"]
 
 
-def test_the_picture_is_drawn_now_and_then(tmp_path):
-    onlooker = Picture(tmp_path / "a.png", every_s=0.0)
-    onlooker.evaluated(history(8), evaluation(7.0))
+def test_the_plot_is_drawn_now_and_then(tmp_path):
+    sink = TrainingPlot(tmp_path / "a.png", every_s=0.0)
+    sink.evaluated(history(8), evaluation(7.0))
     assert (tmp_path / "a.png").exists()
 
 
 def test_nothing_is_drawn_of_nothing(tmp_path):
-    onlooker = Picture(tmp_path / "a.png")
-    onlooker.close()
-    onlooker.update(History(), update(1))
-    onlooker.close()
+    sink = TrainingPlot(tmp_path / "a.png")
+    sink.close()
+    sink.update(History(), update(1))
+    sink.close()
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_place_that_cannot_be_written_is_told(tmp_path):
+def test_a_place_that_cannot_be_written_is_reported(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(PolicyError, match="the picture of the training cannot be written"):
+    with pytest.raises(PolicyError, match="the plot of the training cannot be written"):
         plot.draw(history(4), tmp_path / "file" / "a.png")

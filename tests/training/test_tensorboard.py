@@ -5,14 +5,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from metrics import episodes, evaluation, update
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-from told import episodes, evaluation, update
 
 from league.training.monitor.history import History
-from league.training.monitor.tensorboard import Scalars
+from league.training.monitor.tensorboard import TensorBoard
 
 
-def told(folder: Path) -> dict[str, list[tuple[int, float]]]:
+def points(folder: Path) -> dict[str, list[tuple[int, float]]]:
     """Return the points of each chart, as TensorBoard shows them."""
     read = EventAccumulator(str(folder))
     read.Reload()
@@ -23,18 +23,18 @@ def told(folder: Path) -> dict[str, list[tuple[int, float]]]:
 
 
 def run(folder: Path, numbers: range, *, loss: float = 0.25) -> None:
-    made, onlooker = History(), Scalars(folder)
+    made, sink = History(), TensorBoard(folder)
     for number in numbers:
         made.add_update(update(number, loss=loss), episodes(0.5), 2.0 * number)
-        onlooker.update(made, update(number, loss=loss))
+        sink.update(made, update(number, loss=loss))
     made.add_evaluation(evaluation(7.5), time_s=9.0, took_s=0.5, best=True)
-    onlooker.evaluated(made, evaluation(7.5))
-    onlooker.close()
+    sink.evaluated(made, evaluation(7.5))
+    sink.close()
 
 
 def test_charts_have_the_names_that_users_of_rsl_rl_know(tmp_path):
     run(tmp_path, range(1, 4))
-    found = told(tmp_path)
+    found = points(tmp_path)
     assert found["Train/mean_reward"] == [(1, 5.0), (2, 5.0), (3, 5.0)]
     assert found["Loss/value"] == [(1, 0.25), (2, 0.25), (3, 0.25)]
     assert found["Perf/collection_time"] == [(1, 0.5), (2, 0.5), (3, 0.5)]
@@ -49,13 +49,13 @@ def test_charts_have_the_names_that_users_of_rsl_rl_know(tmp_path):
 
 
 def test_step_size_exploration_and_length_of_episodes_have_rsl_rl_s_names(tmp_path):
-    made, onlooker = History(), Scalars(tmp_path)
+    made, sink = History(), TensorBoard(tmp_path)
     brought = replace(update(2), learning_rate=0.5, mean_std=0.25, episode_steps=40.0)
-    for one in (update(1), brought):  # the first tells nothing of it
+    for one in (update(1), brought):  # the first has none of them
         made.add_update(one, episodes(0.5), 2.0 * one.number)
-        onlooker.update(made, one)
-    onlooker.close()
-    found = told(tmp_path)
+        sink.update(made, one)
+    sink.close()
+    found = points(tmp_path)
     assert found["Train/mean_episode_length"] == [(2, 40.0)]
     assert found["Loss/learning_rate"] == [(2, 0.5)]
     assert found["Policy/mean_std"] == [(2, 0.25)]
@@ -63,16 +63,16 @@ def test_step_size_exploration_and_length_of_episodes_have_rsl_rl_s_names(tmp_pa
 
 def test_what_is_not_a_number_is_left_out(tmp_path):
     run(tmp_path, range(1, 3), loss=math.nan)
-    assert "Loss/value" not in told(tmp_path)
-    assert "Loss/surrogate" in told(tmp_path)
+    assert "Loss/value" not in points(tmp_path)
+    assert "Loss/surrogate" in points(tmp_path)
 
 
-def test_points_that_a_kill_has_lost_are_not_shown_beside_those_of_the_resumed_run(tmp_path):
+def test_points_that_a_kill_has_lost_are_not_shown_with_those_of_the_resumed_run(tmp_path):
     run(tmp_path, range(1, 6))
     run(tmp_path, range(3, 7))
-    assert [step for step, _ in told(tmp_path)["Train/mean_reward"]] == [1, 2, 3, 4, 5, 6]
+    assert [step for step, _ in points(tmp_path)["Train/mean_reward"]] == [1, 2, 3, 4, 5, 6]
 
 
 def test_nothing_is_written_before_the_first_update(tmp_path):
-    Scalars(tmp_path / "run").close()
+    TensorBoard(tmp_path / "run").close()
     assert list(tmp_path.iterdir()) == []

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import rerun as rr
 import torch
+from metrics import episodes, evaluation, update
 from recordings import rows_of
 from rerun.chunk import RrdReader
 from scenes import assert_same, make_ring, make_square
-from told import episodes, evaluation, update
 
 from league.rerun_view import paths, practice
 from league.rerun_view.practice import Practice

@@ -1,48 +1,39 @@
-"""The page in the terminal while a policy learns: curves, lap times, speed, and the time left."""
+"""The console during training: a live dashboard, or plain lines where nothing can be drawn."""
 
 from __future__ import annotations
 
 import atexit
+import math
 import time
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from league.training.monitor import sparkline
 from league.training.monitor.callback import Onlooker
-from league.training.monitor.console import (
-    clock,
-    figure,
-    is_tutored,
-    judged,
-    left_s,
-    line,
-    percent,
-    seconds,
-    self_play,
-    shares,
-    speed,
-)
+from league.training.monitor.history import TUTORING
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
     from rich.live import Live
-    from rich.table import Table
 
     from league.racing.table import Evaluation
-    from league.training.monitor.history import History
+    from league.training.monitor.history import EvaluationRow, History
     from league.training.ppo.learner import Update
     from league.training.settings import TrainConfig
 
 PLAIN_EVERY_S = 5.0
 """Seconds between two plain lines."""
 REFRESHES_HZ = 2.0
-"""How often the page is drawn anew; once takes some milliseconds."""
+"""How often the dashboard is drawn; once takes some milliseconds."""
+RECENT = 16
+"""Updates over which the speed is averaged."""
 _NARROW = 78
 _HEIGHT = 4
-_LEARNT, _JUDGED = "cyan", "green"
+_BLOCKS = " ▁▂▃▄▅▆▇█"
+"""A character cell filled from below, in eighths."""
 
 
-class Page(Onlooker):
-    """An onlooker that draws a page in place, or prints lines where nothing can be drawn."""
+class Dashboard(Onlooker):
+    """Draws curves, lap times, speed and time left in place, or prints lines."""
 
     def __init__(
         self,
@@ -54,100 +45,90 @@ class Page(Onlooker):
         *,
         console: Console | None = None,
     ) -> None:
-        """Open the page.
+        """Open the dashboard.
 
         Args:
             cfg: settings of the run.
-            budget_s: wall time after which training stops [s]; None: none.
-            budget_steps: decisions after which it stops; None: none.
-            name: what is trained, and where.
-            plain: print a line every few seconds even where a page could be drawn.
-            console: where to; by default stdout.
+            budget_s: wall time after which training stops [s]; None: no limit.
+            budget_steps: decisions after which it stops; None: no limit.
+            name: of the policy.
+            plain: print a line every few seconds even where the dashboard could be drawn.
+            console: by default stdout.
         """
         from rich.console import Console
+        from rich.live import Live
 
-        self._cfg, self._name = cfg, name
+        self._kind, self._name = cfg.kind.replace("_", " "), name
         self._budget_s, self._budget_steps = budget_s, budget_steps
-        self._console = console or Console()
+        self._console = console = console or Console()
         self._history: History | None = None
-        self._noted = self._printed = time.monotonic()
-        self._live: Live | None = None
+        self._updated_s = self._printed_s = time.monotonic()
         self._racing = ""
-        if not plain and _can_draw(self._console):
-            self._open()
+        self._live: Live | None = None
+        can_draw = console.is_terminal and not console.is_dumb_terminal
+        if can_draw and not plain and "utf" in console.encoding:
+            self._live = Live(self, console=console, refresh_per_second=REFRESHES_HZ)
+            atexit.register(self.close)  # shows the cursor again, whatever happens
+            self._live.start()
         else:
-            self._print(f"training {name}: {cfg.kind.replace('_', ' ')}, {cfg.num_worlds} worlds")
+            self._print(f"training {name}: {self._kind}, {cfg.num_worlds} worlds")
 
     def update(self, history: History, update: Update) -> None:
         """Show an update."""
-        self._history, self._noted = history, time.monotonic()
-        if self._live is None and self._noted - self._printed >= PLAIN_EVERY_S:
-            self._printed = self._noted
-            self._print(line(history, self._budget_s, self._budget_steps))
+        self._history, self._updated_s = history, time.monotonic()
+        if self._live is None and self._updated_s - self._printed_s >= PLAIN_EVERY_S:
+            self._printed_s = self._updated_s
+            self._print(update_line(history, self._budget_s, self._budget_steps))
 
     def evaluated(self, history: History, evaluation: Evaluation) -> None:
         """Show an evaluation."""
-        self._history, self._noted = history, time.monotonic()
-        if self._live is None:
-            self._print(judged(history.evaluations[-1]))
-        else:
-            self._live.refresh()
+        self._history, self._updated_s = history, time.monotonic()
+        self._refresh(_evaluation_line(history.evaluations[-1]))
 
     def racing(self, what: str) -> None:
         """Show what is raced after the last update."""
         self._racing = what
-        if self._live is None:
-            self._print(f"{'':>7}  {what} ...")
-        else:
-            self._live.refresh()
+        self._refresh(f"{'':>7}  {what} ...")
 
     def close(self) -> None:
-        """Leave the page as it is last, with the cursor below it."""
+        """Leave the dashboard as it is, with the cursor below it."""
         atexit.unregister(self.close)
         live, self._live = self._live, None
         self._racing = ""
         if live is not None:
             live.stop()
         elif self._history is not None and self._history.updates:
-            self._print(line(self._history, self._budget_s, self._budget_steps))
+            self._print(update_line(self._history, self._budget_s, self._budget_steps))
         self._history = None
 
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Draw the page as it is now."""
-        yield self._drawn(options.max_width)
-
-    def _open(self) -> None:
-        from rich.live import Live
-
-        self._live = Live(
-            self, console=self._console, refresh_per_second=REFRESHES_HZ, transient=False
-        )
-        atexit.register(self.close)  # a cursor that was hidden comes back, whatever happens
-        self._live.start()
+    def _refresh(self, plain: str) -> None:
+        if self._live is None:
+            self._print(plain)
+        else:
+            self._live.refresh()
 
     def _print(self, text: str) -> None:
         self._console.print(text, markup=False, emoji=False, highlight=False, soft_wrap=True)
-        # Whoever reads from a pipe or a log file reads now.
-        self._console.file.flush()
+        self._console.file.flush()  # for readers of a pipe or a log file
 
-    def _drawn(self, width: int) -> RenderableType:
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Draw the dashboard as it is now."""
         from rich import box
         from rich.console import Group
         from rich.panel import Panel
         from rich.text import Text
 
-        history = self._history
-        body: list[RenderableType] = [self._budget(history)]
+        width, history = options.max_width, self._history
+        body: list[RenderableType] = [self._budget()]
         if history is None or not history.updates:
             body.append(Text("the first worlds are being driven ...", style="dim"))
         else:
             body += [Text(""), _charts(history, width - 4), Text(""), _figures(history)]
         if self._racing:
             body.append(Text(f"{self._racing} ...", style="dim"))
-        kind = self._cfg.kind.replace("_", " ")
-        return Panel(
+        yield Panel(
             Group(*body),
-            title=Text(f"{self._name} · {kind}", style="bold"),
+            title=Text(f"{self._name} · {self._kind}", style="bold"),
             title_align="left",
             box=box.ROUNDED,
             border_style="dim",
@@ -155,84 +136,94 @@ class Page(Onlooker):
             width=width,
         )
 
-    def _budget(self, history: History | None) -> RenderableType:
+    def _budget(self) -> RenderableType:
         from rich.progress_bar import ProgressBar
         from rich.table import Table
         from rich.text import Text
 
-        since = time.monotonic() - self._noted
-        spent = (history.time_s if history else 0.0) + since
-        left = left_s(history, self._budget_s, self._budget_steps)
+        since = time.monotonic() - self._updated_s
+        spent = (self._history.time_s if self._history else 0.0) + since
+        left = left_s(self._history, self._budget_s, self._budget_steps)
         grid = Table.grid(expand=True, padding=(0, 1))
-        grid.add_column(no_wrap=True)
+        grid.add_column(no_wrap=True, style="bold")
         grid.add_column(ratio=1)
         grid.add_column(justify="right", no_wrap=True)
         if left is None:
             end = f"to {self._budget_steps:,} decisions" if self._budget_steps else "until Ctrl-C"
-            grid.add_row(Text(clock(spent), style="bold"), Text(""), Text(end))
+            grid.add_row(clock(spent), Text(""), end)
             return grid
         left = max(left - since, 0.0)
         whole = max(spent + left, 1e-9)
-        grid.add_row(
-            Text(clock(spent), style="bold"),
-            ProgressBar(total=whole, completed=min(spent, whole), complete_style=_LEARNT),
-            Text(f"{clock(left)} left"),
-        )
+        bar = ProgressBar(total=whole, completed=min(spent, whole), complete_style="cyan")
+        grid.add_row(clock(spent), bar, f"{clock(left)} left")
         return grid
 
 
-def _can_draw(console: Console) -> bool:
-    return console.is_terminal and not console.is_dumb_terminal and "utf" in console.encoding
-
-
 def _charts(history: History, width: int) -> RenderableType:
-    """Return the three curves of the console, side by side or below each other."""
+    """Return the curves of reward and completion, in a row or, where it is narrow, in a column."""
     from rich.console import Group
     from rich.table import Table
 
     narrow = width < _NARROW
     across = max(width if narrow else (width - 4) // 3, 8)
     height = 2 if narrow else _HEIGHT
-    drawn = [chart(history, across, height) for chart in (_earned, _driven, _evaluated)]
+    rewards = _curve([(row.samples, row.earned) for row in history.updates], across)
+    known = [value for value in rewards if value is not None]
+    low, high = min(known, default=0.0), max(known, default=1.0)
+    if 0 < low < 0.5 * high:
+        low = 0.0
+    driven = _curve([(row.samples, row.completion) for row in history.updates], across)
+    # The same axis as training's: to the last update.
+    points = [(row.samples, row.completion) for row in history.evaluations]
+    evaluated = _curve([*points, (history.samples, None)], across)
+    last = history.updates[-1]
+    evaluation = percent(points[-1][1] if points else None)
+    charts = [
+        _chart("reward", figure(last.earned), bars(rewards, low, high, height), "magenta", across),
+        _chart(
+            "completion, training",
+            percent(last.completion),
+            bars(driven, 0.0, 100.0, height),
+            "cyan",
+            across,
+        ),
+        _chart(
+            "completion, evaluation",
+            evaluation,
+            bars(evaluated, 0.0, 100.0, height),
+            "green",
+            across,
+            foot=_best_mark(history, across),
+        ),
+    ]
     if narrow:
-        return Group(*drawn)
+        return Group(*charts)
     grid = Table.grid(padding=(0, 2))
-    for _ in drawn:
+    for _ in charts:
         grid.add_column(width=across, no_wrap=True)
-    grid.add_row(*drawn)
+    grid.add_row(*charts)
     return grid
 
 
-def _earned(history: History, width: int, height: int) -> RenderableType:
-    at = [float(row.samples) for row in history.updates]
-    shown = sparkline.resampled(at, [row.earned for row in history.updates], at[-1], width)
-    known = [value for value in shown if value is not None]
-    low, high = min(known, default=0.0), max(known, default=1.0)
-    if low > 0 and low < 0.5 * high:
-        low = 0.0  # rewards that grow from little are shown from nothing
-    title = ("reward", figure(history.updates[-1].earned))
-    return _chart(title, sparkline.rows(shown, low, high, height), "magenta", width)
+def _curve(points: Sequence[tuple[float, float | None]], width: int) -> list[float | None]:
+    return resampled(*zip(*points, strict=True), points[-1][0], width)
 
 
-def _driven(history: History, width: int, height: int) -> RenderableType:
-    at = [float(row.samples) for row in history.updates]
-    values = [row.completion for row in history.updates]
-    shown = sparkline.resampled(at, values, at[-1], width)
-    title = ("completion, training", percent(values[-1]))
-    return _chart(title, sparkline.rows(shown, 0.0, 100.0, height), _LEARNT, width)
+def _chart(
+    title: str, value: str, lines: list[str], style: str, width: int, foot: str = ""
+) -> RenderableType:
+    from rich.text import Text
+
+    gap = " " * max(width - len(title) - len(value), 1)
+    text = Text.assemble((title, "dim"), gap, (value, f"bold {style}"))
+    for line in lines:
+        text.append("\n" + line, style=style)
+    if foot:
+        text.append("\n" + foot, style="bold yellow")
+    return text
 
 
-def _evaluated(history: History, width: int, height: int) -> RenderableType:
-    rows = history.evaluations
-    until = float(history.samples)
-    at = [float(row.samples) for row in rows]
-    shown = sparkline.resampled(at, [row.completion for row in rows], until, width)
-    title = ("completion, evaluation", percent(rows[-1].completion if rows else None))
-    lines = sparkline.rows(shown, 0.0, 100.0, height)
-    return _chart(title, lines, _JUDGED, width, foot=_marked(history, width))
-
-
-def _marked(history: History, width: int) -> str:
+def _best_mark(history: History, width: int) -> str:
     """Return the line below the evaluations, with a star below the best model."""
     best = history.best
     if best is None:
@@ -245,35 +236,17 @@ def _marked(history: History, width: int) -> str:
     return " " * max(column - len(left) + 1, 0) + left
 
 
-def _chart(
-    title: tuple[str, str], lines: list[str], style: str, width: int, foot: str = ""
-) -> RenderableType:
-    from rich.console import Group
-    from rich.text import Text
-
-    what, value = title
-    gap = " " * max(width - len(what) - len(value), 1)
-    parts = [Text.assemble((what, "dim"), gap, (value, f"bold {style}"))]
-    parts += [Text(one, style=style) for one in lines]
-    if foot:
-        parts.append(Text(foot, style="bold yellow"))
-    return Group(*parts)
-
-
-def _figures(history: History) -> Table:
+def _figures(history: History) -> RenderableType:
     from rich.table import Table
     from rich.text import Text
 
-    spent = " · ".join(
-        f"{name} {100 * share:.0f} %" for name, share in shares(history).items() if share >= 0.005
-    )
-    last = history.evaluations[-1] if history.evaluations else None
     laps = Text("none yet", style="dim")
-    if last is not None:
-        found = [one.best_lap_s for one in history.evaluations if one.best_lap_s is not None]
+    if history.evaluations:
+        last = history.evaluations[-1]
+        times = [row.best_lap_s for row in history.evaluations if row.best_lap_s is not None]
         laps = Text.assemble(
             ("best ", "dim"),
-            (seconds(min(found, default=None)), "bold"),
+            (seconds(min(times, default=None)), "bold"),
             ("   last ", "dim"),
             seconds(last.last_lap_s),
             ("   laps ", "dim"),
@@ -287,13 +260,172 @@ def _figures(history: History) -> Table:
     grid.add_column(style="dim", no_wrap=True)
     grid.add_column()
     grid.add_row("laps", laps)
-    samples = Text.assemble(
-        (f"{history.samples:,}", "bold"), ("   at ", "dim"), f"{speed(history):,.0f}/s"
-    )
-    grid.add_row("samples", samples)
+    samples = (f"{history.samples:,}", "bold"), ("   at ", "dim"), f"{speed(history):,.0f}/s"
+    grid.add_row("samples", Text.assemble(*samples))
     if is_tutored(history):
         grid.add_row("tutor", "it learns first, from the truth; the policy will learn from it")
-    if told := self_play(history):
-        grid.add_row("self-play", told)
-    grid.add_row("time", spent)
+    if text := self_play(history):
+        grid.add_row("self-play", text)
+    parts = shares(history).items()
+    spent = [f"{name} {100 * share:.0f} %" for name, share in parts if share >= 0.005]
+    grid.add_row("time", " · ".join(spent))
     return grid
+
+
+def update_line(history: History, budget_s: float | None, budget_steps: int | None) -> str:
+    """Return the last update as one line of ASCII."""
+    row = history.updates[-1]
+    parts = [
+        f"{clock(history.time_s):>7}",
+        f"{row.samples:>9,} samples",
+        f"{speed(history):>6,.0f}/s",
+        f"reward {figure(row.earned)}",
+        f"completion {percent(row.completion)}",
+    ]
+    if is_tutored(history):
+        parts.append("the tutor learns")
+    if history.evaluations:
+        last = history.evaluations[-1]
+        parts.append(f"evaluation {percent(last.completion)}")
+        if last.best_lap_s is not None:
+            parts.append(f"best lap {seconds(last.best_lap_s)}")
+    if text := self_play(history):
+        parts.append(f"self-play: {text}")
+    left = left_s(history, budget_s, budget_steps)
+    if left is not None:
+        parts.append(f"{clock(left)} left")
+    return "  ".join(parts)
+
+
+def _evaluation_line(row: EvaluationRow) -> str:
+    parts = [
+        f"{clock(row.time_s):>7}",
+        f"{row.samples:>9,} samples",
+        f"evaluation: {row.complete_laps} of {row.asked} laps, {row.completion:.1f} % completed",
+    ]
+    if row.best_lap_s is not None:
+        parts.append(f"best lap {seconds(row.best_lap_s)}")
+    mistakes = f"{row.off_tracks} off-tracks, {row.crashes} crashes"
+    parts.append(mistakes if row.off_tracks or row.crashes else "clean")
+    if row.best:
+        parts.append("(best so far)")
+    return "  ".join(parts)
+
+
+def left_s(
+    history: History | None, budget_s: float | None, budget_steps: int | None
+) -> float | None:
+    """Return the time until a limit is reached [s]; None without a limit, or without a speed."""
+    times = []
+    if budget_s is not None:
+        times.append(budget_s - (history.time_s if history else 0.0))
+    if budget_steps is not None and history is not None and history.updates:
+        first, last = history.updates[-RECENT:][0], history.updates[-1]
+        took, samples = last.time_s - first.time_s, last.samples - first.samples
+        if samples <= 0:
+            took, samples = last.collect_s + last.learn_s, last.samples
+        times.append((budget_steps - last.samples) * took / max(samples, 1))
+    return max(min(times), 0.0) if times else None
+
+
+def speed(history: History) -> float:
+    """Return decisions per second of collecting and learning, over the last updates."""
+    recent = history.updates[-RECENT:]
+    before = history.updates[-RECENT - 1].samples if len(history.updates) > RECENT else 0
+    took = sum(row.collect_s + row.learn_s for row in recent)
+    return (recent[-1].samples - before) / took if took > 0 else 0.0
+
+
+def shares(history: History) -> dict[str, float]:
+    """Return shares of the wall time, 0 to 1; `worlds` is the rollouts."""
+    spent = {
+        "worlds": sum(row.collect_s for row in history.updates),
+        "learner": sum(row.learn_s for row in history.updates),
+        "evaluation": sum(row.took_s for row in history.evaluations),
+    }
+    whole = max(history.time_s, sum(spent.values()), 1e-9)
+    spent["other"] = whole - sum(spent.values())
+    return {name: part / whole for name, part in spent.items()}
+
+
+def is_tutored(history: History) -> bool:
+    """Return whether the last update was the tutor's."""
+    return TUTORING in history.updates[-1].log
+
+
+def self_play(history: History) -> str:
+    """Return the win rates of self-play as a phrase; empty without self-play."""
+    log = history.updates[-1].log
+    newest, smallest = (log.get(f"/selfplay/win_rate_{name}") for name in ("newest", "smallest"))
+    if newest is None or smallest is None:
+        return ""
+    members = int(log.get("/selfplay/members", 0.0))
+    return (
+        f"wins {newest:.2f} against itself, at least {smallest:.2f} against {members} in the pool"
+    )
+
+
+def resampled(
+    at: Sequence[float], values: Sequence[float | None], until: float, width: int
+) -> list[float | None]:
+    """Return the mean value in each of `width` columns of 0 to `until`; empty ones repeat the last.
+
+    Args:
+        at: position of each value, rising.
+        values: None and NaN are skipped.
+        until: right end of the axis.
+        width: columns.
+    """
+    sums, counts = [0.0] * width, [0] * width
+    for place, value in zip(at, values, strict=True):
+        if value is None or not math.isfinite(value):
+            continue
+        # The right end belongs to the last column.
+        column = min(int(place / max(until, 1e-9) * width), width - 1)
+        sums[column] += value
+        counts[column] += 1
+    columns: list[float | None] = []
+    last: float | None = None
+    for total, count in zip(sums, counts, strict=True):
+        last = total / count if count else last
+        columns.append(last)
+    return columns
+
+
+def bars(values: Sequence[float | None], low: float, high: float, height: int) -> list[str]:
+    """Return a bar chart as lines of text, the top one first; even the lowest value is visible."""
+    steps, span = 8 * height, high - low
+    filled = [
+        0
+        if value is None
+        else max(1, min(steps, round((value - low) / span * steps) if span > 0 else 1))
+        for value in values
+    ]
+    return [
+        "".join(_BLOCKS[max(0, min(8, eighths - 8 * line))] for eighths in filled)
+        for line in reversed(range(height))
+    ]
+
+
+def clock(seconds: float) -> str:
+    """Return a duration as m:ss, or h:mm:ss."""
+    minutes, rest = divmod(int(seconds + 0.5), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
+
+
+def percent(value: float | None) -> str:
+    """Return a percentage, or a dash."""
+    return "-" if value is None else f"{value:.0f} %"
+
+
+def seconds(value: float | None) -> str:
+    """Return a lap time, or a dash."""
+    return "-" if value is None else f"{value:.2f} s"
+
+
+def figure(value: float | None) -> str:
+    """Return a number with three significant digits, or a dash."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"

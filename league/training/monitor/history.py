@@ -1,7 +1,7 @@
-"""The record of a run: a row for each update and each evaluation, in a file that survives a kill.
+"""The metrics of a run: a row for each update and each evaluation, in a file that survives a kill.
 
-The file holds JSON lines: a first line that says what it is, then rows in the order in which they
-happened. A line that a kill has torn is dropped when it is read back.
+The file holds JSON lines: a first line with the format, then rows in the order in which they
+happened. A last line that a kill has torn is ignored.
 """
 
 from __future__ import annotations
@@ -10,10 +10,12 @@ import json
 import math
 import os
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, fields
-from io import TextIOWrapper
+from dataclasses import dataclass
+from io import BufferedWriter
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import BeforeValidator, ConfigDict, Discriminator, TypeAdapter
 
 from league.atomic_file import replacing
 from league.errors import PolicyError, brief
@@ -24,12 +26,19 @@ if TYPE_CHECKING:
     from league.training.ppo.learner import Update
 
 FORMAT = 1
+TUTORING = "/tutor/learning"
+"""Logged as 1 while a tutor learns (ppo/teacher.py)."""
+_Number = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
+"""JSON has no NaN: it is written as null."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class UpdateRow:
-    """What was known after an update."""
+    """Metrics of an update."""
 
+    __pydantic_config__ = ConfigDict(extra="forbid", ser_json_inf_nan="null")
+
+    row: Literal["update"] = "update"
     number: int
     """Updates so far, this one included."""
     samples: int
@@ -37,25 +46,28 @@ class UpdateRow:
     time_s: float
     """Wall time of the run so far, of the parts before a resume too [s]."""
     collect_s: float
-    """Wall time of this update's collecting: physics, cameras, reward, the policy's choices [s]."""
+    """Wall time of this update's rollout: physics, cameras, reward and policy [s]."""
     learn_s: float
     """Wall time of this update's learning [s]."""
-    reward: float
+    reward: _Number
     """Mean reward of a step."""
     earned: float | None
     """Mean sum of rewards of the last training episodes; None before the first one ended."""
     completion: float | None
     """Mean completion of the last training episodes [%]; None before the first one ended."""
-    losses: dict[str, float]
+    losses: dict[str, _Number]
     """Mean losses by rsl-rl's names."""
-    log: dict[str, float]
+    log: dict[str, _Number]
     """Means of the worlds' log over the steps."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class EvaluationRow:
-    """What an evaluation came to."""
+    """Metrics of an evaluation."""
 
+    __pydantic_config__ = ConfigDict(extra="forbid", ser_json_inf_nan="null")
+
+    row: Literal["evaluation"] = "evaluation"
     number: int
     """Updates before it."""
     samples: int
@@ -89,33 +101,31 @@ class EvaluationRow:
 
 
 Row = UpdateRow | EvaluationRow
-_KINDS: dict[str, type[UpdateRow] | type[EvaluationRow]] = {
-    "update": UpdateRow,
-    "evaluation": EvaluationRow,
-}
+_ROW: TypeAdapter[Row] = TypeAdapter(Annotated[Row, Discriminator("row")])
 
 
 class History:
     """The rows of a run, in memory and, if it has a path, in a file that is appended to."""
 
     def __init__(self, path: Path | None = None, rows: Iterable[Row] = ()) -> None:
-        """Begin with some rows; a file of that name is replaced.
+        """Start with some rows; an existing file is replaced.
 
         Raises:
             PolicyError: the file cannot be written.
         """
-        self.updates: list[UpdateRow] = []
-        self.evaluations: list[EvaluationRow] = []
-        self._file: TextIOWrapper | None = None
         rows = list(rows)
-        for row in rows:
-            self._keep(row)
+        self.updates = [row for row in rows if isinstance(row, UpdateRow)]
+        self.evaluations = [row for row in rows if isinstance(row, EvaluationRow)]
+        self._file: BufferedWriter | None = None
         if path is not None:
-            self._file = _begun(path, rows)
+            with replacing(path, "the history", PolicyError) as file:
+                head = json.dumps({"history": FORMAT}).encode() + b"\n"
+                file.write_bytes(head + b"".join(map(_line, rows)))
+            self._file = path.open("ab")
 
     @classmethod
     def resumed(cls, path: Path, number: int) -> History:
-        """Go on from a run's file after an update: what came later was lost with it, and is cut.
+        """Continue a run's file after an update; rows of later updates are removed.
 
         Raises:
             PolicyError: the file is no history, or cannot be written.
@@ -144,13 +154,7 @@ class History:
         return self.updates[-1].number if self.updates else 0
 
     def add_update(self, update: Update, episodes: Episodes, time_s: float) -> UpdateRow:
-        """Write down an update, and what training episodes have come to.
-
-        Args:
-            update: what the learner returned.
-            episodes: the learner's episodes.
-            time_s: wall time of the run so far, earlier parts of a resumed run included [s].
-        """
+        """Add an update; `time_s` is the wall time of the run, before a resume too [s]."""
         row = UpdateRow(
             number=update.number,
             samples=update.samples,
@@ -163,7 +167,8 @@ class History:
             losses={name: float(value) for name, value in update.losses.items()},
             log={name: float(value) for name, value in update.log.items()},
         )
-        self._add(row)
+        self.updates.append(row)
+        self._write(row)
         return row
 
     def add_evaluation(
@@ -175,14 +180,14 @@ class History:
         best: bool,
         number: int | None = None,
     ) -> EvaluationRow:
-        """Write down an evaluation of the policy as it was after an update.
+        """Add an evaluation of the policy as it was after update `number`, by default the last.
 
         Args:
             evaluation: the table of trials.
             time_s: wall time of the run so far [s].
             took_s: how long learning waited for it [s].
             best: whether the policy is the best so far.
-            number: updates before it; None: the last one.
+            number: updates before it.
         """
         number = self.number if number is None else number
         samples = next((row.samples for row in self.updates if row.number == number), 0)
@@ -203,7 +208,8 @@ class History:
             crashes=evaluation.crashes,
             best=best,
         )
-        self._add(row)
+        self.evaluations.append(row)
+        self._write(row)
         return row
 
     def close(self) -> None:
@@ -214,19 +220,12 @@ class History:
             self._file.close()
             self._file = None
 
-    def _keep(self, row: Row) -> None:
-        if isinstance(row, UpdateRow):
-            self.updates.append(row)
-        else:
-            self.evaluations.append(row)
-
-    def _add(self, row: Row) -> None:
-        self._keep(row)
+    def _write(self, row: Row) -> None:
         if self._file is None:
             return
         try:
-            # One write of a whole line, handed to the system at once: a kill of the program cannot
-            # lose it, and at worst tears the last one.
+            # One write of a whole line, flushed at once: a kill of the program cannot lose it, and
+            # at worst tears the last one.
             self._file.write(_line(row))
             self._file.flush()
         except OSError as refusal:
@@ -237,7 +236,7 @@ class History:
 
 
 def read(path: Path) -> list[Row]:
-    """Return the rows of a run's file in order; a torn last line is left out.
+    """Return the rows of a run's file in order; a torn last line is ignored.
 
     Raises:
         PolicyError: there is no such file, or it is no history.
@@ -248,14 +247,21 @@ def read(path: Path) -> list[Row]:
         raise PolicyError(
             f"{path} cannot be read ({error.strerror}): give the folder of a training run"
         ) from error
-    _check_head(path, lines[0])
-    # What follows the last line feed was never finished.
-    whole = lines[1:-1]
+    try:
+        head = json.loads(lines[0])
+    except ValueError:
+        head = None
+    if not isinstance(head, dict) or head.get("history") != FORMAT:
+        raise PolicyError(
+            f"{path} begins with {brief(lines[0][:60])}: a training's history of format {FORMAT} "
+            "was expected, so take the file away or start a new run with another --out"
+        )
     rows: list[Row] = []
-    for number, line in enumerate(whole, start=2):
+    # The text after the last line feed is a torn line, or empty.
+    for number, line in enumerate(lines[1:-1], start=2):
         try:
-            rows.append(_row(json.loads(line)))
-        except (ValueError, TypeError, KeyError) as error:
+            rows.append(_ROW.validate_json(line))
+        except ValueError as error:
             raise PolicyError(
                 f"line {number} of {path} is no row of a training's history "
                 f"({type(error).__name__}): remove the line, or start a new run with another --out"
@@ -263,48 +269,5 @@ def read(path: Path) -> list[Row]:
     return rows
 
 
-def _check_head(path: Path, line: str) -> None:
-    try:
-        head = json.loads(line)
-    except ValueError:
-        head = None
-    if not isinstance(head, dict) or head.get("history") != FORMAT:
-        raise PolicyError(
-            f"{path} begins with {brief(line[:60])}: a training's history of format {FORMAT} was "
-            "expected, so take the file away or start a new run with another --out"
-        )
-
-
-def _begun(path: Path, rows: Iterable[Row]) -> TextIOWrapper:
-    """Write the file anew, whole or not at all, and open it to be appended to."""
-    with replacing(path, "the history", PolicyError) as file:
-        lines = [json.dumps({"history": FORMAT}) + "\n", *map(_line, rows)]
-        file.write_text("".join(lines), encoding="utf-8")
-    return path.open("a", encoding="utf-8", newline="\n")
-
-
-def _line(row: Row) -> str:
-    kind = next(name for name, kind in _KINDS.items() if isinstance(row, kind))
-    told = {"row": kind, **{name: _told(value) for name, value in asdict(row).items()}}
-    return json.dumps(told, allow_nan=False, separators=(",", ":")) + "\n"
-
-
-def _told(value: object) -> object:
-    """Return a value as JSON knows it: a loss that is NaN becomes null."""
-    if isinstance(value, dict):
-        return {name: _told(one) for name, one in value.items()}
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value
-
-
-def _row(told: dict) -> Row:
-    kind = _KINDS[told.pop("row")]
-    if told.keys() != {one.name for one in fields(kind)}:
-        raise KeyError(sorted(told))
-    for name in ("losses", "log"):
-        if name in told:
-            told[name] = {k: math.nan if v is None else float(v) for k, v in told[name].items()}
-    if told.get("reward", 0.0) is None:
-        told["reward"] = math.nan
-    return kind(**told)
+def _line(row: Row) -> bytes:
+    return _ROW.dump_json(row) + b"\n"

@@ -28,7 +28,7 @@ from league.envs.driver import Driver
 from league.envs.rewards import Reward
 from league.sim.config import SensorConfig
 from league.track.track import TrackSet
-from league.training.monitor.console import TUTORING
+from league.training.monitor.history import TUTORING
 from league.training.ppo import distributed, make_env
 from league.training.ppo import symmetry as mirror
 from league.training.ppo.episode_stats import Episodes
