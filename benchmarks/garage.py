@@ -23,7 +23,7 @@ from league.sim.config import CarConfig, ObstacleConfig
 from league.track import files, importer
 from league.track.track import Track, TrackSet
 from league.training.selfplay import matches
-from league.training.selfplay.settings import DuelConfig
+from league.training.selfplay.settings import MatchConfig
 
 ROOT = Path(__file__).parents[1]
 GARAGE = ROOT / "garage"
@@ -157,10 +157,10 @@ def _win_rate(
     tracks: TrackSet, mine: Driver, rival: Driver, races: int
 ) -> tuple[float, matches.Score]:
     pairs = [(0, 1)]
-    found = matches.meet(
-        tracks, CarConfig(), [mine, rival], pairs, DuelConfig(), races=races, solver="bullet"
+    results = matches.race_pairs(
+        tracks, CarConfig(), [mine, rival], pairs, MatchConfig(), races=races, solver="bullet"
     )
-    score = found[0, 1][0]
+    score = results[0, 1][0]
     return score.win_rate, score
 
 

@@ -17,7 +17,7 @@ from league.errors import ConfigError, RewardError
 if TYPE_CHECKING:
     from league.training.monitor.callback import Onlooker
     from league.training.run import Outcome, Run
-    from league.training.selfplay.payoff_matrix import WinMatrix
+    from league.training.selfplay.payoff_matrix import PayoffMatrix
 
 
 @dataclass
@@ -259,7 +259,7 @@ def _report(command: Train, outcome: Outcome) -> None:
     )
 
 
-def _told_of(matrix: WinMatrix, folder: Path) -> str:
+def _told_of(matrix: PayoffMatrix, folder: Path) -> str:
     """Return who the best of self-play beats, and whom not."""
     from league.training.selfplay.pool import PARENT
 

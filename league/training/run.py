@@ -27,8 +27,8 @@ from league.training.ppo import distributed, make_env
 from league.training.ppo.learner import Learner, Update
 from league.training.ppo.teacher import tutored
 from league.training.run_config import RunConfig
-from league.training.selfplay import SelfPlay, SelfPlayConfig, payoff_plot
-from league.training.selfplay.payoff_matrix import FINAL, WinMatrix
+from league.training.selfplay import SelfPlay, SelfPlayConfig, payoff_matrix
+from league.training.selfplay.payoff_matrix import FINAL, PayoffMatrix
 
 if TYPE_CHECKING:
     from league.racing.table import Evaluation
@@ -53,7 +53,7 @@ class Outcome:
     """Learning time, of earlier parts too [s]."""
     why: str
     """Why it stopped."""
-    matrix: WinMatrix | None = None
+    matrix: PayoffMatrix | None = None
     """Of self-play: who beats whom."""
 
 
@@ -132,7 +132,7 @@ class Run:
         self._best: tuple[float, ...] | None = None
         self._best_evaluation: Evaluation | None = None
         self.history = History()
-        self._matrix: WinMatrix | None = None
+        self._matrix: PayoffMatrix | None = None
         self._lock: int | None = None
 
     def resume(self) -> None:
@@ -367,7 +367,7 @@ class Run:
         policy, updates = self._checkpoint(), self.learner.updates
         found = self._matrix = self_play.report(policy)
         found.write(self.folder / "win_matrix.json")
-        payoff_plot.draw(found, self.folder / "win_matrix.png")
+        payoff_matrix.draw(found, self.folder / "win_matrix.png")
         if found.champion != FINAL:
             updates, kept = self_play.snapshot(found.champion)
             spent_s = next(row.time_s for row in self.history.updates if row.number == updates)

@@ -20,7 +20,7 @@ from league.track.track import TrackSet
 from league.training.ppo import make_env
 from league.training.ppo.learner import Learner
 from league.training.selfplay import SelfPlay, SelfPlayConfig
-from league.training.selfplay.settings import DuelConfig
+from league.training.selfplay.settings import MatchConfig
 from league.training.settings import PpoConfig, TrainConfig
 
 RING = TrackSet(make_ring())
@@ -33,7 +33,7 @@ SHORT = SelfPlayConfig(
     rivals=2,
     races=2,
     matrix_races=2,
-    duel=DuelConfig(laps=1, slowest=12.0, grace_s=1.0),
+    match=MatchConfig(laps=1, slowest=12.0, grace_s=1.0),
 )
 TRAIN = TrainConfig(
     kind="head_to_head",

@@ -16,22 +16,22 @@ from league.training.selfplay import matches
 NEVER = replace(SHORT, admission=1.01, forced_every=3)
 
 
-def told(folder: Path) -> dict:
+def pool_of(folder: Path) -> dict:
     return json.loads((folder / "pool" / "pool.json").read_text())
 
 
-def test_who_was_refused_is_told_with_its_win_rates(tmp_path):
+def test_who_was_refused_is_listed_with_its_win_rates(tmp_path):
     play, learner = playing(tmp_path, blind(), cfg=NEVER)
     play.begin(learner)
     assert "/selfplay/candidate_smallest" not in play.log()
     for updates in (1, 2, 3, 4):
         learner.update(0.0)
         assert play.after_update(learner, 0.5) == (updates == 3)
-        last = told(tmp_path)["candidates"][-1]
+        last = pool_of(tmp_path)["candidates"][-1]
         assert last["smallest"] == min(last["win_rates"].values())
         assert play.log()["/selfplay/candidate_smallest"] == last["smallest"]
         assert play.log()["/selfplay/candidate_mean"] == last["mean"]
-    found = told(tmp_path)
+    found = pool_of(tmp_path)
     assert [one["name"] for one in found["members"]] == ["parent", "000003"]
     tried = found["candidates"]
     assert [one["updates"] for one in tried] == [1, 2, 3, 4]
@@ -48,7 +48,7 @@ def test_who_wins_enters_unforced_and_so_does_who_has_no_rival(tmp_path):
     for _ in range(2):
         learner.update(0.0)
         assert play.after_update(learner, 0.5)
-    first, second = told(tmp_path)["candidates"]
+    first, second = pool_of(tmp_path)["candidates"]
     assert first["win_rates"] == {} and first["smallest"] is None and first["mean"] is None
     assert set(second["win_rates"]) == {"000001"}
     assert not first["forced"] and not second["forced"]
@@ -58,8 +58,8 @@ def test_candidates_are_measured_by_mirrored_races(tmp_path):
     cfg = replace(SHORT, races=4, forced_every=1)
     play, _ = learnt(tmp_path, blind(2), cfg=cfg)
     drivers = [Policy(play.snapshot(name)[1], CAR) for name in ("000001", "parent")]
-    again = matches.meet(RING, CAR, drivers, [(0, 1)], cfg.duel, races=4, seed=1)
-    (tried,) = told(tmp_path)["candidates"]
+    again = matches.race_pairs(RING, CAR, drivers, [(0, 1)], cfg.match, races=4, seed=1)
+    (tried,) = pool_of(tmp_path)["candidates"]
     assert tried["win_rates"] == {"parent": again[0, 1][0].win_rate}
 
 
@@ -72,7 +72,7 @@ def test_a_candidate_whose_races_were_broken_off_races_again(tmp_path):
         play.after_update(learner, 0.5)
     (tmp_path / "away.pt").rename(tmp_path / "pool" / "parent.pt")
     assert play.after_update(learner, 0.5)
-    assert [one["updates"] for one in told(tmp_path)["candidates"]] == [1]
+    assert [one["updates"] for one in pool_of(tmp_path)["candidates"]] == [1]
 
 
 def test_turns_are_counted_in_candidates_however_rare_save_points_are(tmp_path):
@@ -81,7 +81,7 @@ def test_turns_are_counted_in_candidates_however_rare_save_points_are(tmp_path):
     for _ in range(8):
         learner.update(0.0)
         play.after_update(learner, 0.5)
-    tried = told(tmp_path)["candidates"]
+    tried = pool_of(tmp_path)["candidates"]
     assert [(one["updates"], one["forced"]) for one in tried] == [
         *((2, False), (4, True), (6, False), (8, True))
     ]
@@ -96,4 +96,4 @@ def test_a_resumed_run_still_knows_all_candidates(tmp_path):
     assert again.pool.candidates == play.pool.candidates and again.log() == play.log()
     fresh.update(0.0)
     again.after_update(fresh, 0.5)
-    assert [one["updates"] for one in told(tmp_path / "copy")["candidates"]] == [1, 2]
+    assert [one["updates"] for one in pool_of(tmp_path / "copy")["candidates"]] == [1, 2]

@@ -16,8 +16,7 @@ from league.envs.race_env import RaceEnv
 from league.envs.state import INDEX
 from league.sim.config import SensorConfig, SimConfig
 from league.training.selfplay import SelfPlayConfig
-from league.training.selfplay.opponent import Field, Opponent
-from league.training.selfplay.win_rates import LOST, WON, Records
+from league.training.selfplay.opponents import LOST, WON, Lineup, Opponent, WinRates
 
 SLOWLY = OpponentPlacement(alone=0.0, standing=0.0, rolling=0.0)
 FOLLOWS, LEAVES = 0.164, 1.0
@@ -26,33 +25,35 @@ FOLLOWS, LEAVES = 0.164, 1.0
 
 def race(
     how: OpponentPlacement, steering: list[float], *, steps: int = 25
-) -> tuple[Records, RacingVecEnv]:
+) -> tuple[WinRates, RacingVecEnv]:
     """Drive 16 worlds, car 0 learning, each car with its own steering; others are named by car."""
-    records, seats = Records(400), {}
+    win_rates, seats = WinRates(400), {}
     for car, own in enumerate(steering[1:], 1):
-        seats[car] = Opponent(car, SensorConfig(), 16, 1, records)
-        it = Field((f"it {car}",), (Constant(own, -0.5),), (1.0,), (FREE,))
+        seats[car] = Opponent(car, SensorConfig(), 16, 1, win_rates)
+        it = Lineup((f"it {car}",), (Constant(own, -0.5),), (1.0,), (FREE,))
         seats[car].choose_from(it, 0)
     sim = SimConfig(kind="head_to_head", num_cars=len(steering))
     cfg = EnvConfig(sim=sim, mode="training", placement=how)
     env = RacingVecEnv(RING, cfg, num_worlds=16, opponents=seats)
     for _ in range(steps):
         env.step(torch.tensor([steering[0], -0.5]).expand(16, 2).clone())
-    return records, env
+    return win_rates, env
 
 
 def test_each_of_several_is_drawn_and_remembers_for_itself(tmp_path):
     play, learner = playing(tmp_path, blind(), num_cars=3, num_worlds=64)
     play.begin(learner)
     one, two = play.drivers().values()
-    assert not np.array_equal(one.who, two.who)
+    assert not np.array_equal(one.driver_of_row, two.driver_of_row)
     memories = {
         id(each) for seat in (one, two) for each in seat.drivers if type(each) is not Policy
     }
     assert len(memories) == 4  # a centerline and a pacer for each
-    first, second = one.who.copy(), two.who.copy()
+    first, second = one.driver_of_row.copy(), two.driver_of_row.copy()
     one.reset(np.arange(64))
-    assert np.array_equal(two.who, second) and not np.array_equal(one.who, first)
+    assert np.array_equal(two.driver_of_row, second) and not np.array_equal(
+        one.driver_of_row, first
+    )
 
 
 def test_only_rows_of_the_first_car_reach_the_learner(tmp_path):
@@ -61,31 +62,31 @@ def test_only_rows_of_the_first_car_reach_the_learner(tmp_path):
     done = learner.update(0.0)
     assert learner.env.num_envs == 4 and done.samples == 4 * 8
     cars = learner.env.race_env.world.cars
-    told = learner.env.get_observations()["state"]
+    state = learner.env.get_observations()["state"]
     for name in ("s", "lateral"):
-        assert np.array_equal(told[:, INDEX[name]], cars[name][:, 0])
+        assert np.array_equal(state[:, INDEX[name]], cars[name][:, 0])
 
 
 def test_a_mistake_of_one_ends_no_meeting_with_another():
-    records, _ = race(SLOWLY, [FOLLOWS, LEAVES, FOLLOWS])
-    bad, like = (records.state().get(f"it {car}", "") for car in (1, 2))
+    win_rates, _ = race(SLOWLY, [FOLLOWS, LEAVES, FOLLOWS])
+    bad, like = (win_rates.state().get(f"it {car}", "") for car in (1, 2))
     assert len(bad) > 10 and bad.count(WON) > 0.7 * len(bad)
     assert len(like) < 0.3 * len(bad)
 
 
 def test_a_mistake_of_the_learner_is_lost_against_all():
-    records, _ = race(SLOWLY, [LEAVES, FOLLOWS, FOLLOWS])
-    one, two = records.state().values()
+    win_rates, _ = race(SLOWLY, [LEAVES, FOLLOWS, FOLLOWS])
+    one, two = win_rates.state().values()
     assert len(one) > 10 and one.count(LOST) > 0.7 * len(one)
     assert len(two) > 10 and two.count(LOST) > 0.7 * len(two)
 
 
 def test_alone_is_without_any_of_several_and_counts_no_meeting():
-    records, env = race(OpponentPlacement(alone=1.0, standing=0.0), [LEAVES, FOLLOWS, FOLLOWS])
+    win_rates, env = race(OpponentPlacement(alone=1.0, standing=0.0), [LEAVES, FOLLOWS, FOLLOWS])
     world = env.race_env.world
     assert world.cars["parked"].tolist() == [[False, True, True]] * 16
     assert world.cars["ghost"][:, 1:].all()
-    assert records.state() == {}
+    assert win_rates.state() == {}
 
 
 @pytest.mark.parametrize("standing", [0.0, 1.0])

@@ -1,4 +1,4 @@
-"""The win matrix: who is champion, what its past is, and what is written and drawn of it."""
+"""The payoff matrix: who is champion, what its past is, and what is written and drawn of it."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import pytest
 from small_play import CAR, RING, SHORT, blind, learnt
 
 from league.agents.policy import Policy
-from league.training.selfplay import matches, payoff_plot
-from league.training.selfplay.payoff_matrix import WinMatrix
+from league.training.selfplay import matches, payoff_matrix
+from league.training.selfplay.payoff_matrix import PayoffMatrix
 
-SNAPSHOT = WinMatrix(  # its champion is the second snapshot, which the later two fall short of
+SNAPSHOT = PayoffMatrix(  # its champion is the second snapshot, which the later two fall short of
     ("centerline", "parent", "000064", "000128", "000192", "final"),
     16,
     (
@@ -45,14 +45,14 @@ def test_a_pair_races_in_the_report_as_it_does_alone(tmp_path):
     play, _ = learnt(tmp_path, blind())
     found = play.report(blind(3))
     drivers = [Policy(blind(3), CAR), Policy(play.snapshot("parent")[1], CAR)]
-    ((one, _),) = matches.meet(RING, CAR, drivers, [(0, 1)], SHORT.duel, races=2).values()
+    ((one, _),) = matches.race_pairs(RING, CAR, drivers, [(0, 1)], SHORT.match, races=2).values()
     assert found.wins[-1][found.names.index("parent")] == one.win_rate
 
 
 def test_champion_wins_most_and_of_equals_the_newest():
     def matrix(*rows):
         names = ("centerline", "parent", "000016", "000032", "final")
-        return WinMatrix(names, 2, rows, (0.0,) * 5, (0.0,) * 5, (None,) * 5)
+        return PayoffMatrix(names, 2, rows, (0.0,) * 5, (0.0,) * 5, (None,) * 5)
 
     parent = (1.0, None, 1.0, 1.0, 1.0)  # the parent is no past self, however it wins
     best = (1.0, 0.0, None, 0.5, 0.75)
@@ -72,11 +72,11 @@ def test_champion_is_not_decided_among_selves_alone():
         (0.94, 0.69, 0.44, 0.44, None),
     )
     rows = (0.0,) * 5, (0.0,) * 5, (None,) * 5
-    assert WinMatrix(names, 16, wins, *rows).champion == "final"
+    assert PayoffMatrix(names, 16, wins, *rows).champion == "final"
     # Alone with the run's past, without a parent or scripted drivers, selves must decide.
     alone = tuple(row[2:] for row in wins[2:])
-    assert WinMatrix(names[2:], 16, alone, *(row[:3] for row in rows)).champion == "000128"
-    assert WinMatrix(("final",), 16, ((None,),), (0.0,), (0.0,), (None,)).champion == "final"
+    assert PayoffMatrix(names[2:], 16, alone, *(row[:3] for row in rows)).champion == "000128"
+    assert PayoffMatrix(("final",), 16, ((None,),), (0.0,), (0.0,), (None,)).champion == "final"
 
 
 def test_the_past_of_a_snapshot_is_its_parent_and_who_is_older():
@@ -88,7 +88,7 @@ def test_the_past_of_a_snapshot_is_its_parent_and_who_is_older():
     assert SNAPSHOT.past_of("parent") == {}
 
 
-def test_it_tells_how_the_champion_does_against_anybody():
+def test_the_champions_win_rate_against_each_driver():
     assert SNAPSHOT.against("parent") == 0.75
     assert SNAPSHOT.against("centerline") == 1.0
     assert SNAPSHOT.against("000192") == 0.375
@@ -97,11 +97,11 @@ def test_it_tells_how_the_champion_does_against_anybody():
 
 def test_the_champion_and_the_last_policy_are_summed_up_apart(tmp_path):
     SNAPSHOT.write(tmp_path / "matrix.json")
-    told = json.loads((tmp_path / "matrix.json").read_text())
-    assert (told["champion"], told["smallest_win_rate_against_the_past"]) == ("000128", 0.5)
-    assert told["win_rates_against_the_past"] == SNAPSHOT.past
-    assert told["final"]["smallest_win_rate_against_the_past"] == 0.25
-    assert told["final"]["win_rates_against_the_past"] == SNAPSHOT.past_of("final")
+    content = json.loads((tmp_path / "matrix.json").read_text())
+    assert (content["champion"], content["smallest_win_rate_against_the_past"]) == ("000128", 0.5)
+    assert content["win_rates_against_the_past"] == SNAPSHOT.past
+    assert content["final"]["smallest_win_rate_against_the_past"] == 0.25
+    assert content["final"]["win_rates_against_the_past"] == SNAPSHOT.past_of("final")
 
 
 @pytest.mark.parametrize("count", [1, 2, 6, 10])
@@ -111,7 +111,7 @@ def test_the_picture_shows_few_drivers_and_many(tmp_path, count):
     for one, two in combinations(range(count), 2):
         wins[one][two], wins[two][one] = 0.75, 0.25
     rows = tuple(tuple(row) for row in wins)
-    found = WinMatrix(names, 16, rows, (0.0,) * count, (0.0,) * count, (None,) * count)
+    found = PayoffMatrix(names, 16, rows, (0.0,) * count, (0.0,) * count, (None,) * count)
     assert (found.champion == "final") == (count == 1)
-    payoff_plot.draw(found, tmp_path / "matrix.png")
+    payoff_matrix.draw(found, tmp_path / "matrix.png")
     assert (tmp_path / "matrix.png").read_bytes()[:4] == b"\x89PNG"

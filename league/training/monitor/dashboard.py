@@ -206,7 +206,8 @@ def _charts(history: History, width: int) -> RenderableType:
 
 
 def _curve(points: Sequence[tuple[float, float | None]], width: int) -> list[float | None]:
-    return resampled(*zip(*points, strict=True), points[-1][0], width)
+    at, values = [x for x, _ in points], [y for _, y in points]
+    return resampled(at, values, at[-1], width)
 
 
 def _chart(

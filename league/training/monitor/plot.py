@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from league import figures
 from league.errors import PolicyError
@@ -86,7 +86,7 @@ def figure(history: History) -> Figure:
 
 def _lines(history: History, completion: Axes, reward: Axes) -> list:
     updates, evaluations = history.updates, history.evaluations
-    curves = (
+    curves: tuple[tuple[Axes, list, dict[str, Any]], ...] = (
         (
             reward,
             [(row.samples, row.earned) for row in updates],

@@ -1,4 +1,4 @@
-"""Self-play: a learner races frozen past selves, which it collects as it gets better."""
+"""Self-play: a learner races frozen snapshots of itself."""
 
 from league.training.selfplay.self_play import SelfPlay
 from league.training.selfplay.settings import SelfPlayConfig

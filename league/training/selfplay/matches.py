@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
@@ -16,8 +16,8 @@ from league.sim import rng
 from league.sim.config import CarConfig, RaceRules, SensorConfig, SimConfig, SolverName
 from league.sim.world import World
 from league.track.track import TrackSet
-from league.training.selfplay.settings import DuelConfig
-from league.training.selfplay.snapshot_opponents import Seats
+from league.training.selfplay.opponents import MixedDriver
+from league.training.selfplay.settings import MatchConfig
 
 _RACE_SEED = 401
 _FIRST_TRACK = 402
@@ -25,7 +25,7 @@ _FIRST_TRACK = 402
 
 @dataclass(frozen=True)
 class Score:
-    """What became of one driver over the races against one other."""
+    """One driver's results over its races against another."""
 
     races: int = 0
     """Races driven."""
@@ -33,8 +33,6 @@ class Score:
     """Races won; a draw is half of one."""
     crashes: int = 0
     """Contacts it was to blame for."""
-    hits: int = 0
-    """Contacts the other was to blame for."""
     off_tracks: int = 0
     """How often it left the road."""
     metres: float = 0.0
@@ -44,15 +42,7 @@ class Score:
 
     def __add__(self, other: Score) -> Score:
         """Return the score over both sets of races."""
-        return Score(
-            self.races + other.races,
-            self.wins + other.wins,
-            self.crashes + other.crashes,
-            self.hits + other.hits,
-            self.off_tracks + other.off_tracks,
-            self.metres + other.metres,
-            self.laps_s + other.laps_s,
-        )
+        return Score(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
     @property
     def win_rate(self) -> float:
@@ -61,12 +51,12 @@ class Score:
 
     @property
     def contacts_per_km(self) -> float:
-        """Contacts it was to blame for, for each kilometre driven."""
+        """Contacts it was to blame for, per kilometre driven."""
         return 1000.0 * self.crashes / self.metres if self.metres > 0 else 0.0
 
     @property
     def off_tracks_per_km(self) -> float:
-        """How often it left the road, for each kilometre driven."""
+        """How often it left the road, per kilometre driven."""
         return 1000.0 * self.off_tracks / self.metres if self.metres > 0 else 0.0
 
     @property
@@ -82,18 +72,18 @@ class _Race:
     swapped: bool
 
     @property
-    def slots(self) -> tuple[int, int]:
-        """Who starts first and who second."""
+    def grid(self) -> tuple[int, int]:
+        """The drivers in grid order."""
         first, second = self.pair
         return (second, first) if self.swapped else (first, second)
 
 
-def meet(
+def race_pairs(
     tracks: TrackSet,
     car: CarConfig,
     drivers: Sequence[Driver],
     pairs: Sequence[tuple[int, int]],
-    cfg: DuelConfig,
+    cfg: MatchConfig,
     *,
     races: int,
     seed: int = 0,
@@ -106,47 +96,29 @@ def meet(
     Args:
         tracks: the courses, which the races' seeds take in turn, from one that `seed` draws.
         car: the cars.
-        drivers: who races; a car carries the sensors of all of them.
-        pairs: who against whom, indices into `drivers`.
+        drivers: all drivers; a car carries the sensors of all of them.
+        pairs: indices into `drivers`.
         cfg: length of the races and how the cars differ.
         races: races of each pair, even.
         seed: makes the races' seeds; equal ones for all pairs.
         solver: physics.
     """
-    heats = [
+    asked = [
         _Race(pair, number, swapped)
         for pair in pairs
         for number in range(races // 2)
         for swapped in (False, True)
     ]
-    found = {pair: (Score(), Score()) for pair in pairs}
-    for start in range(0, len(heats), cfg.at_once):
-        batch = heats[start : start + cfg.at_once]
-        scores = _drive(tracks, car, drivers, batch, cfg, seed, solver)
-        for race, (one, two) in zip(batch, scores, strict=True):
+    scores = {pair: (Score(), Score()) for pair in pairs}
+    for start in range(0, len(asked), cfg.at_once):
+        batch = asked[start : start + cfg.at_once]
+        results = _drive(tracks, car, drivers, batch, cfg, seed, solver)
+        for race, (first, second) in zip(batch, results, strict=True):
             if race.swapped:
-                one, two = two, one
-            before = found[race.pair]
-            found[race.pair] = (before[0] + one, before[1] + two)
-    return found
-
-
-def rules(tracks: TrackSet, cfg: DuelConfig) -> RaceRules:
-    """Return the rules of a measuring race."""
-    longest = float(tracks.length.max())
-    return RaceRules(laps=cfg.laps, max_time_s=cfg.grace_s + cfg.laps * longest / cfg.slowest)
-
-
-def sensors_for(drivers: Sequence[Driver]) -> SensorConfig:
-    """Return what a car carries that any of these may drive.
-
-    Raises:
-        ValueError: two of them need different sensors.
-    """
-    wanted = {driver.sensors for driver in drivers} - {SensorConfig()}
-    if len(wanted) > 1:
-        raise ValueError("these drivers cannot share a seat: their sensors differ")
-    return wanted.pop() if wanted else SensorConfig()
+                first, second = second, first
+            before = scores[race.pair]
+            scores[race.pair] = (before[0] + first, before[1] + second)
+    return scores
 
 
 def _drive(
@@ -154,90 +126,85 @@ def _drive(
     car: CarConfig,
     drivers: Sequence[Driver],
     races: Sequence[_Race],
-    cfg: DuelConfig,
+    cfg: MatchConfig,
     seed: int,
     solver: SolverName,
 ) -> list[tuple[Score, Score]]:
-    sim = SimConfig(
-        kind="head_to_head", num_cars=2, car=car, rules=rules(tracks, cfg), spread=cfg.spread
-    )
+    sensors = {driver.sensors for driver in drivers} - {SensorConfig()}
+    if len(sensors) > 1:
+        raise ValueError("these drivers cannot share a car: their sensors differ")
+    carried = sensors.pop() if sensors else SensorConfig()
+    longest = float(tracks.length.max())
+    rules = RaceRules(laps=cfg.laps, max_time_s=cfg.grace_s + cfg.laps * longest / cfg.slowest)
+    sim = SimConfig(kind="head_to_head", num_cars=2, car=car, rules=rules, spread=cfg.spread)
     number = np.array([race.seed for race in races])
-    seeds = rng.bits(seed, _RACE_SEED, number) & rng.SEED_MASK
     first = int(rng.bits(seed, _FIRST_TRACK)[0]) % len(tracks.tracks)
-    carried = sensors_for(drivers)
     env = RaceEnv(
         tracks,
         EnvConfig(sim=sim, solver=solver, sensors=(carried,)),
         num_worlds=len(races),
         track_index=(number + first) % len(tracks.tracks),
     )
-    told = env.reset(seeds=seeds)
-    book = _Book(len(races))
-    seats = [
-        _seated(drivers, np.array([race.slots[slot] for race in races]), slot) for slot in (0, 1)
-    ]
-    while not book.over.all():
-        actions = np.stack([seat.act(told[slot]) for slot, seat in enumerate(seats)], axis=1)
-        book.note(env.world, env.step(actions))
+    observations = env.reset(seeds=rng.bits(seed, _RACE_SEED, number) & rng.SEED_MASK)
+    slots = []
+    for slot in (0, 1):
+        # A scripted driver remembers its car, and in the other slot it has another one.
+        own = [one if isinstance(one, Policy) else copy.deepcopy(one) for one in drivers]
+        mixed = MixedDriver(f"slot {slot}", carried, own)
+        mixed.reset(None)
+        mixed.driver_of_row = np.array([race.grid[slot] for race in races])
+        slots.append(mixed)
+    log = _MatchLog(len(races))
+    while not log.over.all():
+        actions = [mixed.act(observations[slot]) for slot, mixed in enumerate(slots)]
+        log.add(env.world, env.step(np.stack(actions, axis=1)))
     env.close()
-    return book.scores()
+    return log.scores()
 
 
-def _seated(drivers: Sequence[Driver], who: np.ndarray, slot: int) -> Seats:
-    """Return one slot of all races, with drivers of its own that have forgotten everything."""
-    # A scripted driver remembers its car, and in the other slot it has another one.
-    own = [one if isinstance(one, Policy) else copy.deepcopy(one) for one in drivers]
-    seats = Seats(f"slot {slot}", sensors_for(drivers), own)
-    seats.reset(None)
-    seats.sit(who)
-    return seats
-
-
-class _Book:
-    """What the referee found, until each race is decided."""
+class _MatchLog:
+    """The referee's verdicts until each race is decided."""
 
     def __init__(self, num_races: int) -> None:
-        self._metres = np.zeros((num_races, 2))
-        self._wins = np.full_like(self._metres, 0.5)
-        counted = ("crashed", "was_hit", "off_track")
-        self._count = {name: np.zeros((num_races, 2), np.int64) for name in counted}
-        self._dirty = np.ones((num_races, 2), np.bool_)  # lap 1 is no flying one
+        shape = num_races, 2
         self.over = np.zeros(num_races, np.bool_)
+        self._wins, self._metres = np.full(shape, 0.5), np.zeros(shape)
+        self._crashes, self._off_tracks = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
+        self._dirty = np.ones(shape, np.bool_)  # lap 1 is no flying one
         self._laps: list[tuple[list[float], list[float]]] = [([], []) for _ in range(num_races)]
 
-    def note(self, world: World, step: Step) -> None:
-        """Take a step into account, in races that were not decided before it."""
-        seen, going = step.verdicts, ~self.over[:, None]
-        for name, count in self._count.items():
-            count += seen[name] & going
-        self._metres += np.where(going, seen["advance"].clip(min=0.0), 0.0)
-        self._dirty |= seen["mistake"] | seen["was_hit"] | seen["released"]
-        for race, car in np.argwhere(seen["lap"] & going & ~self._dirty).tolist():
+    def add(self, world: World, step: Step) -> None:
+        """Add a step of the races that were not decided before it."""
+        verdicts, going = step.verdicts, ~self.over[:, None]
+        self._crashes += verdicts["crashed"] & going
+        self._off_tracks += verdicts["off_track"] & going
+        self._metres += np.where(going, verdicts["advance"].clip(min=0.0), 0.0)
+        self._dirty |= verdicts["mistake"] | verdicts["was_hit"] | verdicts["released"]
+        for race, car in np.argwhere(verdicts["lap"] & going & ~self._dirty).tolist():
             self._laps[race][car].append(float(world.cars["last_lap_s"][race, car]))
-        self._dirty &= ~seen["lap"]
-        home = np.any(step.terminated, axis=1)
-        decided = (home | step.truncated.any(axis=1)) & ~self.over
+        self._dirty &= ~verdicts["lap"]
+        finished = np.any(step.terminated, axis=1)
+        decided = (finished | step.truncated.any(axis=1)) & ~self.over
         for race in np.flatnonzero(decided):
-            finish = world.cars["finish_s"][race].tolist()
-            distance = world.cars["distance"][race].tolist()
-            # Who is home first has won; if nobody is when time is up, who came farther.
-            lead = np.where(home[race], finish[1] - finish[0], distance[0] - distance[1])
-            first = 0.5 + 0.5 * float(np.sign(lead))
-            self._wins[race] = first, 1.0 - first
+            # The first to finish wins; without a finish, the one that drove farther.
+            if finished[race]:
+                first, second = -world.cars["finish_s"][race].astype(float)
+            else:
+                first, second = world.cars["distance"][race]
+            share = 0.5 + 0.5 * float(np.sign(first - second))
+            self._wins[race] = share, 1.0 - share
         self.over |= decided
 
     def scores(self) -> list[tuple[Score, Score]]:
-        """Return both drivers' scores of each race, by slot."""
+        """Return both drivers' scores of each race, in grid order."""
         return [(self._score(race, 0), self._score(race, 1)) for race in range(len(self._laps))]
 
     def _score(self, race: int, car: int) -> Score:
-        counts = {name: int(count[race, car]) for name, count in self._count.items()}
         return Score(
             races=1,
             wins=float(self._wins[race, car]),
-            crashes=counts["crashed"],
-            hits=counts["was_hit"],
-            off_tracks=counts["off_track"],
+            crashes=int(self._crashes[race, car]),
+            off_tracks=int(self._off_tracks[race, car]),
             metres=float(self._metres[race, car]),
             laps_s=tuple(self._laps[race][car]),
         )

@@ -1,4 +1,4 @@
-"""The pool: frozen past selves on disk, few enough to race, spread over the whole past."""
+"""The pool: frozen past selves on disk, spread over the whole past of a run."""
 
 from __future__ import annotations
 
@@ -21,70 +21,57 @@ class Member:
     """One frozen past self."""
 
     name: str
-    """`parent`, or the updates after which it was taken, as six digits: its file's name."""
+    """`parent`, or the number of updates as six digits: its file's name."""
     updates: int
-    """Updates of the run when it was taken; 0 is the parent."""
+    """Updates of the run when it was saved; 0 is the parent."""
     digest: str
     """SHA-256 of its content."""
     forced: bool
-    """Whether it entered by its turn, not by winning."""
+    """Whether it entered by turn, not by winning."""
     measured: float | None
-    """Its smallest win rate against the members it was measured against; None: against none."""
+    """Its smallest win rate as a candidate; None: it had no rival."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """How the learner fared when it raced for a place in the pool."""
+    """The learner's races for a place in the pool."""
 
     updates: int
     """Updates of the run by then."""
     win_rates: dict[str, float]
-    """Against each member it was measured against, by name; empty: there was none."""
+    """Against each rival, by name."""
     entered: bool
     """Whether it became a member."""
     forced: bool
-    """Whether it became one by its turn, not by winning."""
+    """Whether it became one by turn, not by winning."""
 
     @property
     def smallest(self) -> float | None:
-        """Smallest of its win rates, which decides; None: it was measured against nobody."""
+        """Smallest of its win rates, which decides; None without a rival."""
         return min(self.win_rates.values(), default=None)
 
     @property
     def mean(self) -> float | None:
-        """Mean of its win rates; None: it was measured against nobody."""
+        """Mean of its win rates; None without a rival."""
         return fmean(self.win_rates.values()) if self.win_rates else None
 
 
 class Pool:
-    """Members, oldest first, each with its file `NNNNNN.pt`, and `pool.json` to look at.
-
-    `candidates` are all that raced for a place, in their order, those that were refused too.
-    """
+    """Members, oldest first, each with a file `NNNNNN.pt`, all candidates, and `pool.json`."""
 
     def __init__(self, folder: Path, size: int) -> None:
-        """Begin with none.
-
-        Args:
-            folder: where the files are.
-            size: most members kept.
-        """
         self._folder, self._size = folder, size
         self.members: list[Member] = []
         self.candidates: list[Candidate] = []
-        self._leaving: list[str] = []
-
-    def path(self, member: Member) -> Path:
-        """Return where a member's checkpoint is."""
-        return self._folder / f"{member.name}.pt"
+        self._removed: list[str] = []
 
     def add(
-        self, kept: Checkpoint, updates: int, *, forced: bool, measured: float | None
+        self, snapshot: Checkpoint, updates: int, *, forced: bool, measured: float | None
     ) -> Member:
         """Write a checkpoint and make it a member."""
         name = f"{updates:06d}" if updates else PARENT
-        member = Member(name, updates, kept.digest, forced, measured)
-        checkpoint.save(self.path(member), kept)
+        member = Member(name, updates, snapshot.digest, forced, measured)
+        checkpoint.save(self._path(member), snapshot)
         self.members.append(member)
         return member
 
@@ -92,38 +79,41 @@ class Pool:
         """Read a member's checkpoint.
 
         Raises:
-            PolicyError: it is gone, or not what it was.
+            PolicyError: it is missing, or was changed.
         """
-        found = checkpoint.load(self.path(member))
-        if found.digest != member.digest:
+        snapshot = checkpoint.load(self._path(member))
+        if snapshot.digest != member.digest:
             raise PolicyError(
-                f"{self.path(member)} is not the policy it was: put back the file of this run, "
+                f"{self._path(member)} is not the policy it was: put back the file of this run, "
                 "or start a new run with another --out"
             )
-        return found
+        return snapshot
 
     def thin(self, loses_to: Callable[[Member], bool]) -> list[Member]:
-        """Let members go until the pool is small enough; return those that went.
+        """Remove members until the pool is small enough; return the removed ones.
 
-        The oldest, the newest and whoever is not beaten stay; of the others goes, again and again,
-        the one whose neighbours in age are closest in ratio, so that ages stay spread in powers.
-        Files are removed later, by `sweep`: a run that was killed meanwhile still needs them.
+        The oldest, the newest and those that beat the learner stay; of the others the one whose
+        neighbours in age are closest in ratio is removed, so that ages stay spread in powers.
+        Files are removed later, by `sweep`: a run that is killed before it still needs them.
         """
-        gone: list[Member] = []
+        removed: list[Member] = []
         while len(self.members) > self._size:
-            gone.append(self.members.pop(_most_crowded(self.members, loses_to)))
-        self._leaving += [member.name for member in gone]
-        return gone
+            removed.append(self.members.pop(_most_crowded(self.members, loses_to)))
+        self._removed += [member.name for member in removed]
+        return removed
 
     def sweep(self) -> None:
-        """Remove the files of those that had gone before the last save point."""
-        for name in self._leaving:
+        """Remove the files of members that were removed before the last save point."""
+        for name in self._removed:
             (self._folder / f"{name}.pt").unlink(missing_ok=True)
-        self._leaving = []
+        self._removed = []
+
+    def _path(self, member: Member) -> Path:
+        return self._folder / f"{member.name}.pt"
 
     def write(self, win_rates: dict[str, float]) -> None:
         """Write `pool.json`: members, how often the learner beats each, and all candidates."""
-        told = {
+        content = {
             "members": [
                 asdict(one) | {"win_rate": win_rates.get(one.name)} for one in self.members
             ],
@@ -134,7 +124,7 @@ class Pool:
         }
         path = self._folder / "pool.json"
         with replacing(path, "the pool's list", PolicyError) as file:
-            file.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+            file.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
     def state(self) -> dict[str, list[dict[str, object]]]:
         """Return members and candidates as JSON-able data."""
@@ -144,9 +134,9 @@ class Pool:
         }
 
     def restore(self, members: Sequence[dict], tried: Sequence[dict]) -> None:
-        """Go on with these members and candidates; files of others, written later, are removed."""
-        self.members, self._leaving = [Member(**told) for told in members], []
-        self.candidates = [Candidate(**told) for told in tried]
+        """Take over members and candidates of a state; remove files that were written later."""
+        self.members, self._removed = [Member(**member) for member in members], []
+        self.candidates = [Candidate(**candidate) for candidate in tried]
         known = {member.name for member in self.members}
         for path in self._folder.glob("*.pt"):
             if path.stem not in known:
@@ -154,13 +144,12 @@ class Pool:
 
 
 def _most_crowded(members: Sequence[Member], loses_to: Callable[[Member], bool]) -> int:
-    """Return the place of the member that is missed least."""
+    """Return the index of the member that should be removed first."""
     newest = members[-1].updates
     ages = [newest - member.updates + 1 for member in members]
     inner = range(1, len(members) - 1)
-    beaten = [place for place in inner if not loses_to(members[place])]
-    # Where everybody must stay, somebody goes all the same.
-    return min(beaten or inner, key=lambda place: ages[place - 1] / ages[place + 1])
+    beaten = [index for index in inner if not loses_to(members[index])]
+    return min(beaten or inner, key=lambda index: ages[index - 1] / ages[index + 1])
 
 
 def spread(members: Sequence[Member], count: int) -> list[Member]:
