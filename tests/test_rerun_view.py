@@ -15,7 +15,7 @@ from rerun.chunk import RrdReader
 
 from league import rerun_view
 from league.errors import ReplayError
-from league.rerun_view import paths, poses, record, shapes, web_server
+from league.rerun_view import meshes, paths, record, scene, viewer
 from league.sim.camera.scene import CAR
 from league.track import files
 
@@ -66,7 +66,7 @@ def test_the_eyes_are_films_with_a_picture_for_each_frame(tmp_path):
             assert rows[paths.eye(slot, side)] == 9
 
 
-def test_obstacles_that_stand_are_told_once(tmp_path):
+def test_obstacles_that_stand_are_sent_once(tmp_path):
     made = by_hand(4, cars=1)
     assert made.columns.num_obstacles == 3
     rows = rows_of(rerun_view.save(made, tmp_path / "a.rrd", cameras=False))
@@ -95,7 +95,7 @@ def test_names_cannot_break_the_classification():
 
 def test_the_road_is_as_large_as_its_length_times_its_width():
     track = files.load("reinvent_2018")
-    mesh = shapes.floor(track)
+    mesh = meshes.floor(track)
     colour = np.array([*track.colours.road, 255])
     road = mesh.triangles[(mesh.colours[mesh.triangles[:, 0]] == colour).all(axis=1)]
     a, b, c = (mesh.vertices[road[:, corner], :2] for corner in range(3))
@@ -106,7 +106,7 @@ def test_the_road_is_as_large_as_its_length_times_its_width():
 
 
 def test_normals_of_a_car_point_outward():
-    mesh = shapes.car_body(CAR, (200, 0, 0))
+    mesh = meshes.car_body(CAR, (200, 0, 0))
     top = mesh.vertices[:, 2] > 0.177
     assert mesh.normals[top & (np.abs(mesh.normals[:, 2]) > 0.9), 2].min() > 0.9
     assert np.linalg.norm(mesh.normals, axis=1) == pytest.approx(1.0)
@@ -116,11 +116,11 @@ def test_normals_of_a_car_point_outward():
 def test_wheels_roll_as_far_as_the_car_drives():
     # 1.5 m/s for 10 steps of 1/15 s is 1 m; over a radius of 36 mm that is 27.8 rad.
     made = by_hand(11, lambda w, _: moved(w, velocity_x=[1.5, 0.0], yaw=[0.0, 0.0]))
-    assert poses.wheel_spin(made)[-1] == pytest.approx([1 / 0.036, 0.0])
+    assert scene.wheel_spin(made.worlds().cars, 15)[-1] == pytest.approx([1 / 0.036, 0.0])
 
 
 def test_a_wheel_is_turned_then_rolled_about_its_own_axle():
-    x, y, z, w = poses.steered_and_spun(np.array(np.pi / 2), np.array(np.pi / 2))
+    x, y, z, w = scene.wheel_rotation(np.array(np.pi / 2), np.array(np.pi / 2))
     # Its axle (y in its own frame) points along -x after a quarter turn to the left.
     turned = np.array([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)])
     assert turned == pytest.approx([-1.0, 0.0, 0.0], abs=1e-12)
@@ -133,7 +133,7 @@ def test_a_wheel_is_turned_then_rolled_about_its_own_axle():
 def server(tmp_path_factory):
     path = tmp_path_factory.mktemp("served") / "a.rrd"
     rerun_view.save(by_hand(3), path, cameras=False)
-    with web_server.serve(path) as running:
+    with viewer.serve(path) as running:
         yield running
 
 
@@ -169,15 +169,15 @@ def test_other_paths_and_other_names_are_refused(server):
 
 def test_a_missing_recording_and_a_taken_port_are_one_sentence(tmp_path, server):
     with pytest.raises(ReplayError, match="no recording"):
-        web_server.serve(tmp_path / "none.rrd")
+        viewer.serve(tmp_path / "none.rrd")
     path = rerun_view.save(by_hand(2), tmp_path / "a.rrd", cameras=False)
     with pytest.raises(ReplayError, match="listened on"):
-        web_server.serve(path, port=server.port)
+        viewer.serve(path, port=server.port)
 
 
 def test_a_closed_server_is_gone(tmp_path):
     path = rerun_view.save(by_hand(2), tmp_path / "a.rrd", cameras=False)
-    running = web_server.serve(path)
+    running = viewer.serve(path)
     threading.Timer(0.2, running.close).start()
     running.wait()
     assert listening(running.port) == []
@@ -234,12 +234,13 @@ def rotated(quaternion: np.ndarray, vector: tuple[float, float, float]) -> list[
 def test_cars_lean_and_nose_down_as_their_records_say():
     half = np.pi / 2
     level, right, down = (
-        poses.turned(*map(np.array, angles)) for angles in ((half, 0, 0), (0, 0, 0.3), (0, 0.3, 0))
+        scene.rotation(*map(np.array, angles))
+        for angles in ((half, 0, 0), (0, 0, 0.3), (0, 0.3, 0))
     )
     ahead, up = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
     assert rotated(level, ahead) == pytest.approx([0.0, 1.0, 0.0])
     assert rotated(right, up) == pytest.approx([0.0, -np.sin(0.3), np.cos(0.3)])
     assert rotated(down, ahead) == pytest.approx([np.cos(0.3), 0.0, -np.sin(0.3)])
     # First the heading, then the pitch about the new axle: the nose goes down, not aside.
-    both = poses.turned(np.array(half), np.array(0.3), np.array(0.0))
+    both = scene.rotation(np.array(half), np.array(0.3), np.array(0.0))
     assert rotated(both, ahead) == pytest.approx([0.0, np.cos(0.3), -np.sin(0.3)])

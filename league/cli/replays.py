@@ -150,9 +150,7 @@ def _view(command: View) -> int:
         rerun_view.save(recorded, path, cameras=not command.no_cameras)
         if not command.web:
             return rerun_view.open_viewer(path)
-        from league.rerun_view import web_server
-
-        with web_server.serve(path) as server:
+        with rerun_view.serve(path) as server:
             print(f"Open {server.url}   (Ctrl-C stops)", flush=True)
             server.wait()
     return 0

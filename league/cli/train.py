@@ -292,12 +292,12 @@ def _onlookers(command: Train, run: Run) -> list[Onlooker]:
     cfg = run.cfg
     found: list[Onlooker] = []
     if command.watch:
-        from league.training.monitor.viewer import Watching
+        from league.training.monitor.viewer import LiveView
 
-        watching = Watching(*run.learner.shown)
+        view = LiveView(*run.learner.shown)
         # Before the page, which draws over what is told while it is open.
-        print(f"Watching live: {watching.address}", file=sys.stderr, flush=True)
-        found.append(watching)
+        print(f"Watching live: {view.address}", file=sys.stderr, flush=True)
+        found.append(view)
     dashboard = Dashboard(
         run.train,
         60.0 * cfg.minutes or None,

@@ -1,7 +1,7 @@
-"""A replay in the Rerun viewer; nothing outside this room imports rerun."""
+"""A replay, a race or a run in the Rerun viewer; no other package imports rerun."""
 
-from league.rerun_view.live import Live, open_viewer
-from league.rerun_view.record import build, save
-from league.rerun_view.stream import has_display
+from league.rerun_view.live import Live
+from league.rerun_view.record import save
+from league.rerun_view.viewer import has_display, open_viewer, serve
 
-__all__ = ["Live", "build", "has_display", "open_viewer", "save"]
+__all__ = ["Live", "has_display", "open_viewer", "save", "serve"]

@@ -1,6 +1,8 @@
-"""How the viewer opens: like a broadcast, the chase large, the cars' eyes and charts beside it."""
+"""Layouts of the viewer: for a race like a broadcast, for training the whole track and charts."""
 
 from __future__ import annotations
+
+from typing import Literal
 
 import rerun.blueprint as rrb
 
@@ -8,6 +10,7 @@ from league.rerun_view import paths
 
 TRAIL_S = 2.5
 """How much of its path each car trails [s]."""
+Play = Literal["playing", "following"]
 BACKGROUND = (18, 22, 28)
 CHASE_EYE = (-1.55, 0.0, 0.78)
 """Where the chase camera sits in the chase frame [m]."""
@@ -27,13 +30,13 @@ def broadcast(
 
     Args:
         num_cars: cars in the race.
-        names: who drives each.
+        names: of the drivers.
         room: x_min, y_min, x_max, y_max of the room [m].
         cameras: whether the recording holds the cars' eyes.
         live: follow the newest step instead of playing from the start.
     """
     scenes = rrb.Tabs(
-        _chase(num_cars),
+        _scene(num_cars, paths.CHASE, "Chase", CHASE_EYE, CHASE_TARGET),
         _overview(num_cars, room),
         active_tab=0,
         name="Race",
@@ -46,68 +49,47 @@ def broadcast(
         _chart(paths.PLOT_SPEED, "Speed [m/s]"),
         _chart(paths.PLOT_GAP, "Behind the leader [m]"),
         _chart(paths.PLOT_STEERING, "Steering [deg]"),
-        rrb.TextLogView(
-            origin=paths.EVENTS,
-            name="Events",
-            columns=rrb.TextLogColumns(text_log_columns=["Body"]),
-        ),
+        _list("Events"),
         row_shares=[1.5 + 0.2 * num_cars, 1, 1, 1, 1.2],
     )
+    return _layout(
+        rrb.Vertical(*left, row_shares=[2.6, 1.0] if cameras else [1.0]),
+        charts,
+        play="following" if live else "playing",
+        loop=not live,
+    )
+
+
+def training(num_cars: int, room: tuple[float, float, float, float]) -> rrb.Blueprint:
+    """Return the layout of cars that learn: the whole track, and their metrics.
+
+    It plays at its own pace and waits at the end for more, which is smoother than following the
+    newest batch.
+    """
+    charts = rrb.Vertical(
+        _chart("plots/completion", "Completion [%]"),
+        _chart(paths.PLOT_REWARD, "Reward of an episode"),
+        _chart(paths.PLOT_SPEED, "Speed [m/s]"),
+        _list("Evaluations"),
+        row_shares=[1, 1, 1, 1],
+    )
+    return _layout(_overview(num_cars, room), charts, play="playing")
+
+
+def _layout(
+    scene: rrb.Container | rrb.View, charts: rrb.Container, play: Play, loop: bool = False
+) -> rrb.Blueprint:
     return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(*left, row_shares=[2.6, 1.0] if cameras else [1.0]),
-            charts,
-            column_shares=[2.3, 1.0],
-        ),
+        rrb.Horizontal(scene, charts, column_shares=[2.3, 1.0]),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
         rrb.TopPanel(state="hidden"),
         rrb.TimePanel(
             state="collapsed",
             timeline=paths.TIMELINE,
-            play_state="following" if live else "playing",
-            loop_mode=None if live else "all",
+            play_state=play,
+            loop_mode="all" if loop else None,
         ),
-    )
-
-
-def practice(num_cars: int, room: tuple[float, float, float, float]) -> rrb.Blueprint:
-    """Return the layout of cars that learn: the whole track, and what they have come to.
-
-    It plays at its own pace and waits at the end for more, which is smoother than to follow what
-    comes in batches.
-    """
-    charts = rrb.Vertical(
-        _chart("plots/completion", "Completion [%]"),
-        _chart("plots/reward", "Reward of an episode"),
-        _chart(paths.PLOT_SPEED, "Speed [m/s]"),
-        rrb.TextLogView(
-            origin=paths.EVENTS,
-            name="Evaluations",
-            columns=rrb.TextLogColumns(text_log_columns=["Body"]),
-        ),
-        row_shares=[1, 1, 1, 1],
-    )
-    return rrb.Blueprint(
-        rrb.Horizontal(_overview(num_cars, room), charts, column_shares=[2.3, 1.0]),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        rrb.TopPanel(state="hidden"),
-        rrb.TimePanel(state="collapsed", timeline=paths.TIMELINE, play_state="playing"),
-    )
-
-
-def _chase(num_cars: int) -> rrb.Spatial3DView:
-    return rrb.Spatial3DView(
-        origin=paths.CHASE,
-        contents=_scene_contents(num_cars),
-        name="Chase",
-        background=BACKGROUND,
-        line_grid=False,
-        eye_controls=rrb.EyeControls3D(
-            position=CHASE_EYE, look_target=CHASE_TARGET, eye_up=(0.0, 0.0, 1.0)
-        ),
-        overrides=_trail_overrides(num_cars),
     )
 
 
@@ -115,34 +97,30 @@ def _overview(num_cars: int, room: tuple[float, float, float, float]) -> rrb.Spa
     x_min, y_min, x_max, y_max = room
     middle = ((x_min + x_max) / 2, (y_min + y_max) / 2)
     reach = max(x_max - x_min, (y_max - y_min) * 1.6)
-    return rrb.Spatial3DView(
-        origin=paths.WORLD,
-        contents=_scene_contents(num_cars),
-        name="Whole track",
-        background=BACKGROUND,
-        line_grid=False,
-        eye_controls=rrb.EyeControls3D(
-            position=(middle[0], y_min - 0.45 * reach, 0.72 * reach),
-            look_target=(*middle, 0.0),
-            eye_up=(0.0, 0.0, 1.0),
-        ),
-        overrides=_trail_overrides(num_cars),
-    )
+    eye = (middle[0], y_min - 0.45 * reach, 0.72 * reach)
+    return _scene(num_cars, paths.WORLD, "Whole track", eye, (*middle, 0.0))
 
 
-def _scene_contents(num_cars: int) -> list[str]:
+Point = tuple[float, float, float]
+
+
+def _scene(num_cars: int, origin: str, name: str, eye: Point, target: Point) -> rrb.Spatial3DView:
     # The eyes' pictures would hang in front of the cars in 3D; they have views of their own.
     hidden = [f"- /{paths.eyes(slot)}/**" for slot in range(num_cars)]
-    return [f"+ /{paths.WORLD}/**", *hidden]
-
-
-def _trail_overrides(num_cars: int) -> dict:
     window = rrb.VisibleTimeRanges(
         timeline=paths.TIMELINE,
         start=rrb.TimeRangeBoundary.cursor_relative(seconds=-TRAIL_S),
         end=rrb.TimeRangeBoundary.cursor_relative(),
     )
-    return {paths.trail(slot): window for slot in range(num_cars)}
+    return rrb.Spatial3DView(
+        origin=origin,
+        contents=[f"+ /{paths.WORLD}/**", *hidden],
+        name=name,
+        background=BACKGROUND,
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0.0, 0.0, 1.0)),
+        overrides={paths.trail(slot): window for slot in range(num_cars)},
+    )
 
 
 def _eyes(num_cars: int, names: tuple[str, ...]) -> rrb.Container:
@@ -163,3 +141,8 @@ def _eyes(num_cars: int, names: tuple[str, ...]) -> rrb.Container:
 
 def _chart(origin: str, name: str) -> rrb.TimeSeriesView:
     return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=rrb.PlotLegend(visible=False))
+
+
+def _list(name: str) -> rrb.TextLogView:
+    columns = rrb.TextLogColumns(text_log_columns=["Body"])
+    return rrb.TextLogView(origin=paths.EVENTS, name=name, columns=columns)

@@ -1,4 +1,6 @@
-"""Where everything lies in a Rerun recording; the tests and the blueprint read the same names."""
+"""Entity paths of a Rerun recording; the tests and the blueprint read the same names."""
+
+from __future__ import annotations
 
 APPLICATION = "racing-league"
 TIMELINE = "race_time"
@@ -17,13 +19,16 @@ EVENTS = "race/events"
 PLOT_SPEED = "plots/speed"
 PLOT_STEERING = "plots/steering"
 PLOT_GAP = "plots/gap"
+PLOT_REWARD = "plots/reward"
+PLOT_TRAINING = "plots/completion/training"
+PLOT_EVALUATION = "plots/completion/evaluation"
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 EYES = ("left", "right")
 
 
 def car(slot: int) -> str:
-    """Return a car's frame: its base, x ahead."""
+    """Return a car's frame: its base, x ahead. What follows lies in it."""
     return f"world/cars/car_{slot}"
 
 
@@ -32,23 +37,13 @@ def body(slot: int) -> str:
     return f"{car(slot)}/body"
 
 
-def shadow(slot: int) -> str:
-    """Return the shade below a car."""
-    return f"{car(slot)}/shadow"
-
-
-def name_tag(slot: int) -> str:
-    """Return the label that floats above a car."""
-    return f"{car(slot)}/name"
-
-
 def wheel(slot: int, which: str) -> str:
     """Return one wheel's frame, about its axle."""
     return f"{car(slot)}/wheels/{which}"
 
 
 def lidar(slot: int) -> str:
-    """Return the points a car's lidar sees, in the car's frame."""
+    """Return the points a car's lidar sees."""
     return f"{car(slot)}/lidar"
 
 

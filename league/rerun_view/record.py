@@ -1,10 +1,10 @@
-"""A replay as a Rerun recording: whole columns at once, on one timeline."""
+"""A replay as a Rerun recording: whole columns at once, with what the cars sensed."""
 
 from __future__ import annotations
 
-import math
+import io
 import os
-from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -13,259 +13,135 @@ import rerun as rr
 from league.atomic_file import replacing
 from league.errors import ReplayError
 from league.replay import Replay, story
-from league.replay.replay import JUMP
-from league.rerun_view import blueprint, paths, poses, shapes
-from league.rerun_view.senses import EYE_CAMERA, send_eyes, send_lidar, times_of
-from league.rerun_view.shapes import Mesh
-from league.sim.camera.scene import BOT_COLOUR, BOX_COLOUR, CAR, CAR_COLOURS
-from league.sim.config import ObstacleConfig
-from league.track.track import Track
+from league.rerun_view import blueprint, paths
+from league.rerun_view.scene import EYE_CAMERA, NEUTRAL, SceneWriter, about_z, positions
+from league.sim import lidar
+from league.sim.camera.paint_renderer import PaintRenderer
+from league.sim.camera.scene import CAR_COLOURS
+from league.sim.config import LidarConfig
+from league.sim.records import OBSTACLE
+from league.video.mp4 import Coding, Mp4, interleaved
 
-WALL_OPACITY = 0.3
-SHADOW_OPACITY = 0.45
 FROZEN_OPACITY = 0.35
-NEUTRAL = (225, 230, 235)
-TRAIL_LIFT = np.array([0.0, 0.0, 0.016])
-"""How high a trail lies above the floor [m]."""
-TAG_HEIGHT = 0.3
-"""How high a car's name floats [m]."""
 EVENT_LEVELS = {"crash": "ERROR", "off_track": "WARN", "contact": "WARN", "driver_fault": "ERROR"}
+EYE_CODING = Coding(crf=29, preset="ultrafast", keyframe_s=2.0)
+BATCH = 16
+"""Frames rendered at a time; few, so that they stay in the cache."""
+LIDAR_BATCH = 1024
+LIDAR_EVERY = 2
+"""One scan for so many frames (7.5 Hz of 15; the sensor's own clock is 10 Hz)."""
 
 
-def build(
-    replay: Replay,
-    recording: rr.RecordingStream,
-    *,
-    cameras: bool = True,
-    progress: Callable[[str], None] | None = None,
-) -> None:
-    """Send a whole replay to a recording.
+def save(replay: Replay, path: str | os.PathLike[str], *, cameras: bool = True) -> Path:
+    """Write a replay as a .rrd file, whole or not at all, and return its path.
 
-    Args:
-        replay: what to show.
-        recording: where to.
-        cameras: also render and encode the cars' eyes, which takes most of the time.
-        progress: told what is being done, a few words each.
+    Without the cars' cameras, whose films take most of the time, if `cameras` is False.
     """
-    told = progress or (lambda _: None)
-    told("scene")
-    send_scene(recording, replay.track, replay.names)
-    send_obstacles(recording, replay)
-    _send_motion(recording, replay)
-    _send_charts(recording, replay)
-    _send_events(recording, replay)
-    recording.log(
-        paths.TITLE,
-        rr.TextDocument(classification(replay), media_type=rr.MediaType.MARKDOWN),
-        static=True,
-    )
-    told("lidar")
-    send_lidar(recording, replay)
-    if cameras:
-        told("cameras")
-        send_eyes(recording, replay)
-
-
-def save(
-    replay: Replay,
-    path: str | os.PathLike[str],
-    *,
-    cameras: bool = True,
-    progress: Callable[[str], None] | None = None,
-) -> Path:
-    """Write a replay as a .rrd file, whole or not at all, and return its path."""
-    recording = rr.RecordingStream(paths.APPLICATION, recording_id=_identity(replay))
+    spec = replay.spec
+    identity = f"{spec.track}-{spec.kind}-{spec.seed}-{int(replay.columns.checksum[-1]):08x}"
+    recording = rr.RecordingStream(paths.APPLICATION, recording_id=identity)
     layout = blueprint.broadcast(replay.num_cars, replay.names, replay.track.room, cameras=cameras)
     with replacing(path, "the recording", ReplayError) as file:
         recording.save(file, default_blueprint=layout)
-        build(replay, recording, cameras=cameras, progress=progress)
+        writer = SceneWriter(recording, replay.track, replay.names, replay.step_hz)
+        _send_race(writer, replay)
+        _send_events(writer, replay)
+        _send_lidar(writer, replay)
+        if cameras:
+            _send_eyes(writer, replay)
         recording.flush()
         recording.disconnect()
     return Path(path)
 
 
-def _identity(replay: Replay) -> str:
-    spec = replay.spec
-    return f"{spec.track}-{spec.kind}-{spec.seed}-{int(replay.columns.checksum[-1]):08x}"
-
-
-def send_scene(recording: rr.RecordingStream, track: Track, names: tuple[str, ...]) -> None:
-    """Send all that never changes: the room, the cars' shapes, their eyes' places, chart styles."""
-    recording.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    log_mesh(recording, paths.FLOOR, shapes.floor(track))
-    log_mesh(recording, paths.WALLS, shapes.walls(track), WALL_OPACITY)
-    rim = shapes.wheel()
-    for slot, name in enumerate(names):
-        colour = CAR_COLOURS[slot]
-        log_mesh(recording, paths.body(slot), shapes.car_body(CAR, colour))
-        log_mesh(recording, paths.shadow(slot), shapes.shadow(CAR), SHADOW_OPACITY)
-        for which in paths.WHEELS:
-            log_mesh(recording, paths.wheel(slot, which), rim)
-        recording.log(
-            paths.name_tag(slot),
-            rr.Points3D([[0.0, 0.0, TAG_HEIGHT]], radii=0.0005, colors=[colour], labels=[name]),
-            static=True,
-        )
-        for side in paths.EYES:
-            _log_eye(recording, slot, side)
-    for chart in (paths.PLOT_SPEED, paths.PLOT_GAP, paths.PLOT_STEERING):
-        recording.log(
-            chart,
-            rr.SeriesLines(colors=CAR_COLOURS[: len(names)], names=list(names), widths=1.8),
-            static=True,
-        )
-
-
-def log_mesh(
-    recording: rr.RecordingStream, path: str, mesh: Mesh, opacity: float | None = None
-) -> None:
-    """Send a mesh that never changes its shape."""
-    recording.log(
-        path,
-        rr.Mesh3D(
-            vertex_positions=mesh.vertices,
-            triangle_indices=mesh.triangles,
-            vertex_normals=mesh.normals,
-            vertex_colors=mesh.colours,
-            # Colours of vertices have no transparency of their own in the viewer.
-            albedo_factor=None if opacity is None else (1.0, 1.0, 1.0, opacity),
-        ),
-        static=True,
-    )
-
-
-def _log_eye(recording: rr.RecordingStream, slot: int, side: str) -> None:
-    focal = EYE_CAMERA.width / 2 / math.tan(EYE_CAMERA.field_of_view / 2)
-    recording.log(
-        paths.eye(slot, side),
-        rr.Transform3D(
-            translation=poses.eye_place(EYE_CAMERA, side), mat3x3=poses.eye_axes(EYE_CAMERA)
-        ),
-        rr.Pinhole(
-            focal_length=focal,
-            width=EYE_CAMERA.width,
-            height=EYE_CAMERA.height,
-            image_plane_distance=0.15,
-        ),
-        static=True,
-    )
-
-
-def send_obstacles(recording: rr.RecordingStream, replay: Replay) -> None:
-    """Send the boxes or bot cars and where they are."""
-    columns = replay.columns
-    height = ObstacleConfig().height
-    for index in range(columns.num_obstacles):
-        path = paths.obstacle(index)
-        if replay.spec.obstacle_kind == "bot":
-            log_mesh(recording, path, shapes.car_body(CAR, BOT_COLOUR))
-        else:
-            length, width = 2 * replay.obstacle_sizes[index]
-            box = shapes.box(float(length), float(width), height, BOX_COLOUR)
-            log_mesh(recording, path, box)
-        places = poses.places(columns.obstacle_x[:, index], columns.obstacle_y[:, index])
-        turns = poses.about_z(columns.obstacle_yaw[:, index])
-        if len(places) == 1:
-            turn = rr.Quaternion(xyzw=turns[0])
-            recording.log(path, rr.Transform3D(translation=places[0], quaternion=turn), static=True)
-        else:
-            recording.send_columns(
-                path, times_of(replay), rr.Transform3D.columns(translation=places, quaternion=turns)
-            )
-
-
-def _send_motion(recording: rr.RecordingStream, replay: Replay) -> None:
-    columns, times = replay.columns, times_of(replay)
-    spin = poses.wheel_spin(replay)
-    for slot in range(replay.num_cars):
-        places = poses.places(columns.x[:, slot], columns.y[:, slot], columns.z[:, slot])
-        angles = columns.yaw, columns.pitch, columns.roll
-        turns = poses.turned(*(angle[:, slot] for angle in angles))
-        recording.send_columns(
-            paths.car(slot), times, rr.Transform3D.columns(translation=places, quaternion=turns)
-        )
-        for which, place in zip(paths.WHEELS, poses.WHEEL_PLACES, strict=True):
-            steering = columns.steering[:, slot] * ("front" in which)
-            recording.send_columns(
-                paths.wheel(slot, which),
-                times,
-                rr.Transform3D.columns(
-                    translation=np.broadcast_to(place, places.shape),
-                    quaternion=poses.steered_and_spun(steering, spin[:, slot]),
-                ),
-            )
-        _send_trail(recording, replay, slot, places)
-        _send_fading(recording, replay, slot)
-    path = story.chase_path(replay)
-    recording.send_columns(
-        paths.CHASE,
-        times,
-        rr.Transform3D.columns(
-            translation=poses.places(path.x, path.y), quaternion=poses.about_z(path.yaw)
-        ),
-    )
-
-
-def _send_fading(recording: rr.RecordingStream, replay: Replay, slot: int) -> None:
-    """Send when a car turns to glass because it stands a penalty, and back."""
-    frozen = replay.columns.penalty_s[:, slot] > 0
-    changes = np.flatnonzero(np.diff(frozen, prepend=~frozen[:1]))
-    opacity = np.where(frozen[changes], FROZEN_OPACITY, 1.0)
-    factors = np.stack([np.ones_like(opacity)] * 3 + [opacity], axis=1)
-    recording.send_columns(
-        paths.body(slot),
-        [rr.TimeColumn(paths.TIMELINE, duration=replay.times_s[changes])],
-        rr.Mesh3D.columns(albedo_factor=np.round(255 * factors).astype(np.uint8)),
-    )
-
-
-def _send_trail(
-    recording: rr.RecordingStream, replay: Replay, slot: int, places: np.ndarray
-) -> None:
-    """Send the path as one short strip a frame; the view shows the last seconds of them."""
-    low = places + TRAIL_LIFT
-    before = np.concatenate([low[:1], low[:-1]])
-    jumped = np.linalg.norm(low - before, axis=1) > JUMP
-    before[jumped] = low[jumped]
-    strips = np.stack([before, low], axis=1).astype(np.float32)  # (num_frames, 2, 3)
-    recording.log(
-        paths.trail(slot),
-        rr.LineStrips3D.from_fields(colors=[CAR_COLOURS[slot]], radii=[0.006]),
-        static=True,
-    )
-    recording.send_columns(
-        paths.trail(slot), times_of(replay), rr.LineStrips3D.columns(strips=list(strips))
-    )
-
-
-def _send_charts(recording: rr.RecordingStream, replay: Replay) -> None:
+def _send_race(writer: SceneWriter, replay: Replay) -> None:
+    times, columns = replay.times_s, replay.columns
+    writer.send_cars(times, replay.worlds().cars)
+    _send_obstacles(writer, replay)
     charts = {
         paths.PLOT_SPEED: story.speeds(replay),
         paths.PLOT_GAP: story.gaps_m(replay),
-        paths.PLOT_STEERING: np.degrees(replay.columns.steering),
+        paths.PLOT_STEERING: np.degrees(columns.steering),
     }
-    for path, values in charts.items():
-        batch = rr.Scalars.columns(scalars=values.astype(np.float32).reshape(-1))
-        recording.send_columns(
-            path, times_of(replay), batch.partition([replay.num_cars] * replay.num_frames)
-        )
+    writer.send_charts(times, charts)
+    chase = story.chase_path(replay)
+    writer.send_poses(paths.CHASE, times, positions(chase.x, chase.y), about_z(chase.yaw))
+    for slot in range(replay.num_cars):
+        # A car that stands a penalty is transparent.
+        frozen = columns.penalty_s[:, slot] > 0
+        changes = np.flatnonzero(np.diff(frozen, prepend=~frozen[:1]))
+        factors = np.full((len(changes), 4), 255, np.uint8)
+        factors[frozen[changes], 3] = round(255 * FROZEN_OPACITY)
+        writer.send(paths.body(slot), times[changes], rr.Mesh3D.columns(albedo_factor=factors))
+    table = rr.TextDocument(classification(replay), media_type=rr.MediaType.MARKDOWN)
+    writer.recording.log(paths.TITLE, table, static=True)
 
 
-def _send_events(recording: rr.RecordingStream, replay: Replay) -> None:
-    told = story.captions(replay)
-    if not told:
+def _send_obstacles(writer: SceneWriter, replay: Replay) -> None:
+    columns = replay.columns
+    if not columns.num_obstacles:
         return
-    recording.send_columns(
-        paths.EVENTS,
-        [rr.TimeColumn(paths.TIMELINE, duration=np.array([event.time_s for event, _ in told]))],
-        rr.TextLog.columns(
-            text=[text for _, text in told],
-            level=[EVENT_LEVELS.get(event.kind, "INFO") for event, _ in told],
-            color=[
-                NEUTRAL if event.kind == "start" else CAR_COLOURS[event.car] for event, _ in told
-            ],
-        ),
-    )
+    things = np.zeros(columns.obstacle_x.shape, OBSTACLE)
+    for name in ("x", "y", "yaw"):
+        things[name] = getattr(columns, f"obstacle_{name}")
+    things["half_length"], things["half_width"] = replay.obstacle_sizes.T
+    times = None if len(things) == 1 else replay.times_s
+    writer.send_obstacles(times, things, bots=replay.spec.obstacle_kind == "bot")
+
+
+def _send_events(writer: SceneWriter, replay: Replay) -> None:
+    for event, text in story.captions(replay):
+        colour = NEUTRAL if event.kind == "start" else CAR_COLOURS[event.car]
+        writer.send_event(event.time_s, text, colour, EVENT_LEVELS.get(event.kind, "INFO"))
+
+
+def _send_lidar(writer: SceneWriter, replay: Replay) -> None:
+    """Send what each car's rear lidar meets, as points in the car's frame."""
+    cfg = LidarConfig(noise=0.0)
+    times = replay.times_s[::LIDAR_EVERY]
+    angles = np.array(lidar.beam_angles(cfg), dtype=np.float32)
+    for slot in range(replay.num_cars):
+        scans = []
+        for start in range(0, len(times), LIDAR_BATCH):
+            world = replay.at(times[start : start + LIDAR_BATCH])
+            scans.append(lidar.scan(replay.tracks, replay.sim, cfg, world, slot))
+        ranges = np.concatenate(scans)  # (num_scans, beams)
+        hit = ranges < cfg.max_range
+        ahead, aside = cfg.forward + ranges * np.cos(angles), ranges * np.sin(angles)
+        points = positions(ahead, aside, cfg.up)[hit].astype(np.float32)
+        bright = tuple((part + 255) // 2 for part in CAR_COLOURS[slot])
+        style = rr.Points3D.from_fields(colors=[bright], radii=[0.009])
+        writer.recording.log(paths.lidar(slot), style, static=True)
+        columns = rr.Points3D.columns(positions=points).partition(hit.sum(axis=1))
+        writer.send(paths.lidar(slot), times, columns)
+
+
+def _send_eyes(writer: SceneWriter, replay: Replay) -> None:
+    """Send each eye's film and which of its pictures belongs to which frame."""
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        films = list(pool.map(lambda slot: _film(replay, slot), range(replay.num_cars)))
+    for slot, pair in enumerate(films):
+        for side, content in zip(paths.EYES, pair, strict=True):
+            video = rr.AssetVideo(contents=content, media_type="video/mp4")
+            writer.recording.log(paths.eye(slot, side), video, static=True)
+            stamps = rr.VideoFrameReference.columns_nanos(video.read_frame_timestamps_nanos())
+            writer.send(paths.eye(slot, side), replay.times_s, stamps)
+
+
+def _film(replay: Replay, slot: int) -> tuple[bytes, bytes]:
+    """Return what a car's left and right eye saw, as two MP4 files."""
+    renderer = PaintRenderer(replay.tracks, replay.sim, EYE_CAMERA)
+    films = (io.BytesIO(), io.BytesIO())
+    with (
+        Mp4(films[0], replay.step_hz, EYE_CODING) as left,
+        Mp4(films[1], replay.step_hz, EYE_CODING) as right,
+    ):
+        for start in range(0, replay.num_frames, BATCH):
+            world = replay.at(replay.times_s[start : start + BATCH])
+            for planes in renderer.render(world, slot):  # (6, height, width)
+                left.add(interleaved(planes[:3]))
+                right.add(interleaved(planes[3:]))
+    return films[0].getvalue(), films[1].getvalue()
 
 
 def classification(replay: Replay) -> str:
@@ -282,7 +158,7 @@ def classification(replay: Replay) -> str:
         total = f"{car.total_s:.2f} s" if car.finished else laps(car.laps)
         best = f"{car.best_lap_s:.2f} s" if car.best_lap_s is not None else ""
         penalty = f"{car.penalty_s:g} s" if car.penalty_s else ""
-        lines.append(f"| **{car.place}** | {plain(car.name)} | {total} | {best} | {penalty} |")
+        lines.append(f"| **{car.place}** | {escaped(car.name)} | {total} | {best} | {penalty} |")
     if result.lead_changes:
         changes = "change" if result.lead_changes == 1 else "changes"
         lines += ["", f"{result.lead_changes} {changes} of the lead"]
@@ -294,7 +170,7 @@ def laps(count: int) -> str:
     return f"{count} lap" if count == 1 else f"{count} laps"
 
 
-def plain(name: str) -> str:
+def escaped(name: str) -> str:
     """Return a name that cannot break the table."""
     one_line = "".join(letter if letter.isprintable() else " " for letter in name)
     return "".join("\\" + letter if letter in "\\|*_`[]<>#" else letter for letter in one_line)

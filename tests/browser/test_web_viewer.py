@@ -9,7 +9,6 @@ import pytest
 from recorded import raced
 
 from league import rerun_view
-from league.rerun_view import web_server
 from league.sim.camera.scene import CAR_COLOURS
 from league.track import files
 
@@ -66,7 +65,7 @@ def wait_for(browser: chromium.Chromium, wished: Callable[[np.ndarray], bool]) -
 def test_the_browser_shows_the_race_and_asks_nobody_else(tmp_path):
     path = rerun_view.save(raced(), tmp_path / "race.rrd")
     with (
-        web_server.serve(path) as server,
+        rerun_view.serve(path) as server,
         chromium.Chromium(WIDTH, HEIGHT) as browser,
     ):
         # First the viewer without a race: light, so that it is told from the dark loading page.

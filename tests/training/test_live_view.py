@@ -12,13 +12,13 @@ from recordings import rows_of
 from rerun.chunk import RrdReader
 from scenes import assert_same, make_ring, make_square
 
-from league.rerun_view import paths, practice
-from league.rerun_view.practice import Practice
-from league.rerun_view.web_server import HOST
+from league.rerun_view import paths, training
+from league.rerun_view.training import MOST_CARS, ShownCars, TrainingStream
+from league.rerun_view.viewer import HOST
 from league.sim.config import SensorConfig
 from league.track.track import TrackSet
 from league.training.monitor.history import History
-from league.training.monitor.viewer import MOST_CARS, Watching, seats
+from league.training.monitor.viewer import LiveView
 from league.training.ppo import make_env
 from league.training.settings import TrainConfig
 
@@ -29,16 +29,16 @@ def made(num_worlds: int, *tracks, **settings: object):
     return make_env.make(TrackSet(*(tracks or (make_ring(),))), cfg, opponents=field)
 
 
-def shown(path: Path, env, steps: int, step_s: float) -> tuple[Practice, list[float]]:
-    """Look on at some steps, each of which takes so long; return what was shown after each."""
+def shown(path: Path, env, steps: int, step_s: float) -> tuple[TrainingStream, list[float]]:
+    """Watch some steps of `step_s` each; return the driving shown after each [s]."""
     now = [0.0]
     recording = rr.RecordingStream("test")
     recording.save(path)
     race = env.race_env
-    look = Practice(
+    look = TrainingStream(
         recording,
         race.tracks.tracks[0],
-        seats(race.world),
+        ShownCars.of(race.world),
         step_hz=15,
         clock=lambda: now[0],
     )
@@ -62,7 +62,7 @@ def test_every_step_is_shown_where_worlds_are_no_faster_than_time(tmp_path):
         assert rows[paths.car(slot)] == 40
         assert rows[paths.trail(slot)] == 40
         assert rows[paths.wheel(slot, "front_left")] == 40
-        assert paths.wheel(slot, "rear_left") not in rows
+        assert rows[paths.wheel(slot, "rear_left")] == 40
     assert rows[paths.PLOT_SPEED] == 40
     assert paths.car(3) not in rows
 
@@ -82,7 +82,7 @@ def test_what_is_shown_keeps_to_the_clock(tmp_path):
     # Ten times as fast as time: 150 steps are 10 s of driving in 1 s.
     _, found = shown(tmp_path / "a.rrd", made(1), 150, 1 / 150)
     ahead = [driven - (number + 1) / 150 for number, driven in enumerate(found)]
-    assert max(ahead) < practice.AHEAD_S + 0.1
+    assert max(ahead) < training.AHEAD_S + 0.1
     # Stretches without a gap, not single steps: it stops once, and goes on when the clock is there.
     stopped = [after - before < 1e-9 for before, after in pairwise(found)]
     changes = sum(one != other for one, other in pairwise(stopped))
@@ -102,7 +102,7 @@ def test_a_car_that_was_put_elsewhere_leaves_no_line(tmp_path):
     env = made(1)
     recording = rr.RecordingStream("test")
     recording.save(tmp_path / "a.rrd")
-    look = Practice(recording, make_ring(), seats(env.race_env.world), step_hz=15)
+    look = TrainingStream(recording, make_ring(), ShownCars.of(env.race_env.world), step_hz=15)
     env.watch = look.add
     ended = 0
     for _ in range(60):
@@ -123,19 +123,19 @@ def test_a_car_that_was_put_elsewhere_leaves_no_line(tmp_path):
 
 
 def test_cars_that_learn_alone_are_laid_over_each_other():
-    found = seats(made(9).race_env.world)
+    found = ShownCars.of(made(9).race_env.world)
     assert found.worlds == tuple(range(MOST_CARS))
     assert found.cars == (0,)
     assert found.names[1] == "world 1"
 
 
 def test_only_worlds_on_the_same_track_are_shown():
-    found = seats(made(6, make_ring(), make_square()).race_env.world)
+    found = ShownCars.of(made(6, make_ring(), make_square()).race_env.world)
     assert found.worlds == (0, 2, 4)
 
 
 def test_of_races_one_world_is_shown_with_its_whole_field():
-    found = seats(made(4, kind="head_to_head", num_cars=3).race_env.world)
+    found = ShownCars.of(made(4, kind="head_to_head", num_cars=3).race_env.world)
     assert (found.worlds, found.cars) == ((0,), (0, 1, 2))
     assert found.names == ("learner", "car 1", "car 2")
 
@@ -161,55 +161,55 @@ def test_obstacles_are_shown_where_they_stand(tmp_path):
     assert paths.obstacle(4) not in rows
 
 
-def test_the_onlooker_serves_this_machine_alone_and_lets_go_of_the_worlds():
+def test_the_live_view_serves_this_machine_alone_and_lets_go_of_the_worlds():
     env = made(2)
-    watching = Watching(env, window=False)
+    view = LiveView(env, window=False)
     try:
-        assert watching.address.startswith(f"http://{HOST}:")
+        assert view.address.startswith(f"http://{HOST}:")
         run = History()
         for number in (1, 2):
             env.step(torch.zeros(2, 2))
             run.add_update(update(number), episodes(0.5), 2.0)
-            watching.update(run, update(number))
+            view.update(run, update(number))
         run.add_evaluation(evaluation(7.0), time_s=3.0, took_s=0.5, best=True)
-        watching.evaluated(run, evaluation(7.0))
+        view.evaluated(run, evaluation(7.0))
         assert env.watch is not None
     finally:
-        watching.close()
+        view.close()
     assert env.watch is None
-    watching.update(run, update(2))  # nobody looks on any more
-    watching.close()
+    view.update(run, update(2))  # it has been closed
+    view.close()
 
 
 def test_a_tutors_worlds_are_watched_too():
     env, other = made(2), made(2)
-    watching = Watching(env, other, window=False)
+    view = LiveView(env, other, window=False)
     assert env.watch == other.watch is not None
     other.step(torch.zeros(2, 2))
-    watching.close()
+    view.close()
     assert (env.watch, other.watch) == (None, None)
 
 
 def test_learning_goes_on_where_the_viewer_has_been_closed():
     env = made(1)
-    watching = Watching(env, window=False)
-    assert watching._stream is not None
-    watching._stream._child.kill()
-    watching._stream._child.wait()
+    view = LiveView(env, window=False)
+    assert view._stream is not None
+    view._stream._child.kill()
+    view._stream._child.wait()
     run = History()
     run.add_update(update(1), episodes(0.5), 2.0)
     env.step(torch.zeros(1, 2))
-    watching.update(run, update(1))
+    view.update(run, update(1))
     assert env.watch is None
     env.step(torch.zeros(1, 2))
-    watching.close()
+    view.close()
 
 
 @pytest.mark.parametrize("limit", ["--memory-limit", "--server-memory-limit"])
 def test_the_viewers_memory_is_bounded(limit):
-    from league.rerun_view import stream
+    from league.rerun_view import viewer
 
     for window in (True, False):
-        command = stream._command(1234, window)
-        assert command[command.index(limit) + 1] == stream.MEMORY
+        command = viewer._command(1234, window)
+        assert command[command.index(limit) + 1] == viewer.MEMORY
         assert command[command.index("--bind") + 1] == HOST
