@@ -27,11 +27,11 @@ def raced(solver: str = "planar", drivers: tuple[str, ...] = ("racing_line", "ca
 
 def by_hand(frames: int, change: Change = lambda world, _: world, cars: int = 2) -> Replay:
     """Return a recording in which cars stand on the grid but for what `change` does each step."""
-    return finish(told(frames, change, cars), frames, cars)
+    return finish(recorder_of(frames, change, cars), frames, cars)
 
 
-def told(frames: int, change: Change = lambda world, _: world, cars: int = 2) -> Recorder:
-    """Return a recorder that was told such a race."""
+def recorder_of(frames: int, change: Change = lambda world, _: world, cars: int = 2) -> Recorder:
+    """Return a recorder of such a race, not yet finished."""
     tracks = TrackSet(files.load("reinvent_2018"))
     world = first_world(tracks, cars)
     recorder = Recorder(spec(cars), tracks)

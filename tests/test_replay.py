@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded import by_hand, finish, first_world, moved, raced, told
+from recorded import by_hand, finish, first_world, moved, raced, recorder_of
 
 from league import __version__, replay
 from league.errors import LeagueError, ReplayError
@@ -93,7 +93,7 @@ def test_a_column_that_does_not_fit_is_refused():
 
 
 def test_a_race_that_left_the_numbers_is_refused():
-    recorder = told(3, lambda w, n: moved(w, x=[math.nan if n == 2 else 0.0, 0.0]))
+    recorder = recorder_of(3, lambda w, n: moved(w, x=[math.nan if n == 2 else 0.0, 0.0]))
     with pytest.raises(ReplayError, match="NaN"):
         finish(recorder, 3)
 
@@ -122,10 +122,10 @@ def test_recording_changes_nothing_in_the_race():
 def test_the_same_race_agrees_with_itself_to_the_last_bit():
     asked = raced().spec
     again = race.run(asked).replay
-    told_of = replay.compare(raced(), again)
-    assert told_of.agrees
-    assert told_of.first_difference is None
-    assert told_of.steps == raced().num_frames
+    agreement = replay.compare(raced(), again)
+    assert agreement.agrees
+    assert agreement.first_difference is None
+    assert agreement.steps == raced().num_frames
 
 
 def test_a_difference_of_one_bit_is_found_though_rounding_hides_it():
@@ -137,24 +137,28 @@ def test_a_difference_of_one_bit_is_found_though_rounding_hides_it():
     made = by_hand(6, lambda w, n: moved(w, x=[0.0, float(w.cars["x"][0, 1])]))
     other = by_hand(6, nudged)
     assert np.array_equal(made.columns.x, other.columns.x)
-    told_of = replay.compare(made, other)
-    assert told_of.first_difference == 3
-    assert told_of.same_result
-    assert not told_of.agrees
+    agreement = replay.compare(made, other)
+    assert agreement.first_difference == 3
+    assert agreement.same_result
+    assert not agreement.agrees
 
 
 def test_a_missing_step_is_a_difference():
-    told_of = replay.compare(by_hand(6), by_hand(4))
-    assert told_of.first_difference == 4
-    assert told_of.steps == 6
-    assert told_of.sentence == "The races differ from step 4 on, of 5 steps."
+    agreement = replay.compare(by_hand(6), by_hand(4))
+    assert agreement.first_difference == 4
+    assert agreement.steps == 6
+    assert agreement.sentence == "The races differ from step 4 on, of 5 steps."
 
 
 def test_another_result_does_not_agree():
     made = by_hand(3)
     other = replace(made, result=made.result.model_copy(update={"lead_changes": 1}))
-    told_of = replay.compare(made, other)
-    assert (told_of.first_difference, told_of.same_result, told_of.agrees) == (None, False, False)
+    agreement = replay.compare(made, other)
+    assert (agreement.first_difference, agreement.same_result, agreement.agrees) == (
+        None,
+        False,
+        False,
+    )
 
 
 def test_two_cars_take_less_than_60_kilobytes_a_minute():
@@ -212,10 +216,10 @@ def test_the_recorder_says_what_is_missing():
         recorder.start(world)
 
 
-# What is told of a race.
+# Broadcast data.
 
 
-def test_gaps_are_told_in_metres_and_in_seconds():
+def test_gaps_are_given_in_metres_and_in_seconds():
     # Car 0 drives 0.1 m a frame, car 1 follows 0.3 m behind on the same way: 3 frames, 0.2 s.
     def driven(world, number):
         return moved(world, distance=[0.1 * number, 0.1 * number - 0.3])
@@ -381,7 +385,7 @@ def test_height_roll_and_pitch_are_kept():
     assert cars["pitch"][-1] == pytest.approx([3.0, 3.0], abs=1e-4)
 
 
-def test_replay_tells_the_version_of_its_league_and_older_ones_told_none():
+def test_a_replay_keeps_the_version_of_its_league_and_older_ones_have_none():
     recorded = by_hand(3)
     assert recorded.league_version == decode(encode(recorded)).league_version == __version__
     header, body = parts_of(encode(recorded))

@@ -7,7 +7,7 @@ from recorded import by_hand, moved
 from league import video
 from league.errors import ReplayError
 from league.sim.camera.scene import CAR_COLOURS
-from league.video import canvas
+from league.video import hud
 from league.video.hud import clock
 from league.video.mp4 import Coding, Mp4
 from league.video.topview import TopView
@@ -118,18 +118,18 @@ def test_the_map_puts_a_car_where_it_is(cars):
 
 def test_graphics_beyond_the_edge_are_cut_off():
     picture = np.zeros((40, 60, 3), np.uint8)
-    canvas.put_panel(picture, -10, -10, 300, 300, radius=4, colour=(255, 255, 255), opacity=1.0)
-    canvas.put_text(picture, "far outside", 500, 500, 20)
-    canvas.put_text(picture, "", 5, 5, 20)
+    hud.put_panel(picture, -10, -10, 300, 300, radius=4, colour=(255, 255, 255), opacity=1.0)
+    hud.put_text(picture, "far outside", 500, 500, 20)
+    hud.put_text(picture, "", 5, 5, 20)
     assert (picture == 255).all()
 
 
 @pytest.mark.parametrize(
-    ("seconds", "told"),
+    ("seconds", "text"),
     [(0, "0:00.00"), (5.256, "0:05.26"), (61.5, "1:01.50"), (59.999, "1:00.00")],
 )
-def test_times_read_like_on_a_timing_screen(seconds, told):
-    assert clock(seconds) == told
+def test_times_read_like_on_a_timing_screen(seconds, text):
+    assert clock(seconds) == text
 
 
 def test_torch_threads_are_left_alone():

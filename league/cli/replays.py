@@ -1,4 +1,4 @@
-"""`league view`, `league video`, `league verify`: what is done with a recorded race."""
+"""`league view`, `league video` and `league verify`: watch and check recorded races."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Video:
             video.render(
                 replays.read(self.replay),
                 self.out,
-                progress=lambda part: progress.update(task, completed=part),
+                progress=lambda share: progress.update(task, completed=share),
             )
         print(f"Video: {self.out}")
         return 0
@@ -67,7 +67,7 @@ class Video:
 
 @dataclass
 class Verify:
-    """Run a recorded race again and say whether every step agrees."""
+    """Run a recorded race again and report whether every step agrees."""
 
     replay: tyro.conf.Positional[Path]
     """The replay file."""
@@ -100,26 +100,26 @@ class Verify:
 
 
 def _newest() -> Path:
-    """Return the replay that was written last."""
-    found = sorted(Path("replays").glob("*.race"), key=lambda path: path.stat().st_mtime)
-    if not found:
+    """Return the newest replay."""
+    paths = sorted(Path("replays").glob("*.race"), key=lambda path: path.stat().st_mtime)
+    if not paths:
         raise ReplayError(
             "there is no replay in replays/ yet: race first, say `league race racing_line "
             "centerline`, or name a replay file"
         )
-    return found[-1]
+    return paths[-1]
 
 
 def _recorded(command: View, path: Path) -> Replay:
-    """Return the replay of a file; what is no file and looks like a heat is one of a league."""
+    """Return the replay of a file or, if there is none and the name is a heat's, of a league."""
     from league import replay as replays
     from league.replay import format as replay_format
 
-    given = str(path)
-    if path.exists() or not set(given) <= set("0123456789abcdef"):
+    name = str(path)
+    if path.exists() or not set(name) <= set("0123456789abcdef"):
         return replays.read(path)
     with command.opened() as store:
-        record = store.heat(given)
+        record = store.heat(name)
         kept = {result.half + 1: result.replay for result in store.results(record.number)}
         if not kept.get(command.race):
             there = ", ".join(str(race) for race, digest in sorted(kept.items()) if digest)

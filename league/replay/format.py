@@ -13,15 +13,16 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from league.atomic_file import replacing
 from league.errors import ReplayError, TrackError
 from league.race_spec import RaceResult
-from league.replay.columns import (
+from league.replay.replay import (
     GRAINS,
     NUM_ACTIONS,
+    PARAMETERS,
     Columns,
     Grain,
+    Replay,
     from_whole,
     to_whole,
 )
-from league.replay.replay import PARAMETERS, Replay
 from league.sim.config import MAX_CARS
 from league.track import files
 from league.track.track import Track
@@ -46,7 +47,7 @@ MIN_BYTES_PER_FRAME = 3
 
 
 class _Header(BaseModel):
-    """What is not a column."""
+    """All but the columns."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -62,7 +63,7 @@ class _Header(BaseModel):
     result: RaceResult
 
     def problem(self) -> str | None:
-        """Say what contradicts what, if anything."""
+        """Return a contradiction, or None."""
         if self.obstacle_frames not in (1, self.frames):
             return f"{self.obstacle_frames} frames of obstacles, but 1 or {self.frames} fit"
         if not len(self.names) == len(self.result.spec.entries) == self.cars:
@@ -75,7 +76,7 @@ class _Header(BaseModel):
 
 
 def encode(replay: Replay) -> bytes:
-    """Return a replay as the bytes of its file."""
+    """Return the bytes of a replay's file."""
     columns = replay.columns
     header = _Header(
         frames=columns.num_frames,

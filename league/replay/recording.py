@@ -1,4 +1,4 @@
-"""Recorder: is told each step of a race and keeps it, without touching the race."""
+"""Recorder: copies each step of a race."""
 
 from __future__ import annotations
 
@@ -10,14 +10,13 @@ import numpy as np
 from league import __version__
 from league.errors import ReplayError
 from league.race_spec import RaceResult, RaceSpec
-from league.replay.columns import Columns
-from league.replay.replay import PARAMETERS, Replay
+from league.replay.replay import PARAMETERS, Columns, Replay
 from league.sim.version import PHYSICS
 from league.sim.world import World
 from league.track.track import TrackSet
 
 _FOR_GOOD_S = 1e5
-"""What a replay tells as the penalty of a car that is out of the race: longer than any race [s]."""
+"""Penalty in a replay of a car that is out of the race: longer than any race [s]."""
 _KEPT = (
     *("x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "steering"),
     *("penalty_s", "distance", "laps", "ghost", "z", "roll", "pitch"),
@@ -28,7 +27,7 @@ _CHECKED = (*_KEPT, "retired")
 
 
 class Recorder:
-    """Keeps the steps of one race as it is told them; it looks at the race and never touches it."""
+    """Keeps copies of the steps of one race."""
 
     def __init__(
         self,
@@ -37,12 +36,12 @@ class Recorder:
         names: Sequence[str] | None = None,
         step_hz: int = 15,
     ) -> None:
-        """Make a recorder for one race.
+        """Start without a step.
 
         Args:
-            spec: what was asked.
-            tracks: the tracks the world's `track` index points into.
-            names: who drives each car, by grid slot; by default the spec's entries.
+            spec: of the race.
+            tracks: which the world's `track` indexes.
+            names: of the drivers, by grid slot; by default the spec's entries.
             step_hz: control steps per second.
         """
         self._tracks = tracks
@@ -65,7 +64,7 @@ class Recorder:
     def add(self, world: World) -> None:
         """Keep a race, a batch of one, after one control step."""
         if self._first is None:
-            raise ValueError("tell the recorder the grid with start(world) before the first step")
+            raise ValueError("call start(world) before the first step")
         self._keep(world)
 
     def _keep(self, world: World) -> None:
@@ -79,7 +78,7 @@ class Recorder:
         The columns are rounded here as on disk, so a replay does not change by being written.
         """
         if self._first is None:
-            raise ValueError("nothing was recorded: tell the recorder the grid with start(world)")
+            raise ValueError("nothing was recorded: call start(world) before the first step")
         world = self._first
         track = self._tracks.tracks[int(world.track[0])]
         columns = self._columns()

@@ -1,35 +1,163 @@
-"""Replay: one race that was kept, and any of its moments as a world for the renderers."""
+"""Replay: one recorded race, its columns, and any of its moments as a world for the renderers."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
 from league.race_spec import RaceResult, RaceSpec
-from league.replay.columns import Columns
 from league.sim import records
 from league.sim.config import ObstacleConfig, SimConfig
 from league.sim.world import World
 from league.track.track import Track, TrackSet
 
 PARAMETERS = ("grip", "mass", "latency_s", "steering_offset", "camera_up", "camera_pitch")
-"""The fields of a car's parameters, in the order they are kept."""
+"""A car's parameters, in the order of the file."""
 JUMP = 0.5
 """A car that moved farther than this in one step [m] was put back: nothing is drawn between."""
+Axis = Literal["cars", "actions", "obstacles", "frames"]
+NUM_ACTIONS = 2
+TURN_STEP = 2 * np.pi / 65536
+"""A heading is kept in 65,536ths of a turn (9.6e-5 rad), so that it wraps by itself."""
+
+
+@dataclass(frozen=True)
+class Grain:
+    """How one column is rounded to whole numbers and differenced."""
+
+    name: str
+    axis: Axis
+    """A row has one number for each of these."""
+    step: float
+    """One whole number's worth, in the column's unit."""
+    order: int
+    """How often differences along the frames are taken: 1 keeps changes, 2 changes of changes.
+    Chosen on recorded races, whichever was smallest."""
+    wraps: bool = False
+    """Whether the numbers are angles, kept in 16 bits that wrap with the turn."""
+    since: int = 1
+    """First version of the file format with it; zero in older replays."""
+
+
+GRAINS = (
+    Grain("x", "cars", 1e-3, 2),
+    Grain("y", "cars", 1e-3, 2),
+    Grain("yaw", "cars", TURN_STEP, 2, wraps=True),
+    Grain("velocity_x", "cars", 1e-3, 1),
+    Grain("velocity_y", "cars", 1e-3, 1),
+    Grain("yaw_rate", "cars", 1e-3, 1),
+    Grain("steering", "cars", 1e-4, 1),
+    Grain("actions", "actions", 1e-4, 1),
+    Grain("penalty_s", "cars", 1e-3, 1),
+    Grain("ghost", "cars", 1.0, 1),
+    Grain("laps", "cars", 1.0, 1),
+    Grain("distance", "cars", 1e-3, 2),
+    Grain("obstacle_x", "obstacles", 1e-3, 2),
+    Grain("obstacle_y", "obstacles", 1e-3, 2),
+    Grain("obstacle_yaw", "obstacles", TURN_STEP, 2, wraps=True),
+    Grain("z", "cars", 1e-3, 1, since=2),
+    Grain("roll", "cars", TURN_STEP, 1, wraps=True, since=2),
+    Grain("pitch", "cars", TURN_STEP, 1, wraps=True, since=2),
+)
+"""Every column but the checksums, in the order of the file."""
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Each step of a race as float64 arrays, num_frames first."""
+
+    x: np.ndarray
+    """Position of the base, world frame [m], (num_frames, num_cars)."""
+    y: np.ndarray
+    """Position of the base, world frame [m], (num_frames, num_cars)."""
+    yaw: np.ndarray
+    """Heading in [-pi, pi) [rad], (num_frames, num_cars)."""
+    velocity_x: np.ndarray
+    """Velocity, world frame [m/s], (num_frames, num_cars)."""
+    velocity_y: np.ndarray
+    """Velocity, world frame [m/s], (num_frames, num_cars)."""
+    yaw_rate: np.ndarray
+    """[rad/s], (num_frames, num_cars)."""
+    steering: np.ndarray
+    """Angle of the front wheels, positive to the left [rad], (num_frames, num_cars)."""
+    actions: np.ndarray
+    """The drivers' actions in the step that led here, (num_frames, num_cars, 2)."""
+    penalty_s: np.ndarray
+    """Seconds of penalty still to stand [s], (num_frames, num_cars); above 0 the car is frozen."""
+    ghost: np.ndarray
+    """1 while the car cannot collide, (num_frames, num_cars)."""
+    laps: np.ndarray
+    """Complete laps, (num_frames, num_cars)."""
+    distance: np.ndarray
+    """Driven along the track since the start line [m], (num_frames, num_cars)."""
+    obstacle_x: np.ndarray
+    """Centre [m], (num_frames, num_obstacles), or (1, num_obstacles) if none ever moves."""
+    obstacle_y: np.ndarray
+    """Centre [m], like obstacle_x."""
+    obstacle_yaw: np.ndarray
+    """[rad], like obstacle_x."""
+    z: np.ndarray
+    """Height of the base above where it stands at rest [m], (num_frames, num_cars)."""
+    roll: np.ndarray
+    """About the car's own x, positive to the right [rad], (num_frames, num_cars)."""
+    pitch: np.ndarray
+    """About the car's own y, positive nose down [rad], (num_frames, num_cars)."""
+    checksum: np.ndarray
+    """CRC-32 of the exact bits of each step before rounding, uint32, (num_frames,)."""
+
+    @property
+    def num_frames(self) -> int:
+        """Steps kept, the start included."""
+        return len(self.checksum)
+
+    @property
+    def num_cars(self) -> int:
+        """Cars in the race."""
+        return self.x.shape[1]
+
+    @property
+    def num_obstacles(self) -> int:
+        """Obstacles in the race."""
+        return self.obstacle_x.shape[1]
+
+    def rounded(self) -> Columns:
+        """Return the columns as a file would keep them."""
+        kept = {g.name: from_whole(g, to_whole(g, getattr(self, g.name))) for g in GRAINS}
+        return Columns(checksum=self.checksum, **kept)
+
+    def all_finite(self) -> bool:
+        """Whether no number is NaN or infinite."""
+        return all(bool(np.isfinite(getattr(self, item.name)).all()) for item in fields(self))
+
+
+def to_whole(grain: Grain, column: np.ndarray) -> np.ndarray:
+    """Round a column to whole numbers, int64."""
+    whole = np.rint(np.asarray(column, dtype=np.float64) / grain.step).astype(np.int64)
+    return _wrapped(whole) if grain.wraps else whole
+
+
+def from_whole(grain: Grain, whole: np.ndarray) -> np.ndarray:
+    """Return the column that these whole numbers stand for, float64."""
+    return (_wrapped(whole) if grain.wraps else whole) * grain.step
+
+
+def _wrapped(whole: np.ndarray) -> np.ndarray:
+    return (whole + 32768) % 65536 - 32768
 
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """One race: what was asked, what came of it, and where everything was at each step."""
+    """One race: its spec, its result, and where everything was at each step."""
 
     result: RaceResult
     """The classification, with the spec and all events."""
     track: Track
-    """The track as it was raced on."""
+    """The track."""
     names: tuple[str, ...]
-    """Who drove each car, by grid slot."""
+    """Of the drivers, by grid slot."""
     step_hz: int
     """Control steps per second."""
     parameters: np.ndarray
@@ -39,13 +167,13 @@ class Replay:
     columns: Columns
     """All steps."""
     league_version: str = ""
-    """Version of the league that drove the race; empty if it was not kept yet."""
+    """Version of the league that drove the race; empty in the oldest replays."""
     physics: str = ""
     """Version of the physics that drove it (league/sim/version.py); empty before version 4."""
 
     @property
     def spec(self) -> RaceSpec:
-        """What was asked."""
+        """The race that was asked for."""
         return self.result.spec
 
     @property
@@ -75,7 +203,7 @@ class Replay:
 
     @cached_property
     def sim(self) -> SimConfig:
-        """Settings of the world, as far as the renderers ask for them."""
+        """Settings of the world that renderers use."""
         return SimConfig(
             kind=self.spec.kind,
             num_cars=self.num_cars,
@@ -97,8 +225,8 @@ class Replay:
     def at(self, times_s: np.ndarray) -> World:
         """Return the race at any moments, as one batch of worlds.
 
-        Between two frames, poses are drawn on straight lines; what is counted comes from the
-        earlier frame. What a replay does not keep is zero.
+        Between two frames, poses are interpolated; counts come from the earlier frame. Fields that
+        a replay does not keep are zero.
 
         Args:
             times_s: race times [s], held within the race; shape (num_worlds,).
@@ -127,10 +255,10 @@ def _worlds(replay: Replay, low: np.ndarray, part: np.ndarray) -> World:
         column = getattr(columns, name)
         turn = (column[high] - column[low] + np.pi) % (2 * np.pi) - np.pi
         cars[name] = (column[low] + turn * share + np.pi) % (2 * np.pi) - np.pi
-    for place, name in enumerate(PARAMETERS):
-        cars[name] = replay.parameters[:, place]
-    found = replay.tracks.project(worlds["track"], cars["x"], cars["y"])
-    cars["s"], cars["lateral"] = found.s, found.lateral
+    for index, name in enumerate(PARAMETERS):
+        cars[name] = replay.parameters[:, index]
+    place = replay.tracks.project(worlds["track"], cars["x"], cars["y"])
+    cars["s"], cars["lateral"] = place.s, place.lateral
     cars["distance"] = cars["best_distance"] = columns.distance[low]
     cars["laps"], cars["penalty_s"] = np.rint(columns.laps[low]), columns.penalty_s[low]
     cars["ghost"] = columns.ghost[low] > 0.5
@@ -174,7 +302,7 @@ class Agreement:
 
     @property
     def sentence(self) -> str:
-        """What was found, for people."""
+        """The comparison as a sentence."""
         if self.first_difference is not None:
             when = "the start" if self.first_difference == 0 else f"step {self.first_difference}"
             return f"The races differ from {when} on, of {self.steps - 1} steps."

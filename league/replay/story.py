@@ -1,4 +1,4 @@
-"""What a broadcast says of a race: who leads, by how much, what happened, where to look from."""
+"""Broadcast data of a race: running order, gaps, captions of events, and the chase camera."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def gaps_m(replay: Replay) -> np.ndarray:
 
 
 def gaps_s(replay: Replay) -> np.ndarray:
-    """Return how long ago someone was first where each car is now [s], (num_frames, num_cars)."""
+    """Return the time since the leader was where each car is now [s], (num_frames, num_cars)."""
     front = np.maximum.accumulate(replay.columns.distance.max(axis=1))
     times = replay.times_s
     # Where the front stands still, its first arrival counts.
@@ -74,21 +74,20 @@ def chase_path(replay: Replay) -> ChasePath:
 
 
 def _watched(replay: Replay) -> np.ndarray:
-    """Return who is worth following: all who race; the winner when nobody does any more."""
+    """Return the cars to follow: those that still race; the winner when none does."""
     until = np.full(replay.num_cars, np.inf)
     for car in replay.result.order:
         if car.finished:
             until[car.car] = car.total_s + AFTER_FINISH_S
     watched = replay.times_s[:, None] <= until
-    nobody = ~watched.any(axis=1)
-    watched[nobody, replay.result.order[0].car] = True
+    watched[~watched.any(axis=1), replay.result.order[0].car] = True
     return watched
 
 
 def captions(replay: Replay) -> list[tuple[Event, str]]:
-    """Return the events worth telling, each with a sentence."""
+    """Return the events, each with a sentence."""
     events = replay.result.events
-    # What a sentence about another car at the same moment says already is not said twice.
+    # A crash names the car that was hit, and an overtake for the lead names the leader.
     said = {(e.time_s, "contact", e.other) for e in events if e.kind == "crash"}
     said |= {(e.time_s, "lead_change", e.car) for e in events if e.kind == "overtake"}
     return [

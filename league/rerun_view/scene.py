@@ -244,7 +244,7 @@ def wheel_spin(cars: np.ndarray, step_hz: int) -> np.ndarray:
     ahead = np.cos(cars["yaw"]) * cars["velocity_x"] + np.sin(cars["yaw"]) * cars["velocity_y"]
     rolled = np.sign(ahead) * speeds(cars).astype(np.float64)
     turns = np.cumsum((rolled[1:] + rolled[:-1]) / 2, axis=0) / step_hz / WHEEL_RADIUS
-    return np.concatenate([np.zeros_like(turns[:1]) if len(turns) else 0 * rolled, turns])
+    return np.concatenate([np.zeros_like(rolled[:1]), turns])
 
 
 def speeds(cars: np.ndarray) -> np.ndarray:

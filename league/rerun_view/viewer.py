@@ -76,14 +76,24 @@ def free_port() -> int:
         return probe.getsockname()[1]
 
 
-def quiet_environment(home: str) -> dict[str, str]:
-    """Return an environment in which the viewer program has a home of its own.
+def _launch(command: list[str], home: str | None) -> subprocess.Popen:
+    """Start the viewer program, without our Ctrl-C, in a home folder of its own if one is given.
 
     It would otherwise read and write the user's own viewer settings, and report usage to its makers
     from the second run on; in an empty home every run is the first, which reports nothing.
     """
-    own = {"HOME": home, "XDG_CONFIG_HOME": home, "XDG_DATA_HOME": home, "RERUN_APP_ONLY": "true"}
-    return {**os.environ, **own}
+    environment = None
+    if home is not None:
+        own = dict.fromkeys(("HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME"), home)
+        environment = {**os.environ, **own, "RERUN_APP_ONLY": "true"}
+    return subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env=environment,
+        start_new_session=True,
+    )
 
 
 @lru_cache(maxsize=1)
@@ -93,13 +103,7 @@ def assets() -> dict[str, bytes]:
     command = [str(rerun_program()), "--serve-web", "--bind", HOST]
     command += ["--port", str(grpc_port), "--web-viewer-port", str(port)]
     with tempfile.TemporaryDirectory(prefix="league-") as home:
-        child = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            env=quiet_environment(home),
-        )
+        child = _launch(command, home)
         try:
             wait_until_open(port, child)
             files = {name: _fetch(port, name) for name in FILES}
@@ -185,11 +189,10 @@ class Server(ThreadingHTTPServer):
 
     def wait(self) -> None:
         """Wait until the server is closed; Ctrl-C closes it."""
-        try:
+        with contextlib.suppress(KeyboardInterrupt):
             while self._thread.is_alive():
                 self._thread.join(0.5)
-        except KeyboardInterrupt:
-            self.close()
+        self.close()
 
     def close(self) -> None:
         """Stop serving."""
@@ -291,15 +294,8 @@ class Stream:
         """Where it can be watched."""
         self._home = tempfile.TemporaryDirectory(prefix="league-", ignore_cleanup_errors=True)
         self._server: Server | None = None
-        self._child = subprocess.Popen(
-            _command(port, self._window, memory),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            env=None if self._window else quiet_environment(self._home.name),
-            # It does not receive our Ctrl-C, and a window may outlive this program.
-            start_new_session=True,
-        )
+        command = _command(port, self._window, memory)
+        self._child = _launch(command, None if self._window else self._home.name)
         try:
             wait_until_open(port, self._child)
             self.recording = rr.RecordingStream(paths.APPLICATION, recording_id=str(uuid.uuid4()))

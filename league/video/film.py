@@ -1,4 +1,4 @@
-"""A replay as a film: the chase camera, with the broadcast's graphics over it."""
+"""A replay as a film: the chase camera with graphics over it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from league.video.mp4 import Coding, Mp4, interleaved
 SIZE = (1280, 720)
 FPS = 30
 HOLD_S = 3.0
-"""How long the last picture stays, with the classification [s]."""
+"""Time at the end for the classification [s]."""
 BEHIND, ABOVE, TILT = 1.12, 0.56, 0.27
 """Where the chase camera is: behind its frame [m], above the floor [m], tilted down [rad]."""
 VIEW = 1.15
@@ -71,15 +71,15 @@ class Film:
         world = self._replay.at(times_s)
         x, y, yaw = self._eye(np.clip(times_s, 0.0, self._replay.duration_s))
         seen = self._renderer.render(_with_eye(world, x, y, yaw), self._replay.num_cars)
-        taken = []
+        pictures = []
         for row, time_s in enumerate(times_s):
             picture = interleaved(seen[row])
             self._hud.draw(picture, world, row, float(time_s))
-            taken.append(picture)
-        return taken
+            pictures.append(picture)
+        return pictures
 
     def _eye(self, times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the chase camera's place and heading, kept inside the walls."""
+        """Return the chase camera's position and heading, inside the walls."""
         at = self._replay.times_s
         path = self._path
         yaw = np.interp(times_s, at, path.yaw)
@@ -106,7 +106,7 @@ def render(
         path_mp4: the file to write.
         size: width and height [px], both even.
         fps: pictures per second; between two steps the cars are drawn on straight lines.
-        progress: told the share that is done, 0 to 1.
+        progress: called with the share that is done, 0 to 1.
     """
     if not 1 <= fps <= 120:
         raise ReplayError(f"a video at {fps} pictures per second cannot be made: give 1 to 120")
@@ -135,9 +135,9 @@ def still(replay: Replay, time_s: float, *, size: tuple[int, int] = SIZE) -> np.
 
 
 def _with_eye(world: World, x: np.ndarray, y: np.ndarray, yaw: np.ndarray) -> World:
-    """Return the worlds with one car more, unseen, that carries the chase camera.
+    """Return the worlds with one more, invisible car, which carries the chase camera.
 
-    So the film is drawn by the very renderer that draws what the cars see.
+    So the renderer of the cars' own cameras draws the film.
     """
     cars = np.zeros((world.num_worlds, world.num_cars + 1), CAR)
     cars[:, :-1] = world.cars

@@ -1,20 +1,29 @@
-"""What is written over the picture: clock, lap counter, running order, events, the top view."""
+"""Graphics over the picture: clock, lap counter, running order, events and the top view."""
 
 from __future__ import annotations
 
+from functools import lru_cache
+
+import cv2
 import numpy as np
 
 from league.replay import Replay, story
 from league.sim.camera.scene import CAR_COLOURS
 from league.sim.world import World
-from league.video import canvas
+from league.track.track import Rgb
 from league.video.topview import TopView
+
+WHITE: Rgb = (244, 246, 248)
+DIM: Rgb = (168, 178, 188)
+PANEL: Rgb = (13, 17, 23)
+PANEL_OPACITY = 0.72
+_LETTERS = 200  # longest text drawn; a longer one would not fit anyway
 
 CAPTION_S = 2.6
 """How long an event stays [s]."""
 FADE_S = 0.25
 SILENT = frozenset({"start", "contact", "put_back", "lead_change"})
-"""Events that the picture tells by itself."""
+"""Events without a caption: the picture shows them."""
 NAME_LETTERS = 18
 
 
@@ -43,7 +52,7 @@ class Hud:
         self._draw_map(picture, world, row)
 
     def _px(self, units: float) -> int:
-        """Return a length given for a picture 720 high, in pixels of this one."""
+        """Return the pixels of a length in a picture 720 high."""
         return max(1, round(units * self._unit))
 
     def _draw_head(self, picture: np.ndarray, frame: int, time_s: float) -> None:
@@ -52,21 +61,21 @@ class Hud:
         done = int(self._replay.columns.laps[frame].max())
         lap = f"LAP {min(done + 1, laps)}/{laps}" if done < laps else "FINISH"
         time_text = clock(min(time_s, self._replay.duration_s))
-        lap_width = canvas.text_width(lap, px(30), 700)
+        lap_width = text_width(lap, px(30), 700)
         width = lap_width + px(150)
-        canvas.put_panel(picture, px(24), px(24), width, px(56), radius=px(10))
-        canvas.put_text(picture, lap, px(40), px(29), px(30), weight=700)
+        put_panel(picture, px(24), px(24), width, px(56), radius=px(10))
+        put_text(picture, lap, px(40), px(29), px(30), weight=700)
         x = px(24) + width - px(16)
-        canvas.put_text(picture, time_text, x, px(34), px(24), canvas.DIM, weight=500, right=True)
+        put_text(picture, time_text, x, px(34), px(24), DIM, weight=500, right=True)
 
     def _draw_order(self, picture: np.ndarray, frame: int, time_s: float) -> None:
         px = self._px
         row_height, width, top = px(36), px(300), px(90)
         rows = self._replay.num_cars
-        canvas.put_panel(picture, px(24), top, width, rows * row_height + px(12), radius=px(10))
+        put_panel(picture, px(24), top, width, rows * row_height + px(12), radius=px(10))
         for place, car in enumerate(self._places(frame, time_s)):
             y = top + px(6) + place * row_height
-            canvas.put_panel(
+            put_panel(
                 picture,
                 px(34),
                 y + px(5),
@@ -78,14 +87,14 @@ class Hud:
             )
             dark = (16, 18, 22)
             number = str(place + 1)
-            middle = px(47) - canvas.text_width(number, px(17), 800) // 2
-            canvas.put_text(picture, number, middle, y + px(6), px(17), dark, weight=800)
+            middle = px(47) - text_width(number, px(17), 800) // 2
+            put_text(picture, number, middle, y + px(6), px(17), dark, weight=800)
             name = self._replay.names[car]
             name = name if len(name) <= NAME_LETTERS else name[: NAME_LETTERS - 1] + "\u2026"
-            canvas.put_text(picture, name, px(72), y + px(4), px(19), weight=500)
-            told, colour = self._standing(frame, time_s, car, place)
+            put_text(picture, name, px(72), y + px(4), px(19), weight=500)
+            value, colour = self._value(frame, time_s, car, place)
             x = px(24) + width - px(14)
-            canvas.put_text(picture, told, x, y + px(5), px(17), colour, weight=500, right=True)
+            put_text(picture, value, x, y + px(5), px(17), colour, weight=500, right=True)
 
     def _places(self, frame: int, time_s: float) -> list[int]:
         """Return the cars by place: the finished by their time, then the rest by distance."""
@@ -95,18 +104,17 @@ class Hud:
             return [car.car for car in self._replay.result.order]
         return done_first + [int(car) for car in self._order[frame] if car not in done_first]
 
-    def _standing(
-        self, frame: int, time_s: float, car: int, place: int
-    ) -> tuple[str, tuple[int, int, int]]:
+    def _value(self, frame: int, time_s: float, car: int, place: int) -> tuple[str, Rgb]:
+        """Return the text next to a name: time, penalty, speed or gap."""
         finish = self._finish.get(car)
         if finish is not None and finish.total_s <= time_s + 1e-6:
-            return clock(finish.total_s), canvas.WHITE
+            return clock(finish.total_s), WHITE
         penalty = float(self._replay.columns.penalty_s[frame, car])
         if penalty > 0:
             return f"penalty {penalty:.1f}", (255, 176, 60)
         if self._replay.num_cars == 1 or place == 0:
-            return f"{self._speeds[frame, car]:.1f} m/s", canvas.DIM
-        return f"+{self._gaps[frame, car]:.2f}", canvas.DIM
+            return f"{self._speeds[frame, car]:.1f} m/s", DIM
+        return f"+{self._gaps[frame, car]:.2f}", DIM
 
     def _draw_caption(self, picture: np.ndarray, time_s: float) -> None:
         current = [
@@ -119,11 +127,9 @@ class Hud:
             age = time_s - event.time_s
             opacity = float(np.clip(min(age + 0.05, CAPTION_S - age) / FADE_S, 0.0, 1.0))
             y = self._height - px(78) - line * px(54)
-            width = canvas.text_width(text, px(22), 500) + px(48)
-            canvas.put_panel(
-                picture, px(24), y, width, px(46), radius=px(10), opacity=0.78 * opacity
-            )
-            canvas.put_panel(
+            width = text_width(text, px(22), 500) + px(48)
+            put_panel(picture, px(24), y, width, px(46), radius=px(10), opacity=0.78 * opacity)
+            put_panel(
                 picture,
                 px(34),
                 y + px(10),
@@ -133,7 +139,7 @@ class Hud:
                 colour=CAR_COLOURS[event.car],
                 opacity=opacity,
             )
-            canvas.put_text(picture, text, px(52), y + px(6), px(22), weight=500, opacity=opacity)
+            put_text(picture, text, px(52), y + px(6), px(22), weight=500, opacity=opacity)
 
     def _draw_map(self, picture: np.ndarray, world: World, row: int) -> None:
         px = self._px
@@ -141,7 +147,7 @@ class Hud:
         height, width = inset.shape[:2]
         x, y = self._width - width - px(24), self._height - height - px(24)
         edge = px(2)
-        canvas.put_panel(
+        put_panel(
             picture,
             x - edge,
             y - edge,
@@ -151,10 +157,109 @@ class Hud:
             colour=(235, 238, 240),
             opacity=0.85,
         )
-        canvas.put_picture(picture, inset, x, y, radius=px(11))
+        put_picture(picture, inset, x, y, radius=px(11))
 
 
 def clock(seconds: float) -> str:
-    """Return a time as people read it on a timing screen: m:ss.mm."""
+    """Return a time as on a timing screen: m:ss.hh."""
     hundredths = round(seconds * 100)
     return f"{hundredths // 6000}:{hundredths // 100 % 60:02d}.{hundredths % 100:02d}"
+
+
+@lru_cache(maxsize=1)
+def _font() -> cv2.FontFace:
+    return cv2.FontFace("sans")  # OpenCV's own copy of Rubik: nothing is looked up on the system
+
+
+@lru_cache(maxsize=512)
+def text_mask(text: str, size: int, weight: int) -> np.ndarray:
+    """Return a text as coverage, uint8, of a height that depends only on the size."""
+    height, base = round(size * 1.5), round(size * 1.1)
+    width = max(1, round(len(text) * size * 1.2) + size)
+    canvas = np.zeros((height, width, 3), np.uint8)
+    if text:
+        shown, place = text[:_LETTERS], (size // 8, base)
+        cv2.putText(canvas, shown, place, (255, 255, 255), _font(), size, weight=weight)
+    filled = np.flatnonzero(canvas[..., 0].any(axis=0))
+    right = int(filled[-1]) + 2 if len(filled) else 1
+    return np.ascontiguousarray(canvas[:, :right, 0])
+
+
+def text_width(text: str, size: int, weight: int = 400) -> int:
+    """Return how many pixels a text takes across."""
+    return text_mask(text, size, weight).shape[1]
+
+
+def put_text(
+    picture: np.ndarray,
+    text: str,
+    x: int,
+    y: int,
+    size: int,
+    colour: Rgb = WHITE,
+    *,
+    weight: int = 400,
+    right: bool = False,
+    opacity: float = 1.0,
+) -> int:
+    """Write a text with its top left (or top right) corner at x, y and return its width."""
+    mask = text_mask(text, size, weight)
+    left = x - mask.shape[1] if right else x
+    _blend(picture, mask, left, y, colour, opacity)
+    return mask.shape[1]
+
+
+@lru_cache(maxsize=256)
+def _rounded(width: int, height: int, radius: int) -> np.ndarray:
+    fine = 4
+    mask = np.zeros((height * fine, width * fine), np.uint8)
+    r = max(0, min(radius, width // 2, height // 2)) * fine
+    right, bottom = width * fine - 1, height * fine - 1
+    cv2.rectangle(mask, (r, 0), (right - r, bottom), 255, -1)
+    cv2.rectangle(mask, (0, r), (right, bottom - r), 255, -1)
+    for x in (r, right - r):
+        for y in (r, bottom - r):
+            cv2.circle(mask, (x, y), r, 255, -1)
+    return cv2.resize(mask, (width, height), interpolation=cv2.INTER_AREA).astype(np.uint8)
+
+
+def put_panel(
+    picture: np.ndarray,
+    x: int,
+    y: int,
+    width: int,
+    height: int,
+    *,
+    radius: int,
+    colour: Rgb = PANEL,
+    opacity: float = PANEL_OPACITY,
+) -> None:
+    """Fill a rectangle with round corners."""
+    _blend(picture, _rounded(width, height, radius), x, y, colour, opacity)
+
+
+def put_picture(picture: np.ndarray, inset: np.ndarray, x: int, y: int, *, radius: int) -> None:
+    """Lay a picture over another, with round corners."""
+    height, width = inset.shape[:2]
+    mask = _rounded(width, height, radius)
+    region = picture[y : y + height, x : x + width]
+    share = mask[: region.shape[0], : region.shape[1], None].astype(np.uint16)
+    visible = inset[: region.shape[0], : region.shape[1]]
+    region[:] = ((visible * share + region * (255 - share)) // 255).astype(np.uint8)
+
+
+def _blend(
+    picture: np.ndarray, mask: np.ndarray, x: int, y: int, colour: Rgb, opacity: float
+) -> None:
+    """Mix a colour into the picture where the mask covers it; what lies outside is cut off."""
+    height, width = picture.shape[:2]
+    left, top = max(x, 0), max(y, 0)
+    right, bottom = min(x + mask.shape[1], width), min(y + mask.shape[0], height)
+    if left >= right or top >= bottom:
+        return
+    region = picture[top:bottom, left:right]
+    covered = mask[top - y : bottom - y, left - x : right - x, None].astype(np.uint16)
+    share = (covered * round(256 * opacity)) >> 8
+    region[:] = ((np.array(colour, np.uint16) * share + region * (255 - share)) // 255).astype(
+        np.uint8
+    )

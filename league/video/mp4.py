@@ -30,18 +30,12 @@ def interleaved(planes: np.ndarray) -> np.ndarray:
 
 
 class Mp4:
-    """A video under way: add pictures, then close it, best in a with block."""
+    """A video being written: add pictures, then close it, best in a with block."""
 
     def __init__(self, target: str | io.BytesIO, fps: int, coding: Coding | None = None) -> None:
-        """Open a video.
-
-        Args:
-            target: a path, or memory.
-            fps: pictures per second.
-            coding: how to compress.
-        """
+        """Open a video in a file or in memory, at `fps` pictures per second."""
         self._fps, self._coding = fps, coding or Coding()
-        # In a file the index stands in front, so that a player can begin before it has the whole.
+        # In a file the index stands in front, so that a player can start before it has all of it.
         options = {"movflags": "+faststart"} if isinstance(target, str) else {}
         self._container = av.open(target, "w", format="mp4", options=options)
         self._stream: av.VideoStream | None = None

@@ -12,8 +12,8 @@ from recordings import rows_of
 from rerun.chunk import RrdReader
 from scenes import assert_same, make_ring, make_square
 
-from league.rerun_view import paths, training
-from league.rerun_view.training import MOST_CARS, ShownCars, TrainingStream
+from league.rerun_view import live, paths
+from league.rerun_view.live import MOST_CARS, ShownCars, TrainingStream
 from league.rerun_view.viewer import HOST
 from league.sim.config import SensorConfig
 from league.track.track import TrackSet
@@ -82,7 +82,7 @@ def test_what_is_shown_keeps_to_the_clock(tmp_path):
     # Ten times as fast as time: 150 steps are 10 s of driving in 1 s.
     _, found = shown(tmp_path / "a.rrd", made(1), 150, 1 / 150)
     ahead = [driven - (number + 1) / 150 for number, driven in enumerate(found)]
-    assert max(ahead) < training.AHEAD_S + 0.1
+    assert max(ahead) < live.AHEAD_S + 0.1
     # Stretches without a gap, not single steps: it stops once, and goes on when the clock is there.
     stopped = [after - before < 1e-9 for before, after in pairwise(found)]
     changes = sum(one != other for one, other in pairwise(stopped))

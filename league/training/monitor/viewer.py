@@ -29,7 +29,7 @@ class LiveView(Onlooker):
             ReplayError: the viewer does not start.
         """
         from league.rerun_view import blueprint
-        from league.rerun_view.training import ShownCars, TrainingStream
+        from league.rerun_view.live import ShownCars, TrainingStream
         from league.rerun_view.viewer import Stream
 
         self._envs, first = envs, envs[0]
