@@ -15,7 +15,7 @@ from league.cli import resuming, train_settings
 from league.errors import ConfigError, RewardError
 
 if TYPE_CHECKING:
-    from league.training.monitor.callback import Onlooker
+    from league.training.monitor.callback import TrainingCallback
     from league.training.run import Outcome, Run
     from league.training.selfplay.payoff_matrix import PayoffMatrix
 
@@ -276,7 +276,7 @@ def _told_of(matrix: PayoffMatrix, folder: Path) -> str:
     return "\n".join(lines)
 
 
-def _looking_on(command: Train, run: Run) -> list[Onlooker]:
+def _looking_on(command: Train, run: Run) -> list[TrainingCallback]:
     """Return who looks on; where somebody cannot (no viewer, say), the run is let go of."""
     try:
         return _onlookers(command, run)
@@ -285,12 +285,12 @@ def _looking_on(command: Train, run: Run) -> list[Onlooker]:
         raise
 
 
-def _onlookers(command: Train, run: Run) -> list[Onlooker]:
+def _onlookers(command: Train, run: Run) -> list[TrainingCallback]:
     from league.training.monitor.dashboard import Dashboard
     from league.training.monitor.plot import TrainingPlot
 
     cfg = run.cfg
-    found: list[Onlooker] = []
+    found: list[TrainingCallback] = []
     if command.watch:
         from league.training.monitor.viewer import LiveView
 

@@ -32,7 +32,7 @@ from league.training.selfplay.payoff_matrix import FINAL, PayoffMatrix
 
 if TYPE_CHECKING:
     from league.racing.table import Evaluation
-    from league.training.monitor.callback import Onlooker
+    from league.training.monitor.callback import TrainingCallback
 
 
 CRITIC_FIRST = 4
@@ -192,7 +192,7 @@ class Run:
         for env in self.learner.shown:
             env.close()
 
-    def learn(self, onlookers: Sequence[Onlooker] = ()) -> Outcome:
+    def learn(self, onlookers: Sequence[TrainingCallback] = ()) -> Outcome:
         """Learn until the budget is spent or all is complete; Ctrl-C saves and raises."""
         try:
             if self.learner.updates == 0 and distributed.is_first():
@@ -234,7 +234,7 @@ class Run:
             matrix=self._matrix,
         )
 
-    def _after(self, update: Update, onlookers: Sequence[Onlooker]) -> None:
+    def _after(self, update: Update, onlookers: Sequence[TrainingCallback]) -> None:
         """Tell of an update; at a save point judge and save, too."""
         self.history.add_update(update, self.learner.episodes, self._spent_s)
         for onlooker in onlookers:
@@ -284,7 +284,7 @@ class Run:
         by_steps = self.learner.samples / cfg.steps if cfg.steps else 0.0
         return max(by_time, by_steps)
 
-    def _save_point(self, update: Update, onlookers: Sequence[Onlooker]) -> None:
+    def _save_point(self, update: Update, onlookers: Sequence[TrainingCallback]) -> None:
         self._take(onlookers, wait=False)
         due = (update.number // self.cfg.train.save_every) % self.cfg.exam_every == 0
         # A parent that is only watched yet is not what was learnt, nor is the tutor.
@@ -312,13 +312,15 @@ class Run:
         self._waiting[number] = self._checkpoint()
         self._judge.hand(number, self._waiting[number])
 
-    def _take(self, onlookers: Sequence[Onlooker], *, wait: bool) -> None:
+    def _take(self, onlookers: Sequence[TrainingCallback], *, wait: bool) -> None:
         started = time.perf_counter()
         for judgement in self._judge.take(wait=wait):
             waited = time.perf_counter() - started if wait else 0.0
             self._note(judgement, waited, onlookers)
 
-    def _note(self, found: Judgement, waited_s: float, onlookers: Sequence[Onlooker]) -> None:
+    def _note(
+        self, found: Judgement, waited_s: float, onlookers: Sequence[TrainingCallback]
+    ) -> None:
         evaluation, policy = found.evaluation, self._waiting.pop(found.number)
         self._complete = self._complete + 1 if evaluation.all_complete else 0
         merit = _merit(evaluation)
@@ -343,7 +345,7 @@ class Run:
         checkpoint.save(self.folder / "best.pt", replace(policy, card=card, text=""))
 
     @checks.memory()
-    def _finish(self, onlookers: Sequence[Onlooker]) -> None:
+    def _finish(self, onlookers: Sequence[TrainingCallback]) -> None:
         """Judge the last policy too, wait for all judgements, and write down what came of them."""
         self._save()
         complete = self.cfg.stop_when_complete and self._complete >= self.cfg.stop_when_complete

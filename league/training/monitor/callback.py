@@ -1,4 +1,4 @@
-"""Who looks on while a policy learns: told after each update and each evaluation, never asked."""
+"""Callbacks of a training run: called after each update and each evaluation."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ if TYPE_CHECKING:
     from league.training.ppo.learner import Update
 
 
-class Onlooker(Protocol):
-    """Shows or writes down what a run has come to; the run is the same without it."""
+class TrainingCallback(Protocol):
+    """Shows or writes the metrics of a run, which is the same without it."""
 
     def update(self, history: History, update: Update) -> None:
-        """Take note of an update, which is the last row of the history."""
+        """Called after an update, which is the last row of the history."""
         ...
 
     def evaluated(self, history: History, evaluation: Evaluation) -> None:
-        """Take note of an evaluation, which is the last row of the history."""
+        """Called after an evaluation, which is the last row of the history."""
         ...
 
     def racing(self, what: str) -> None:
-        """Take note of races after the last update, which take a while; who need not, inherits."""
+        """Called before races after the last update, which take a while. Optional."""
 
     def close(self) -> None:
-        """Write or show what is left; called once, also after an error or Ctrl-C."""
+        """Called once at the end, also after an error or Ctrl-C."""
         ...

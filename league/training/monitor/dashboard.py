@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from league.training.monitor.callback import Onlooker
+from league.training.monitor.callback import TrainingCallback
 from league.training.monitor.history import TUTORING
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ _BLOCKS = " ▁▂▃▄▅▆▇█"
 """A character cell filled from below, in eighths."""
 
 
-class Dashboard(Onlooker):
+class Dashboard(TrainingCallback):
     """Draws curves, lap times, speed and time left in place, or prints lines."""
 
     def __init__(

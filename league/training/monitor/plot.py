@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from league import figures
 from league.errors import PolicyError
 from league.figures import GRID, INK
-from league.training.monitor.callback import Onlooker
+from league.training.monitor.callback import TrainingCallback
 from league.training.monitor.dashboard import clock
 from league.training.monitor.history import TUTORING
 
@@ -26,7 +26,7 @@ EVERY_S = 60.0
 _EARNED, _DRIVEN, _EVALUATED, _BEST = "#2f9e63", "#3178c6", "#d9483b", "#e0a100"
 
 
-class TrainingPlot(Onlooker):
+class TrainingPlot(TrainingCallback):
     """Draws the curves every `every_s` seconds, at an evaluation, and at the end of the run."""
 
     def __init__(self, path: Path, *, every_s: float = EVERY_S) -> None:

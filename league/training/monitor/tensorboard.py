@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from league.training.monitor.callback import Onlooker
+from league.training.monitor.callback import TrainingCallback
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter
@@ -19,7 +19,7 @@ FLUSH_S = 10
 """Seconds after which what was added is on the disk."""
 
 
-class TensorBoard(Onlooker):
+class TensorBoard(TrainingCallback):
     """Adds a point to each chart; the step is the number of updates, as in rsl-rl."""
 
     def __init__(self, folder: Path) -> None:

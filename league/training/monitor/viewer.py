@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from league.training.monitor.callback import Onlooker
+from league.training.monitor.callback import TrainingCallback
 from league.training.monitor.dashboard import seconds
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from league.training.ppo.learner import Update
 
 
-class LiveView(Onlooker):
+class LiveView(TrainingCallback):
     """Shows some cars as they learn; learning does not wait for it."""
 
     def __init__(self, *envs: RacingVecEnv, window: bool | None = None) -> None:

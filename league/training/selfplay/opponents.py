@@ -80,7 +80,7 @@ class MixedDriver:
         Args:
             name: of the mix.
             sensors: what the car carries, enough for each driver.
-            drivers: who may drive.
+            drivers: of its rows.
         """
         self.name, self.sensors = name, sensors
         self.drivers = list(drivers)

@@ -65,7 +65,7 @@ class SelfPlay:
         if parent is not None and parent.card.sensor_config != train.sensors:
             raise ConfigError(
                 f"the parent {parent.card.name!r} needs other sensors than the learner carries, "
-                "whose cars it would drive: give the run the parent's sensors"
+                "and it would drive the learner's cars: give the run the parent's sensors"
             )
         self._tracks, self._train, self._card = tracks, train, card
         self._cfg = cfg or SelfPlayConfig()
@@ -101,7 +101,7 @@ class SelfPlay:
         """Renew the newest opponent, and maybe the pool, at a save point; call after each update.
 
         Args:
-            learner: whose past it is.
+            learner: after its update.
             done: share of the run's budget that is used up.
 
         Returns:
