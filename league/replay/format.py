@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import struct
 import zlib
@@ -218,10 +219,7 @@ def _rows(grain: Grain, header: _Header) -> tuple[int, ...]:
 
 
 def _size(grain: Grain, header: _Header) -> int:
-    count = 1
-    for length in _rows(grain, header):
-        count *= length
-    return count * (2 if grain.wraps else 4)
+    return math.prod(_rows(grain, header)) * (2 if grain.wraps else 4)
 
 
 def _body_size(header: _Header, version: int) -> int:

@@ -95,7 +95,7 @@ class Live:
         """
         drivers = tuple(names or [entry.name for entry in spec.entries])
         layout = blueprint.broadcast(len(drivers), drivers, track.room, cameras=False, live=True)
-        # A race ends, so all of it may be kept.
+        # A race ends, so the viewer may keep all of it.
         stream = Stream(layout, window=window, memory=None)
         try:
             live = cls(spec, track, stream.recording, names=names, speed=speed)

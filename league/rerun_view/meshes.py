@@ -204,44 +204,37 @@ def _place(track: Track, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _dashes(track: Track, height: float, colour: Rgb) -> Mesh:
     s = np.arange(0.0, track.length - DASH_LENGTH, DASH_PITCH) + DASH_LENGTH / 2
     point, along = _place(track, s)
-    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    forward, aside = along * DASH_LENGTH / 2, across * DASH_WIDTH / 2
-    quads = np.stack(
-        [
-            point + forward + aside,
-            point - forward + aside,
-            point - forward - aside,
-            point + forward - aside,
-        ],
-        axis=1,
-    )
-    return _flat(quads, height, colour)
+    return _flat(_rectangles(point, along, DASH_LENGTH, DASH_WIDTH), height, colour)
 
 
 def _start_line(track: Track, height: float) -> Mesh:
     """Return the checkered strip across the road."""
     point, along = track.center[0], track.tangent[0]
-    across = np.array([-along[1], along[0]])
-    left = float(np.linalg.norm(track.left[0] - point))
-    right = float(np.linalg.norm(track.right[0] - point))
+    left, right = (float(np.linalg.norm(side[0] - point)) for side in (track.left, track.right))
     columns = max(2, round((left + right) / START_SQUARE))
-    edges = np.linspace(-right, left, columns + 1)
-    rows = np.arange(0.0, START_DEPTH + 1e-9, START_SQUARE) - START_DEPTH / 2
-    layers = []
-    for dark, colour in enumerate(START_COLOURS):
-        quads = [
-            [
-                point + along * a + across * b
-                for a, b in (
-                    (rows[r], edges[c]),
-                    (rows[r + 1], edges[c]),
-                    (rows[r + 1], edges[c + 1]),
-                    (rows[r], edges[c + 1]),
-                )
-            ]
-            for r in range(len(rows) - 1)
-            for c in range(columns)
-            if (r + c) % 2 == dark
-        ]
-        layers.append(_flat(np.array(quads), height, colour))
-    return joined(*layers)
+    width = (left + right) / columns
+    rows = round(START_DEPTH / START_SQUARE)
+    row, column = np.indices((rows, columns)).reshape(2, -1)
+    ahead = (row + 0.5) * START_SQUARE - START_DEPTH / 2
+    aside = (column + 0.5) * width - right
+    centre = point + ahead[:, None] * along + aside[:, None] * _left_of(along)
+    squares = _rectangles(centre, np.broadcast_to(along, centre.shape), START_SQUARE, width)
+    dark = (row + column) % 2
+    return joined(
+        *(
+            _flat(squares[dark == index], height, colour)
+            for index, colour in enumerate(START_COLOURS)
+        )
+    )
+
+
+def _left_of(along: np.ndarray) -> np.ndarray:
+    """Return unit directions turned by 90 deg to the left, (..., 2)."""
+    return np.stack([-along[..., 1], along[..., 0]], axis=-1)
+
+
+def _rectangles(centre: np.ndarray, along: np.ndarray, length: float, width: float) -> np.ndarray:
+    """Return rectangles about centres, with their length along directions, (K, 4, 2)."""
+    ahead, aside = along * length / 2, _left_of(along) * width / 2
+    corners = (ahead + aside, aside - ahead, -ahead - aside, ahead - aside)
+    return centre[:, None] + np.stack(corners, axis=1)
