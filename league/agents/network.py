@@ -44,7 +44,7 @@ _LIMITS = {"channels": 256, "kernels": 15, "strides": 8, "hidden": 1024}
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """Convolutions for the pictures, then fully connected layers for all that is told."""
+    """Convolutions for the pictures, then fully connected layers for all observations."""
 
     channels: tuple[int, ...] = (16, 32, 32)
     """Channels made by each convolution; unused without a camera."""
@@ -79,7 +79,7 @@ class NetworkConfig:
 
 
 def group_shapes(sensors: SensorConfig) -> dict[str, tuple[int, ...]]:
-    """Return what an actor with these sensors is told, in the order its layers take it."""
+    """Return the shape of each observation group of an actor with these sensors, in its order."""
     shapes: dict[str, tuple[int, ...]] = {}
     if sensors.camera is not None:
         shapes["stereo"] = sensors.camera.shape
@@ -99,7 +99,7 @@ def weight_shapes(cfg: NetworkConfig, shapes: Shapes, outputs: int) -> dict[str,
     flat = sum(shape[0] for shape in shapes.values() if len(shape) == 1)
     if cfg.normalise and flat:
         weights |= {f"obs_normalizer.{name}": (1, flat) for name in ("_mean", "_std")}
-    cost, held, told = 0, 0, flat
+    cost, held, inputs = 0, 0, flat
     for group, shape in shapes.items():
         if len(shape) != 3:
             continue
@@ -120,13 +120,13 @@ def weight_shapes(cfg: NetworkConfig, shapes: Shapes, outputs: int) -> dict[str,
             cost += max(made, _FEWEST_COUNTED) * windows
             held += made * height * width
             channels = made
-        told += channels * height * width
+        inputs += channels * height * width
     for layer, size in enumerate((*cfg.hidden, outputs)):
-        weights[f"mlp.{2 * layer}.weight"] = (size, told)
+        weights[f"mlp.{2 * layer}.weight"] = (size, inputs)
         weights[f"mlp.{2 * layer}.bias"] = (size,)
-        cost += size * told
+        cost += size * inputs
         held += size
-        told = size
+        inputs = size
     count = sum(math.prod(shape) for shape in weights.values())
     _check_work(count, cost, held)
     return weights

@@ -1,6 +1,6 @@
 """Drivers without a network: they read the truth (the `state` group) and follow a line.
 
-How one drives, at each control step: look along its line; move the targets beside it where others
+How one drives, at each control step: look along its line; move the targets off it where others
 are in the way; steer for the path through the targets; ask for the speed that its bends and what
 is in the way allow.
 """
@@ -19,8 +19,19 @@ from functools import lru_cache
 import numpy as np
 
 from league.agents.driver import actions_from
-from league.agents.path import NODE, NODE_GAP, NODES, at, circle, look_ahead, slope, table
-from league.agents.steering import STEP_DT, gains, steering_target
+from league.agents.steering import (
+    NODE,
+    NODE_GAP,
+    NODES,
+    STEP_DT,
+    at,
+    circle,
+    gains,
+    look_ahead,
+    slope,
+    steering_target,
+    table,
+)
 from league.agents.traffic import STATE, THING, cover, gather, go_round, largest_speed
 from league.envs.state import NEAR_OBSTACLES, NEIGHBOURS
 from league.jit import compiled, inner
@@ -43,9 +54,9 @@ class Style:
     top_speed: float = 99.0
     """Largest speed [m/s]."""
     grip: float = 0.93
-    """Part of the tyres' grip that is used on the line and beside it."""
+    """Part of the tyres' grip that is used on the line and off it."""
     reserve: float = 0.5
-    """Part of that grip kept in hand while driving beside the line."""
+    """Part of that grip kept in hand while driving off the line."""
     margin: float = 0.03
     """Smallest distance from the fastest line to a border [m]."""
     clearance: float = 0.06
@@ -71,9 +82,9 @@ class Style:
 _STYLE = np.dtype([(one.name, np.float64) for one in fields(Style)])
 _CAR = np.dtype([(one.name, np.float64) for one in fields(CarConfig)])
 _MEMORY = np.dtype([("steering", np.float64), ("aside", np.float64)])
-"""Last steering target [rad] and last place beside the line [m]."""
+"""Last steering target [rad] and last distance from the line [m]."""
 
-_GROW, _FADE = 0.5, 0.35  # of the path beside the line, for each metre ahead
+_GROW, _FADE = 0.5, 0.35  # of the path away from the line, for each metre ahead
 _BRAKING = 0.8  # part of the brakes that is counted on
 _MOST_CORNERING = math.sqrt(0.95)  # part of the grip; a twentieth of its square is left to drive
 _SERVO = 0.6  # part of a speed error that the servo makes good within a control step
@@ -91,7 +102,7 @@ class LineDriver:
     """Follows a line by preview steering, goes round others, brakes where it cannot."""
 
     def __init__(self, name: str, track: Track, car: CarConfig, style: Style) -> None:
-        """Seek the line of a track and build the tables."""
+        """Compute the line of a track and build the tables."""
         self.name, self.sensors = name, SensorConfig()
         tracks, self._car = TrackSet(track), car
         self._settings = (
@@ -101,7 +112,7 @@ class LineDriver:
         self._memory = np.zeros(0, _MEMORY)
 
     def reset(self, rows: np.ndarray | None) -> None:
-        """Forget the last steering target and the place beside the line."""
+        """Forget the last steering target and the distance from the line."""
         if rows is None:
             self._memory = np.zeros(0, _MEMORY)
         elif len(self._memory):
@@ -133,7 +144,7 @@ def _drive(states, paces, memories, controls, line, points, courses, gains, cars
         look_ahead(line, points, courses[0], state.s, road)
         limit = _targets(state, things, road, style)
         _leave_line(road, memory.aside)
-        # Metres of the path beside the line for each metre of it, and the angle between them.
+        # Metres of the path for each metre of the line, and the angle between them.
         ax, ay, bx, by = slope(road.x), slope(road.y), slope(road.path_x), slope(road.path_y)
         longer = clamp(math.sqrt((bx * bx + by * by) / (ax * ax + ay * ay)), 0.4, 2.5)
         turned = atan(f32((ax * by - ay * bx) / (ax * bx + ay * by)))
@@ -164,10 +175,10 @@ def _targets(state, things, road, style):
 
 @inner
 def _leave_line(road, held):
-    """Write a path from the place beside the line that was held last towards the targets."""
+    """Write a path from the distance from the line that was held last towards the targets."""
     for k in range(NODES):
         # It leaves the line no faster than a car can follow, and comes back more slowly, because
-        # what was passed is no longer told.
+        # what was passed is no longer in the observations.
         node, aside = road[k], road[k].target - road[k].lateral
         grow, fade = 0.03 + _GROW * k * NODE_GAP, 0.02 + _FADE * k * NODE_GAP
         down = fade if held > 0.0 and aside >= 0.0 else grow
@@ -176,7 +187,7 @@ def _leave_line(road, held):
         node.path_x = node.x + node.aside * node.normal_x
         node.path_y = node.y + node.aside * node.normal_y
     for k in range(NODES):
-        # Coarse nodes tell bends badly, but the same measure of both tells their difference well.
+        # Coarse nodes give bends badly, but the same measure of both gives their difference well.
         inside = min(max(k, 1), NODES - 2)
         extra = circle(road.path_x, road.path_y, inside) - circle(road.x, road.y, inside)
         road[k].bend = road[k].curvature + extra
@@ -187,7 +198,7 @@ def _speed(speed, road, limit, pace, car, style):
     """Return the speed to ask for [m/s]."""
     squared = np.inf
     for node in road[::-1]:
-        # Beside the line the path changes at every step: keep grip and speed in hand.
+        # Off the line the path changes at every step: keep grip and speed in hand.
         share = 1.0 - style.reserve * min(abs(node.aside) / 0.1, 1.0)
         corner = style.grip * car.grip * GRAVITY * share / max(abs(node.bend), 1e-3)
         most = (pace * style.pace) ** 2 * min(node.speed * node.speed * share, corner)

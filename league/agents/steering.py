@@ -1,25 +1,35 @@
-"""Preview steering: the linear-quadratic answer to an error beside a line and to the bends ahead.
+"""Compiled: follow a line by preview steering.
 
-The car is a linear single-track model at constant speed with errors measured from a line: lateral
-error e, heading error h, sideways velocity w, yaw rate r and the last steering target d. Bends
-ahead are known disturbances, so the optimal change of steering is a gain on the state plus a gain
-on each coming step's curvature (M. Tomizuka, "Optimum linear preview control", 1976).
+The line round a track is a table; what a car sees of it ahead are nodes. The steering target is the
+linear-quadratic answer to the errors from the line and to the bends ahead: the car is a linear
+single-track model at constant speed with lateral error e, heading error h, sideways velocity w, yaw
+rate r and the last steering target d. Bends ahead are known disturbances, so the optimal change of
+steering is a gain on the state plus a gain on each coming step's curvature (M. Tomizuka, "Optimum
+linear preview control", 1976).
 """
 
 # Numba gives its types a meaning that the checker does not know.
 # pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
+# pyright: reportAttributeAccessIssue=false
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 import numpy as np
 
-from league.agents.path import at, between
 from league.jit import inner
+from league.portable_math import clamp, f32
+from league.racing_line.racing_line import RacingLine
 from league.sim.config import CarConfig
 from league.sim.settings import GRAVITY
+from league.track.projection import frame_at
 
+NODE_GAP = 0.2
+"""Distance between two nodes of the road ahead, along the line [m]."""
+NODES = 21
+"""Nodes of the road ahead, the first at the car."""
 STEP_DT = 1 / 15
 """Length of a control step [s]."""
 STEPS = 14
@@ -34,6 +44,98 @@ _CHANGE = 5.0  # price of a step's change of the steering target squared [1/rad^
 _FAST = 3.5  # below this speed, where turning takes more steering, a change costs less [m/s]
 _SETTLED = 1e-9  # change of the price that ends the Riccati recursion
 _HALVINGS = 10  # of the step, for the exponential of a matrix
+
+POINT = np.dtype(
+    [(name, np.float64) for name in ("lateral", "heading", "curvature", "speed", "stretch")]
+)
+"""One place of a line: columns of RacingLine."""
+NODE = np.dtype(
+    [
+        ("ahead", np.float64),  # distance from the car along the centreline [m]
+        ("lateral", np.float64),  # of the line, to the left of the centreline [m]
+        ("heading", np.float64),  # of the line less the track's [rad]
+        ("curvature", np.float64),  # of the line [1/m]
+        ("speed", np.float64),  # largest speed [m/s]
+        ("left", np.float64),  # from the centreline to the left border [m]
+        ("right", np.float64),  # from the centreline to the right border [m]
+        ("x", np.float64),  # of the line, world frame [m]
+        ("y", np.float64),
+        ("normal_x", np.float64),  # of the TRACK, to the left
+        ("normal_y", np.float64),
+        ("target", np.float64),  # where to drive, to the left of the centreline [m]
+        ("aside", np.float64),  # of the path that leads there, to the left of the line [m]
+        ("path_x", np.float64),  # of that path, world frame [m]
+        ("path_y", np.float64),
+        ("bend", np.float64),  # its curvature [1/m]
+    ]
+)
+"""One place of the road ahead."""
+
+
+def table(line: RacingLine) -> np.ndarray:
+    """Return a line as POINT records, uniform in s; a loop repeats its first one at the end."""
+    points = np.empty(len(line.s) + line.closed, POINT)
+    for name in POINT.names or ():
+        points[name] = np.resize(getattr(line, name), len(points))
+    return points
+
+
+@inner
+def between(values, place):
+    """Return the value at a fractional index, held at the ends."""
+    low = min(max(int(place), 0), len(values) - 2)
+    return values[low] + (values[low + 1] - values[low]) * clamp(place - low, 0.0, 1.0)
+
+
+@inner
+def at(values, distance):
+    """Return node values at a distance ahead along the line [m], held at the ends."""
+    return between(values, distance / NODE_GAP)
+
+
+@inner
+def look_ahead(line, points, course, s, road):
+    """Write the line and the track ahead of a place of the track into NODE records, (NODES,)."""
+    ahead = 0.0
+    for node in road:
+        frame = frame_at(points, course, f32(s + ahead))
+        place = _index(line, course, s + ahead)
+        node.ahead, node.left, node.right = ahead, frame.left, frame.right
+        node.lateral = between(line.lateral, place)
+        node.heading = between(line.heading, place)
+        node.curvature = between(line.curvature, place)
+        node.speed = between(line.speed, place)
+        node.normal_x, node.normal_y = -frame.sin, frame.cos
+        node.x = frame.x + node.lateral * node.normal_x
+        node.y = frame.y + node.lateral * node.normal_y
+        middle = s + ahead + NODE_GAP / between(line.stretch, place) / 2
+        ahead += NODE_GAP / between(line.stretch, _index(line, course, middle))
+
+
+@inner
+def _index(line, course, s):
+    """Return the fractional index of a place of the track in the table of a line."""
+    if course.closed:
+        s -= math.floor(s / course.length) * course.length
+    return s * (len(line) - 1) / course.length
+
+
+@inner
+def circle(x, y, k):
+    """Return the curvature of the circle through a point and its neighbours [1/m]."""
+    ax, ay, bx, by = x[k] - x[k - 1], y[k] - y[k - 1], x[k + 1] - x[k], y[k + 1] - y[k]
+    cx, cy = ax + bx, ay + by
+    sides = (ax * ax + ay * ay) * (bx * bx + by * by) * (cx * cx + cy * cy)
+    return 2.0 * (ax * by - ay * bx) / math.sqrt(max(sides, 1e-9))
+
+
+@inner
+def slope(values):
+    """Return the slope at the first node in node gaps, half way from first to second order.
+
+    First order lags where a line bends fast; second order overshoots where a path has a kink.
+    """
+    return 1.5 * values[1] - 1.25 * values[0] - 0.25 * values[2]
 
 
 @inner

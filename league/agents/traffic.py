@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from league.agents.path import NODES, at
+from league.agents.steering import NODES, at
 from league.envs.state import FIELDS, INDEX, LOOKAHEADS, NEAR_OBSTACLES, NEIGHBOURS
 from league.jit import inner
 from league.portable_math import clamp
@@ -36,7 +36,7 @@ _CAR_WIDTH, _BOX_WIDTH = 0.196, 0.248
 _CORNERS = 0.035  # half of the squared half lengths of a car and a box, together [m^2]
 _LEAVE = 0.7  # driving distance over which a car comes back behind a body [m]
 _SHARE = 0.5  # part of the room left beyond the clearance that is also kept
-_MOST_ROOM = 0.4  # more room than this beside a body counts no more [m]
+_MOST_ROOM = 0.4  # more room than this next to a body counts no more [m]
 _SLOWEST = 1.0  # a car that stands is planned for as if it drove so [m/s]
 _FREE = 99.0
 
@@ -92,14 +92,14 @@ def go_round(lateral, things, road, style):
         if style.waits and not thing.box:
             continue
         meeting = max(thing.gap / thing.closing, 0.0)
-        beside = at(wished, meeting)
+        planned = at(wished, meeting)
         # Within reach the side is the one the car is on.
         if thing.gap < 1.2:
-            beside = lateral
+            planned = lateral
         apart = thing.width + style.clearance + _CORNERS * abs(at(road.curvature, meeting))
         room_left = at(road.left, meeting) - style.edge - (thing.lateral + apart)
         room_right = (thing.lateral - apart) + at(road.right, meeting) - style.edge
-        left = beside >= thing.lateral
+        left = planned >= thing.lateral
         if style.freer_side and thing.gap >= 0.8:
             left = room_left >= room_right
         if (room_left >= 0.0) != (room_right >= 0.0):
