@@ -1,4 +1,4 @@
-"""A checkpoint on disk: one file that torch.load can read, too; docs/checkpoint.md describes it."""
+"""A checkpoint: a trained actor as one file that torch.load can read, too (docs/checkpoint.md)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import os
 import re
 import stat
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -16,10 +17,9 @@ from pathlib import Path
 import numpy as np
 from pydantic import ValidationError
 
+from league.agents import torch_archive
 from league.agents.card import FORMAT, Card
-from league.agents.checkpoint import archive, pickled, soundness
-from league.agents.checkpoint.archive import RefusedError
-from league.agents.checkpoint.pickled import Stored
+from league.agents.torch_archive import RefusedError, Tensor
 from league.atomic_file import replacing
 from league.errors import ConfigError, PolicyError, brief
 
@@ -29,13 +29,16 @@ MAX_SIZE_CAMERA = 16 << 20
 """Bytes of a file with a camera."""
 MAX_CARD = 64 << 10
 """Bytes of a card's text."""
+MAX_TENSORS = 64
+MAX_WEIGHT = 1e4
+"""Largest weight, to either side."""
 
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
     """A trained actor: its card, and weights that are exactly what the card asks for.
 
-    Whoever holds one may use it: names, shapes, dtypes and numbers have been checked.
+    Names, shapes, dtypes and numbers have been checked.
     """
 
     card: Card
@@ -46,13 +49,10 @@ class Checkpoint:
     """The card as JSON with sorted keys; made of the card unless it was read from a file."""
 
     def __post_init__(self) -> None:
-        try:
-            soundness.check(self.card, self.weights)
-        except RefusedError as refusal:
-            raise PolicyError(
-                f"the checkpoint {self.card.name!r} is refused: {refusal}; "
-                "give weights of the card's own network"
-            ) from refusal
+        with refusing(
+            f"the checkpoint {self.card.name!r}", "give weights of the card's own network"
+        ):
+            check_weights(self.card, self.weights)
         if not self.text:
             object.__setattr__(self, "text", _canonical(self.card.model_dump_json()))
         if len(self.text) > MAX_CARD:
@@ -64,14 +64,14 @@ class Checkpoint:
     @property
     def digest(self) -> str:
         """SHA-256 of the content: the card's text, then name, shape and numbers of each weight."""
-        found = hashlib.sha256(b"league checkpoint 1\n")
-        found.update(struct.pack("<Q", len(self.text)) + self.text.encode("ascii"))
+        content = hashlib.sha256(b"league checkpoint 1\n")
+        content.update(struct.pack("<Q", len(self.text)) + self.text.encode("ascii"))
         for name in sorted(self.weights):
             weight = self.weights[name]
             head = json.dumps([name, list(weight.shape)]).encode("ascii")
-            found.update(struct.pack("<Q", len(head)) + head)
-            found.update(_bytes(weight))
-        return found.hexdigest()
+            content.update(struct.pack("<Q", len(head)) + head)
+            content.update(weight.astype("<f4").tobytes())
+        return content.hexdigest()
 
 
 def save(path: str | os.PathLike[str], checkpoint: Checkpoint) -> None:
@@ -105,37 +105,48 @@ def load(path: str | os.PathLike[str]) -> Checkpoint:
     Raises:
         PolicyError: it is no checkpoint, or not a sound one.
     """
-    try:
+    name = repr(os.fspath(path))
+    what = name if len(name) <= 200 else f"{name[:60]}...{name[-137:]}"
+    with refusing(what, "give a .pt file as `league train` writes it"):
         return _parsed(_content(Path(path)))
-    except RefusedError as refusal:
-        raise PolicyError(
-            f"{_named(path)} is refused: {refusal}; give a .pt file as `league train` writes it"
-        ) from refusal
 
 
-def digest(given: str | os.PathLike[str] | Checkpoint) -> str:
+def digest(checkpoint: str | os.PathLike[str] | Checkpoint) -> str:
     """Return the SHA-256 of a checkpoint's content, which names it in a league.
 
     Raises:
         PolicyError: the file is not a sound checkpoint.
     """
-    return (given if isinstance(given, Checkpoint) else load(given)).digest
+    return (checkpoint if isinstance(checkpoint, Checkpoint) else load(checkpoint)).digest
+
+
+@contextmanager
+def refusing(what: str, advice: str) -> Iterator[None]:
+    """Turn a RefusedError into the PolicyError of a file or checkpoint.
+
+    Args:
+        what: what is refused.
+        advice: what to give instead.
+    """
+    try:
+        yield
+    except RefusedError as refusal:
+        raise PolicyError(f"{what} is refused: {refusal}; {advice}") from refusal
 
 
 def _content(path: Path) -> bytes:
     """Return the bytes of a file that is a plain one and not too large."""
     try:
-        found = path.stat()
-        if not stat.S_ISREG(found.st_mode):
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
             raise RefusedError("it is no file, but a folder or a device")
         with path.open("rb") as file:
-            content = file.read(min(found.st_size, MAX_SIZE_CAMERA) + 1)
+            content = file.read(min(status.st_size, MAX_SIZE_CAMERA) + 1)
+    except RefusedError:
+        raise
     except (OSError, ValueError) as error:
-        if isinstance(error, RefusedError):
-            raise
-        raise RefusedError(
-            f"it cannot be read ({getattr(error, 'strerror', None) or error})"
-        ) from error
+        reason = getattr(error, "strerror", None) or error
+        raise RefusedError(f"it cannot be read ({reason})") from error
     if not content:
         raise RefusedError("it is empty")
     if len(content) > MAX_SIZE_CAMERA:
@@ -144,70 +155,90 @@ def _content(path: Path) -> bytes:
 
 
 def _parsed(content: bytes) -> Checkpoint:
-    members = archive.members(content)
-    if "data.pkl" not in members:
-        raise RefusedError("it lacks its head, data.pkl")
-    if bytes(members.get("byteorder", b"little")) != b"little":
-        raise RefusedError("its numbers have their bytes the other way round")
-    match pickled.read(bytes(members["data.pkl"][: pickled.MAX_SIZE + 1])):
-        case {"card": str(text), "weights": dict(stored), **rest} if not rest:
-            card, canonical = read_card(text)
+    archive = torch_archive.read(content)
+    match archive.content:
+        case {"card": str(text), "weights": dict(tensors), **rest} if not rest:
+            card, canonical = read_card(text, len(content))
         case _:
             raise RefusedError("it does not hold a card and weights, and nothing else")
-    if len(content) > _limit(card):
-        raise RefusedError(
-            f"it takes {len(content)} bytes, at most {_limit(card)} without a camera"
-        )
-    expected = soundness.wanted(card)
-    soundness.check_names(set(stored), expected)
-    held = [value.member for value in stored.values() if isinstance(value, Stored)]
-    if len(set(held)) < len(held):
-        raise RefusedError("two weights share their numbers")
-    if {f"data/{member}" for member in held} != {name for name in members if name[:5] == "data/"}:
-        raise RefusedError("it holds numbers that no weight uses, or lacks some")
-    weights = {
-        name: _weight(name, stored[name], members, shape) for name, shape in expected.items()
-    }
-    try:
-        return Checkpoint(card, weights, canonical)
-    except PolicyError as error:
-        raise error.__cause__ if isinstance(error.__cause__, RefusedError) else error from None
+    for name, tensor in tensors.items():
+        if not isinstance(tensor, Tensor):
+            raise RefusedError(f"the weight {name!r} is no tensor")
+    check_shapes(card, {name: tensor.shape for name, tensor in tensors.items()})
+    archive.check_members(list(tensors.values()))
+    weights = {name: archive.numbers(name, tensor) for name, tensor in tensors.items()}
+    check_weights(card, weights)
+    return Checkpoint(card, weights, canonical)
 
 
-def _weight(
-    name: str, stored: object, members: Mapping[str, memoryview], shape: tuple[int, ...]
-) -> np.ndarray:
-    """Return the weight that the file describes, once it is known to be what is expected."""
-    if not isinstance(stored, Stored):
-        raise RefusedError(f"the weight {name!r} is no tensor")
-    soundness.check_shape(name, stored.shape, shape)
-    count = 1
-    for size in shape:
-        count *= size
-    if stored.stride != soundness.packed(shape) or stored.offset or stored.count != count:
-        raise RefusedError(f"the numbers of {name!r} do not lie one after the other")
-    numbers = members[f"data/{stored.member}"]
-    if len(numbers) != 4 * count:
-        raise RefusedError(f"the weight {name!r} has {len(numbers)} bytes, its shape {4 * count}")
-    return np.frombuffer(bytearray(numbers), "<f4").astype(np.float32, copy=False).reshape(shape)
-
-
-def read_card(text: str) -> tuple[Card, str]:
-    """Return a stranger's card and its text with sorted keys.
+def check_shapes(card: Card, shapes: Mapping[str, tuple[int, ...]]) -> None:
+    """Refuse weights whose names and shapes are not exactly those of the card's network.
 
     Raises:
-        RefusedError: it is no card, or one that this version does not read.
+        RefusedError: they are not, or the network cannot be built.
     """
-    if len(text.encode("utf-8")) > MAX_CARD:
+    try:
+        expected = card.weight_shapes
+    except ConfigError as error:
+        raise RefusedError(str(error)) from error
+    if len(expected) > MAX_TENSORS:
+        raise RefusedError(
+            f"its network has {len(expected)} tensors, at most {MAX_TENSORS} are allowed"
+        )
+    for missing in sorted(expected.keys() - shapes.keys()):
+        raise RefusedError(f"it lacks the weight {missing!r} that the network of its card has")
+    for extra in sorted(shapes.keys() - expected.keys()):
+        raise RefusedError(
+            f"it has the weight {extra[:60]!r}, which the network of its card has not"
+        )
+    for name, shape in expected.items():
+        if shapes[name] != shape:
+            raise RefusedError(
+                f"the weight {name!r} has shape {str(shapes[name])[:60]}, its card asks {shape}"
+            )
+
+
+def check_weights(card: Card, weights: Mapping[str, np.ndarray]) -> None:
+    """Refuse weights of other names, shapes or dtypes, with NaN, infinity or huge numbers.
+
+    Raises:
+        RefusedError: they are not sound.
+    """
+    check_shapes(card, {name: tuple(weight.shape) for name, weight in weights.items()})
+    for name, weight in weights.items():
+        is_float32 = type(weight) is np.ndarray and weight.dtype == np.float32
+        if not is_float32 or not weight.flags.c_contiguous:
+            raise RefusedError(f"the weight {name!r} is not a contiguous float32 NumPy array")
+        if not bool((np.abs(weight) <= MAX_WEIGHT).all()):  # False for NaN
+            raise RefusedError(f"the weight {name!r} holds NaN or a number beyond {MAX_WEIGHT:g}")
+        if name == "obs_normalizer._std" and bool(np.any(weight < 0)):
+            raise RefusedError("the normaliser's deviations are negative")
+
+
+def read_card(text: str, size: int) -> tuple[Card, str]:
+    """Return the card of a stranger's file of so many bytes, and its text with sorted keys.
+
+    Raises:
+        RefusedError: it is no card, or one that this version does not read, or the file is too
+            large for its sensors.
+    """
+    card, canonical = _card(text)
+    if size > _limit(card):
+        raise RefusedError(f"it takes {size} bytes, at most {_limit(card)} without a camera")
+    return card, canonical
+
+
+def _card(text: str) -> tuple[Card, str]:
+    if len(text.encode("utf-8", "surrogatepass")) > MAX_CARD:
         raise RefusedError(f"its card is longer than {MAX_CARD} bytes")
     try:
         canonical = _canonical(text)
-        found = json.loads(canonical)
+        data = json.loads(canonical)
     except (ValueError, RecursionError) as error:
         raise RefusedError("its card is no JSON, or nested too deep") from error
     if len(canonical) > MAX_CARD:
         raise RefusedError(f"its card is longer than {MAX_CARD} bytes in ASCII")
-    version = found.get("format") if isinstance(found, dict) else None
+    version = data.get("format") if isinstance(data, dict) else None
     if version != FORMAT or isinstance(version, bool):
         raise RefusedError(f"its card is of format {_quoted(version)}, this version reads {FORMAT}")
     try:
@@ -216,21 +247,21 @@ def read_card(text: str) -> tuple[Card, str]:
         raise RefusedError(f"its card is wrong: {error}") from error
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False)[0]
-    where = ".".join(_part(part) for part in first["loc"]) or "it"
+    where = ".".join(_quoted_key(key) for key in first["loc"]) or "it"
     raise RefusedError(
         f"its card is wrong: {where} is {_quoted(first['input'])}: {first['msg'][:150]}"
     )
 
 
-def _quoted(given: object) -> str:
-    """Return what was given in at most 80 signs of ASCII."""
-    line = brief(given).encode("ascii", "backslashreplace").decode("ascii")
+def _quoted(value: object) -> str:
+    """Return a value in at most 80 characters of ASCII."""
+    line = brief(value).encode("ascii", "backslashreplace").decode("ascii")
     return line if len(line) <= 80 else f"{line[:77]}..."
 
 
-def _part(of: str | int) -> str:
-    """Return a part of a place in a card: as it is if it is a name, else quoted and cut."""
-    text = str(of)
+def _quoted_key(key: str | int) -> str:
+    """Return a key of a card: as it is if it is a name, else quoted and cut."""
+    text = str(key)
     return text if re.fullmatch(r"[A-Za-z0-9_]{1,40}", text) else ascii(text[:20])
 
 
@@ -239,16 +270,5 @@ def _canonical(text: str) -> str:
     return json.dumps(json.loads(text), sort_keys=True, separators=(",", ":"))
 
 
-def _named(path: str | os.PathLike[str]) -> str:
-    """Return a path as it fits into a sentence."""
-    name = repr(os.fspath(path))
-    return name if len(name) <= 200 else f"{name[:60]}...{name[-137:]}"
-
-
 def _limit(card: Card) -> int:
     return MAX_SIZE if card.sensors.camera is None else MAX_SIZE_CAMERA
-
-
-def _bytes(weight: np.ndarray) -> bytes:
-    """Return the numbers as float32, lowest byte first."""
-    return weight.astype("<f4").tobytes()

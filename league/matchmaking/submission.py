@@ -1,27 +1,24 @@
 """Submitting a policy: packed on its owner's machine, checked on the league's; never a pickle.
 
 An entry is a safetensors file: its header's one metadata key holds the checkpoint's card, its
-tensors are the actor's weights. Reading it takes a JSON parser and arithmetic; nothing is executed.
+tensors are the actor's weights. Nothing in it is executed.
 """
 
 from __future__ import annotations
 
 import json
-import math
 import os
 import struct
 import time
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from league.agents import checkpoint
 from league.agents.card import Card
-from league.agents.checkpoint import Checkpoint, soundness
-from league.agents.checkpoint.archive import RefusedError
-from league.agents.checkpoint.file import MAX_SIZE, MAX_SIZE_CAMERA, read_card
+from league.agents.checkpoint import MAX_SIZE_CAMERA, Checkpoint
 from league.agents.policy import Policy
+from league.agents.torch_archive import RefusedError
 from league.errors import PolicyError, brief
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.store import Entry, Store
@@ -59,99 +56,39 @@ def unpack(content: bytes, what: str = "the submission") -> Checkpoint:
     Raises:
         PolicyError: it is no entry, or not a sound one.
     """
-    try:
+    with checkpoint.refusing(what, "submit a checkpoint with `league submit FILE.pt`"):
         return _parsed(content)
-    except RefusedError as refusal:
-        raise PolicyError(
-            f"{what} is refused: {refusal}; submit a checkpoint with `league submit FILE.pt`"
-        ) from refusal
 
 
 def _parsed(content: bytes) -> Checkpoint:
+    from safetensors import SafetensorError, deserialize
+
     if len(content) > MAX_SIZE_CAMERA:
         raise RefusedError(f"it takes {len(content)} bytes, at most {MAX_SIZE_CAMERA} are allowed")
-    header, numbers = _split(content)
-    card, canonical = _card(header.pop("__metadata__", None))
-    limit = MAX_SIZE if card.sensors.camera is None else MAX_SIZE_CAMERA
-    if len(content) > limit:
-        raise RefusedError(f"it takes {len(content)} bytes, at most {limit} without a camera")
-    expected = soundness.wanted(card)
-    soundness.check_names(set(header), expected)
-    places = {name: _place(name, header[name], shape) for name, shape in expected.items()}
-    end = 0
-    for name, (start, stop) in sorted(places.items(), key=lambda item: item[1]):
-        if start != end:
-            raise RefusedError(f"the numbers of {brief(name)} overlap others, or leave a hole")
-        end = stop
-    if end != len(numbers):
-        raise RefusedError(f"its numbers take {len(numbers)} bytes, its header tells of {end}")
-    weights = {
-        name: _weight(numbers[slice(*places[name])], shape) for name, shape in expected.items()
-    }
-    try:
-        return Checkpoint(card, weights, canonical)
-    except PolicyError as error:
-        raise error.__cause__ if isinstance(error.__cause__, RefusedError) else error from None
-
-
-def _split(content: bytes) -> tuple[dict[str, Any], memoryview]:
-    """Return the header, an object of at most 65 keys, and the numbers that follow it."""
     if len(content) < 10:
         raise RefusedError("it is too short to hold a header")
     (size,) = struct.unpack("<Q", content[:8])
     if size > MAX_HEADER:
         raise RefusedError(f"its header claims {size} bytes, at most {MAX_HEADER} are allowed")
-    if 8 + size > len(content):
-        raise RefusedError(f"its header claims {size} bytes, {len(content) - 8} are there")
     try:
-        header = json.loads(content[8 : 8 + size].decode("utf-8"), object_pairs_hook=_object)
-    except (ValueError, RecursionError) as error:
-        raise RefusedError("its header is no JSON, or has a key twice") from error
-    if not isinstance(header, dict):
-        raise RefusedError("its header is no object")
-    if len(header) > soundness.MAX_TENSORS + 1:
-        raise RefusedError(f"it has more than {soundness.MAX_TENSORS} tensors")
-    return header, memoryview(content)[8 + size :]
-
-
-def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        raise ValueError("a key stands twice")
-    return found
-
-
-def _card(metadata: object) -> tuple[Card, str]:
-    match metadata:
+        tensors = dict(deserialize(content))
+    except SafetensorError as error:
+        raise RefusedError(f"it is no sound safetensors file ({error})") from error
+    match json.loads(content[8 : 8 + size]).get("__metadata__"):
         case {"card": str(text), **rest} if not rest:
-            try:
-                return read_card(text)
-            except UnicodeError as error:  # lone surrogates, as "\ud800" makes them
-                raise RefusedError("its card holds signs that are no text") from error
-    raise RefusedError("its metadata is not a card, and nothing else")
-
-
-def _place(name: str, told: object, shape: tuple[int, ...]) -> tuple[int, int]:
-    """Return where a tensor's bytes lie among the numbers."""
-    match told:
-        case {"dtype": dtype, "shape": list(given), "data_offsets": [start, stop], **rest}:
-            pass
+            card, canonical = checkpoint.read_card(text, len(content))
         case _:
-            raise RefusedError(f"the weight {name!r} is not told as dtype, shape and data_offsets")
-    if rest or dtype != "F32":
-        raise RefusedError(f"the weight {name!r} has the dtype {brief(dtype)}, expected F32")
-    if not all(type(number) is int for number in (*given, start, stop)):
-        raise RefusedError(f"the weight {name!r} has a shape or offsets that are no whole numbers")
-    soundness.check_shape(name, tuple(given), shape)
-    if start < 0 or stop - start != 4 * math.prod(shape):
-        raise RefusedError(f"the weight {name!r} has {brief(stop - start)} bytes, not its shape's")
-    return start, stop
-
-
-def _weight(numbers: memoryview, shape: tuple[int, ...]) -> np.ndarray:
-    if not numbers:
-        raise RefusedError("a weight has no numbers")
-    return np.frombuffer(bytearray(numbers), "<f4").astype(np.float32, copy=False).reshape(shape)
+            raise RefusedError("its metadata is not a card, and nothing else")
+    for name, tensor in tensors.items():
+        if tensor["dtype"] != "F32":
+            raise RefusedError(f"the weight {name!r} has dtype {tensor['dtype']}, expected F32")
+    checkpoint.check_shapes(card, {name: tuple(one["shape"]) for name, one in tensors.items()})
+    weights = {
+        name: np.frombuffer(tensor["data"], "<f4").astype(np.float32).reshape(tensor["shape"])
+        for name, tensor in tensors.items()
+    }
+    checkpoint.check_weights(card, weights)
+    return Checkpoint(card, weights, canonical)
 
 
 @dataclass(frozen=True)
