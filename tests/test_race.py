@@ -245,7 +245,7 @@ def test_unknown_driver_is_an_error_a_user_can_read(name):
 # Races run together.
 
 
-def together(*contests: race.Contest) -> None:
+def together(*contests: race.RaceJob) -> None:
     """Check that these races go together, to the bit, as each goes alone."""
     both = race.run_together(contests)
     assert len(both) == len(contests)
@@ -256,11 +256,11 @@ def together(*contests: race.Contest) -> None:
         assert found.replay.columns.checksum.tolist() == alone.replay.columns.checksum.tolist()
 
 
-def contest(drivers, *, seed: int = 1, track=None, **settings) -> race.Contest:
+def contest(drivers, *, seed: int = 1, track=None, **settings) -> race.RaceJob:
     entries = tuple(Entry(name=driver.name) for driver in drivers)
     asked = {"laps": 1, "solver": "planar", "variation": 1.0, "max_time_s": 12.0} | settings
     spec = RaceSpec(entries=entries, seed=seed, **asked)
-    return race.Contest(spec, track or make_ring(), drivers)
+    return race.RaceJob(spec, track or make_ring(), drivers)
 
 
 @pytest.mark.parametrize("solver", ["planar", "bullet"])

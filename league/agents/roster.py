@@ -1,8 +1,9 @@
-"""A name or a path -> a Driver."""
+"""Drivers by name or path: scripted ones, the policies that ship (the garage), checkpoints."""
 
 from __future__ import annotations
 
-from league.agents import garage
+from pathlib import Path
+
 from league.agents.driver import Driver
 from league.agents.scripted import LineDriver, Style
 from league.errors import PolicyError, nearest_names
@@ -16,6 +17,8 @@ NAMES: dict[str, str] = {
     "racing_line": "the bar to beat: the fastest line at the limit of grip, passes where it can",
 }
 """Scripted drivers and what each does."""
+
+_PACKAGE = Path(__file__).parents[1]
 
 _STYLES: dict[str, Style] = {
     "blocker": Style(pace=0.85, grip=0.9, margin=0.08, blocks=True),
@@ -47,14 +50,20 @@ _STYLES: dict[str, Style] = {
 """How they drive."""
 
 
+def garage() -> dict[str, Path]:
+    """Return the checkpoints that ship with the project by their names, sorted."""
+    installed = _PACKAGE / "_garage"  # in a wheel; in a checkout the folder lies at its root
+    folder = installed if installed.is_dir() else _PACKAGE.parent / "garage"
+    return {path.stem: path for path in sorted(folder.glob("*.pt"))}
+
+
 def load(name_or_path: str, tracks: TrackSet, car: CarConfig) -> Driver:
     """Build a driver for the tracks that its rows race on.
 
     Args:
         name_or_path: name of a scripted driver or of a policy in the garage, or a checkpoint,
             which ends in .pt.
-        tracks: the set, which says on what device to decide; a scripted driver needs it to hold
-            one track.
+        tracks: the set, which must hold one track for a scripted driver.
         car: the car it will drive.
 
     Raises:
@@ -62,7 +71,10 @@ def load(name_or_path: str, tracks: TrackSet, car: CarConfig) -> Driver:
             this set.
     """
     if path := _file(name_or_path):
-        return policy(path, tracks, car)
+        from league.agents import checkpoint
+        from league.agents.policy import Policy
+
+        return Policy(checkpoint.load(path), car)
     if len(tracks.tracks) != 1:
         raise PolicyError(
             f"{name_or_path!r} was asked to drive {len(tracks.tracks)} tracks at once: scripted "
@@ -72,13 +84,13 @@ def load(name_or_path: str, tracks: TrackSet, car: CarConfig) -> Driver:
 
 
 def check(name_or_path: str) -> None:
-    """See that there is such a driver, without building it.
+    """Check that there is such a driver, without building it.
 
     Raises:
         PolicyError: the name is unknown, or the checkpoint not sound.
     """
     if path := _file(name_or_path):
-        from league.agents import checkpoint  # late: torch takes seconds
+        from league.agents import checkpoint
 
         checkpoint.load(path)
 
@@ -87,29 +99,12 @@ def _file(name_or_path: str) -> str | None:
     """Return a policy's file, or None for a scripted driver."""
     if name_or_path.endswith(".pt"):
         return name_or_path
-    if name_or_path in garage.names():
-        return str(garage.path(name_or_path))
     if name_or_path in NAMES:
         return None
-    known = [*NAMES, *garage.names()]
+    shipped = garage()
+    if name_or_path in shipped:
+        return str(shipped[name_or_path])
     raise PolicyError(
         f"there is no driver {name_or_path!r}; nearest: "
-        f"{nearest_names(name_or_path, known)}; or give a checkpoint, FILE.pt"
+        f"{nearest_names(name_or_path, [*NAMES, *shipped])}; or give a checkpoint, FILE.pt"
     )
-
-
-def policy(path: str, tracks: TrackSet, car: CarConfig) -> Driver:
-    """Build the driver of a checkpoint; it drives any set of tracks.
-
-    Args:
-        path: the checkpoint.
-        tracks: the set, which says on what device to decide.
-        car: the car it will drive.
-
-    Raises:
-        PolicyError: the file is not a sound checkpoint.
-    """
-    from league.agents import checkpoint
-    from league.agents.policy import Policy
-
-    return Policy(checkpoint.load(path), car)

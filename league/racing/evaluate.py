@@ -1,32 +1,79 @@
-"""Evaluate a driver: laps from the start line, told as the console of the original tells them.
+"""Evaluate a driver: laps from the start line, as the table of the original's console.
 
-A pure function of driver, track and settings: nothing is kept, nothing is written, no policy is
-changed. The words are the original's: a *trial* is one lap, or in mode "episode" one
-attempt at a lap that the first mistake ends.
+A pure function of driver, track and settings: it keeps nothing, writes nothing and changes no
+policy. The words are the original's: a *trial* is one lap, or in mode "episode" one attempt at a
+lap that the first mistake ends.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from league.agents.driver import Driver
-from league.envs.actions import checked
+from league.agents.rollout import DriverPool, Rollout
 from league.envs.config import EnvConfig
-from league.envs.race_env import RaceEnv
+from league.envs.race_env import RaceEnv, Step
 from league.envs.rewards import BuiltIn, Reward
 from league.errors import ConfigError, brief
-from league.racing.runs import Moment, Run, Told, Watcher
-from league.racing.table import Evaluation, Mode, Trial
+from league.racing.table import Evaluation, Mode, Status, Trial
+from league.sim import referee
 from league.sim.config import ObstacleConfig, RaceKind, RaceRules, SimConfig, SolverName
-from league.sim.world import World
+from league.sim.world import World, is_frozen
 from league.track.track import Track, TrackSet
 
 MAX_TRIALS = 1000
 WORLDS_AT_ONCE = 32
-"""Runs driven side by side; a driver's numbers are the same alone and in a batch."""
+"""Runs driven in one batch; a driver's numbers are the same alone and in a batch."""
+_MISTAKES: dict[str, Status] = {
+    "off_track": "off_track",
+    "crashed": "crashed",
+    "immobilised": "immobilized",
+    "reversed": "reversed",
+}
+"""The referee's flags, the first of which names a mistake."""
+
+
+@dataclass(frozen=True)
+class TrialStep:
+    """Progress of one run after a step."""
+
+    run: int
+    """Number of the run, over all batches."""
+    row: int
+    """World of the batch."""
+    trial: int
+    """Number of the trial within its run, from 0."""
+    step: int
+    """Steps since the trial began, from 1."""
+    status: str
+    """"in_progress", "pause" during a penalty, a mistake's name, or how the trial ended."""
+    done: bool
+    """Whether the trial ended in this step."""
+
+
+@dataclass(frozen=True)
+class EvalStep:
+    """One step of a batch of runs; the evaluated car has slot 0."""
+
+    tracks: TrackSet
+    sim: SimConfig
+    before: np.ndarray
+    """CAR records before the step, (num_worlds, num_cars)."""
+    judged: World
+    """The worlds as the referee and the reward saw them, before any penalty moved a car."""
+    world: World
+    """The worlds after the step: cars that crashed have been put back."""
+    step: Step
+    """Observations, rewards and verdicts of the step."""
+    trials: tuple[TrialStep, ...]
+    """The runs that are still under way."""
+
+
+EvalCallback = Callable[[EvalStep], None]
+"""Called after each step; it cannot change it."""
 
 
 def evaluate(
@@ -43,7 +90,7 @@ def evaluate(
     opponents: Sequence[Driver | str] = (),
     rules: RaceRules | None = None,
     reward: Callable[[int], Reward] | None = None,
-    watch: Watcher | None = None,
+    watch: EvalCallback | None = None,
 ) -> Evaluation:
     """Drive laps from the start line and return the table of trials.
 
@@ -52,7 +99,7 @@ def evaluate(
     complete lap the car drives on, so that the laps after the first are flying ones.
 
     Args:
-        driver: who drives, or a driver's name or path.
+        driver: the driver to evaluate, or its name or path.
         track: the course, or its name.
         laps: laps of each run; on an open track always 1.
         trials: runs, with seeds counting up.
@@ -61,10 +108,10 @@ def evaluate(
         seed: seed of the first run.
         solver: physics.
         obstacles: boxes or bots, in obstacle avoidance.
-        opponents: who races against the driver, behind it on the grid.
+        opponents: drivers that start behind it on the grid.
         rules: penalties and time limit of a run; its number of laps is not read.
-        reward: makes what pays the cars, given the number of worlds; None: progress.
-        watch: told each step.
+        reward: makes the reward of so many worlds; None: progress.
+        watch: called after each step.
 
     Raises:
         LeagueError: unknown names, settings that contradict each other, actions that are none.
@@ -77,24 +124,29 @@ def evaluate(
         raise ConfigError(f"seed is {brief(seed)}: give a whole number from 0 to 2^63 - trials")
     course = files.load(track) if isinstance(track, str) else track
     tracks = TrackSet(course)
-    sim = _sim(kind, laps, obstacles, rules, 1 + len(opponents))
-    field_ = [_named(one, tracks, sim) for one in (driver, *opponents)]
-    cfg = EnvConfig(sim=sim, solver=solver, sensors=tuple(one.sensors for one in field_))
-    each = laps if course.closed else 1
-    runs = [Run(number, seed + number, each) for number in range(trials)]
+    sim = SimConfig(
+        kind="head_to_head" if opponents else kind,
+        num_cars=1 + len(opponents),
+        obstacles=obstacles or ObstacleConfig(),
+        rules=replace(rules or RaceRules(), laps=laps),
+    )
+    drivers = [_loaded(one, tracks, sim) for one in (driver, *opponents)]
+    cfg = EnvConfig(sim=sim, solver=solver, sensors=tuple(one.sensors for one in drivers))
+    run_laps = laps if course.closed else 1
+    runs = [LapRun(number, seed + number, run_laps, mode) for number in range(trials)]
     for first in range(0, trials, WORLDS_AT_ONCE):
         batch = runs[first : first + WORLDS_AT_ONCE]
-        paid = reward(len(batch)) if reward is not None else None
-        _drive(tracks, cfg, field_, batch, mode, paid, watch)
+        batch_reward = reward(len(batch)) if reward is not None else None
+        _drive(tracks, cfg, drivers, batch, batch_reward, watch)
     rows = [(run, row) for run in runs for row in run.rows]
     return Evaluation(
-        driver=field_[0].name,
+        driver=drivers[0].name,
         track=course.name,
         kind=sim.kind,
         mode=mode,
         solver=solver,
-        laps=each,
-        asked=each * trials,
+        laps=run_laps,
+        asked=run_laps * trials,
         seed=seed,
         trials=tuple(
             Trial(trial=number, run=run.number, seed=run.seed, **row)
@@ -104,22 +156,7 @@ def evaluate(
     )
 
 
-def _sim(
-    kind: RaceKind,
-    laps: int,
-    obstacles: ObstacleConfig | None,
-    rules: RaceRules | None,
-    num_cars: int,
-) -> SimConfig:
-    return SimConfig(
-        kind="head_to_head" if num_cars > 1 else kind,
-        num_cars=num_cars,
-        obstacles=obstacles or ObstacleConfig(),
-        rules=replace(rules or RaceRules(), laps=laps),
-    )
-
-
-def _named(driver: Driver | str, tracks: TrackSet, sim: SimConfig) -> Driver:
+def _loaded(driver: Driver | str, tracks: TrackSet, sim: SimConfig) -> Driver:
     from league.agents import roster
 
     return roster.load(driver, tracks, sim.car) if isinstance(driver, str) else driver
@@ -129,50 +166,40 @@ def _drive(
     tracks: TrackSet,
     cfg: EnvConfig,
     drivers: Sequence[Driver],
-    runs: Sequence[Run],
-    mode: Mode,
+    runs: Sequence[LapRun],
     reward: Reward | None,
-    watch: Watcher | None,
+    watch: EvalCallback | None,
 ) -> None:
     """Drive a batch of runs to their ends, each in a world of its own."""
-    onlooker = None if watch is None else _Onlooker(reward or BuiltIn(cfg.reward))
-    env = RaceEnv(tracks, cfg, num_worlds=len(runs), reward=onlooker or reward)
-    seeds = np.array([run.seed for run in runs])
+    recorder = None if watch is None else _WorldRecorder(reward or BuiltIn(cfg.reward))
+    env = RaceEnv(tracks, cfg, num_worlds=len(runs), reward=recorder or reward)
     try:
-        told = env.reset(seeds=seeds)
-        for driver in drivers:
-            driver.reset(None)
+        pool = DriverPool([drivers] * len(runs), strict=True)
+        rollout = Rollout(env, pool, [run.seed for run in runs])
         while not all(run.over for run in runs):
-            actions = np.stack(
-                [
-                    checked(driver.act(told[car]), driver.name, len(runs))
-                    for car, driver in enumerate(drivers)
-                ],
-                axis=1,
-            )
             restart = np.array([run.restart for run in runs])
             before = env.world.cars.copy()
-            step = env.step(actions, restart=restart, seeds=seeds)
-            told = step.observations
-            now = Told.of(tracks, cfg.sim, before, env.world, step)
-            seen = []
+            step = rollout.step(restart=restart)
+            records = _step_records(tracks, cfg.sim, before, env.world, step)
+            trial_steps = []
             for row, run in enumerate(runs):
                 if run.restart:
                     run.restart = False
                 elif not run.over:
-                    seen.append(run.note(row, mode, now))
-            if restart.any():
-                for driver in drivers:
-                    driver.reset(np.flatnonzero(restart))
-            if watch is not None and onlooker is not None:
-                judged = onlooker.judged
-                watch(Moment(tracks, cfg.sim, before, judged, env.world, step, tuple(seen)))
+                    trial_steps.append(run.add(row, records[row]))
+            if watch is not None and recorder is not None:
+                watch(
+                    EvalStep(
+                        *(tracks, cfg.sim, before, recorder.judged, env.world, step),
+                        tuple(trial_steps),
+                    )
+                )
     finally:
         env.close()
 
 
-class _Onlooker:
-    """A reward that pays what another does and keeps the worlds it was shown."""
+class _WorldRecorder:
+    """A reward that pays what another does and keeps a copy of the worlds it was computed on."""
 
     def __init__(self, reward: Reward) -> None:
         self._reward = reward
@@ -195,3 +222,110 @@ class _Onlooker:
 
     def restart(self, world: World, who: np.ndarray) -> None:
         self._reward.restart(world, who)
+
+
+@dataclass(frozen=True)
+class StepRecord:
+    """A step of the evaluated car of one world."""
+
+    mistakes: tuple[str, ...]
+    """The referee's flags that are set, of _MISTAKES."""
+    lap: bool
+    """Whether it completed a lap."""
+    truncated: bool
+    paused: bool
+    """Whether it served a penalty before the step."""
+    penalty_s: float
+    lap_s: float
+    """Time of the last complete lap [s]."""
+    elapsed_s: float
+    """Time since this lap began [s]."""
+    share: float
+    """Part of the lap that was driven, from 0 to 1, beyond it by rounding or behind the line."""
+    place: int
+
+
+def _step_records(
+    tracks: TrackSet, sim: SimConfig, before: np.ndarray, world: World, step: Step
+) -> list[StepRecord]:
+    cars, verdicts = world.cars[:, 0], step.verdicts[:, 0]
+    share = cars["best_distance"] / tracks.lap_length(world.track) - cars["laps"]
+    elapsed_s = world.worlds["step"] * sim.step_dt - cars["lap_start_s"]
+    columns = (
+        verdicts["lap"],
+        step.truncated[:, 0],
+        is_frozen(before[:, 0]),
+        cars["penalty_s"],
+        cars["last_lap_s"],
+        elapsed_s,
+        share,
+        referee.running_order(world.cars)[:, 0] + 1,
+    )
+    flags = zip(*(verdicts[name].tolist() for name in _MISTAKES), strict=True)
+    return [
+        StepRecord(tuple(name for name, flag in zip(_MISTAKES, made, strict=True) if flag), *row)
+        for made, *row in zip(flags, *(column.tolist() for column in columns), strict=True)
+    ]
+
+
+@dataclass
+class LapRun:
+    """One run from the start line: its trials so far and the counts of the current one."""
+
+    number: int
+    seed: int
+    laps: int
+    mode: Mode
+    rows: list[dict] = field(default_factory=list)
+    place: int = 0
+    over: bool = False
+    restart: bool = False
+    standing: bool = True
+    steps: int = 0
+    penalty_s: float = 0.0
+    counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(_MISTAKES, 0))
+
+    def add(self, row: int, record: StepRecord) -> TrialStep:
+        """Count a step of this run, which is in a row of the batch."""
+        self.steps += 1
+        for name in record.mistakes:
+            self.counts[name] += 1
+        self.penalty_s += record.penalty_s if record.mistakes and self.mode == "race" else 0.0
+        mistake = _MISTAKES[record.mistakes[0]] if record.mistakes else None
+        trial, step = len(self.rows), self.steps
+        ending = self._ending(mistake, record)
+        if ending is not None:
+            self._close(ending, record)
+            self.over = len(self.rows) == self.laps or (self.mode, ending) == ("race", "time_up")
+            # After a mistake the next attempt begins at the line; after a lap the car drives on.
+            self.restart = not self.over and (ending != "lap_complete" or mistake is not None)
+            self.standing = self.restart
+        status = ending or mistake or ("pause" if record.paused else "in_progress")
+        return TrialStep(self.number, row, trial, step, status, ending is not None)
+
+    def _ending(self, mistake: Status | None, record: StepRecord) -> Status | None:
+        if record.lap:
+            return "lap_complete"
+        if self.mode == "episode" and mistake is not None:
+            return mistake
+        return "time_up" if record.truncated else None
+
+    def _close(self, ending: Status, record: StepRecord) -> None:
+        complete = ending == "lap_complete"
+        share = 1.0 if complete else min(max(record.share, 0.0), 1.0)
+        self.rows.append(
+            {
+                "standing": self.standing,
+                "status": ending,
+                "time_s": round(record.lap_s if complete else record.elapsed_s, 4),
+                "completion": round(100.0 * share, 2),
+                "off_tracks": self.counts["off_track"],
+                "crashes": self.counts["crashed"],
+                "immobilised": self.counts["immobilised"],
+                "reversed": self.counts["reversed"],
+                "penalty_s": round(self.penalty_s, 4),
+            }
+        )
+        self.counts = dict.fromkeys(self.counts, 0)
+        self.steps, self.penalty_s = 0, 0.0
+        self.place = record.place

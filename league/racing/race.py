@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from league.agents.driver import Driver
-from league.agents.driver_pool import Seat, Seats
+from league.agents.rollout import DriverPool, Rollout
 from league.envs.config import EnvConfig, RewardConfig
 from league.envs.race_env import Observations, RaceEnv, Step
 from league.envs.sensor_suite import SensorSuite
@@ -30,12 +30,12 @@ FAULTS_TO_END = 25
 
 _UNPAID = RewardConfig(progress=0.0, off_track=0.0, crash=0.0)
 
-Watcher = Callable[[World], None]
+WorldCallback = Callable[[World], None]
 """Called with the live world at the start and after each step; it must not change it."""
 
 
 @dataclass(frozen=True)
-class Contest:
+class RaceJob:
     """A race to run."""
 
     spec: RaceSpec
@@ -43,15 +43,14 @@ class Contest:
     track: Track | None = None
     """The course, if it is not one that ships under the spec's name."""
     drivers: Sequence[Driver] | None = None
-    """Who drives, in grid order; by default loaded by the entries' names."""
+    """The drivers in grid order; by default loaded by the entries' names."""
     record: bool = True
     """Whether to keep a replay; it changes nothing in the race."""
-    watch: Watcher | None = None
-    """Told each world as it comes."""
+    watch: WorldCallback | None = None
 
 
 @dataclass(frozen=True)
-class Finished:
+class FinishedRace:
     """What a race leaves."""
 
     result: RaceResult
@@ -107,30 +106,23 @@ def run(
     track: Track | None = None,
     drivers: Sequence[Driver] | None = None,
     record: bool = True,
-    watch: Watcher | None = None,
-) -> Finished:
-    """Run a race from the grid to the classification.
-
-    Args:
-        spec: all that decides the race.
-        track: the course, if it is not one that ships under the spec's name.
-        drivers: who drives, in grid order; by default loaded by the entries' names.
-        record: whether to keep a replay; it changes nothing in the race.
-        watch: told each world as it comes.
+    watch: WorldCallback | None = None,
+) -> FinishedRace:
+    """Run a race from the grid to the classification; see RaceJob for the arguments.
 
     Raises:
         LeagueError: unknown drivers or track, or settings that contradict each other.
     """
-    return run_together([Contest(spec, track, drivers, record, watch)])[0]
+    return run_together([RaceJob(spec, track, drivers, record, watch)])[0]
 
 
-def run_together(contests: Sequence[Contest], *, patience_s: float = math.inf) -> list[Finished]:
+def run_together(jobs: Sequence[RaceJob], *, patience_s: float = math.inf) -> list[FinishedRace]:
     """Run races as one batch: each goes, to the bit, as it would alone, and the whole is faster.
 
     A driver that is in several of them, as one object, is asked once a step for all of its cars.
 
     Args:
-        contests: races of the same settings but for track, seed and drivers.
+        jobs: races of the same settings but for track, seed and drivers.
         patience_s: processor time that a driver may take for an answer [s]; a later one is as good
             as none. The clock then has a say in the race: give far more than drivers need.
 
@@ -139,9 +131,9 @@ def run_together(contests: Sequence[Contest], *, patience_s: float = math.inf) -
     """
     from league.track import files
 
-    if not contests:
+    if not jobs:
         return []
-    specs = [one.spec for one in contests]
+    specs = [job.spec for job in jobs]
     sim, solver = sim_config(specs[0]), specs[0].solver
     for spec in specs[1:]:
         if (sim_config(spec), spec.solver) != (sim, solver):
@@ -149,14 +141,13 @@ def run_together(contests: Sequence[Contest], *, patience_s: float = math.inf) -
                 f"races of seeds {specs[0].seed} and {spec.seed} have other settings: run together "
                 "only races that differ in nothing but track, seed and drivers"
             )
-    courses = [one.track or files.load(one.spec.track) for one in contests]
-    field = [_drivers(one, course, sim.car) for one, course in zip(contests, courses, strict=True)]
-    seats = Seats(field, patience_s)
-    return _Batch(contests, courses, field, seats, EnvConfig(sim, solver, reward=_UNPAID)).run()
+    courses = [job.track or files.load(job.spec.track) for job in jobs]
+    drivers = [_drivers(job, course, sim.car) for job, course in zip(jobs, courses, strict=True)]
+    return _Batch(jobs, courses, drivers, EnvConfig(sim, solver, reward=_UNPAID), patience_s).run()
 
 
-def _drivers(contest: Contest, course: Track, car: CarConfig) -> Sequence[Driver]:
-    entries, drivers = contest.spec.entries, contest.drivers
+def _drivers(job: RaceJob, course: Track, car: CarConfig) -> Sequence[Driver]:
+    entries, drivers = job.spec.entries, job.drivers
     if drivers is None:
         tracks = TrackSet(course)
         drivers = [_loaded(entry, tracks, car) for entry in entries]
@@ -170,100 +161,87 @@ class _Batch:
 
     def __init__(
         self,
-        contests: Sequence[Contest],
+        jobs: Sequence[RaceJob],
         courses: Sequence[Track],
-        field: Sequence[Sequence[Driver]],
-        seats: Seats,
+        drivers: Sequence[Sequence[Driver]],
         cfg: EnvConfig,
+        patience_s: float,
     ) -> None:
         different = {id(course): course for course in courses}
-        rows = [list(different).index(id(course)) for course in courses]
+        track_index = [list(different).index(id(course)) for course in courses]
         tracks = TrackSet(*different.values())
-        self._env = RaceEnv(tracks, cfg, num_worlds=len(contests), track_index=rows)
-        self._seats = seats
+        self._env = RaceEnv(tracks, cfg, num_worlds=len(jobs), track_index=track_index)
+        self._pool = DriverPool(drivers, patience_s=patience_s)
+        # Sensors of their own, because the drivers of another race may carry other ones.
         self._races = [
-            _Race(contest, tracks, replace(cfg, sensors=tuple(one.sensors for one in drivers)))
-            for contest, drivers in zip(contests, field, strict=True)
+            _RunningRace(job, tracks, replace(cfg, sensors=tuple(one.sensors for one in field)))
+            for job, field in zip(jobs, drivers, strict=True)
         ]
-        # Seats of races that are over and of drivers that were retired: nobody is asked for them.
-        self._idle: set[Seat] = set()
         self._at_wall = np.zeros(self._env.world.cars.shape, np.bool_)
 
-    def run(self) -> list[Finished]:
-        env = self._env
+    def run(self) -> list[FinishedRace]:
+        env, races = self._env, self._races
         try:
-            told = env.reset(seeds=[race.spec.seed for race in self._races])
-            self._seats.reset()
-            for index, race in enumerate(self._races):
+            rollout = Rollout(env, self._pool, [race.spec.seed for race in races], self._on_faults)
+            for index, race in enumerate(races):
                 race.begin(env.world.row(index))
-            while not all(race.result for race in self._races):
-                step = env.step(self._actions(told))
-                told = step.observations
-                self._follow(step)
+            while not all(race.result for race in races):
+                self._follow(rollout.step([race.readings for race in races]))
         finally:
             env.close()
-        return [race.finished() for race in self._races]
+        return [race.finished() for race in races]
 
-    def _actions(self, told: Observations) -> np.ndarray:
-        """Ask the drivers; an answer that is late or no action is replaced by the last good one."""
-        answers = self._seats.ask(told, [race.readings for race in self._races], self._idle)
-        actions = self._env.last_action
-        for seat, answer in answers.items():
-            if answer is not None:
-                actions[seat] = answer
+    def _on_faults(self, faults: np.ndarray) -> None:
+        """Count each driver's faults, and retire it after too many in a row."""
         for index, race in enumerate(self._races):
             for car in range(self._env.num_cars):
                 seat = index, car
-                if seat in self._idle or not race.fault(car, answers[seat] is None):
-                    continue
-                self._idle.add(seat)
-                self._env.retire(car, index)
-        return actions
+                if seat not in self._pool.idle and race.fault(car, bool(faults[seat])):
+                    self._pool.idle.add(seat)
+                    self._env.retire(car, index)
 
     def _follow(self, step: Step) -> None:
-        """Write down the step in each race, and end those that are over."""
-        seen, env = step.verdicts, self._env
-        scraped = seen["wall"] & ~self._at_wall
-        self._at_wall = seen["wall"].copy()
-        cars = scraped | (seen["overtook"] > 0) | seen["lead_changed"]
+        """Log the step in each race, and end those that are over."""
+        verdicts, env, idle = step.verdicts, self._env, self._pool.idle
+        scraped = verdicts["wall"] & ~self._at_wall
+        self._at_wall = verdicts["wall"].copy()
+        cars = scraped | (verdicts["overtook"] > 0) | verdicts["lead_changed"]
         for name in ("mistake", "lap", "released", "was_hit"):
-            cars |= seen[name]
-        news = np.any(cars, axis=1).tolist()
+            cars |= verdicts[name]
+        eventful = np.any(cars, axis=1).tolist()
         ended = (step.terminated | step.truncated).tolist()
-        for index, (race, noted) in enumerate(zip(self._races, news, strict=True)):
+        for index, race in enumerate(self._races):
             if race.result:
                 continue
             seats = [(index, car) for car in range(env.num_cars)]
-            over = all(ended[index][car] or (index, car) in self._idle for index, car in seats)
-            told = (seen[index], scraped[index]) if noted else None
-            race.follow(env.world.row(index), told, over)
+            over = all(ended[index][car] or (index, car) in idle for index, car in seats)
+            news = (verdicts[index], scraped[index]) if eventful[index] else None
+            race.follow(env.world.row(index), news, over)
             if over and len(self._races) > 1:
-                self._idle.update(seats)
+                idle.update(seats)
                 env.retire(slice(None), index)
 
 
-class _Race:
+class _RunningRace:
     """One race under way."""
 
-    def __init__(self, contest: Contest, tracks: TrackSet, cfg: EnvConfig) -> None:
-        self.spec, self._watch = contest.spec, contest.watch
+    def __init__(self, job: RaceJob, tracks: TrackSet, cfg: EnvConfig) -> None:
+        self.spec, self._watch = job.spec, job.watch
         self.result: RaceResult | None = None
         self.readings: Observations = ()
-        # Its own, because the drivers of another race may carry other sensors.
         self._sensing = SensorSuite(tracks, cfg)
         self._log = RaceLog(cfg.sim.step_dt, cfg.sim.num_cars)
         self._faults = [0] * cfg.sim.num_cars
         self._recorder = None
-        if contest.record:
+        if job.record:
             from league.replay import Recorder
 
-            self._recorder = Recorder(contest.spec, tracks)
+            self._recorder = Recorder(job.spec, tracks)
 
     def begin(self, world: World) -> None:
-        """Take note of the grid."""
         if self._recorder:
             self._recorder.start(world)
-        self._seen(world)
+        self._observe(world)
 
     def fault(self, car: int, failed: bool) -> bool:
         """Count a car's failures in a row; return whether its driver's race is over by them."""
@@ -273,11 +251,11 @@ class _Race:
         return self._faults[car] >= FAULTS_TO_END
 
     def follow(self, world: World, news: tuple[np.ndarray, np.ndarray] | None, over: bool) -> None:
-        """Take note of a step.
+        """Log a step.
 
         Args:
             world: after it.
-            news: the referee's verdicts, and who came to the wall, if there was anything.
+            news: verdicts, and which cars came to the wall in this step, if there was anything.
             over: whether it was the last one.
         """
         self._log.steps += 1
@@ -288,15 +266,14 @@ class _Race:
             self._recorder.add(world)
         if over:
             self.result = classify(self.spec, world, self._log)
-        self._seen(world)
+        self._observe(world)
 
-    def finished(self) -> Finished:
-        """Return what the race leaves."""
+    def finished(self) -> FinishedRace:
         assert self.result is not None
         replay = self._recorder.finish(self.result) if self._recorder else None
-        return Finished(result=self.result, replay=replay)
+        return FinishedRace(result=self.result, replay=replay)
 
-    def _seen(self, world: World) -> None:
+    def _observe(self, world: World) -> None:
         if self._watch:
             self._watch(world)
         if self.result is None:
@@ -317,9 +294,9 @@ def rerun(replay: Replay, checkpoints: Sequence[str | os.PathLike[str]] = ()) ->
     from league.agents import checkpoint
 
     tracks, car = TrackSet(replay.track), sim_config(replay.spec).car
-    given = {checkpoint.digest(path): os.fspath(path) for path in checkpoints}
+    paths = {checkpoint.digest(path): os.fspath(path) for path in checkpoints}
     drivers = [
-        _loaded(entry.model_copy(update={"path": given.get(entry.digest, entry.path)}), tracks, car)
+        _loaded(entry.model_copy(update={"path": paths.get(entry.digest, entry.path)}), tracks, car)
         for entry in replay.spec.entries
     ]
     again = run(replay.spec, track=replay.track, drivers=drivers)
@@ -329,24 +306,24 @@ def rerun(replay: Replay, checkpoints: Sequence[str | os.PathLike[str]] = ()) ->
 
 def _loaded(entry: Entry, tracks: TrackSet, car: CarConfig) -> Driver:
     """Load the driver of an entry, and make sure that a policy is still the same one."""
-    from league.agents import garage, roster
+    from league.agents import roster
 
-    whose = f"{entry.name!r} is the policy {entry.digest[:12]}"
-    if entry.digest and not entry.path and entry.name not in garage.names():
-        raise PolicyError(f"{whose}, but no file is named that holds it: give its checkpoint")
+    policy = f"{entry.name!r} is the policy {entry.digest[:12]}"
+    if entry.digest and not entry.path and entry.name not in roster.garage():
+        raise PolicyError(f"{policy}, but no file is named that holds it: give its checkpoint")
     try:
         driver = roster.load(entry.path or entry.name, tracks, car)
     except PolicyError as error:
         if not entry.digest:
             raise
         raise PolicyError(
-            f"{whose}, which cannot be had any more: {error}; name the file that holds it now, "
+            f"{policy}, which is not available: {error}; name the file that holds it now, "
             "as in `league verify REPLAY --policies FILE.pt`"
         ) from error
-    found = getattr(driver, "digest", "")
-    if entry.digest and found != entry.digest:
+    digest = getattr(driver, "digest", "")
+    if entry.digest and digest != entry.digest:
         raise PolicyError(
-            f"{whose}, but {entry.path or entry.name} holds {found[:12]} now: "
+            f"{policy}, but {entry.path or entry.name} holds {digest[:12]} now: "
             "give the file it was then, as in `league verify REPLAY --policies FILE.pt`"
         )
     return driver

@@ -1,7 +1,7 @@
 """Trace: an evaluation step by step, as the 19-column CSV that community log tools read.
 
-Columns and their order are those of the original's `*-iteration.csv`; what a number
-means where the original leaves a choice is told in docs/evaluation.md.
+Columns and their order are those of the original's `*-iteration.csv`; docs/evaluation.md says what
+a number means where the original leaves a choice.
 """
 
 from __future__ import annotations
@@ -19,10 +19,11 @@ from league.deepracer import params_kernels
 from league.deepracer.params import Roads
 from league.envs.actions import ActionSpace, DiscreteActions
 from league.errors import ConfigError
-from league.racing.runs import Moment
+from league.racing.evaluate import EvalStep
 from league.sim import referee
 from league.sim.records import NOBODY
 from league.sim.world import is_frozen
+from league.track.track import Track
 
 COLUMNS = (
     "episode",
@@ -55,10 +56,10 @@ def nearer(points: Sequence[tuple[float, float]], pair: Sequence[int], x: float,
 
 
 class Trace:
-    """Keeps the steps of an evaluation as it is told them; give its `add` as `watch`."""
+    """Records the steps of an evaluation; give its `add` as `watch`."""
 
     def __init__(self, space: ActionSpace | None = None, *, started_s: float = 0.0) -> None:
-        """Keep nothing yet.
+        """Start an empty trace.
 
         Args:
             space: what the driver chooses from, for the column `action`; None: any numbers.
@@ -70,33 +71,34 @@ class Trace:
         self._crashes: dict[tuple[int, int], int] = {}
         self._step_dt = 0.0
 
-    def add(self, moment: Moment) -> None:
+    def add(self, step: EvalStep) -> None:
         """Keep one step of every run that is under way."""
         if self._roads is None:
-            self._roads = Roads.of(moment.tracks)
-        self._step_dt = moment.sim.step_dt
-        told = _told(moment)
-        for seen in moment.seen:
-            crash = bool(moment.step.verdicts["crashed_obstacle"][seen.row, 0] != NOBODY)
-            key = (seen.run, seen.trial)
+            self._roads = Roads.of(step.tracks)
+        self._step_dt = step.sim.step_dt
+        columns = _columns(step)
+        for trial in step.trials:
+            crash = bool(step.step.verdicts["crashed_obstacle"][trial.row, 0] != NOBODY)
+            key = (trial.run, trial.trial)
             self._crashes[key] = self._crashes.get(key, 0) + crash
-            row = {name: values[seen.row] for name, values in told.items()}
-            self._rows.setdefault(seen.run, []).append(
+            row = {name: values[trial.row] for name, values in columns.items()}
+            self._rows.setdefault(trial.run, []).append(
                 {
-                    **self._placed(moment, seen.trial, row),
-                    "trial": seen.trial,
-                    "steps": seen.step,
+                    **row,
+                    **self._lap_columns(step.tracks.tracks[0], row),
+                    "trial": trial.trial,
+                    "steps": trial.step,
                     "action": self._action(row["steer"], row["throttle"]),
-                    "done": seen.done,
-                    "episode_status": seen.status,
+                    "done": trial.done,
+                    "episode_status": trial.status,
                     "obstacle_crash_counter": self._crashes[key],
-                    **({"progress": 100.0} if seen.status == "lap_complete" else {}),
+                    **({"progress": 100.0} if trial.status == "lap_complete" else {}),
                 }
             )
 
     def rows(self) -> list[dict[str, object]]:
         """Return all rows, run after run, with the columns of the CSV."""
-        found, episodes, steps = [], 0, 0
+        rows, episodes, steps = [], 0, 0
         for run in sorted(self._rows):
             for row in self._rows[run]:
                 steps += 1
@@ -107,9 +109,9 @@ class Trace:
                     "tstamp": round(time_s, 6),
                     "wall_clock": round(self._started_s + time_s, 6),
                 }
-                found.append({name: whole[name] for name in COLUMNS})
+                rows.append({name: whole[name] for name in COLUMNS})
             episodes += self._rows[run][-1]["trial"] + 1
-        return found
+        return rows
 
     def write(self, path: str | os.PathLike[str]) -> Path:
         """Write the CSV, whole or not at all, and return its path."""
@@ -122,9 +124,8 @@ class Trace:
             writer.writerows(list(row.values()) for row in self.rows())
         return Path(path)
 
-    def _placed(self, moment: Moment, trial: int, row: Mapping[str, float]) -> dict:
-        """Return a row with its place on the lap worked out."""
-        track = moment.tracks.tracks[0]
+    def _lap_columns(self, track: Track, row: Mapping[str, float]) -> dict:
+        """Return the columns that say where on the lap the car is."""
         roads = self._roads
         assert roads is not None
         pair = params_kernels.closest_waypoints(roads.places, roads.records[0], row["nose_s"])
@@ -132,7 +133,6 @@ class Trace:
         on_lap = row["distance"] - row["laps"] * row["lap_length"]
         progress = 100.0 * (on_lap + row["nose_ahead"]) / row["lap_length"]
         return {
-            **row,
             "progress": round(min(max(progress, 0.0), 100.0), 6),
             "closest_waypoint": nearer(roads.waypoints[0], pair, row["X"], row["Y"]),
             "track_len": round(track.length, 6),
@@ -150,10 +150,10 @@ class Trace:
         return f"[{steer:.4f} {throttle:.4f}]"
 
 
-def _told(moment: Moment) -> dict[str, list]:
-    """Return what a step told of the evaluated car of each world, by column."""
-    tracks, car, world = moment.tracks, moment.sim.car, moment.judged
-    now, before, track = world.cars[:, 0], moment.before[:, 0], world.track
+def _columns(step: EvalStep) -> dict[str, list]:
+    """Return numbers of the evaluated car of each world after a step, by name."""
+    tracks, car, world = step.tracks, step.sim.car, step.judged
+    now, before, track = world.cars[:, 0], step.before[:, 0], world.track
     x = now["x"] + np.float32(car.nose) * np.cos(now["yaw"])
     y = now["y"] + np.float32(car.nose) * np.sin(now["yaw"])
     nose = tracks.project(track, x, y, now["s"])
@@ -167,15 +167,15 @@ def _told(moment: Moment) -> dict[str, list]:
         "yaw": now["yaw"] * np.float32(180.0 / math.pi),
         "steer": np.round(now["target_steering"] * np.float32(180.0 / math.pi), 4),
         "throttle": now["target_speed"],
-        # While a penalty is stood nobody is paid.
-        "reward": np.where(is_frozen(before), 0.0, moment.step.rewards[:, 0]),
+        # No reward is paid during a penalty.
+        "reward": np.where(is_frozen(before), 0.0, step.step.rewards[:, 0]),
         "all_wheels_on_track": on.all(axis=1),
         "distance": now["distance"],
         "laps": before["laps"],
         "lap_length": tracks.lap_length(track),
         "nose_s": nose.s,
         "nose_ahead": tracks.signed_gap(track, nose.s, now["s"]),
-        "pause_duration": moment.world.cars["penalty_s"][:, 0],
+        "pause_duration": step.world.cars["penalty_s"][:, 0],
     }
     return {name: _plain(values) for name, values in columns.items()}
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from league.agents.checkpoint import Checkpoint
     from league.agents.driver import Driver
     from league.race_spec import RaceResult
-    from league.racing.race import Contest, Finished
+    from league.racing.race import FinishedRace, RaceJob
     from league.sim.config import CarConfig
     from league.track.track import Track, TrackSet
 
@@ -115,14 +115,14 @@ class Pit:
         driven = sum(one.result.race_s for one in races)
         return Report(job.key, outcome, "", perf_counter() - start, driven)
 
-    def _races(self, job: Job) -> list[Finished]:
+    def _races(self, job: Job) -> list[FinishedRace]:
         """Race all halves at once, as one batch: each goes as it would alone."""
         from league.racing import race
 
-        contests = [self._contest(job, *one) for one in zip(job.halves, job.seeds, strict=True)]
-        return race.run_together(contests, patience_s=TOO_LATE_S)
+        races = [self._race_job(job, *one) for one in zip(job.halves, job.seeds, strict=True)]
+        return race.run_together(races, patience_s=TOO_LATE_S)
 
-    def _contest(self, job: Job, half: Half, seed: int) -> Contest:
+    def _race_job(self, job: Job, half: Half, seed: int) -> RaceJob:
         from league.race_spec import checked
         from league.racing import race
         from league.track import files
@@ -148,7 +148,7 @@ class Pit:
         )
         tracks, car = TrackSet(course), race.sim_config(spec).car
         drivers = [self._driver(who, tracks, car) for who in field]
-        return race.Contest(spec, course, drivers)
+        return race.RaceJob(spec, course, drivers)
 
     def _named(self, who: Contestant) -> dict[str, str]:
         digest = "" if who.scripted else self._checkpoint(who).digest
@@ -184,7 +184,7 @@ def _trim(kept: OrderedDict) -> None:
         kept.popitem(last=False)
 
 
-def outcome_of(finished: Finished, *, keep_replay: bool = True) -> RaceOutcome:
+def outcome_of(finished: FinishedRace, *, keep_replay: bool = True) -> RaceOutcome:
     """Return a race's outcome as the store keeps it.
 
     The result holds the hash of every step's state and action, so that an audit notices a race
