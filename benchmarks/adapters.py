@@ -189,7 +189,7 @@ def decision(times: int = 300) -> Drive:
     from league.sim.config import CarConfig
 
     tracks = problem.course(TRACK)
-    policy = roster.policy(str(ROOT / "garage" / "novice.pt"), tracks, CarConfig())
+    policy = roster.load(str(ROOT / "garage" / "novice.pt"), tracks, CarConfig())
     assert policy.sensors.camera is not None and policy.sensors.camera.width == 64
     env = RaceEnv(tracks, problem.configure(sensors=policy.sensors))
     told = env.reset(seed=1)[0]

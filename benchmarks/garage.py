@@ -125,10 +125,10 @@ def novice(found: Found) -> None:
 def duelist(found: Found, races: int = 200) -> None:
     """Mirrored races against its parent, against the centreline, and against its own past."""
     tracks, car = TrackSet(files.load(HOME)), CarConfig()
-    mine = roster.policy(str(found["duelist"]), tracks, car)
+    mine = roster.load(str(found["duelist"]), tracks, car)
     rivals: dict[str, tuple[Driver, float]] = {}
     if "novice" in found:  # its parent
-        rivals["novice"] = roster.policy(str(found["novice"]), tracks, car), 0.65
+        rivals["novice"] = roster.load(str(found["novice"]), tracks, car), 0.65
     rivals["centerline"] = roster.load("centerline", tracks, car), 0.95
     for name, (rival, goal) in rivals.items():
         won, score = _win_rate(tracks, mine, rival, races)
@@ -136,7 +136,7 @@ def duelist(found: Found, races: int = 200) -> None:
         figure(f"duelist: contacts to blame for, against {name}", score.contacts_per_km, "per km")
     rates = {}
     for path in _past(found["duelist"]):
-        rival = roster.policy(str(path), tracks, car)
+        rival = roster.load(str(path), tracks, car)
         rates[path.stem] = _win_rate(tracks, mine, rival, races)[0]
     if rates:
         worst = min(rates, key=rates.__getitem__)

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.report import fastest, figure, heading, note, product, table
-from league.agents.garage import names as garage_names
-from league.agents.roster import NAMES
+from league.agents.roster import NAMES, garage
 from league.envs import step as stages
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
@@ -176,7 +175,7 @@ def laps() -> None:
     """Print lap times and off-tracks in both solvers, and what Bullet costs."""
     row = table("driver", "planar, best lap", "off", "Bullet, best lap", "off", "longer by")
     losses = []
-    for name in (*NAMES, *garage_names()):
+    for name in (*NAMES, *garage()):
         flat, real = raced(name, "planar"), raced(name, "bullet")
         assert flat.best_lap_s and real.best_lap_s, f"{name} completes no lap"
         losses.append(100 * (real.best_lap_s / flat.best_lap_s - 1))

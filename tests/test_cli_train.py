@@ -13,7 +13,7 @@ from operator import attrgetter
 import numpy as np
 import pytest
 
-from league.agents import checkpoint, garage
+from league.agents import checkpoint, roster
 from league.cli import resuming, train
 from league.cli.train import Train
 from league.cli.train_settings import config, parse_actions, parse_sensors
@@ -367,13 +367,13 @@ def test_past_selves_are_held_back_unless_that_is_switched_off():
 
 
 def test_policy_to_begin_from_may_be_named_as_in_the_garage():
-    assert config(Train(init_from="rookie")).init_from == str(garage.path("rookie"))
-    path = str(garage.path("rookie"))
+    assert config(Train(init_from="rookie")).init_from == str(roster.garage()["rookie"])
+    path = str(roster.garage()["rookie"])
     assert config(Train(init_from=path)).init_from == path
 
 
 def test_what_is_not_asked_for_is_the_parents(capsys):
-    rookie = checkpoint.load(garage.path("rookie")).card
+    rookie = checkpoint.load(roster.garage()["rookie"]).card
     cfg = config(Train(init_from="rookie")).train
     assert (cfg.action_space, cfg.sensors) == (rookie.space, rookie.sensor_config)
     assert cfg.network == rookie.network

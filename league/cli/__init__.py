@@ -1,5 +1,85 @@
-"""The command line: `league ...`; the only wing that prints."""
+"""The command line, `league ...`: parses, runs the command, and turns errors into one sentence."""
 
-from league.cli.parser import main
+from __future__ import annotations
 
-__all__ = ["main"]
+import atexit
+import gc
+import os
+import sys
+from functools import reduce
+from operator import or_
+from typing import Annotated, Any
+
+import tyro
+
+from league.cli import drivers, evaluate, race, replays, rewards, tracks, train
+from league.cli.season import entries, gauntlet, heats, run, standings
+from league.errors import LeagueError
+
+_MODULES = (
+    race,
+    train,
+    evaluate,
+    rewards,
+    drivers,
+    tracks,
+    replays,
+    entries,
+    run,
+    standings,
+    heats,
+    gauntlet,
+)
+"""Modules of the commands, in the order of the help; `COMMANDS` of each has the names."""
+_SIMULATING = (
+    race.Race,
+    train.Train,
+    evaluate.Evaluate,
+    rewards.Rewards,
+    replays.Verify,
+    entries.Submit,
+    run.Work,
+    heats.Audit,
+    gauntlet.Gauntlet,
+    gauntlet.Compare,
+)
+"""Commands that drive cars, and so need the compiled simulator."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; return its exit code."""
+    # Skip the search for cycles at exit, which takes a second with torch in memory.
+    atexit.register(gc.freeze)
+    try:
+        command = _parsed(arguments)
+        if isinstance(command, _SIMULATING):
+            from league import precompile  # late: Numba takes a while
+
+            precompile.ensure()
+        return command.run()
+    except LeagueError as error:
+        print(f"league: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("league: stopped.", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # The reader of our output has closed it (`league ... | head`).
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def _parsed(arguments: list[str] | None) -> Any:  # noqa: ANN401
+    commands = [
+        Annotated[command, tyro.conf.subcommand(name)]
+        for module in _MODULES
+        for name, command in module.COMMANDS.items()
+    ]
+    union: Any = reduce(or_, commands)
+    return tyro.cli(
+        union,
+        prog="league",
+        description="The open racing league for learning drivers.",
+        args=arguments,
+        config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+    )

@@ -69,12 +69,12 @@ class Evaluate:
 
 def _evaluate(command: Evaluate) -> int:
     _check(command)
-    found = []
+    evaluations = []
     for track in command.track:
-        one, trace = _one(command, track)
-        found.append(one)
+        evaluation, trace = _one(command, track)
+        evaluations.append(evaluation)
         if not command.json:
-            print_table(one)
+            print_table(evaluation)
         if trace is not None and command.trace is not None:
             path = trace.write(command.trace)
             if not command.json:
@@ -82,13 +82,13 @@ def _evaluate(command: Evaluate) -> int:
         if command.replay != "none":
             _keep_replay(command, track)
     if command.json:
-        told = [{**one.model_dump(mode="json"), "summary": one.summary} for one in found]
-        print(json.dumps(told if len(told) > 1 else told[0], indent=2))
+        data = [{**one.model_dump(mode="json"), "summary": one.summary} for one in evaluations]
+        print(json.dumps(data if len(data) > 1 else data[0], indent=2))
     return 0
 
 
 def _check(command: Evaluate) -> None:
-    """Refuse wishes that contradict each other before anything is driven."""
+    """Refuse flags that contradict each other before anything is driven."""
     several = len(command.track) > 1
     if not command.track:
         raise ConfigError("no track was named: give --track NAME, `league tracks` lists them")
@@ -166,22 +166,22 @@ def _obstacles(command: Evaluate) -> ObstacleConfig:
     )
 
 
-def _reward(wish: str, tracks: TrackSet, car: CarConfig) -> Callable[[int], Reward]:
+def _reward(name: str, tracks: TrackSet, car: CarConfig) -> Callable[[int], Reward]:
     """Return what makes the reward of so many worlds, in which car 0 is paid."""
-    if wish.endswith(".py"):
+    if name.endswith(".py"):
         from league.deepracer import user_reward
 
-        return lambda num_worlds: user_reward(wish, num_worlds, (0,))
+        return lambda num_worlds: user_reward(name, num_worlds, (0,))
     from league.envs.rewards import built_in
 
-    paid = built_in(wish, tracks, car)
+    paid = built_in(name, tracks, car)
     return lambda num_worlds: paid
 
 
 def _keep_replay(command: Evaluate, track: str) -> None:
     """Drive the first run once more, as a race that is recorded: the same race to the bit."""
     from league import replay as replays
-    from league.cli.race import entries, replay_path, told
+    from league.cli.race import entries, replay_line, replay_path
     from league.race_spec import checked
     from league.racing import race
     from league.track import files
@@ -204,7 +204,7 @@ def _keep_replay(command: Evaluate, track: str) -> None:
     assert recorded is not None
     path = replays.write(recorded, replay_path(command.replay, spec, course))
     if not command.json:
-        print(told(path))
+        print(replay_line(path))
 
 
 _WIDTH = 80

@@ -91,7 +91,7 @@ def _race(command: Race) -> int:
     else:
         _print_classification(finished.result)
         if path is not None:
-            print(told(path))
+            print(replay_line(path))
     if live is not None:
         sys.stdout.flush()
         live.wait()
@@ -121,60 +121,54 @@ def _spec(command: Race, track: str) -> RaceSpec:
 
 def entries(drivers: Sequence[str]) -> list[dict[str, str]]:
     """Return the entries of a spec; a checkpoint is shown by its name and found by its path."""
-    from league.agents import garage
+    from league.agents import checkpoint, roster
 
-    found = []
-    for given, name in zip(drivers, labels(drivers), strict=True):
+    shipped, result = roster.garage(), []
+    for driver, name in zip(drivers, labels(drivers), strict=True):
         entry = {"name": name}
-        if given.endswith(".pt"):
-            entry |= {"path": given, "digest": _digest(given)}
-        elif given in garage.names():
+        if driver.endswith(".pt"):
+            entry |= {"path": driver, "digest": checkpoint.digest(driver)}
+        elif driver in shipped:
             # No path: on every machine the garage has it under this name.
-            entry["digest"] = _digest(garage.path(given))
-        found.append(entry)
-    return found
-
-
-def _digest(path: str | Path) -> str:
-    from league.agents import checkpoint  # late: torch takes seconds
-
-    return checkpoint.digest(path)
+            entry["digest"] = checkpoint.digest(shipped[driver])
+        result.append(entry)
+    return result
 
 
 def labels(drivers: Sequence[str]) -> list[str]:
     """Return what drivers are called: checkpoints by their file's name, without its ending.
 
-    Two files of one name (a/best.pt, b/best.pt) are told apart by their folders.
+    Two files of one name (a/best.pt, b/best.pt) are labelled with their folders.
     """
-    names = [Path(given).stem if given.endswith(".pt") else given for given in drivers]
+    names = [Path(driver).stem if driver.endswith(".pt") else driver for driver in drivers]
     return [
-        f"{Path(given).resolve().parent.name}/{name}"
-        if any(name == other and given != drivers[k] for k, other in enumerate(names))
-        and given.endswith(".pt")
+        f"{Path(driver).resolve().parent.name}/{name}"
+        if any(name == other and driver != drivers[k] for k, other in enumerate(names))
+        and driver.endswith(".pt")
         else name
-        for given, name in zip(drivers, names, strict=True)
+        for driver, name in zip(drivers, names, strict=True)
     ]
 
 
-def replay_path(wish: str, spec: RaceSpec, track: Track) -> Path:
+def replay_path(replay: str, spec: RaceSpec, track: Track) -> Path:
     """Return where a replay goes: the file that was named, or one in the folder.
 
-    Its name ends in a few letters that only the same race has, so that none takes another's place.
+    Its name ends in a hash of the race, so that no other race overwrites it.
     """
     import hashlib
 
     from league.track import files
 
-    if wish.endswith(".race"):
-        return Path(wish)
+    if replay.endswith(".race"):
+        return Path(replay)
     names = "-".join(entry.name.replace("/", "_") for entry in spec.entries)[:80]
     # Where a checkpoint lies decides nothing; its digest is in the spec.
-    asked = spec.model_dump_json(exclude={"entries": {"__all__": {"path"}}}) + files.dump(track)
-    mark = hashlib.sha256(asked.encode()).hexdigest()[:6]
-    return Path(wish) / f"{spec.track}-{names}-{spec.kind}-{spec.seed}-{mark}.race"
+    content = spec.model_dump_json(exclude={"entries": {"__all__": {"path"}}}) + files.dump(track)
+    mark = hashlib.sha256(content.encode()).hexdigest()[:6]
+    return Path(replay) / f"{spec.track}-{names}-{spec.kind}-{spec.seed}-{mark}.race"
 
 
-def told(replay: Path) -> str:
+def replay_line(replay: Path) -> str:
     """Return the line that says where a replay is, and how to watch it."""
     newest = replay.parent == Path("replays")  # where `league view` looks by itself
     return f"Replay: {replay}   (watch it: league view{'' if newest else f' {replay}'})"

@@ -94,9 +94,9 @@ def _check(command: Train) -> None:
 
 def _parent(name: str) -> str:
     """Return the checkpoint to begin from; a policy of the garage may be given by its name."""
-    from league.agents import garage
+    from league.agents import roster
 
-    return str(garage.path(name)) if name in garage.names() else name
+    return str(roster.garage().get(name, name))
 
 
 def _printable(text: str) -> str:
