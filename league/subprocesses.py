@@ -1,8 +1,8 @@
-"""Processes beside this one: quick to start, deaf to Ctrl-C, and gone when this one has died.
+"""Child processes: quick to start, immune to Ctrl-C, ended with the process that started them.
 
-On Linux a server loads the libraries once and forks each process off, before anything in it has
-begun a thread of its own; a plain fork would inherit torch's threads and the database's
-connections. Elsewhere each process loads them for itself.
+On Linux a server imports modules once and forks each process off, before anything in it has started
+a thread; a plain fork would inherit torch's threads and the database's connections. Elsewhere each
+process imports for itself.
 """
 
 from __future__ import annotations
@@ -15,23 +15,11 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from multiprocessing import resource_tracker
 from multiprocessing.process import BaseProcess
 
 from league.errors import ConfigError
-
-LOADED = (
-    "league.agents.policy",
-    "league.agents.roster",
-    "league.cli",
-    "league.racing.evaluate",
-    "league.matchmaking.workers.processes",
-    "league.racing.race",
-    "league.sim.physics.bullet",
-    "league.sim.camera.paint_renderer",
-)
-"""What such processes import, and what takes them seconds without a server."""
 
 _SERVED = sys.platform == "linux"
 _DIE_WITH_PARENT = 1
@@ -40,54 +28,54 @@ _DIE_WITH_PARENT = 1
 CONTEXT = (
     multiprocessing.get_context("forkserver") if _SERVED else multiprocessing.get_context("spawn")
 )
-"""Makes the pipes and queues that such processes are handed."""
+"""Makes the pipes and queues that are passed to such processes."""
 
 
-def prepare() -> None:
-    """Begin to load what processes to come will import, without waiting for it.
+def prepare(modules: Sequence[str]) -> None:
+    """Start the server, without waiting for it; it imports these modules if it does not run yet.
 
     Raises:
         ConfigError: no process can be started on this machine.
     """
     if _SERVED:
-        with _told():
-            _serve()
+        CONTEXT.set_forkserver_preload(list(modules))
+        with _failing_in_one_sentence():
+            _ensure_server()
 
 
 def start(target: Callable[..., None], *arguments: object) -> BaseProcess:
-    """Start a process; the first waits until what was prepared is loaded.
+    """Start a process; the first waits until the server has imported its modules.
 
     Args:
-        target: a function of a module, which it runs.
+        target: a function of a module, to run in the process.
         arguments: of the function; pipes and queues of CONTEXT may be among them.
 
     Raises:
         ConfigError: none can be started on this machine.
     """
     process = CONTEXT.Process(target=_run, args=(target, *arguments), daemon=True)
-    with _told():
+    with _failing_in_one_sentence():
         try:
             _begin(process)
-        except (EOFError, ConnectionError):  # the server has just died: let that be noticed
+        except (EOFError, ConnectionError):  # the server has just died: wait until that shows
             time.sleep(0.1)
             _begin(process)
     return process
 
 
 def _run(target: Callable[..., None], *arguments: object) -> None:
-    """Run a function in a process that has just begun."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if _SERVED:
-        # Without the server nobody could be told how this process ended, nor end it.
+        # Without the server this process could be neither observed nor ended.
         ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     target(*arguments)
 
 
 def _end_with_parent() -> None:
-    """End this process as soon as the one that asked for it is no more, whatever it is doing.
+    """End this process as soon as its parent has ended, whatever it is doing.
 
-    A queue would not tell: half a message in it is waited for, for ever.
+    A queue would not show it: reading half a message from one blocks for ever.
     """
     parent = multiprocessing.parent_process()
     if parent is not None:
@@ -97,36 +85,34 @@ def _end_with_parent() -> None:
 
 def _begin(process: BaseProcess) -> None:
     if _SERVED:
-        _serve()
+        _ensure_server()
         process.start()
     else:
-        with _deaf():
+        with sigint_blocked():
             process.start()
 
 
-def _serve() -> None:
-    """See that the server runs, or loads what is needed."""
+def _ensure_server() -> None:
     from multiprocessing import forkserver
 
-    CONTEXT.set_forkserver_preload(list(LOADED))
-    with _deaf(), _nothing_from_here():
+    with sigint_blocked(), _safe_path():
         forkserver.ensure_running()
 
 
 @contextlib.contextmanager
-def _told() -> Iterator[None]:
+def _failing_in_one_sentence() -> Iterator[None]:
     try:
         yield
     except (EOFError, OSError) as error:
         raise ConfigError(
-            "no process could be started beside this one: look at the messages above, and whether "
-            f"memory is short ({type(error).__name__})"
+            "no child process could be started: look at the messages above, and whether memory is "
+            f"short ({type(error).__name__})"
         ) from None
 
 
 @contextlib.contextmanager
-def _deaf() -> Iterator[None]:
-    """Let what is started inherit that it does not hear Ctrl-C; this program hears it a bit later.
+def sigint_blocked() -> Iterator[None]:
+    """Block SIGINT while children start, so that they inherit the mask; it is delivered after.
 
     Python's resource tracker, which begins with the first process, would undo that: it goes first.
     """
@@ -139,7 +125,7 @@ def _deaf() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _nothing_from_here() -> Iterator[None]:
+def _safe_path() -> Iterator[None]:
     """Start Python without the working folder among the places that modules come from."""
     before = os.environ.get("PYTHONSAFEPATH")
     os.environ["PYTHONSAFEPATH"] = "1"

@@ -1,4 +1,4 @@
-"""Processes beside this one: deaf to Ctrl-C, replaced when they die, gone with their parent."""
+"""Child processes: immune to Ctrl-C, replaced when they die, ended with their parent."""
 
 import os
 import signal
@@ -18,17 +18,17 @@ from league.errors import ConfigError
 on_linux = pytest.mark.skipif(sys.platform != "linux", reason="only Linux has a server and /proc")
 
 
-def tell(pipe: Connection) -> None:
-    """Say who this is after a Ctrl-C, then wait to be asked to end."""
+def report(pipe: Connection) -> None:
+    """Send the process ids after a Ctrl-C, then wait until the end is asked for."""
     os.kill(os.getpid(), signal.SIGINT)
     pipe.send((os.getpid(), os.getppid()))
     pipe.recv()
 
 
-def told() -> tuple[int, int]:
-    """Return the number of a fresh process that has ended, and of whom forked it off."""
+def process_ids() -> tuple[int, int]:
+    """Return the id of a fresh process that has ended, and of its parent."""
     ours, theirs = subprocesses.CONTEXT.Pipe()
-    process = subprocesses.start(tell, theirs)
+    process = subprocesses.start(report, theirs)
     theirs.close()
     answer = ours.recv()
     ours.send("end")
@@ -63,7 +63,7 @@ def test_a_process_survives_ctrl_c_which_is_heard_here_as_before():
     heard: list[bool] = []
     before = signal.signal(signal.SIGINT, mine)
     try:
-        assert told()[0] != os.getpid()
+        assert process_ids()[0] != os.getpid()
         os.kill(os.getpid(), signal.SIGINT)
         assert heard == [True]
     finally:
@@ -74,7 +74,7 @@ def test_a_ctrl_c_while_one_is_started_is_not_lost():
     heard: list[bool] = []
     before = signal.signal(signal.SIGINT, lambda *_: heard.append(True))
     try:
-        with subprocesses._deaf():
+        with subprocesses.sigint_blocked():
             os.kill(os.getpid(), signal.SIGINT)  # another thread may hear it at once
         assert heard == [True]
     finally:
@@ -83,7 +83,7 @@ def test_a_ctrl_c_while_one_is_started_is_not_lost():
 
 def test_a_process_started_from_a_thread_survives_ctrl_c_too():
     found: list[tuple[int, int]] = []
-    thread = threading.Thread(target=lambda: found.append(told()))
+    thread = threading.Thread(target=lambda: found.append(process_ids()))
     thread.start()
     thread.join(60.0)
     assert len(found) == 1
@@ -97,7 +97,7 @@ def test_when_the_server_is_killed_all_end_and_the_next_start_makes_another():
     pid, server = ours.recv()
     assert server != os.getpid()
     os.kill(server, signal.SIGKILL)
-    _, other = told()
+    _, other = process_ids()
     assert other not in (server, os.getpid())
     assert gone(pid)
 
@@ -107,8 +107,8 @@ def test_where_none_can_be_started_there_is_one_sentence(monkeypatch):
         raise EOFError("unexpected EOF")
 
     monkeypatch.setattr(subprocesses.CONTEXT.Process, "start", refused)
-    with pytest.raises(ConfigError, match="no process could be started beside this one: look"):
-        subprocesses.start(tell, None)
+    with pytest.raises(ConfigError, match="no child process could be started: look"):
+        subprocesses.start(report, None)
 
 
 @on_linux
@@ -130,7 +130,7 @@ def test_stuck_ones_end_with_their_parent_and_nothing_comes_from_the_working_fol
                     time.sleep(1.0)
 
             if __name__ == "__main__":
-                subprocesses.prepare()
+                subprocesses.prepare(["league.racing.race"])
                 ours, theirs = subprocesses.CONTEXT.Pipe()
                 subprocesses.start(stuck, theirs)
                 print(*ours.recv(), flush=True)
@@ -141,8 +141,8 @@ def test_stuck_ones_end_with_their_parent_and_nothing_comes_from_the_working_fol
     killed = subprocess.Popen(
         [sys.executable, str(program / "endless.py")], cwd=here, stdout=subprocess.PIPE, text=True
     )
-    told, _ = killed.communicate(timeout=60.0)
+    output, _ = killed.communicate(timeout=60.0)
     assert killed.returncode == -signal.SIGKILL
-    pid, server, loaded = told.split()
+    pid, server, loaded = output.split()
     assert loaded == "True"
     assert gone(int(pid)) and gone(int(server))

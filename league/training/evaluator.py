@@ -98,6 +98,16 @@ def joined(found: Sequence[Evaluation]) -> Evaluation:
     )
 
 
+MODULES = (
+    "league.agents.policy",
+    "league.agents.roster",
+    "league.racing.evaluate",
+    "league.sim.physics.bullet",
+    "league.sim.camera.paint_renderer",
+)
+"""Modules that an evaluating process imports."""
+
+
 class Judge:
     """A process that judges what it is handed, in order, while learning goes on."""
 
@@ -111,7 +121,7 @@ class Judge:
         self._exam, self._waiting, self._done = exam, 0, []
         self._beside, self._process = beside, None
         if beside:
-            subprocesses.prepare()
+            subprocesses.prepare(MODULES)
             self._orders, self._answers = subprocesses.CONTEXT.Queue(), subprocesses.CONTEXT.Queue()
             # Left unread, an order would keep this process from ending.
             self._orders.cancel_join_thread()

@@ -24,7 +24,7 @@ from league.subprocesses import CONTEXT, prepare
 
 @pytest.fixture(autouse=True, scope="module")
 def prepared():
-    prepare()
+    prepare(["league.matchmaking.store"])
 
 
 def _killed_while_holding(url, worker):

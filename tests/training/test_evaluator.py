@@ -107,13 +107,13 @@ def test_program_ends_although_policies_are_still_waiting(tmp_path):
             f"""
             import sys
             sys.path[:0] = {[os.path.dirname(__file__), str(Path(__file__).parents[1])]!r}
-            from league import subprocesses
             from league.track import files
+            from league.training import evaluator
             from league.training.evaluator import Exam, Judge
             from small import CAMERA, untrained
 
             if __name__ == "__main__":
-                subprocesses.LOADED = ()  # so that there is little to wait for
+                evaluator.MODULES = ()  # so that there is little to wait for
                 judge = Judge(Exam(tracks=(files.load("reinvent_2018"),)))
                 for number in range(20):
                     judge.hand(number, untrained(CAMERA))

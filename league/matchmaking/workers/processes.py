@@ -14,6 +14,15 @@ from league.errors import ConfigError
 from league.matchmaking.workers.executor import JOB_LIMIT_S
 from league.matchmaking.workers.worker import Job, Report
 
+MODULES = (
+    "league.agents.policy",
+    "league.agents.roster",
+    "league.matchmaking.workers.processes",
+    "league.racing.race",
+    "league.sim.physics.bullet",
+    "league.sim.camera.paint_renderer",
+)
+"""Modules that a worker imports."""
 STARTS = 3
 """So many workers of a seat, one after the other, that die before they are ready are no chance."""
 
@@ -37,6 +46,7 @@ class Processes:
 
     def __init__(self, num_workers: int, *, job_limit_s: float = JOB_LIMIT_S) -> None:
         self._limit_s = job_limit_s
+        subprocesses.prepare(MODULES)
         self._seats = [_started() for _ in range(num_workers)]
 
     @property
