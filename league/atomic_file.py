@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all: nobody ever sees a part of one."""
+"""Atomic writes: a file appears whole, or not at all."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ def replacing(
     *,
     also: tuple[type[Exception], ...] = (),
 ) -> Iterator[Path]:
-    """Give a new file to write beside `path`; it takes that name when all has gone well.
+    """Yield a temporary file to write; it takes the name `path` when the block succeeds.
 
-    Folders are made as needed. When anything goes wrong, what was there before stays.
+    Folders are made as needed. After an error the earlier file stays.
 
     Args:
-        path: where the file is to be.
+        path: of the file.
         what: what is written, for the error's sentence.
         error: raised when the file system, or a library that writes, refuses.
-        also: such errors of libraries, beside OSError.
+        also: such errors of libraries, besides OSError.
     """
     path = Path(path)
     temporary: Path | None = None

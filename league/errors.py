@@ -1,8 +1,8 @@
-"""Every error a user can meet; its message says what was given, expected, and how to mend it."""
+"""The errors that a user can meet; messages say what was given and expected, and a remedy."""
 
 
 class LeagueError(Exception):
-    """Base of all errors raised at a door: a file, a command line, an API call."""
+    """Base of the errors of files, command lines and API calls."""
 
 
 class TrackError(LeagueError):
@@ -37,20 +37,20 @@ class WorldError(LeagueError):
     """A world that left the numbers: NaN or infinity in a car's state."""
 
 
-def nearest_names(given: str, known: list[str], limit: int = 3) -> str:
-    """Return the known names nearest to what was given, as a phrase for an error message."""
+def nearest_names(name: str, known: list[str], limit: int = 3) -> str:
+    """Return the known names nearest to a name, as a phrase for an error message."""
     import difflib
 
-    close = difflib.get_close_matches(given, known, n=limit, cutoff=0.4)
+    close = difflib.get_close_matches(name, known, n=limit, cutoff=0.4)
     return ", ".join(close or sorted(known))
 
 
-def brief(given: object) -> str:
-    """Return what was given as it fits into one line of an error message."""
+def brief(value: object) -> str:
+    """Return a value in at most 80 characters of one line, for an error message."""
     import reprlib
 
     try:
-        line = " ".join(reprlib.repr(given).split())
+        line = " ".join(reprlib.repr(value).split())
     except ValueError:  # Python writes no whole number of more than 4,300 digits
-        line = f"a {type(given).__name__} too long to write"
+        line = f"a {type(value).__name__} too long to write"
     return line if len(line) <= 80 else f"{line[:77]}..."

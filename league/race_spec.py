@@ -1,4 +1,4 @@
-"""The data of a race: what was asked (RaceSpec), what happened (Event), how it ended (RaceResult).
+"""The data of a race: its settings (RaceSpec), its events (Event), its end (RaceResult).
 
 They cross files and the command line, so they are pydantic models: checked, and refused with a
 reason.
@@ -38,16 +38,16 @@ class _Data(BaseModel):
 
 def _printable(name: str) -> str:
     if not name.isprintable():
-        raise ValueError("give a name of signs that can be printed")
+        raise ValueError("give a name of printable characters")
     return name
 
 
 Name = Annotated[str, AfterValidator(_printable)]
-"""What is shown to people, and may be a stranger's: no line ends, no escape sequences."""
+"""Text that is shown to people and may come from a stranger: no line ends, no escapes."""
 
 
 class Entry(_Data):
-    """Who drives one car."""
+    """The driver of one car."""
 
     name: Name = Field(min_length=1, max_length=200)
     """Name of a scripted driver, or the label of a checkpoint."""
@@ -122,14 +122,13 @@ def _wanted(name: str) -> str:
 
 
 class Event(_Data):
-    """Something the referee saw."""
+    """An event of a race."""
 
     time_s: float
     """Race time [s]."""
     kind: EventKind
-    """What."""
     car: int
-    """Whose."""
+    """The car it happened to."""
     other: int | None = None
     """The other car or the obstacle, where there is one."""
     value: float | None = None
@@ -142,7 +141,7 @@ class CarResult(_Data):
     car: int
     """Grid slot, from 0."""
     name: Name
-    """Who drove."""
+    """Name of its driver."""
     place: int
     """From 1; equal places do not occur."""
     finished: bool
@@ -180,7 +179,7 @@ class RaceResult(_Data):
     """The classification of a race."""
 
     spec: RaceSpec
-    """What was asked."""
+    """Its settings."""
     order: tuple[CarResult, ...]
     """Cars by place."""
     steps: int
@@ -190,4 +189,4 @@ class RaceResult(_Data):
     lead_changes: int
     """How often another car took the lead."""
     events: tuple[Event, ...]
-    """All that happened, by time."""
+    """All events, by time."""

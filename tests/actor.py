@@ -32,7 +32,7 @@ _ACTIVATIONS: dict[str, Callable[[], nn.Module]] = {
 def untrained(card: Card, seed: int = 0) -> Checkpoint:
     """Return a checkpoint with torch's default weights."""
     torch.manual_seed(seed)
-    actor = Actor(card.network, card.group_shapes, card.space.size)
+    actor = Actor(card.network, card.group_shapes, card.action_space.size)
     return Checkpoint(card, from_learner(actor.state_dict()))
 
 

@@ -102,7 +102,7 @@ def test_model_metadata_sets_actions_and_sensors(league, tmp_path):
     asked = ("--action-space", "model_metadata.json", "--sensors", "model_metadata.json")
     code, _, err = league("train", *TINY, *asked, "--steps", "32", "--out", "d.pt")
     alone = config(Train(action_space=str(tmp_path / "model_metadata.json")))
-    assert alone.train.sensors == checkpoint.load(tmp_path / "d.pt").card.sensor_config
+    assert alone.train.sensors == checkpoint.load(tmp_path / "d.pt").card.sensors
     assert config(Train()).train.sensors == parse_sensors(("stereo64x48",))
     assert (code, err) == (0, "")
     card = checkpoint.load(tmp_path / "d.pt").card
@@ -375,7 +375,7 @@ def test_policy_to_begin_from_may_be_named_as_in_the_garage():
 def test_what_is_not_asked_for_is_the_parents(capsys):
     rookie = checkpoint.load(roster.garage()["rookie"]).card
     cfg = config(Train(init_from="rookie")).train
-    assert (cfg.action_space, cfg.sensors) == (rookie.space, rookie.sensor_config)
+    assert (cfg.action_space, cfg.sensors) == (rookie.action_space, rookie.sensors)
     assert cfg.network == rookie.network
     same = config(Train(init_from="rookie", action_space="0.5-1", sensors=("stereo64x48",)))
     assert same.train == cfg

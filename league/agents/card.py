@@ -1,4 +1,4 @@
-"""The card of a checkpoint: what it needs, where it comes from, how good it was; data, checked."""
+"""The card of a checkpoint: what it needs, where it comes from, how good it was."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MOUNTS = {"forward": 0.2, "up": 0.3, "baseline": 0.2, "pitch": math.pi / 2}
 
 def _printable(text: str) -> str:
     if not text.isprintable():
-        raise ValueError("it holds signs that cannot be printed: give plain text on one line")
+        raise ValueError("it holds characters that cannot be printed: give plain text on one line")
     return text
 
 
@@ -70,7 +70,7 @@ class Reward(_Data):
 
 
 class Card(_Data):
-    """All about a checkpoint but its weights."""
+    """Everything about a checkpoint but its weights."""
 
     format: Literal[1] = FORMAT
     """Version of the checkpoint format."""
@@ -87,7 +87,7 @@ class Card(_Data):
     kind: RaceKind = "time_trial"
     """Kind of race it was trained for."""
     reward: Reward | None = None
-    """The reward it was trained with; None: not told."""
+    """The reward it was trained with; None: unknown."""
     steps: Count = 0
     """Decisions it learnt from, those of its parents not counted."""
     train_s: Annotated[float, Field(ge=0, le=1e9)] = 0.0
@@ -110,18 +110,8 @@ class Card(_Data):
     """The command line that made it."""
 
     @property
-    def sensor_config(self) -> SensorConfig:
-        """What its car carries."""
-        return self.sensors
-
-    @property
-    def space(self) -> ContinuousActions | DiscreteActions:
-        """What its outputs mean."""
-        return self.action_space
-
-    @property
     def group_shapes(self) -> dict[str, tuple[int, ...]]:
-        """Shape of each group its network is told, in order."""
+        """Shape of each group that its network reads, in order."""
         return group_shapes(self.sensors)
 
     @property

@@ -46,7 +46,7 @@ def to_onnx(checkpoint: Checkpoint, path: str | os.PathLike[str]) -> None:
 
     Inputs are named as the groups, with any number of rows: `stereo` uint8 as cameras deliver it,
     `lidar` and `motion` float32. Output `actions`, float32 (rows, 2): steering [deg], positive to
-    the left, and speed [m/s]. Output `outputs`: what the network answers, means or scores. The
+    the left, and speed [m/s]. Output `outputs`: the network's means or scores. The
     metadata are `card`, `digest`, `units`, `rate_hz`, and `inputs`, which says what to feed.
 
     The graph is built node by node: torch's exporters are slow, and one of them is deprecated.
@@ -82,7 +82,9 @@ def _model(checkpoint: Checkpoint) -> ModelProto:
     ]
     answers = [
         helper.make_tensor_value_info("actions", TensorProto.FLOAT, ["rows", 2]),
-        helper.make_tensor_value_info("outputs", TensorProto.FLOAT, ["rows", card.space.size]),
+        helper.make_tensor_value_info(
+            "outputs", TensorProto.FLOAT, ["rows", card.action_space.size]
+        ),
     ]
     made = helper.make_graph(graph.nodes, "actor", inputs, answers, graph.constants)
     model = helper.make_model(
@@ -106,7 +108,7 @@ def _model(checkpoint: Checkpoint) -> ModelProto:
 
 
 def input_notes(card: Card) -> dict[str, dict[str, Any]]:
-    """Return what each input takes, as JSON knows it: type, shape, range, and how it is made."""
+    """Return type, shape, range and preparation of each input, for JSON."""
     notes: dict[str, dict[str, Any]] = {}
     for name, shape in card.group_shapes.items():
         dtype = "uint8" if len(shape) == 3 else "float32"
@@ -148,7 +150,7 @@ def _picture_notes(camera: CameraConfig) -> dict[str, Any]:
 
 
 def _motion_notes() -> list[dict[str, Any]]:
-    """Return the parts of `motion`; the last two are the car's own answers of the step before."""
+    """Return the parts of `motion`; the last two are the actions of the step before."""
     car = SimConfig().car
     widest = round(math.degrees(car.max_steering), 6)
     middle, half = (car.max_speed + car.min_speed) / 2, (car.max_speed - car.min_speed) / 2
@@ -157,8 +159,8 @@ def _motion_notes() -> list[dict[str, Any]]:
         (0.0, speed, "m/s", "own speed, ahead"),
         (0.0, yaw_rate, "rad/s", "own yaw rate, counter-clockwise"),
         (0.0, round(math.degrees(steering), 3), "deg", "angle of the front wheels, to the left"),
-        (0.0, widest, "deg", "actions[0] of the step before; told as 0 at first"),
-        (middle, half, "m/s", "actions[1] of the step before; told as -1 at first"),
+        (0.0, widest, "deg", "actions[0] of the step before; 0 at first"),
+        (middle, half, "m/s", "actions[1] of the step before; -1 at first"),
     )
     return [
         {"name": name, "offset": offset, "scale": scale, "unit": unit, "what": what}
@@ -167,8 +169,6 @@ def _motion_notes() -> list[dict[str, Any]]:
 
 
 class _Graph:
-    """Nodes and constants under construction."""
-
     def __init__(self) -> None:
         self.nodes: list[NodeProto] = []
         self.constants: list = []
@@ -185,27 +185,27 @@ class _Graph:
         self.nodes.append(helper.make_node(kind, list(inputs), [name], name=name, **settings))
         return name
 
-    def activate(self, card: Card, given: str, name: str) -> str:
+    def activate(self, card: Card, values: str, name: str) -> str:
         if card.network.activation == "swish":
-            return self.add("Mul", [given, self.add("Sigmoid", [given], f"{name}.gate")], name)
+            return self.add("Mul", [values, self.add("Sigmoid", [values], f"{name}.gate")], name)
         kind, settings = _ACTIVATIONS[card.network.activation]
-        return self.add(kind, [given], name, **settings)
+        return self.add(kind, [values], name, **settings)
 
     def actor(self, card: Card, checkpoint: Checkpoint) -> str:
-        """Add the network; return the name of what it answers."""
+        """Add the network; return the name of its outputs."""
         shapes = card.group_shapes
         flat = [name for name, shape in shapes.items() if len(shape) == 1]
         parts = [self.normalised(self.add("Concat", flat, "flat", axis=1), checkpoint)]
         parts += [self.picture(card, name) for name, shape in shapes.items() if len(shape) == 3]
-        told = self.add("Concat", parts, "latent", axis=1)
+        layer_input = self.add("Concat", parts, "latent", axis=1)
         last = 2 * len(card.network.hidden)
         for layer in range(0, last + 1, 2):
             name = "outputs" if layer == last else f"mlp.{layer}"
             weights = [f"mlp.{layer}.weight", f"mlp.{layer}.bias"]
-            told = self.add("Gemm", [told, *weights], name, transB=1)
+            layer_input = self.add("Gemm", [layer_input, *weights], name, transB=1)
             if layer < last:
-                told = self.activate(card, told, f"mlp.{layer + 1}")
-        return told
+                layer_input = self.activate(card, layer_input, f"mlp.{layer + 1}")
+        return layer_input
 
     def normalised(self, flat: str, checkpoint: Checkpoint) -> str:
         mean = checkpoint.weights.get("obs_normalizer._mean")
@@ -218,19 +218,19 @@ class _Graph:
     def picture(self, card: Card, group: str) -> str:
         from onnx import TensorProto
 
-        told = self.add("Cast", [group], f"{group}.float", to=TensorProto.FLOAT)
+        image = self.add("Cast", [group], f"{group}.float", to=TensorProto.FLOAT)
         white = self.constant(f"{group}.white", np.array([255.0], np.float32))
-        told = self.add("Div", [told, white], f"{group}.scaled")
+        image = self.add("Div", [image, white], f"{group}.scaled")
         for layer, stride in enumerate(card.network.strides):
             name = f"cnns.{group}.{2 * layer}"
             weights = [f"{name}.weight", f"{name}.bias"]
-            told = self.add("Conv", [told, *weights], name, strides=[stride, stride])
-            told = self.activate(card, told, f"cnns.{group}.{2 * layer + 1}")
-        return self.add("Flatten", [told], f"{group}.latent", axis=1)
+            image = self.add("Conv", [image, *weights], name, strides=[stride, stride])
+            image = self.activate(card, image, f"cnns.{group}.{2 * layer + 1}")
+        return self.add("Flatten", [image], f"{group}.latent", axis=1)
 
     def actions(self, card: Card, outputs: str) -> None:
-        """Add what turns the answer into steering [deg] and speed [m/s]."""
-        space = card.space
+        """Add the conversion of outputs to steering [deg] and speed [m/s]."""
+        space = card.action_space
         if not isinstance(space, ContinuousActions):
             chosen = self.add("ArgMax", [outputs], "chosen", axis=1, keepdims=0)
             table = self.constant("choices", np.asarray(space.choices, np.float32))

@@ -31,10 +31,10 @@ class Policy:
             name: what to call it; by default what its card says.
         """
         self.name = name or checkpoint.card.name
-        self.sensors = checkpoint.card.sensor_config
+        self.sensors = checkpoint.card.sensors
         self.card = checkpoint.card
         self.digest = checkpoint.digest
-        self._car, self._space = car, checkpoint.card.space
+        self._car, self._space = car, checkpoint.card.action_space
         self._shapes = checkpoint.card.group_shapes
         self._network = Network.of(checkpoint.card.network, self._shapes, checkpoint.weights)
 

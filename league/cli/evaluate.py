@@ -1,4 +1,4 @@
-"""`league evaluate`: laps from the start line as the table people know from the console."""
+"""`league evaluate`: laps from the start line as the table of the original's console."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Literal
 import tyro
 
 from league.cli import flags, tables
-from league.errors import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -89,37 +88,40 @@ def _evaluate(command: Evaluate) -> int:
 
 def _check(command: Evaluate) -> None:
     """Refuse flags that contradict each other before anything is driven."""
-    several = len(command.track) > 1
-    if not command.track:
-        raise ConfigError("no track was named: give --track NAME, `league tracks` lists them")
-    if command.trace is not None and several:
-        raise ConfigError(
-            f"--trace {command.trace} was asked for {len(command.track)} tracks: a trace holds one "
-            "track, give one"
-        )
-    if command.replay.endswith(".race") and several:
-        raise ConfigError(
-            f"--replay {command.replay} was asked for {len(command.track)} tracks: "
-            "give a folder, or one track"
-        )
-    if command.replay != "none" and command.episode:
-        raise ConfigError(
-            "--replay keeps a race, and with --episode there is none: omit one of the two"
-        )
-    if command.reward != "progress" and command.trace is None:
-        raise ConfigError(
+    tracks, trace, replay = command.track, command.trace, command.replay
+    several = len(tracks) > 1
+    flags.refuse(
+        (not tracks, "no track was named: give --track NAME, `league tracks` lists them"),
+        (
+            trace is not None and several,
+            f"--trace {trace} was asked for {len(tracks)} tracks: a trace holds one track, "
+            "give one",
+        ),
+        (
+            replay.endswith(".race") and several,
+            f"--replay {replay} was asked for {len(tracks)} tracks: give a folder, or one track",
+        ),
+        (
+            replay != "none" and command.episode,
+            "--replay keeps a race, and with --episode there is none: omit one of the two",
+        ),
+        (
+            command.reward != "progress" and trace is None,
             f"--reward {command.reward} fills a column of the trace, and none was asked for: "
-            "give --trace FILE.csv as well"
-        )
-    if command.trace is not None and command.trace.is_dir():
-        raise ConfigError(f"--trace is {command.trace}, which is a folder: give a file, NAME.csv")
+            "give --trace FILE.csv as well",
+        ),
+        (
+            trace is not None and trace.is_dir(),
+            f"--trace is {trace}, which is a folder: give a file, NAME.csv",
+        ),
+        (
+            bool(command.opponents) and command.kind != "time_trial",
+            f"--opponents were named for {command.kind}, which is driven alone: "
+            "omit --kind for a head-to-head race",
+        ),
+    )
     avoiding = (command.kind == "obstacle_avoidance", "--kind obstacle_avoidance")
     flags.refuse_ignored(command, dict.fromkeys(("obstacles", "bots", "fixed_obstacles"), avoiding))
-    if command.opponents and command.kind != "time_trial":
-        raise ConfigError(
-            f"--opponents were named for {command.kind}, which is driven alone: "
-            "omit --kind for a head-to-head race"
-        )
 
 
 def _one(command: Evaluate, track: str) -> tuple[Evaluation, Trace | None]:
@@ -137,7 +139,7 @@ def _one(command: Evaluate, track: str) -> tuple[Evaluation, Trace | None]:
     opponents = [roster.load(name, tracks, car) for name in command.opponents]
     trace = None
     if command.trace is not None:
-        space: ActionSpace | None = getattr(getattr(driver, "card", None), "space", None)
+        space: ActionSpace | None = getattr(getattr(driver, "card", None), "action_space", None)
         trace = Trace(space, started_s=time.time())
     done = evaluate(
         driver,
@@ -181,25 +183,13 @@ def _reward(name: str, tracks: TrackSet, car: CarConfig) -> Callable[[int], Rewa
 def _keep_replay(command: Evaluate, track: str) -> None:
     """Drive the first run once more, as a race that is recorded: the same race to the bit."""
     from league import replay as replays
-    from league.cli.race import entries, replay_line, replay_path
-    from league.race_spec import checked
+    from league.cli.race import race_spec, replay_line, replay_path
     from league.racing import race
     from league.track import files
 
     course = files.load(track)
-    spec = checked(
-        {
-            "track": course.name,
-            "kind": "head_to_head" if command.opponents else command.kind,
-            "laps": command.laps,
-            "seed": command.seed,
-            "solver": command.solver,
-            "entries": entries([command.driver, *command.opponents]),
-            "obstacles": command.obstacles,
-            "obstacle_kind": "bot" if command.bots else "box",
-            "random_obstacles": not command.fixed_obstacles,
-        }
-    )
+    kind = "head_to_head" if command.opponents else command.kind
+    spec = race_spec(command, course.name, kind, [command.driver, *command.opponents])
     recorded = race.run(spec, track=course).replay
     assert recorded is not None
     path = replays.write(recorded, replay_path(command.replay, spec, course))

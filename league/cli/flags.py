@@ -1,4 +1,4 @@
-"""Flags of a command by the names of its fields: which were given, and which would be ignored."""
+"""Checks of flags, which are called by the names of their fields."""
 
 from __future__ import annotations
 
@@ -33,18 +33,24 @@ def refuse_ignored(command: DataclassInstance, needs: Mapping[str, tuple[bool, s
 
     Args:
         command: the command line.
-        needs: for fields that mean something in some company only: whether it is there, and what
-            it is called.
+        needs: for each field that needs another flag whether that was given, and its name.
 
     Raises:
-        ConfigError: one was given without its company.
+        ConfigError: a field was given without the flag it needs.
     """
     for name in given(command, needs):
-        there, needed = needs[name]
-        if not there:
+        present, needed = needs[name]
+        if not present:
             raise ConfigError(
                 f"{spelled(name)} means nothing without {needed}: give both, or neither"
             )
+
+
+def refuse(*cases: tuple[bool, str]) -> None:
+    """Raise ConfigError with the sentence of the first case that holds."""
+    for holds, sentence in cases:
+        if holds:
+            raise ConfigError(sentence)
 
 
 def at_least(command: DataclassInstance, name: str, least: int) -> None:

@@ -15,6 +15,7 @@ from league.cli import tables
 from league.errors import ConfigError
 
 if TYPE_CHECKING:
+    from league.cli.evaluate import Evaluate
     from league.race_spec import RaceResult, RaceSpec
     from league.rerun_view import Live
     from league.sim.world import World
@@ -67,7 +68,9 @@ def _race(command: Race) -> int:
             "`league drivers` lists them all"
         )
     track = files.load(command.track)
-    spec = _spec(command, track.name)
+    alone = "time_trial" if len(command.drivers) == 1 else "head_to_head"
+    kind = alone if command.kind == "auto" else command.kind
+    spec = race_spec(command, track.name, kind, command.drivers)
     keep = command.replay != "none"
     path = replay_path(command.replay, spec, track) if keep else None
     live = _live(spec, track) if command.watch else None
@@ -99,19 +102,19 @@ def _race(command: Race) -> int:
     return 0
 
 
-def _spec(command: Race, track: str) -> RaceSpec:
+def race_spec(command: Race | Evaluate, track: str, kind: str, drivers: Sequence[str]) -> RaceSpec:
+    """Return the checked spec of a race by the flags that two commands share."""
     from league.race_spec import checked
 
-    alone = "time_trial" if len(command.drivers) == 1 else "head_to_head"
     return checked(
         {
             "track": track,
-            "kind": alone if command.kind == "auto" else command.kind,
+            "kind": kind,
             "laps": command.laps,
             "seed": command.seed,
             "solver": command.solver,
-            "ranking": command.ranking,
-            "entries": entries(command.drivers),
+            "ranking": getattr(command, "ranking", "total"),
+            "entries": entries(drivers),
             "obstacles": command.obstacles,
             "obstacle_kind": "bot" if command.bots else "box",
             "random_obstacles": not command.fixed_obstacles,

@@ -192,19 +192,19 @@ def _body(command: Train) -> tuple[ActionSpace, SensorConfig, NetworkConfig]:
         space = parse_actions(actions or "0.5-4")
         return space, parse_sensors(senses or ("stereo64x48",)), TrainConfig().network
     parent = checkpoint.load(_parent(command.init_from)).card
-    space = parse_actions(actions) if actions else parent.space
-    sensors = parent.sensor_config if senses is None else parse_sensors(senses)
-    if sensors != parent.sensor_config:
+    space = parse_actions(actions) if actions else parent.action_space
+    sensors = parent.sensors if senses is None else parse_sensors(senses)
+    if sensors != parent.sensors:
         raise ConfigError(
             f"--sensors are not those of {command.init_from}, whose eyes learnt to see with its "
             "own: omit --sensors, or start a new run without --init-from"
         )
-    if type(space) is not type(parent.space) or space.size != parent.space.size:
+    if type(space) is not type(parent.action_space) or space.size != parent.action_space.size:
         raise ConfigError(
             f"--action-space is of another kind than that of {command.init_from}: omit it, "
             "or start a new run without --init-from"
         )
-    if space != parent.space:
+    if space != parent.action_space:
         print(
             f"--action-space is another than that of {command.init_from}: what it has learnt to "
             "ask for now means something else",

@@ -1,4 +1,4 @@
-"""The table of an evaluation: trials, and what they come to; plain data for files and screens."""
+"""The table of an evaluation: trials and their summary; plain data for files and screens."""
 
 from __future__ import annotations
 
@@ -62,12 +62,12 @@ class Trial(_Data):
 
 
 class Evaluation(_Data):
-    """What came of all trials."""
+    """All trials of an evaluation."""
 
     driver: str
-    """Who drove."""
+    """Name of the driver."""
     track: str
-    """Where."""
+    """Name of the track."""
     kind: RaceKind
     """Kind of race."""
     mode: Mode

@@ -32,7 +32,7 @@ def test_a_card_survives_json(senses, space):
     )
     again = Card.model_validate_json(card.model_dump_json(), strict=True)
     assert again == card
-    assert again.sensor_config == SENSES[senses]
+    assert again.sensors == SENSES[senses]
     assert again.space == space
 
 

@@ -33,7 +33,7 @@ def check(trained, path) -> None:
         actions, outputs = answers(path, groups)
         expected = Policy(trained, CarConfig()).outputs(groups)
         np.testing.assert_allclose(outputs, expected, rtol=0, atol=1e-5)
-        asked = np.stack(trained.card.space.controls(expected), axis=1)
+        asked = np.stack(trained.card.action_space.controls(expected), axis=1)
         np.testing.assert_allclose(actions, asked, rtol=0, atol=1e-4)
 
 

@@ -29,7 +29,7 @@ CAR = CarConfig()
 def by_torch(trained, groups) -> np.ndarray:
     """Return what torch computes from the same weights."""
     card = trained.card
-    actor = Actor(card.network, card.group_shapes, card.space.size)
+    actor = Actor(card.network, card.group_shapes, card.action_space.size)
     actor.load_state_dict({name: torch.from_numpy(w) for name, w in trained.weights.items()})
     scaled = {
         name: torch.from_numpy(group).to(torch.float32) / (255.0 if group.dtype == np.uint8 else 1)

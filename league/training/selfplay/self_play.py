@@ -62,7 +62,7 @@ class SelfPlay:
         """
         if train.num_cars < 2:
             raise ConfigError(f"self-play was asked for with {train.num_cars} car: give 2 to 8")
-        if parent is not None and parent.card.sensor_config != train.sensors:
+        if parent is not None and parent.card.sensors != train.sensors:
             raise ConfigError(
                 f"the parent {parent.card.name!r} needs other sensors than the learner carries, "
                 "and it would drive the learner's cars: give the run the parent's sensors"
