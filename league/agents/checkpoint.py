@@ -172,7 +172,7 @@ def _parsed(content: bytes) -> Checkpoint:
 
 
 def check_shapes(card: Card, shapes: Mapping[str, tuple[int, ...]]) -> None:
-    """Refuse weights whose names and shapes are not exactly those of the card's network.
+    """Refuse weights with other names or shapes than the card's network has.
 
     Raises:
         RefusedError: they are not, or the network cannot be built.

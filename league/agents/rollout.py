@@ -40,7 +40,7 @@ class DriverPool:
             strict: whether an answer that is no action is an error.
         """
         self.idle: set[Seat] = set()
-        """Seats whose actions are not wanted; a driver that has only such is not asked. A driver's
+        """Seats without a need for actions; a driver that has only such is not asked. A driver's
         rows stay the same, so that it may remember each."""
         self._patience_s, self._strict = patience_s, strict
         self._shape = len(drivers), len(drivers[0])

@@ -1,4 +1,4 @@
-"""`league reward check` and `league reward score`: reward files tried, and tried on a race."""
+"""`league reward check` and `league reward score`: try reward files on drives and races."""
 
 from __future__ import annotations
 
@@ -43,16 +43,16 @@ class CheckReward:
 
 @dataclass
 class ScoreReplay:
-    """Score a recorded race with another reward function, and plot it beside the usual one."""
+    """Score a recorded race with another reward function, and plot it with a second one."""
 
     replay: tyro.conf.Positional[Path]
     """The replay file."""
     reward: tyro.conf.Positional[str]
     """A reward file (FILE.py), or centerline, progress, race or racing_line."""
     against: str = "progress"
-    """What to plot beside it: another reward file, or a built-in reward."""
+    """The second one: another reward file, or a built-in reward."""
     out: Path | None = None
-    """Where to write the picture; by default beside the replay, with the ending .reward.png."""
+    """Where to write the picture; by default next to the replay, with the ending .reward.png."""
     json: bool = False
     """Print JSON."""
 
@@ -62,7 +62,7 @@ class ScoreReplay:
         from league.deepracer import rescore
 
         race = replays.read(self.replay)
-        scores = [_score(race, wish) for wish in (self.reward, self.against)]
+        scores = [_score(race, name) for name in (self.reward, self.against)]
         path = self.out or self.replay.with_suffix(".reward.png")
         rescore.draw(race, scores, path)
         if self.json:
@@ -90,15 +90,15 @@ class Rewards:
         return self.command.run()
 
 
-def _score(race: Replay, wish: str) -> Score:
+def _score(race: Replay, name: str) -> Score:
     from league.deepracer import rescore, user_reward
     from league.envs.rewards import built_in
 
-    if not wish.endswith(".py"):
-        paid = built_in(wish, race.tracks, race.sim.car)
-        return rescore.score(race, paid, f"{wish} (built in)")
-    paid = user_reward(wish, num_worlds=1, cars=range(race.num_cars), sim=race.sim)
-    return rescore.score(race, paid, Path(wish).name)
+    if not name.endswith(".py"):
+        paid = built_in(name, race.tracks, race.sim.car)
+        return rescore.score(race, paid, f"{name} (built in)")
+    paid = user_reward(name, num_worlds=1, cars=range(race.num_cars), sim=race.sim)
+    return rescore.score(race, paid, Path(name).name)
 
 
 def _totals(race: Replay, scores: list[Score]) -> list[dict[str, object]]:
@@ -135,14 +135,14 @@ def _print_report(report: Report) -> None:
 
 def _failures(report: Report) -> list[str]:
     """Return each fault once, with the first drive on which it came."""
-    found: dict[str, list[str]] = {}
+    failures: dict[str, list[str]] = {}
     for one in report.failures:
         failure = one.failure or ""
         fault = re.sub(rf" \({re.escape(one.title)}, steps \d+\)", "", failure)
-        found.setdefault(fault, []).append(failure)
+        failures.setdefault(fault, []).append(failure)
     return [
         failure + (f" (and on {len(others)} more drives)" if others else "")
-        for failure, *others in found.values()
+        for failure, *others in failures.values()
     ]
 
 

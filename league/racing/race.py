@@ -86,10 +86,10 @@ def sim_config(spec: RaceSpec) -> SimConfig:
 
 
 def _spread(variation: float) -> Spread:
-    """Return how far the cars of a race differ: as much as one's tyres and screws do in a day.
+    """Return how far the cars of a race differ: as one car does within a day of racing.
 
-    Without it, drivers without sensors' noise repeat one race to the bit, whatever its seed, and
-    a hundred such races would tell a rating no more than one.
+    Without it drivers without sensor noise repeat one race to the bit, whatever its seed, and a
+    hundred such races would give a rating no more information than one.
     """
     return Spread(
         grip=0.02 * variation,

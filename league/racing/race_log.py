@@ -1,4 +1,4 @@
-"""The log of a race: events and laps as the referee finds them, and the classification."""
+"""The log of a race: events and laps by the referee's verdicts, and the classification."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ class RaceLog:
     def add(
         self, kind: EventKind, car: int, other: int | None = None, value: float | None = None
     ) -> None:
-        """Write down an event of now."""
+        """Log an event at the current time."""
         time_s = round(self.steps * self.step_dt, 4)
         self.events.append(Event(time_s=time_s, kind=kind, car=car, other=other, value=value))
 
     def note(self, verdicts: np.ndarray, scraped: np.ndarray, world: World) -> None:
-        """Write down what the referee found in a step of one race.
+        """Log the referee's verdicts on a step of one race.
 
         Args:
             verdicts: VERDICT records (num_cars,).
@@ -116,7 +116,7 @@ def classify(spec: RaceSpec, world: World, log: RaceLog) -> RaceResult:
 def merit(spec: RaceSpec, car: CarResult) -> tuple[float, ...]:
     """Return what to sort by: complete races first, by the spec's ranking; then by distance.
 
-    Equal times are told apart by fewer mistakes, then by the place on the grid.
+    Fewer mistakes break a tie, then the place on the grid.
     """
     times = {
         "total": car.total_s,
