@@ -32,21 +32,24 @@ EventKind = Literal[
 ]
 
 
-class _Data(BaseModel):
+class FrozenModel(BaseModel):
+    """Checked data that does not change; no unknown fields, no NaN or infinity."""
+
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-def _printable(name: str) -> str:
-    if not name.isprintable():
-        raise ValueError("give a name of printable characters")
-    return name
+def printable(text: str) -> str:
+    """Return a text, or refuse one with line ends or escape sequences."""
+    if not text.isprintable():
+        raise ValueError("it holds characters that cannot be printed: give plain text on one line")
+    return text
 
 
-Name = Annotated[str, AfterValidator(_printable)]
+Name = Annotated[str, AfterValidator(printable)]
 """Text that is shown to people and may come from a stranger: no line ends, no escapes."""
 
 
-class Entry(_Data):
+class Entry(FrozenModel):
     """The driver of one car."""
 
     name: Name = Field(min_length=1, max_length=200)
@@ -57,7 +60,7 @@ class Entry(_Data):
     """Where the checkpoint was when the race was asked for; empty for scripted drivers."""
 
 
-class RaceSpec(_Data):
+class RaceSpec(FrozenModel):
     """All that decides a race, besides the drivers' own weights; same spec, same race."""
 
     track: str = Field(default="reinvent_2018", min_length=1, max_length=200)
@@ -121,7 +124,7 @@ def _wanted(name: str) -> str:
     return f"give {number} from {about['minimum']} to {largest}"
 
 
-class Event(_Data):
+class Event(FrozenModel):
     """An event of a race."""
 
     time_s: float
@@ -135,7 +138,7 @@ class Event(_Data):
     """Lap time [s], penalty [s] or place, by kind."""
 
 
-class CarResult(_Data):
+class CarResult(FrozenModel):
     """How one car's race ended."""
 
     car: int
@@ -175,7 +178,7 @@ class CarResult(_Data):
         return min(self.lap_times_s, default=None)
 
 
-class RaceResult(_Data):
+class RaceResult(FrozenModel):
     """The classification of a race."""
 
     spec: RaceSpec

@@ -6,22 +6,17 @@ import math
 from datetime import UTC, datetime
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, Field
 
 from league.agents.network import NetworkConfig, group_shapes, weight_shapes
 from league.envs.actions import ContinuousActions, DiscreteActions
+from league.race_spec import FrozenModel, printable
 from league.sim.config import CameraConfig, LidarConfig, RaceKind, SensorConfig
 
 FORMAT = 1
 MAX_PIXELS = 640 * 480
 MOUNTS = {"forward": 0.2, "up": 0.3, "baseline": 0.2, "pitch": math.pi / 2}
 """Largest distance [m] and tilt [rad], to either side, at which a sensor may be mounted."""
-
-
-def _printable(text: str) -> str:
-    if not text.isprintable():
-        raise ValueError("it holds characters that cannot be printed: give plain text on one line")
-    return text
 
 
 def _reasonable(sensors: SensorConfig) -> SensorConfig:
@@ -51,16 +46,12 @@ def _check_lidar(lidar: LidarConfig) -> None:
         raise ValueError("the lidar's sectors are not 1 to 256, or its bins not 1 to 64")
 
 
-Label = Annotated[str, Field(min_length=1, max_length=80), AfterValidator(_printable)]
+Label = Annotated[str, Field(min_length=1, max_length=80), AfterValidator(printable)]
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Count = Annotated[int, Field(ge=0, lt=2**63)]
 
 
-class _Data(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class Reward(_Data):
+class Reward(FrozenModel):
     """The reward a policy was trained with."""
 
     name: Label
@@ -69,7 +60,7 @@ class Reward(_Data):
     """Of the user's file; empty for built-in rewards."""
 
 
-class Card(_Data):
+class Card(FrozenModel):
     """Everything about a checkpoint but its weights."""
 
     format: Literal[1] = FORMAT
@@ -102,11 +93,11 @@ class Card(_Data):
         default_factory=lambda: datetime.now(tz=UTC).date().isoformat()
     )
     """Day it was made, UTC."""
-    league_version: Annotated[str, Field(max_length=40), AfterValidator(_printable)] = ""
+    league_version: Annotated[str, Field(max_length=40), AfterValidator(printable)] = ""
     """Version of the league that made it."""
-    results: Annotated[dict[Label, float | None], Field(max_length=64)] = {}
+    results: dict[Label, float | None] = Field(default_factory=dict, max_length=64)
     """Figures of its last evaluation, by name; None: there was none."""
-    command: Annotated[str, Field(max_length=2000), AfterValidator(_printable)] = ""
+    command: Annotated[str, Field(max_length=2000), AfterValidator(printable)] = ""
     """The command line that made it."""
 
     @property

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict
-
+from league.race_spec import FrozenModel
 from league.sim.config import RaceKind, SolverName
 
 Mode = Literal["race", "episode"]
@@ -13,11 +12,7 @@ Status = Literal["lap_complete", "off_track", "crashed", "immobilized", "reverse
 """How a trial ended, in the words that community tools read."""
 
 
-class _Data(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class Trial(_Data):
+class Trial(FrozenModel):
     """One lap, or one attempt at it."""
 
     trial: int
@@ -61,7 +56,7 @@ class Trial(_Data):
         return self.complete and self.resets == 0
 
 
-class Evaluation(_Data):
+class Evaluation(FrozenModel):
     """All trials of an evaluation."""
 
     driver: str

@@ -26,26 +26,10 @@ from league.sim.world import is_frozen
 from league.track.track import Track
 
 COLUMNS = (
-    "episode",
-    "steps",
-    "X",
-    "Y",
-    "yaw",
-    "steer",
-    "throttle",
-    "action",
-    "reward",
-    "done",
-    "all_wheels_on_track",
-    "progress",
-    "closest_waypoint",
-    "track_len",
-    "tstamp",
-    "episode_status",
-    "pause_duration",
-    "obstacle_crash_counter",
-    "wall_clock",
-)
+    "episode", "steps", "X", "Y", "yaw", "steer", "throttle", "action", "reward", "done",
+    "all_wheels_on_track", "progress", "closest_waypoint", "track_len", "tstamp", "episode_status",
+    "pause_duration", "obstacle_crash_counter", "wall_clock",
+)  # fmt: skip
 """Of the CSV, in its order."""
 
 

@@ -245,7 +245,7 @@ class SelfPlay:
         free = self._car.max_speed, self._car.max_speed
         limits = [free for _ in members]
         if cfg.handicap:
-            tops = [policy.card.space.top_speed for policy in members]
+            tops = [policy.card.action_space.top_speed for policy in members]
             limits = [(pace_range[0] * top, pace_range[1] * top) for top in tops]
         newest_share, member_shares = opponents.shares(
             [rates[member.name] for member in self.pool.members],
