@@ -33,7 +33,7 @@ def test_a_card_survives_json(senses, space):
     again = Card.model_validate_json(card.model_dump_json(), strict=True)
     assert again == card
     assert again.sensors == SENSES[senses]
-    assert again.space == space
+    assert again.action_space == space
 
 
 def test_shapes_follow_from_sensors_space_and_network():
