@@ -15,7 +15,7 @@ from league.sim.world import World
 from league.track.track import TrackSet
 
 if TYPE_CHECKING:  # OpenCV comes late
-    from league.sim.camera.renderer import Renderer
+    from league.sim.camera.paint_renderer import Renderer
 
 Reading = Callable[[World, np.ndarray | None], np.ndarray]
 

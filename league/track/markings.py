@@ -8,7 +8,7 @@ is upside down.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -28,14 +28,17 @@ ROAD_NOISE, FIELD_NOISE = 3.0, 6.0
 MAX_PIXELS = 60_000_000
 """Largest picture of a floor."""
 
+SHIFT = 4
+"""Fractional bits of a drawn corner."""
+
 _FINE = 3  # the drawing is this much finer than the picture: anti-aliasing
-_SHIFT = 4  # fractional bits of a drawn corner
 _TILE = 512  # side of the repeated noise tile [pixels]
 _POSTER = (1600, 1000)  # largest picture of the floor on a poster [pixels]
-_HEAD = 130  # height of a poster's head [pixels]
+_HEAD, _FRAME = 130, 30  # height of a poster's head, and width of its frame [pixels]
 _PAPER: Rgb = (250, 249, 246)
 _INK: Rgb = (28, 34, 42)
 _SOFT_INK: Rgb = (104, 112, 120)
+Colour = tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,14 +121,14 @@ class _Canvas:
     def fill(self, polygons: np.ndarray, rgb: Rgb, *, road: bool = False) -> None:
         """Fill convex polygons [m], shape (K, corners, 2)."""
         for corners in self._grid(polygons, self.pixel / _FINE):
-            cv2.fillConvexPoly(self.fine, corners, rgb, lineType=cv2.LINE_8, shift=_SHIFT)
+            cv2.fillConvexPoly(self.fine, corners, rgb, lineType=cv2.LINE_8, shift=SHIFT)
         if road:
             for corners in self._grid(polygons, self.pixel):
-                cv2.fillConvexPoly(self.road, corners, 255, lineType=cv2.LINE_8, shift=_SHIFT)
+                cv2.fillConvexPoly(self.road, corners, 255, lineType=cv2.LINE_8, shift=SHIFT)
 
     def _grid(self, polygons: np.ndarray, pixel: float) -> Iterable[np.ndarray]:
         place = (polygons - self.origin) / pixel - 0.5
-        return np.round(place * (1 << _SHIFT)).astype(np.int32)
+        return np.round(place * (1 << SHIFT)).astype(np.int32)
 
 
 def _textured(canvas: _Canvas) -> np.ndarray:
@@ -220,27 +223,84 @@ def _rectangles(middle: np.ndarray, along: np.ndarray, length: float, width: flo
     return np.stack([front + aside, rear + aside, rear - aside, front - aside], axis=1)
 
 
+def placed(outline: np.ndarray, x: float, y: float, cos: float, sin: float) -> np.ndarray:
+    """Return the world points [m] of an outline (ahead, left), (N, 2), at a place and heading."""
+    return outline @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A rectangle of a track's floor seen from above, to draw on; what lies north is up."""
+
+    picture: np.ndarray
+    """RGB uint8, shape (H, W, 3)."""
+    corner: np.ndarray
+    """World place of the outer corner of the picture's upper left pixel [m], shape (2,)."""
+    pixel: float
+    """Side of a pixel [m]."""
+    sideways: bool = False
+    """A quarter turn to the left: what lies east is up."""
+
+    @classmethod
+    def of(
+        cls, track: Track, pixel: float, margin: float | None = None, *, sideways: bool = False
+    ) -> Plan:
+        """Paint a track's whole room, or what lies within a margin round its road [m]."""
+        ground = floor(track, pixel, colour=True)
+        (left, bottom), (top, right) = (0, 0), ground.image.shape[:2]
+        if margin is not None:
+            outline = np.concatenate([track.left, track.right])
+            ends = np.stack([outline.min(axis=0) - margin, outline.max(axis=0) + margin])
+            ends = np.maximum(np.round(ground.pixel_of(ends) + 0.5).astype(int), 0)
+            (left, bottom), (right, top) = ends.tolist()
+        picture = ground.image[bottom:top, left:right]
+        picture = picture.transpose(1, 0, 2)[::-1, ::-1] if sideways else picture[::-1]
+        east = left + picture.shape[0] if sideways else left
+        corner = np.array([ground.origin_x + east * pixel, ground.origin_y + top * pixel])
+        return cls(np.ascontiguousarray(picture), corner, pixel, sideways)
+
+    def framed(self, width: int, height: int, colour: Rgb) -> Plan:
+        """Return the plan in the middle of a larger picture, with a frame of one colour."""
+        down, across = height - self.picture.shape[0], width - self.picture.shape[1]
+        edges = (down // 2, down - down // 2, across // 2, across - across // 2)
+        picture = cv2.copyMakeBorder(self.picture, *edges, cv2.BORDER_CONSTANT, value=colour)
+        corner = self.corner + np.array([-edges[2], edges[0]]) * self.pixel
+        return replace(self, picture=picture, corner=corner)
+
+    def pixels(self, points: np.ndarray) -> np.ndarray:
+        """Return pixels of world points [m], (N, 2), as OpenCV takes them with `shift=SHIFT`."""
+        east, north = (points - self.corner).T / self.pixel
+        place = np.stack([-north, -east] if self.sideways else [east, -north], axis=1)
+        return np.round((place - 0.5) * (1 << SHIFT)).astype(np.int32)
+
+    def fill(self, outline: np.ndarray, colour: Colour) -> None:
+        """Fill a polygon of world points [m], (N, 2)."""
+        cv2.fillPoly(self.picture, [self.pixels(outline)], colour, cv2.LINE_AA, SHIFT)
+
+    def edge(self, outline: np.ndarray, colour: Colour, thickness: int) -> None:
+        """Draw the edge of a polygon of world points [m], (N, 2), `thickness` pixels wide."""
+        points = [self.pixels(outline)]
+        cv2.polylines(self.picture, points, True, colour, thickness, cv2.LINE_AA, SHIFT)
+
+
 def poster(track: Track) -> np.ndarray:
     """Draw a track for people: north up, start line, direction, figures; RGB, shape (H, W, 3)."""
     x_min, y_min, x_max, y_max = track.room
     pixel = max((x_max - x_min) / _POSTER[0], (y_max - y_min) / _POSTER[1])
-    ground = floor(track, pixel, colour=True)
-    _chevrons(ground, track)
-    picture = ground.image[::-1]
+    plan = Plan.of(track, pixel)
+    _chevrons(plan, track)
     edge = max(4, round(0.04 / pixel))
-    picture = cv2.copyMakeBorder(
-        picture, edge, edge, edge, edge, cv2.BORDER_CONSTANT, value=track.colours.wall
-    )
-    frame = 30
-    width = max(picture.shape[1] + 2 * frame, 900)
-    sheet = np.empty((_HEAD + picture.shape[0] + frame, width, 3), np.uint8)
-    sheet[:] = _PAPER
-    left = (width - picture.shape[1]) // 2
-    sheet[_HEAD : _HEAD + picture.shape[0], left : left + picture.shape[1]] = picture
-    _write(sheet, track.title, (frame, 62), 46, _INK, bold=True)
-    _write(sheet, _figures(track), (frame, 106), 26, _SOFT_INK)
-    _scale_bar(sheet, (left + edge + 24, sheet.shape[0] - frame - edge - 24), pixel)
-    _north(sheet, (width - frame - 26, 84))
+    height, width = (size + 2 * edge for size in plan.picture.shape[:2])
+    plan = plan.framed(width, height, track.colours.wall)
+    sheet = np.full((_HEAD + height + _FRAME, max(width + 2 * _FRAME, 900), 3), _PAPER, np.uint8)
+    left = (sheet.shape[1] - width) // 2
+    sheet[_HEAD : _HEAD + height, left : left + width] = plan.picture
+    _write(sheet, track.title, (_FRAME, 62), 46, _INK, bold=True)
+    radius = f"smallest radius {track.min_radius:.2f} m" if track.min_radius < 1000 else "straight"
+    size = f"{track.length:.2f} m long   {track.width:.3f} m wide"
+    _write(sheet, f"{size}   {track.direction}   {radius}", (_FRAME, 106), 26, _SOFT_INK)
+    _scale_bar(sheet, (left + edge + 24, sheet.shape[0] - _FRAME - edge - 24), pixel)
+    _north(sheet, (sheet.shape[1] - _FRAME - 26, 84))
     return sheet
 
 
@@ -249,26 +309,17 @@ def png(image: np.ndarray) -> bytes:
     return cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1].tobytes()
 
 
-def _figures(track: Track) -> str:
-    radius = f"smallest radius {track.min_radius:.2f} m" if track.min_radius < 1000 else "straight"
-    return f"{track.length:.2f} m long   {track.width:.3f} m wide   {track.direction}   {radius}"
-
-
-def _chevrons(ground: Floor, track: Track) -> None:
+def _chevrons(plan: Plan, track: Track) -> None:
     """Point out the driving direction with three marks beyond the start line."""
     spacing = float(track.segment_lengths.mean())
     size = 0.2 * track.width
+    plain = plan.picture.copy()
     for number in range(3):
         ahead = 0.3 + size * (0.6 + 2.0 * number)
         row = min(round(ahead / spacing), len(track.center) - 1)
-        along = track.tangent[row]
-        across = np.array([-along[1], along[0]])
-        outline = [(-1, 1.2), (0, 1.2), (1, 0), (0, -1.2), (-1, -1.2), (0, 0)]
-        corners = [track.center[row] + size * (a * along + b * across) for a, b in outline]
-        place = np.round(ground.pixel_of(np.array(corners)) * (1 << _SHIFT)).astype(np.int32)
-        white = ground.image.copy()
-        cv2.fillPoly(white, [place], (255, 255, 255), lineType=cv2.LINE_AA, shift=_SHIFT)
-        cv2.addWeighted(white, 0.85, ground.image, 0.15, 0.0, dst=ground.image)
+        outline = np.array([(-1, 1.2), (0, 1.2), (1, 0), (0, -1.2), (-1, -1.2), (0, 0)])
+        plan.fill(placed(size * outline, *track.center[row], *track.tangent[row]), (255, 255, 255))
+    cv2.addWeighted(plan.picture, 0.85, plain, 0.15, 0.0, dst=plan.picture)
 
 
 def _scale_bar(sheet: np.ndarray, corner: tuple[int, int], pixel: float) -> None:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from looking import FOCAL, random_scenes, room, settings, world
 
-from league.sim.camera.lens import Lens
 from league.sim.camera.paint_renderer import PaintRenderer
 from league.sim.camera.raycast import RayRenderer
+from league.sim.camera.stage import Lens
 from league.sim.config import CameraConfig
 from league.track.track import TrackSet
 

@@ -7,8 +7,8 @@ import pytest
 from numba import njit
 
 from league.sim.camera import raster
+from league.sim.camera.paint_renderer import MODELS, models
 from league.sim.camera.scene import CAR, DECK, FAR_CAR
-from league.sim.camera.shapes import MODELS, models
 
 
 def optics(channels=1, eyes=(0.0,), focal=10.0, cx=4.5, cy=4.5):

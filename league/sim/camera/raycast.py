@@ -7,7 +7,6 @@ clipping or painting, so that each can be held against the other.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 import torch
@@ -15,9 +14,9 @@ from torch import Tensor
 
 from league.sim.camera import scene, visual_randomization
 from league.sim.camera.ground import Floor
-from league.sim.camera.lens import NEAR
-from league.sim.camera.renderer import Renderer
-from league.sim.camera.stage import Stage, Thing
+from league.sim.camera.paint_renderer import Renderer
+from league.sim.camera.stage import NEAR, Stage, Thing
+from league.sim.camera.visual_randomization import Look
 from league.sim.config import CameraConfig, LookConfig, SimConfig
 from league.track.track import TrackSet
 
@@ -55,14 +54,8 @@ class _Rays:
     def stretched(self, along: Tensor, across: Tensor, upward: Tensor) -> "_Rays":
         """Return the rays in the frame of a body that was stretched this much; (num_rows,) each."""
         along, across, upward = (value.reshape(-1, 1, 1, 1) for value in (along, across, upward))
-        return _Rays(
-            self.x / along,
-            self.y / across,
-            self.z / upward,
-            self.ahead / along,
-            self.left / across,
-            self.up / upward,
-        )
+        x, y, z = self.x / along, self.y / across, self.z / upward
+        return _Rays(x, y, z, self.ahead / along, self.left / across, self.up / upward)
 
 
 @dataclass(frozen=True)
@@ -70,18 +63,14 @@ class _Body:
     """One car or box in each world, in the frame of the camera's yaw; (num_rows,) each."""
 
     model: scene.Model
-    x: Tensor
-    y: Tensor
-    cos: Tensor
-    sin: Tensor
-    sun_x: Tensor
+    pose: tuple[Tensor, Tensor, Tensor, Tensor]
+    """x, y [m], cosine and sine of the yaw."""
+    sun: tuple[Tensor, Tensor]
     """The sun's direction in the body's own frame."""
-    sun_y: Tensor
-    steering_cos: Tensor
-    steering_sin: Tensor
-    along: Tensor
-    across: Tensor
-    upward: Tensor
+    steering: tuple[Tensor, Tensor]
+    """Cosine and sine."""
+    scale: tuple[Tensor, Tensor, Tensor]
+    """Stretch of the model ahead, to the side and upwards."""
     colour: Tensor
     """(num_rows, 3)."""
 
@@ -98,37 +87,24 @@ class RayRenderer(Renderer):
         *,
         device: str = "cpu",
     ) -> None:
-        """Work out the lens; see Renderer.
-
-        Args:
-            tracks: the tracks of the worlds.
-            sim: settings of the worlds.
-            camera: the camera.
-            looks: randomisation of the pictures, if any.
-            device: where the rays are cast, and where the pictures stay.
-        """
+        """Work out the lens; the rays are cast on `device`, where the pictures stay."""
         super().__init__(tracks, sim, camera, looks)
         self._device = torch.device(device)
+        self._textures: dict[int, list[Tensor]] = {}
 
-    @cached_property
-    def _textures(self) -> dict[int, list[Tensor]]:
-        """Levels of each track's floor, once they were asked for."""
-        return {}
-
-    def _draw(self, stage: Stage, car: int, look: visual_randomization.Look | None) -> np.ndarray:
+    def _draw(self, stage: Stage, car: int, look: Look | None) -> np.ndarray:
         cfg = self._camera
         pixels = cfg.num_eyes * cfg.height * cfg.width
         size = max(1, _PIXELS_AT_ONCE.get(self._device.type, 1 << 20) // pixels)
-        found = torch.zeros((len(stage.track), *cfg.shape), dtype=torch.uint8, device=self._device)
+        shape = (len(stage.track), *cfg.shape)
+        pictures = torch.zeros(shape, dtype=torch.uint8, device=self._device)
         for start in range(0, len(stage.track), size):
             part = range(start, min(start + size, len(stage.track)))
-            found[start : part.stop] = self._render(stage, car, part, look)
+            pictures[start : part.stop] = self._render(stage, car, part, look)
         # On another device pictures stay there, for the learner that reads them.
-        return found.numpy() if self._device.type == "cpu" else found  # type: ignore[return-value]
+        return pictures.numpy() if self._device.type == "cpu" else pictures  # type: ignore[return-value]
 
-    def _render(
-        self, stage: Stage, car: int, rows: range, look: visual_randomization.Look | None
-    ) -> Tensor:
+    def _render(self, stage: Stage, car: int, rows: range, look: Look | None) -> Tensor:
         cfg = self._camera
         poses = self._tensor([stage.camera(row, car, cfg) for row in rows])
         rays = self._rays(poses)
@@ -136,14 +112,15 @@ class RayRenderer(Renderer):
         for slot in zip(*(stage.things(row, without=car) for row in rows), strict=True):
             body = self._body(poses, slot)
             if body.model is scene.CAR:
-                distance = torch.sqrt(body.x * body.x + body.y * body.y)
+                x, y = body.pose[:2]
+                distance = torch.sqrt(x * x + y * y)
                 is_far = distance > scene.far_from(self._lens.focal)
                 for model, mask in ((scene.CAR, ~is_far), (scene.FAR_CAR, is_far)):
                     depth, pictures = self._meet(
                         rays, replace(body, model=model), mask, depth, pictures
                     )
             else:
-                mask = torch.ones_like(body.x, dtype=torch.bool)
+                mask = torch.ones_like(body.pose[0], dtype=torch.bool)
                 depth, pictures = self._meet(rays, body, mask, depth, pictures)
         if look is not None:
             pictures = self._developed(pictures, look, rows)
@@ -154,29 +131,25 @@ class RayRenderer(Renderer):
     def _tensor(self, values: Sequence | np.ndarray) -> Tensor:
         return torch.tensor(values, dtype=torch.float32, device=self._device)
 
-    def _developed(self, pictures: Tensor, look: visual_randomization.Look, rows: range) -> Tensor:
-        """Return float pictures of (num_rows, num_eyes, height, width, channels), as drawn."""
+    def _developed(self, pictures: Tensor, look: Look, rows: range) -> Tensor:
+        """Return float pictures, (num_rows, num_eyes, height, width, channels), with their look."""
         part = slice(rows.start, rows.stop)
         leak = self._tensor(look.leak[part]).reshape(-1, 1, 1, 1, 1)
         for axis in (2, 3):
             size = pictures.shape[axis]
-            before = torch.cat(
-                [pictures.narrow(axis, 0, 1), pictures.narrow(axis, 0, size - 1)], axis
-            )
-            after = torch.cat(
-                [pictures.narrow(axis, 1, size - 1), pictures.narrow(axis, size - 1, 1)], axis
-            )
+            rows_before = torch.arange(-1, size - 1, device=self._device).clamp(min=0)
+            rows_after = torch.arange(1, size + 1, device=self._device).clamp(max=size - 1)
+            before = pictures.index_select(axis, rows_before)
+            after = pictures.index_select(axis, rows_after)
             pictures = pictures + leak * (before + after - 2 * pictures)
-        pictures = torch.clamp(
-            pictures * self._tensor(look.gain[part])[:, None, None, None, :], 0, 255
-        )
+        gain = self._tensor(look.gain[part])[:, None, None, None, :]
+        pictures = torch.clamp(pictures * gain, 0, 255)
         size = pictures[0].numel()
         grain = torch.from_numpy(visual_randomization.grain(size)).to(self._device)
         places = torch.from_numpy(look.place[part, None] + np.arange(size)).to(self._device)
         noise = grain[places].reshape(pictures.shape).to(pictures.dtype) - 128
-        return pictures + noise * self._tensor(
-            look.noise[part] / visual_randomization.NOISE_STEP
-        ).reshape(-1, 1, 1, 1, 1)
+        sigma = self._tensor(look.noise[part] / visual_randomization.NOISE_STEP)
+        return pictures + noise * sigma.reshape(-1, 1, 1, 1, 1)
 
     # The room ------------------------------------------------------------------------------
 
@@ -227,7 +200,8 @@ class RayRenderer(Renderer):
         for track in sorted(set(tracks)):
             here = (index == track).nonzero()[:, 0]
             floor, textures = self._floor(track), self._textures_of(track)
-            backs = self._tensor([*floor.ground.walls, sky]).reshape(5, channels)
+            backs = self._tensor(floor.ground.room.colours)[:, :channels]
+            backs = torch.cat([backs, self._tensor(sky).reshape(1, channels)])
             ground = self._sample(floor, textures, floor_x[here], floor_y[here])
             on_floor = is_floor[here].unsqueeze(-1)
             pictures[here] = torch.where(on_floor, ground, backs[side[here]])
@@ -238,20 +212,20 @@ class RayRenderer(Renderer):
         if track not in self._textures:
             channels = 3 if self._camera.colour else 1
             self._textures[track] = [
-                torch.from_numpy(level.image).to(self._device).reshape(-1, channels)
+                torch.from_numpy(level.texels).to(self._device).reshape(-1, channels)
                 for level in self._floor(track).ground.levels
             ]
         return self._textures[track]
 
     def _sample(self, floor: Floor, textures: list[Tensor], x: Tensor, y: Tensor) -> Tensor:
         """Return the floor's colour at places in the world, bilinear; (..., channels)."""
-        found = []
+        colours = []
         for band in floor.bands:
             level, texture = floor.ground.levels[band.level], textures[band.level]
-            height, width = level.image.shape[:2]
-            size = level.metres_per_pixel
-            column = (x[:, :, band.start : band.stop] - level.origin_x) / size - 0.5
-            line = (y[:, :, band.start : band.stop] - level.origin_y) / size - 0.5
+            width = level.columns
+            height = len(texture) // width
+            column = (x[:, :, band.start : band.stop] - level.origin_x) / level.size - 0.5
+            line = (y[:, :, band.start : band.stop] - level.origin_y) / level.size - 0.5
             column = torch.clamp(column, 0, width - 1)
             line = torch.clamp(line, 0, height - 1)
             left = torch.clamp(column.to(torch.int64), max=width - 2)
@@ -260,8 +234,8 @@ class RayRenderer(Renderer):
             corner = low * width + left
             below = texture[corner] * (1 - part) + texture[corner + 1] * part
             above = texture[corner + width] * (1 - part) + texture[corner + width + 1] * part
-            found.append(below * (1 - rise) + above * rise)
-        return torch.cat(found, dim=2)
+            colours.append(below * (1 - rise) + above * rise)
+        return torch.cat(colours, dim=2)
 
     # Things --------------------------------------------------------------------------------
 
@@ -270,22 +244,17 @@ class RayRenderer(Renderer):
         x, y, _, cos, sin = poses.unbind(1)[:5]
         places = self._tensor([(thing.x, thing.y, thing.cos, thing.sin) for thing in slot])
         steering = self._tensor([thing.steering for thing in slot])
-        scale = self._tensor([thing.scale for thing in slot])
+        along, across, upward = self._tensor([thing.scale for thing in slot]).unbind(1)
         dx, dy = places[:, 0] - x, places[:, 1] - y
         body_cos, body_sin = places[:, 2], places[:, 3]
+        turn = (body_cos * cos + body_sin * sin, body_sin * cos - body_cos * sin)
+        sun_x, sun_y, _ = scene.SUN
         return _Body(
             model=slot[0].model,
-            x=cos * dx + sin * dy,
-            y=cos * dy - sin * dx,
-            cos=body_cos * cos + body_sin * sin,
-            sin=body_sin * cos - body_cos * sin,
-            sun_x=scene.SUN[0] * body_cos + scene.SUN[1] * body_sin,
-            sun_y=scene.SUN[1] * body_cos - scene.SUN[0] * body_sin,
-            steering_cos=torch.cos(steering),
-            steering_sin=torch.sin(steering),
-            along=scale[:, 0],
-            across=scale[:, 1],
-            upward=scale[:, 2],
+            pose=(cos * dx + sin * dy, cos * dy - sin * dx, *turn),
+            sun=(sun_x * body_cos + sun_y * body_sin, sun_y * body_cos - sun_x * body_sin),
+            steering=(torch.cos(steering), torch.sin(steering)),
+            scale=(along, across, upward),
             colour=self._tensor([thing.colour for thing in slot]),
         )
 
@@ -295,12 +264,11 @@ class RayRenderer(Renderer):
         """Return depth and pictures with a body put in, in the rows of the mask."""
         if not bool(mask.any()):
             return depth, pictures
-        local = rays.turned(body.x, body.y, body.cos, body.sin)
-        local = local.stretched(body.along, body.across, body.upward)
+        local = rays.turned(*body.pose).stretched(*body.scale)
         for solid in body.model.solids:
-            seen, sun_x, sun_y = local, body.sun_x, body.sun_y
+            seen, (sun_x, sun_y) = local, body.sun
             if solid.pivot is not None:
-                cos, sin = body.steering_cos, body.steering_sin
+                cos, sin = body.steering
                 pivot = torch.tensor(solid.pivot, device=self._device).expand(len(cos), 2)
                 seen = local.turned(pivot[:, 0], pivot[:, 1], cos, sin)
                 sun_x, sun_y = cos * sun_x + sin * sun_y, cos * sun_y - sin * sun_x
@@ -314,7 +282,7 @@ class RayRenderer(Renderer):
 
     def _colours(self, solid: scene.Solid, body: _Body, sun_x: Tensor, sun_y: Tensor) -> Tensor:
         """Return the lit colour of each face in each world; (num_rows, num_faces, channels)."""
-        found = []
+        colours = []
         for (nx, ny, nz, _), paint in zip(solid.planes.tolist(), solid.paints, strict=True):
             known = scene.PAINTS[paint] if paint >= 0 else None
             base = body.colour if known is None else self._tensor(known).expand_as(body.colour)
@@ -326,8 +294,8 @@ class RayRenderer(Renderer):
                 red, green, blue = base.unbind(1)
                 parts = scene.LUMA
                 base = (parts[0] * red + parts[1] * green + parts[2] * blue).unsqueeze(1)
-            found.append(base)
-        return torch.stack(found, dim=1)
+            colours.append(base)
+        return torch.stack(colours, dim=1)
 
 
 def _enter(rays: _Rays, solid: scene.Solid) -> tuple[Tensor, Tensor]:

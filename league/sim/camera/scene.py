@@ -5,6 +5,7 @@ the middle of the body. Both renderers draw these same solids, so they can be he
 other. All lengths in metres, all colours sRGB 0-255.
 """
 
+import itertools
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -12,9 +13,6 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from league.track.track import Rgb
-
-Colour = float | tuple[float, float, float]
-"""What a pixel is filled with: a gray value, or red, green and blue."""
 
 CAR_COLOURS: tuple[Rgb, ...] = (
     (255, 225, 40),  # yellow
@@ -29,7 +27,7 @@ CAR_COLOURS: tuple[Rgb, ...] = (
 """Body colour of each car slot; the Rerun viewer and the top view use the same.
 
 All are bright, and about as bright in gray, which is all that most drivers see: a red or a blue
-body is hardly told from the dark road.
+body hardly differs from the dark road.
 """
 
 BOT_COLOUR: Rgb = (148, 156, 166)
@@ -107,18 +105,14 @@ _HEXAHEDRON = (
 )
 
 
-def _hexahedron(planes: dict[str, tuple[float, float, float, float]], paints: tuple) -> Solid:
-    """Return the solid between six planes n . p = d; faces in the order of _HEXAHEDRON."""
-    corners = [
-        [planes[name] for name in (end, side, level)]
-        for end in ("front", "back")
-        for side in ("left", "right")
-        for level in ("bottom", "top")
-    ]
-    vertices = [
-        np.linalg.solve([plane[:3] for plane in corner], [plane[3] for plane in corner])
-        for corner in corners
-    ]
+_Plane = tuple[float, float, float, float]
+_Planes = tuple[_Plane, _Plane]
+
+
+def _hexahedron(ends: _Planes, sides: _Planes, levels: _Planes, paints: tuple) -> Solid:
+    """Return the solid between planes n . p = d: front, back; left, right; bottom, top."""
+    corners = [np.array(planes) for planes in itertools.product(ends, sides, levels)]
+    vertices = [np.linalg.solve(planes[:, :3], planes[:, 3]) for planes in corners]
     return Solid(np.round(vertices, 9), _HEXAHEDRON, paints)
 
 
@@ -127,14 +121,9 @@ def _block(
 ) -> Solid:
     """Return an upright box from `back` to `front` and from `low` to `high`."""
     return _hexahedron(
-        {
-            "front": (1, 0, 0, front),
-            "back": (1, 0, 0, back),
-            "left": (0, 1, 0, half_width),
-            "right": (0, 1, 0, -half_width),
-            "top": (0, 0, 1, high),
-            "bottom": (0, 0, 1, low),
-        },
+        ((1, 0, 0, front), (1, 0, 0, back)),
+        ((0, 1, 0, half_width), (0, 1, 0, -half_width)),
+        ((0, 0, 1, low), (0, 0, 1, high)),
         paints,
     )
 
@@ -165,30 +154,19 @@ DECK = 0.0745
 
 ROOF = (0.058, 0.0, 1.0, 0.1085)
 """Plane of the shell's top, which falls towards the nose: n . p = d."""
-_PANEL = (BODY,) * 6
 
 SHELL = _hexahedron(
-    {
-        "front": (1.0, 0.0, 0.55, 0.162 + 0.55 * DECK),
-        "back": (-1.0, 0.0, 0.12, 0.162 + 0.12 * DECK),
-        "left": (0.0, 1.0, 0.14, 0.094 + 0.14 * DECK),
-        "right": (0.0, -1.0, 0.14, 0.094 + 0.14 * DECK),
-        "top": ROOF,
-        "bottom": (0.0, 0.0, 1.0, DECK),
-    },
-    _PANEL,
+    ((1.0, 0.0, 0.55, 0.162 + 0.55 * DECK), (-1.0, 0.0, 0.12, 0.162 + 0.12 * DECK)),
+    ((0.0, 1.0, 0.14, 0.094 + 0.14 * DECK), (0.0, -1.0, 0.14, 0.094 + 0.14 * DECK)),
+    ((0.0, 0.0, 1.0, DECK), ROOF),
+    (BODY,) * 6,
 )
 """The lower body, 0.324 m x 0.188 m."""
 
 CABIN = _hexahedron(
-    {
-        "front": (1.0, 0.0, 0.95, 0.066 + 0.95 * 0.106),
-        "back": (-1.0, 0.0, 0.45, 0.122 + 0.45 * 0.114),
-        "left": (0.0, 1.0, 0.30, 0.076 + 0.30 * 0.110),
-        "right": (0.0, -1.0, 0.30, 0.076 + 0.30 * 0.110),
-        "top": (0.0, 0.0, 1.0, 0.178),
-        "bottom": ROOF,
-    },
+    ((1.0, 0.0, 0.95, 0.066 + 0.95 * 0.106), (-1.0, 0.0, 0.45, 0.122 + 0.45 * 0.114)),
+    ((0.0, 1.0, 0.30, 0.076 + 0.30 * 0.110), (0.0, -1.0, 0.30, 0.076 + 0.30 * 0.110)),
+    (ROOF, (0.0, 0.0, 1.0, 0.178)),
     (_GLASS, _GLASS, _GLASS, _GLASS, BODY, HIDDEN),
 )
 
@@ -205,7 +183,7 @@ class Model:
 
     solids: tuple[Solid, ...]
     half_length: float
-    """Of the footprint, used to tell what hides what [m]."""
+    """Of the footprint, used to find what hides what [m]."""
     half_width: float
     """[m]."""
 
@@ -229,23 +207,15 @@ def far_from(focal: float) -> float:
 
 
 @lru_cache(maxsize=4096)
-def lit(colour: tuple[float, float, float], gray: bool) -> tuple[Colour, Colour]:
-    """Return what a colour shows in the shade, and what full sun adds to it."""
+def lit(colour: tuple[float, float, float], gray: bool) -> tuple[float, ...]:
+    """Return what a colour shows in the shade, then what full sun adds; three numbers each.
+
+    Of gray pictures the first number of three counts.
+    """
     red, green, blue = colour
     shade = (AMBIENT * red, AMBIENT * green, AMBIENT * blue)
     sun = (DIFFUSE[0] * red, DIFFUSE[1] * green, DIFFUSE[2] * blue)
-    return (luma(shade), luma(sun)) if gray else (shade, sun)
-
-
-def in_light(light: tuple[Colour, Colour], facing: float) -> Colour:
-    """Return the colour of a face whose normal makes an angle of this cosine with the sun."""
-    shade, sun = light
-    if facing <= 0:
-        return shade
-    if isinstance(shade, tuple) and isinstance(sun, tuple):
-        red, green, blue = shade
-        return (red + facing * sun[0], green + facing * sun[1], blue + facing * sun[2])
-    return shade + facing * sun  # type: ignore[operator]
+    return (luma(shade), 0.0, 0.0, luma(sun), 0.0, 0.0) if gray else (*shade, *sun)
 
 
 def luma(colour: tuple[float, float, float]) -> float:
@@ -253,12 +223,7 @@ def luma(colour: tuple[float, float, float]) -> float:
     return LUMA[0] * colour[0] + LUMA[1] * colour[1] + LUMA[2] * colour[2]
 
 
-def three(colour: Colour) -> tuple[float, float, float]:
-    """Return a colour as three numbers, of which a gray one fills the first."""
-    return colour if isinstance(colour, tuple) else (colour, 0.0, 0.0)
-
-
 def faded(colour: Rgb) -> Rgb:
-    """Return the colour of a car that stands a penalty: a ghost that need not be avoided is dim."""
+    """Return the dim colour of a car that serves a penalty or is a ghost."""
     red, green, blue = ((part + 3 * 58) // 4 for part in colour)
     return red, green, blue

@@ -1,22 +1,75 @@
-"""A batch of worlds as plain numbers: which things stand where, and where each camera is.
+"""A batch of worlds as plain numbers: where each camera is, its lens, and which things stand where.
 
 Plain floats, because at a hundred numbers a picture they are faster than arrays, and because a
 picture made one world at a time cannot depend on its batch.
+
+Camera frame: X to the right, Y down, Z along the view. A camera never rolls, so all floor points
+seen in one pixel row lie at the same depth. Pixel (0, 0) has its centre at (0, 0), row 0 on top.
 """
 
+import math
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from league.portable_math import direction
-from league.sim.camera.lens import Pose, mounted
+from league.sim.camera.raster import Pose
 from league.sim.camera.scene import BOT_COLOUR, BOX, BOX_COLOUR, CAR, CAR_COLOURS, Model, faded
-from league.sim.camera.visual_randomization import Look
 from league.sim.config import CameraConfig, SimConfig
 from league.sim.world import World, is_frozen
 
+NEAR = 0.02
+"""Nothing nearer to a camera's plane than this is seen [m]."""
+MIN_HEIGHT = 0.01
+"""No camera sinks lower than this above the floor [m]."""
+
 _FADED = tuple(faded(colour) for colour in CAR_COLOURS)
 _UNSTRETCHED = (1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A pinhole, or two side by side with parallel axes."""
+
+    width: int
+    """Pixels across."""
+    height: int
+    """Pixels down."""
+    focal: float
+    """Focal length [px]."""
+    eyes: tuple[float, ...] = (0.0,)
+    """How far each eye sits to the left of the middle [m]."""
+
+    @classmethod
+    def of(cls, cfg: CameraConfig) -> "Lens":
+        """Return the lens of a car's camera."""
+        half = cfg.baseline / 2
+        eyes = {"stereo": (half, -half), "left": (half,), "mono": (0.0,)}[cfg.eyes]
+        cos, sin = direction(cfg.field_of_view / 2)
+        return cls(cfg.width, cfg.height, cfg.width / 2 * cos / sin, eyes)
+
+    @cached_property
+    def cx(self) -> float:
+        """Column of the optical axis [px]."""
+        return (self.width - 1) / 2
+
+    @cached_property
+    def cy(self) -> float:
+        """Row of the optical axis [px]."""
+        return (self.height - 1) / 2
+
+    def horizon(self, pitch: float) -> float:
+        """Return the row of the horizon [px] for a camera tilted down by pitch [rad]."""
+        cos, sin = direction(pitch)
+        return self.cy - self.focal * sin / cos
+
+    def metres_per_pixel(self, row: float, height: float, pitch: float) -> float:
+        """Return the width of a floor pixel in this row [m]; infinite above the horizon."""
+        cos, sin = direction(pitch)
+        fall = self.focal * sin + (row - self.cy) * cos
+        return height / fall if fall > 0 else math.inf
 
 
 class Thing(NamedTuple):
@@ -48,12 +101,13 @@ class Stage:
         sim: SimConfig,
         world: World,
         rows: np.ndarray | None = None,
-        look: Look | None = None,
+        tint: np.ndarray | None = None,
     ) -> None:
+        """Read the worlds at `rows` (None: all), with bodies tinted as Look.tint says."""
         if rows is not None:
             world = world.rows(rows)
         cars, obstacles = world.cars, world.obstacles
-        self._num_cars, self._num_obstacles = world.num_cars, world.num_obstacles
+        self.num_cars = world.num_cars
         self.track: list[int] = world.track.tolist()
         self._frozen = is_frozen(cars).tolist()
         self._x, self._y, self._yaw, self._steering, self._up, self._tilt = (
@@ -64,17 +118,19 @@ class Stage:
             obstacles[name].tolist() for name in ("x", "y", "yaw", "half_length", "half_width")
         ]
         self._sim = sim
-        self._tints = None if look is None else look.tint.tolist()
+        self._tints = None if tint is None else tint.tolist()
 
     def camera(self, row: int, car: int, cfg: CameraConfig) -> Pose:
         """Return where a car's camera is in the world at `row`."""
-        return mounted(
-            cfg,
-            self._x[row][car],
-            self._y[row][car],
-            self._yaw[row][car],
-            self._up[row][car],
-            self._tilt[row][car],
+        x, y, yaw = self.base(row, car)
+        cos, sin = direction(yaw)
+        return Pose(
+            x + cos * cfg.forward,
+            y + sin * cfg.forward,
+            max(cfg.up + self._up[row][car], MIN_HEIGHT),
+            cos,
+            sin,
+            *direction(cfg.pitch + self._tilt[row][car]),
         )
 
     def base(self, row: int, car: int) -> tuple[float, float, float]:
@@ -82,35 +138,22 @@ class Stage:
         return self._x[row][car], self._y[row][car], self._yaw[row][car]
 
     def things(self, row: int, without: int | None = None) -> list[Thing]:
-        """Return the cars, by slot, then the obstacles of the world at `row`.
-
-        Args:
-            row: of the worlds chosen.
-            without: slot of the car that looks and does not see itself.
-        """
-        found = []
-        for car in range(self._num_cars):
+        """Return the cars, by slot, but for the slot `without`, then the obstacles of a world."""
+        things = []
+        for car, frozen in enumerate(self._frozen[row]):
             if car != without:
-                palette = _FADED if self._frozen[row][car] else CAR_COLOURS
-                colour = palette[car % len(CAR_COLOURS)]
-                steering = self._steering[row][car]
-                found.append(_car(*self.base(row, car), steering, colour))
-        if self._num_obstacles:
-            bots = self._sim.obstacles.kind == "bot"
-            height = self._sim.obstacles.height
-            for x, y, yaw, along, across in zip(
-                *(part[row] for part in self._obstacles), strict=True
-            ):
-                if bots:
-                    found.append(_car(x, y, yaw, 0.0, BOT_COLOUR))
-                else:
-                    scale = (2 * along, 2 * across, height)
-                    cos, sin = direction(yaw)
-                    found.append(Thing(BOX, x, y, cos, sin, 0.0, BOX_COLOUR, scale))
+                colour = (_FADED if frozen else CAR_COLOURS)[car % len(CAR_COLOURS)]
+                things.append(_car(*self.base(row, car), self._steering[row][car], colour))
+        for x, y, yaw, along, across in zip(*(part[row] for part in self._obstacles), strict=True):
+            if self._sim.obstacles.kind == "bot":
+                things.append(_car(x, y, yaw, 0.0, BOT_COLOUR))
+            else:
+                scale = (2 * along, 2 * across, self._sim.obstacles.height)
+                things.append(Thing(BOX, x, y, *direction(yaw), 0.0, BOX_COLOUR, scale))
         if self._tints is not None:
             tints = [tint for slot, tint in enumerate(self._tints[row]) if slot != without]
-            found = [_tinted(thing, tint) for thing, tint in zip(found, tints, strict=True)]
-        return found
+            things = [_tinted(thing, tint) for thing, tint in zip(things, tints, strict=True)]
+        return things
 
 
 def _tinted(thing: Thing, tint: list[float]) -> Thing:

@@ -1,19 +1,22 @@
 """Pictures for people: a camera that chases a car, and the whole track from above."""
 
 import math
+from dataclasses import replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
 
 from league.errors import ConfigError
-from league.sim.camera.ground import Ground, finest_for, floor_of, ground_of
-from league.sim.camera.lens import Lens, Pose
-from league.sim.camera.painter import Painter
-from league.sim.camera.scene import BOX, GLASS
-from league.sim.camera.stage import Stage, Thing
+from league.sim.camera.ground import floor_of
+from league.sim.camera.paint_renderer import Painter
+from league.sim.camera.raster import Pose
+from league.sim.camera.scene import BOX, CAR, GLASS, lit
+from league.sim.camera.stage import Lens, Stage, Thing
 from league.sim.config import SimConfig
 from league.sim.world import World
-from league.track.track import TrackSet
+from league.track.markings import SHIFT, Plan, placed
+from league.track.track import Track, TrackSet
 
 CHASE_BEHIND = 0.78
 """How far behind a car's base the chase camera flies [m]."""
@@ -26,23 +29,31 @@ CHASE_FIELD_OF_VIEW = 1.15
 
 _FINER = 2  # drawn this much larger, then averaged: smooth edges
 _BACKDROP = (24, 29, 36)
-_SHIFT = 4
+_SMOOTHED = 2_000_000  # pixels of the largest picture for which that is done
 _SMALLEST_CAR = 16  # pixels from nose to tail in the view from above
+_DARK = (16, 18, 22)
+_OUTLINE = np.array(
+    [
+        (0.162, 0.045),
+        (0.128, 0.094),
+        (-0.140, 0.098),
+        (-0.162, 0.080),
+        (-0.162, -0.080),
+        (-0.140, -0.098),
+        (0.128, -0.094),
+        (0.162, -0.045),
+    ]
+)
+_SQUARE = np.array([(0.5, 0.5), (-0.5, 0.5), (-0.5, -0.5), (0.5, -0.5)])
+_WINDSCREEN = np.array([(0.062, 0.072), (0.010, 0.060), (0.010, -0.060), (0.062, -0.072)])
 
 
 def chase_view(
     tracks: TrackSet, sim: SimConfig, world: World, row: int, car: int, width: int, height: int
 ) -> np.ndarray:
-    """Return what a camera behind and above a car sees, RGB uint8, (height, width, 3).
+    """Return what a camera behind and above the car in a slot of the world at `row` sees.
 
-    Args:
-        tracks: the tracks of the worlds.
-        sim: settings of the worlds.
-        world: the batch.
-        row: which world.
-        car: slot of the car to follow.
-        width: pixels across.
-        height: pixels down.
+    RGB uint8, (height, width, 3).
     """
     _check_size(width, height)
     stage = Stage(sim, world.row(row))
@@ -59,28 +70,71 @@ def chase_view(
 def top_view(
     tracks: TrackSet, sim: SimConfig, world: World, row: int, width: int, height: int
 ) -> np.ndarray:
-    """Return the whole room from above, +y up, RGB uint8, (height, width, 3).
-
-    Args:
-        tracks: the tracks of the worlds.
-        sim: settings of the worlds.
-        world: the batch.
-        row: which world.
-        width: pixels across.
-        height: pixels down.
-    """
+    """Return the whole room of a world from above, +y up, RGB uint8, (height, width, 3)."""
     _check_size(width, height)
     stage = Stage(sim, world.row(row))
-    track = tracks.tracks[stage.track[0]]
-    plan = _Plan(track.room, width * _FINER, height * _FINER)
-    ground = ground_of(track, finest_for(track, width), colour=True)
-    picture = plan.floor(ground)
-    for slot, thing in enumerate(stage.things(0)):
+    finer = _FINER if width * height <= _SMOOTHED else 1
+    plan = _room(tracks.tracks[stage.track[0]], width * finer, height * finer)
+    plan = replace(plan, picture=plan.picture.copy())
+    size = max(1.0, _SMALLEST_CAR * finer * plan.pixel / (2 * CAR.half_length))
+    draw_things(plan, stage, size=size, line=finer, numbers=True)
+    return cv2.resize(plan.picture, (width, height), interpolation=cv2.INTER_AREA)
+
+
+def draw_things(
+    plan: Plan, stage: Stage, *, size: float, line: int = 1, numbers: bool = False
+) -> None:
+    """Draw the obstacles and cars of a stage's first world on a plan.
+
+    Args:
+        plan: its picture is drawn on.
+        stage: the world.
+        size: how many times larger than they are cars are drawn, so that they can be seen.
+        line: width of a fine line [px].
+        numbers: write each car's number on the left of its way.
+    """
+    things, num_cars = stage.things(0), stage.num_cars
+    # The first car on top.
+    for slot in [*range(num_cars, len(things)), *reversed(range(num_cars))]:
+        thing = things[slot]
+        place = thing.x, thing.y, thing.cos, thing.sin
         if thing.model is BOX:
-            plan.box(picture, thing)
+            box = placed(_SQUARE * thing.scale[:2], *place)
+            red, green, blue = thing.colour
+            plan.fill(box, thing.colour)
+            plan.edge(box, (0.6 * red, 0.6 * green, 0.6 * blue), line)
         else:
-            plan.car(picture, thing, str(slot + 1) if slot < sim.num_cars else "")
-    return cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
+            plan.fill(placed(1.22 * size * _OUTLINE, *place), _DARK)
+            plan.fill(placed(size * _OUTLINE, *place), thing.colour)
+            plan.fill(placed(size * _WINDSCREEN, *place), GLASS)
+            if numbers and slot < num_cars:
+                _number(plan, thing, str(slot + 1), 2 * size * CAR.half_length, line)
+
+
+def _number(plan: Plan, thing: Thing, number: str, length: float, line: int) -> None:
+    """Write a number on the left of a car that is drawn at a length [m]."""
+    place = placed(np.array([(0.0, 0.85 * length)]), thing.x, thing.y, thing.cos, thing.sin)
+    column, row = (plan.pixels(place)[0] >> SHIFT).tolist()
+    radius = max(int(0.36 * length / plan.pixel), 7 * line)
+    cv2.circle(plan.picture, (column, row), radius, _DARK, -1, cv2.LINE_AA)
+    ring = max(line, radius // 6)
+    cv2.circle(plan.picture, (column, row), radius, thing.colour, ring, cv2.LINE_AA)
+    font, size, thick = cv2.FONT_HERSHEY_SIMPLEX, radius / 20, max(1, round(radius / 8))
+    (wide, high), _ = cv2.getTextSize(number, font, size, thick)
+    corner = (column - wide // 2, row + high // 2)
+    cv2.putText(plan.picture, number, corner, font, size, (245, 245, 245), thick, cv2.LINE_AA)
+
+
+@lru_cache(maxsize=4)
+def _room(track: Track, width: int, height: int) -> Plan:
+    """Return the floor and the wall round it in the middle of a picture."""
+    x_min, y_min, x_max, y_max = track.room
+    pixel = max((x_max - x_min) / width, (y_max - y_min) / height) / 0.97
+    plan = Plan.of(track, pixel).framed(width, height, _BACKDROP)
+    wall = np.array([(x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)])
+    red, green, blue, *_ = lit(track.colours.wall, gray=False)
+    plan.edge(wall, (red, green, blue), 2)
+    return plan
 
 
 def _check_size(width: int, height: int) -> None:
@@ -103,110 +157,3 @@ def _behind(x: float, y: float, yaw: float, room: tuple[float, float, float, flo
     # The nearer it has to be, the more it looks down, and the car keeps its row of the picture.
     pitch = CHASE_PITCH + math.atan(CHASE_UP / away) - math.atan(CHASE_UP / CHASE_BEHIND)
     return Pose(behind_x, behind_y, CHASE_UP, cos, sin, math.cos(pitch), math.sin(pitch))
-
-
-class _Plan:
-    """A map of the room: metres to pixels, and what is drawn on it."""
-
-    def __init__(self, room: tuple[float, float, float, float], width: int, height: int) -> None:
-        self._width, self._height = width, height
-        x_min, y_min, x_max, y_max = room
-        self.scale = 0.97 * min(width / (x_max - x_min), height / (y_max - y_min))
-        self._middle = (x_min + x_max) / 2, (y_min + y_max) / 2
-        self._room = room
-
-    def pixels(self, points: np.ndarray) -> np.ndarray:
-        """Return pixels of world points [m], (n, 2), in units of 1/16."""
-        column = (points[:, 0] - self._middle[0]) * self.scale + (self._width - 1) / 2
-        line = (self._height - 1) / 2 - (points[:, 1] - self._middle[1]) * self.scale
-        return np.rint(np.stack([column, line], axis=1) * (1 << _SHIFT)).astype(np.int32)
-
-    def floor(self, ground: Ground) -> np.ndarray:
-        """Return the floor and the wall round it."""
-        level = next(
-            (one for one in ground.levels if 2 * one.metres_per_pixel * self.scale > 1),
-            ground.levels[-1],
-        )
-        texel = 1 / (self.scale * level.metres_per_pixel)
-        left = (self._middle[0] - level.origin_x) / level.metres_per_pixel - 0.5
-        low = (self._middle[1] - level.origin_y) / level.metres_per_pixel - 0.5
-        to_texture = np.array(
-            [
-                [texel, 0.0, left - texel * (self._width - 1) / 2],
-                [0.0, -texel, low + texel * (self._height - 1) / 2],
-            ]
-        )
-        warp = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        size = (self._width, self._height)
-        floor = cv2.warpAffine(level.image, to_texture, size, None, warp, cv2.BORDER_REPLICATE)
-        picture = np.full_like(floor, _BACKDROP)
-        x_min, y_min, x_max, y_max = self._room
-        corners = self.pixels(np.array([(x_min, y_max), (x_max, y_min)])) >> _SHIFT
-        (left, top), (right, bottom) = corners.tolist()
-        inside = np.s_[max(top, 0) : bottom + 1, max(left, 0) : right + 1]
-        picture[inside] = floor[inside]
-        wall = ground.walls[1]
-        cv2.rectangle(picture, (left, top), (right, bottom), wall, max(2, _FINER), cv2.LINE_AA)
-        return picture
-
-    def box(self, picture: np.ndarray, thing: Thing) -> None:
-        """Draw a box."""
-        along, across, _ = thing.scale
-        self._fill(picture, thing, _rectangle(along / 2, across / 2), thing.colour, 1.0)
-        edge = tuple(0.6 * part for part in thing.colour)
-        outline = self._outline(thing, _rectangle(along / 2, across / 2), 1.0)
-        cv2.polylines(picture, [outline], True, edge, _FINER, cv2.LINE_AA, _SHIFT)
-
-    def car(self, picture: np.ndarray, thing: Thing, number: str) -> None:
-        """Draw a car with its number; never too small to be seen."""
-        length = 2 * thing.model.half_length
-        size = max(1.0, _SMALLEST_CAR * _FINER / (length * self.scale))
-        self._fill(picture, thing, _OUTLINE * 1.22, (16, 18, 22), size)
-        self._fill(picture, thing, _OUTLINE, thing.colour, size)
-        self._fill(picture, thing, _WINDSCREEN, GLASS, size)
-        if number:
-            self._number(picture, thing, number, size * length * self.scale)
-
-    def _number(self, picture: np.ndarray, thing: Thing, number: str, length: float) -> None:
-        """Write a number beside a car, on the left of its way."""
-        away = 0.85 * length / self.scale
-        place = np.array([[thing.x - thing.sin * away, thing.y + thing.cos * away]])
-        column, line = (self.pixels(place)[0] >> _SHIFT).tolist()
-        radius = max(int(0.36 * length), 7 * _FINER)
-        cv2.circle(picture, (column, line), radius, (16, 18, 22), -1, cv2.LINE_AA)
-        ring = max(_FINER, radius // 6)
-        cv2.circle(picture, (column, line), radius, thing.colour, ring, cv2.LINE_AA)
-        font, size = cv2.FONT_HERSHEY_SIMPLEX, radius / 20
-        thick = max(1, round(radius / 8))
-        (wide, high), _ = cv2.getTextSize(number, font, size, thick)
-        corner = (column - wide // 2, line + high // 2)
-        cv2.putText(picture, number, corner, font, size, (245, 245, 245), thick, cv2.LINE_AA)
-
-    def _fill(
-        self, picture: np.ndarray, thing: Thing, shape: np.ndarray, colour: tuple, size: float
-    ) -> None:
-        points = self._outline(thing, shape, size)
-        cv2.fillPoly(picture, [points], colour, cv2.LINE_AA, _SHIFT)
-
-    def _outline(self, thing: Thing, shape: np.ndarray, size: float) -> np.ndarray:
-        turn = np.array([[thing.cos, thing.sin], [-thing.sin, thing.cos]])
-        return self.pixels(size * shape @ turn + (thing.x, thing.y))
-
-
-def _rectangle(half_length: float, half_width: float) -> np.ndarray:
-    return np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) * (half_length, half_width)
-
-
-_OUTLINE = np.array(
-    [
-        (0.162, 0.045),
-        (0.128, 0.094),
-        (-0.140, 0.098),
-        (-0.162, 0.080),
-        (-0.162, -0.080),
-        (-0.140, -0.098),
-        (0.128, -0.094),
-        (0.162, -0.045),
-    ]
-)
-_WINDSCREEN = np.array([(0.062, 0.072), (0.010, 0.060), (0.010, -0.060), (0.062, -0.072)])
