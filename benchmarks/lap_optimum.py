@@ -28,8 +28,7 @@ from benchmarks.report import heading, note, table
 from league.racing_line.racing_line import road_of
 from league.sim import records
 from league.sim.config import CarConfig, SimConfig
-from league.sim.physics.brush_tyre import DRIVE_SHARE
-from league.sim.physics.vehicle import push
+from league.sim.physics.vehicle import DRIVE_SHARE, push
 from league.sim.settings import GRAVITY, settings
 from league.track.track import Track, TrackSet
 

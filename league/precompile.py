@@ -199,7 +199,6 @@ def _places() -> None:
     tracks, world, place = _tracks(), np.zeros(1, np.int64), np.zeros((1, 1), np.float32)
     tracks.project(world, place, place)
     tracks.at(world, place)
-    tracks.curvature_at(world, place)
     tracks.signed_gap(world, place, place)
 
 

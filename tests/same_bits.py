@@ -24,7 +24,7 @@ _STEERING, _SPEED = 1, 2
 _HELD = 5
 """Control steps for which a draw is held."""
 _SHORT = config.RaceRules(laps=1, off_track_penalty_s=0.4, crash_penalty_s=0.6, max_time_s=14.0)
-_SPREAD = config.Spread(
+_SPREAD = config.DynamicsRandomization(
     grip=0.3, mass=0.3, latency_s=0.06, steering_offset=0.03, camera_position=0.01, camera_angle=0.1
 )
 _SENSORS = (config.SensorConfig(lidar=config.LidarConfig()),)

@@ -18,13 +18,13 @@ from league.sim.config import (
     CameraConfig,
     CarConfig,
     ContactConfig,
+    DynamicsRandomization,
     LidarConfig,
-    LookConfig,
     ObstacleConfig,
     RaceRules,
     SensorConfig,
     SimConfig,
-    Spread,
+    VisualRandomization,
 )
 from league.sim.physics import planar
 from league.sim.settings import settings
@@ -32,8 +32,8 @@ from league.sim.world import World
 from league.track.track import Track, TrackSet
 
 SETTINGS = (
-    CameraConfig, CarConfig, ContactConfig, LidarConfig, LookConfig, ObstacleConfig,
-    OpponentPlacement, RaceRules, SensorConfig, SimConfig, Spread,
+    CameraConfig, CarConfig, ContactConfig, LidarConfig, VisualRandomization, ObstacleConfig,
+    OpponentPlacement, RaceRules, SensorConfig, SimConfig, DynamicsRandomization,
 )  # fmt: skip
 """All classes of settings of a world."""
 MOTION = ["x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "steering"]

@@ -19,13 +19,13 @@ from league.sim.config import (
     CameraConfig,
     CarConfig,
     ContactConfig,
+    DynamicsRandomization,
     LidarConfig,
-    LookConfig,
     ObstacleConfig,
     RaceRules,
     SensorConfig,
     SimConfig,
-    Spread,
+    VisualRandomization,
 )
 from league.track.track import TrackSet
 
@@ -109,7 +109,7 @@ def test_random_settings_that_are_accepted_can_be_driven(seed):
     num_cars = dice.choice([2, 3, 8]) if kind == "head_to_head" else 1
     parts = {
         "car": CarConfig, "contact": ContactConfig, "obstacles": ObstacleConfig,
-        "rules": RaceRules, "spread": Spread,
+        "rules": RaceRules, "spread": DynamicsRandomization,
     }  # fmt: skip
     while True:
         nested = {name: drawn(dice, made, 0.2) for name, made in parts.items()}
@@ -121,7 +121,7 @@ def test_random_settings_that_are_accepted_can_be_driven(seed):
             assert one_sentence(error)
     senses = SensorConfig(camera=drawn(dice, CameraConfig), lidar=drawn(dice, LidarConfig))
     mode = dice.choice(["race", "training"])
-    cfg = EnvConfig(sim=sim, mode=mode, sensors=(senses,), looks=drawn(dice, LookConfig))
+    cfg = EnvConfig(sim=sim, mode=mode, sensors=(senses,), looks=drawn(dice, VisualRandomization))
     env = RaceEnv(TrackSet(make_ring()), cfg, num_worlds=2, seed=seed)
     draw = np.random.default_rng(seed)
     told = taken(env.reset(seed=seed))

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from league.agents.network import NetworkConfig
     from league.cli.train import Train
     from league.envs.actions import ActionSpace
-    from league.sim.config import SensorConfig, Spread
+    from league.sim.config import DynamicsRandomization, SensorConfig
     from league.training.run_config import RunConfig
     from league.training.settings import PpoConfig, TrainConfig
 
@@ -104,7 +104,7 @@ def _printable(text: str) -> str:
 
 
 def _learner(command: Train) -> TrainConfig:
-    from league.sim.config import LookConfig
+    from league.sim.config import VisualRandomization
     from league.training.settings import PpoConfig, TrainConfig
 
     space, sensors, network = _body(command)
@@ -142,7 +142,7 @@ def _learner(command: Train) -> TrainConfig:
         critic_hidden=(256, 256) if command.kind == "head_to_head" else (128, 128),
         mirror=not command.no_mirror,
         both_directions=command.both_directions,
-        looks=LookConfig(light=0.3, colour=0.15, noise=6.0, blur=0.6)
+        looks=VisualRandomization(light=0.3, colour=0.15, noise=6.0, blur=0.6)
         if command.random_looks
         else None,
         spread=_spread(command.car_spread) if command.random_cars else None,
@@ -213,13 +213,13 @@ def _body(command: Train) -> tuple[ActionSpace, SensorConfig, NetworkConfig]:
     return space, sensors, parent.network
 
 
-def _spread(share: float) -> Spread:
+def _spread(share: float) -> DynamicsRandomization:
     """Return how far cars differ: 1 as far as ones of one model do, less in proportion."""
-    from league.sim.config import Spread
+    from league.sim.config import DynamicsRandomization
 
     if not 0 < share <= 2:
         raise ConfigError(f"--car-spread is {share}: give more than 0, at most 2")
-    return Spread(
+    return DynamicsRandomization(
         grip=0.15 * share,
         mass=0.1 * share,
         latency_s=0.03 * share,

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, fields
 from typing import Literal
 
 from league.errors import ConfigError
-from league.sim.config import LookConfig, SensorConfig, SimConfig, SolverName
+from league.sim.config import SensorConfig, SimConfig, SolverName, VisualRandomization
 from league.sim.validation import check, ranged
 
 
@@ -96,7 +96,7 @@ class EnvConfig:
     """What each car carries; one entry serves all cars."""
     camera_path: Literal["paint", "ray"] = "paint"
     """Compiled painting on the CPU, or torch ray casting on any device."""
-    looks: LookConfig | None = None
+    looks: VisualRandomization | None = None
     """Light, colour, noise and blur drawn for each race; None: the plain picture."""
     mode: Literal["race", "training"] = "race"
     """In a race a mistake costs penalty seconds; in training it ends the car's episode."""

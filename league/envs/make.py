@@ -14,11 +14,11 @@ from league.errors import ConfigError, TrackError, brief, nearest_names
 from league.sim.config import (
     CameraConfig,
     LidarConfig,
-    LookConfig,
     RaceKind,
     SensorConfig,
     SimConfig,
     SolverName,
+    VisualRandomization,
 )
 from league.track import files
 from league.track.track import Track, TrackSet
@@ -53,7 +53,7 @@ class EnvOptions(TypedDict, total=False):
     """All other settings of the world: car, rules, obstacles, contacts, randomisation."""
     camera_path: Literal["paint", "ray"]
     """Compiled painting on the CPU, or torch ray casting."""
-    looks: LookConfig | None
+    looks: VisualRandomization | None
     """Light, colour, noise and blur drawn for each race; None: the plain picture."""
 
 

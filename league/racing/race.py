@@ -18,7 +18,7 @@ from league.envs.sensor_suite import SensorSuite
 from league.errors import ConfigError, PolicyError
 from league.race_spec import Entry, RaceResult, RaceSpec
 from league.racing.race_log import RaceLog, classify
-from league.sim.config import CarConfig, ObstacleConfig, RaceRules, SimConfig, Spread
+from league.sim.config import CarConfig, DynamicsRandomization, ObstacleConfig, RaceRules, SimConfig
 from league.sim.world import World
 from league.track.track import Track, TrackSet
 
@@ -85,13 +85,13 @@ def sim_config(spec: RaceSpec) -> SimConfig:
     )
 
 
-def _spread(variation: float) -> Spread:
+def _spread(variation: float) -> DynamicsRandomization:
     """Return how far the cars of a race differ: as one car does within a day of racing.
 
     Without it drivers without sensor noise repeat one race to the bit, whatever its seed, and a
     hundred such races would give a rating no more information than one.
     """
-    return Spread(
+    return DynamicsRandomization(
         grip=0.02 * variation,
         mass=0.02 * variation,
         steering_offset=0.005 * variation,

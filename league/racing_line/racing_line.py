@@ -16,8 +16,7 @@ import numpy as np
 
 from league.jit import compiled, inner
 from league.portable_math import f32, heading_of
-from league.racing_line.road import sample
-from league.racing_line.search import fastest
+from league.racing_line.search import fastest, sample
 from league.racing_line.speed_profile import Limits, speed_profile, travel_time
 from league.sim.config import CarConfig
 from league.track.projection import frame_at

@@ -64,15 +64,11 @@ def _tangent(angle):
 
 @compiled
 def spare_grip(cornering, lateral, transfer):
-    """Return the drive or braking that tyres can give beside cornering [m/s^2].
+    """Return the drive or braking that tyres can give beside cornering y [m/s^2].
 
     The axle that loses load carries (1 - t a) of its half and pushes a / 2 and y / 2 per mass:
-    a^2 + y^2 = Y^2 (1 - t a)^2, solved for a.
-
-    Args:
-        cornering: lateral acceleration y [m/s^2].
-        lateral: largest lateral acceleration Y [m/s^2].
-        transfer: share of an axle's load t lost for each m/s^2 [s^2/m].
+    a^2 + y^2 = Y^2 (1 - t a)^2, solved for a, with the largest lateral acceleration Y [m/s^2] and
+    the share of an axle's load t lost for each m/s^2 (`transfer`).
     """
     left = lateral * lateral - cornering * cornering
     if left <= 0.0:
@@ -87,13 +83,8 @@ def speed_profile(curvature, distance, limits, closed):
     """Return the highest speed at each point that grip, drive and brakes allow [m/s].
 
     A forward pass (drive) and a backward pass (brakes) over the corner speeds, each with what the
-    friction ellipse leaves beside cornering.
-
-    Args:
-        curvature: at each point [1/m], float64 (N,).
-        distance: from each point to the next [m], float64 (N,), or (N - 1,) if open.
-        limits: what the car can do.
-        closed: whether the last point is followed by the first; its speed must then fit.
+    friction ellipse leaves beside cornering. `distance` leads from each point to the next [m],
+    float64 (N,), or (N - 1,) if open; on a closed line the last speed fits the first.
     """
     count, first = len(curvature), 0
     squared = np.empty(count)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from league.errors import ConfigError, brief
-from league.sim.validation import check, is_number, ranged
+from league.sim.validation import Checked, check, is_number, ranged
 
 RaceKind = Literal["time_trial", "obstacle_avoidance", "head_to_head"]
 SolverName = Literal["planar", "bullet"]
@@ -17,7 +17,7 @@ MAX_CARS = 8
 
 
 @dataclass(frozen=True)
-class CarConfig:
+class CarConfig(Checked, what="car"):
     """One car's body, drive, steering and tyres."""
 
     wheelbase: float = ranged(0.164, 0.01, 10.0)
@@ -72,7 +72,7 @@ class CarConfig:
     """Time from an action to the servos [s], up to one control step."""
 
     def __post_init__(self) -> None:
-        check(self, "car")
+        super().__post_init__()
         if not self.min_speed < self.max_speed:
             raise ConfigError(
                 f"car speeds from {self.min_speed} to {self.max_speed} m/s are no range: "
@@ -94,7 +94,7 @@ class CarConfig:
 
 
 @dataclass(frozen=True)
-class ContactConfig:
+class ContactConfig(Checked, what="contact"):
     """How bodies touch."""
 
     friction: float = ranged(0.3, 0.0, 10.0)
@@ -102,12 +102,9 @@ class ContactConfig:
     restitution: float = ranged(0.15, 0.0, 1.0)
     """Share of the approach speed that comes back."""
 
-    def __post_init__(self) -> None:
-        check(self, "contact")
-
 
 @dataclass(frozen=True)
-class CameraConfig:
+class CameraConfig(Checked, what="camera"):
     """A pair of parallel cameras, or one."""
 
     width: int = ranged(160, 8, 1920)
@@ -131,9 +128,6 @@ class CameraConfig:
     rate_hz: float = ranged(15.0, 0.001, 1000.0)
     """New pictures per second; at most one for each control step."""
 
-    def __post_init__(self) -> None:
-        check(self, "camera")
-
     @property
     def num_eyes(self) -> int:
         """Pictures taken at a time."""
@@ -146,7 +140,7 @@ class CameraConfig:
 
 
 @dataclass(frozen=True)
-class LookConfig:
+class VisualRandomization(Checked, what="look"):
     """How far pictures are drawn away from the plain ones, for training; 0 draws nothing.
 
     Light, colours and blur are drawn once for each race, noise for each picture.
@@ -161,9 +155,6 @@ class LookConfig:
     blur: float = ranged(0.0, 0.0, 0.8)
     """Largest standard deviation of the blur [px], up to 0.8."""
 
-    def __post_init__(self) -> None:
-        check(self, "look")
-
     @property
     def is_plain(self) -> bool:
         """Whether nothing is drawn."""
@@ -171,7 +162,7 @@ class LookConfig:
 
 
 @dataclass(frozen=True)
-class LidarConfig:
+class LidarConfig(Checked, what="lidar"):
     """A flat scan that looks to the rear and is blind ahead."""
 
     beams: int = ranged(64, 1, 4096)
@@ -183,9 +174,9 @@ class LidarConfig:
     up: float = ranged(0.185, 0.0, 10.0)
     """Above the ground [m]."""
     min_range: float = ranged(0.15, 0.0, 1e6)
-    """Shortest range told [m]."""
+    """Shortest range reported [m]."""
     max_range: float = ranged(12.0, 0.0, 1e6)
-    """Longest range told [m]."""
+    """Longest range reported [m]."""
     noise: float = ranged(0.01, 0.0, 100.0)
     """Standard deviation of a range [m]."""
     rate_hz: float = ranged(10.0, 0.001, 1000.0)
@@ -200,7 +191,7 @@ class LidarConfig:
     """Range covered by the bins [m]."""
 
     def __post_init__(self) -> None:
-        check(self, "lidar")
+        super().__post_init__()
         if self.form != "ranges" and self.beams % self.sectors:
             raise ConfigError(
                 f"lidar sectors is {self.sectors}, which does not divide {self.beams} beams"
@@ -219,16 +210,13 @@ class LidarConfig:
 
 
 @dataclass(frozen=True)
-class SensorConfig:
+class SensorConfig(Checked, what="sensor"):
     """What one car carries; own motion (speed, yaw rate, last action) is always there."""
 
     camera: CameraConfig | None = None
     """Its camera, if any."""
     lidar: LidarConfig | None = None
     """Its lidar, if any."""
-
-    def __post_init__(self) -> None:
-        check(self, "sensor")
 
     @classmethod
     def full(cls, width: int = 160, height: int = 120) -> "SensorConfig":
@@ -237,7 +225,7 @@ class SensorConfig:
 
 
 @dataclass(frozen=True)
-class ObstacleConfig:
+class ObstacleConfig(Checked, what="obstacle"):
     """Boxes or slow bot cars on the track."""
 
     count: int = ranged(6, 0, 32)
@@ -262,7 +250,7 @@ class ObstacleConfig:
     """Height of a box [m]."""
 
     def __post_init__(self) -> None:
-        check(self, "obstacle")
+        super().__post_init__()
         if not isinstance(self.places, tuple | list) or not all(map(_is_place, self.places)):
             raise ConfigError(
                 f"obstacle places are {brief(self.places)}: give (fraction of the lap from 0 to 1, "
@@ -274,8 +262,8 @@ class ObstacleConfig:
             )
 
 
-def _is_place(given: object) -> bool:
-    match given:
+def _is_place(place: object) -> bool:
+    match place:
         case [fraction, lane]:
             return is_number(fraction, 0.0, 1.0) and is_number(lane, -1.0, 1.0)
     return False
@@ -317,7 +305,7 @@ class RaceRules:
 
 
 @dataclass(frozen=True)
-class Spread:
+class DynamicsRandomization(Checked, what="spread"):
     """How far each car's parameters are drawn from their settings, for training; 0 draws nothing.
 
     Shares are of the setting (0.2: 80 % to 120 %), all others absolute, all uniform.
@@ -336,12 +324,9 @@ class Spread:
     camera_angle: float = ranged(0.0, 0.0, 0.5)
     """Largest tilt of the camera in pitch [rad]."""
 
-    def __post_init__(self) -> None:
-        check(self, "spread")
-
 
 @dataclass(frozen=True)
-class SimConfig:
+class SimConfig(Checked):
     """Everything the world needs but its tracks, seeds and drivers."""
 
     kind: RaceKind = "time_trial"
@@ -360,11 +345,11 @@ class SimConfig:
     """Obstacles, in the kind that has them."""
     rules: RaceRules = field(default_factory=RaceRules)
     """The rules."""
-    spread: Spread = field(default_factory=Spread)
+    spread: DynamicsRandomization = field(default_factory=DynamicsRandomization)
     """Randomisation of the cars."""
 
     def __post_init__(self) -> None:
-        check(self)
+        super().__post_init__()
         if self.kind == "head_to_head" and self.num_cars < 2:
             raise ConfigError("a head_to_head race has 1 car: give 2 to 8")
         if self.kind != "head_to_head" and self.num_cars != 1:

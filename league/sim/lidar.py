@@ -46,16 +46,8 @@ def scan(
 ) -> np.ndarray:
     """Return the reading of one car's lidar in each world, in the form of its configuration.
 
-    Args:
-        tracks: the tracks of the worlds.
-        sim: settings of the worlds.
-        cfg: the lidar.
-        world: the batch.
-        car: slot of the car that looks.
-        rows: worlds to scan, int64; None for all.
-
-    Returns:
-        float32, (num_rows, cfg.size): ranges [m], or 0 and 1 of the coarse forms.
+    `car` is the slot of the car, `rows` the worlds to scan, int64 (None: all). The reading is
+    float32, (num_rows, cfg.size): ranges [m], or 0 and 1 of the coarse forms.
     """
     ranges = true_ranges(tracks, sim, cfg, world, car, rows, cfg.noise)
     return read(np.clip(ranges, f32(cfg.min_range), f32(cfg.max_range)), cfg)
@@ -72,24 +64,15 @@ def true_ranges(
 ) -> np.ndarray:
     """Return the distance [m] along each beam, not clipped; float32 (num_rows, beams).
 
-    Args:
-        tracks: see `scan`, as for the rest.
-        sim: see `scan`.
-        cfg: see `scan`.
-        world: see `scan`.
-        car: see `scan`.
-        rows: see `scan`.
-        noise: standard deviation of what is added [m]; 0: the exact distances.
+    `noise` is the standard deviation of what is added [m]; for the rest see `scan`.
     """
     if rows is None:
         rows = np.arange(world.num_worlds)
     angles = np.array(beam_angles(cfg), np.float32)
     out = np.empty((len(rows), cfg.beams), np.float32)
     half = (f32(sim.car.length / 2), f32(sim.car.width / 2))
-    numbers = (f32(cfg.forward), *half, f32(noise))
-    _scan(
-        world.cars, world.obstacles, world.worlds, tracks.courses, car, rows, angles, *numbers, out
-    )
+    records = world.cars, world.obstacles, world.worlds
+    _scan(*records, tracks.courses, car, rows, angles, f32(cfg.forward), half, f32(noise), out)
     return out
 
 
@@ -106,20 +89,8 @@ def read(ranges: np.ndarray, cfg: LidarConfig) -> np.ndarray:
 
 
 @compiled
-def _scan(
-    cars,
-    obstacles,
-    worlds,
-    courses,
-    me,
-    rows,
-    angles,
-    forward,
-    half_length,
-    half_width,
-    noise,
-    out,
-):
+def _scan(cars, obstacles, worlds, courses, me, rows, angles, forward, half, noise, out):
+    half_length, half_width = half
     for row in range(len(rows)):
         w = rows[row]
         course, car = courses[worlds[w].track], cars[w, me]
@@ -155,17 +126,7 @@ def _meet(ranges, angles, x, y, cos, sin, body, half_length, half_width):
     """Shorten the beams that meet a rectangle; to 0 from inside.
 
     Slab test (Kay and Kajiya, 1986): a beam is inside where it is between both pairs of sides.
-
-    Args:
-        ranges: of one scan so far [m], float32 (beams,).
-        angles: of the beams, from straight ahead [rad].
-        x: where the lidar is [m].
-        y: where the lidar is [m].
-        cos: of the car's yaw.
-        sin: of the car's yaw.
-        body: CAR or OBSTACLE record, for the rectangle's middle and heading.
-        half_length: half of its length [m].
-        half_width: half of its width [m].
+    x, y is where the lidar is [m], cos, sin the car's heading, and body a CAR or OBSTACLE record.
     """
     box_sin, box_cos = sincos(body.yaw)
     away_x, away_y = x - body.x, y - body.y

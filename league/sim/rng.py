@@ -30,9 +30,8 @@ _DEVIATION = np.float32(3.0**0.5 / 65536.0)
 def bits(seed: np.ndarray | int, *counters: np.ndarray | int) -> np.ndarray:
     """Return 64 random bits as int64 for each element of the broadcast of seed and counters.
 
-    Args:
-        seed: int64, one for each world, with trailing axes to broadcast against the counters.
-        counters: what tells this draw from all others: a purpose, a step, a car, a beam.
+    Seeds are int64, one for each world, with trailing axes to broadcast against the counters;
+    counters distinguish this draw from all others: a purpose, a step, a car, a beam.
     """
     with np.errstate(over="ignore"):
         state = _mixed(_unsigned(seed) + _GAMMA)

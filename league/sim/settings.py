@@ -16,72 +16,15 @@ RESTITUTION_FROM = 0.05
 """Slowest approach that bounces [m/s]."""
 
 _F4, _I8, _BOOL = np.float32, np.int64, np.bool_
-SETTINGS = np.dtype(
-    [
-        ("decimation", _I8),  # physics steps in a control step
-        ("step_hz", _F4),  # control steps per second
-        ("step_dt", _F4),  # [s]
-        ("physics_dt", _F4),  # [s]
-        # The car.
-        ("arm", _F4),  # from the base to either axle [m]
-        ("half_track", _F4),  # from the middle of an axle to its wheels [m]
-        ("half_length", _F4),  # of the footprint [m]
-        ("half_width", _F4),  # of the footprint [m]
-        ("radius", _F4),  # half the footprint's diagonal [m]
-        ("wheel_reach", _F4),  # from the base to a wheel [m]
-        ("max_steering", _F4),  # [rad]
-        ("max_turn", _F4),  # largest change of the steering angle in a physics step [rad]
-        ("min_speed", _F4),  # smallest and largest speed command [m/s]
-        ("max_speed", _F4),
-        ("max_acceleration", _F4),  # [m/s^2]
-        ("max_braking", _F4),  # [m/s^2]
-        ("gain", _F4),  # acceleration asked per unit of speed error [1/s]
-        ("inertia_of_mass", _F4),  # yaw inertia over mass [m^2]
-        ("transfer_of_mass", _F4),  # load moved to the rear axle per acceleration, over mass
-        ("slope_of_grip", _F4),  # a third of the cornering stiffness [1/rad]
-        ("cap_of_mass", _F4),  # largest force per speed it opposes, over mass [1/s]
-        ("grip", _F4),  # of a car without variation
-        ("mass", _F4),  # of a car without variation [kg]
-        ("latency_s", _F4),  # of a car without variation [s]
-        # Variation of the cars; see config.Spread.
-        ("grip_spread", _F4),
-        ("mass_spread", _F4),
-        ("latency_spread_s", _F4),
-        ("steering_spread", _F4),
-        ("camera_up_spread", _F4),
-        ("camera_pitch_spread", _F4),
-        # Contacts.
-        ("friction", _F4),
-        ("restitution", _F4),
-        # The rules.
-        ("laps", _I8),
-        ("patience_steps", _I8),
-        ("still_squared", _F4),  # square of the movement that counts as standing still [m^2]
-        ("off_track_penalty_s", _F4),
-        ("crash_penalty_s", _F4),
-        ("immobilised_penalty_s", _F4),
-        ("reversed_penalty_s", _F4),
-        ("overtake_margin", _F4),  # [m]
-        ("grid_gap", _F4),  # [m]
-        ("put_back_behind", _F4),  # [m]
-        ("bot_stop_s", _F4),
-        # Obstacles.
-        ("bots", _BOOL),  # bot cars instead of boxes
-        ("random_places", _BOOL),
-        ("fixed_places", _BOOL),  # places are given
-        ("lane_change", _BOOL),
-        ("bot_speed", _F4),  # [m/s]
-        ("min_distance", _F4),  # [m]
-        ("thing_half_length", _F4),  # of a box or bot [m]
-        ("thing_half_width", _F4),
-    ],
-    align=True,
-)
-"""One record; its fields are those of SimConfig, prepared for the loops."""
 
 
 def settings(sim: SimConfig) -> np.ndarray:
-    """Return the record of these settings, shape (1,)."""
+    """Return these settings as a SETTINGS record, shape (1,)."""
+    return np.array([tuple(value for _, _, value in _fields(sim))], SETTINGS)
+
+
+def _fields(sim: SimConfig) -> tuple[tuple[str, type, float], ...]:
+    """Return name, type and value of each field of the record."""
     car, rules, spread, things = sim.car, sim.rules, sim.spread, sim.obstacles
     arm, bots = car.wheelbase / 2, things.kind == "bot"
     # Inertia grows with mass, so min(mass, inertia / arm^2) is a fixed share of the mass.
@@ -91,61 +34,68 @@ def settings(sim: SimConfig) -> np.ndarray:
         # At least one step: the car is put back by the end of its penalty.
         return max(penalty_s, sim.step_dt)
 
-    values = {
-        "decimation": sim.decimation,
-        "step_hz": sim.step_hz,
-        "step_dt": sim.step_dt,
-        "physics_dt": sim.physics_dt,
-        "arm": arm,
-        "half_track": car.wheel_track / 2,
-        "half_length": car.length / 2,
-        "half_width": car.width / 2,
-        "radius": math.sqrt(car.length**2 + car.width**2) / 2,
-        "wheel_reach": math.sqrt(car.wheelbase**2 + car.wheel_track**2) / 2,
-        "max_steering": car.max_steering,
-        "max_turn": car.steering_rate * sim.physics_dt,
-        "min_speed": car.min_speed,
-        "max_speed": car.max_speed,
-        "max_acceleration": car.max_acceleration,
-        "max_braking": car.max_braking,
-        # A servo that asks for more than the whole error in one step would swing about it.
-        "gain": min(car.speed_gain, 1 / sim.physics_dt),
-        "inertia_of_mass": car.yaw_inertia / car.mass,
-        "transfer_of_mass": car.mass_height / car.wheelbase,
-        "slope_of_grip": car.cornering_stiffness / 3,
-        "cap_of_mass": share / sim.physics_dt,
-        "grip": car.grip,
-        "mass": car.mass,
-        "latency_s": car.latency_s,
-        "grip_spread": spread.grip,
-        "mass_spread": spread.mass,
-        "latency_spread_s": spread.latency_s,
-        "steering_spread": spread.steering_offset,
-        "camera_up_spread": spread.camera_position,
-        "camera_pitch_spread": spread.camera_angle,
-        "friction": sim.contact.friction,
-        "restitution": sim.contact.restitution,
-        "laps": rules.laps,
-        "patience_steps": rules.patience_steps,
-        "still_squared": rules.still_distance**2,
-        "off_track_penalty_s": seconds(rules.off_track_penalty_s),
-        "crash_penalty_s": seconds(rules.crash_penalty_s),
-        "immobilised_penalty_s": seconds(rules.immobilised_penalty_s),
-        "reversed_penalty_s": seconds(rules.reversed_penalty_s),
-        "overtake_margin": rules.overtake_margin,
-        "grid_gap": rules.grid_gap,
-        "put_back_behind": rules.put_back_behind,
-        "bot_stop_s": rules.bot_stop_s,
-        "bots": bots,
-        "random_places": things.random_places,
-        "fixed_places": bool(things.places),
-        "lane_change": things.lane_change,
-        "bot_speed": things.speed,
-        "min_distance": things.min_distance,
-        "thing_half_length": (car.length if bots else things.length) / 2,
-        "thing_half_width": (car.width if bots else things.width) / 2,
-    }
-    record = np.zeros(1, SETTINGS)
-    for name, value in values.items():
-        record[name] = value
-    return record
+    return (
+        ("decimation", _I8, sim.decimation),  # physics steps in a control step
+        ("step_hz", _F4, sim.step_hz),  # control steps per second
+        ("step_dt", _F4, sim.step_dt),  # [s]
+        ("physics_dt", _F4, sim.physics_dt),  # [s]
+        # The car.
+        ("arm", _F4, arm),  # from the base to either axle [m]
+        ("half_track", _F4, car.wheel_track / 2),  # from the middle of an axle to its wheels [m]
+        ("half_length", _F4, car.length / 2),  # of the footprint [m]
+        ("half_width", _F4, car.width / 2),  # of the footprint [m]
+        ("radius", _F4, math.sqrt(car.length**2 + car.width**2) / 2),  # of the footprint [m]
+        # From the base to a wheel [m].
+        ("wheel_reach", _F4, math.sqrt(car.wheelbase**2 + car.wheel_track**2) / 2),
+        ("max_steering", _F4, car.max_steering),  # [rad]
+        ("max_turn", _F4, car.steering_rate * sim.physics_dt),  # of the steering in a step [rad]
+        ("min_speed", _F4, car.min_speed),  # smallest and largest speed command [m/s]
+        ("max_speed", _F4, car.max_speed),
+        ("max_acceleration", _F4, car.max_acceleration),  # [m/s^2]
+        ("max_braking", _F4, car.max_braking),  # [m/s^2]
+        # Acceleration asked per unit of speed error [1/s]. A servo that asks for more than the
+        # whole error in one step would swing about it.
+        ("gain", _F4, min(car.speed_gain, 1 / sim.physics_dt)),
+        ("inertia_of_mass", _F4, car.yaw_inertia / car.mass),  # yaw inertia over mass [m^2]
+        # Load moved to the rear axle per acceleration, over mass.
+        ("transfer_of_mass", _F4, car.mass_height / car.wheelbase),
+        ("slope_of_grip", _F4, car.cornering_stiffness / 3),  # [1/rad]
+        ("cap_of_mass", _F4, share / sim.physics_dt),  # largest force per speed, over mass [1/s]
+        # The car and its latency without variation, and how far cars vary.
+        ("grip", _F4, car.grip),
+        ("mass", _F4, car.mass),  # [kg]
+        ("latency_s", _F4, car.latency_s),
+        ("grip_spread", _F4, spread.grip),
+        ("mass_spread", _F4, spread.mass),
+        ("latency_spread_s", _F4, spread.latency_s),
+        ("steering_spread", _F4, spread.steering_offset),
+        ("camera_up_spread", _F4, spread.camera_position),
+        ("camera_pitch_spread", _F4, spread.camera_angle),
+        ("friction", _F4, sim.contact.friction),
+        ("restitution", _F4, sim.contact.restitution),
+        # The rules.
+        ("laps", _I8, rules.laps),
+        ("patience_steps", _I8, rules.patience_steps),
+        ("still_squared", _F4, rules.still_distance**2),  # [m^2]
+        ("off_track_penalty_s", _F4, seconds(rules.off_track_penalty_s)),
+        ("crash_penalty_s", _F4, seconds(rules.crash_penalty_s)),
+        ("immobilised_penalty_s", _F4, seconds(rules.immobilised_penalty_s)),
+        ("reversed_penalty_s", _F4, seconds(rules.reversed_penalty_s)),
+        ("overtake_margin", _F4, rules.overtake_margin),  # [m]
+        ("grid_gap", _F4, rules.grid_gap),  # [m]
+        ("put_back_behind", _F4, rules.put_back_behind),  # [m]
+        ("bot_stop_s", _F4, rules.bot_stop_s),
+        # Obstacles.
+        ("bots", _BOOL, bots),  # bot cars instead of boxes
+        ("random_places", _BOOL, things.random_places),
+        ("fixed_places", _BOOL, bool(things.places)),
+        ("lane_change", _BOOL, things.lane_change),
+        ("bot_speed", _F4, things.speed),  # [m/s]
+        ("min_distance", _F4, things.min_distance),  # [m]
+        ("thing_half_length", _F4, (car.length if bots else things.length) / 2),  # [m]
+        ("thing_half_width", _F4, (car.width if bots else things.width) / 2),  # [m]
+    )
+
+
+SETTINGS = np.dtype([(name, kind) for name, kind, _ in _fields(SimConfig())], align=True)
+"""One record; its fields are those of SimConfig, prepared for the loops."""

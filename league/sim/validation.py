@@ -1,4 +1,4 @@
-"""Settings are checked as they are made: each of its field's kind, each number in its range."""
+"""Checks of settings: each value of its field's type, each number in its range."""
 
 from __future__ import annotations
 
@@ -24,17 +24,21 @@ def ranged(default: Number, low: float, high: float) -> Number:
     return field(default=default, metadata={"range": (low, high)})
 
 
+class Checked:
+    """Base of settings that are checked as they are made; `what` precedes the fields' names."""
+
+    def __init_subclass__(cls, what: str = "") -> None:
+        cls._what = what
+
+    def __post_init__(self) -> None:
+        """Raise a ConfigError for a field of the wrong type or a number out of its range."""
+        check(self, self._what)  # type: ignore[arg-type]
+
+
 def check(cfg: DataclassInstance, what: str = "") -> None:
-    """Refuse a field that holds another kind than its type says, or a number out of its range.
+    """Raise a ConfigError for a field of the wrong type or a number out of its range.
 
-    Tuples are left to their own class.
-
-    Args:
-        cfg: the settings; their types are written without quotes.
-        what: said before the field's name.
-
-    Raises:
-        ConfigError: a field cannot be what it is.
+    Types are written without quotes; tuples are left to their own class.
     """
     for item in fields(cfg):
         value = getattr(cfg, item.name)

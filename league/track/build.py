@@ -1,30 +1,39 @@
-"""From what a track file says to a Track: curve, borders, checks."""
+"""From what a track file says to a Track: curve, borders, and whether the course is sound.
+
+A sound course has no crossing, no overlap and no bend that no car can drive.
+"""
+
+# Numba gives its types a meaning that the checker does not know.
+# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from league.errors import TrackError
-from league.track import check, spline
-from league.track.schema import TrackFile
+from league.jit import compiled
+from league.track import spline
 from league.track.track import SPACING, Colours, Track
+
+if TYPE_CHECKING:
+    from league.track.files import TrackFile
 
 MIN_LENGTH, MAX_LENGTH = 2.0, 300.0
 """Shortest and longest centreline [m]."""
 MAX_EXTENT = 60.0
 """Longest side of the rectangle round a centreline [m]."""
+MIN_RADIUS = 0.2
+"""Smallest radius of a centreline [m], smoothed over 0.3 m; the car itself turns in 0.284 m."""
+MIN_REACH = 0.14
+"""Least room between the centreline and a border [m]; half a car is 0.1 m wide."""
 
 _MAX_MISSES = 0.1  # share of the rows whose normal may miss an explicit border
 
 
 def track(file: TrackFile, text: str, where: str) -> Track:
-    """Build and check the course that a track file describes.
-
-    Args:
-        file: what the file says.
-        text: its YAML text, kept in the track.
-        where: how to call the file in an error message.
-    """
+    """Build and check the course that a file with a YAML text describes; errors name `where`."""
     points = np.array(file.points, dtype=np.float64)
     _check_points(points, file.closed, where)
     start = None if file.start is None else np.array(file.start, dtype=np.float64)
@@ -34,6 +43,7 @@ def track(file: TrackFile, text: str, where: str) -> Track:
     left, right = _reaches(center, normal, file, where)
     left = spline.unfold(center, normal, left, closed=file.closed)
     right = spline.unfold(center, -normal, right, closed=file.closed)
+    colours = file.colours.model_dump(exclude_none=True)
     course = Track(
         name=file.name,
         title=file.title,
@@ -43,17 +53,17 @@ def track(file: TrackFile, text: str, where: str) -> Track:
         closed=file.closed,
         line_inside=file.line == "inside",
         line_width=file.line_width,
-        colours=_colours(file),
+        colours=Colours(**{part: tuple(rgb) for part, rgb in colours.items()}),
         origin=file.origin,
         text=text,
         waypoints=None if file.waypoints is None else np.array(file.waypoints, dtype=np.float64),
     )
-    return check.sound(course, where)
+    return sound(course, where)
 
 
 def _check_points(points: np.ndarray, closed: bool, where: str) -> None:
-    following = np.roll(points, -1, axis=0) if closed else points[1:]
-    chord = np.linalg.norm(following - points[: len(following)], axis=1)
+    begin, end = spline.segments(points, closed=closed)
+    chord = np.linalg.norm(end - begin, axis=1)
     if chord.min() < 1e-3:
         row = int(chord.argmin())
         also = (row + 1) % len(points)
@@ -86,25 +96,16 @@ def _check_center(center: np.ndarray, file: TrackFile, where: str) -> None:
         if off > file.width / 2:
             raise TrackError(
                 f"{where}: start [{file.start[0]:g}, {file.start[1]:g}] lies {off:.2f} m from the "
-                "centreline; give a point on it, or leave start out to begin at the first point"
+                "centreline; give a point on it, or omit start to begin at the first point"
             )
-    if file.closed:
-        _check_direction(center, file, where)
-
-
-def _check_direction(center: np.ndarray, file: TrackFile, where: str) -> None:
-    crossing = check.first_crossing(center, closed=True)
-    if crossing is not None:
-        # A figure of eight has no direction; let the check of crossings say so.
-        return
-    x, y = center.T
-    area = np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)
-    found = "counter-clockwise" if area > 0 else "clockwise"
-    if found != file.direction:
-        raise TrackError(
-            f"{where}: direction is {file.direction} but the points run {found}; "
-            f"write `direction: {found}` or reverse the order of the points"
-        )
+    # A figure of eight has no direction; the check of crossings reports it.
+    if file.closed and first_crossing(center, closed=True) is None:
+        runs = spline.winding(center)
+        if runs != file.direction:
+            raise TrackError(
+                f"{where}: direction is {file.direction} but the points run {runs}; "
+                f"write `direction: {runs}` or reverse the order of the points"
+            )
 
 
 def _reaches(
@@ -115,9 +116,9 @@ def _reaches(
         half = np.full(len(center), file.width / 2)
         return half, half
     if file.left is None or file.right is None:
-        given, other = ("right", "left") if file.left is None else ("left", "right")
+        one, other = ("right", "left") if file.left is None else ("left", "right")
         raise TrackError(
-            f"{where}: the {given} border is given and the {other} is not; give both, or neither "
+            f"{where}: the {one} border is given and the {other} is not; give both, or neither "
             "and let them follow from width"
         )
     left = _reach(center, normal, np.array(file.left), "left", file, where)
@@ -139,7 +140,7 @@ def _reach(
     file: TrackFile,
     where: str,
 ) -> np.ndarray:
-    crossing = check.first_crossing(border, closed=file.closed)
+    crossing = first_crossing(border, closed=file.closed)
     if crossing is not None:
         raise TrackError(
             f"{where}: {side}[{crossing[0]}] to {side}[{crossing[0] + 1}] of the {side} border "
@@ -150,7 +151,7 @@ def _reach(
     if missed.mean() > _MAX_MISSES:
         row = int(np.flatnonzero(missed)[0])
         raise TrackError(
-            f"{where}: there is no {side} border beside the centreline near "
+            f"{where}: there is no {side} border next to the centreline near "
             f"({center[row, 0]:.2f}, {center[row, 1]:.2f}) m; give it along the whole track, on "
             "the driver's own left and right"
         )
@@ -160,6 +161,173 @@ def _reach(
     return spline.interpolate(np.arange(count), met, reach[met % count])
 
 
-def _colours(file: TrackFile) -> Colours:
-    given = file.colours.model_dump(exclude_none=True)
-    return Colours(**{part: (rgb[0], rgb[1], rgb[2]) for part, rgb in given.items()})
+def sound(track: Track, where: str) -> Track:
+    """Return the track; raise a TrackError with what is wrong with it and where."""
+    crossing = first_crossing(track.center, closed=track.closed)
+    if crossing is not None:
+        raise TrackError(
+            f"{where}: the centreline crosses itself near {_place(track.center, crossing[0])}; "
+            "put the points in driving order and keep the stretches apart"
+        )
+    if track.min_radius < MIN_RADIUS:
+        row = int(np.abs(track.curvature).argmax())
+        raise TrackError(
+            f"{where}: the bend near {_place(track.center, row)} has a radius of "
+            f"{track.min_radius:.2f} m and a car needs {MIN_RADIUS} m; move the points there apart"
+        )
+    borders = (("left", track.left), ("right", track.right))
+    for side, border in borders:
+        reach = np.linalg.norm(border - track.center, axis=1)
+        row = int(reach.argmin())
+        if reach[row] < MIN_REACH:
+            raise TrackError(
+                f"{where}: the {side} border is only {reach[row]:.2f} m from the centreline near "
+                f"{_place(track.center, row)}; leave {MIN_REACH} m or more"
+            )
+    for side, border in borders:
+        crossing = first_crossing(border, closed=track.closed)
+        if crossing is not None:
+            raise TrackError(
+                f"{where}: the {side} border crosses itself near {_place(border, crossing[0])}; "
+                "move the stretches apart or make the road narrower"
+            )
+    crossing = first_crossing(track.left, track.right, closed=track.closed)
+    if crossing is not None:
+        raise TrackError(
+            f"{where}: the road overlaps itself near {_place(track.left, crossing[0])}; "
+            "move the stretches apart or make the road narrower"
+        )
+    if track.waypoints is not None:
+        _check_waypoints(track, track.waypoints, where)
+    return track
+
+
+def _check_waypoints(track: Track, points: np.ndarray, where: str) -> None:
+    _, off = _projected(track, points)
+    row = int(off.argmax())
+    if off[row] > track.width / 2:
+        raise TrackError(
+            f"{where}: waypoints[{row}] lies {off[row]:.2f} m from the centreline; give points on "
+            "it, or omit waypoints"
+        )
+    if track.closed and not np.array_equal(points[0], points[-1]):
+        raise TrackError(
+            f"{where}: the last of the waypoints is not the first once more; on a loop repeat it"
+        )
+    s = _in_order(track, points)
+    limit = s[0] + track.length if track.closed else np.inf
+    wrong = (s > limit + track.width / 2) | (np.diff(s, prepend=s[0]) < -track.width / 2)
+    wrong[-1] |= bool(track.closed and s[-1] < limit - track.width / 2)
+    if wrong.any():
+        raise TrackError(
+            f"{where}: waypoints[{int(wrong.argmax())}] is out of order; give them in driving "
+            "order, once along the track"
+        )
+
+
+def waypoint_places(track: Track) -> np.ndarray:
+    """Return how far along the lap each waypoint lies [m], shape (M,): never falling.
+
+    The first lies in [0, length), or [0, length] if open; beyond the start line they count on from
+    length, so that those of a loop end one length after they began.
+    """
+    if track.waypoints is None:
+        raise ValueError(f"the track {track.name} has no waypoints of its own")
+    s = np.maximum.accumulate(_in_order(track, track.waypoints))
+    return np.minimum(s, s[0] + track.length) if track.closed else s
+
+
+def _in_order(track: Track, points: np.ndarray) -> np.ndarray:
+    """Return where points in driving order lie [m], each counted on from the one before it."""
+    s, _ = _projected(track, points)
+    if not track.closed:
+        return s
+    # What lies a little behind the point before it has not gone round the whole lap.
+    slack = track.width / 2
+    steps = (np.diff(s) + slack) % track.length - slack
+    return s[0] % track.length + np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _projected(track: Track, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return where along the centreline points lie, and how far from it [m], shape (M,) each."""
+    center, last = track.center, len(track.center) - 1
+    nearest = _nearest(center, points)
+    low = np.add.outer(nearest, [0, -1])  # the stretches after and before it, (M, 2)
+    low = low % (last + 1) if track.closed else np.clip(low, 0, last - 1)
+    begin = center[low]
+    edge = center[(low + 1) % (last + 1)] - begin
+    part = ((points[:, None] - begin) * edge).sum(axis=-1) / (edge**2).sum(axis=-1)
+    part = np.clip(part, 0.0, 1.0)
+    off = np.linalg.norm(points[:, None] - begin - part[..., None] * edge, axis=-1)
+    rows, best = np.arange(len(points)), off.argmin(axis=1)
+    return (low + part)[rows, best] * track.segment_lengths.mean(), off[rows, best]
+
+
+def first_crossing(
+    line: np.ndarray, other: np.ndarray | None = None, *, closed: bool
+) -> tuple[int, int] | None:
+    """Return the first two segments that cross, of one polyline [m] or of two, by their rows."""
+    begin, end = spline.segments(line, closed=closed)
+    begin_2, end_2 = (begin, end) if other is None else spline.segments(other, closed=closed)
+    # Only segments whose middles are near enough can meet.
+    longest = np.linalg.norm(end - begin, axis=1).max()
+    longest_2 = np.linalg.norm(end_2 - begin_2, axis=1).max()
+    radius = float(longest + longest_2) / 2 * (1 + 1e-9) + 1e-12
+    first, second = _pairs_within(radius, (begin + end) / 2, (begin_2 + end_2) / 2).T
+    if other is None:
+        apart = np.abs(first - second)
+        apart = np.minimum(apart, len(begin) - apart) if closed else apart
+        keep = (first < second) & (apart > 1)
+        first, second = first[keep], second[keep]
+    cross = _meet(begin[first], end[first], begin_2[second], end_2[second])
+    if not cross.any():
+        return None
+    crossings = np.flatnonzero(cross)
+    best = crossings[first[crossings].argmin()]
+    return int(first[best]), int(second[best])
+
+
+@compiled
+def _pairs_within(radius, points, others):
+    """Return the rows of points that lie within a radius of each other, (num_pairs, 2)."""
+    pairs = [(0, 0)]
+    for i in range(len(points)):
+        x, y = points[i]
+        for j in range(len(others)):
+            dx, dy = others[j, 0] - x, others[j, 1] - y
+            if dx * dx + dy * dy <= radius * radius:
+                pairs.append((i, j))
+    return np.array(pairs)[1:]
+
+
+@compiled
+def _nearest(line, points):
+    """Return the row of a line nearest to each point, (num_points,)."""
+    rows = np.zeros(len(points), np.int64)
+    for k in range(len(points)):
+        least = np.inf
+        for row in range(len(line)):
+            dx, dy = line[row, 0] - points[k, 0], line[row, 1] - points[k, 1]
+            if dx * dx + dy * dy < least:
+                rows[k], least = row, dx * dx + dy * dy
+    return rows
+
+
+def _meet(p: np.ndarray, q: np.ndarray, r: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """Return whether segments pq and rs meet; segments on one line do not count."""
+    sides = _side(p, q, r), _side(p, q, s), _side(r, s, p), _side(r, s, q)
+    across = (sides[0] * sides[1] <= 0) & (sides[2] * sides[3] <= 0)
+    in_line = (sides[0] == 0) & (sides[1] == 0) & (sides[2] == 0) & (sides[3] == 0)
+    return across & ~in_line
+
+
+def _side(p: np.ndarray, q: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Return -1, 0 or 1: on which side of the line pq a point lies, 0 within rounding."""
+    area = (q[:, 0] - p[:, 0]) * (point[:, 1] - p[:, 1]) - (q[:, 1] - p[:, 1]) * (
+        point[:, 0] - p[:, 0]
+    )
+    return np.where(np.abs(area) < 1e-13, 0, np.sign(area)).astype(int)
+
+
+def _place(line: np.ndarray, row: int) -> str:
+    return f"({line[row, 0]:.2f}, {line[row, 1]:.2f}) m"

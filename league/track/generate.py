@@ -10,7 +10,7 @@ from scipy import ndimage
 from scipy.spatial import KDTree
 
 from league.errors import TrackError
-from league.track import build, files, schema, spline
+from league.track import build, files, spline
 from league.track.track import Track
 
 Direction = Literal["counter-clockwise", "clockwise"]
@@ -43,14 +43,19 @@ def generate(
 ) -> Track:
     """Draw a sound closed track; the same seed and settings give the same track.
 
-    Args:
-        seed: from 0.
-        min_radius: smallest radius of the centreline [m], smoothed over 0.3 m.
-        width: smallest and largest width of the road [m].
-        length: shortest and longest centreline [m].
-        direction: which way round; drawn if not given.
+    Width of the road and length of the centreline are ranges [m]; `min_radius` [m] is smoothed
+    over 0.3 m.
     """
-    _check(seed, min_radius, width, length, direction)
+    if seed < 0:
+        raise TrackError(f"seed is {seed}: give 0 or more")
+    if not 0.25 <= min_radius <= 10:
+        raise TrackError(f"min_radius is {min_radius}: give 0.25 to 10 m")
+    if not 0.3 <= width[0] <= width[1] <= 4:
+        raise TrackError(f"width is {width[0]} to {width[1]}: give a range within 0.3 to 4 m")
+    if not 5 <= length[0] <= length[1] <= 200:
+        raise TrackError(f"length is {length[0]} to {length[1]}: give a range within 5 to 200 m")
+    if direction not in (None, "counter-clockwise", "clockwise"):
+        raise TrackError(f"direction is {direction!r}: give counter-clockwise or clockwise")
     generator = np.random.default_rng(seed)
     for attempt in range(_ATTEMPTS):
         asked_width = round(float(generator.uniform(*width)), 3)
@@ -77,25 +82,6 @@ def generate(
     )
 
 
-def _check(
-    seed: int,
-    min_radius: float,
-    width: tuple[float, float],
-    length: tuple[float, float],
-    direction: str | None,
-) -> None:
-    if seed < 0:
-        raise TrackError(f"seed is {seed}: give 0 or more")
-    if not 0.25 <= min_radius <= 10:
-        raise TrackError(f"min_radius is {min_radius}: give 0.25 to 10 m")
-    if not 0.3 <= width[0] <= width[1] <= 4:
-        raise TrackError(f"width is {width[0]} to {width[1]}: give a range within 0.3 to 4 m")
-    if not 5 <= length[0] <= length[1] <= 200:
-        raise TrackError(f"length is {length[0]} to {length[1]}: give a range within 5 to 200 m")
-    if direction not in (None, "counter-clockwise", "clockwise"):
-        raise TrackError(f"direction is {direction!r}: give counter-clockwise or clockwise")
-
-
 def _build(
     seed: int, path: np.ndarray, width: float, way: str, generator: np.random.Generator
 ) -> Track | None:
@@ -104,7 +90,7 @@ def _build(
     rows = np.linspace(0, len(path), count, endpoint=False).astype(int)
     where = f"the track of seed {seed}"
     palette = _PALETTES[int(generator.integers(len(_PALETTES)))]
-    file = schema.checked(
+    file = files.checked(
         {
             "name": f"generated_{seed}",
             "title": f"Generated {seed}",
@@ -118,7 +104,7 @@ def _build(
         where,
     )
     try:
-        return build.track(file, schema.write(file), where)
+        return build.track(file, files.write(file), where)
     except TrackError:
         return None
 
@@ -140,7 +126,7 @@ def _finish(
 
 
 def _fits(path: np.ndarray, width: float, min_radius: float) -> bool:
-    """Tell quickly whether bends are wide enough and stretches far enough apart."""
+    """Return, roughly and quickly, whether bends are wide enough and stretches far enough apart."""
     bend = ndimage.uniform_filter1d(np.abs(_curvature(path)), size=5, mode="wrap")
     if bend.max() > 1.05 / min_radius:
         return False
@@ -167,6 +153,9 @@ def _blocks(
     return _rounded(corners, length, min_radius, generator)
 
 
+_EDGES = ((1, 0), (0, 1), (-1, 0), (0, -1))
+
+
 def _patch(generator: np.random.Generator, sides: int) -> set[tuple[int, int]]:
     """Grow cells, without holes and without touching corners, until they have so many sides."""
     cells = {(0, 0)}
@@ -177,7 +166,7 @@ def _patch(generator: np.random.Generator, sides: int) -> set[tuple[int, int]]:
         # Growing from a random earlier or the latest cell gives lumps and arms.
         ordered = sorted(cells)
         x, y = ordered[int(generator.integers(len(ordered)))]
-        dx, dy = ((1, 0), (0, 1), (-1, 0), (0, -1))[int(generator.integers(4))]
+        dx, dy = _EDGES[int(generator.integers(4))]
         cell = (x + dx, y + dy)
         if cell in cells or not _joins_once(cells, cell) or max(map(abs, cell)) > 30:
             continue
@@ -188,12 +177,11 @@ def _patch(generator: np.random.Generator, sides: int) -> set[tuple[int, int]]:
     return cells
 
 
-_EDGES = ((1, 0), (0, 1), (-1, 0), (0, -1))
 _RING = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))
 
 
 def _joins_once(cells: set[tuple[int, int]], cell: tuple[int, int]) -> bool:
-    """Tell whether a new cell keeps the outline one simple loop."""
+    """Return whether a new cell keeps the outline one simple loop."""
     ring = [(cell[0] + i, cell[1] + j) in cells for i, j in _RING]
     runs = sum(now and not before for now, before in zip(ring, [ring[-1], *ring[:-1]], strict=True))
     return runs == 1 and any(ring[::2])

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from league.errors import TrackError
-from league.track import build, check, files, schema, spline
+from league.track import build, files, spline
 from league.track.track import SPACING, Track
 
 MAX_BYTES = 1_000_000
@@ -37,15 +37,12 @@ _HEADER_FAULTS = (
 
 
 def read_npy(path: str | os.PathLike[str], name: str | None = None) -> Track:
-    """Import a community track file; nothing in it is executed and little of it is believed.
+    """Import a community track file; nothing in it is executed and every number of it is checked.
 
-    Rows need not be perpendicular to the centreline: borders are taken as lines, and met by the
-    centreline's normals. "Inner" may lie on either side of the driver. The rows' centres are kept
-    as the track's waypoints, for reward functions that count on their numbers.
-
-    Args:
-        path: a .npy file, float array of shape (N, 6) [m]: centre, inner border, outer border.
-        name: name of the track; made from the file's name if not given.
+    The array is floats of shape (N, 6) [m]: centre, inner border, outer border. Rows need not be
+    perpendicular to the centreline: borders are taken as lines, and met by the centreline's
+    normals. "Inner" may lie on either side of the driver. The rows' centres are kept as the track's
+    waypoints, for reward functions that count on their numbers. Without a name, the file's is used.
     """
     where = os.fspath(path)
     rows = _read_rows(where)
@@ -82,38 +79,17 @@ def from_rows(rows: np.ndarray, name: str, where: str) -> Track:
         )
     borders = [_border(rows[:, column : column + 2], closed, where) for column in (2, 4)]
     left, right = borders if _inner_is_left(rows) else borders[::-1]
-    waypoints = _waypoints(rows, closed, repeats)
-    return _fit(center, left, right, waypoints, closed, name, where)
-
-
-def _waypoints(rows: np.ndarray, closed: bool, repeats: bool) -> np.ndarray:
-    """Return what the original tells as `waypoints`: the centres, on a loop ending with row 0's.
-
-    None is left out, not even one that repeats the row before it, and none is moved: a reward
-    function may name any by its number.
-    """
-    told = rows[:, :2]
-    if not closed:
-        return told
-    return np.concatenate([told[:-1] if repeats else told, told[:1]])
-
-
-def _fit(
-    center: np.ndarray,
-    left: np.ndarray,
-    right: np.ndarray,
-    waypoints: np.ndarray,
-    closed: bool,
-    name: str,
-    where: str,
-) -> Track:
+    # The original's waypoints are the centres, on a loop ending with row 0's. None is dropped, not
+    # even one that repeats the row before it: a reward function may name any by its number.
+    waypoints = rows[:-1, :2] if repeats else rows[:, :2]
+    waypoints = np.concatenate([waypoints, rows[:1, :2]]) if closed else waypoints
     points = _thinned_curve(center, closed)
     width = _usual_width(points, left, right, closed, where)
-    file = schema.checked(
+    file = files.checked(
         {
             "name": name,
             "title": name.replace("_", " "),
-            "direction": _direction(points, closed),
+            "direction": spline.winding(points) if closed else "open",
             "width": width,
             "line": "outside" if _line_is_outside(width) else "inside",
             "origin": "Imported from a community track array; which side of the border the white "
@@ -125,8 +101,7 @@ def _fit(
         },
         where,
     )
-    text = schema.write(file)
-    return build.track(file, text, where)
+    return build.track(file, files.write(file), where)
 
 
 def _read_rows(where: str) -> np.ndarray:
@@ -166,9 +141,9 @@ def _check_header(file: BinaryIO, size: int, where: str) -> None:
             f"{where} has the shape {shape}; a track array is (N, 6): centre, inner and outer "
             "border, x and y each"
         )
-    if not 4 <= shape[0] <= schema.MAX_POINTS:
+    if not 4 <= shape[0] <= files.MAX_POINTS:
         raise TrackError(
-            f"{where} has {shape[0]:,} rows; a track array has 4 to {schema.MAX_POINTS}"
+            f"{where} has {shape[0]:,} rows; a track array has 4 to {files.MAX_POINTS}"
         )
     declared = file.tell() + shape[0] * shape[1] * dtype.itemsize
     if size > MAX_BYTES or size != declared:
@@ -179,12 +154,12 @@ def _check_header(file: BinaryIO, size: int, where: str) -> None:
 
 
 def _check_rows(rows: np.ndarray, where: str) -> None:
-    bad = ~np.isfinite(rows) | (np.abs(np.nan_to_num(rows)) > schema.MAX_COORDINATE)
+    bad = ~np.isfinite(rows) | (np.abs(np.nan_to_num(rows)) > files.MAX_COORDINATE)
     if bad.any():
         row, column = (int(place[0]) for place in np.nonzero(bad))
         raise TrackError(
             f"{where}, row {row}, column {column} is {rows[row, column]}; give finite metres "
-            f"within {schema.MAX_COORDINATE:g} m"
+            f"within {files.MAX_COORDINATE:g} m"
         )
 
 
@@ -195,7 +170,7 @@ def _distinct(line: np.ndarray) -> np.ndarray:
 
 
 def _inner_is_left(rows: np.ndarray) -> bool:
-    """Tell on which side of the driver the inner border lies, by the majority of the rows."""
+    """Return whether the inner border lies on the driver's left in the majority of the rows."""
     along = np.gradient(rows[:, :2], axis=0)
     to_inner = rows[:, 2:4] - rows[:, 4:6]
     return bool(np.median(along[:, 0] * to_inner[:, 1] - along[:, 1] * to_inner[:, 0]) > 0)
@@ -215,7 +190,7 @@ def _border(line: np.ndarray, closed: bool, where: str) -> np.ndarray:
 def _without_loops(line: np.ndarray, closed: bool) -> np.ndarray:
     """Cut off the small loops that an offset line makes inside a bend tighter than its offset."""
     for _ in range(len(line)):
-        crossing = check.first_crossing(line, closed=closed)
+        crossing = build.first_crossing(line, closed=closed)
         if crossing is None or len(line) < 5:
             break
         first, second = crossing
@@ -299,14 +274,6 @@ def _usual_width(
             "inner border, outer border, x and y each"
         )
     return round(float(np.nanmedian(both)), 3)
-
-
-def _direction(points: np.ndarray, closed: bool) -> str:
-    if not closed:
-        return "open"
-    x, y = points.T
-    area = np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)
-    return "counter-clockwise" if area > 0 else "clockwise"
 
 
 def _line_is_outside(width: float) -> bool:

@@ -7,7 +7,6 @@ is upside down.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import cv2
@@ -15,6 +14,7 @@ import numpy as np
 from scipy import ndimage
 
 from league.errors import ConfigError
+from league.track import spline
 from league.track.track import Rgb, Track
 
 DASH_WIDTH, DASH_LENGTH, DASH_PITCH = 0.025, 0.051, 0.102
@@ -60,13 +60,7 @@ class Floor:
 
 
 def floor(track: Track, metres_per_pixel: float, *, colour: bool) -> Floor:
-    """Paint the floor of the track's room; gray is the Rec. 601 luma of the colours.
-
-    Args:
-        track: what to paint.
-        metres_per_pixel: side of a pixel [m].
-        colour: RGB instead of gray.
-    """
+    """Paint the floor of the track's room; gray is the Rec. 601 luma of the colours."""
     x_min, y_min, x_max, y_max = track.room
     if not metres_per_pixel > 0:
         raise ConfigError(f"metres_per_pixel is {metres_per_pixel}: give more than 0, such as 0.01")
@@ -77,68 +71,33 @@ def floor(track: Track, metres_per_pixel: float, *, colour: bool) -> Floor:
             f"a floor of {columns} x {rows} pixels is too large: give more metres per pixel than "
             f"{metres_per_pixel:g}"
         )
-    canvas = _Canvas.blank(track, metres_per_pixel, rows, columns)
-    _draw(canvas, track)
-    image = _textured(canvas)
+    fine = np.empty((rows * _FINE, columns * _FINE, 3), np.uint8)
+    fine[0] = track.colours.field
+    fine[1:] = fine[0]  # whole rows at a time: four times faster than pixels
+    on_road = np.zeros((rows, columns), np.uint8)
+
+    def fill(polygons: np.ndarray, image: np.ndarray, colour: Rgb | int) -> None:
+        place = (polygons - (x_min, y_min)) * (len(image) / rows / metres_per_pixel) - 0.5
+        for corners in np.round(place * (1 << SHIFT)).astype(np.int32):
+            cv2.fillConvexPoly(image, corners, colour, lineType=cv2.LINE_8, shift=SHIFT)
+
+    colours, spill = track.colours, 0.5 * metres_per_pixel / _FINE
+    inner, outer = (-track.line_width, 0.0) if track.line_inside else (0.0, track.line_width)
+    for wider, colour_of_strip in ((outer, colours.line), (inner, colours.road)):
+        strip = _strip(track, wider, spill)  # filled polygons spill over by half a fine pixel
+        fill(strip, fine, colour_of_strip)
+        fill(strip, on_road, 255)
+    fill(_dashes(track), fine, colours.dash)
+    if track.closed:
+        for squares, rgb in zip(_start_squares(track), START_COLOURS, strict=True):
+            fill(squares, fine, rgb)
+    image = cv2.resize(fine, (columns, rows), interpolation=cv2.INTER_AREA)
+    noise = np.tile(_noise_tile(), (rows // _TILE + 1, columns // _TILE + 1))[:rows, :columns]
+    noise = noise * np.where(on_road > 0, np.float32(ROAD_NOISE), np.float32(FIELD_NOISE))
+    image = cv2.add(image, cv2.merge([noise] * 3), dtype=cv2.CV_8U)
     if not colour:
         image = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     return Floor(image, x_min, y_min, metres_per_pixel)
-
-
-def _draw(canvas: _Canvas, track: Track) -> None:
-    colours = track.colours
-    inner, outer = (-track.line_width, 0.0) if track.line_inside else (0.0, track.line_width)
-    canvas.fill(_strip(track, outer, canvas.half_pixel), colours.line, road=True)
-    canvas.fill(_strip(track, inner, canvas.half_pixel), colours.road, road=True)
-    canvas.fill(_dashes(track), colours.dash)
-    if track.closed:
-        for squares, rgb in zip(_start_squares(track), START_COLOURS, strict=True):
-            canvas.fill(squares, rgb)
-
-
-@dataclass(frozen=True)
-class _Canvas:
-    """A fine drawing in colour and a coarse mask of the road."""
-
-    fine: np.ndarray
-    road: np.ndarray
-    origin: np.ndarray
-    pixel: float
-
-    @classmethod
-    def blank(cls, track: Track, pixel: float, rows: int, columns: int) -> _Canvas:
-        fine = np.empty((rows * _FINE, columns * _FINE, 3), np.uint8)
-        fine[0] = track.colours.field
-        fine[1:] = fine[0]  # whole rows at a time: four times faster than pixels
-        road = np.zeros((rows, columns), np.uint8)
-        return cls(fine, road, np.array(track.room[:2]), pixel)
-
-    @property
-    def half_pixel(self) -> float:
-        """How far a filled polygon spills over its edge on the fine drawing [m]."""
-        return 0.5 * self.pixel / _FINE
-
-    def fill(self, polygons: np.ndarray, rgb: Rgb, *, road: bool = False) -> None:
-        """Fill convex polygons [m], shape (K, corners, 2)."""
-        for corners in self._grid(polygons, self.pixel / _FINE):
-            cv2.fillConvexPoly(self.fine, corners, rgb, lineType=cv2.LINE_8, shift=SHIFT)
-        if road:
-            for corners in self._grid(polygons, self.pixel):
-                cv2.fillConvexPoly(self.road, corners, 255, lineType=cv2.LINE_8, shift=SHIFT)
-
-    def _grid(self, polygons: np.ndarray, pixel: float) -> Iterable[np.ndarray]:
-        place = (polygons - self.origin) / pixel - 0.5
-        return np.round(place * (1 << SHIFT)).astype(np.int32)
-
-
-def _textured(canvas: _Canvas) -> np.ndarray:
-    """Bring the drawing to its size and add the same slight noise to all channels."""
-    rows, columns = canvas.road.shape
-    image = cv2.resize(canvas.fine, (columns, rows), interpolation=cv2.INTER_AREA)
-    noise = _noise_tile()
-    noise = np.tile(noise, (rows // _TILE + 1, columns // _TILE + 1))[:rows, :columns]
-    strength = np.where(canvas.road > 0, np.float32(ROAD_NOISE), np.float32(FIELD_NOISE))
-    return cv2.add(image, cv2.merge([noise * strength] * 3), dtype=cv2.CV_8U)
 
 
 def _noise_tile() -> np.ndarray:
@@ -160,8 +119,8 @@ def _strip(track: Track, wider: float, spill: float) -> np.ndarray:
         direction = (border - track.center) / reach[:, None]
         reach = _unclipped(track, reach, side) + wider - spill
         edge = track.center + direction * reach[:, None]
-        begin, end = _pairs(track.center, track.closed)
-        edge_begin, edge_end = _pairs(edge, track.closed)
+        begin, end = spline.segments(track.center, closed=track.closed)
+        edge_begin, edge_end = spline.segments(edge, closed=track.closed)
         folded = ((edge_end - edge_begin) * (end - begin)).sum(axis=1) < 0
         far, near = edge_end.copy(), edge_begin.copy()
         far[folded], near[folded] = edge_begin[folded], edge_end[folded]
@@ -177,10 +136,6 @@ def _unclipped(track: Track, reach: np.ndarray, side: float) -> np.ndarray:
     around = ndimage.grey_closing(reach, size=min(window, len(reach)), mode=mode)
     bend = ndimage.maximum_filter(side * track.curvature, size=window, mode=mode)
     return np.where(bend * around > 0.5, around, reach)
-
-
-def _pairs(line: np.ndarray, closed: bool) -> tuple[np.ndarray, np.ndarray]:
-    return (line, np.roll(line, -1, axis=0)) if closed else (line[:-1], line[1:])
 
 
 def _dashes(track: Track) -> np.ndarray:

@@ -144,14 +144,7 @@ def lap_length(course):
 
 @compiled
 def frames_at(points, courses, track, s):
-    """Return the frames at places, float32 (num_places, 8) in the order of `Frame`.
-
-    Args:
-        points: of a TrackSet.
-        courses: of a TrackSet.
-        track: row of each place's track, int64 (num_places,).
-        s: distances along it [m], float32 (num_places,).
-    """
+    """Return the frames at distances s [m] along tracks, float32 (num_places, 8); see Frame."""
     out = np.empty((len(s), 8), np.float32)
     for k in range(len(s)):
         frame = frame_at(points, courses[track[k]], s[k])
@@ -162,16 +155,9 @@ def frames_at(points, courses, track, s):
 
 @compiled
 def projections(points, courses, track, x, y, near_s):
-    """Return the frames nearest to points, and their lateral places, float32 (num_points, 9).
+    """Return the frames nearest to points x, y [m], and their lateral places, (num_points, 9).
 
-    Args:
-        points: of a TrackSet.
-        courses: of a TrackSet.
-        track: row of each point's track, int64 (num_points,).
-        x: [m], float32 (num_points,).
-        y: [m], float32 (num_points,).
-        near_s: where each was last seen [m], float32 (num_points,); NaN: nobody knows, and the
-            whole centreline is searched.
+    `near_s` is where each was last seen [m], NaN to search the whole centreline; all are float32.
     """
     out = np.empty((len(x), 9), np.float32)
     for k in range(len(x)):
@@ -204,13 +190,4 @@ def gaps(courses, track, ahead, behind):
     out = np.empty(len(ahead), np.float32)
     for k in range(len(ahead)):
         out[k] = signed_gap(courses[track[k]], ahead[k], behind[k])
-    return out
-
-
-@compiled
-def curvatures_at(points, courses, track, s):
-    """Return `curvature_at` of each place [1/m], float32 (num_places,)."""
-    out = np.empty(len(s), np.float32)
-    for k in range(len(s)):
-        out[k] = curvature_at(points, courses[track[k]], s[k])
     return out

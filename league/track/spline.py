@@ -7,6 +7,7 @@ machine: + - * / and square roots of arrays, and running sums.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -79,12 +80,9 @@ def resample(
 ) -> np.ndarray:
     """Return rows at an even distance along the smooth curve through the points.
 
-    Args:
-        points: control points [m], shape (K, 2).
-        closed: whether the curve returns to its first point, which is not repeated.
-        spacing: wished distance between rows [m]; the nearest that divides the length is taken.
-        start: where row 0 lies [m], moved to the nearest point of the curve; the first control
-            point if not given.
+    A closed curve returns to its first point, which is not repeated. The spacing [m] that is
+    nearest to the wished one and divides the length is taken. Row 0 lies on the curve where it is
+    nearest to `start` [m], or at the first control point.
     """
     curve = through(points, closed=closed)
     place, s = _arc_length(curve)
@@ -112,8 +110,20 @@ def _arc_length(curve: Curve) -> tuple[np.ndarray, np.ndarray]:
     return place, np.concatenate([[0.0], np.cumsum(steps)])
 
 
+def segments(line: np.ndarray, *, closed: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the segments of a polyline begin and end, (num_segments, 2) each."""
+    return (line, np.roll(line, -1, axis=0)) if closed else (line[:-1], line[1:])
+
+
+def winding(points: np.ndarray) -> Literal["counter-clockwise", "clockwise"]:
+    """Return which way round a closed polyline runs."""
+    x, y = points.T
+    area = np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)
+    return "counter-clockwise" if area > 0 else "clockwise"
+
+
 def tangent(center: np.ndarray, *, closed: bool) -> np.ndarray:
-    """Return the unit driving direction at each row, as `Track.tangent` does."""
+    """Return the unit driving direction at each row, by central differences."""
     if closed:
         chord = np.roll(center, -1, axis=0) - np.roll(center, 1, axis=0)
     else:
@@ -152,11 +162,8 @@ def unfold(
     d > |delta|^2 / (2 normal . delta), delta = row j - row i: the ball that touches the line at i
     and passes through j. Beyond that the border would fold over itself.
 
-    Args:
-        center: rows [m], shape (N, 2), even spacing.
-        normal: unit vectors towards the border, shape (N, 2).
-        wished: distance to the border [m], shape (N,).
-        closed: whether the last row is followed by the first.
+    Rows are evenly spaced; the normals point towards the border, (N, 2); `wished` is the distance
+    to it [m], (N,).
     """
     spacing = float(np.linalg.norm(center[1:2] - center[:1], axis=1)[0])
     lags = min(int(FOLD_REACH * wished.max() / max(spacing, 1e-6)), (len(center) - 1) // 2)
@@ -178,16 +185,10 @@ def cast(
 ) -> np.ndarray:
     """Return how far each row's normal runs until it meets a border polyline [m]; NaN if it misses.
 
-    Args:
-        center: rows [m], shape (N, 2).
-        normal: unit vectors towards the border, shape (N, 2).
-        border: polyline [m], shape (M, 2).
-        closed: whether the polyline returns to its first point.
-        limit: hits farther than this are ignored [m].
+    The normals (N, 2) point towards the border (M, 2); hits farther than `limit` [m] are ignored.
     """
-    following = np.roll(border, -1, axis=0) if closed else border[1:]
-    begin = border[: len(following)]
-    edge = following - begin
+    begin, end = segments(border, closed=closed)
+    edge = end - begin
     hits = np.full(len(center), np.inf)
     for rows in np.array_split(np.arange(len(center)), max(1, len(center) * len(edge) // 400_000)):
         # center + t normal = begin + u edge, solved by Cramer's rule for every row and edge.

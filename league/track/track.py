@@ -63,7 +63,7 @@ class Track:
     text: str = ""
     """The YAML text it was made from, so that a replay can carry its track."""
     waypoints: np.ndarray | None = None
-    """What reward functions are told [m], shape (M, 2), driving order; a closed track repeats row
+    """`waypoints` of reward functions [m], shape (M, 2), driving order; a closed track repeats row
     0 as the last. None: points evenly spaced along the centreline."""
 
     @cached_property
@@ -74,8 +74,8 @@ class Track:
     @cached_property
     def segment_lengths(self) -> np.ndarray:
         """Distance from each centre point to the next [m]; shape (N,), or (N - 1,) if open."""
-        following = np.roll(self.center, -1, axis=0) if self.closed else self.center[1:]
-        return np.linalg.norm(following - self.center[: len(following)], axis=1)
+        begin, end = spline.segments(self.center, closed=self.closed)
+        return np.linalg.norm(end - begin, axis=1)
 
     @cached_property
     def width(self) -> float:
@@ -85,11 +85,7 @@ class Track:
     @cached_property
     def tangent(self) -> np.ndarray:
         """Unit driving direction at each centre point, shape (N, 2), by central differences."""
-        if self.closed:
-            chord = np.roll(self.center, -1, axis=0) - np.roll(self.center, 1, axis=0)
-        else:
-            chord = np.gradient(self.center, axis=0)
-        return chord / np.linalg.norm(chord, axis=1, keepdims=True)
+        return spline.tangent(self.center, closed=self.closed)
 
     @cached_property
     def curvature(self) -> np.ndarray:
@@ -113,11 +109,7 @@ class Track:
     @cached_property
     def direction(self) -> Literal["counter-clockwise", "clockwise", "open"]:
         """Which way round it is driven."""
-        if not self.closed:
-            return "open"
-        x, y = self.center.T
-        area = np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)
-        return "counter-clockwise" if area > 0 else "clockwise"
+        return spline.winding(self.center) if self.closed else "open"
 
     @cached_property
     def room(self) -> tuple[float, float, float, float]:
@@ -187,11 +179,7 @@ class TrackSet:
     """
 
     def __init__(self, *tracks: Track) -> None:
-        """Build the tables.
-
-        Args:
-            tracks: at least one.
-        """
+        """Build the tables of one track or more."""
         from league.track.projection import COURSE, POINT  # late: Numba takes a while
 
         if not tracks:
@@ -236,30 +224,21 @@ class TrackSet:
         return np.where(self.closed[index], length, length - OPEN_TRACK_MARGIN)
 
     def at(self, index: np.ndarray, s: np.ndarray) -> Projection:
-        """Return the track's frame at distance s [m].
-
-        Args:
-            index: track of each world.
-            s: any distance [m], wrapped on closed tracks, held at the ends of open ones.
-        """
+        """Return the track's frame at distance s [m], wrapped or held at the ends if open."""
         from league.track import projection
 
         s = np.asarray(s, np.float32)
         flat = s.ravel()
-        found = projection.frames_at(self.points, self.courses, self._spread(index, s), flat)
-        return _projection(found, np.zeros_like(flat), s.shape)
+        frames = projection.frames_at(self.points, self.courses, self._spread(index, s), flat)
+        return _projection(frames, np.zeros_like(flat), s.shape)
 
     def project(
         self, index: np.ndarray, x: np.ndarray, y: np.ndarray, near_s: np.ndarray | None = None
     ) -> Projection:
-        """Project points to the centreline.
+        """Project points [m] to the centreline.
 
-        Args:
-            index: track of each world.
-            x: points [m].
-            y: points [m].
-            near_s: last known s of each point [m]: it is sought from there, so a car stays on its
-                own stretch where two run side by side. None searches the whole centreline.
+        A point is sought from its last known s, `near_s` [m], so a car stays on its own stretch
+        where two run side by side. None searches the whole centreline.
         """
         from league.track import projection
 
@@ -267,10 +246,9 @@ class TrackSet:
         x, y, near_s = np.broadcast_arrays(
             *(np.asarray(given, np.float32) for given in (x, y, near_s))
         )
-        found = projection.projections(
-            self.points, self.courses, self._spread(index, x), x.ravel(), y.ravel(), near_s.ravel()
-        )
-        return _projection(found, found[:, 8], x.shape)
+        places = self._spread(index, x), x.ravel(), y.ravel(), near_s.ravel()
+        frames = projection.projections(self.points, self.courses, *places)
+        return _projection(frames, frames[:, 8], x.shape)
 
     def signed_gap(self, index: np.ndarray, ahead: np.ndarray, behind: np.ndarray) -> np.ndarray:
         """Return how far `ahead` lies in front of `behind` along the track [m].
@@ -282,20 +260,9 @@ class TrackSet:
         ahead, behind = np.broadcast_arrays(
             np.asarray(ahead, np.float32), np.asarray(behind, np.float32)
         )
-        found = projection.gaps(
-            self.courses, self._spread(index, ahead), ahead.ravel(), behind.ravel()
-        )
-        return found.reshape(ahead.shape)
-
-    def curvature_at(self, index: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """Return the signed curvature [1/m] at the centre point nearest to distance s."""
-        from league.track import projection
-
-        s = np.asarray(s, np.float32)
-        found = projection.curvatures_at(
-            self.points, self.courses, self._spread(index, s), s.ravel()
-        )
-        return found.reshape(s.shape)
+        track = self._spread(index, ahead)
+        gaps = projection.gaps(self.courses, track, ahead.ravel(), behind.ravel())
+        return gaps.reshape(ahead.shape)
 
     def _spread(self, index: np.ndarray, places: np.ndarray) -> np.ndarray:
         """Return the track of each place, int64 (places.size,).
@@ -315,27 +282,17 @@ class TrackSet:
         return np.broadcast_to(index.reshape(shape), places.shape).ravel()
 
 
-def _projection(found: np.ndarray, lateral: np.ndarray, shape: tuple[int, ...]) -> Projection:
-    s, x, y, cos, sin, curvature, left, right = (
-        found[:, column].reshape(shape) for column in range(8)
-    )
-    return Projection(s, lateral.reshape(shape), x, y, cos, sin, curvature, left, right)
+def _projection(frames: np.ndarray, lateral: np.ndarray, shape: tuple[int, ...]) -> Projection:
+    s, *rest = (frames[:, column].reshape(shape) for column in range(8))
+    return Projection(s, lateral.reshape(shape), *rest)
 
 
 def _points(track: Track) -> np.ndarray:
     """Return the rows of one track's table, float32 (num_points, 14); see POINT."""
-    columns = np.concatenate(
-        [
-            track.center,
-            track.tangent,
-            track.curvature[:, None],
-            np.linalg.norm(track.left - track.center, axis=1)[:, None],
-            np.linalg.norm(track.right - track.center, axis=1)[:, None],
-        ],
-        axis=1,
-    )
-    following = (
-        np.roll(columns, -1, axis=0) if track.closed else np.vstack([columns[1:], columns[-1:]])
-    )
+    reaches = [np.linalg.norm(side - track.center, axis=1) for side in (track.left, track.right)]
+    columns = np.column_stack([track.center, track.tangent, track.curvature, *reaches])
+    following = np.roll(columns, -1, axis=0)
+    if not track.closed:
+        following[-1] = columns[-1]
     table = np.concatenate([columns, following - columns], axis=1)
     return np.ascontiguousarray(table, dtype=np.float32)

@@ -8,7 +8,13 @@ from league.agents.network import NetworkConfig
 from league.envs.actions import ActionSpace, ContinuousActions
 from league.envs.config import RewardConfig
 from league.errors import ConfigError
-from league.sim.config import CameraConfig, LookConfig, RaceKind, SensorConfig, Spread
+from league.sim.config import (
+    CameraConfig,
+    DynamicsRandomization,
+    RaceKind,
+    SensorConfig,
+    VisualRandomization,
+)
 
 
 @dataclass(frozen=True)
@@ -107,9 +113,9 @@ class TrainConfig:
     """Learn from every second mini-batch with left and right swapped, where actions allow it."""
     both_directions: bool = False
     """Drive the tracks in both directions."""
-    looks: LookConfig | None = None
+    looks: VisualRandomization | None = None
     """Randomised pictures."""
-    spread: Spread | None = None
+    spread: DynamicsRandomization | None = None
     """Randomised cars."""
     obstacles: int = 6
     """Boxes or bots in obstacle avoidance."""

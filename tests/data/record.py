@@ -16,7 +16,11 @@ from league.sim.world import Motion, select
 from league.track import files
 from league.track.track import TrackSet
 
-CLASSES = {"rules": config.RaceRules, "spread": config.Spread, "obstacles": config.ObstacleConfig}
+CLASSES = {
+    "rules": config.RaceRules,
+    "spread": config.DynamicsRandomization,
+    "obstacles": config.ObstacleConfig,
+}
 HAIRPIN = make_ring(points=60, width=0.6)
 SHAPES = {"ring": make_ring(), "straight": make_straight(), "hairpin": HAIRPIN}
 FULL = np.float32(64)

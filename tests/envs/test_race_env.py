@@ -11,12 +11,12 @@ from league.envs.race_env import RaceEnv, Step
 from league.errors import ActionError, ConfigError, WorldError
 from league.sim.config import (
     CameraConfig,
+    DynamicsRandomization,
     LidarConfig,
     ObstacleConfig,
     RaceRules,
     SensorConfig,
     SimConfig,
-    Spread,
 )
 from league.track.track import TrackSet
 
@@ -258,7 +258,7 @@ CASES = {
     "bots": {"sim": SimConfig(kind="obstacle_avoidance", obstacles=ObstacleConfig(kind="bot"))},
     "crowd": {"sim": SimConfig(kind="head_to_head", num_cars=6)},
     "spread": {
-        "sim": replace(TWO, spread=Spread(grip=0.3, mass=0.2, latency_s=0.05)),
+        "sim": replace(TWO, spread=DynamicsRandomization(grip=0.3, mass=0.2, latency_s=0.05)),
         "mode": "training",
         "episode_s": 1.0,
     },

@@ -5,7 +5,7 @@ import pytest
 from scenes import MOTION, Stages, assert_same, make_ring, put_cars, start
 
 from league.sim import records
-from league.sim.config import ObstacleConfig, SimConfig, Spread
+from league.sim.config import DynamicsRandomization, ObstacleConfig, SimConfig
 from league.sim.world import World
 from league.track.track import TrackSet
 
@@ -88,7 +88,7 @@ def test_fixed_obstacles_stay_in_place_from_episode_to_episode(ring):
 
 
 def test_restart_of_one_world_does_not_depend_on_its_batch():
-    tracks, sim = TrackSet(make_ring()), field(3, spread=Spread(grip=0.3))
+    tracks, sim = TrackSet(make_ring()), field(3, spread=DynamicsRandomization(grip=0.3))
     together, alone = start(tracks, sim, [5, 6, 7]), start(tracks, sim, [6])
     who = np.array([[True, True, False], [True, False, True], [False, False, False]])
     assert_same(restart(tracks, sim, together, who).row(1), restart(tracks, sim, alone, who[1:2]))

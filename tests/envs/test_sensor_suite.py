@@ -10,10 +10,10 @@ from league.errors import ConfigError
 from league.sim.config import (
     CameraConfig,
     LidarConfig,
-    LookConfig,
     ObstacleConfig,
     SensorConfig,
     SimConfig,
+    VisualRandomization,
 )
 from league.track.track import TrackSet
 
@@ -173,7 +173,7 @@ def test_cameras_out_of_range_are_refused(settings):
 
 def test_looks_change_the_picture_and_differ_from_race_to_race(race_env):
     plain = race_env(sensors=(carried(),)).reset(seed=1)[0]["stereo"].copy()
-    env = race_env(sensors=(carried(),), looks=LookConfig(light=0.5, noise=5.0))
+    env = race_env(sensors=(carried(),), looks=VisualRandomization(light=0.5, noise=5.0))
     first = env.reset(seed=1)[0]["stereo"].copy()
     assert not np.array_equal(first, plain)
     assert not np.array_equal(env.reset(seed=2)[0]["stereo"], first)

@@ -7,7 +7,7 @@ from looking import random_scenes, room, settings, world
 
 from league.sim.camera.paint_renderer import PaintRenderer
 from league.sim.camera.raycast import RayRenderer
-from league.sim.config import CameraConfig, LookConfig
+from league.sim.config import CameraConfig, VisualRandomization
 
 EDGE = 12
 """A pixel is away from edges if the values in the 3 x 3 pixels round it, in the ray's picture,
@@ -95,7 +95,7 @@ def test_things_in_a_row_hide_one_another_alike():
 def test_randomised_pictures_agree_too():
     tracks = room(half=3.0)
     now = random_scenes(tracks, 6, seed=2)
-    looks = LookConfig(light=0.3, colour=0.3, noise=8.0, blur=0.7)
+    looks = VisualRandomization(light=0.3, colour=0.3, noise=8.0, blur=0.7)
     for colour in (False, True):
         painted, cast = both(now, tracks, looks, width=64, height=48, colour=colour)
         plain = both(now, tracks, width=64, height=48, colour=colour)[1]

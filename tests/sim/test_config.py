@@ -13,12 +13,12 @@ from league.sim.config import (
     CameraConfig,
     CarConfig,
     ContactConfig,
+    DynamicsRandomization,
     LidarConfig,
     ObstacleConfig,
     RaceRules,
     SensorConfig,
     SimConfig,
-    Spread,
 )
 from league.track.track import TrackSet
 
@@ -86,11 +86,15 @@ def test_numbers_may_be_numpys(number):
         (LidarConfig, {"min_range": 3.0, "max_range": 3.0}, "min_range must lie below max_range"),
         (SensorConfig, {"camera": LidarConfig()}, "give a CameraConfig or None"),
         (RaceRules, {"laps": 1.5}, "laps is 1.5: give a whole number, 1 to 1000"),
-        (Spread, {"grip": 2.0}, "spread grip is 2.0: give 0 to 0.95"),
+        (DynamicsRandomization, {"grip": 2.0}, "spread grip is 2.0: give 0 to 0.95"),
         (SimConfig, {"kind": "head2head"}, "kind is 'head2head': choose one of time_trial,"),
         (SimConfig, {"decimation": 0}, "decimation is 0: give a whole number, 1 to 1000"),
         (SimConfig, {"car": None}, "car is None: give a CarConfig"),
-        (SimConfig, {"spread": Spread(latency_s=0.1)}, "longer than one control step"),
+        (
+            SimConfig,
+            {"spread": DynamicsRandomization(latency_s=0.1)},
+            "longer than one control step",
+        ),
     ],
 )
 def test_what_is_refused_is_told_with_what_was_expected(made, settings, sentence):
@@ -127,7 +131,7 @@ def test_cars_of_other_makes_are_accepted(settings):
 
 
 def test_no_spread_that_is_accepted_draws_a_car_without_grip_or_mass():
-    sim = SimConfig(spread=Spread(grip=0.95, mass=0.95))
+    sim = SimConfig(spread=DynamicsRandomization(grip=0.95, mass=0.95))
     cars = start(TrackSet(make_ring()), sim, list(range(2000))).cars
     assert cars["grip"].min() > 0.03 and cars["mass"].min() > 0.4  # 5 % of 0.7 and of 8.2 kg
 

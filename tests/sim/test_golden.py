@@ -20,7 +20,11 @@ MOTION, RULES, RACES = (
     dict(np.load(golden.DATA / f"{name}.npz")) for name in ("motion", "rules", "races")
 )
 DESCRIBED = golden.described()
-CLASSES = {"rules": config.RaceRules, "spread": config.Spread, "obstacles": config.ObstacleConfig}
+CLASSES = {
+    "rules": config.RaceRules,
+    "spread": config.DynamicsRandomization,
+    "obstacles": config.ObstacleConfig,
+}
 SHAPES = {
     "ring": make_ring,
     "straight": make_straight,
@@ -111,10 +115,12 @@ def assert_agree(now: np.ndarray, then: np.ndarray, most: float, where: str) -> 
 @pytest.mark.parametrize(
     ("name", "spread"),
     [
-        ("drives", config.Spread()),
+        ("drives", config.DynamicsRandomization()),
         (
             "drives_of_different_cars",
-            config.Spread(grip=0.3, mass=0.3, latency_s=1 / 15, steering_offset=0.05),
+            config.DynamicsRandomization(
+                grip=0.3, mass=0.3, latency_s=1 / 15, steering_offset=0.05
+            ),
         ),
     ],
 )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scenes import assert_same, make_straight, start
 
-from league.sim.config import CarConfig, SimConfig, Spread
+from league.sim.config import CarConfig, DynamicsRandomization, SimConfig
 from league.sim.world import members
 from league.track.track import TrackSet
 
@@ -59,7 +59,9 @@ def test_without_a_spread_every_car_is_as_set(ring):
 
 
 def test_spread_is_drawn_within_its_range_and_differs_between_cars_and_worlds(ring):
-    spread = Spread(grip=0.2, mass=0.1, latency_s=0.02, steering_offset=0.03, camera_angle=0.05)
+    spread = DynamicsRandomization(
+        grip=0.2, mass=0.1, latency_s=0.02, steering_offset=0.03, camera_angle=0.05
+    )
     cars = start(ring(), field(4, spread=spread), list(range(500))).cars
     for name, low, high in (
         ("grip", 0.56, 0.84),
@@ -76,6 +78,6 @@ def test_spread_is_drawn_within_its_range_and_differs_between_cars_and_worlds(ri
 
 
 def test_world_of_a_seed_is_the_same_alone_and_in_a_batch(ring):
-    sim = SimConfig(kind="obstacle_avoidance", spread=Spread(grip=0.2))
+    sim = SimConfig(kind="obstacle_avoidance", spread=DynamicsRandomization(grip=0.2))
     together = start(ring(), sim, [5, 6, 7])
     assert_same(together.row(1), start(ring(), sim, [6]))

@@ -7,11 +7,11 @@ from looking import random_scenes, room, settings, world
 from league.errors import ConfigError
 from league.sim.camera.paint_renderer import PaintRenderer
 from league.sim.camera.raycast import RayRenderer
-from league.sim.config import CameraConfig, LookConfig
+from league.sim.config import CameraConfig, VisualRandomization
 
 RENDERERS = [PaintRenderer, RayRenderer]
 SMALL = CameraConfig(width=64, height=48)
-ALL = LookConfig(light=0.3, colour=0.3, noise=8.0, blur=0.7)
+ALL = VisualRandomization(light=0.3, colour=0.3, noise=8.0, blur=0.7)
 
 
 def look_at(renderer, now, looks, tracks=None) -> np.ndarray:
@@ -27,7 +27,9 @@ def later_on(now, steps: int):
 @pytest.mark.parametrize("renderer", RENDERERS)
 def test_looks_of_zero_change_nothing(renderer):
     now = random_scenes(room(half=3.0), 3)
-    assert np.array_equal(look_at(renderer, now, LookConfig()), look_at(renderer, now, None))
+    assert np.array_equal(
+        look_at(renderer, now, VisualRandomization()), look_at(renderer, now, None)
+    )
 
 
 @pytest.mark.parametrize("renderer", RENDERERS)
@@ -41,15 +43,15 @@ def test_a_randomised_world_looks_the_same_alone_and_in_a_batch(renderer):
 @pytest.mark.parametrize("renderer", RENDERERS)
 def test_worlds_with_other_seeds_look_different(renderer):
     same = world(room(half=3.0), [[(0, 0, 0)], [(0, 0, 0)]])  # seeds 1 and 2
-    first, second = look_at(renderer, same, LookConfig(light=0.5)).astype(float)
+    first, second = look_at(renderer, same, VisualRandomization(light=0.5)).astype(float)
     assert np.abs(first - second).mean() > 2
 
 
 def test_light_is_one_gain_for_a_whole_race():
     now = world(room(half=3.0), [(0, 0, 0)])
     plain = look_at(PaintRenderer, now, None).astype(float)
-    bright = look_at(PaintRenderer, now, LookConfig(light=0.3)).astype(float)
-    later = look_at(PaintRenderer, later_on(now, 9), LookConfig(light=0.3))
+    bright = look_at(PaintRenderer, now, VisualRandomization(light=0.3)).astype(float)
+    later = look_at(PaintRenderer, later_on(now, 9), VisualRandomization(light=0.3))
     gain = bright.sum() / plain.sum()
     assert 0.7 <= gain <= 1.3 and abs(gain - 1) > 0.01
     assert np.abs(bright - np.minimum(plain * gain, 255)).max() < 2
@@ -59,8 +61,8 @@ def test_light_is_one_gain_for_a_whole_race():
 def test_noise_has_the_drawn_strength_and_is_new_in_every_picture():
     now = world(room(half=3.0), [[(0, 0, 0)]] * 8)
     plain = look_at(PaintRenderer, now, None).astype(float)
-    noisy = look_at(PaintRenderer, now, LookConfig(noise=10.0))
-    later = look_at(PaintRenderer, later_on(now, 1), LookConfig(noise=10.0))
+    noisy = look_at(PaintRenderer, now, VisualRandomization(noise=10.0))
+    later = look_at(PaintRenderer, later_on(now, 1), VisualRandomization(noise=10.0))
     spread = (noisy - plain).std(axis=(1, 2, 3))
     assert spread.min() > 0 and spread.max() <= 10.3 and spread.max() > 4
     assert np.abs((noisy - plain).mean()) < 0.3
@@ -70,7 +72,7 @@ def test_noise_has_the_drawn_strength_and_is_new_in_every_picture():
 def test_blur_smooths():
     now = world(room(half=3.0), [[(0, 0, 0)]] * 4)
     plain = look_at(PaintRenderer, now, None).astype(float)
-    soft = look_at(PaintRenderer, now, LookConfig(blur=0.8)).astype(float)
+    soft = look_at(PaintRenderer, now, VisualRandomization(blur=0.8)).astype(float)
     rough = np.abs(np.diff(plain, axis=3)).mean(axis=(1, 2, 3))
     smooth = np.abs(np.diff(soft, axis=3)).mean(axis=(1, 2, 3))
     assert (smooth < rough).all()
@@ -80,4 +82,4 @@ def test_blur_smooths():
 @pytest.mark.parametrize("wrong", [{"light": 1.0}, {"noise": -1.0}, {"blur": 3.0}])
 def test_impossible_looks_are_refused(wrong):
     with pytest.raises(ConfigError, match=next(iter(wrong))):
-        LookConfig(**wrong)
+        VisualRandomization(**wrong)

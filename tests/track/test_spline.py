@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from league.track import check, spline
+from league.track import build, spline
 
 
 def test_a_circle_through_twelve_points_is_a_circle_within_half_a_millimetre():
@@ -54,23 +54,23 @@ def test_normals_meet_a_border_that_is_not_parallel():
 def test_a_crossing_is_found_and_a_touching_neighbour_is_none():
     square = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
     bow = square[[0, 2, 1, 3]]
-    assert check.first_crossing(square, closed=True) is None
-    assert check.first_crossing(bow, closed=True) == (0, 2)
-    assert check.first_crossing(square, square + np.array([0.5, 0.5]), closed=True) is not None
-    assert check.first_crossing(square, square * 3 - 1, closed=True) is None
+    assert build.first_crossing(square, closed=True) is None
+    assert build.first_crossing(bow, closed=True) == (0, 2)
+    assert build.first_crossing(square, square + np.array([0.5, 0.5]), closed=True) is not None
+    assert build.first_crossing(square, square * 3 - 1, closed=True) is None
 
 
 def test_a_straight_of_many_points_does_not_cross_itself():
     x = np.cumsum(np.random.default_rng(1).uniform(0.01, 0.2, 300))
     for slope in (0.0, 0.1, 1e-9):
-        assert check.first_crossing(np.stack([x, slope * x], axis=1), closed=False) is None
+        assert build.first_crossing(np.stack([x, slope * x], axis=1), closed=False) is None
 
 
 def test_crossings_agree_with_trying_all_pairs():
     generator = np.random.default_rng(4)
     for _ in range(60):
         line = generator.normal(size=(12, 2)).cumsum(axis=0)
-        found = check.first_crossing(line, closed=False)
+        found = build.first_crossing(line, closed=False)
         pairs = [(i, j) for i in range(11) for j in range(i + 2, 11) if _cross(line, i, j)]
         assert (found is None) == (not pairs)
         assert found is None or found in pairs

@@ -2,8 +2,9 @@ import math
 
 import numpy as np
 import pytest
+from numba import njit
 
-from league.track import check, files
+from league.track import build, files, projection
 from league.track.track import TrackSet
 
 from . import shapes
@@ -195,10 +196,10 @@ def test_reversed_track_has_its_waypoints_in_the_other_order():
     assert back.waypoints.tolist() == told[::-1]
     quarter = np.pi
     np.testing.assert_allclose(
-        check.waypoint_places(track), np.array([1, 2, 2, 3, 4, 5]) * quarter, atol=2e-3
+        build.waypoint_places(track), np.array([1, 2, 2, 3, 4, 5]) * quarter, atol=2e-3
     )
     np.testing.assert_allclose(
-        check.waypoint_places(back), np.array([3, 4, 5, 6, 6, 7]) * quarter, atol=2e-3
+        build.waypoint_places(back), np.array([3, 4, 5, 6, 6, 7]) * quarter, atol=2e-3
     )
     assert track.reversed().reversed().waypoints.tolist() == told
 
@@ -210,7 +211,7 @@ def test_mirrored_track_turns_the_other_way_and_keeps_its_order():
     assert (track.direction, other.direction) == ("counter-clockwise", "clockwise")
     np.testing.assert_allclose(other.curvature, -track.curvature, atol=1e-9)
     np.testing.assert_array_equal(other.left, track.right * [1, -1])
-    np.testing.assert_allclose(check.waypoint_places(other), check.waypoint_places(track))
+    np.testing.assert_allclose(build.waypoint_places(other), build.waypoint_places(track))
     again = files.parse(files.dump(other))
     np.testing.assert_allclose(again.center, other.center, atol=2e-3)
     np.testing.assert_array_equal(other.mirrored().center, track.center)
@@ -232,21 +233,27 @@ def test_a_world_on_no_track_of_the_set_is_an_error_and_no_wild_reading(index):
         lambda: tracks.at(index, places),
         lambda: tracks.project(index, places, places, places),
         lambda: tracks.signed_gap(index, places, places),
-        lambda: tracks.curvature_at(index, places),
     ):
         with pytest.raises(IndexError, match="track"):
             look()
 
 
+@njit
+def curvature(tracks, s):
+    points, courses = tracks
+    return projection.curvature_at(points, courses[0], np.float32(s))
+
+
 def test_curvature_at_a_place_is_that_of_the_nearest_centre_point():
     track = files.load("reinvent_2018")
     tracks, spacing = TrackSet(track), track.length / len(track.center)
-    s = spacing * np.array([[0.0, 10.4, 10.6, len(track.center) - 0.4]])
-    expected = track.curvature[[0, 10, 11, 0]]
-    np.testing.assert_allclose(tracks.curvature_at(_index(), s)[0], expected, rtol=1e-5)
+    for row, nearest in ((0.0, 0), (10.4, 10), (10.6, 11), (len(track.center) - 0.4, 0)):
+        found = curvature((tracks.points, tracks.courses), spacing * row)
+        assert found == pytest.approx(track.curvature[nearest], rel=1e-5)
     # An open track holds it at its ends.
-    ends = TrackSet(shapes.straight(6.0)).curvature_at(_index(), np.array([[-1.0, 7.0]]))
-    np.testing.assert_allclose(ends, 0.0, atol=1e-6)
+    ends = TrackSet(shapes.straight(6.0))
+    for s in (-1.0, 7.0):
+        assert curvature((ends.points, ends.courses), s) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_lap_is_the_loop_or_an_open_track_but_its_last_30_cm():

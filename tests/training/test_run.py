@@ -383,15 +383,15 @@ def test_resumed_run_remembers_which_policy_was_best(tmp_path):
 
 def test_settings_are_read_back_as_they_were(tmp_path):
     from league.envs.actions import grid
-    from league.sim.config import LookConfig, Spread
+    from league.sim.config import DynamicsRandomization, VisualRandomization
 
     asked = small.cfg(
         updates=1,
         train=small.train(
             sensors=small.CAMERA,
             action_space=grid(5, 30.0, 2, 1.0),
-            looks=LookConfig(light=0.2),
-            spread=Spread(grip=0.1),
+            looks=VisualRandomization(light=0.2),
+            spread=DynamicsRandomization(grip=0.1),
         ),
         tracks=("peanut", "reinvent_2018"),
     )

@@ -19,7 +19,7 @@ ANCHOR_ELO = 1000.0
 """Where the anchor is pinned."""
 
 USUAL_SPREAD = 300.0
-"""Spread of a field of drivers before anything is known of it [Elo]."""
+"""DynamicsRandomization of a field of drivers before anything is known of it [Elo]."""
 SPREAD_DOUBT = np.log(3.0)
 """Standard deviation of the logarithm of a field's spread: it is known to a factor of three."""
 
@@ -42,7 +42,7 @@ class RatingSettings:
     """What a league may choose about its ratings."""
 
     prior_sd: float | None = None
-    """Spread of the field before any race [Elo]; None learns it from the field."""
+    """DynamicsRandomization of the field before any race [Elo]; None learns it from the field."""
     least_prior_sd: float = 20.0
     """A learned spread is at least this [Elo]."""
     most_prior_sd: float = 400.0
@@ -122,7 +122,7 @@ class _Posterior:
     system: System
     """The curvature there."""
     prior_sd: float
-    """Spread of the strengths [Elo]."""
+    """DynamicsRandomization of the strengths [Elo]."""
     weights: np.ndarray
     """What each entry counts in the field's average, (entries,)."""
     num_spreads: int

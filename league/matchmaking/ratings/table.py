@@ -64,7 +64,7 @@ class Ratings:
     slot_sd: np.ndarray
     """Standard deviations of the slots' advantages [Elo], (slots,)."""
     prior_sd: float
-    """Spread of the field, learned from it [Elo]."""
+    """DynamicsRandomization of the field, learned from it [Elo]."""
     anchor: int | None
     """Entry pinned to 1000; without one the field's mean is."""
     num_races: int

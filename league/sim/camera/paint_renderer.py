@@ -33,7 +33,7 @@ from league.sim.camera.scene import (
 )
 from league.sim.camera.stage import NEAR, Lens, Stage, Thing
 from league.sim.camera.visual_randomization import Look
-from league.sim.config import CameraConfig, LookConfig, SimConfig
+from league.sim.config import CameraConfig, SimConfig, VisualRandomization
 from league.sim.world import World
 from league.track.track import TrackSet
 
@@ -58,7 +58,7 @@ class Renderer(ABC):
         tracks: TrackSet,
         sim: SimConfig,
         camera: CameraConfig,
-        looks: LookConfig | None = None,
+        looks: VisualRandomization | None = None,
     ) -> None:
         """Work out the lens; `looks` randomises the pictures."""
         self._tracks, self._sim, self._camera = tracks, sim, camera

@@ -1,10 +1,8 @@
 """Compiled painting: a floor from its texture, then walls and things as convex polygons.
 
-All that other files know (shapes, colours, sizes) comes as an argument (league/compiled.py
-says why).
-
-A pixel belongs to a polygon if its centre lies inside: neighbours share no pixel and leave none
-out.
+All that other files know (shapes, colours, sizes) comes as an argument, so that a change of theirs
+compiles nothing again (league/jit.py). A pixel belongs to a polygon if its centre lies inside:
+neighbours share no pixel and leave none out.
 """
 
 # Numba gives its types a meaning that the checker does not know.
@@ -28,7 +26,7 @@ MOST_CORNERS = 16
 """Of a face."""
 
 
-# Code on disk names the classes below: who renames one, or a field, renames `warp` and `draw` too.
+# Machine code on disk names the classes below: rename `warp` and `draw` with a class or a field.
 
 
 class Pose(NamedTuple):
@@ -96,7 +94,7 @@ class Room(NamedTuple):
 
 
 class Models(NamedTuple):
-    """The shapes of all models, one after the other; see shapes.py, which makes them."""
+    """The shapes of all models, one after the other; paint_renderer.py makes them."""
 
     vertices: np.ndarray
     """(num_vertices, 3): in the model's frame, of steered solids from their pivot [m]."""
@@ -129,18 +127,11 @@ class Models(NamedTuple):
 
 @compiled
 def warp(pictures, start, stop, texture, optics, view):
-    """Draw the floor into some rows of each eye's picture, bilinear.
+    """Draw the floor into rows start to stop, below the horizon, of each eye's picture, bilinear.
 
-    A camera never rolls, so along a row the place in the texture moves by equal steps: 16 bits of
-    fraction in whole numbers, which processors do many at a time.
-
-    Args:
-        pictures: (num_eyes, height, width * channels) uint8.
-        start: first row, below the horizon.
-        stop: one past the last row.
-        texture: what lies on the floor.
-        optics: the lens.
-        view: where the camera is.
+    Pictures are (num_eyes, height, width * channels) uint8. A camera never rolls, so along a row
+    the place in the texture moves by equal steps: 16 bits of fraction in whole numbers, which
+    processors do many at a time.
     """
     channels, columns, texels = optics.channels, texture.columns, texture.texels
     width = pictures.shape[2] // channels
@@ -253,7 +244,7 @@ def _row(at, size):
 
 @inner
 def _polygon(pictures, eye, points, count, colour, optics, scratch):
-    """Cut a polygon of X, Y, Z in the camera's frame at the near plane, project it and fill it."""
+    """Cut a polygon of X, Y, Z in the camera's frame at the near plane, project and fill it."""
     pixels, spans = scratch
     shift = optics.eyes[eye]
     seen = 0
@@ -310,13 +301,8 @@ def draw(pictures, optics, view, room, things, far, models):
 
 @inner
 def _walls(pictures, optics, view, room, scratch):
-    """Draw the walls, which stand side by side, so in any order."""
-    corners = (
-        (room.x_min, room.y_min),
-        (room.x_max, room.y_min),
-        (room.x_max, room.y_max),
-        (room.x_min, room.y_max),
-    )
+    (x_min, y_min), (x_max, y_max) = (room.x_min, room.y_min), (room.x_max, room.y_max)
+    corners = ((x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max))
     points = np.empty((4, 3))
     for side in range(4):
         colour = room.colours[side]
@@ -456,10 +442,8 @@ def _far_to_near(feet):
 
     Things are taken by distance, farthest first, unless one left over lies behind the next: two
     rectangles that do not overlap are parted by a side of one of them, and the one on the camera's
-    side of it is the nearer one.
-
-    Args:
-        feet: (num_things, 6), the footprints of _stand, for a camera at (0, 0) that looks along +x.
+    side of it is the nearer one. The feet are the footprints of _stand, for a camera at (0, 0) that
+    looks along +x.
     """
     count = len(feet)
     before, distance = np.zeros((count, count), np.bool_), np.empty(count)
@@ -477,9 +461,8 @@ def _far_to_near(feet):
 def _painted(before, distance):
     """Return an order in which nothing comes too early; where they go in a circle, the farthest.
 
-    Args:
-        before: (count, count): whether the first is to be painted before the second.
-        distance: (count,): of those that are free to come the farthest is taken.
+    `before`, (count, count), is whether the first is to be painted before the second; of those that
+    are free to come the one at the largest `distance` is taken.
     """
     count = len(distance)
     order, left = np.empty(count, np.int64), np.ones(count, np.bool_)

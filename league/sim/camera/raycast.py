@@ -17,7 +17,7 @@ from league.sim.camera.ground import Floor
 from league.sim.camera.paint_renderer import Renderer
 from league.sim.camera.stage import NEAR, Stage, Thing
 from league.sim.camera.visual_randomization import Look
-from league.sim.config import CameraConfig, LookConfig, SimConfig
+from league.sim.config import CameraConfig, SimConfig, VisualRandomization
 from league.track.track import TrackSet
 
 _FAR = 1e9
@@ -83,7 +83,7 @@ class RayRenderer(Renderer):
         tracks: TrackSet,
         sim: SimConfig,
         camera: CameraConfig,
-        looks: LookConfig | None = None,
+        looks: VisualRandomization | None = None,
         *,
         device: str = "cpu",
     ) -> None:
@@ -195,13 +195,13 @@ class RayRenderer(Renderer):
         side = torch.where(to_x < to_y, on_x, torch.where(inside.left > 0, 2, 0))
         side = torch.where(is_wall, side, 4)
         channels = 3 if self._camera.colour else 1
+        sky = scene.SKY_COLOUR if self._camera.colour else (scene.luma(scene.SKY_COLOUR),)
         pictures = torch.empty((*far.shape, channels), device=self._device)
-        sky = scene.SKY_COLOUR if self._camera.colour else scene.luma(scene.SKY_COLOUR)
         for track in sorted(set(tracks)):
             here = (index == track).nonzero()[:, 0]
             floor, textures = self._floor(track), self._textures_of(track)
             backs = self._tensor(floor.ground.room.colours)[:, :channels]
-            backs = torch.cat([backs, self._tensor(sky).reshape(1, channels)])
+            backs = torch.cat([backs, self._tensor([sky])])
             ground = self._sample(floor, textures, floor_x[here], floor_y[here])
             on_floor = is_floor[here].unsqueeze(-1)
             pictures[here] = torch.where(on_floor, ground, backs[side[here]])

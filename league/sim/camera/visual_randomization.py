@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from league.sim import rng
-from league.sim.config import LookConfig
+from league.sim.config import VisualRandomization
 from league.sim.world import World
 
 # Purposes of the draws (see league.sim.rng): any numbers that nothing else uses.
@@ -38,7 +38,9 @@ class Look:
     """Where in the noise this picture begins, int64, (num_rows,)."""
 
 
-def draw(cfg: LookConfig, world: World, rows: np.ndarray | None, car: int, colour: bool) -> Look:
+def draw(
+    cfg: VisualRandomization, world: World, rows: np.ndarray | None, car: int, colour: bool
+) -> Look:
     """Draw how the pictures of one car look in some worlds."""
     worlds = world.worlds if rows is None else world.worlds[rows]
     seed, step = worlds["seed"], worlds["step"]

@@ -111,10 +111,7 @@ class BulletSolver:
     def __init__(self, cfg: SimConfig, rooms: np.ndarray, num_worlds: int) -> None:
         """Connect to Bullet.
 
-        Args:
-            cfg: settings.
-            rooms: walls of each track, x_min, y_min, x_max, y_max [m], (num_tracks, 4).
-            num_worlds: races in the batch.
+        `rooms` are the walls of each track, x_min, y_min, x_max, y_max [m], (num_tracks, 4).
 
         Raises:
             ConfigError: more worlds than Bullet keeps.
@@ -151,12 +148,8 @@ class BulletSolver:
     ) -> None:
         """Move the cars through one control step, and note what touched what; see planar.py.
 
-        Args:
-            cars: CAR records (num_worlds, num_cars); their motion is changed.
-            obstacles: OBSTACLE records (num_worlds, num_obstacles).
-            worlds: WORLD records (num_worlds,).
-            controls: target steering [rad] and speed [m/s], (num_worlds, num_cars, 2).
-            contacts: CONTACT records (num_worlds, num_cars); overwritten.
+        Controls are target steering [rad] and speed [m/s], (num_worlds, num_cars, 2); contacts are
+        CONTACT records (num_worlds, num_cars), overwritten.
         """
         held = is_frozen(cars)
         for name in _RATES:
@@ -327,21 +320,18 @@ class BulletSolver:
 
 
 def _push(client: int, body: int, acting: list[float], state: Sequence[float]) -> None:
-    """Have a force and a torque act on a car in the next step of Bullet."""
     frame = pybullet.WORLD_FRAME
     pybullet.applyExternalForce(body, -1, acting[:3], state[:3], frame, physicsClientId=client)
     pybullet.applyExternalTorque(body, -1, acting[3:], frame, physicsClientId=client)
 
 
 def _state(client: int, body: int) -> tuple[float, ...]:
-    """Return a body's state as suspension.py takes it."""
     place, turn = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
     velocity, spin = pybullet.getBaseVelocity(body, physicsClientId=client)
     return place + turn + velocity + spin
 
 
 def _note(stage: _Stage, points: tuple, contacts: np.ndarray) -> None:
-    """Write down what touched what in one world in a step of Bullet."""
     for point in points:
         first, second, distance, force = point[1], point[2], point[8], point[9]
         if distance > 0 and force <= 0:
@@ -359,7 +349,7 @@ def _note(stage: _Stage, points: tuple, contacts: np.ndarray) -> None:
 
 
 def _filter(client: int, stage: _Stage, ghosts: list[bool]) -> _Stage:
-    """Let ghosts through, and no longer those who have ceased to be."""
+    """Set what each car of a world collides with: ghosts meet the walls alone."""
     if stage.ghosts == ghosts:
         return stage
     for body, ghost in zip(stage.cars, ghosts, strict=True):
@@ -369,6 +359,5 @@ def _filter(client: int, stage: _Stage, ghosts: list[bool]) -> _Stage:
 
 
 def _place(client: int, body: int, state: list[float]) -> None:
-    """Set a body's state, as suspension.py writes it."""
     pybullet.resetBasePositionAndOrientation(body, state[:3], state[3:7], physicsClientId=client)
     pybullet.resetBaseVelocity(body, state[7:10], state[10:], physicsClientId=client)

@@ -42,7 +42,7 @@ _ZERO, _HALF, _ONE, _TWO = (np.float32(number) for number in (0.0, 0.5, 1.0, 2.0
 
 @inner
 def part(bodies, boxes, first, second, touched, shift, dt, restitution, friction):
-    """Change how bodies that touch move in a physics step.
+    """Change how bodies that touch move in a physics step; return whether any exchanged impulses.
 
     Pairs are worked in their order, one after the other. Which of them are worked again does not
     depend on other worlds, so neither do a world's bits.
@@ -58,9 +58,6 @@ def part(bodies, boxes, first, second, touched, shift, dt, restitution, friction
         dt: the physics step [s].
         restitution: share of the approach speed that comes back.
         friction: coefficient between two bodies.
-
-    Returns:
-        Whether any pair exchanged impulses.
     """
     num_pairs = len(first)
     turn = np.empty((len(bodies), 2), np.float32)
@@ -107,16 +104,10 @@ def part(bodies, boxes, first, second, touched, shift, dt, restitution, friction
 def manifold(one, turn_one, box_one, two, turn_two, box_two, out):
     """Find where two boxes touch, or would; return whether their faces lie opposite at all.
 
-    Args:
-        one: the first body.
-        turn_one: cosine and sine of its yaw.
-        box_one: its box.
-        two: the second body.
-        turn_two: cosine and sine of its yaw.
-        box_two: its box.
-        out: the unit vector from the first box to the second; at each of both points the distance
-            between the boxes along it [m], negative in overlap; and the points, relative to the
-            first box's centre and to the second's, world frame [m]: two x, two y, two x, two y.
+    Each is a body, cosine and sine of its yaw, and its box. `out` is set to the unit vector from
+    the first box to the second; at each of both points the distance between the boxes along it [m],
+    negative in overlap; and the points, relative to the first box's centre and to the second's,
+    world frame [m]: two x, two y, two x, two y.
     """
     a_cos, a_sin, b_cos, b_sin = turn_one[0], turn_one[1], turn_two[0], turn_two[1]
     a_length, a_width, b_length, b_width = box_one[0], box_one[1], box_two[0], box_two[1]
@@ -204,12 +195,8 @@ def _push(bodies, boxes, one, two, touch, impulse, friction):
     """
     n_x, n_y = touch[0], touch[1]
     near = 0 if touch[2] <= touch[3] else 1
-    mass_a, inertia_a, mass_b, inertia_b = (
-        boxes[one, 2],
-        boxes[one, 3],
-        boxes[two, 2],
-        boxes[two, 3],
-    )
+    mass_a, inertia_a = boxes[one, 2], boxes[one, 3]
+    mass_b, inertia_b = boxes[two, 2], boxes[two, 3]
     a_1, a_2 = touch[4] * n_y - touch[6] * n_x, touch[5] * n_y - touch[7] * n_x
     b_1, b_2 = touch[8] * n_y - touch[10] * n_x, touch[9] * n_y - touch[11] * n_x
     a_3 = touch[4 + near] * n_x + touch[6 + near] * n_y
@@ -249,13 +236,9 @@ def _push(bodies, boxes, one, two, touch, impulse, friction):
 def _solved(response, lack_1, lack_2, slip, third, friction):
     """Return the impulses that part a pair: both normal ones and friction.
 
-    Args:
-        response: a, b, c, d, e, f, the upper half of the matrix (a b c; b d e; c e f).
-        lack_1: how much speed of parting the first point lacks [m/s], negative if it does.
-        lack_2: the second.
-        slip: speed along the tangent [m/s].
-        third: the first guess of friction's impulse.
-        friction: its coefficient.
+    `response` is the upper half of the matrix (a b c; b d e; c e f), `lack` how much speed of
+    parting each point lacks [m/s], negative if it does, `slip` the speed along the tangent [m/s],
+    and `third` the first guess of friction's impulse.
     """
     a, b, c, d, e, f = response
     det = a * d - b * b

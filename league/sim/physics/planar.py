@@ -40,11 +40,11 @@ def step_world(cars, obstacles, course, controls, contacts, pairs, settings):
     """Move the cars of one world through a control step, and note what touched what.
 
     Cars that are frozen are held where they are, at rest; ghosts touch neither cars nor obstacles.
-    Obstacles move at their velocity and cannot be pushed.
+    Obstacles move at their velocity of this step and cannot be pushed.
 
     Args:
         cars: CAR records (num_cars,); their motion is changed.
-        obstacles: OBSTACLE records (num_obstacles,), with the velocity of this step.
+        obstacles: OBSTACLE records (num_obstacles,).
         course: COURSE record, for the walls.
         controls: target steering [rad] and speed [m/s] of each car, float32 (num_cars, 2).
         contacts: CONTACT records (num_cars,); overwritten.
@@ -55,7 +55,7 @@ def step_world(cars, obstacles, course, controls, contacts, pairs, settings):
     for c in range(num_cars):
         contacts[c].cars, contacts[c].obstacles, contacts[c].wall = 0, 0, False
         if frozen(cars[c]):
-            _hold(cars[c])
+            cars[c].velocity_x, cars[c].velocity_y, cars[c].yaw_rate = _ZERO, _ZERO, _ZERO
     number = _near(cars, obstacles, course, pairs, settings, np.empty((0, 2), np.int64))
     if number == 0:
         for k in range(settings.decimation):
@@ -71,7 +71,6 @@ def step_world(cars, obstacles, course, controls, contacts, pairs, settings):
 
 @inner
 def _step_near(number, cars, obstacles, course, controls, contacts, pairs, settings):
-    """Move the cars of one world in which some bodies may touch."""
     num_cars, dt = len(cars), settings.physics_dt
     near = np.empty((number, 2), np.int64)
     _near(cars, obstacles, course, pairs, settings, near)
@@ -84,17 +83,8 @@ def _step_near(number, cars, obstacles, course, controls, contacts, pairs, setti
                 _accelerate(cars[c], controls[c], settings, k)
             _write(bodies[c], cars[c].x, cars[c].y, cars[c].yaw)
             _write(bodies[c, 3:], cars[c].velocity_x, cars[c].velocity_y, cars[c].yaw_rate)
-        part(
-            bodies,
-            boxes,
-            first,
-            second,
-            touched,
-            shift,
-            dt,
-            settings.restitution,
-            settings.friction,
-        )
+        bounce, rub = settings.restitution, settings.friction
+        part(bodies, boxes, first, second, touched, shift, dt, bounce, rub)
         for c in range(num_cars):
             if not frozen(cars[c]):
                 car = cars[c]
@@ -110,13 +100,7 @@ def _step_near(number, cars, obstacles, course, controls, contacts, pairs, setti
 
 
 @inner
-def _hold(car):
-    car.velocity_x, car.velocity_y, car.yaw_rate = _ZERO, _ZERO, _ZERO
-
-
-@inner
 def _accelerate(car, control, settings, k):
-    """Change a car's velocities by one physics step's forces; turn its front wheels."""
     late = late_steps(car, settings) > k
     steering = car.target_steering if late else control[0]
     speed = car.target_speed if late else control[1]
@@ -148,18 +132,11 @@ def _reach(car, settings):
 
 
 @inner
-def _near(cars, obstacles, course, pairs, settings, found):
+def _near(cars, obstacles, course, pairs, settings, out):
     """Return how many pairs of bodies may touch in the control step; write them if there is room.
 
-    Bodies are numbered: cars, obstacles, then the walls at x_max, x_min, y_max and y_min.
-
-    Args:
-        cars: of one world.
-        obstacles: of one world.
-        course: for the walls.
-        pairs: of cars.
-        settings: SETTINGS record.
-        found: set to the pairs, int64 (num_pairs, 2); with no rows they are only counted.
+    Bodies are numbered: cars, obstacles, then the walls at x_max, x_min, y_max and y_min. `out` is
+    set to the pairs, int64 (num_pairs, 2); with no rows they are only counted.
     """
     number, num_cars = 0, len(cars)
     for n in range(len(pairs)):
@@ -169,8 +146,8 @@ def _near(cars, obstacles, course, pairs, settings, found):
         dx, dy = two.x - one.x, two.y - one.y
         room = _reach(one, settings) + _reach(two, settings)
         if dx * dx + dy * dy < room * room:
-            if len(found):
-                found[number, 0], found[number, 1] = pairs[n, 0], pairs[n, 1]
+            if len(out):
+                out[number, 0], out[number, 1] = pairs[n, 0], pairs[n, 1]
             number += 1
     for k in range(len(obstacles)):
         thing = obstacles[k]
@@ -182,16 +159,16 @@ def _near(cars, obstacles, course, pairs, settings, found):
             dx, dy = cars[c].x - thing.x, cars[c].y - thing.y
             room = _reach(cars[c], settings) + size
             if dx * dx + dy * dy < room * room:
-                if len(found):
-                    found[number, 0], found[number, 1] = c, num_cars + k
+                if len(out):
+                    out[number, 0], out[number, 1] = c, num_cars + k
                 number += 1
     for wall in range(NUM_WALLS):
         for c in range(num_cars):
             if frozen(cars[c]):
                 continue
             if _to_wall(cars[c], course, wall) < _reach(cars[c], settings):
-                if len(found):
-                    found[number, 0], found[number, 1] = c, num_cars + len(obstacles) + wall
+                if len(out):
+                    out[number, 0], out[number, 1] = c, num_cars + len(obstacles) + wall
                 number += 1
     return number
 
@@ -209,7 +186,6 @@ def _to_wall(car, course, wall):
 
 @inner
 def _bodies(cars, obstacles, course, settings):
-    """Return the table of bodies and that of their boxes; see collision.py."""
     num_cars, fixed = len(cars), len(cars) + len(obstacles)
     bodies = np.zeros((fixed + NUM_WALLS, 6), np.float32)
     boxes = np.zeros((fixed + NUM_WALLS, 4), np.float32)
@@ -239,7 +215,7 @@ def _bodies(cars, obstacles, course, settings):
 
 @inner
 def _note(contacts, one, two, num_cars, num_obstacles):
-    """Write down that two bodies touched; the first is a car."""
+    """Set the contact bits of two bodies that touched; the first is a car."""
     if two < num_cars:
         contacts[one].cars |= np.uint8(1 << two)
         contacts[two].cars |= np.uint8(1 << one)

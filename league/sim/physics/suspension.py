@@ -17,8 +17,14 @@ import numpy as np
 from league.jit import compiled, inner
 from league.portable_math import f32, heading_of, sincos, wrap_angle
 from league.sim.config import CarConfig
-from league.sim.physics.brush_tyre import drive_force, lateral_force
-from league.sim.physics.vehicle import asked_acceleration, frozen, late_steps, steered
+from league.sim.physics.vehicle import (
+    asked_acceleration,
+    drive_force,
+    frozen,
+    late_steps,
+    lateral_force,
+    steered,
+)
 from league.sim.settings import GRAVITY
 
 LEAST_UPRIGHT = 0.5
@@ -43,12 +49,7 @@ CHASSIS = np.dtype(
 
 
 def chassis(car: CarConfig, dt: float) -> np.ndarray:
-    """Return the record of a car's springs and dampers, shape (1,).
-
-    Args:
-        car: the car.
-        dt: physics step [s].
-    """
+    """Return the record of a car's springs and dampers for a physics step dt [s], shape (1,)."""
     height, arm, half_track = car.mass_height, car.wheelbase / 2, car.wheel_track / 2
     # How far a unit of force at the four wheels moves them: sideways or ahead, and in a turn.
     answer = max(
@@ -72,13 +73,7 @@ def chassis(car: CarConfig, dt: float) -> np.ndarray:
 
 @compiled
 def place(cars, chassis, bodies):
-    """Write where the chassis are and how they move.
-
-    Args:
-        cars: CAR records (num_worlds, num_cars).
-        chassis: CHASSIS record, shape (1,).
-        bodies: set to the state of each chassis, float64 (num_worlds, num_cars, 13).
-    """
+    """Write the states of the chassis, float64 (num_worlds, num_cars, 13), of CAR records."""
     height = chassis[0].height
     for w in range(cars.shape[0]):
         for c in range(cars.shape[1]):
@@ -99,12 +94,9 @@ def place(cars, chassis, bodies):
 
 @compiled
 def place_boxes(obstacles, up, bodies):
-    """Write where the obstacles are and how they move; they stand upright.
+    """Write the states of obstacles, float64 (num_worlds, num_obstacles, 13).
 
-    Args:
-        obstacles: OBSTACLE records (num_worlds, num_obstacles).
-        up: height of their middles [m].
-        bodies: set to states like those of a chassis, float64 (num_worlds, num_obstacles, 13).
+    They stand upright, with their middles `up` above the ground [m].
     """
     for w in range(obstacles.shape[0]):
         for k in range(obstacles.shape[1]):
@@ -117,13 +109,9 @@ def place_boxes(obstacles, up, bodies):
 
 @compiled
 def read_back(cars, chassis, placed, bodies):
-    """Write where the chassis have come into the records; frozen cars keep theirs.
+    """Write where the chassis have come to into CAR records; frozen cars keep theirs.
 
-    Args:
-        cars: CAR records (num_worlds, num_cars).
-        chassis: CHASSIS record, shape (1,).
-        placed: states that `place` wrote for these records, float64 (num_worlds, num_cars, 13).
-        bodies: states now.
+    `placed` are the states that `place` wrote for these records, `bodies` the states now.
     """
     height = chassis[0].height
     for w in range(cars.shape[0]):
@@ -181,7 +169,6 @@ def loads(cars, bodies, controls, sim, chassis, k, out):
 
 @inner
 def _load(car, body, settings, chassis, target_speed, out):
-    """Write the force and the torque on one car."""
     axes = _axes(body)
     xx, xy, zx, zy, zz = axes[0], axes[1], axes[6], axes[7], axes[8]
     height, mass = chassis.height, np.float64(car.mass)
@@ -226,16 +213,9 @@ def _load(car, body, settings, chassis, target_speed, out):
 def _foot(body, axes, along, across, height):
     """Return where a wheel stands: where the chassis' vertical through its place meets the road.
 
-    Args:
-        body: state of the chassis.
-        axes: its axes.
-        along: place of the wheel ahead of the base [m].
-        across: place of the wheel to the left of the base [m].
-        height: of the centre of mass above the base [m].
-
-    Returns:
-        The place from the centre of mass [m] and how fast the chassis moves there [m/s], x, y, z
-        of each in the world frame; and how far the spring is extended [m].
+    The wheel is mounted ahead and to the left of the base, below the centre of mass [m]. Returns
+    its place from the centre of mass [m] and the velocity of the chassis there [m/s], x, y, z of
+    each in the world frame; and how far the spring is extended [m].
     """
     xx, xy, xz, yx, yy, yz, zx, zy, zz = axes
     rx = xx * along + yx * across - zx * height

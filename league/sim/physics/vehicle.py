@@ -1,23 +1,30 @@
-"""Compiled: how a car drives in the plane, servos, steering and tyres turned into a push.
+"""Compiled: how a car drives: tyres, which both solvers share, and the push on a car in the plane.
 
-Single-track model with the centre of mass midway between the axles and four driven wheels: each
-axle pushes along its wheels with half of the drive, and across them with a brush tyre whose grip is
-what the drive leaves of the friction circle. docs/physics.md has the equations.
+Brush tyre after E. Fiala (1954) and H. Pacejka, Tire and Vehicle Dynamics, chapter 3: the drive
+takes its share of the friction circle, and what it leaves is the grip across the wheel. No force
+does more in one physics step than stop the motion it opposes: each is held to `cap` times its
+speed. In the plane a car is a single-track model with the centre of mass midway between the axles
+and four driven wheels; each axle has half of the drive. docs/physics.md has equations and proof.
 """
 
 # Numba gives its types a meaning that the checker does not know.
 # pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from league.jit import inner
 from league.portable_math import clamp, f32, sincos
-from league.sim.physics.brush_tyre import drive_force, lateral_force
 from league.sim.settings import GRAVITY
 
-_HALF, _LEAST_LOAD, _HALF_GRAVITY = f32(0.5), f32(1e-3), f32(GRAVITY / 2)
+DRIVE_SHARE = f32(0.95)
+"""Largest share of the grip that drive or brakes may take; the rest still steers."""
+SLIP_FLOOR = f32(0.05)
+"""Slowest rolling speed a slip is counted against [m/s]."""
+_ZERO, _HALF, _ONE, _THREE = f32(0.0), f32(0.5), f32(1.0), f32(3.0)
+_LEAST_LOAD, _HALF_GRAVITY = f32(1e-3), f32(GRAVITY / 2)
 
 
 class Push(NamedTuple):
@@ -31,6 +38,38 @@ class Push(NamedTuple):
     """About the vertical [N m]."""
     steering: np.float32
     """Angle of the front wheels at the end of the step [rad]."""
+
+
+@inner
+def drive_force(wished, rolling, grip, cap):
+    """Return the force along the wheels [N] when the motor asks for `wished` [N].
+
+    `rolling` is the speed along the wheels [m/s], `grip` friction coefficient times load [N], and
+    `cap` the largest braking force per speed [kg/s].
+    """
+    most = grip * DRIVE_SHARE
+    # Brakes act against rolling ahead only, and at most stop it.
+    stop = max(rolling, _ZERO) * cap
+    return max(min(wished, most), -min(most, stop))
+
+
+@inner
+def lateral_force(sliding, rolling, drive, grip, slope, cap):
+    """Return the force across the wheels [N], against the sliding.
+
+    `sliding` and `rolling` are the speeds across and along the wheels [m/s], `drive` the force
+    along them [N], `grip` friction coefficient times load [N], `slope` the cornering stiffness over
+    three times the friction coefficient [1/rad], `cap` the largest force per speed [kg/s].
+    """
+    rest = grip * grip - drive * drive
+    left = f32(math.sqrt(rest))
+    # F = left (3 z - 3 z |z| + z^3), z = stiffness load slip / (3 left), |z| <= 1.
+    slip = sliding / max(abs(rolling), SLIP_FLOOR)
+    z = clamp(slip * grip * slope / left, -_ONE, _ONE)
+    size = abs(z)
+    force = left * z * (size * (size - _THREE) + _THREE)
+    held = abs(sliding) * cap
+    return clamp(-force, -held, held)
 
 
 @inner
@@ -51,11 +90,7 @@ def asked_acceleration(settings, target_speed, speed):
 def push(car, settings, target_steering, target_speed):
     """Return what acts on a car for one physics step.
 
-    Args:
-        car: its record.
-        settings: record of the settings.
-        target_steering: asked angle of the front wheels [rad], clipped to the largest.
-        target_speed: asked speed [m/s].
+    The target angle of the front wheels [rad] is clipped to the largest; the speed is in m/s.
     """
     steering = steered(car, settings, target_steering)
     sin, cos = sincos(car.yaw)

@@ -11,7 +11,7 @@ from league.agents.driver import Driver
 from league.envs.adapters.rsl_vec_env import RacingVecEnv
 from league.envs.config import EnvConfig, OpponentPlacement
 from league.envs.rewards import Reward
-from league.sim.config import ObstacleConfig, RaceRules, SimConfig, Spread
+from league.sim.config import DynamicsRandomization, ObstacleConfig, RaceRules, SimConfig
 from league.track.track import TrackSet
 from league.training.settings import TrainConfig
 
@@ -26,7 +26,7 @@ def env_config(cfg: TrainConfig) -> EnvConfig:
         num_cars=cfg.num_cars,
         obstacles=ObstacleConfig(count=cfg.obstacles, kind="bot" if cfg.bots else "box"),
         rules=RaceRules(laps=_ENDLESS),
-        spread=cfg.spread or Spread(),
+        spread=cfg.spread or DynamicsRandomization(),
     )
     return EnvConfig(
         sim=sim,

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 from league.envs.config import OpponentPlacement
 from league.errors import ConfigError
-from league.sim.config import Spread
+from league.sim.config import DynamicsRandomization
 
 PACER_SHARE = 0.5
 """Part of the scripted drivers' share that pacers have; `centerline` has the rest."""
@@ -25,8 +25,8 @@ class MatchConfig:
 
     laps: int = 2
     """Laps of a race; the second is a flying one."""
-    spread: Spread = field(
-        default_factory=lambda: Spread(grip=0.01, mass=0.01, steering_offset=0.003)
+    spread: DynamicsRandomization = field(
+        default_factory=lambda: DynamicsRandomization(grip=0.01, mass=0.01, steering_offset=0.003)
     )
     """Differences between the cars, without which all races of two drivers would be equal.
     Mirrored races swap the drivers, not the cars, so they favour neither."""
