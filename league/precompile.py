@@ -97,20 +97,6 @@ def _remove_older(folder: Path) -> None:
                 shutil.rmtree(other)
 
 
-def _compile(part: str) -> None:
-    """Compile a part in a process of its own: Numba compiles one function at a time."""
-    done = subprocess.run(
-        [sys.executable, "-P", "-m", "league.precompile", part],
-        env={**os.environ, "PYTHONPATH": str(_PACKAGE.parent)},
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-    )
-    if done.returncode:
-        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        raise LeagueError(f"compiling {part} failed ({last}): reinstall the league's dependencies")
-
-
 def _worlds() -> None:
     """Reset, step, lidar, running order and the critic's state of the planar simulator."""
     import numpy as np

@@ -210,4 +210,4 @@ def test_everything_is_compiled_in_advance(tmp_path):
         and any(ast.unparse(mark) == "compiled" for mark in node.decorator_list)
     }
     assert len(wanted) > 20
-    assert wanted - made == {"build._nearest"}  # needed when a track is imported
+    assert wanted - made == {"projection.nearest_rows"}  # needed when a track is imported

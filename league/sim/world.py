@@ -11,8 +11,7 @@ import numpy as np
 class World:
     """A batch of races at one moment; see records.py for the fields.
 
-    An environment's own World is live: its arrays change with each step. Whoever wants to keep it
-    takes a copy.
+    An environment's own World is live: its arrays change with each step; take a copy to keep it.
     """
 
     worlds: np.ndarray
@@ -51,7 +50,7 @@ class World:
         return self.rows(slice(index, index + 1))
 
     def copy(self) -> World:
-        """Return a copy, which nobody changes."""
+        """Return a copy, which later steps do not change."""
         return World(self.worlds.copy(), self.cars.copy(), self.obstacles.copy())
 
 

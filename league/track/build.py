@@ -3,9 +3,6 @@
 A sound course has no crossing, no overlap and no bend that no car can drive.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
@@ -13,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from league.errors import TrackError
-from league.jit import compiled
 from league.track import spline
+from league.track.projection import nearest_rows, pairs_within
 from league.track.track import SPACING, Colours, Track
 
 if TYPE_CHECKING:
@@ -251,7 +248,7 @@ def _in_order(track: Track, points: np.ndarray) -> np.ndarray:
 def _projected(track: Track, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return where along the centreline points lie, and how far from it [m], shape (M,) each."""
     center, last = track.center, len(track.center) - 1
-    nearest = _nearest(center, points)
+    nearest = nearest_rows(center, points)
     low = np.add.outer(nearest, [0, -1])  # the stretches after and before it, (M, 2)
     low = low % (last + 1) if track.closed else np.clip(low, 0, last - 1)
     begin = center[low]
@@ -273,7 +270,7 @@ def first_crossing(
     longest = np.linalg.norm(end - begin, axis=1).max()
     longest_2 = np.linalg.norm(end_2 - begin_2, axis=1).max()
     radius = float(longest + longest_2) / 2 * (1 + 1e-9) + 1e-12
-    first, second = _pairs_within(radius, (begin + end) / 2, (begin_2 + end_2) / 2).T
+    first, second = pairs_within(radius, (begin + end) / 2, (begin_2 + end_2) / 2).T
     if other is None:
         apart = np.abs(first - second)
         apart = np.minimum(apart, len(begin) - apart) if closed else apart
@@ -285,32 +282,6 @@ def first_crossing(
     crossings = np.flatnonzero(cross)
     best = crossings[first[crossings].argmin()]
     return int(first[best]), int(second[best])
-
-
-@compiled
-def _pairs_within(radius, points, others):
-    """Return the rows of points that lie within a radius of each other, (num_pairs, 2)."""
-    pairs = [(0, 0)]
-    for i in range(len(points)):
-        x, y = points[i]
-        for j in range(len(others)):
-            dx, dy = others[j, 0] - x, others[j, 1] - y
-            if dx * dx + dy * dy <= radius * radius:
-                pairs.append((i, j))
-    return np.array(pairs)[1:]
-
-
-@compiled
-def _nearest(line, points):
-    """Return the row of a line nearest to each point, (num_points,)."""
-    rows = np.zeros(len(points), np.int64)
-    for k in range(len(points)):
-        least = np.inf
-        for row in range(len(line)):
-            dx, dy = line[row, 0] - points[k, 0], line[row, 1] - points[k, 1]
-            if dx * dx + dy * dy < least:
-                rows[k], least = row, dx * dx + dy * dy
-    return rows
 
 
 def _meet(p: np.ndarray, q: np.ndarray, r: np.ndarray, s: np.ndarray) -> np.ndarray:

@@ -93,7 +93,7 @@ class TrackFile(_Strict):
 
 
 def folder() -> Path:
-    """Return where the shipped tracks lie: in the wheel, or in a checkout beside the package."""
+    """Return where the shipped tracks lie: in the wheel, or in a checkout next to the package."""
     inside = _PACKAGE / "_tracks"
     return inside if inside.is_dir() else _PACKAGE.parent / "tracks"
 

@@ -191,3 +191,29 @@ def gaps(courses, track, ahead, behind):
     for k in range(len(ahead)):
         out[k] = signed_gap(courses[track[k]], ahead[k], behind[k])
     return out
+
+
+@compiled
+def pairs_within(radius, points, others):
+    """Return the rows of points that lie within a radius of each other, (num_pairs, 2)."""
+    pairs = [(0, 0)]
+    for i in range(len(points)):
+        x, y = points[i]
+        for j in range(len(others)):
+            dx, dy = others[j, 0] - x, others[j, 1] - y
+            if dx * dx + dy * dy <= radius * radius:
+                pairs.append((i, j))
+    return np.array(pairs)[1:]
+
+
+@compiled
+def nearest_rows(line, points):
+    """Return the row of a line nearest to each point, (num_points,)."""
+    rows = np.zeros(len(points), np.int64)
+    for k in range(len(points)):
+        least = np.inf
+        for row in range(len(line)):
+            dx, dy = line[row, 0] - points[k, 0], line[row, 1] - points[k, 1]
+            if dx * dx + dy * dy < least:
+                rows[k], least = row, dx * dx + dy * dy
+    return rows

@@ -56,9 +56,9 @@ def through(points: np.ndarray, *, closed: bool) -> Curve:
     inner = bends[:-1] if closed else bends[1:-1]
     for _ in range(_SWEEPS):
         # before * bend before + 2 (before + after) * bend + after * bend after = change
-        beside = before * (np.roll(bends[:-1], 1, axis=0) if closed else bends[:-2])
-        beside += after * (np.roll(bends[:-1], -1, axis=0) if closed else bends[2:])
-        inner[:] = (change - beside) / (2 * (before + after))
+        others = before * (np.roll(bends[:-1], 1, axis=0) if closed else bends[:-2])
+        others += after * (np.roll(bends[:-1], -1, axis=0) if closed else bends[2:])
+        inner[:] = (change - others) / (2 * (before + after))
     if closed:
         bends[-1] = bends[0]
     chords = gap[1:, 0] if closed else gap[:, 0]

@@ -156,19 +156,16 @@ class Projection:
     lateral: np.ndarray
     """Distance to the left of the centreline [m]."""
     x: np.ndarray
-    """Centreline there, world frame [m]."""
     y: np.ndarray
     """Centreline there, world frame [m]."""
     cos: np.ndarray
-    """Cosine of the track's heading there."""
     sin: np.ndarray
-    """Sine of the track's heading there."""
+    """Cosine and sine of the track's heading there."""
     curvature: np.ndarray
     """Signed curvature there [1/m], positive to the left."""
     left: np.ndarray
-    """Distance from the centreline to the left border [m], positive."""
     right: np.ndarray
-    """Distance from the centreline to the right border [m], positive."""
+    """Distance from the centreline to either border [m], positive."""
 
 
 class TrackSet:

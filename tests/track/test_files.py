@@ -216,7 +216,7 @@ BROKEN = {
     "swapped borders": (
         shapes.text([[0, 0], [2, 0], [4, 0]], direction="open")
         + "left: [[-1, -0.4], [5, -0.4]]\nright: [[-1, 0.4], [5, 0.4]]\n",
-        ["no left border beside the centreline", "driver's own left"],
+        ["no left border next to the centreline", "driver's own left"],
     ),
     "width contradicts borders": (
         shapes.text([[0, 0], [2, 0], [4, 0]], direction="open", width=1.2)

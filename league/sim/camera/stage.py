@@ -78,13 +78,11 @@ class Thing(NamedTuple):
     model: Model
     """CAR or BOX."""
     x: float
-    """World frame [m]."""
     y: float
     """World frame [m]."""
     cos: float
-    """Cosine of the yaw."""
     sin: float
-    """Sine of the yaw."""
+    """Cosine and sine of the yaw."""
     steering: float
     """Angle of the front wheels [rad]."""
     colour: tuple[float, float, float]
