@@ -17,7 +17,7 @@ from league.deepracer import params_kernels
 from league.errors import ConfigError
 from league.sim.config import CameraConfig, CarConfig, SimConfig
 from league.sim.world import World
-from league.track import check
+from league.track import build
 from league.track.track import Track, TrackSet
 
 WAYPOINT_SPACING = 0.15
@@ -180,7 +180,7 @@ class Roads:
     """ROAD of each track."""
     places: np.ndarray
     """How far along the lap waypoints lie [m], of one track with its own after another; see
-    `check.waypoint_places`."""
+    `build.waypoint_places`."""
     clockwise: list[bool]
     """Whether each is driven clockwise."""
     waypoints: tuple[list[Point], ...]
@@ -196,7 +196,7 @@ class Roads:
         records["lap"] = tracks.lap_length(np.arange(len(records)))
         records["steps"] = [_steps(track) for track in tracks.tracks]
         places = [
-            np.empty(0) if track.waypoints is None else check.waypoint_places(track)
+            np.empty(0) if track.waypoints is None else build.waypoint_places(track)
             for track in tracks.tracks
         ]
         count = np.array([len(each) for each in places])
