@@ -31,10 +31,10 @@ from league.envs.rewards import preset
 from league.sim.config import CameraConfig, SensorConfig
 from league.track import files
 from league.track.track import TrackSet
-from league.training.evaluator import Exam, judged
+from league.training.config import TrainConfig
+from league.training.evaluator import EvalConfig, evaluate_policy
 from league.training.ppo import make_env, symmetry
 from league.training.ppo.learner import Learner
-from league.training.settings import TrainConfig
 
 Change = Callable[[TrainConfig], TrainConfig]
 Alter = Callable[[Learner], None]
@@ -123,11 +123,11 @@ def _picture(width: int, height: int) -> Change:
 
 
 def _rows(num_worlds: int, steps: int = 64) -> Change:
-    return lambda cfg: replace(cfg.with_ppo(steps=steps), num_worlds=num_worlds)
+    return lambda cfg: replace(cfg.with_ppo(rollout=steps), num_worlds=num_worlds)
 
 
 def _unscaled(learner: Learner) -> None:
-    learner._scale.scaled = lambda rewards, dones: rewards  # type: ignore
+    learner._normalization.normalize = lambda rewards, dones: rewards  # type: ignore
 
 
 def _doubled(learner: Learner) -> None:
@@ -142,7 +142,7 @@ def _loud(learner: Learner) -> None:
     [layer for layer in layers if isinstance(layer, nn.Linear)][-1].reset_parameters()
 
 
-class _Doubling(symmetry.Mirroring):
+class _Doubling(symmetry.Symmetry):
     """rsl-rl's own way: mirror images are added to each mini-batch."""
 
     def augment_batch(self, batch: RolloutStorage.Batch, original_batch_size: int) -> None:
@@ -159,7 +159,7 @@ VARIATIONS = {
     "rookie": (
         Variation("base"),
         Variation("relu", _network(activation="relu")),
-        Variation("no mirror images", lambda cfg: replace(cfg, mirror=False)),
+        Variation("no mirror images", lambda cfg: replace(cfg, symmetry=False)),
         Variation("mirror images added (rsl-rl)", alter=_doubled),
         Variation("3 epochs x 4 mini-batches", _ppo(epochs=3, mini_batches=4)),
         Variation("4 epochs x 8", _ppo(epochs=4, mini_batches=8)),
@@ -193,7 +193,7 @@ VARIATIONS = {
         Variation("noise .5 to .2", _ppo(noise=(0.5, 0.2))),
         Variation("gamma .99, lambda .95", _ppo(gamma=0.99, lam=0.95)),
         Variation("3 epochs x 4 mini-batches", _ppo(epochs=3, mini_batches=4)),
-        Variation("no mirror images", lambda cfg: replace(cfg, mirror=False)),
+        Variation("no mirror images", lambda cfg: replace(cfg, symmetry=False)),
         Variation("relu", _network(activation="relu")),
         Variation("critic sees what the car sees", critic_sees="senses"),
     ),
@@ -204,7 +204,7 @@ def run(task_name: str, variation: Variation, seed: int) -> Trial:
     """Train one variation from one seed."""
     task = TASKS[task_name]
     cfg = replace(variation.change(task.base), seed=seed)
-    exam = Exam(tracks=(files.load("reinvent_2018"),))
+    exam = EvalConfig(tracks=(files.load("reinvent_2018"),))
     learner = _learner(cfg, variation)
     spent, next_check = 0.0, task.check
     learnt: tuple[int, float] | None = None
@@ -216,7 +216,7 @@ def run(task_name: str, variation: Variation, seed: int) -> Trial:
         if learner.samples < next_check:
             continue
         next_check += task.check
-        found = judged(exam, Checkpoint(_card(cfg), learner.weights()))
+        found = evaluate_policy(exam, Checkpoint(_card(cfg), learner.weights()))
         flying, clean = found.best_flying_s, found.clean_laps
         if found.all_complete and learnt is None:
             learnt = learner.samples, spent

@@ -28,9 +28,9 @@ from league.envs import rewards
 from league.envs.actions import ContinuousActions
 from league.track import files
 from league.track.track import TrackSet
+from league.training.config import TrainConfig
 from league.training.ppo import make_env
 from league.training.ppo.learner import Learner
-from league.training.settings import TrainConfig
 
 ROOKIE = (
     *("train", "--reward", "centerline", "--action-space", "0.5-1", "--num-worlds", "16"),
@@ -112,7 +112,7 @@ class Plain:
         pictures: dict[str, list[Tensor]] = {name: [] for name in self.told}
         actions, odds, values = [], [], []
         with torch.inference_mode():
-            for _ in range(self.cfg.ppo.steps):
+            for _ in range(self.cfg.ppo.rollout):
                 spread = torch.distributions.Normal(self.actor(_floats(self.told)), self.noise)
                 chosen = spread.sample()
                 actions.append(chosen)
@@ -139,7 +139,7 @@ class Plain:
             {name: group.clone() for name, group in told.items()},
             *(value.clone() for value in (actions, odds, worth, gain)),
         )
-        state = self.state.repeat(ppo.steps, 1)
+        state = self.state.repeat(ppo.rollout, 1)
         for _ in range(ppo.epochs):
             for part in torch.randperm(len(gain)).chunk(ppo.mini_batches):
                 means = self.actor(_floats({name: group[part] for name, group in told.items()}))

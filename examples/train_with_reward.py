@@ -9,8 +9,8 @@ from pathlib import Path
 
 from league.envs.actions import ContinuousActions
 from league.racing.evaluate import evaluate
+from league.training.config import TrainConfig
 from league.training.run import Run, RunConfig
-from league.training.settings import TrainConfig
 
 REWARD = '''
 def reward_function(params):
@@ -32,9 +32,9 @@ def main(minutes: float) -> None:
             name="mine",
             reward=str(reward),
             minutes=minutes,
-            exam_laps=1,
+            eval_laps=1,
         )
-        outcome = Run(cfg, Path(place) / "mine.run", beside=False).learn()
+        outcome = Run(cfg, Path(place) / "mine.run", background=False).learn()
         print(f"{outcome.samples} decisions; {outcome.why}")
         lap = evaluate(str(outcome.best), "reinvent_2018", laps=1)
         print(f"{lap.driver}: {lap.completion:.0f} % of a lap, {lap.off_tracks} times off the road")

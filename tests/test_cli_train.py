@@ -7,27 +7,33 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import fields, replace
-from operator import attrgetter
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from league.agents import checkpoint, roster
-from league.cli import resuming, train
-from league.cli.train import Train
-from league.cli.train_settings import config, parse_actions, parse_sensors
+from league.agents import checkpoint, garage
+from league.cli import train
+from league.cli.train import OLD_FLAGS, Train, parse
+from league.cli.train_settings import parse_actions, parse_sensors
 from league.envs.actions import ContinuousActions, DiscreteActions
 from league.errors import ConfigError, LeagueError
+from league.training.config import PpoConfig, RunConfig, read, write
 from league.training.monitor import history
-from league.training.run_config import RunConfig, settings
-from league.training.settings import PpoConfig
 
 TINY = (
     *("--track", "reinvent_2018", "--reward", "centerline", "--action-space", "0.5-1"),
     *("--sensors", "stereo40x30", "--num-worlds", "4", "--rollout", "8", "--epochs", "1"),
     *("--mini-batches", "2", "--minutes", "0", "--threads", "1", "--plain", "--no-tensorboard"),
 )
+
+
+ROOKIE = ("--init-from", "rookie")
+
+
+def config(*flags: str) -> RunConfig:
+    """Return the settings that some flags ask for."""
+    return parse(["--out", "no_such_policy.pt", *flags]).cfg
 
 
 def test_help_tells_every_choice(league):
@@ -39,6 +45,9 @@ def test_help_tells_every_choice(league):
         assert flag in out
     assert "--hyperparameters" in out
     assert "Train a driver with PPO" in out
+    # Where a switch is on by default, its help is under the flag that switches it on.
+    assert "--tensorboard, --no-tensorboard" in out
+    assert "Train a driver with PPO" in league("--help")[1]
 
 
 def test_training_leaves_a_policy_that_races(league, tmp_path):
@@ -61,26 +70,42 @@ def test_training_leaves_a_policy_that_races(league, tmp_path):
 
 
 def test_who_asks_for_nothing_gets_what_the_experiments_have_chosen():
-    assert replace(config(Train()), command="") == RunConfig()
+    assert replace(config(), command="", name="policy") == RunConfig()
 
 
 def test_flags_reach_the_settings(league, tmp_path):
     flags = (
-        *("--seed", "5", "--both-directions", "--random-cars", "--random-looks", "--no-mirror"),
-        *("--gamma", "0.9", "--lam", "0.8", "--learning-rate", "0.001", "0.0001", "--forgiving"),
+        *("--seed", "5", "--both-directions", "--dynamics-randomization", "1"),
+        *("--visual-randomization", "--no-symmetry", "--bootstrap-on-failure"),
+        *("--gamma", "0.9", "--lam", "0.8", "--learning-rate", "0.001", "0.0001"),
         *("--noise", "0.4", "0.1", "--licence", "CC0-1.0", "--reward", "progress"),
     )
     code, _, err = league("train", *TINY, "--steps", "32", "--out", "a.pt", *flags)
     assert (code, err) == (0, "")
-    cfg = settings(tmp_path / "a.run")
-    assert (cfg.train.seed, cfg.train.both_directions, cfg.train.mirror) == (5, True, False)
+    cfg = read(tmp_path / "a.run")
+    assert (cfg.train.seed, cfg.train.both_directions, cfg.train.symmetry) == (5, True, False)
     assert (cfg.train.ppo.gamma, cfg.train.ppo.lam) == (0.9, 0.8)
-    assert cfg.train.ppo.forgiving
+    assert cfg.train.ppo.bootstrap_on_failure
     assert cfg.train.ppo.learning_rate == (0.001, 0.0001)
     assert cfg.train.ppo.noise == (0.4, 0.1)
-    assert cfg.train.spread is not None
-    assert cfg.train.looks is not None
+    assert cfg.train.dynamics_randomization == 1.0
+    assert cfg.train.visual_randomization
     assert checkpoint.load(tmp_path / "a.pt").card.licence == "CC0-1.0"
+
+
+def test_flags_of_older_versions_mean_the_same():
+    values = {"--tutor": ["0.3"], "--car-spread": ["0.5"], "--exam-every": ["3"]}
+    values |= {"--exam-track": ["peanut"], "--exam-opponents": ["centerline"]}
+    values |= {"--exam-trials": ["2"]}
+    old = config(*(word for flag in OLD_FLAGS for word in (flag, *values.get(flag, []))))
+    new = config(
+        *("--eval-track", "peanut", "--eval-opponents", "centerline", "--eval-trials", "2"),
+        *("--eval-every", "3", "--bootstrap-on-failure", "--teacher", "0.3"),
+        *("--visual-randomization", "--dynamics-randomization", "0.5", "--no-symmetry"),
+    )
+    assert old == new
+    assert config("--random-cars").train.dynamics_randomization == 1.0
+    assert config("--car_spread=0.25").train.dynamics_randomization == 0.25
 
 
 def test_model_metadata_sets_actions_and_sensors(league, tmp_path):
@@ -101,9 +126,9 @@ def test_model_metadata_sets_actions_and_sensors(league, tmp_path):
     )
     asked = ("--action-space", "model_metadata.json", "--sensors", "model_metadata.json")
     code, _, err = league("train", *TINY, *asked, "--steps", "32", "--out", "d.pt")
-    alone = config(Train(action_space=str(tmp_path / "model_metadata.json")))
-    assert alone.train.sensors == checkpoint.load(tmp_path / "d.pt").card.sensors
-    assert config(Train()).train.sensors == parse_sensors(("stereo64x48",))
+    alone = config("--action-space", str(tmp_path / "model_metadata.json"))
+    assert alone.train.sensors == checkpoint.load(tmp_path / "d.pt").card.sensor_config
+    assert config().train.sensors == parse_sensors(("stereo64x48",))
     assert (code, err) == (0, "")
     card = checkpoint.load(tmp_path / "d.pt").card
     assert card.action_space == DiscreteActions(((-20.0, 0.8), (0.0, 1.0), (20.0, 0.8)))
@@ -134,7 +159,7 @@ def test_hyperparameters_by_deepracers_names_are_taken(league, tmp_path):
     assert code == 0
     assert "beta_entropy" not in err
     assert "loss_type" in err  # read, and said not to be used
-    ppo = settings(tmp_path / "h.run").train.ppo
+    ppo = read(tmp_path / "h.run").train.ppo
     assert ppo.mini_batches == 4  # 4 worlds x 8 steps in batches of 8
     assert ppo.epochs == 3
     assert ppo.learning_rate == (0.0004, 0.0004)
@@ -157,7 +182,7 @@ def test_the_racing_line_is_a_reward_by_name(league, tmp_path):
 def test_hyperparameters_that_mean_nothing_here_are_said_to(tmp_path, capsys):
     path = tmp_path / "h.json"
     path.write_text(json.dumps({"batch_size": 512, "beta_entropy": 0.02}))
-    ppo = config(Train(hyperparameters=path, num_worlds=4)).train.ppo
+    ppo = config("--hyperparameters", str(path), "--num-worlds", "4").train.ppo
     assert (ppo.mini_batches, ppo.entropy) == (1, PpoConfig().entropy)
     batch, entropy = capsys.readouterr().err.splitlines()
     assert "batch_size is 512, and a rollout has 256 decisions" in batch
@@ -166,7 +191,7 @@ def test_hyperparameters_that_mean_nothing_here_are_said_to(tmp_path, capsys):
 
 def test_sigterm_is_heard_as_ctrl_c_while_a_run_learns():
     before = signal.getsignal(signal.SIGTERM)
-    with pytest.raises(KeyboardInterrupt), train._saved_on_sigterm():
+    with pytest.raises(KeyboardInterrupt), train._interrupted_by_sigterm():
         os.kill(os.getpid(), signal.SIGTERM)
         time.sleep(1.0)
     assert signal.getsignal(signal.SIGTERM) == before
@@ -180,7 +205,7 @@ def test_what_the_file_does_not_name_is_as_a_trained_policy_needs_it(league, tmp
         *("--init-from", "a.pt", "--hyperparameters", "h.json"),
     )
     assert (code, err) == (0, "")
-    ppo = settings(tmp_path / "b.run").train.ppo
+    ppo = read(tmp_path / "b.run").train.ppo
     refined = PpoConfig().refining()
     assert (ppo.learning_rate, ppo.noise) == (refined.learning_rate, refined.noise)
     assert ppo.gamma == 0.9
@@ -193,7 +218,7 @@ def test_flag_beats_the_hyperparameters_file(league, tmp_path):
         *("--hyperparameters", "h.json", "--gamma", "0.5"),
     )
     assert (code, err) == (0, "")
-    assert settings(tmp_path / "h.run").train.ppo.gamma == 0.5
+    assert read(tmp_path / "h.run").train.ppo.gamma == 0.5
 
 
 @pytest.mark.parametrize(
@@ -203,7 +228,7 @@ def test_flag_beats_the_hyperparameters_file(league, tmp_path):
         (["--track", "peanutt"], "there is no track 'peanutt'; nearest: peanut"),
         (["--track", "generated:0"], "give generated:1 to generated:2000"),
         (["--track", "generated:40", "--both-directions", "--reward", "racing_line"], "80 tracks"),
-        (["--exam-track", "nowhere"], "there is no track 'nowhere'"),
+        (["--eval-track", "nowhere"], "there is no track 'nowhere'"),
         (["--reward", "progess"], "there is no built-in reward 'progess'; nearest: progress"),
         (["--reward", "missing.py"], "missing.py"),
         (["--minutes", "-1"], "give one of them, more than 0"),
@@ -226,14 +251,14 @@ def test_flag_beats_the_hyperparameters_file(league, tmp_path):
         (["--no-handicap"], "--no-handicap means nothing without --self-play"),
         (["--cars", "3"], "--cars means nothing without --self-play"),
         (["--kind", "head_to_head", "--self-play", "--cars", "9"], "--cars is 9: give 2 to 8"),
-        (["--car-spread", "0.5"], "--car-spread means nothing without --random-cars"),
-        (["--threads", "0"], "--threads is 0: give 1 to 1024"),
+        (["--dynamics-randomization", "3"], "dynamics_randomization is 3.0: give 0, which is none"),
+        (["--threads", "0"], "threads is 0: give 1 to 1024"),
         (["--stop-when-complete", "-1"], "stop_when_complete is -1: give 0, which is never"),
         (["--hyperparameters", "none.json"], "none.json"),
         (["--resume"], "settings.json holds no settings of a run"),
         (["--init-from", "none.pt"], "none.pt"),
-        (["--exam-opponents", "nobody"], "there is no driver 'nobody'; nearest"),
-        (["--exam-trials", "100000"], "exam_trials is 100000: give 1 to 1000"),
+        (["--eval-opponents", "nobody"], "there is no driver 'nobody'; nearest"),
+        (["--exam-trials", "100000"], "eval_trials is 100000: give 1 to 1000"),
         (["--seed", "-1"], "seed is -1: give 0 to 2147483647"),
         (["--device", "abacus"], "cannot compute on the device 'abacus': give cpu, or cuda"),
         (["--num-worlds", "0"], "num_worlds is 0: give 1 to 65536"),
@@ -242,18 +267,18 @@ def test_flag_beats_the_hyperparameters_file(league, tmp_path):
         (["--noise", "0.5", "9"], "exploration noise is (0.5, 9.0): give 0.001 to 5"),
         (["--gamma", "1.5"], "gamma is 1.5: give 0 to 1"),
         (["--lam", "-1"], "lam is -1.0: give 0 to 1"),
-        (["--forgiving", "--reward", "centerline"], "centerline takes nothing: omit it"),
-        (["--tutor", "1"], "the tutor's share of the budget is 1"),
-        (["--tutor", "0.2", "--init-from", "rookie"], "omit --tutor or --init-from"),
+        (["--bootstrap-on-failure", "--reward", "centerline"], "centerline takes nothing: omit it"),
+        (["--teacher", "1"], "the teacher's share of the budget is 1"),
+        (["--teacher", "0.2", "--init-from", "rookie"], "omit --teacher or --init-from"),
         (
-            ["--tutor", "0.2", "--kind", "head_to_head", "--self-play"],
-            "omit --tutor or --self-play",
+            ["--teacher", "0.2", "--kind", "head_to_head", "--self-play"],
+            "omit --teacher or --self-play",
         ),
         (["--epochs", "0"], "epochs is 0: give at least 1"),
         (["--mini-batches", "99999"], "cannot be split into 99999 mini-batches"),
-        (["--rollout", "0"], "steps is 0: give at least 1"),
-        (["--exam-trials", "0"], "an evaluation needs at least 1"),
-        (["--exam-every", "0"], "an evaluation needs at least 1"),
+        (["--rollout", "0"], "rollout is 0: give at least 1"),
+        (["--eval-trials", "0"], "an evaluation needs at least 1"),
+        (["--eval-every", "0"], "an evaluation needs at least 1"),
         (["--licence", ""], "licence"),
     ],
 )
@@ -293,7 +318,7 @@ def test_checkpoint_that_is_there_is_not_replaced_without_a_word(league, tmp_pat
     (tmp_path / "mine.pt").write_bytes(b"precious")
     code, _, err = league("train", *TINY, "--steps", "32", "--out", "mine.pt")
     assert code == 2
-    assert "mine.pt is there already: give --overwrite" in err
+    assert "mine.pt exists already: give --overwrite" in err
     assert [path.name for path in tmp_path.iterdir()] == ["mine.pt"]
     assert (tmp_path / "mine.pt").read_bytes() == b"precious"
 
@@ -306,7 +331,7 @@ def test_resume_with_more_steps_goes_on_and_says_so(league, tmp_path):
     assert "Going on after 64 decisions and " in out
     assert "to 128 decisions in all instead of 64 decisions; learning rate and noise" in out
     assert "128 decisions in " in out
-    assert settings(tmp_path / "mine.run").steps == 128
+    assert read(tmp_path / "mine.run").steps == 128
 
 
 def test_resume_of_a_finished_run_asks_for_more_but_brings_a_lost_checkpoint_back(league, tmp_path):
@@ -324,104 +349,117 @@ def test_resume_of_a_finished_run_asks_for_more_but_brings_a_lost_checkpoint_bac
 @pytest.mark.parametrize(
     ("flags", "said"),
     [
+        (["--seed", "0"], "started with another --seed: omit what"),  # though it is the default
         (["--seed", "3", "--gamma", "0.5"], "started with another --seed, --gamma: omit what"),
         (["--track", "peanut"], "started with another --track"),
         (["--sensors", "lidar"], "started with another --sensors"),
-        (["--no-mirror"], "started with another --no-mirror"),
-        (["--overwrite"], "--resume goes on and --overwrite begins anew: give one of them"),
-        (["--steps", "16"], "--steps is 16, and the run was begun with 32: give more"),
+        (["--no-symmetry"], "started with another --symmetry"),
+        (["--overwrite"], "--resume goes on and --overwrite starts a new run: give one of them"),
+        (["--steps", "16"], "--steps is 16, and the run was started with 32: give more"),
         (["--steps", "-1"], "give one of them, more than 0"),
     ],
 )
 def test_what_contradicts_the_run_is_refused_beside_resume(league, tmp_path, flags, said):
-    from league.training import run_config
-
     (tmp_path / "mine.run").mkdir()
-    run_config.keep(config(Train(minutes=0.0, steps=32)), tmp_path / "mine.run")
+    write(config("--minutes", "0", "--steps", "32", "--seed", "1"), tmp_path / "mine.run")
     code, _, err = league("train", "--resume", "--out", "mine.pt", *flags)
     assert code == 2
     assert said in err
     assert err.count("\n") == 1
 
 
-def test_every_flag_is_kept_free_or_of_the_budget():
-    # A new flag has to say what it means beside --resume.
-    known = {*resuming.KEPT, *resuming.BUDGET, *resuming.EXAM, *resuming.FREE}
-    assert {one.name for one in fields(Train)} == known
-    kinds = (resuming.KEPT, resuming.BUDGET, resuming.EXAM, resuming.FREE)
-    assert len(known) == sum(map(len, kinds))
-    cfg = config(Train())
-    assert all(attrgetter(path)(cfg) is not ... for path in resuming.KEPT.values())
+def test_a_resume_may_change_the_budget_and_the_evaluations_alone(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.run").mkdir()
+    begun = config("--steps", "32", "--both-directions", "--init-from", "rookie", "--seed", "2")
+    write(begun, tmp_path / "mine.run")
+    again = ("--out", "mine.pt", "--resume")
+    assert parse([*again]).cfg == begun
+    assert parse([*again, "--both-directions", "--init-from", "rookie", "--seed", "2"]).cfg == begun
+    more = parse([*again, "--steps", "64", "--eval-track", "peanut", "--eval-every", "2"]).cfg
+    assert more == replace(begun, steps=64, eval_tracks=("peanut",), eval_every=2)
+    assert parse([*again, "--steps", "0", "--minutes", "2"]).cfg.budget == (2.0, 0)
 
 
 def test_self_play_is_among_two_cars_or_as_many_as_are_asked_for():
-    asked = [config(Train(kind="head_to_head", self_play=True, cars=n)) for n in (2, 4)]
-    assert [cfg.train.num_cars for cfg in asked] == [2, 4]
-    others = config(Train(kind="head_to_head", opponents=("centerline", "rookie")))
-    assert others.train.num_cars == 3
+    racing = ("--kind", "head_to_head")
+    assert config(*racing, "--self-play").train.num_cars == 2
+    assert config(*racing, "--self-play", "--cars", "4").train.num_cars == 4
+    assert config(*racing, "--opponents", "centerline", "rookie").train.num_cars == 3
+
+
+def test_racing_looks_farther_ahead_unless_asked_otherwise():
+    racing = ("--kind", "head_to_head", "--self-play")
+    assert config(*racing).train.ppo.gamma == 0.97
+    assert config(*racing, "--gamma", "0.95").train.ppo.gamma == 0.95  # the default of others
 
 
 def test_past_selves_are_held_back_unless_that_is_switched_off():
-    asked = [Train(kind="head_to_head", self_play=True, no_handicap=off) for off in (False, True)]
-    assert [config(one).handicap for one in asked] == [True, False]
+    racing = ("--kind", "head_to_head", "--self-play")
+    assert config(*racing).handicap
+    assert not config(*racing, "--no-handicap").handicap
 
 
 def test_policy_to_begin_from_may_be_named_as_in_the_garage():
-    assert config(Train(init_from="rookie")).init_from == str(roster.garage()["rookie"])
-    path = str(roster.garage()["rookie"])
-    assert config(Train(init_from=path)).init_from == path
+    assert config("--init-from", "rookie").init_from == str(garage.path("rookie"))
+    path = str(garage.path("rookie"))
+    assert config("--init-from", path).init_from == path
 
 
 def test_what_is_not_asked_for_is_the_parents(capsys):
-    rookie = checkpoint.load(roster.garage()["rookie"]).card
-    cfg = config(Train(init_from="rookie")).train
-    assert (cfg.action_space, cfg.sensors) == (rookie.action_space, rookie.sensors)
+    rookie = checkpoint.load(garage.path("rookie")).card
+    cfg = config("--init-from", "rookie").train
+    assert (cfg.action_space, cfg.sensors) == (rookie.space, rookie.sensor_config)
     assert cfg.network == rookie.network
-    same = config(Train(init_from="rookie", action_space="0.5-1", sensors=("stereo64x48",)))
+    same = config(*ROOKIE, "--action-space", "0.5-1", "--sensors", "stereo64x48")
     assert same.train == cfg
     assert capsys.readouterr().err == ""
     # Cloned to go faster, as people do: possible, and said.
-    faster = config(Train(init_from="rookie", action_space="0.5-2")).train
+    faster = config(*ROOKIE, "--action-space", "0.5-2").train
     assert faster.action_space == ContinuousActions(-30.0, 30.0, 0.5, 2.0)
     assert "now means something else" in capsys.readouterr().err
     with pytest.raises(ConfigError, match="--sensors are not those of rookie"):
-        config(Train(init_from="rookie", sensors=("left64x48",)))
+        config(*ROOKIE, "--sensors", "left64x48")
     with pytest.raises(ConfigError, match="--action-space is of another kind"):
-        config(Train(init_from="rookie", action_space="5x2@1.0"))
+        config(*ROOKIE, "--action-space", "5x2@1.0")
 
 
 def test_save_points_come_as_often_as_the_work_allows(capsys):
-    usual = config(Train()).train
-    assert (usual.num_worlds * usual.ppo.steps, usual.save_every) == (4096, 4)
-    assert config(Train(num_worlds=16)).train.save_every == 8
-    assert config(Train(epochs=12)).train.save_every == 2
-    assert config(Train(sensors=("stereo160x120",))).train.save_every == 1
+    usual = config().train
+    assert (usual.num_worlds * usual.ppo.rollout, usual.save_every) == (4096, 4)
+    assert config("--num-worlds", "16").train.save_every == 8
+    assert config("--epochs", "12").train.save_every == 2
+    assert config("--sensors", "stereo160x120").train.save_every == 1
     assert capsys.readouterr().err == ""
-    assert config(Train(num_worlds=1024)).train.save_every == 1
+    assert config("--num-worlds", "1024").train.save_every == 1
     # Rows restart at a save point, and a card is given more of them at once.
-    assert config(Train(num_worlds=1024, device="cuda")).train.save_every == 4
+    assert config("--num-worlds", "1024", "--device", "cuda").train.save_every == 4
     assert "some 16 times the work of a usual one" in capsys.readouterr().err
 
 
 def test_a_run_that_ends_early_leaves_its_best_under_the_name_asked_for(tmp_path):
     command, folder = Train(out=tmp_path / "m.pt"), tmp_path / "m.run"
-    assert train._kept(command, folder) == "Nothing was learnt yet."
+    assert train._kept(command) == "Nothing was learnt yet."
     folder.mkdir()
     (folder / "state.pt").touch()
-    of_a_tutor = (
-        f"Kept: {folder / 'state.pt'}, with what the tutor has learnt; go on with --resume."
+    of_a_teacher = (
+        f"Kept: {folder / 'state.pt'}, with what the teacher has learnt; go on with --resume."
     )
-    assert train._kept(command, folder) == of_a_tutor
+    assert train._kept(command) == of_a_teacher
     (folder / "last.pt").touch()
-    assert train._kept(command, folder).startswith(f"Kept: {folder / 'last.pt'}; go on")
+    assert train._kept(command).startswith(f"Kept: {folder / 'last.pt'}; go on")
     (folder / "best.pt").write_bytes(b"weights")
-    assert f"and the best so far as {tmp_path / 'm.pt'}; go on" in train._kept(command, folder)
+    assert f"and the best so far as {tmp_path / 'm.pt'}; go on" in train._kept(command)
     assert (tmp_path / "m.pt").read_bytes() == b"weights"
 
 
 def test_five_minutes_are_the_budget_unless_another_is_given():
-    asked = [config(Train(minutes=m, steps=s)) for m, s in [(None, None), (None, 9), (2.0, 9)]]
-    assert [(cfg.minutes, cfg.steps) for cfg in asked] == [(5.0, 0), (0.0, 9), (2.0, 9)]
+    both = ("--steps", "9", "--minutes", "2")
+    assert [config(*flags).budget for flags in ((), both[:2], both)] == [
+        (5.0, 0),
+        (0.0, 9),
+        (2.0, 9),
+    ]
 
 
 def test_reward_file_that_fails_names_its_line_and_the_checkpoint_is_kept(league, tmp_path):

@@ -22,7 +22,7 @@ from league.envs.adapters.rsl_vec_env import RacingVecEnv
 from league.envs.config import EnvConfig
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig, SimConfig
 from league.track.track import TrackSet
-from league.training.ppo.episode_stats import Episodes
+from league.training.ppo.statistics import EpisodeStatistics
 
 RING = make_ring(points=120)
 TWO = SimConfig(kind="head_to_head", num_cars=2)
@@ -201,7 +201,7 @@ def test_a_batch_of_another_device_hands_out_the_same_bits(sim):
 
 def test_episodes_are_told_of_rows_of_another_device():
     def run(device: str) -> tuple[float | None, float | None]:
-        episodes = Episodes(2)
+        episodes = EpisodeStatistics(2)
         for driven in ([0.4, 0.5], [0.9, 1.1]):
             episodes.add(
                 torch.ones(2, device=device),

@@ -6,34 +6,40 @@ import atexit
 import gc
 import os
 import sys
+from dataclasses import dataclass
 from functools import reduce
 from operator import or_
 from typing import Annotated, Any
 
 import tyro
 
-from league.cli import drivers, evaluate, race, replays, rewards, tracks, train
+from league.cli import drivers, evaluate, race, replays, rewards, tracks
 from league.cli.season import entries, gauntlet, heats, run, standings
 from league.errors import LeagueError
 
-_MODULES = (
-    race,
-    train,
-    evaluate,
-    rewards,
-    drivers,
-    tracks,
-    replays,
-    entries,
-    run,
-    standings,
-    heats,
-    gauntlet,
-)
-"""Modules of the commands, in the order of the help; `COMMANDS` of each has the names."""
+
+@dataclass
+class _Train:
+    """Train a driver with PPO on many worlds, evaluated in Bullet from the start line."""
+
+
+COMMANDS: dict[str, type] = {
+    **race.COMMANDS,
+    "train": _Train,  # its settings take a while to import: see `_parsed`
+    **evaluate.COMMANDS,
+    **rewards.COMMANDS,
+    **drivers.COMMANDS,
+    **tracks.COMMANDS,
+    **replays.COMMANDS,
+    **entries.COMMANDS,
+    **run.COMMANDS,
+    **standings.COMMANDS,
+    **heats.COMMANDS,
+    **gauntlet.COMMANDS,
+}
+"""All commands, in the order of the help."""
 _SIMULATING = (
     race.Race,
-    train.Train,
     evaluate.Evaluate,
     rewards.Rewards,
     replays.Verify,
@@ -70,10 +76,13 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _parsed(arguments: list[str] | None) -> Any:  # noqa: ANN401
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if arguments[:1] == ["train"]:
+        from league.cli import train
+
+        return train.parse(arguments[1:])
     commands = [
-        Annotated[command, tyro.conf.subcommand(name)]
-        for module in _MODULES
-        for name, command in module.COMMANDS.items()
+        Annotated[command, tyro.conf.subcommand(name)] for name, command in COMMANDS.items()
     ]
     union: Any = reduce(or_, commands)
     return tyro.cli(
@@ -81,5 +90,5 @@ def _parsed(arguments: list[str] | None) -> Any:  # noqa: ANN401
         prog="league",
         description="The open racing league for learning drivers.",
         args=arguments,
-        config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+        config=(tyro.conf.OmitArgPrefixes,),
     )

@@ -30,8 +30,8 @@ class View(OnLeague):
     """Serve the web viewer on this machine only and print its address."""
     rrd: Path | None = None
     """Only write the Rerun recording to this file."""
-    no_cameras: bool = False
-    """Leave out what each car saw."""
+    cameras: bool = True
+    """Include what each car saw."""
 
     def run(self) -> int:
         """Run the command."""
@@ -142,12 +142,12 @@ def _view(command: View) -> int:
         print(f"Replay: {replays.write(recorded, command.save)}")
         return 0
     if command.rrd is not None:
-        rerun_view.save(recorded, command.rrd, cameras=not command.no_cameras)
+        rerun_view.save(recorded, command.rrd, cameras=command.cameras)
         print(f"Recording: {command.rrd}")
         return 0
     with tempfile.TemporaryDirectory(prefix="league-") as folder:
         path = Path(folder) / f"{replay.stem}.rrd"
-        rerun_view.save(recorded, path, cameras=not command.no_cameras)
+        rerun_view.save(recorded, path, cameras=command.cameras)
         if not command.web:
             return rerun_view.open_viewer(path)
         with rerun_view.serve(path) as server:

@@ -2,42 +2,53 @@
 
 from __future__ import annotations
 
+import shutil
 import signal
 import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated
 
-from league.cli import resuming, train_settings
-from league.errors import ConfigError, RewardError
+import tyro
+
+from league import precompile
+from league.atomic_file import replacing
+from league.cli import train_settings
+from league.errors import ConfigError, PolicyError, RewardError
+from league.training import config, run_folder
+from league.training.config import RunConfig
 
 if TYPE_CHECKING:
     from league.training.monitor.callback import TrainingCallback
     from league.training.run import Outcome, Run
     from league.training.selfplay.payoff_matrix import PayoffMatrix
 
+OLD_FLAGS = {
+    "--exam-track": "--eval-track",
+    "--exam-opponents": "--eval-opponents",
+    "--exam-trials": "--eval-trials",
+    "--exam-every": "--eval-every",
+    "--forgiving": "--bootstrap-on-failure",
+    "--tutor": "--teacher",
+    "--random-looks": "--visual-randomization",
+    "--random-cars": "--dynamics-randomization=1",
+    "--car-spread": "--dynamics-randomization",
+    "--no-mirror": "--no-symmetry",
+}
+"""Flags of older versions, and what they are called now."""
 
-@dataclass
+
+@dataclass(frozen=True)
 class Train:
     """Train a driver with PPO on many worlds, judged in Bullet from the start line."""
 
     out: Path = Path("policy.pt")
-    """Where the best policy goes; the run's own files go into a folder beside it, NAME.run."""
-    track: tuple[str, ...] = ("reinvent_2018",)
-    """Tracks or track files to learn on; generated:N are N random ones."""
-    kind: Literal["time_trial", "obstacle_avoidance", "head_to_head"] = "time_trial"
-    """Kind of race."""
-    reward: str = "progress"
-    """centerline, progress, race or racing_line, or a DeepRacer reward file (FILE.py)."""
-    minutes: float | None = None
-    """Stop after this long; 0: no limit; by default 5, or no limit where --steps is given."""
-    steps: int | None = None
-    """Stop after so many decisions; 0: no limit, which is the default."""
-    stop_when_complete: int = 0
-    """Stop after so many evaluations in a row with every lap complete; 0: never."""
+    """Where the best policy goes; the run's own files go into a folder next to it, NAME.run."""
+    cfg: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
+    """Settings of the run."""
     action_space: str | None = None
     """Speeds LOW-HIGH [m/s] or LOW-HIGH@DEG for other than 30 deg of steering; NxM@SPEED for the
     classic grid of N steering angles and M speeds; or a model_metadata.json. By default that of
@@ -46,146 +57,139 @@ class Train:
     """stereoWxH, monoWxH, leftWxH, lidar, sectors, discretised; or a model_metadata.json. By
     default what --init-from or the model_metadata.json of --action-space has, or else
     stereo64x48."""
-    opponents: tuple[str, ...] = ()
-    """Drivers or checkpoints to race against, in head_to_head."""
-    self_play: bool = False
-    """Race against past selves, in head_to_head."""
-    cars: int = 2
-    """Cars of each world in self-play, the learner's included."""
-    scripted_share: float = 0.1
-    """Share of self-play against scripted drivers."""
-    no_handicap: bool = False
-    """Let past selves drive as fast as they can in self-play; by default they are held back, for
-    cars of like pace do not pass each other, and so is the learner in some of its lone episodes."""
     hyperparameters: Path | None = None
-    """A hyperparameters.json with DeepRacer's names."""
+    """A hyperparameters.json with DeepRacer's names; flags take precedence."""
     resume: bool = False
-    """Go on with the run of --out as it was begun; --minutes or --steps may give it more."""
+    """Go on with the run of --out as it was started; --minutes or --steps may give it more."""
     overwrite: bool = False
-    """Begin anew where --out or its run are there already."""
-    init_from: str = ""
-    """Begin with the weights of this checkpoint, or policy of the garage."""
-    seed: int = 0
-    """Seed of weights, worlds and exploration."""
-    device: str = "cpu"
-    """cpu, or cuda; under torchrun each process takes a card of its own."""
-    num_worlds: int = 64
-    """Worlds in the batch."""
-    both_directions: bool = False
-    """Learn the tracks in both directions."""
-    random_cars: bool = False
-    """Draw grip, mass, latency, steering and camera of each car."""
-    car_spread: float = 1.0
-    """How far drawn cars differ: 1 as cars of one model do, less in proportion."""
-    random_looks: bool = False
-    """Draw light, colours, noise and blur of the pictures."""
-    no_mirror: bool = False
-    """Do not learn from mirror images."""
-    obstacles: int = 6
-    """Boxes or bots in obstacle avoidance."""
-    bots: bool = False
-    """Slow bot cars instead of boxes."""
-    learning_rate: tuple[float, float] | None = None
-    """First and last step size."""
-    noise: tuple[float, float] | None = None
-    """First and last standard deviation of exploration."""
-    gamma: float | None = None
-    """Discount for each step."""
-    lam: float | None = None
-    """Lambda of the advantages."""
-    forgiving: bool = False
-    """A mistake costs what the reward takes for it, not also all that would have been earned after
-    it: bolder at the edge of the road."""
-    tutor: float = 0.0
-    """Share of the budget in which a driver that is told the truth learns first, for the policy to
-    learn from: 0.4, say, for the fastest laps. The policy begins with three eighths of --noise."""
-    epochs: int | None = None
-    """Passes over what was collected."""
-    mini_batches: int | None = None
-    """Gradient steps in each pass."""
-    rollout: int | None = None
-    """Steps of each world between updates."""
-    exam_track: tuple[str, ...] = ()
-    """Where to judge it; none: where it learns."""
-    exam_opponents: tuple[str, ...] = ()
-    """Who races against it in each evaluation."""
-    exam_trials: int = 1
-    """Runs of each evaluation."""
-    exam_every: int = 1
-    """Save points between two evaluations."""
-    threads: int = 1
-    """Threads of torch; the evaluations take one more."""
+    """Start a new run where --out or its run exist already."""
     plain: bool = False
     """One line now and then instead of the live page."""
     watch: bool = False
     """Stream a few cars to the Rerun viewer."""
     tensorboard: bool = True
     """Write TensorBoard scalars into the run's folder."""
-    licence: str = "CC-BY-4.0"
-    """Licence of the weights, an SPDX name."""
+
+    @property
+    def folder(self) -> Path:
+        """The run's own folder."""
+        return self.out.with_suffix(".run")
 
     def run(self) -> int:
         """Run the command."""
+        precompile.ensure()
         return _train(self)
 
 
-COMMANDS = {"train": Train}
+def parse(arguments: list[str]) -> Train:
+    """Return the command with all its settings.
 
+    Arguments are read twice: some flags, such as --resume, decide what the others' defaults are.
 
-def _train(command: Train) -> int:
+    Raises:
+        LeagueError: a flag is refused, or there is no run to resume, or one in the way.
+    """
+    arguments = _with_new_names(arguments)
+    command = _parsed(arguments, Train())
     if command.out.suffix != ".pt":
         raise ConfigError(f"--out is {command.out}: give the name of a checkpoint, NAME.pt")
     if command.out.is_dir():
         raise ConfigError(f"--out is {command.out}, which is a folder: give a file, NAME.pt")
-    folder = command.out.with_suffix(".run")
+    if command.resume and command.overwrite:
+        raise ConfigError("--resume goes on and --overwrite starts a new run: give one of them")
+    default = train_settings.defaults(command)
+    command = _parsed(arguments, replace(command, cfg=default))
+    parent = train_settings.parent_path(command.cfg.init_from)
+    command = replace(command, cfg=replace(command.cfg, init_from=parent))
     if command.resume:
-        cfg = resuming.continued(command, folder, train_settings.config)
-    else:
-        cfg = train_settings.config(command)
-        resuming.refuse_taken(command, folder)
+        config.check_resumed(command.cfg, config.read(command.folder), command.folder)
+        return command
+    command = replace(command, cfg=train_settings.finished(command))
+    _refuse_taken(command)
+    return command
+
+
+def _parsed(arguments: list[str], default: Train) -> Train:
+    return tyro.cli(
+        Train,
+        prog="league train",
+        args=arguments,
+        default=default,
+        config=(tyro.conf.OmitArgPrefixes,),
+    )
+
+
+def _with_new_names(arguments: list[str]) -> list[str]:
+    """Return arguments with today's names of flags."""
+    flags = [argument.partition("=")[0].replace("_", "-") for argument in arguments]
+    renamed = []
+    for argument, flag in zip(arguments, flags, strict=True):
+        if flag in OLD_FLAGS:
+            if flag == "--random-cars" and "--car-spread" in flags:
+                continue  # which says how much
+            argument = OLD_FLAGS[flag] + argument[len(flag) :]
+        renamed.append(argument)
+    return renamed
+
+
+def _refuse_taken(command: Train) -> None:
+    """Refuse to replace a run or a checkpoint unless that is asked for."""
+    if command.overwrite:
+        return
+    folder = command.folder
+    if run_folder.is_taken(folder):
+        raise ConfigError(
+            f"{folder} holds {run_folder.summary(folder)}: give --resume to go on with it, "
+            "--overwrite to start a new run in its place, or another --out"
+        )
+    if command.out.exists():
+        raise ConfigError(
+            f"{command.out} exists already: give --overwrite to have it replaced, or another --out"
+        )
+
+
+def _train(command: Train) -> int:
     from league.training.ppo import distributed
     from league.training.ppo.learner import threads
     from league.training.run import Run
 
-    if distributed.is_first() and any(name.startswith("generated:") for name in cfg.tracks):
+    cfg, is_first = command.cfg, distributed.is_first()
+    if is_first and any(name.startswith("generated:") for name in cfg.tracks):
         print("Drawing the tracks; hundreds take half a minute.", flush=True)
-    with threads(cfg.threads), _saved_on_sigterm():
-        run = Run(cfg, folder)
-        if command.resume:
-            _resume(command, run)
-        if not distributed.is_first():
-            return _learn_along(run)
+    with threads(cfg.threads), _interrupted_by_sigterm():
+        run = Run(cfg, command.folder)
         try:
-            outcome = run.learn(_looking_on(command, run))
+            if command.resume:
+                _resume(command, run)
+            callbacks = _callbacks(command, run) if is_first else []
+        except BaseException:
+            run.close()
+            raise
+        try:
+            outcome = run.learn(callbacks)
         except KeyboardInterrupt:
-            print(f"\nStopped. {_kept(command, folder)}", file=sys.stderr)
+            if is_first:
+                print(f"\nStopped. {_kept(command)}", file=sys.stderr)
             return 130
         except RewardError:
-            _tell_printed(folder)
-            print(f"{_kept(command, folder)}", file=sys.stderr)
+            if is_first:
+                _show_printed(command.folder)
+                print(_kept(command), file=sys.stderr)
             raise
-    _report(command, outcome)
-    return 0
-
-
-def _learn_along(run: Run) -> int:
-    """Learn as one of several processes of torchrun, in silence: the first one speaks."""
-    try:
-        run.learn()
-    except KeyboardInterrupt:
-        return 130
+    if is_first:
+        _report(command, outcome)
     return 0
 
 
 @contextmanager
-def _saved_on_sigterm() -> Iterator[None]:
-    """Let SIGTERM be what Ctrl-C is: what was learnt is saved, and the cursor comes back."""
+def _interrupted_by_sigterm() -> Iterator[None]:
+    """Treat SIGTERM as Ctrl-C, so that what was learnt is saved and the cursor comes back."""
 
     def stop(number: int, frame: object) -> None:
         raise KeyboardInterrupt
 
     if threading.current_thread() is not threading.main_thread():
-        yield  # only the main thread hears signals
+        yield  # only the main thread receives signals
         return
     before = signal.signal(signal.SIGTERM, stop)
     try:
@@ -194,54 +198,93 @@ def _saved_on_sigterm() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _kept(command: Train, folder: Path) -> str:
-    """Keep the best policy of a run that ends early under the name asked for; say what is kept."""
+def _resume(command: Train, run: Run) -> None:
+    """Load the run's state, and print how far it has come and how far it goes."""
+    from league.training.ppo import distributed
+
+    before = config.read(run.folder)
+    run.resume()
+    decisions = f"{run.learner.samples:,} decisions"
+    if run.over and command.out.exists():
+        raise ConfigError(
+            f"the run in {run.folder} is finished ({run.over}: {decisions}, "
+            f"{run.spent_s / 60:.3g} minutes): give --minutes or --steps above that, counted from "
+            "its beginning, to go on"
+        )
+    if not distributed.is_first():
+        return
+    if run.cfg.budget == before.budget:
+        rest = ", with the settings the run was started with."
+    else:
+        rest = (
+            f", to {_budget(run.cfg)} in all instead of {_budget(before)}; learning rate and noise "
+            "follow the whole budget."
+        )
+    print(f"Going on after {decisions} and {run.spent_s:.0f} s{rest}", flush=True)
+
+
+def _budget(cfg: RunConfig) -> str:
+    parts = [f"{cfg.minutes:g} min"] if cfg.minutes else []
+    if cfg.steps:
+        parts.append(f"{cfg.steps:,} decisions")
+    return " or ".join(parts)
+
+
+def _callbacks(command: Train, run: Run) -> list[TrainingCallback]:
+    from league.training.monitor.dashboard import Dashboard
+    from league.training.monitor.plot import TrainingPlot
+
+    cfg = run.cfg
+    callbacks: list[TrainingCallback] = []
+    if command.watch:
+        from league.training.monitor.viewer import LiveView
+
+        watching = LiveView(*run.learner.shown)
+        # Before the page, which draws over whatever is printed while it is open.
+        print(f"Watching live: {watching.address}", file=sys.stderr, flush=True)
+        callbacks.append(watching)
+    page = Dashboard(
+        run.train,
+        60.0 * cfg.minutes or None,
+        cfg.steps or None,
+        cfg.name,
+        plain=command.plain,
+    )
+    callbacks += [page, TrainingPlot(run.folder / "training.png")]
+    if command.tensorboard:
+        from league.training.monitor.tensorboard import TensorBoard
+
+        callbacks.append(TensorBoard(run.folder / "tensorboard"))
+    return callbacks
+
+
+def _kept(command: Train) -> str:
+    """Keep the best policy of a run that ends early as --out; return what is kept, as a line."""
+    folder = command.folder
     if not (folder / "state.pt").exists():
         return "Nothing was learnt yet."
     if not (folder / "last.pt").exists():
-        return f"Kept: {folder / 'state.pt'}, with what the tutor has learnt; go on with --resume."
+        state = folder / "state.pt"
+        return f"Kept: {state}, with what the teacher has learnt; go on with --resume."
     kept = f"Kept: {folder / 'last.pt'}"
     if (folder / "best.pt").exists():
-        _hand_over(folder / "best.pt", command.out)
+        _copy(folder / "best.pt", command.out)
         kept += f", and the best so far as {command.out}"
     return f"{kept}; go on with --resume."
 
 
-def _hand_over(best: Path, out: Path) -> None:
-    """Copy a run's best policy to where it was asked for."""
-    import shutil
-
-    from league.atomic_file import replacing
-    from league.errors import PolicyError
-
+def _copy(best: Path, out: Path) -> None:
     with replacing(out, "the checkpoint", PolicyError) as file:
         shutil.copyfile(best, file)
 
 
-def _tell_printed(folder: Path) -> None:
+def _show_printed(folder: Path) -> None:
     """Show the last of what a reward function has printed before it failed."""
-    from league.training.run_folder import PRINTED
-
-    printed = folder / PRINTED
+    printed = folder / run_folder.PRINTED
     if printed.exists():
         print(f"The last lines it printed (more of them: {printed}):", file=sys.stderr)
         for line in printed.read_text(encoding="utf-8").splitlines()[-5:]:
             print(f"  {line[:160]}", file=sys.stderr)
-
-
-def _resume(command: Train, run: Run) -> None:
-    from league.training.ppo import distributed
-    from league.training.run_config import settings
-
-    try:
-        before = settings(run.folder)
-        run.resume()
-        resuming.check_unfinished(command, run)
-    except BaseException:
-        run.close()
-        raise
-    if distributed.is_first():
-        print(resuming.going_on(run, before), flush=True)
 
 
 def _report(command: Train, outcome: Outcome) -> None:
@@ -249,65 +292,28 @@ def _report(command: Train, outcome: Outcome) -> None:
 
     if outcome.evaluation is not None:
         print_table(outcome.evaluation)
-    _hand_over(outcome.best, command.out)
+    _copy(outcome.best, command.out)
     if outcome.matrix is not None:
-        print(_told_of(outcome.matrix, command.out.with_suffix(".run")))
+        print(_win_rates(outcome.matrix, command.folder))
     print(
         f"{outcome.samples} decisions in {outcome.time_s:.0f} s; stopped because {outcome.why}.\n"
         f"Best policy: {command.out}   (race it: league race {command.out} centerline)\n"
-        f"The run, with best.pt, last.pt and training.png: {command.out.with_suffix('.run')}"
+        f"The run, with best.pt, last.pt and training.png: {command.folder}"
     )
 
 
-def _told_of(matrix: PayoffMatrix, folder: Path) -> str:
-    """Return who the best of self-play beats, and whom not."""
+def _win_rates(matrix: PayoffMatrix, folder: Path) -> str:
+    """Return which opponents the best policy of self-play beats, and which it does not."""
     from league.training.selfplay.pool import PARENT
 
-    whom = {"its parent": matrix.against(PARENT), "centerline": matrix.against("centerline")}
-    rates = {whose: rate for whose, rate in whom.items() if rate is not None}
-    parts = [f"{100 * rate:.0f} % against {whose}" for whose, rate in rates.items()]
+    rates = {"its parent": matrix.against(PARENT), "centerline": matrix.against("centerline")}
+    rates = {opponent: rate for opponent, rate in rates.items() if rate is not None}
+    parts = [f"{100 * rate:.0f} % against {opponent}" for opponent, rate in rates.items()]
     if matrix.smallest is not None:
         parts.append(f"at least {100 * matrix.smallest:.0f} % against its past")
-    said = f"It wins {', '.join(parts)}" if parts else "It has nobody to be compared with"
-    lines = [f"{said}, in mirrored races: {folder / 'win_matrix.png'}"]
-    lost = [whose for whose, rate in rates.items() if rate < 0.5]
+    wins = f"It wins {', '.join(parts)}" if parts else "It has no opponent to be compared with"
+    lines = [f"{wins}, in mirrored races: {folder / 'win_matrix.png'}"]
+    lost = [opponent for opponent, rate in rates.items() if rate < 0.5]
     if lost:
         lines.append(f"It loses to {' and '.join(lost)}: give it more time, or another --reward.")
     return "\n".join(lines)
-
-
-def _looking_on(command: Train, run: Run) -> list[TrainingCallback]:
-    """Return who looks on; where somebody cannot (no viewer, say), the run is let go of."""
-    try:
-        return _onlookers(command, run)
-    except BaseException:
-        run.close()
-        raise
-
-
-def _onlookers(command: Train, run: Run) -> list[TrainingCallback]:
-    from league.training.monitor.dashboard import Dashboard
-    from league.training.monitor.plot import TrainingPlot
-
-    cfg = run.cfg
-    found: list[TrainingCallback] = []
-    if command.watch:
-        from league.training.monitor.viewer import LiveView
-
-        view = LiveView(*run.learner.shown)
-        # Before the page, which draws over what is told while it is open.
-        print(f"Watching live: {view.address}", file=sys.stderr, flush=True)
-        found.append(view)
-    dashboard = Dashboard(
-        run.train,
-        60.0 * cfg.minutes or None,
-        cfg.steps or None,
-        cfg.name,
-        plain=command.plain,
-    )
-    found += [dashboard, TrainingPlot(run.folder / "training.png")]
-    if command.tensorboard:
-        from league.training.monitor.tensorboard import TensorBoard
-
-        found.append(TensorBoard(run.folder / "tensorboard"))
-    return found

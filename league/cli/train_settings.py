@@ -1,24 +1,24 @@
-"""What the flags of `league train` ask for, as the settings of a run."""
+"""Defaults of `league train` that depend on other flags, and what its flags must not contradict."""
 
 from __future__ import annotations
 
 import re
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from league.cli import flags
+from league.agents import checkpoint, roster
+from league.deepracer import hyperparameters
+from league.deepracer import model_metadata as metadata
+from league.envs.actions import ActionSpace, ContinuousActions, DiscreteActions, grid
 from league.errors import ConfigError, brief
+from league.sim.config import CameraConfig, LidarConfig, SensorConfig
+from league.training.config import PpoConfig, RunConfig, TrainConfig, read
 
 if TYPE_CHECKING:
-    from league.agents.network import NetworkConfig
     from league.cli.train import Train
-    from league.envs.actions import ActionSpace
-    from league.sim.config import DynamicsRandomization, SensorConfig
-    from league.training.run_config import RunConfig
-    from league.training.settings import PpoConfig, TrainConfig
-
 
 _WORK = 16_384
 """Decisions of usual settings that take 10 to 20 s on two cores."""
@@ -26,147 +26,122 @@ _STEPS_OF_LAPS = 256
 """Steps in which a policy that has learnt a little comes round most tracks: 17 s."""
 
 
-def config(command: Train) -> RunConfig:
-    """Return the settings of a new run.
+def defaults(command: Train) -> RunConfig:
+    """Return the settings of which the flags change some: of the resumed run, or of a new one.
 
     Raises:
-        LeagueError: a flag cannot be understood, or contradicts another.
+        LeagueError: there is no run, or a file or text that a flag names cannot be read.
     """
-    from league.training.run_config import RunConfig
-
-    _check(command)
-    minutes = command.minutes
-    if minutes is None:
-        minutes = 0.0 if command.steps else 5.0
-    return RunConfig(
-        train=_learner(command),
-        name=command.out.stem,
-        tracks=command.track,
-        reward=command.reward,
-        minutes=minutes,
-        steps=command.steps or 0,
-        stop_when_complete=command.stop_when_complete,
-        exam_tracks=command.exam_track,
-        exam_trials=command.exam_trials,
-        exam_every=command.exam_every,
-        opponents=command.opponents,
-        self_play=command.self_play,
-        scripted_share=command.scripted_share,
-        handicap=not command.no_handicap,
-        exam_opponents=command.exam_opponents,
-        init_from=_parent(command.init_from),
-        threads=command.threads,
-        licence=command.licence,
-        command=_printable(shlex.join(["league", *sys.argv[1:]]))[:2000],
+    cfg = _stored(command) if command.resume else _new(command)
+    if command.hyperparameters is None:
+        return cfg
+    return replace(
+        cfg, train=replace(cfg.train, ppo=_from_deepracer(command.hyperparameters, cfg.train))
     )
 
 
-def _check(command: Train) -> None:
+def _stored(command: Train) -> RunConfig:
+    cfg = read(command.folder)
+    train = cfg.train
+    if command.action_space is not None:
+        train = replace(train, action_space=parse_actions(command.action_space))
+    if command.sensors is not None:
+        train = replace(train, sensors=parse_sensors(command.sensors))
+    return replace(cfg, train=train)
+
+
+def _new(command: Train) -> RunConfig:
+    cfg = command.cfg
+    train = _with_body(command, cfg.train)
+    ppo = PpoConfig(rollout=train.ppo.rollout)
+    if cfg.init_from:
+        ppo = ppo.refining()
+    cars = 1
+    if train.kind == "head_to_head":
+        cars = 2 if cfg.self_play else 1 + len(cfg.opponents)
+        train = replace(train, critic_hidden=(256, 256))
+        ppo = ppo.racing()
+    return replace(
+        cfg,
+        minutes=0.0 if cfg.steps else cfg.minutes,
+        train=replace(train, num_cars=cars, ppo=ppo),
+    )
+
+
+def finished(command: Train) -> RunConfig:
+    """Return the settings of a new run, from all flags.
+
+    Raises:
+        ConfigError: flags contradict each other, or would be ignored.
+    """
+    cfg = command.cfg
+    _check(cfg)
+    line = shlex.join(["league", *sys.argv[1:]])[:2000]
+    return replace(
+        cfg,
+        name=command.out.stem,
+        train=replace(cfg.train, save_every=_save_every(cfg.train)),
+        command="".join(sign if sign.isprintable() else " " for sign in line),
+    )
+
+
+def _check(cfg: RunConfig) -> None:
     """Refuse flags that would be ignored, or that contradict each other."""
-    avoiding = (command.kind == "obstacle_avoidance", "--kind obstacle_avoidance")
-    racing = (command.kind == "head_to_head", "--kind head_to_head")
-    needs = {
-        "obstacles": avoiding,
-        "bots": avoiding,
-        "opponents": racing,
-        "self_play": racing,
-        "scripted_share": (command.self_play, "--self-play"),
-        "no_handicap": (command.self_play, "--self-play"),
-        "cars": (command.self_play, "--self-play"),
-        "car_spread": (command.random_cars, "--random-cars"),
-    }
-    flags.refuse_ignored(command, needs)
-    if command.kind == "head_to_head" and command.self_play == bool(command.opponents):
+    train, plain, racing = cfg.train, RunConfig(), cfg.train.kind == "head_to_head"
+    obstacles = train.obstacles != plain.train.obstacles
+    share = cfg.scripted_share != plain.scripted_share
+    cars = train.num_cars != 1 + racing * len(cfg.opponents)
+    for needed, is_there, flags in (
+        (
+            "--kind obstacle_avoidance",
+            train.kind == "obstacle_avoidance",
+            {"--obstacles": obstacles, "--bots": train.bots},
+        ),
+        (
+            "--kind head_to_head",
+            racing,
+            {"--opponents": cfg.opponents, "--self-play": cfg.self_play},
+        ),
+        (
+            "--self-play",
+            cfg.self_play,
+            {"--scripted-share": share, "--no-handicap": not cfg.handicap, "--cars": cars},
+        ),
+    ):
+        for flag, is_given in flags.items():
+            if is_given and not is_there:
+                raise ConfigError(f"{flag} means nothing without {needed}: give both, or neither")
+    if racing and cfg.self_play == bool(cfg.opponents):
         raise ConfigError(
-            "--kind head_to_head needs somebody to race: give either --opponents NAME ... or "
-            "--self-play"
+            "--kind head_to_head needs opponents: give either --opponents NAME ... or --self-play"
         )
-    if command.forgiving and command.reward == "centerline":
+    if cfg.self_play and not 2 <= train.num_cars <= 8:
+        raise ConfigError(f"--cars is {train.num_cars}: give 2 to 8")
+    if train.ppo.bootstrap_on_failure and cfg.reward == "centerline":
         raise ConfigError(
-            "--forgiving makes a mistake cost what the reward takes for it, and centerline takes "
-            "nothing: omit it, or give another reward"
+            "--bootstrap-on-failure makes a mistake cost what the reward takes for it, and "
+            "centerline takes nothing: omit it, or give another reward"
         )
-    if not 2 <= command.cars <= 8:
-        raise ConfigError(f"--cars is {command.cars}: give 2 to 8")
-    if not 1 <= command.threads <= 1024:
-        raise ConfigError(f"--threads is {command.threads}: give 1 to 1024")
+    cfg.check()
 
 
-def _parent(name: str) -> str:
+def parent_path(name: str) -> str:
     """Return the checkpoint to begin from; a policy of the garage may be given by its name."""
-    from league.agents import roster
-
     return str(roster.garage().get(name, name))
 
 
-def _printable(text: str) -> str:
-    return "".join(sign if sign.isprintable() else " " for sign in text)
-
-
-def _learner(command: Train) -> TrainConfig:
-    from league.sim.config import VisualRandomization
-    from league.training.settings import PpoConfig, TrainConfig
-
-    space, sensors, network = _body(command)
-    given = {
-        "learning_rate": command.learning_rate,
-        "noise": command.noise,
-        "gamma": command.gamma,
-        "lam": command.lam,
-        "forgiving": command.forgiving or None,
-        "epochs": command.epochs,
-        "mini_batches": command.mini_batches,
-        "steps": command.rollout,
-    }
-    base = PpoConfig().refining() if command.init_from else PpoConfig()
-    if command.kind == "head_to_head":
-        base = base.racing()
-    if command.hyperparameters is not None:
-        base = _from_deepracer(command.hyperparameters, base, command, space)
-    from dataclasses import replace
-
-    ppo = replace(base, **{name: value for name, value in given.items() if value is not None})
-    cars = 1
-    if command.kind == "head_to_head":
-        cars = command.cars if command.self_play else 1 + len(command.opponents)
-    return TrainConfig(
-        kind=command.kind,
-        num_worlds=command.num_worlds,
-        num_cars=cars,
-        seed=command.seed,
-        device=command.device,
-        action_space=space,
-        sensors=sensors,
-        network=network,
-        ppo=ppo,
-        critic_hidden=(256, 256) if command.kind == "head_to_head" else (128, 128),
-        mirror=not command.no_mirror,
-        both_directions=command.both_directions,
-        looks=VisualRandomization(light=0.3, colour=0.15, noise=6.0, blur=0.6)
-        if command.random_looks
-        else None,
-        spread=_spread(command.car_spread) if command.random_cars else None,
-        obstacles=command.obstacles,
-        bots=command.bots,
-        tutor=command.tutor,
-        save_every=_save_every(command.device, command.num_worlds, ppo, sensors),
-    )
-
-
-def _save_every(device: str, num_worlds: int, ppo: PpoConfig, sensors: SensorConfig) -> int:
+def _save_every(train: TrainConfig) -> int:
     """Return the updates between two save points: as many as take 10 to 20 s, by their work.
 
-    How long a card takes is not known: there it is as many as take a car round most tracks, for
-    rows restart at a save point.
-
-    Decisions count, passes over them, and pixels where they are more than usual. Where a single
-    update takes long, that is told: it can neither be saved nor ended before it is over.
+    Work counts decisions, passes over them, and pixels where they are more than usual. How long a
+    GPU takes is not known: there it is as many updates as take a car round most tracks, since rows
+    restart at a save point.
     """
-    if not device.startswith("cpu"):
-        return max(1, _STEPS_OF_LAPS // ppo.steps)
-    camera, usual = sensors.camera, 2 * 64 * 48
+    ppo, camera = train.ppo, train.sensors.camera
+    if not train.device.startswith("cpu"):
+        return max(1, _STEPS_OF_LAPS // ppo.rollout)
     pixels = camera.width * camera.height * camera.num_eyes if camera else 0
-    work = num_worlds * ppo.steps * max(ppo.epochs / 6, 0.5) * max(pixels / usual, 1.0)
+    work = train.samples * max(ppo.epochs / 6, 0.5) * max(pixels / (2 * 64 * 48), 1.0)
     if work > 2 * _WORK:
         print(
             f"an update is some {work / 4096:.0f} times the work of a usual one, which takes 4 s "
@@ -177,89 +152,67 @@ def _save_every(device: str, num_worlds: int, ppo: PpoConfig, sensors: SensorCon
     return int(max(1, min(8, _WORK // max(work, 1))))
 
 
-def _body(command: Train) -> tuple[ActionSpace, SensorConfig, NetworkConfig]:
-    """Return what the policy may ask for, what its car carries, and its layers.
-
-    What is not asked for is the parent's, if there is one.
-    """
-    from league.agents import checkpoint
-    from league.training.settings import TrainConfig
-
-    actions, senses = command.action_space, command.sensors
-    if senses is None and actions is not None and actions.endswith(".json"):
-        senses = (actions,)  # a model_metadata.json sets both
-    if not command.init_from:
+def _with_body(command: Train, train: TrainConfig) -> TrainConfig:
+    """Return settings with the action space, sensors and layers asked for, or the parent's."""
+    actions, sensor_names = command.action_space, command.sensors
+    if sensor_names is None and actions is not None and actions.endswith(".json"):
+        sensor_names = (actions,)  # a model_metadata.json sets both
+    name = command.cfg.init_from
+    if not name:
         space = parse_actions(actions or "0.5-4")
-        return space, parse_sensors(senses or ("stereo64x48",)), TrainConfig().network
-    parent = checkpoint.load(_parent(command.init_from)).card
+        return replace(
+            train,
+            action_space=space,
+            sensors=parse_sensors(sensor_names or ("stereo64x48",)),
+        )
+    parent = checkpoint.load(parent_path(name)).card
     space = parse_actions(actions) if actions else parent.action_space
-    sensors = parent.sensors if senses is None else parse_sensors(senses)
+    sensors = parent.sensors if sensor_names is None else parse_sensors(sensor_names)
     if sensors != parent.sensors:
         raise ConfigError(
-            f"--sensors are not those of {command.init_from}, whose eyes learnt to see with its "
-            "own: omit --sensors, or start a new run without --init-from"
+            f"--sensors are not those of {name}, which has learnt to see with its own: omit "
+            "--sensors, or start a new run without --init-from"
         )
     if type(space) is not type(parent.action_space) or space.size != parent.action_space.size:
         raise ConfigError(
-            f"--action-space is of another kind than that of {command.init_from}: omit it, "
+            f"--action-space is of another kind than that of {name}: omit it, "
             "or start a new run without --init-from"
         )
     if space != parent.action_space:
         print(
-            f"--action-space is another than that of {command.init_from}: what it has learnt to "
+            f"--action-space is another than that of {name}: what it has learnt to "
             "ask for now means something else",
             file=sys.stderr,
         )
-    return space, sensors, parent.network
+    return replace(train, action_space=space, sensors=sensors, network=parent.network)
 
 
-def _spread(share: float) -> DynamicsRandomization:
-    """Return how far cars differ: 1 as far as ones of one model do, less in proportion."""
-    from league.sim.config import DynamicsRandomization
-
-    if not 0 < share <= 2:
-        raise ConfigError(f"--car-spread is {share}: give more than 0, at most 2")
-    return DynamicsRandomization(
-        grip=0.15 * share,
-        mass=0.1 * share,
-        latency_s=0.03 * share,
-        steering_offset=0.02 * share,
-        camera_position=0.01 * share,
-        camera_angle=0.02 * share,
-    )
-
-
-def _from_deepracer(path: Path, ppo: PpoConfig, command: Train, space: ActionSpace) -> PpoConfig:
+def _from_deepracer(path: Path, train: TrainConfig) -> PpoConfig:
     """Return the learner's settings with those that a hyperparameters.json names."""
-    from dataclasses import replace
-
-    from league.deepracer import hyperparameters
-    from league.envs.actions import DiscreteActions
-
     asked = hyperparameters.read(path)
-    rollout = command.num_worlds * (command.rollout or ppo.steps)
+    changes: dict[str, object] = {}
     if asked.lr is not None:
-        ppo = replace(ppo, learning_rate=(asked.lr, asked.lr))
+        changes["learning_rate"] = (asked.lr, asked.lr)
     if asked.discount_factor is not None:
-        ppo = replace(ppo, gamma=asked.discount_factor)
+        changes["gamma"] = asked.discount_factor
     if asked.num_epochs is not None:
-        ppo = replace(ppo, epochs=asked.num_epochs)
+        changes["epochs"] = asked.num_epochs
     if asked.batch_size is not None:
-        ppo = replace(ppo, mini_batches=max(1, rollout // asked.batch_size))
-        if asked.batch_size > rollout:
+        changes["mini_batches"] = max(1, train.samples // asked.batch_size)
+        if asked.batch_size > train.samples:
             print(
-                f"{path}: batch_size is {asked.batch_size}, and a rollout has {rollout} decisions, "
-                "which are one batch",
+                f"{path}: batch_size is {asked.batch_size}, and a rollout has {train.samples} "
+                "decisions, which are one batch",
                 file=sys.stderr,
             )
-    taken = {"lr", "discount_factor", "num_epochs", "batch_size", "stack_size"}
-    if asked.beta_entropy is not None and isinstance(space, DiscreteActions):
-        ppo = replace(ppo, entropy=(asked.beta_entropy, asked.beta_entropy))
-        taken.add("beta_entropy")
-    left = [name for name in asked.model_dump(exclude_none=True) if name not in taken]
-    if left:
-        print(f"{path}: {', '.join(left)} not used here (docs/training.md)", file=sys.stderr)
-    return ppo
+    used = {"lr", "discount_factor", "num_epochs", "batch_size", "stack_size"}
+    if asked.beta_entropy is not None and isinstance(train.action_space, DiscreteActions):
+        changes["entropy"] = (asked.beta_entropy, asked.beta_entropy)
+        used.add("beta_entropy")
+    unused = [name for name in asked.model_dump(exclude_none=True) if name not in used]
+    if unused:
+        print(f"{path}: {', '.join(unused)} not used here (docs/training.md)", file=sys.stderr)
+    return train.with_ppo(**changes).ppo
 
 
 def parse_actions(text: str) -> ActionSpace:
@@ -268,22 +221,18 @@ def parse_actions(text: str) -> ActionSpace:
     Raises:
         ConfigError: it is none of these.
     """
-    from league.envs.actions import ContinuousActions, grid
-
     if text.endswith(".json"):
-        from league.deepracer import model_metadata as metadata
-
-        found = metadata.read(text)
-        for note in found.notes:
+        model = metadata.read(text)
+        for note in model.notes:
             print(f"{text}: {note}", file=sys.stderr)
-        return found.action_space
+        return model.action_space
     number = r"([0-9]{1,3}(?:\.[0-9]{1,6})?)"
-    if found := re.fullmatch(rf"{number}-{number}(?:@{number})?", text):
-        low, high, steering = found.groups()
+    if match := re.fullmatch(rf"{number}-{number}(?:@{number})?", text):
+        low, high, steering = match.groups()
         degrees = float(steering or 30.0)
         return ContinuousActions(-degrees, degrees, float(low), float(high))
-    if found := re.fullmatch(rf"([0-9]{{1,3}})x([0-9]{{1,3}})(?:@{number})?", text):
-        steerings, speeds, fastest = found.groups()
+    if match := re.fullmatch(rf"([0-9]{{1,3}})x([0-9]{{1,3}})(?:@{number})?", text):
+        steerings, speeds, fastest = match.groups()
         return grid(int(steerings), 30.0, int(speeds), float(fastest or 1.0))
     raise ConfigError(
         f"--action-space is {brief(text)}: give speeds such as 0.5-4 [m/s], a grid such "
@@ -297,16 +246,12 @@ def parse_sensors(names: tuple[str, ...]) -> SensorConfig:
     Raises:
         ConfigError: it is none of these, or two of a kind.
     """
-    from league.sim.config import CameraConfig, LidarConfig, SensorConfig
-
     if len(names) == 1 and names[0].endswith(".json"):
-        from league.deepracer import model_metadata as metadata
-
         return metadata.read(names[0]).sensors
     cameras, lidars = [], []
     for name in names:
-        if found := re.fullmatch(r"(stereo|mono|left)([0-9]{1,4})x([0-9]{1,4})", name):
-            eyes, width, height = found.groups()
+        if match := re.fullmatch(r"(stereo|mono|left)([0-9]{1,4})x([0-9]{1,4})", name):
+            eyes, width, height = match.groups()
             cameras.append(CameraConfig(int(width), int(height), eyes=eyes))  # type: ignore
         elif name in ("lidar", "sectors", "discretised"):
             lidars.append(LidarConfig(form="ranges" if name == "lidar" else name))  # type: ignore

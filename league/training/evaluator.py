@@ -1,4 +1,4 @@
-"""The judge: evaluates policies in Bullet from the start line, beside the learner."""
+"""Evaluations during training: policies drive in Bullet from the start line, in another process."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import multiprocessing
 import os
 import queue
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from league import subprocesses
@@ -19,13 +18,13 @@ from league.racing.table import Evaluation
 from league.sim.config import ObstacleConfig, RaceKind, SimConfig
 from league.track.track import Track, TrackSet
 
-PATIENCE_S = 600.0
-"""Longest wait for one judgement [s]."""
+TIMEOUT_S = 600.0
+"""Longest wait for one evaluation [s]."""
 
 
 @dataclass(frozen=True)
-class Exam:
-    """What a policy is asked to do, the same every time."""
+class EvalConfig:
+    """What every policy of a run is evaluated on."""
 
     tracks: tuple[Track, ...]
     """Where it drives, one after the other."""
@@ -40,60 +39,52 @@ class Exam:
     bots: bool = False
     """Bot cars instead of boxes."""
     opponents: tuple[str, ...] = ()
-    """Who races against it, behind it on the grid."""
+    """Drivers that race against it, behind it on the grid."""
     seed: int = 1_000
     """Seed of the first run; training draws others."""
 
 
 @dataclass(frozen=True)
-class Judgement:
-    """What came of an exam."""
+class EvalResult:
+    """The evaluation of one policy."""
 
     number: int
     """Updates before it."""
     evaluation: Evaluation
     """All trials, on all tracks."""
-    took_s: float
+    duration_s: float
     """How long it took [s]."""
 
 
-def judged(exam: Exam, checkpoint: Checkpoint) -> Evaluation:
-    """Return how a policy does in an exam; trials of several tracks are counted on."""
+def evaluate_policy(cfg: EvalConfig, checkpoint: Checkpoint) -> Evaluation:
+    """Return the evaluation of a policy, with the trials of several tracks numbered through."""
     car = SimConfig().car
-    kind: RaceKind = "head_to_head" if exam.opponents else exam.kind
-    found = []
-    for track in exam.tracks:
-        tracks = TrackSet(track)
-        found.append(
-            evaluate(
-                Policy(checkpoint, car),
-                track,
-                laps=exam.laps,
-                trials=exam.trials,
-                kind=kind,
-                mode="episode",
-                seed=exam.seed,
-                obstacles=ObstacleConfig(count=exam.obstacles, kind="bot" if exam.bots else "box"),
-                opponents=[roster.load(name, tracks, car) for name in exam.opponents],
-            )
+    evaluations = [
+        evaluate(
+            Policy(checkpoint, car),
+            track,
+            laps=cfg.laps,
+            trials=cfg.trials,
+            kind="head_to_head" if cfg.opponents else cfg.kind,
+            mode="episode",
+            seed=cfg.seed,
+            obstacles=ObstacleConfig(count=cfg.obstacles, kind="bot" if cfg.bots else "box"),
+            opponents=[roster.load(name, TrackSet(track), car) for name in cfg.opponents],
         )
-    return joined(found)
-
-
-def joined(found: Sequence[Evaluation]) -> Evaluation:
-    """Return evaluations on several tracks as one, with the trials counted on."""
-    first = found[0]
-    if len(found) == 1:
+        for track in cfg.tracks
+    ]
+    first = evaluations[0]
+    if len(evaluations) == 1:
         return first
-    trials = [one for evaluation in found for one in evaluation.trials]
+    trials = [trial for evaluation in evaluations for trial in evaluation.trials]
     return first.model_copy(
         update={
-            "track": f"{len(found)} tracks",
-            "asked": sum(one.asked for one in found),
+            "track": f"{len(evaluations)} tracks",
+            "asked": sum(evaluation.asked for evaluation in evaluations),
             "trials": tuple(
-                one.model_copy(update={"trial": number}) for number, one in enumerate(trials, 1)
+                trial.model_copy(update={"trial": number}) for number, trial in enumerate(trials, 1)
             ),
-            "places": tuple(place for one in found for place in one.places),
+            "places": tuple(place for evaluation in evaluations for place in evaluation.places),
         }
     )
 
@@ -108,105 +99,108 @@ MODULES = (
 """Modules that an evaluating process imports."""
 
 
-class Judge:
-    """A process that judges what it is handed, in order, while learning goes on."""
+class Evaluator:
+    """A process that evaluates policies in the order of submission, while learning goes on."""
 
-    def __init__(self, exam: Exam, *, beside: bool = True) -> None:
-        """Have it ready; its process starts with the first policy.
+    def __init__(self, cfg: EvalConfig, *, background: bool = True) -> None:
+        """Prepare; the process starts with the first policy.
 
         Args:
-            exam: what every policy is asked to do.
-            beside: whether to judge in a process of its own, or at once in this one.
+            cfg: what every policy is evaluated on.
+            background: whether to evaluate in a process of its own, or at once in this one.
         """
-        self._exam, self._waiting, self._done = exam, 0, []
-        self._beside, self._process = beside, None
-        if beside:
+        self._cfg, self._background, self._process = cfg, background, None
+        self._pending, self._results = 0, []
+        if background:
             subprocesses.prepare(MODULES)
-            self._orders, self._answers = subprocesses.CONTEXT.Queue(), subprocesses.CONTEXT.Queue()
-            # Left unread, an order would keep this process from ending.
-            self._orders.cancel_join_thread()
+            self._policies = subprocesses.CONTEXT.Queue()
+            self._answers = subprocesses.CONTEXT.Queue()
+            # Left unread, a policy would keep this process from ending.
+            self._policies.cancel_join_thread()
 
     @property
-    def waiting(self) -> int:
-        """Policies handed over and not yet judged."""
-        return self._waiting
+    def pending(self) -> int:
+        """Policies submitted and not yet evaluated."""
+        return self._pending
 
-    def hand(self, number: int, checkpoint: Checkpoint) -> None:
-        """Hand over a policy as it was after an update.
+    def submit(self, number: int, checkpoint: Checkpoint) -> None:
+        """Evaluate a policy as it was after an update.
 
         Raises:
             ConfigError: no process can be started.
         """
-        if not self._beside:
-            started = time.perf_counter()
-            evaluation = judged(self._exam, checkpoint)
-            self._done.append(Judgement(number, evaluation, time.perf_counter() - started))
+        if not self._background:
+            self._results.append(_evaluated(self._cfg, number, checkpoint))
             return
         if self._process is None:
-            self._process = subprocesses.start(_work, self._exam, self._orders, self._answers)
-        self._waiting += 1
-        self._orders.put((number, checkpoint.card, dict(checkpoint.weights)))
+            self._process = subprocesses.start(_work, self._cfg, self._policies, self._answers)
+        self._pending += 1
+        self._policies.put((number, checkpoint.card, dict(checkpoint.weights)))
 
-    def take(self, *, wait: bool = False) -> list[Judgement]:
-        """Return the judgements that have come; with `wait` at least one, if any is due.
+    def take(self, *, wait: bool = False) -> list[EvalResult]:
+        """Return and forget the results so far; with `wait` at least one, if any is pending.
 
         Raises:
             PolicyError: the process has died.
         """
-        found, self._done = self._done, []
-        while self._waiting:
+        results, self._results = self._results, []
+        while self._pending:
             try:
-                found.append(self._next(wait and not found))
+                results.append(self._next(wait and not results))
             except queue.Empty:
                 break
-            self._waiting -= 1
-        return found
+            self._pending -= 1
+        return results
 
-    def come(self) -> tuple[Judgement, ...]:
-        """Return the judgements that have come; they stay, to be taken later."""
-        self._done = self.take()
-        return tuple(self._done)
+    def peek(self) -> tuple[EvalResult, ...]:
+        """Return the results so far, which stay to be taken."""
+        self._results = self.take()
+        return tuple(self._results)
 
     def close(self) -> None:
-        """Stop it, whatever it is doing."""
+        """Stop the process, whatever it is doing."""
         if self._process is not None:
             self._process.terminate()
             self._process.join(5.0)
             self._process = None
-        if self._beside:
-            self._orders.close()
+        if self._background:
+            self._policies.close()
             self._answers.close()
 
-    def _next(self, wait: bool) -> Judgement:
+    def _next(self, wait: bool) -> EvalResult:
         assert self._process is not None
-        patience = time.monotonic() + PATIENCE_S
+        deadline = time.monotonic() + TIMEOUT_S
         while True:
             try:
                 answer = self._answers.get(timeout=0.5) if wait else self._answers.get_nowait()
             except queue.Empty:
-                if self._process.is_alive() and time.monotonic() < patience and not wait:
+                if self._process.is_alive() and time.monotonic() < deadline:
+                    if wait:
+                        continue
                     raise
-                if not self._process.is_alive() or time.monotonic() >= patience:
-                    self._waiting = 0
-                    raise PolicyError(
-                        "the process that evaluates has died: see whether memory ran out, and "
-                        "go on with --resume"
-                    ) from None
-                continue
+                self._pending = 0
+                raise PolicyError(
+                    "the process that evaluates has died: see whether memory ran out, and "
+                    "go on with --resume"
+                ) from None
             if isinstance(answer, str):
                 raise PolicyError(answer)
             return answer
 
 
-def _work(exam: Exam, orders: multiprocessing.Queue, answers: multiprocessing.Queue) -> None:
-    """Judge until stopped."""
+def _evaluated(cfg: EvalConfig, number: int, checkpoint: Checkpoint) -> EvalResult:
+    started = time.perf_counter()
+    evaluation = evaluate_policy(cfg, checkpoint)
+    return EvalResult(number, evaluation, time.perf_counter() - started)
+
+
+def _work(cfg: EvalConfig, policies: multiprocessing.Queue, answers: multiprocessing.Queue) -> None:
+    """Evaluate until stopped."""
     os.nice(10)  # where cores are few, learning goes first
     while True:
-        number, card, weights = orders.get()
-        started = time.perf_counter()
+        number, card, weights = policies.get()
         try:
-            evaluation = judged(exam, Checkpoint(card, weights))
+            answers.put(_evaluated(cfg, number, Checkpoint(card, weights)))
         except LeagueError as error:
             answers.put(str(error))
             return
-        answers.put(Judgement(number, evaluation, time.perf_counter() - started))

@@ -1,4 +1,4 @@
-"""The folder of a run: whether it holds one, and how a new run takes its place."""
+"""The folder of a run: its lock, whether it holds a run, and how a new one replaces that."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from league.errors import ConfigError, PolicyError
 from league.training.monitor import history
 
 LEARNT = ("best.pt", "last.pt", "state.pt")
-"""What cannot be had again without learning it again."""
+"""Files that only learning again would bring back."""
 PRINTED = "printed.txt"
 """The last lines that a reward function has printed."""
 _PICTURES = (PRINTED, "training.png", "win_matrix.json", "win_matrix.png", "pool/pool.json")
@@ -17,7 +17,7 @@ _MANY = ("pool/*.pt", "tensorboard/events.out.tfevents.*")
 
 
 def lock(folder: Path) -> int | None:
-    """Keep other runs out of a folder; give the answer to `unlock`.
+    """Keep other runs out of a folder, until `unlock` of the result or the process's end.
 
     Raises:
         ConfigError: a run is learning in it.
@@ -34,24 +34,24 @@ def lock(folder: Path) -> int | None:
         raise ConfigError(
             f"another run is learning in {folder}: wait for its end, or give another --out"
         ) from None
-    except OSError:  # a file system that knows no locks
+    except OSError:  # a file system without locks
         os.close(handle)
         return None
     return handle
 
 
 def unlock(handle: int | None) -> None:
-    """Let others into the folder; a run that was killed has let go of it, too."""
+    """Let other runs into the folder."""
     if handle is not None:
         os.close(handle)
 
 
 def is_taken(folder: Path) -> bool:
-    """Whether a run has learnt something there; one that was stopped before that may be lost."""
+    """Whether a run has saved something there."""
     return any((folder / name).exists() for name in LEARNT)
 
 
-def told(folder: Path) -> str:
+def summary(folder: Path) -> str:
     """Return how far the run in a folder has come, as a phrase."""
     try:
         rows = history.read(folder / "history.jsonl")
@@ -64,7 +64,7 @@ def told(folder: Path) -> str:
 
 
 def clear(folder: Path) -> None:
-    """Remove what an earlier run has left, and nothing else that lies there."""
+    """Remove the files of an earlier run, and no others."""
     for name in (*LEARNT, *_PICTURES):
         (folder / name).unlink(missing_ok=True)
     for pattern in _MANY:

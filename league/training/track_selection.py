@@ -11,17 +11,17 @@ from league.track.generate import generate
 from league.track.track import Track, TrackSet
 
 GENERATED = "generated:"
-MOST_GENERATED = 2000
-MOST_TOGETHER = 4
-"""Named tracks to be judged on, at most."""
-JUDGED_TOGETHER = 12
-"""Random tracks to be judged on."""
-FIRST_EXAM_SEED = 1_000_000
-"""Random tracks to be judged on count from here, so that none of them is ever trained on."""
+MAX_GENERATED = 2000
+MAX_EVALUATED = 4
+"""Largest number of named tracks to evaluate on."""
+RANDOM_EVALUATED = 12
+"""Random tracks to evaluate on."""
+FIRST_EVALUATED = 1_000_000
+"""Seed of the first random track to evaluate on, beyond all that are trained on."""
 
 
 def load(names: Sequence[str]) -> list[Track]:
-    """Return the courses of some names.
+    """Return the tracks of some names.
 
     Raises:
         TrackError: there is no such track.
@@ -29,17 +29,17 @@ def load(names: Sequence[str]) -> list[Track]:
     """
     if not names:
         raise ConfigError("no track was named: give --track NAME, `league tracks` lists them")
-    found: list[Track] = []
+    tracks: list[Track] = []
     for name in names:
         if name.startswith(GENERATED):
-            found += [drawn(seed) for seed in range(_number(name))]
+            tracks += [random_track(seed) for seed in range(_number(name))]
         else:
-            found.append(files.load(name))
-    return found
+            tracks.append(files.load(name))
+    return tracks
 
 
 def count(names: Sequence[str]) -> int:
-    """Return how many courses these names are, without drawing any.
+    """Return the number of tracks of some names, without generating any.
 
     Raises:
         ConfigError: no number of random ones.
@@ -47,7 +47,7 @@ def count(names: Sequence[str]) -> int:
     return sum(_number(name) if name.startswith(GENERATED) else 1 for name in names)
 
 
-def drawn(seed: int) -> Track:
+def random_track(seed: int) -> Track:
     """Return a random track to train on.
 
     Every third one has bends near the smallest turn a car can make; every third one is narrow with
@@ -62,26 +62,26 @@ def drawn(seed: int) -> Track:
     return generate(seed, length=length)
 
 
-def to_judge_on(names: Sequence[str]) -> list[Track]:
-    """Return where to judge a policy that trains on these: there, or on random ones never seen."""
+def for_evaluation(names: Sequence[str]) -> list[Track]:
+    """Return the tracks to evaluate on, by those of training: some of them, or random others."""
     named = [name for name in names if not name.startswith(GENERATED)]
     if named:
-        return load(named[:MOST_TOGETHER])
-    return [drawn(FIRST_EXAM_SEED + number) for number in range(JUDGED_TOGETHER)]
+        return load(named[:MAX_EVALUATED])
+    return [random_track(FIRST_EVALUATED + number) for number in range(RANDOM_EVALUATED)]
 
 
 def together(tracks: Sequence[Track], both_directions: bool) -> TrackSet:
-    """Return the set of courses, each of them the other way round too if asked."""
+    """Return the set of tracks, with each one reversed too if asked."""
     if both_directions:
-        tracks = [way for track in tracks for way in (track, track.reversed())]
+        tracks = [either for track in tracks for either in (track, track.reversed())]
     return TrackSet(*tracks)
 
 
 def _number(name: str) -> int:
     text = name.removeprefix(GENERATED)
-    if not text.isdecimal() or not 1 <= int(text) <= MOST_GENERATED:
+    if not text.isdecimal() or not 1 <= int(text) <= MAX_GENERATED:
         raise ConfigError(
             f"{brief(name)} is no number of random tracks: give generated:1 to "
-            f"generated:{MOST_GENERATED}"
+            f"generated:{MAX_GENERATED}"
         )
     return int(text)

@@ -6,8 +6,8 @@ import torch
 
 from league.racing.table import Evaluation, Trial
 from league.training.monitor.history import History
-from league.training.ppo.episode_stats import Episodes
 from league.training.ppo.learner import Update
+from league.training.ppo.statistics import EpisodeStatistics
 
 
 def update(number: int, *, loss: float = 0.25) -> Update:
@@ -23,9 +23,9 @@ def update(number: int, *, loss: float = 0.25) -> Update:
     )
 
 
-def episodes(completion: float) -> Episodes:
+def episodes(completion: float) -> EpisodeStatistics:
     """Return the episodes of one row, of which one came so far and earned 5."""
-    made = Episodes(1)
+    made = EpisodeStatistics(1)
     made.add(torch.tensor([5.0]), torch.tensor([1]), {"driven": torch.tensor([completion])})
     return made
 

@@ -12,8 +12,8 @@ from league.agents.checkpoint import Checkpoint
 from league.agents.network import NetworkConfig
 from league.envs.actions import ContinuousActions
 from league.sim.config import CameraConfig, SensorConfig
-from league.training.run import Run, RunConfig
-from league.training.settings import PpoConfig, TrainConfig
+from league.training.config import PpoConfig, RunConfig, TrainConfig
+from league.training.run import Run
 
 CAMERA = SensorConfig(camera=CameraConfig(width=24, height=18))
 SAMPLES = 32
@@ -28,7 +28,7 @@ def train(**changes) -> TrainConfig:
         sensors=SensorConfig(),
         network=NetworkConfig(channels=(4, 4), kernels=(3, 3), strides=(2, 2), hidden=(16,)),
         critic_hidden=(16,),
-        ppo=PpoConfig(steps=8, epochs=1, mini_batches=2),
+        ppo=PpoConfig(rollout=8, epochs=1, mini_batches=2),
         episode_s=2.0,
         save_every=2,
     )
@@ -43,7 +43,7 @@ def cfg(updates: int = 4, **changes) -> RunConfig:
         reward="centerline",
         minutes=0,
         steps=updates * SAMPLES,
-        exam_laps=1,
+        eval_laps=1,
         command="league train --out tiny.pt",
     )
     return replace(base, **changes)
@@ -51,7 +51,7 @@ def cfg(updates: int = 4, **changes) -> RunConfig:
 
 def run(folder: Path, asked: RunConfig | None = None) -> Run:
     """Return a run that judges at once, in this process."""
-    return Run(asked or cfg(), folder, beside=False)
+    return Run(asked or cfg(), folder, background=False)
 
 
 def weights(path: Path) -> dict[str, np.ndarray]:
@@ -65,7 +65,7 @@ def equal(one: Path, other: Path) -> bool:
     return mine.keys() == its.keys() and all(np.array_equal(mine[name], its[name]) for name in mine)
 
 
-class Onlooker:
+class CallbackRecorder:
     """Counts what it is told; may do something after an update."""
 
     def __init__(self, after=None) -> None:

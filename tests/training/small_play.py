@@ -17,11 +17,11 @@ from league.agents.checkpoint import Checkpoint
 from league.agents.network import NetworkConfig
 from league.sim.config import CarConfig, SensorConfig
 from league.track.track import TrackSet
+from league.training.config import PpoConfig, TrainConfig
 from league.training.ppo import make_env
 from league.training.ppo.learner import Learner
 from league.training.selfplay import SelfPlay, SelfPlayConfig
 from league.training.selfplay.settings import MatchConfig
-from league.training.settings import PpoConfig, TrainConfig
 
 RING = TrackSet(make_ring())
 CAR = CarConfig()
@@ -42,7 +42,7 @@ TRAIN = TrainConfig(
     sensors=SensorConfig(),
     network=BLIND,
     critic_hidden=(8,),
-    ppo=PpoConfig(steps=8, epochs=1, mini_batches=2),
+    ppo=PpoConfig(rollout=8, epochs=1, mini_batches=2),
     save_every=1,
 )
 CARD = Card(name="blind", sensors=SensorConfig(), network=BLIND, created="2025-06-01")

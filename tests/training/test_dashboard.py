@@ -7,10 +7,10 @@ import pytest
 from metrics import episodes, evaluation, history, update
 from rich.console import Console
 
+from league.training.config import TrainConfig
 from league.training.monitor import dashboard
 from league.training.monitor.dashboard import Dashboard
 from league.training.monitor.history import TUTORING, History
-from league.training.settings import TrainConfig
 
 
 def terminal(width: int = 100, *, real: bool = True) -> Console:

@@ -19,10 +19,10 @@ from league.agents.network import NetworkConfig
 from league.errors import ConfigError, LeagueError, RewardError
 from league.sim.config import SensorConfig
 from league.training import track_selection
+from league.training.config import PpoConfig, TrainConfig
 from league.training.ppo import distributed, make_env
 from league.training.ppo.learner import Learner
-from league.training.ppo.teacher import TutoredLearner, tutored
-from league.training.settings import PpoConfig, TrainConfig
+from league.training.ppo.teacher import TaughtLearner, make_taught
 
 UPDATES = 4
 
@@ -34,7 +34,7 @@ def settings() -> TrainConfig:
         sensors=SensorConfig(),
         network=NetworkConfig(hidden=(16,), normalise=True),
         critic_hidden=(16,),
-        ppo=PpoConfig(steps=8, epochs=1, mini_batches=2),
+        ppo=PpoConfig(rollout=8, epochs=1, mini_batches=2),
         episode_s=2.0,
         save_every=2,
     )
@@ -45,25 +45,25 @@ def learner() -> Learner:
     return Learner(make_env.make(tracks, settings()), settings())
 
 
-def with_tutor() -> TutoredLearner:
+def with_teacher() -> TaughtLearner:
     """Return a learner whose tutor has three of four updates."""
     tracks = track_selection.together(track_selection.load(("generated:8",)), both_directions=False)
-    return tutored(tracks, replace(settings(), tutor=0.6))
+    return make_taught(tracks, replace(settings(), teacher=0.6))
 
 
 def taught(folder: Path) -> dict[str, list[str]]:
     """Return what tutor and policy come to, and what they do if they go on from half the way."""
-    made = with_tutor()
+    made = with_teacher()
     for number in range(UPDATES):
         made.update(number / UPDATES if distributed.is_first() else 0.9)
         if number == 1:
             made.save(folder / f"taught{distributed.number()}.pt", {})
-    later = with_tutor()
+    later = with_teacher()
     later.restore(folder / "taught0.pt")
     for number in (2, 3):
         later.update(number / UPDATES)
     both = {"taught": made, "taught, resumed": later}
-    return {name: [digest(one), digest(one._tutor)] for name, one in both.items()}
+    return {name: [digest(one), digest(one._teacher)] for name, one in both.items()}
 
 
 def digest(made: Learner) -> str:
@@ -73,7 +73,7 @@ def digest(made: Learner) -> str:
         for value in saved[part].values():
             found.update(value.contiguous().numpy().tobytes())
     found.update(repr(saved["optimizer_state_dict"]).encode())
-    found.update(repr(made._scale.state()).encode())
+    found.update(repr(made._normalization.state()).encode())
     return found.hexdigest()
 
 
@@ -98,7 +98,7 @@ def rank(folder: Path) -> dict[str, object]:
             found["places at the save point"] = places(made)
             made.save(folder / f"state{distributed.number()}.pt", {})
     found["rate"], found["samples"] = told.learning_rate, told.samples
-    found["learnt"], found["scale"] = digest(made), made._scale.state()
+    found["learnt"], found["scale"] = digest(made), made._normalization.state()
     found["counted"] = int(made._alg.critic.obs_normalizer.count)  # pyright: ignore
     later = learner()
     later.restore(folder / "state0.pt")
@@ -127,7 +127,7 @@ def rank(folder: Path) -> dict[str, object]:
 
 def _stopped(by: int) -> bool:
     """Return whether this rank stops where it asks, and not before, if the second one is told."""
-    with distributed.stopping_together() as place:
+    with distributed.interrupted_together() as place:
         place()
         if distributed.number() == 1:
             os.kill(os.getpid(), by)
@@ -238,10 +238,10 @@ def started(monkeypatch, *, rank: int = 0, world: int = 2) -> None:
 def test_without_torchrun_there_is_one_rank_and_nothing_changes(monkeypatch):
     monkeypatch.setenv("RANK", "3")  # what else sets it is none of ours
     assert (distributed.count(), distributed.number(), distributed.is_first()) == (1, 0, True)
-    assert distributed.for_rsl_rl() is None
+    assert distributed.rsl_rl_settings() is None
     assert distributed.device("cuda:1") == "cuda:1"
     assert distributed.seed(42) == 42
-    assert distributed.gathered(1.0, 2.0) == [[1.0, 2.0]]
+    assert distributed.gather(1.0, 2.0) == [[1.0, 2.0]]
     assert distributed.agreed(True) is True
     distributed.join("cpu")
     assert not torch.distributed.is_initialized()
@@ -249,7 +249,7 @@ def test_without_torchrun_there_is_one_rank_and_nothing_changes(monkeypatch):
 
 def test_alone_ctrl_c_is_heard_at_once():
     before = signal.getsignal(signal.SIGINT)
-    with distributed.stopping_together() as place:
+    with distributed.interrupted_together() as place:
         assert signal.getsignal(signal.SIGINT) is before
         place()
 
@@ -269,7 +269,7 @@ def test_each_rank_takes_a_card_and_a_seed_of_its_own(monkeypatch):
 
 def test_rsl_rl_is_told_of_its_ranks(monkeypatch):
     started(monkeypatch, rank=1)
-    assert distributed.for_rsl_rl() == {"global_rank": 1, "local_rank": 1, "world_size": 2}
+    assert distributed.rsl_rl_settings() == {"global_rank": 1, "local_rank": 1, "world_size": 2}
     assert not distributed.is_first()
 
 

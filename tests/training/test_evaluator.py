@@ -1,4 +1,4 @@
-"""The judge: evaluates in a process of its own what the learner hands over."""
+"""Policies are evaluated in a process of their own, in order, as in this one."""
 
 import os
 import signal
@@ -14,33 +14,33 @@ from small import untrained
 from league.errors import PolicyError
 from league.track import files
 from league.training import evaluator
-from league.training.evaluator import Exam, Judge, judged
+from league.training.evaluator import EvalConfig, Evaluator, evaluate_policy
 
-EXAM = Exam(tracks=(files.load("reinvent_2018"),), laps=1)
-TWO = Exam(tracks=(files.load("reinvent_2018"), files.load("peanut")), laps=1, trials=2)
+ONE = EvalConfig(tracks=(files.load("reinvent_2018"),), laps=1)
+TWO = EvalConfig(tracks=(files.load("reinvent_2018"), files.load("peanut")), laps=1, trials=2)
 
 
 def test_judgement_is_the_same_inline_and_in_a_process_beside():
-    inline, beside = Judge(EXAM, beside=False), Judge(EXAM)
+    inline, beside = Evaluator(ONE, background=False), Evaluator(ONE)
     try:
         for one in (inline, beside):
-            one.hand(7, untrained())
+            one.submit(7, untrained())
         (here,), (there,) = inline.take(), beside.take(wait=True)
     finally:
         beside.close()
     assert here.number == there.number == 7
-    assert here.evaluation == there.evaluation == judged(EXAM, untrained())
+    assert here.evaluation == there.evaluation == evaluate_policy(ONE, untrained())
     assert not here.evaluation.all_complete
 
 
 def test_policies_are_judged_in_the_order_they_were_handed_over():
-    one = Judge(EXAM)
+    one = Evaluator(ONE)
     try:
         for number in (1, 2, 3):
-            one.hand(number, untrained())
-        assert one.waiting == 3
+            one.submit(number, untrained())
+        assert one.pending == 3
         found = []
-        while one.waiting:
+        while one.pending:
             found += one.take(wait=True)
         assert [judgement.number for judgement in found] == [1, 2, 3]
         assert one.take() == []
@@ -49,24 +49,26 @@ def test_policies_are_judged_in_the_order_they_were_handed_over():
 
 
 def test_trials_on_several_tracks_are_counted_on():
-    found = judged(TWO, untrained())
+    found = evaluate_policy(TWO, untrained())
     assert found.track == "2 tracks"
     assert found.asked == 4  # 2 tracks x 2 trials x 1 lap
     assert [trial.trial for trial in found.trials] == [1, 2, 3, 4]
-    alone = judged(Exam(tracks=(TWO.tracks[1],), laps=1, trials=2), untrained())
+    alone = evaluate_policy(EvalConfig(tracks=(TWO.tracks[1],), laps=1, trials=2), untrained())
     assert [t.time_s for t in found.trials[2:]] == [t.time_s for t in alone.trials]
 
 
 def test_judge_against_opponents_tells_one_place_for_each_run():
-    found = judged(Exam(tracks=EXAM.tracks, laps=1, opponents=("centerline",)), untrained())
+    found = evaluate_policy(
+        EvalConfig(tracks=ONE.tracks, laps=1, opponents=("centerline",)), untrained()
+    )
     assert found.kind == "head_to_head"
     assert len(found.places) == 1 and found.places[0] in (1, 2)
 
 
 def test_death_of_the_process_is_told_in_one_sentence():
-    one = Judge(EXAM)
+    one = Evaluator(ONE)
     try:
-        one.hand(1, untrained())
+        one.submit(1, untrained())
         assert one._process is not None
         assert one._process.pid is not None
         os.kill(one._process.pid, signal.SIGKILL)
@@ -79,9 +81,9 @@ def test_death_of_the_process_is_told_in_one_sentence():
 
 
 def test_judge_that_can_be_told_nothing_says_why(monkeypatch):
-    one = Judge(Exam(tracks=EXAM.tracks, opponents=("nobody",)))
+    one = Evaluator(EvalConfig(tracks=ONE.tracks, opponents=("nobody",)))
     try:
-        one.hand(1, untrained())
+        one.submit(1, untrained())
         with pytest.raises(PolicyError, match="nobody"):
             one.take(wait=True)
     finally:
@@ -89,10 +91,10 @@ def test_judge_that_can_be_told_nothing_says_why(monkeypatch):
 
 
 def test_judge_that_takes_too_long_is_given_up(monkeypatch):
-    monkeypatch.setattr(evaluator, "PATIENCE_S", 0.0)
-    one = Judge(replace(EXAM, trials=500))
+    monkeypatch.setattr(evaluator, "TIMEOUT_S", 0.0)
+    one = Evaluator(replace(ONE, trials=500))
     try:
-        one.hand(1, untrained())
+        one.submit(1, untrained())
         with pytest.raises(PolicyError, match="the process that evaluates"):
             one.take(wait=True)
     finally:
@@ -108,15 +110,14 @@ def test_program_ends_although_policies_are_still_waiting(tmp_path):
             import sys
             sys.path[:0] = {[os.path.dirname(__file__), str(Path(__file__).parents[1])]!r}
             from league.track import files
-            from league.training import evaluator
-            from league.training.evaluator import Exam, Judge
+            from league.training.evaluator import EvalConfig, Evaluator
             from small import CAMERA, untrained
 
             if __name__ == "__main__":
-                evaluator.MODULES = ()  # so that there is little to wait for
-                judge = Judge(Exam(tracks=(files.load("reinvent_2018"),)))
+                subprocesses.LOADED = ()  # so that there is little to wait for
+                judge = Evaluator(EvalConfig(tracks=(files.load("reinvent_2018"),)))
                 for number in range(20):
-                    judge.hand(number, untrained(CAMERA))
+                    judge.submit(number, untrained(CAMERA))
                 judge.close()
                 print("left")
             """
@@ -130,7 +131,7 @@ def test_program_ends_although_policies_are_still_waiting(tmp_path):
 
 def test_ctrl_c_is_heard_as_before_once_the_judge_runs():
     before = signal.getsignal(signal.SIGINT)
-    one = Judge(EXAM)
-    one.hand(1, untrained())
+    one = Evaluator(ONE)
+    one.submit(1, untrained())
     one.close()
     assert signal.getsignal(signal.SIGINT) is before

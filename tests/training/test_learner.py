@@ -16,10 +16,9 @@ from league.envs.actions import ActionSpace, ContinuousActions, DiscreteActions
 from league.errors import ConfigError, PolicyError
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig
 from league.track.track import TrackSet
-from league.training import checks
+from league.training.config import PpoConfig, TrainConfig
 from league.training.ppo import make_env
-from league.training.ppo.learner import Learner
-from league.training.settings import PpoConfig, TrainConfig
+from league.training.ppo.learner import Learner, check_device
 
 LIDAR = LidarConfig(beams=8)
 CAMERA = CameraConfig(width=24, height=18)
@@ -35,7 +34,7 @@ def settings(
     num_worlds: int = 4,
     save_every: int = 2,
     normalise: bool = False,
-    mirror: bool = True,
+    symmetry: bool = True,
 ) -> TrainConfig:
     return TrainConfig(
         num_worlds=num_worlds,
@@ -44,8 +43,8 @@ def settings(
         sensors=sensors or SensorConfig(camera=CAMERA, lidar=LIDAR),
         network=dataclasses.replace(LAYERS, normalise=normalise),
         critic_hidden=(16,),
-        ppo=PpoConfig(steps=8, epochs=2, mini_batches=2),
-        mirror=mirror,
+        ppo=PpoConfig(rollout=8, epochs=2, mini_batches=2),
+        symmetry=symmetry,
         episode_s=2.0,
         save_every=save_every,
     )
@@ -138,7 +137,7 @@ def test_saving_does_not_change_what_is_learnt(tmp_path, save_every):
 
 
 def test_a_choice_from_a_list_is_learnt():
-    made = learner(space=CHOICES, sensors=SensorConfig(lidar=LIDAR), mirror=False)
+    made = learner(space=CHOICES, sensors=SensorConfig(lidar=LIDAR), symmetry=False)
     before = made.weights()
     told = made.update(0.0)
     assert told.losses["entropy"] > 0
@@ -152,16 +151,16 @@ def test_a_choice_from_a_list_is_learnt():
 
 
 def test_mirroring_changes_what_is_learnt():
-    plain, mirrored = learner(mirror=False), learner(mirror=True)
+    plain, mirrored = learner(symmetry=False), learner(symmetry=True)
     assert same(plain.weights(), mirrored.weights())
     plain.update(0.0)
     mirrored.update(0.0)
     assert not same(plain.weights(), mirrored.weights())
 
 
-@pytest.mark.parametrize("forgiving", [False, True])
-def test_a_forgiven_mistake_costs_its_price_alone(forgiving):
-    made = learner(settings().with_ppo(forgiving=forgiving))
+@pytest.mark.parametrize("bootstrap", [False, True])
+def test_a_forgiven_mistake_costs_its_price_alone(bootstrap):
+    made = learner(settings().with_ppo(bootstrap_on_failure=bootstrap))
     step, first = made.env.step, made._alg.storage
 
     def mistaken(actions):
@@ -174,7 +173,7 @@ def test_a_forgiven_mistake_costs_its_price_alone(forgiving):
     made.env.step = mistaken
     made._schedule(0.0)
     made._collect()
-    gamma = made.cfg.ppo.gamma if forgiving else 0.0
+    gamma = made.cfg.ppo.gamma if bootstrap else 0.0
     assert first.values.abs().sum() > 0
     # What is told as reward is the price, 0, and what would have been earned from there.
     assert torch.allclose(first.rewards, gamma * first.values)
@@ -195,13 +194,13 @@ def test_exploration_and_step_size_fall_with_the_share_of_the_budget():
 
 def test_a_policy_can_be_begun_from_another_ones_weights():
     one, other = learner(seed=1), learner(seed=2)
-    one.begin(other.weights())
+    one.load_weights(other.weights())
     assert same(one.weights(), other.weights())
 
 
 def test_weights_of_another_shape_are_refused():
     with pytest.raises(PolicyError, match="other layers, sensors or actions"):
-        learner().begin(learner(sensors=SensorConfig(lidar=LIDAR)).weights())
+        learner().load_weights(learner(sensors=SensorConfig(lidar=LIDAR)).weights())
 
 
 def test_a_state_of_other_layers_is_refused_and_says_so(tmp_path):
@@ -293,7 +292,7 @@ def test_on_a_card_convolutions_learn_the_same_each_time_and_in_full_precision(m
     monkeypatch.setattr(cudnn, "allow_tf32", True)
     learner()
     assert (cudnn.deterministic, cudnn.allow_tf32) == (False, True)
-    monkeypatch.setattr(Learner, "_on_card", property(lambda _: True))
+    monkeypatch.setattr(Learner, "_on_gpu", property(lambda _: True))
     learner()
     assert (cudnn.deterministic, cudnn.allow_tf32) == (True, False)
 
@@ -301,11 +300,11 @@ def test_on_a_card_convolutions_learn_the_same_each_time_and_in_full_precision(m
 @pytest.mark.parametrize("name", ["meta", "cuda:99", "hpu", "xla", "abacus", "", "cpu:-1"])
 def test_a_device_that_does_not_compute_is_refused_and_those_that_do_are_named(name):
     with pytest.raises(ConfigError, match=rf"on the device '{name}': give cpu, or .* here: cpu"):
-        checks.device(name)
+        check_device(name)
 
 
 def test_the_cpu_computes():
-    checks.device("cpu")
+    check_device("cpu")
 
 
 def test_an_update_tells_what_charts_of_rsl_rl_show():

@@ -17,10 +17,10 @@ from league.rerun_view.live import MOST_CARS, ShownCars, TrainingStream
 from league.rerun_view.viewer import HOST
 from league.sim.config import SensorConfig
 from league.track.track import TrackSet
+from league.training.config import TrainConfig
 from league.training.monitor.history import History
 from league.training.monitor.viewer import LiveView
 from league.training.ppo import make_env
-from league.training.settings import TrainConfig
 
 
 def made(num_worlds: int, *tracks, **settings: object):

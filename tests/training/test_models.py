@@ -9,7 +9,7 @@ from tensordict import TensorDict
 
 from league.agents.network import NetworkConfig
 from league.envs.actions import ContinuousActions, DiscreteActions
-from league.training.ppo.models import ByteCNNModel, Categorical, Leashed, actor_settings
+from league.training.ppo.models import BoundedGaussian, ByteCNNModel, Categorical, actor_settings
 
 SCORES = torch.log(torch.tensor([[0.5, 0.25, 0.25], [0.8, 0.1, 0.1]]))
 
@@ -79,7 +79,7 @@ def test_gradients_flow_from_choices_to_scores():
 
 def test_means_beyond_the_range_of_actions_are_pulled_back_and_others_are_not():
     means = torch.tensor([[2.0, 0.5], [-1.5, 1.0]], requires_grad=True)
-    made = Leashed(2, pull=0.4, init_std=0.5)
+    made = BoundedGaussian(2, pull=0.4, init_std=0.5)
     made.update(means)
     made.mean.sum().backward()
     # 1 from the sum, and 0.4 / 2 rows x the excess of 1 and of -0.5

@@ -5,24 +5,24 @@ import math
 import pytest
 import torch
 
-from league.training.ppo.reward_normalization import LARGEST, Moments, ReturnScale
+from league.training.ppo.statistics import LARGEST, Moments, RewardNormalization
 
 GOING = torch.zeros(2, dtype=torch.int64)
 
 
 def test_the_spread_is_that_of_the_discounted_returns():
-    scale = ReturnScale(2, gamma=0.5)
-    scale.scaled(torch.tensor([1.0, 3.0]), GOING)
-    scale.scaled(torch.tensor([1.0, 1.0]), GOING)
+    scale = RewardNormalization(2, gamma=0.5)
+    scale.normalize(torch.tensor([1.0, 3.0]), GOING)
+    scale.normalize(torch.tensor([1.0, 1.0]), GOING)
     # Returns: 1, 3, then 0.5 x 1 + 1 = 1.5 and 0.5 x 3 + 1 = 2.5; mean 2, variance 0.625.
     assert scale.deviation == pytest.approx(math.sqrt(0.625), rel=1e-3)
 
 
 def test_rewards_are_divided_and_not_shifted():
-    scale = ReturnScale(2, gamma=0.0)
-    scale.scaled(torch.tensor([0.0, 4.0]), GOING)
+    scale = RewardNormalization(2, gamma=0.0)
+    scale.normalize(torch.tensor([0.0, 4.0]), GOING)
     # Deviation of 0, 4, 2, -2 about 1: sqrt((1 + 9 + 1 + 9) / 4) = sqrt 5.
-    found = scale.scaled(torch.tensor([2.0, -2.0]), GOING)
+    found = scale.normalize(torch.tensor([2.0, -2.0]), GOING)
     wanted = torch.tensor([2.0, -2.0]) / math.sqrt(5)
     assert torch.allclose(found, wanted, rtol=1e-3)
 
@@ -30,41 +30,41 @@ def test_rewards_are_divided_and_not_shifted():
 @pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
 def test_rewards_of_any_size_become_of_one_size(size):
     generator = torch.Generator().manual_seed(4)
-    scale, plain = ReturnScale(8, 0.9), ReturnScale(8, 0.9)
+    scale, plain = RewardNormalization(8, 0.9), RewardNormalization(8, 0.9)
     going = torch.zeros(8, dtype=torch.int64)
     for _ in range(50):
         rewards = torch.rand(8, generator=generator) - 0.3
-        found, wanted = scale.scaled(rewards * size, going), plain.scaled(rewards, going)
+        found, wanted = scale.normalize(rewards * size, going), plain.normalize(rewards, going)
     assert torch.allclose(found, wanted, rtol=1e-3)
 
 
 def test_one_huge_reward_is_cut_off():
-    scale = ReturnScale(2, gamma=0.0)
+    scale = RewardNormalization(2, gamma=0.0)
     for _ in range(500):
-        scale.scaled(torch.tensor([1.0, -1.0]), GOING)
-    found = scale.scaled(torch.tensor([1e6, 0.0]), GOING)
+        scale.normalize(torch.tensor([1.0, -1.0]), GOING)
+    found = scale.normalize(torch.tensor([1e6, 0.0]), GOING)
     assert float(found[0]) == LARGEST
     assert float(found[1]) == 0.0
 
 
 def test_a_return_ends_with_its_episode():
-    scale = ReturnScale(1, gamma=0.5)
+    scale = RewardNormalization(1, gamma=0.5)
     over = torch.tensor([1])
-    scale.scaled(torch.tensor([8.0]), over)
-    scale.scaled(torch.tensor([8.0]), over)
-    scale.scaled(torch.tensor([8.0]), over)
+    scale.normalize(torch.tensor([8.0]), over)
+    scale.normalize(torch.tensor([8.0]), over)
+    scale.normalize(torch.tensor([8.0]), over)
     # Each return is 8: nothing of the one before is in it, so they do not spread.
     assert scale.seen.mean == pytest.approx(8.0, rel=1e-3)
     assert scale.seen.square == pytest.approx(0.0, abs=0.01)
 
 
 def test_what_is_remembered_can_be_taken_out_and_put_back():
-    one, other = ReturnScale(2, 0.9), ReturnScale(2, 0.9)
-    one.scaled(torch.tensor([0.5, 2.0]), GOING)
+    one, other = RewardNormalization(2, 0.9), RewardNormalization(2, 0.9)
+    one.normalize(torch.tensor([0.5, 2.0]), GOING)
     other.restore(one.state())
     one.restart()
     rewards = torch.tensor([1.0, -1.0])
-    assert torch.equal(one.scaled(rewards, GOING), other.scaled(rewards, GOING))
+    assert torch.equal(one.normalize(rewards, GOING), other.normalize(rewards, GOING))
     assert one.state() == other.state()
 
 
@@ -75,4 +75,4 @@ def test_moments_of_two_sets_are_those_of_all_their_numbers():
 
 
 def test_before_anything_is_known_nothing_is_divided():
-    assert ReturnScale(2, 0.9).deviation == 1.0
+    assert RewardNormalization(2, 0.9).deviation == 1.0

@@ -18,10 +18,10 @@ from league.errors import ConfigError, PolicyError, RewardError
 from league.racing.evaluate import evaluate
 from league.training import evaluator
 from league.training import run as run_room
+from league.training.config import read
 from league.training.monitor import history
 from league.training.ppo.learner import Learner
 from league.training.run import Run
-from league.training.run_config import RunConfig, settings
 from league.training.selfplay import SelfPlay
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -68,12 +68,12 @@ def test_in_self_play_the_newest_is_best_of_those_that_come_as_far(tmp_path, mon
         exams.append(len(exams))
         return passed(exam, found) if exams[-1] != 1 else judged(exam, found)
 
-    judged = evaluator.judged
-    monkeypatch.setattr(evaluator, "judged", sat)
+    judged = evaluator.evaluate_policy
+    monkeypatch.setattr(evaluator, "evaluate_policy", sat)
     short = small_play.SHORT
     monkeypatch.setattr(run_room, "SelfPlayConfig", lambda **given: replace(short, **given))
     cfg = small.cfg(6, train=small.train(kind="head_to_head", num_cars=2), self_play=True)
-    run, onlooker = small.run(tmp_path, cfg), small.Onlooker()
+    run, onlooker = small.run(tmp_path, cfg), small.CallbackRecorder()
     outcome = run.learn([onlooker])
     # The second leaves the road; the third laps as the first did.
     assert [row.complete_laps for row in run.history.evaluations] == [1, 0, 1]
@@ -115,7 +115,9 @@ def test_two_runs_do_not_learn_in_one_folder(tmp_path):
         other.close()
 
     run = small.run(tmp_path, small.cfg(4))
-    outcome = run.learn([small.Onlooker(after=lambda u: intrude(u) if u.number == 3 else None)])
+    outcome = run.learn(
+        [small.CallbackRecorder(after=lambda u: intrude(u) if u.number == 3 else None)]
+    )
     assert outcome.samples == 4 * small.SAMPLES
     again = small.run(tmp_path, small.cfg(6))
     again.resume()  # nobody learns there any more
@@ -123,11 +125,11 @@ def test_two_runs_do_not_learn_in_one_folder(tmp_path):
 
 
 def test_a_resumed_run_tells_of_its_best_though_nothing_better_came(tmp_path, monkeypatch):
-    monkeypatch.setattr(evaluator, "judged", passed)
+    monkeypatch.setattr(evaluator, "evaluate_policy", passed)
     cfg = small.cfg(8)
     run = small.run(tmp_path, cfg)
     with pytest.raises(KeyboardInterrupt):
-        run.learn([small.Onlooker(after=interrupt_after(5))])
+        run.learn([small.CallbackRecorder(after=interrupt_after(5))])
     monkeypatch.undo()
     again = small.run(tmp_path, cfg)
     again.resume()
@@ -135,8 +137,8 @@ def test_a_resumed_run_tells_of_its_best_though_nothing_better_came(tmp_path, mo
 
 
 def test_run_ends_after_evaluations_with_every_lap_complete(tmp_path, monkeypatch):
-    monkeypatch.setattr(evaluator, "judged", passed)
-    onlooker = small.Onlooker()
+    monkeypatch.setattr(evaluator, "evaluate_policy", passed)
+    onlooker = small.CallbackRecorder()
     run = small.run(tmp_path, small.cfg(updates=100, stop_when_complete=2))
     outcome = run.learn([onlooker])
     assert outcome.why == "every lap was complete"
@@ -146,21 +148,21 @@ def test_run_ends_after_evaluations_with_every_lap_complete(tmp_path, monkeypatc
     assert outcome.evaluation.all_complete
 
 
-def late(run: Run, number: int) -> small.Onlooker:
+def late(run: Run, number: int) -> small.CallbackRecorder:
     """Have what the judge is handed judged only after an update; return who says so."""
-    kept, hand = [], run._judge.hand
-    run._judge.hand = lambda *told: kept.append(told)
+    kept, hand = [], run._evaluator.submit
+    run._evaluator.submit = lambda *told: kept.append(told)
 
     def after(update) -> None:
         if update.number == number:
-            run._judge.hand = hand
+            run._evaluator.submit = hand
             hand(*kept[0])
 
-    return small.Onlooker(after)
+    return small.CallbackRecorder(after)
 
 
 def test_judgement_that_ends_the_run_does_not_wait_for_a_save_point(tmp_path, monkeypatch):
-    monkeypatch.setattr(evaluator, "judged", passed)
+    monkeypatch.setattr(evaluator, "evaluate_policy", passed)
     asked = small.cfg(updates=100, stop_when_complete=1, train=small.train(save_every=4))
     run = small.run(tmp_path, asked)
     onlooker = late(run, 5)
@@ -252,7 +254,7 @@ def test_policy_sees_what_its_card_says(tmp_path):
 
 
 def test_stop_by_hand_saves_what_was_learnt(tmp_path):
-    onlooker = small.Onlooker(after=interrupt_after(3))
+    onlooker = small.CallbackRecorder(after=interrupt_after(3))
     run = small.run(tmp_path)
     with pytest.raises(KeyboardInterrupt):
         run.learn([onlooker])
@@ -319,9 +321,9 @@ def test_reward_function_that_raises_at_once_leaves_no_checkpoint(tmp_path):
         ({}, "centerline"),
         ({"sensors": small.CAMERA}, "centerline"),
         # Killed while it learns from its tutor, and while the tutor learns.
-        ({"sensors": small.CAMERA, "tutor": 0.3}, "centerline"),
-        ({"sensors": small.CAMERA, "tutor": 0.6}, "racing_line"),
-        ({"tutor": 0.3, "action_space": CHOICES}, str(EXAMPLES / "reward_centerline.py")),
+        ({"sensors": small.CAMERA, "teacher": 0.3}, "centerline"),
+        ({"sensors": small.CAMERA, "teacher": 0.6}, "racing_line"),
+        ({"teacher": 0.3, "action_space": CHOICES}, str(EXAMPLES / "reward_centerline.py")),
     ],
 )
 def test_resumed_run_equals_an_uninterrupted_one(tmp_path, changes, reward):
@@ -337,10 +339,10 @@ def test_resumed_run_equals_an_uninterrupted_one(tmp_path, changes, reward):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        killed.learn([small.Onlooker(after=after)])
+        killed.learn([small.CallbackRecorder(after=after)])
     for name, content in left.items():
         (tmp_path / "parts" / name).write_bytes(content)
-    again = Run(settings(tmp_path / "parts"), tmp_path / "parts", beside=False)
+    again = Run(read(tmp_path / "parts"), tmp_path / "parts", background=False)
     again.resume()
     assert again.learner.updates == 4
     outcome = again.learn()
@@ -371,7 +373,7 @@ def test_same_seed_same_weights_and_another_seed_others(tmp_path):
 def test_resumed_run_remembers_which_policy_was_best(tmp_path):
     run = small.run(tmp_path, small.cfg(updates=6))
     with pytest.raises(KeyboardInterrupt):
-        run.learn([small.Onlooker(after=interrupt_after(5))])
+        run.learn([small.CallbackRecorder(after=interrupt_after(5))])
     merit = run._best
     assert merit is not None
     again = small.run(tmp_path, small.cfg(updates=6))
@@ -383,21 +385,20 @@ def test_resumed_run_remembers_which_policy_was_best(tmp_path):
 
 def test_settings_are_read_back_as_they_were(tmp_path):
     from league.envs.actions import grid
-    from league.sim.config import DynamicsRandomization, VisualRandomization
 
     asked = small.cfg(
         updates=1,
         train=small.train(
             sensors=small.CAMERA,
             action_space=grid(5, 30.0, 2, 1.0),
-            looks=VisualRandomization(light=0.2),
-            spread=DynamicsRandomization(grip=0.1),
+            visual_randomization=True,
+            dynamics_randomization=0.5,
         ),
         tracks=("peanut", "reinvent_2018"),
     )
     run = small.run(tmp_path, asked)
     run.learn()
-    assert settings(tmp_path) == asked
+    assert read(tmp_path) == asked
 
 
 @pytest.mark.parametrize(
@@ -408,7 +409,7 @@ def test_folder_without_a_runs_settings_is_refused_in_one_sentence(tmp_path, con
     if content is not None:
         (tmp_path / "settings.json").write_bytes(content)
     with pytest.raises(PolicyError, match=r"settings.json holds no settings of a run .*: give"):
-        settings(tmp_path)
+        read(tmp_path)
 
 
 def test_state_of_another_run_is_refused(tmp_path):
@@ -472,10 +473,10 @@ def test_what_no_checkpoint_could_tell_is_refused_before_anything_is_learnt(tmp_
 
 
 @pytest.mark.parametrize("limit", [(0, 0), (-1, 5), (5, -1), (float("nan"), 0), (float("inf"), 9)])
-def test_run_without_an_end_is_refused(limit):
+def test_run_without_an_end_is_refused(limit, tmp_path):
     minutes, steps = limit
     with pytest.raises(ConfigError, match="give one of them, more than 0"):
-        RunConfig(minutes=minutes, steps=steps)
+        small.run(tmp_path, small.cfg(minutes=minutes, steps=steps))
 
 
 def test_folder_that_cannot_be_made_is_told_in_one_sentence(tmp_path):

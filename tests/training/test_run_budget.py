@@ -7,15 +7,15 @@ import small
 
 from league.agents import checkpoint
 from league.errors import ConfigError, PolicyError
-from league.training import run_config, run_folder
+from league.training import config, run_folder
+from league.training.config import RunConfig, TrainConfig
 from league.training.monitor import history
 from league.training.run import Run
-from league.training.run_config import RunConfig
 
 
 def gone_on(folder, updates: int) -> Run:
     """Return a resumed run whose budget is so many updates in all."""
-    cfg = run_config.settings(folder).with_budget(None, updates * small.SAMPLES)
+    cfg = replace(config.read(folder), steps=updates * small.SAMPLES)
     run = small.run(folder, cfg)
     run.resume()
     return run
@@ -35,7 +35,9 @@ def test_schedules_follow_the_whole_of_a_larger_budget(tmp_path):
     small.run(tmp_path, small.cfg(updates=4)).learn()
     run = gone_on(tmp_path, 8)
     rates = []
-    run.learn([small.Onlooker(after=lambda _: rates.append(run.learner._alg.learning_rate))])
+    run.learn(
+        [small.CallbackRecorder(after=lambda _: rates.append(run.learner._alg.learning_rate))]
+    )
     # The fifth of eight updates begins with half of the decisions driven.
     assert rates[0] == pytest.approx((first * last) ** 0.5)
     assert rates[-1] == pytest.approx(first * (last / first) ** (7 / 8))
@@ -45,7 +47,7 @@ def test_larger_budget_is_kept_for_the_next_resume(tmp_path):
     small.run(tmp_path, small.cfg(updates=2)).learn()
     run = gone_on(tmp_path, 6)
     run.close()  # as good as a kill: nothing was saved since
-    assert run_config.settings(tmp_path).steps == 6 * small.SAMPLES
+    assert config.read(tmp_path).steps == 6 * small.SAMPLES
 
 
 def test_finished_run_learns_nothing_more(tmp_path):
@@ -54,7 +56,7 @@ def test_finished_run_learns_nothing_more(tmp_path):
     run = small.run(tmp_path, small.cfg(updates=3))
     run.resume()
     assert run.over == "the steps were driven"
-    onlooker = small.Onlooker()
+    onlooker = small.CallbackRecorder()
     assert run.learn([onlooker]).samples == 3 * small.SAMPLES
     assert onlooker.updates == []
     after = small.weights(tmp_path / "last.pt")
@@ -62,7 +64,7 @@ def test_finished_run_learns_nothing_more(tmp_path):
 
 
 def test_run_killed_while_its_last_policy_is_judged_ends_as_if_it_had_not_been(tmp_path):
-    class Impatient(small.Onlooker):
+    class Impatient(small.CallbackRecorder):
         def evaluated(self, history, evaluation) -> None:
             if history.number == 4:
                 raise KeyboardInterrupt
@@ -92,42 +94,40 @@ def test_complete_laps_are_counted_anew_where_more_time_is_given(tmp_path):
     longer.close()
 
 
-@pytest.mark.parametrize(
-    ("minutes", "steps", "left"),
-    [
-        (None, None, (5.0, 1000)),
-        (10.0, None, (10.0, 1000)),
-        (None, 2000, (5.0, 2000)),
-        (0.0, 1000, (0.0, 1000)),  # no limit of time any more
-        (5.0, 0, (5.0, 0)),
-    ],
-)
-def test_budget_may_grow(minutes, steps, left):
-    cfg = RunConfig(minutes=5.0, steps=1000).with_budget(minutes, steps)
-    assert (cfg.minutes, cfg.steps) == left
-    assert replace(cfg, minutes=5.0, steps=1000) == RunConfig(minutes=5.0, steps=1000)
+STORED = RunConfig(minutes=5.0, steps=1000)
 
 
 @pytest.mark.parametrize(
-    ("minutes", "steps", "said"),
+    "larger", [{}, {"minutes": 10.0}, {"steps": 2000}, {"minutes": 0.0}, {"steps": 0}]
+)
+def test_budget_may_grow(larger, tmp_path):
+    config.check_resumed(replace(STORED, **larger), STORED, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
     [
-        (4.0, None, "--minutes is 4, and the run was begun with 5: give more"),
-        (None, 999, "--steps is 999, and the run was begun with 1000: give more"),
-        (-1.0, None, "give one of them, more than 0"),
-        (float("nan"), None, "give one of them, more than 0"),
-        (0.0, 0, "give one of them, more than 0"),
+        ({"minutes": 4.0}, "--minutes is 4, and the run was started with 5: give more"),
+        ({"steps": 999}, "--steps is 999, and the run was started with 1000: give more"),
+        ({"minutes": -1.0}, "give one of them, more than 0"),
+        ({"minutes": float("nan")}, "give one of them, more than 0"),
+        ({"minutes": 0.0, "steps": 0}, "give one of them, more than 0"),
+        ({"train": TrainConfig(num_cars=2)}, "started with another --cars"),
+        ({"tracks": ("peanut",), "eval_laps": 1}, "started with another --track: omit"),
     ],
 )
-def test_budget_may_not_shrink(minutes, steps, said):
+def test_budget_may_not_shrink_nor_what_is_learnt_change(changes, said, tmp_path):
     with pytest.raises(ConfigError, match=said):
-        RunConfig(minutes=5.0, steps=1000).with_budget(minutes, steps)
+        config.check_resumed(replace(STORED, **changes), STORED, tmp_path)
 
 
 def test_run_that_stopped_before_its_first_save_point_says_so(tmp_path):
-    run_config.keep(small.cfg(), tmp_path)
+    config.write(small.cfg(), tmp_path)
     assert not run_folder.is_taken(tmp_path)
     run = small.run(tmp_path)
-    with pytest.raises(PolicyError, match=r"stopped before its first save point, so begin it anew"):
+    with pytest.raises(
+        PolicyError, match=r"stopped before its first save point, so start a new one"
+    ):
         run.resume()
     run.close()
 
@@ -145,8 +145,8 @@ def test_new_run_removes_what_the_old_one_left_and_nothing_else(tmp_path):
 
 
 def test_how_far_a_run_has_come_is_told_in_a_phrase(tmp_path):
-    assert run_folder.told(tmp_path) == "a run"
+    assert run_folder.summary(tmp_path) == "a run"
     small.run(tmp_path, small.cfg(updates=2)).learn()
-    assert run_folder.told(tmp_path).startswith("a run of 64 decisions and ")
+    assert run_folder.summary(tmp_path).startswith("a run of 64 decisions and ")
     assert run_folder.is_taken(tmp_path)
     assert checkpoint.load(tmp_path / "last.pt").card.steps == 64

@@ -20,6 +20,7 @@ from league.envs.state import INDEX, SIZE
 from league.errors import ConfigError, PolicyError
 from league.sim.config import SensorConfig, SimConfig
 from league.training import run as run_room
+from league.training.config import TrainConfig
 from league.training.selfplay import SelfPlay, SelfPlayConfig, opponents
 from league.training.selfplay.opponents import (
     DRAWN,
@@ -35,7 +36,6 @@ from league.training.selfplay.opponents import (
 from league.training.selfplay.payoff_matrix import PayoffMatrix
 from league.training.selfplay.pool import Pool, spread
 from league.training.selfplay.settings import PACER_SHARE, paces
-from league.training.settings import TrainConfig
 
 
 def test_win_rate_begins_at_one_half_and_follows_the_results():

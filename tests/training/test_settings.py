@@ -4,13 +4,13 @@ import pytest
 import small
 
 from league.errors import ConfigError
-from league.training.settings import PpoConfig, TrainConfig
+from league.training.config import PpoConfig, RunConfig, TrainConfig
 
 
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"steps": 0},
+        {"rollout": 0},
         {"epochs": 0},
         {"mini_batches": 0},
         {"gamma": 1.01},
@@ -43,16 +43,21 @@ def test_training_out_of_range_is_refused_with_its_range(wrong):
 
 
 def test_more_mini_batches_than_decisions_are_refused():
+    def cfg(mini_batches: int) -> RunConfig:
+        ppo = PpoConfig(rollout=4, mini_batches=mini_batches)
+        return RunConfig(train=TrainConfig(num_worlds=2, ppo=ppo))
+
     with pytest.raises(ConfigError, match="8 decisions cannot be split into 9 mini-batches"):
-        TrainConfig(num_worlds=2, ppo=PpoConfig(steps=4, mini_batches=9))
-    assert TrainConfig(num_worlds=2, ppo=PpoConfig(steps=4, mini_batches=8)).samples == 8
+        cfg(9).check()
+    cfg(8).check()
+    assert cfg(8).train.samples == 8
 
 
 def test_with_ppo_changes_the_learner_and_nothing_else():
     base = small.train()
     changed = base.with_ppo(gamma=0.5)
     assert changed.ppo.gamma == 0.5
-    assert changed.ppo.steps == base.ppo.steps
+    assert changed.ppo.rollout == base.ppo.rollout
     assert changed.num_worlds == base.num_worlds
     with pytest.raises(ConfigError):
         base.with_ppo(gamma=2.0)

@@ -163,7 +163,7 @@ def test_a_choice_that_stands_there_twice_has_an_image_each_time():
 
 def test_every_decision_is_learnt_from_both_ways_round():
     parts = 4
-    mirroring = symmetry.Mirroring(SensorConfig(), ContinuousActions(), parts)
+    mirroring = symmetry.Symmetry(SensorConfig(), ContinuousActions(), parts)
     turned = torch.zeros(2, parts, dtype=torch.bool)
     mirroring.restart()
     for epoch in range(2):
@@ -177,7 +177,7 @@ def test_every_decision_is_learnt_from_both_ways_round():
 
 def test_a_mirrored_decision_was_as_likely_as_the_one_it_was():
     batch = Batch()
-    mirroring = symmetry.Mirroring(SensorConfig(), ContinuousActions(), 1)
+    mirroring = symmetry.Symmetry(SensorConfig(), ContinuousActions(), 1)
     mirroring.augment_batch(batch, 1)  # pyright: ignore
     before = Batch()
     mirroring.augment_batch(batch, 1)  # pyright: ignore

@@ -44,10 +44,10 @@ def test_no_track_and_unknown_track_are_told():
 
 
 def test_named_tracks_are_judged_on_themselves():
-    assert [t.name for t in track_selection.to_judge_on(["peanut", "generated:9"])] == ["peanut"]
+    assert [t.name for t in track_selection.for_evaluation(["peanut", "generated:9"])] == ["peanut"]
     many = files.names()
-    assert [t.name for t in track_selection.to_judge_on(many)] == many[
-        : track_selection.MOST_TOGETHER
+    assert [t.name for t in track_selection.for_evaluation(many)] == many[
+        : track_selection.MAX_EVALUATED
     ]
 
 
@@ -57,11 +57,11 @@ def test_random_tracks_are_judged_on_others_that_are_never_trained_on(monkeypatc
     monkeypatch.setattr(
         track_selection, "generate", lambda seed, **settings: drawn.append(seed) or ring
     )
-    track_selection.load([f"generated:{track_selection.MOST_GENERATED}"])
+    track_selection.load([f"generated:{track_selection.MAX_GENERATED}"])
     trained = set(drawn)
     drawn.clear()
-    judged = track_selection.to_judge_on(["generated:5"])
-    assert trained == set(range(track_selection.MOST_GENERATED))
+    judged = track_selection.for_evaluation(["generated:5"])
+    assert trained == set(range(track_selection.MAX_GENERATED))
     assert len(judged) == len(set(drawn)) >= 4
     assert trained.isdisjoint(drawn)
 

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from rich.live import Live
 
     from league.racing.table import Evaluation
+    from league.training.config import TrainConfig
     from league.training.monitor.history import EvaluationRow, History
     from league.training.ppo.learner import Update
-    from league.training.settings import TrainConfig
 
 PLAIN_EVERY_S = 5.0
 """Seconds between two plain lines."""

@@ -22,8 +22,8 @@ from league.errors import PolicyError, brief
 
 if TYPE_CHECKING:
     from league.racing.table import Evaluation
-    from league.training.ppo.episode_stats import Episodes
     from league.training.ppo.learner import Update
+    from league.training.ppo.statistics import EpisodeStatistics
 
 FORMAT = 1
 TUTORING = "/tutor/learning"
@@ -153,7 +153,7 @@ class History:
         """Updates so far."""
         return self.updates[-1].number if self.updates else 0
 
-    def add_update(self, update: Update, episodes: Episodes, time_s: float) -> UpdateRow:
+    def add_update(self, update: Update, episodes: EpisodeStatistics, time_s: float) -> UpdateRow:
         """Add an update; `time_s` is the wall time of the run, before a resume too [s]."""
         row = UpdateRow(
             number=update.number,

@@ -1,7 +1,7 @@
-"""The processes that torchrun starts for one run: who this one is, and what all of them agree on.
+"""Ranks that torchrun starts for one run: this one's number, and what all of them agree on.
 
-Each rank has worlds of its own, and rsl-rl takes the mean of their gradients, so that all have the
-same weights. A process that torchrun has not started is the only rank: nothing is begun here then.
+Each rank has worlds of its own; rsl-rl averages their gradients, so that all have equal weights.
+Without torchrun this process is the only rank, and torch.distributed is not initialised.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ def count() -> int:
     Raises:
         ConfigError: the environment holds no number.
     """
-    return _from_torchrun("WORLD_SIZE", 1)
+    return _environment("WORLD_SIZE", 1)
 
 
 def number() -> int:
-    """Return which of them this one is, from 0 on."""
-    return _from_torchrun("RANK", 0) if count() > 1 else 0
+    """Return this rank's number, from 0."""
+    return _environment("RANK", 0) if count() > 1 else 0
 
 
 def is_first() -> bool:
-    """Return whether this is the rank that writes, judges and speaks."""
+    """Return whether this is the rank that writes, evaluates and prints."""
     return number() == 0
 
 
 def device(name: str) -> str:
-    """Return this rank's own device: of cards, each rank of a machine takes another.
+    """Return this rank's own device: each rank of a machine takes another GPU.
 
     Raises:
-        ConfigError: more ranks than cards, or one card for all.
+        ConfigError: more ranks than GPUs, or one GPU for all.
     """
     if count() == 1 or name == "cpu":
         return name
@@ -54,48 +54,49 @@ def device(name: str) -> str:
             f"the device is {brief(name)}, and torchrun has started {count()} processes: give "
             "cuda, of which each takes a card of its own, or cpu"
         )
-    here, cards = _from_torchrun("LOCAL_WORLD_SIZE", 1), torch.cuda.device_count()
-    if max(here, _local() + 1) > cards:
+    local, here = _environment("LOCAL_RANK", 0), _environment("LOCAL_WORLD_SIZE", 1)
+    if max(here, local + 1) > (cards := torch.cuda.device_count()):
         raise ConfigError(
             f"torchrun has started {here} processes on this machine, where CUDA finds {cards} "
             "cards: give it a --nproc-per-node of at most as many, or --device cpu"
         )
-    return f"cuda:{_local()}"
+    return f"cuda:{local}"
 
 
 def seed(of_run: int) -> int:
-    """Return a seed that no other rank has; the run's own where there is one rank."""
+    """Return a seed of this rank alone; the run's own where there is one rank."""
     if count() == 1:
         return of_run
-    # Neighbours have nothing in common, not even in 32 bits, all that torch looks at on the CPU.
+    # Ranks differ in the low 32 bits, too, which are all that torch uses on the CPU.
     drawn = np.random.SeedSequence((of_run, number())).generate_state(1, np.uint64)[0]
     return int(drawn) >> 2
 
 
-def for_rsl_rl() -> dict[str, int] | None:
-    """Return what rsl-rl's algorithms want to know to learn together."""
+def rsl_rl_settings() -> dict[str, int] | None:
+    """Return rsl-rl's multi-process settings; None for a single rank."""
     if count() == 1:
         return None
-    return {"global_rank": number(), "local_rank": _local(), "world_size": count()}
+    local = _environment("LOCAL_RANK", 0)
+    return {"global_rank": number(), "local_rank": local, "world_size": count()}
 
 
 def join(device: str) -> None:
-    """Find the other ranks, if there are any; again is as good as once.
+    """Initialise torch.distributed if launched by torchrun. Idempotent.
 
     Args:
         device: this rank's own.
 
     Raises:
-        ConfigError: they cannot be found.
+        ConfigError: the other ranks cannot be reached.
     """
     if count() == 1 or distributed.is_initialized():
         return
-    on_card = torch.device(device).type == "cuda"
-    if on_card:
-        torch.cuda.set_device(_local())
+    on_gpu = torch.device(device).type == "cuda"
+    if on_gpu:
+        torch.cuda.set_device(_environment("LOCAL_RANK", 0))
     try:
-        # What lies on cards goes by nccl, and the few numbers to agree on by gloo.
-        distributed.init_process_group("cpu:gloo,cuda:nccl" if on_card else "gloo")
+        # Gradients on GPUs go by nccl, the few numbers to agree on by gloo.
+        distributed.init_process_group("cpu:gloo,cuda:nccl" if on_gpu else "gloo")
     except (ValueError, RuntimeError) as error:
         raise ConfigError(
             f"the {count()} processes of WORLD_SIZE cannot find each other ({brief(str(error))}): "
@@ -104,39 +105,39 @@ def join(device: str) -> None:
 
 
 def close() -> None:
-    """Let go of the others; after a failure the end of the process does it, when all is saved."""
+    """Leave the group; after a failure the end of the process does so, when all is saved."""
     if count() > 1 and distributed.is_initialized():
         distributed.destroy_process_group()
 
 
-def gathered(*mine: float) -> list[list[float]]:
-    """Return some numbers of every rank, in the ranks' order; all wait for the last.
+def gather(*values: float) -> list[list[float]]:
+    """Return some numbers of every rank, in the ranks' order.
 
     Raises:
-        LeagueError: a rank is gone.
+        LeagueError: a rank has ended.
     """
     if count() == 1:
-        return [list(mine)]
-    told = torch.tensor(mine, dtype=torch.float64)
-    found = [torch.empty_like(told) for _ in range(count())]
+        return [list(values)]
+    mine = torch.tensor(values, dtype=torch.float64)
+    all_values = [torch.empty_like(mine) for _ in range(count())]
     with exchange():
-        distributed.all_gather(found, told)
-    return [one.tolist() for one in found]
+        distributed.all_gather(all_values, mine)
+    return [rank.tolist() for rank in all_values]
 
 
-def agreed(mine: _Number) -> _Number:
-    """Return the first rank's number; all wait for the last."""
-    return type(mine)(gathered(mine)[0][0])
+def agreed(value: _Number) -> _Number:
+    """Return the first rank's value."""
+    return type(value)(gather(value)[0][0])
 
 
 def wait() -> None:
-    """Wait for the last rank to come here."""
-    gathered(0.0)
+    """Wait until all ranks have come here."""
+    gather(0.0)
 
 
 @contextlib.contextmanager
 def exchange() -> Iterator[None]:
-    """Say so in a sentence where a rank has gone while others wait for it.
+    """Report in a sentence that a rank has ended while others wait for it.
 
     Raises:
         LeagueError: it has.
@@ -146,92 +147,79 @@ def exchange() -> Iterator[None]:
     except RuntimeError as error:
         # Gloo's errors have no type of their own.
         if isinstance(error, distributed.DistError) or "gloo" in str(error):
-            raise _gone() from None
+            raise LeagueError(
+                "another process of this run has ended: see its message, fix that, and go on with "
+                "--resume"
+            ) from None
         raise
 
 
 @contextlib.contextmanager
-def together() -> Iterator[None]:
-    """What fails in one rank fails in all, with the same sentence: nobody waits for who has gone.
+def failing_together() -> Iterator[None]:
+    """Raise an error of one rank in all of them, so that none blocks on one that has ended.
 
     Raises:
-        LeagueError: it failed in another rank.
+        LeagueError: it was raised in a rank.
     """
-    failed: LeagueError | None = None
+    failure: LeagueError | None = None
     try:
         yield
     except LeagueError as error:
         if count() == 1:
             raise
-        failed = error
-    if not _anywhere(failed is not None):
+        failure = error
+    if not _any(failure is not None):
         return
-    found: list[LeagueError | None] = [None] * count()
-    distributed.all_gather_object(found, failed)
-    _let_first_go()
-    raise next(error for error in found if error is not None)
+    failures: list[LeagueError | None] = [None] * count()
+    distributed.all_gather_object(failures, failure)
+    _wait_for_first()
+    raise next(error for error in failures if error is not None)
 
 
 @contextlib.contextmanager
-def stopping_together() -> Iterator[Callable[[], None]]:
-    """Have Ctrl-C and SIGTERM stop all ranks at the same place; one rank hears them as ever.
+def interrupted_together() -> Iterator[Callable[[], None]]:
+    """Let Ctrl-C and SIGTERM stop all ranks at the same place; a single rank stops at once.
 
     Yields:
-        The place: a call, which raises KeyboardInterrupt in all ranks if any has been told to stop.
+        The place: a call that raises KeyboardInterrupt in all ranks if any was interrupted.
     """
     if count() == 1:
         yield lambda: None
         return
-    heard: list[int] = []
+    received: list[int] = []
 
     def place() -> None:
-        if _anywhere(bool(heard)):
-            _let_first_go()
+        if _any(bool(received)):
+            _wait_for_first()
             raise KeyboardInterrupt
 
-    before: dict[int, Any] = {}
-    if threading.current_thread() is threading.main_thread():  # no other hears signals
-        for one in (signal.SIGINT, signal.SIGTERM):
-            before[one] = signal.signal(one, lambda number, _: heard.append(number))
+    handlers: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():  # others receive no signals
+        for number in (signal.SIGINT, signal.SIGTERM):
+            handlers[number] = signal.signal(number, lambda number, _: received.append(number))
     try:
         yield place
     finally:
-        for one, handler in before.items():
-            signal.signal(one, handler)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
 
 
-def _anywhere(mine: bool) -> bool:
-    return any(flag for (flag,) in gathered(mine))
+def _any(value: bool) -> bool:
+    return any(flag for (flag,) in gather(value))
 
 
-def _let_first_go() -> None:
-    """Wait until the first rank has closed or ended, if this is another one.
-
-    It has to save what was learnt, and torchrun ends all ranks as soon as one has failed.
-    """
+def _wait_for_first() -> None:
+    """Wait until the first rank has ended: torchrun ends all as soon as one fails, and it saves."""
     if not is_first():
         with contextlib.suppress(RuntimeError):
             distributed.recv(torch.zeros(1), src=0)
 
 
-def _gone() -> LeagueError:
-    return LeagueError(
-        "another process of this run has ended: see what it said, mend that, and go on with "
-        "--resume"
-    )
-
-
-def _local() -> int:
-    """Return which of its machine's ranks this one is."""
-    return _from_torchrun("LOCAL_RANK", 0)
-
-
-def _from_torchrun(name: str, least: int) -> int:
-    """Return a whole number of the environment; the least one where there is none."""
+def _environment(name: str, least: int) -> int:
+    """Return a whole number that torchrun has set; the least one where there is none."""
     text = os.environ.get(name, str(least))
     if not text.isdecimal() or int(text) < least:
         raise ConfigError(
-            f"{name} is {brief(text)} in the environment: torchrun sets it, so leave it to that, "
-            "or take it out"
+            f"{name} is {brief(text)} in the environment: torchrun sets it, so unset it elsewhere"
         )
     return int(text)

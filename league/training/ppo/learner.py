@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,19 +20,19 @@ from rsl_rl.modules.distribution import GaussianDistribution
 from league.agents import network
 from league.atomic_file import replacing
 from league.envs.adapters.rsl_vec_env import RacingVecEnv
-from league.errors import PolicyError
-from league.training.ppo import distributed, symmetry
-from league.training.ppo.episode_stats import Episodes
+from league.errors import ConfigError, PolicyError, brief
+from league.track.track import TrackSet
+from league.training.config import TrainConfig
+from league.training.ppo import distributed, make_env, symmetry
 from league.training.ppo.models import actor_settings
-from league.training.ppo.reward_normalization import ReturnScale
-from league.training.settings import TrainConfig
+from league.training.ppo.statistics import EpisodeStatistics, RewardNormalization
 
 STATE_FORMAT = 1
 
 
 @dataclass(frozen=True)
 class Update:
-    """What one round of collecting and learning brought."""
+    """The result of one round of collecting and learning."""
 
     number: int
     """Updates so far, this one included."""
@@ -50,16 +51,16 @@ class Update:
     learning_rate: float | None = None
     """Step size of the optimiser."""
     mean_std: float | None = None
-    """Mean standard deviation of the actions: exploration."""
+    """Mean standard deviation of the actions."""
     episode_steps: float | None = None
-    """Steps from one end of an episode to the next, of late; None before the first one."""
+    """Mean steps from one end of an episode to the next; None before the first one."""
 
 
 class Learner:
-    """PPO with its worlds; what it has learnt can be taken out, saved and resumed.
+    """PPO with its worlds.
 
-    Where torchrun has started several ranks, each has a learner with worlds of its own. They update
-    together, with equal weights, and what is told of rewards and episodes is the rank's own.
+    Each rank of torchrun has a learner with worlds of its own. They update together, with equal
+    weights; rewards and episodes are reported of the rank's own worlds.
     """
 
     def __init__(self, env: RacingVecEnv, cfg: TrainConfig) -> None:
@@ -70,30 +71,28 @@ class Learner:
             cfg: settings of the run; the device is this rank's own.
 
         Raises:
-            ConfigError: the other ranks cannot be found.
+            ConfigError: the other ranks cannot be reached.
         """
         self.env, self.cfg = env, cfg
         distributed.join(cfg.device)
-        if self._on_card:
-            # Else convolutions learn in another way each time, in fewer bits than judged.
+        if self._on_gpu:
+            # Else convolutions are neither reproducible nor as precise as in evaluations.
             torch.backends.cudnn.deterministic, torch.backends.cudnn.allow_tf32 = True, False
         # rsl-rl draws weights and exploration from torch's global generator.
         torch.manual_seed(cfg.seed)
         self._obs = env.get_observations()
         with contextlib.redirect_stdout(io.StringIO()):  # it prints its networks
             self._alg = PPO.construct_algorithm(self._obs, env, self._settings(), cfg.device)
-        self._mirroring = None
-        if cfg.mirror and symmetry.applies(cfg.sensors, cfg.action_space):
-            self._mirroring = symmetry.Mirroring(
-                cfg.sensors, cfg.action_space, cfg.ppo.mini_batches
-            )
-            self._alg.symmetry = self._mirroring  # type: ignore
-        self._episodes = Episodes(env.num_envs)
-        self._scale = ReturnScale(env.num_envs, cfg.ppo.gamma, cfg.device)
+        self._symmetry = None
+        if cfg.symmetry and symmetry.applies(cfg.sensors, cfg.action_space):
+            self._symmetry = symmetry.Symmetry(cfg.sensors, cfg.action_space, cfg.ppo.mini_batches)
+            self._alg.symmetry = self._symmetry  # type: ignore
+        self._episodes = EpisodeStatistics(env.num_envs)
+        self._normalization = RewardNormalization(env.num_envs, cfg.ppo.gamma, cfg.device)
         self.updates = self.samples = 0
         if distributed.count() > 1:
             self._alg.broadcast_parameters()
-            self.start_rows_anew()
+            self.restart_rows()
 
     @property
     def device(self) -> str:
@@ -101,67 +100,67 @@ class Learner:
         return self.cfg.device
 
     @property
-    def episodes(self) -> Episodes:
-        """What has become of the episodes of late."""
+    def episodes(self) -> EpisodeStatistics:
+        """Statistics of the last episodes."""
         return self._episodes
 
     @property
     def shown(self) -> tuple[RacingVecEnv, ...]:
-        """All worlds in which somebody learns, to look on at."""
+        """All worlds that a viewer shows."""
         return (self.env,)
 
     @property
     def has_learnt(self) -> bool:
-        """Whether the policy is other than it began, and worth a look."""
+        """Whether the policy has been updated, and is worth an evaluation."""
         return self.updates > 0
 
     def weights(self) -> dict[str, np.ndarray]:
         """Return the actor's weights as copies."""
         return network.from_learner(self._alg.get_policy().state_dict())
 
-    def begin(self, weights: Mapping[str, np.ndarray]) -> None:
-        """Start from the weights of another policy of the same shape.
+    def load_weights(self, weights: Mapping[str, np.ndarray]) -> None:
+        """Take the actor's weights from a policy of the same shape.
 
         Raises:
             PolicyError: the layers differ.
         """
         own = self._alg.get_policy().state_dict()
-        mine = {name: value for name, value in own.items() if name in self.weights()}
-        if {n: v.shape for n, v in mine.items()} != {n: v.shape for n, v in weights.items()}:
+        shapes = {name: value.shape for name, value in self.weights().items()}
+        if shapes != {name: value.shape for name, value in weights.items()}:
             raise PolicyError(
-                "the policy to begin from has other layers, sensors or actions than this run: "
+                "the policy to start from has other layers, sensors or actions than this run: "
                 "give the run the same, or start a new run"
             )
-        given = {name: torch.from_numpy(value) for name, value in weights.items()}
-        self._alg.get_policy().load_state_dict({**own, **given})
+        new = {name: torch.from_numpy(value) for name, value in weights.items()}
+        self._alg.get_policy().load_state_dict({**own, **new})
 
     def update(self, share: float) -> Update:
         """Collect one round of steps and learn from it.
 
         Args:
-            share: share of the budget that is used up, 0 to 1, for the schedules; of several
-                ranks the first one's counts.
+            share: share of the budget that is used up, 0 to 1, for the schedules; that of the
+                first rank counts.
 
         Raises:
-            LeagueError: a reward function has failed, or another rank.
+            LeagueError: a reward function or another rank has failed.
         """
         self._schedule(distributed.agreed(share))
         self._alg.train_mode()
         started = time.perf_counter()
-        with distributed.together():
+        with distributed.failing_together():
             reward, log = self._collect()
         collected = time.perf_counter()
-        self._scale.share()
+        self._normalization.synchronize()
         with torch.inference_mode():
             self._alg.compute_returns(self._obs)
-        if self._mirroring is not None:
-            self._mirroring.restart()
+        if self._symmetry is not None:
+            self._symmetry.restart()
         with distributed.exchange():
             losses = self._alg.update()
         self.updates += 1
-        self.samples += distributed.count() * self.env.num_envs * self.cfg.ppo.steps
+        self.samples += distributed.count() * self.env.num_envs * self.cfg.ppo.rollout
         if self.updates % self.cfg.save_every == 0:
-            self.start_rows_anew()
+            self.restart_rows()
         return Update(
             number=self.updates,
             samples=self.samples,
@@ -177,49 +176,47 @@ class Learner:
 
     @property
     def at_save_point(self) -> bool:
-        """Whether a run that goes on from here ends as one that was never interrupted."""
+        """Whether a run resumed from here ends in the same weights as an uninterrupted one."""
         return self.updates % self.cfg.save_every == 0
 
     def save(self, path: Path, notes: dict[str, object]) -> None:
-        """Write all that is needed to go on: networks, optimiser, generators, counts, notes.
+        """Write all that a resume needs: networks, optimiser, generators, counts, notes.
 
-        Of several ranks the first one writes; the others have the same networks, and their own
-        draws restart with the rows. It does not wait for other ranks.
+        The first rank writes; the others have the same networks, and their random numbers restart
+        with the rows.
 
         Raises:
             PolicyError: it cannot be written; a state that was there stays.
         """
         if not distributed.is_first():
             return
-        state = self._learnt() | {
+        state = self._state() | {
             "format": STATE_FORMAT,
             "generator": torch.get_rng_state(),
             "notes": notes,
         }
-        if self._on_card:
+        if self._on_gpu:
             state["card_generator"] = torch.cuda.get_rng_state(self.device)
         with replacing(path, "the learner's state", PolicyError, also=(RuntimeError,)) as file:
-            # In memory first: to a full disk, torch has no better answer than its own position.
-            whole = io.BytesIO()
-            torch.save(state, whole)
-            file.write_bytes(whole.getbuffer())
+            # In memory first: torch.save does not report a full disk in a readable way.
+            buffer = io.BytesIO()
+            torch.save(state, buffer)
+            file.write_bytes(buffer.getbuffer())
 
     def restore(self, path: Path) -> dict:
-        """Go on from a saved state; return its notes.
-
-        The file is this user's own, and is read weights-only all the same.
+        """Load a saved state; return its notes. Only weights are unpickled.
 
         Raises:
             PolicyError: it is no state, or one of another network.
         """
         try:
-            # What belongs on a card is copied there; on one, Adam's counts would be read each step.
+            # Adam's counts stay on the CPU: on a GPU they would be read back in each step.
             state = torch.load(path, weights_only=True, map_location="cpu")
             if state["format"] != STATE_FORMAT:
                 raise KeyError(state["format"])
-            self._go_on_from(state)
+            self._load_state(state)
             torch.set_rng_state(state["generator"])
-            if self._on_card and "card_generator" in state:  # format 1 began without it
+            if self._on_gpu and "card_generator" in state:  # missing in early files
                 torch.cuda.set_rng_state(state["card_generator"], self.device)
             notes = dict(state["notes"])
         except (
@@ -236,14 +233,14 @@ class Learner:
                 f"{path} cannot be resumed ({type(error).__name__}): give the run the "
                 "settings it was started with, or start a new run with another --out"
             ) from None
-        self.start_rows_anew()
+        self.restart_rows()
         return notes
 
-    def start_rows_anew(self) -> None:
-        """Begin all episodes anew, from a seed that the number of updates and the rank decide.
+    def restart_rows(self) -> None:
+        """Restart all episodes, from a seed that is a function of updates and rank.
 
-        Several ranks draw what comes next from that seed, too: so a run of several goes on as it
-        would have without anything kept of the others but what they share.
+        Of several ranks, exploration continues from that seed, too, so that no generator of another
+        rank has to be saved.
         """
         seed = distributed.seed(self.cfg.seed * 1_000_003 + self.updates)
         if distributed.count() > 1:
@@ -251,46 +248,46 @@ class Learner:
         with torch.inference_mode():
             self._obs = self.env.reset(seed, self._next_tracks())
         self._episodes.restart()
-        self._scale.restart()
+        self._normalization.restart()
 
-    def _learnt(self) -> dict:
-        """Return what is to be kept of networks, optimiser and counts."""
+    def _state(self) -> dict[str, Any]:
         counts = {"updates": self.updates, "samples": self.samples}
-        return self._alg.save() | counts | {"scale": self._scale.state()}
+        return self._alg.save() | counts | {"scale": self._normalization.state()}
 
-    def _go_on_from(self, kept: dict) -> None:
-        """Take up what `_learnt` has returned."""
-        self._alg.load(kept, None, True)
-        self.updates, self.samples = int(kept["updates"]), int(kept["samples"])
-        self._scale.restore(kept["scale"])
+    def _load_state(self, state: dict[str, Any]) -> None:
+        self._alg.load(state, None, True)
+        self.updates, self.samples = int(state["updates"]), int(state["samples"])
+        self._normalization.restore(state["scale"])
 
     @property
-    def _on_card(self) -> bool:
+    def _on_gpu(self) -> bool:
         return torch.device(self.device).type == "cuda"
 
     def _next_tracks(self) -> np.ndarray:
-        """Return the tracks of the worlds from here on: where there are more, others each time."""
+        """Return the next tracks of the worlds, where there are more tracks than worlds."""
         worlds, times = self.cfg.num_worlds, self.updates // self.cfg.save_every
         first = worlds * (times * distributed.count() + distributed.number())
         return np.arange(first, first + worlds) % len(self.env.race_env.tracks.tracks)
 
     def _collect(self) -> tuple[float, dict[str, float]]:
-        paid, sums = 0.0, {}
+        reward, sums = 0.0, {}
         with torch.inference_mode():
-            for _ in range(self.cfg.ppo.steps):
+            for _ in range(self.cfg.ppo.rollout):
                 actions = self._alg.act(self._obs)
                 self._obs, rewards, dones, extras = self.env.step(actions)
-                scaled = self._scale.scaled(rewards, dones)
-                # Who was cut off by the clock is told what it would have gone on to earn.
-                cut = dones > 0 if self.cfg.ppo.forgiving else extras["time_outs"]
-                told = extras | {"time_outs": cut}
-                self._alg.process_env_step(self._obs, scaled, dones, told)
+                normalized = self._normalization.normalize(rewards, dones)
+                # rsl-rl adds the critic's value to the rewards of `time_outs`.
+                bootstrap = self.cfg.ppo.bootstrap_on_failure
+                ends = dones > 0 if bootstrap else extras["time_outs"]
+                self._alg.process_env_step(
+                    self._obs, normalized, dones, extras | {"time_outs": ends}
+                )
                 self._episodes.add(rewards, dones, extras)
-                paid += float(rewards.mean())
+                reward += float(rewards.mean())
                 for name, value in extras["log"].items():
                     sums[name] = sums.get(name, 0.0) + float(value)
-        steps = self.cfg.ppo.steps
-        return paid / steps, {name: value / steps for name, value in sums.items()}
+        steps = self.cfg.ppo.rollout
+        return reward / steps, {name: value / steps for name, value in sums.items()}
 
     def _schedule(self, share: float) -> None:
         ppo, share = self.cfg.ppo, min(max(share, 0.0), 1.0)
@@ -299,21 +296,21 @@ class Learner:
         self._alg.learning_rate = rate
         for group in self._alg.optimizer.param_groups:
             group["lr"] = rate
-        spread = self._alg.get_policy().distribution
-        if isinstance(spread, GaussianDistribution):
+        distribution = self._alg.get_policy().distribution
+        if isinstance(distribution, GaussianDistribution):
             noise = ppo.noise[0] * (ppo.noise[1] / ppo.noise[0]) ** share
             with torch.no_grad():
-                spread.log_std_param.fill_(noise).log_()
+                distribution.log_std_param.fill_(noise).log_()
         else:
             self._alg.entropy_coef = ppo.entropy[0] + share * (ppo.entropy[1] - ppo.entropy[0])
 
-    def _settings(self) -> dict:
-        """Return what rsl-rl builds its PPO from, by the names of its runner's settings."""
+    def _settings(self) -> dict[str, Any]:
+        """Return the settings from which rsl-rl builds its PPO."""
         cfg, ppo = self.cfg, self.cfg.ppo
         groups = list(network.group_shapes(cfg.sensors))
         return {
-            "num_steps_per_env": ppo.steps,
-            "multi_gpu": distributed.for_rsl_rl(),
+            "num_steps_per_env": ppo.rollout,
+            "multi_gpu": distributed.rsl_rl_settings(),
             "obs_groups": {"actor": groups, "critic": ["state"]},
             "actor": actor_settings(
                 cfg.network, cfg.action_space, "stereo" in groups, ppo.noise[0], ppo.pull
@@ -334,7 +331,6 @@ class Learner:
                 "lam": ppo.lam,
                 "clip_param": ppo.clip,
                 "entropy_coef": 0.0,
-                "value_loss_coef": ppo.value_weight,
                 "max_grad_norm": ppo.max_gradient,
                 # Returns are not of order 1, and a clipped critic lags far behind them.
                 "use_clipped_value_loss": ppo.value_clip,
@@ -344,10 +340,54 @@ class Learner:
 
 @contextlib.contextmanager
 def threads(number: int) -> Iterator[None]:
-    """Have torch compute with some threads; waiting ones must not spin (OMP_WAIT_POLICY)."""
+    """Set torch's threads; waiting ones must not spin (OMP_WAIT_POLICY)."""
     before = torch.get_num_threads()
     torch.set_num_threads(max(1, number))
     try:
         yield
     finally:
         torch.set_num_threads(before)
+
+
+def make_learner(tracks: TrackSet, cfg: TrainConfig, **settings: Any) -> Learner:  # noqa: ANN401
+    """Build a learner and its worlds; settings are those of make_env.make."""
+    return Learner(make_env.make(tracks, cfg, **settings), cfg)
+
+
+def check_device(name: str) -> None:
+    """Check that a device computes.
+
+    Raises:
+        ConfigError: it does not, or there is none of that name.
+    """
+    try:
+        # Read back, because `meta` takes tensors and has nothing inside them.
+        result = float(torch.ones(1, device=name).sum())
+    except (RuntimeError, AssertionError, ImportError):
+        result = None
+    if result == 1.0:
+        return
+    devices = ["cpu"]
+    if (kind := torch.accelerator.current_accelerator(check_available=True)) is not None:
+        devices += [f"{kind.type}:{number}" for number in range(torch.accelerator.device_count())]
+    raise ConfigError(
+        f"this machine's torch cannot compute on the device {brief(name)}: give cpu, or cuda "
+        "where there is such a card and a torch that supports it; found here: "
+        f"{', '.join(devices)}"
+    )
+
+
+@contextlib.contextmanager
+def memory_explained() -> Iterator[None]:
+    """Report a GPU's full memory in a sentence.
+
+    Raises:
+        ConfigError: it is full.
+    """
+    try:
+        yield
+    except torch.OutOfMemoryError as error:
+        raise ConfigError(
+            f"the device's memory is full ({brief(str(error).partition('. ')[0])}): start a new "
+            "run with fewer --num-worlds, a shorter --rollout or more --mini-batches"
+        ) from None

@@ -11,12 +11,19 @@ from league.agents.driver import Driver
 from league.envs.adapters.rsl_vec_env import RacingVecEnv
 from league.envs.config import EnvConfig, OpponentPlacement
 from league.envs.rewards import Reward
-from league.sim.config import DynamicsRandomization, ObstacleConfig, RaceRules, SimConfig
+from league.sim.config import (
+    DynamicsRandomization,
+    ObstacleConfig,
+    RaceRules,
+    SimConfig,
+    VisualRandomization,
+)
 from league.track.track import TrackSet
-from league.training.settings import TrainConfig
+from league.training.config import GRIP_SPREAD, TrainConfig
 
 _ENDLESS = 1000
 """Laps of a race in training: an episode is ended by a mistake or by time, not by the flag."""
+VISUAL_RANDOMIZATION = VisualRandomization(light=0.3, colour=0.15, noise=6.0, blur=0.6)
 
 
 def env_config(cfg: TrainConfig) -> EnvConfig:
@@ -26,14 +33,14 @@ def env_config(cfg: TrainConfig) -> EnvConfig:
         num_cars=cfg.num_cars,
         obstacles=ObstacleConfig(count=cfg.obstacles, kind="bot" if cfg.bots else "box"),
         rules=RaceRules(laps=_ENDLESS),
-        spread=cfg.spread or DynamicsRandomization(),
+        spread=_spread(cfg.dynamics_randomization),
     )
     return EnvConfig(
         sim=sim,
         solver="planar",
         sensors=(cfg.sensors,) * cfg.num_cars,
         camera_path=camera_path(cfg.device),
-        looks=cfg.looks,
+        looks=VISUAL_RANDOMIZATION if cfg.visual_randomization else None,
         mode="training",
         reward=cfg.reward,
         episode_s=cfg.episode_s,
@@ -42,8 +49,20 @@ def env_config(cfg: TrainConfig) -> EnvConfig:
     )
 
 
+def _spread(share: float) -> DynamicsRandomization:
+    """Return how far cars differ; a share of 1 as cars of one model do."""
+    return DynamicsRandomization(
+        grip=GRIP_SPREAD * share,
+        mass=0.1 * share,
+        latency_s=0.03 * share,
+        steering_offset=0.02 * share,
+        camera_position=0.01 * share,
+        camera_angle=0.02 * share,
+    )
+
+
 def camera_path(device: torch.device | str) -> Literal["paint", "ray"]:
-    """Return how pictures are made on a device: by compiled painting where there is a CPU."""
+    """Return how pictures are rendered: by compiled painting on a CPU, by ray casting on a GPU."""
     return "paint" if torch.device(device).type == "cpu" else "ray"
 
 

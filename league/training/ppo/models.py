@@ -1,4 +1,4 @@
-"""What rsl-rl learns with: an actor that takes pictures as bytes, and choices from a list."""
+"""rsl-rl models: a CNN for pictures as bytes, and distributions of bounded actions and choices."""
 
 from __future__ import annotations
 
@@ -13,45 +13,45 @@ from league.envs.actions import ActionSpace, ContinuousActions
 
 
 class ByteCNNModel(CNNModel):
-    """A CNNModel whose pictures are bytes, a quarter of the memory traffic of floats."""
+    """A CNNModel for pictures as bytes, a quarter of the memory traffic of floats."""
 
     def get_latent(self, obs: TensorDict, masks=None, hidden_state=None) -> Tensor:  # noqa: ANN001
-        """Return what the convolutions make of the pictures, after what is told as numbers."""
-        parts = []
+        """Return the features of the pictures, after the groups of numbers."""
+        features = []
         if self.obs_groups:
             flat = torch.cat([obs[group] for group in self.obs_groups], dim=-1)
-            parts.append(self.obs_normalizer(flat))
+            features.append(self.obs_normalizer(flat))
         for group in self.obs_groups_2d:
             picture = obs[group]
             if picture.dtype == torch.uint8:
                 picture = picture.to(torch.float32).div_(255.0)  # in place: it is large
-            parts.append(self.cnns[group](picture))
-        return torch.cat(parts, dim=-1)
+            features.append(self.cnns[group](picture))
+        return torch.cat(features, dim=-1)
 
 
-class Leashed(GaussianDistribution):
-    """A Gaussian whose mean is pulled back where it leaves [-1, 1], the range of actions.
+class BoundedGaussian(GaussianDistribution):
+    """A Gaussian with a mean that is pulled back where it leaves [-1, 1], the range of actions.
 
-    The worlds clip actions, so beyond the range no reward tells one mean from another, and nothing
-    brings one back that has drifted off: a car that asks for far more than full speed never tries
-    to brake earlier. The pull is the gradient of weight / 2 times the mean square of the excess.
+    The worlds clip actions, so beyond the range the reward has no gradient, and a mean that has
+    drifted off stays there: a car that asks for far more than full speed never tries to brake
+    earlier. The pull is the gradient of weight / 2 times the mean square of the excess.
     """
 
     def __init__(self, output_dim: int, pull: float = 0.0, **settings: object) -> None:
-        """Remember the weight of the pull."""
+        """Set the weight of the pull."""
         super().__init__(output_dim, **settings)  # type: ignore
         self._pull = pull
 
     def update(self, mlp_output: Tensor) -> None:
-        """Take the means; the gradient that goes back through them gains the pull."""
-        super().update(_Leash.apply(mlp_output, self._pull))  # type: ignore
+        """Set the means; their gradient gains the pull."""
+        super().update(_Pull.apply(mlp_output, self._pull))  # type: ignore
 
     def init_mlp_weights(self, mlp: nn.Module) -> None:
-        """Begin with the middle of each action's range."""
-        _answer_little(mlp)
+        """Start at the middle of each action's range."""
+        _shrink_last_layer(mlp)
 
 
-class _Leash(torch.autograd.Function):
+class _Pull(torch.autograd.Function):
     """The identity, with a gradient towards [-1, 1] of its own."""
 
     @staticmethod
@@ -68,19 +68,19 @@ class _Leash(torch.autograd.Function):
 
 
 class Categorical(Distribution):
-    """Chooses from a list by scores; a choice is told as one-hot, (num_rows, size)."""
+    """Categorical distribution of one-hot actions, (num_rows, size)."""
 
     def __init__(self, output_dim: int) -> None:
-        """Remember how many choices there are."""
+        """Set the number of choices."""
         super().__init__(output_dim)
         self._logits: Tensor | None = None
 
     def init_mlp_weights(self, mlp: nn.Module) -> None:
-        """Begin with equal chances."""
-        _answer_little(mlp)
+        """Start with equal probabilities."""
+        _shrink_last_layer(mlp)
 
     def update(self, mlp_output: Tensor) -> None:
-        """Take the scores, and normalise them into log probabilities."""
+        """Set the logits."""
         self._logits = torch.log_softmax(mlp_output, dim=-1)
 
     def sample(self) -> Tensor:
@@ -89,11 +89,11 @@ class Categorical(Distribution):
         return torch.zeros_like(self._scores).scatter_(1, chosen, 1.0)
 
     def deterministic_output(self, mlp_output: Tensor) -> Tensor:
-        """Return the scores: the best one is what is asked for."""
+        """Return the logits, of which the largest is chosen."""
         return mlp_output
 
     def as_deterministic_output_module(self) -> nn.Module:
-        """Return a module that leaves the scores as they are."""
+        """Return the identity."""
         return nn.Identity()
 
     @property
@@ -103,7 +103,7 @@ class Categorical(Distribution):
 
     @property
     def input_dim(self) -> int:
-        """Scores that the network must answer with."""
+        """Outputs of the network."""
         return self.output_dim
 
     @property
@@ -128,7 +128,7 @@ class Categorical(Distribution):
         return (self._scores,)
 
     def log_prob(self, outputs: Tensor) -> Tensor:
-        """Return the log probability of choices told as one-hot, (num_rows,)."""
+        """Return the log probability of one-hot choices, (num_rows,)."""
         return (outputs * self._scores).sum(dim=-1)
 
     def kl_divergence(
@@ -139,12 +139,12 @@ class Categorical(Distribution):
         return (old.exp() * (old - new)).sum(dim=-1)
 
 
-def _answer_little(mlp: nn.Module) -> None:
-    """Have an untaught actor answer close to 0, whatever it sees.
+def _shrink_last_layer(mlp: nn.Module) -> None:
+    """Scale the last layer, so that at initialisation the actor outputs values near 0.
 
-    With torch's own draw of the last layer half of all seeds were thrown beyond the range of
-    actions by their first update and never came back (docs/training.md). Andrychowicz et al.,
-    "What Matters In On-Policy Reinforcement Learning?" (2020), section 3.2, scale it like this.
+    With torch's own initialisation the first update throws half of all seeds beyond the range of
+    actions for good. Andrychowicz et al., "What Matters In On-Policy Reinforcement Learning?"
+    (2020), section 3.2, scale it like this.
     """
     last = [layer for layer in mlp.modules() if isinstance(layer, nn.Linear)][-1]
     with torch.no_grad():
@@ -158,11 +158,11 @@ def actor_settings(
     """Return rsl-rl's settings of an actor with these layers."""
     if isinstance(space, ContinuousActions):
         distribution: dict[str, object] = {
-            "class_name": Leashed,
+            "class_name": BoundedGaussian,
             "pull": pull,
             "init_std": noise,
             "std_type": "log",
-            # Set by a schedule: left to the gradient it falls too slowly to race at the edge.
+            # Set by a schedule: by gradient it falls too slowly to race at the edge.
             "learn_std": False,
         }
     else:

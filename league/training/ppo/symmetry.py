@@ -1,4 +1,4 @@
-"""Left and right swapped: what a car would be told, and do, on the mirrored track."""
+"""Mirror symmetry: observations and actions of the car on the track with left and right swapped."""
 
 from __future__ import annotations
 
@@ -42,15 +42,11 @@ def lidar(group: Tensor, beams: int) -> Tensor:
     return group.reshape(rows, beams, size // beams).flip(1).reshape(rows, size)
 
 
-def observations(told: TensorDict, sensors: SensorConfig) -> TensorDict:
-    """Return all groups of the mirrored car.
-
-    A single left eye is not the mirror image of anything a car sees, so such cars do not learn from
-    mirror images (see `applies`).
-    """
+def observations(groups: TensorDict, sensors: SensorConfig) -> TensorDict:
+    """Return all groups of the mirrored car; `applies` says which cars have one."""
     mirrored: dict[str, Tensor] = {}
-    for name in map(str, told.keys()):
-        group = told[name]
+    for name in map(str, groups.keys()):
+        group = groups[name]
         if name == "stereo":
             assert sensors.camera is not None
             mirrored[name] = stereo(group, sensors.camera.num_eyes)
@@ -60,41 +56,41 @@ def observations(told: TensorDict, sensors: SensorConfig) -> TensorDict:
             mirrored[name] = lidar(group, form.beams if form.form == "ranges" else form.sectors)
         else:
             mirrored[name] = {"motion": motion, "state": state}[name](group)
-    return TensorDict(mirrored, batch_size=told.batch_size, device=told.device)
+    return TensorDict(mirrored, batch_size=groups.batch_size, device=groups.device)
 
 
 def applies(sensors: SensorConfig, space: ActionSpace) -> bool:
-    """Return whether a car with these sensors and actions has a mirror image."""
+    """Return whether a car has a mirror image: not with a left eye alone, or one-sided actions."""
     one_sided = sensors.camera is not None and sensors.camera.eyes == "left"
     return space.is_mirrored and not one_sided
 
 
-class Mirroring:
-    """rsl-rl's symmetry extension at no cost: every second mini-batch is mirrored, not doubled.
+class Symmetry:
+    """Replaces rsl-rl's symmetry extension: every second mini-batch is mirrored, not doubled.
 
-    Mittal et al., "Symmetry Considerations for Learning Task Symmetric Robot Policies" (ICRA 2024),
-    append the mirror images to each mini-batch, which doubles the cost of an update; half of them
-    mirrored learns as much from a sample at the cost of none (docs/training.md).
+    rsl-rl (Mittal et al., "Symmetry Considerations for Learning Task Symmetric Robot Policies",
+    ICRA 2024) appends the mirror images to each mini-batch, which doubles the cost of an update.
+    Mirroring half of them learns as much from a sample at no cost (docs/experiments.md).
     """
 
     use_mirror_loss = False
 
     def __init__(self, sensors: SensorConfig, space: ActionSpace, mini_batches: int) -> None:
-        """Remember what is mirrored, and how many mini-batches make an epoch."""
+        """Set what is mirrored, and how many mini-batches make an epoch."""
         self._sensors, self._space = sensors, space
         self._mini_batches, self._count = mini_batches, 0
         self.turned = False
         """Whether the last mini-batch was mirrored."""
 
     def restart(self) -> None:
-        """Begin with the first mini-batch of an update."""
+        """Start an update."""
         self._count = 0
 
     def augment_batch(self, batch: RolloutStorage.Batch, original_batch_size: int) -> None:
         """Mirror a mini-batch in place, if it is its turn."""
         epoch, part = divmod(self._count, self._mini_batches)
         self._count += 1
-        # Epochs see the same parts in the same order; turns differ, so each is seen both ways.
+        # Each part is seen both ways: epochs have the same parts in the same order.
         self.turned = (epoch + part) % 2 != 0
         if not self.turned:
             return

@@ -1,19 +1,19 @@
-"""A tutor: a driver that is told the truth learns first, and the policy then learns from it, too.
+"""A teacher that sees the true state learns first; the policy then learns from it, too.
 
-The truth is a few numbers instead of thousands of pixels, so the tutor makes four times as many
-decisions in the same time, and races faster than a camera driver does after as many. It is never
-raced; after its share of the budget it stands beside the policy, which explores on its own and is
-drawn towards what the tutor would have done there. Chen et al., "Learning by Cheating" (2019), have
-the idea, Schmitt et al., "Kickstarting Deep Reinforcement Learning" (2018), the loss: the
-divergence of the policy from its teacher, with a weight that falls to nothing. Exploration, by
-which divergence is measured, falls faster: what a difference of actions costs grows until three
-quarters of the way, and is nothing only at its end.
+The state is a few numbers instead of thousands of pixels, so the teacher makes four times as many
+decisions in the same time, and races faster than a camera driver does after as many. After its
+share of the budget the policy explores on its own and is drawn towards the teacher's actions.
+Chen et al., "Learning by Cheating" (2019), have the idea, Schmitt et al., "Kickstarting Deep
+Reinforcement Learning" (2018), the loss: the divergence of the policy from its teacher, with a
+weight that falls to 0. The divergence is measured by the policy's exploration, which falls faster,
+so the cost of a difference of actions grows until three quarters of the way, and is 0 at its end.
+rsl-rl's distillation has no reward of the student's own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import torch
 from rsl_rl.models import MLPModel
@@ -24,158 +24,151 @@ from torch import Tensor
 from league.agents.network import NetworkConfig
 from league.envs.actions import ContinuousActions
 from league.envs.adapters.rsl_vec_env import RacingVecEnv
-from league.envs.driver import Driver
-from league.envs.rewards import Reward
 from league.sim.config import SensorConfig
 from league.track.track import TrackSet
+from league.training.config import TrainConfig
 from league.training.monitor.history import TUTORING
-from league.training.ppo import distributed, make_env
-from league.training.ppo import symmetry as mirror
-from league.training.ppo.episode_stats import Episodes
+from league.training.ppo import distributed, make_env, symmetry
 from league.training.ppo.learner import Learner, Update
-from league.training.settings import TrainConfig
+from league.training.ppo.statistics import EpisodeStatistics
 
-TOLD = ("state", "motion")
-"""Observation groups of a tutor, and of its critic."""
-CALM = 0.375
-"""Share of its tutor's first noise with which the policy begins: it need not find the way alone."""
+GROUPS = ("state", "motion")
+"""Observation groups of a teacher, and of its critic."""
+NOISE_SHARE = 0.375
+"""Share of the first noise with which a taught policy starts: it need not find the way alone."""
 
 
-def truth(cfg: TrainConfig) -> TrainConfig:
-    """Return the settings of a tutor: those of its pupil, without senses."""
+def teacher_config(cfg: TrainConfig) -> TrainConfig:
+    """Return the settings of a policy's teacher, which has no sensors."""
     return replace(
         cfg,
         sensors=SensorConfig(),
         network=NetworkConfig(hidden=(256, 128), activation="elu", normalise=True),
-        mirror=False,
-        tutor=0.0,
+        symmetry=False,
+        teacher=0.0,
     )
 
 
-class Tutor(Learner):
-    """A learner whose actor is told what only critics are told else."""
+class Teacher(Learner):
+    """PPO learner with the privileged state, else seen by the critic alone, as observation."""
 
-    def advice(self, told: TensorDict) -> Tensor:
-        """Return what it would ask for: actions, or log probabilities of choices; no gradients."""
+    def targets(self, observations: TensorDict) -> Tensor:
+        """Return its actions, or log probabilities of choices, without gradients."""
         with torch.no_grad():
-            asked = self._alg.get_policy()(told)
+            actions = self._alg.get_policy()(observations)
         if isinstance(self.cfg.action_space, ContinuousActions):
-            return asked.clamp(-1.0, 1.0)
-        return torch.log_softmax(asked, dim=-1)
+            return actions.clamp(-1.0, 1.0)
+        return torch.log_softmax(actions, dim=-1)
 
-    def _settings(self) -> dict:
-        return super()._settings() | {
-            "obs_groups": {who: list(TOLD) for who in ("actor", "critic")}
-        }
-
-
-def tutored(
-    tracks: TrackSet,
-    cfg: TrainConfig,
-    *,
-    opponents: Mapping[int, Driver | str] | None = None,
-    reward: Reward | None = None,
-) -> TutoredLearner:
-    """Build the worlds of both, tutor and pupil; arguments are those of make_env.make."""
-    seen, told = (
-        make_env.make(tracks, one, opponents=opponents, reward=reward) for one in (cfg, truth(cfg))
-    )
-    return TutoredLearner(seen, cfg, Tutor(told, truth(cfg)))
+    def _settings(self) -> dict[str, Any]:
+        groups = {"actor": list(GROUPS), "critic": list(GROUPS)}
+        return super()._settings() | {"obs_groups": groups}
 
 
-class TutoredLearner(Learner):
-    """A learner that lets its tutor learn first, and then learns with its advice."""
+def make_taught(tracks: TrackSet, cfg: TrainConfig, **settings: Any) -> TaughtLearner:  # noqa: ANN401
+    """Build a learner, its teacher and the worlds of both; settings are those of make_env.make."""
+    env = make_env.make(tracks, cfg, **settings)
+    own = teacher_config(cfg)
+    return TaughtLearner(env, cfg, Teacher(make_env.make(tracks, own, **settings), own))
 
-    def __init__(self, env: RacingVecEnv, cfg: TrainConfig, tutor: Tutor) -> None:
+
+class TaughtLearner(Learner):
+    """A learner that lets its teacher learn first, and then learns from it, too."""
+
+    def __init__(self, env: RacingVecEnv, cfg: TrainConfig, teacher: Teacher) -> None:
         """Build networks and storage.
 
         Args:
             env: the worlds, with pictures as bytes.
-            cfg: settings of the run, with the tutor's share of the budget.
-            tutor: the tutor, in worlds of its own.
+            cfg: settings of the run, with the teacher's share of the budget.
+            teacher: in worlds of its own.
         """
-        self._tutor = tutor
+        self._teacher = teacher
         first, last = cfg.ppo.noise
-        super().__init__(env, cfg.with_ppo(noise=(max(CALM * first, last), last)))
-        self._advice = _Advice(self._mirroring, tutor, cfg)
-        self._alg.symmetry = self._advice  # type: ignore
+        super().__init__(env, cfg.with_ppo(noise=(max(NOISE_SHARE * first, last), last)))
+        self._lesson = _Lesson(self._symmetry, teacher, cfg)
+        self._alg.symmetry = self._lesson  # type: ignore
 
     @property
     def has_learnt(self) -> bool:
-        """Whether the tutor's time is over."""
-        return self.updates > self._tutor.updates
+        """Whether the teacher's time is over."""
+        return self.updates > self._teacher.updates
 
     @property
-    def episodes(self) -> Episodes:
-        """What has become of the episodes of whoever learns."""
-        return super().episodes if self.has_learnt else self._tutor.episodes
+    def episodes(self) -> EpisodeStatistics:
+        """Statistics of the last episodes of the one that learns."""
+        return super().episodes if self.has_learnt else self._teacher.episodes
 
     @property
     def shown(self) -> tuple[RacingVecEnv, ...]:
         """The worlds of both."""
-        return (self.env, self._tutor.env)
+        return (self.env, self._teacher.env)
 
     def update(self, share: float) -> Update:
-        """Have the tutor learn, or learn from it; see Learner."""
-        share, lesson = distributed.agreed(share), self.cfg.tutor
-        if share < lesson and not self.has_learnt:
+        """Update the teacher, or the policy; see Learner."""
+        share, until = distributed.agreed(share), self.cfg.teacher
+        if share < until and not self.has_learnt:
             try:
-                found = self._tutor.update(share / lesson)
+                update = self._teacher.update(share / until)
             finally:  # Ctrl-C may come after it has counted
-                self.updates, self.samples = self._tutor.updates, self._tutor.samples
-            return replace(found, log=found.log | {TUTORING: 1.0})
+                self.updates, self.samples = self._teacher.updates, self._teacher.samples
+            return replace(update, log=update.log | {TUTORING: 1.0})
         if not self.has_learnt:
-            super().start_rows_anew()  # as after a resume from here
-        done = max(share - lesson, 0.0) / (1.0 - lesson)
-        self._advice.weight = max(0.0, 1.0 - done)
-        found = super().update(done)
-        losses = {"advice" if name == "symmetry" else name: v for name, v in found.losses.items()}
-        return replace(found, losses=losses)
+            super().restart_rows()  # as after a resume from here
+        done = max(share - until, 0.0) / (1.0 - until)
+        self._lesson.weight = max(0.0, 1.0 - done)
+        update = super().update(done)
+        losses = {"advice" if name == "symmetry" else name: v for name, v in update.losses.items()}
+        return replace(update, losses=losses)
 
-    def start_rows_anew(self) -> None:
-        """Begin all episodes of whoever learns anew."""
+    def restart_rows(self) -> None:
+        """Restart all episodes of the one that learns."""
         if not self.has_learnt:
-            self._tutor.start_rows_anew()
-        super().start_rows_anew()
+            self._teacher.restart_rows()
+        super().restart_rows()
 
-    def _learnt(self) -> dict:
-        return super()._learnt() | {"tutor": self._tutor._learnt()}
+    def _state(self) -> dict[str, Any]:
+        return super()._state() | {"teacher": self._teacher._state()}
 
-    def _go_on_from(self, kept: dict) -> None:
-        super()._go_on_from(kept)
-        self._tutor._go_on_from(kept["tutor"])
+    def _load_state(self, state: dict[str, Any]) -> None:
+        super()._load_state(state)
+        # "tutor" in files of older versions.
+        self._teacher._load_state(state["teacher" if "teacher" in state else "tutor"])
 
 
-class _Advice:
-    """Takes the place of rsl-rl's symmetry extension: mirror images as before, and another loss."""
+class _Lesson:
+    """Replaces rsl-rl's symmetry extension: mirror images as before, and the teacher's loss."""
 
     use_mirror_loss = True
     mirror_loss_coeff = 1.0  # the weight is in the loss
 
-    def __init__(self, mirroring: mirror.Mirroring | None, tutor: Tutor, cfg: TrainConfig) -> None:
-        self._mirroring, self._tutor, self._cfg = mirroring, tutor, cfg
+    def __init__(
+        self, mirror: symmetry.Symmetry | None, teacher: Teacher, cfg: TrainConfig
+    ) -> None:
+        self._mirror, self._teacher, self._cfg = mirror, teacher, cfg
         self.weight = 1.0
 
     def augment_batch(self, batch: RolloutStorage.Batch, original_batch_size: int) -> None:
         """Mirror a mini-batch in place, if it is its turn."""
-        if self._mirroring is not None:
-            self._mirroring.augment_batch(batch, original_batch_size)
+        if self._mirror is not None:
+            self._mirror.augment_batch(batch, original_batch_size)
 
     def compute_loss(
         self, actor: MLPModel, batch: RolloutStorage.Batch, original_batch_size: int
     ) -> Tensor:
-        """Return the weighted divergence of the policy from its tutor."""
+        """Return the weighted divergence of the policy from its teacher."""
         if not self.weight:
             return torch.zeros((), device=self._cfg.device)
-        now = actor.output_distribution_params
-        # Its own deviation: the tutor's advice is where the middle is to be.
-        advised = (self._wanted(batch.observations), *(one.detach() for one in now[1:]))  # type: ignore
-        return self.weight * actor.get_kl_divergence(advised, now).mean()
+        params = actor.output_distribution_params
+        # With the policy's own deviation: the teacher's action is the target of the mean.
+        spread = (param.detach() for param in params[1:])
+        target = (self.targets(batch.observations), *spread)  # type: ignore
+        return self.weight * actor.get_kl_divergence(target, params).mean()
 
-    def _wanted(self, told: TensorDict) -> Tensor:
-        """Return the tutor's advice; it has never seen the mirrored track, so it is turned back."""
-        told = told.select(*TOLD)
-        if self._mirroring is None or not self._mirroring.turned:
-            return self._tutor.advice(told)
-        advice = self._tutor.advice(mirror.observations(told, self._cfg.sensors))
-        return self._cfg.action_space.mirror(advice)
+    def targets(self, observations: TensorDict) -> Tensor:
+        """Return the teacher's actions; as it never sees mirrored tracks, they are turned back."""
+        observations = observations.select(*GROUPS)
+        if self._mirror is None or not self._mirror.turned:
+            return self._teacher.targets(observations)
+        turned = symmetry.observations(observations, self._cfg.sensors)
+        return self._cfg.action_space.mirror(self._teacher.targets(turned))

@@ -16,6 +16,7 @@ from league.agents.driver import Driver
 from league.agents.policy import Policy
 from league.errors import ConfigError, PolicyError
 from league.track.track import TrackSet
+from league.training.config import TrainConfig
 from league.training.ppo import make_env
 from league.training.ppo.learner import Learner
 from league.training.selfplay import matches, opponents, payoff_matrix
@@ -23,7 +24,6 @@ from league.training.selfplay.opponents import PACER, Lineup, Opponent, Pacer, S
 from league.training.selfplay.payoff_matrix import PayoffMatrix
 from league.training.selfplay.pool import PARENT, Candidate, Member, Pool, spread
 from league.training.selfplay.settings import PACER_SHARE, SelfPlayConfig, paces
-from league.training.settings import TrainConfig
 
 NEWEST = "newest"
 STATE_FORMAT = 3
@@ -275,7 +275,7 @@ class SelfPlay:
             learner.env.speed_limit = SpeedCap(self._train.action_space.top_speed, self._opponents)
         # Restarted, so that a run that is resumed here has the same meetings.
         learner.env.race_env.place_opponents(cfg.meeting(self._done, self._train.num_cars))
-        learner.start_rows_anew()
+        learner.restart_rows()
 
     def _snapshot(self, learner: Learner) -> Checkpoint:
         return Checkpoint(
