@@ -21,13 +21,12 @@ from league import subprocesses
 from league.agents import checkpoint
 from league.agents.checkpoint import Checkpoint
 from league.matchmaking import loop, submission
-from league.matchmaking import workers as executors
 from league.matchmaking.pairing import matchmaker
 from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset, mirrored
 from league.matchmaking.store import Store, create
-from league.matchmaking.workers import processes
-from league.matchmaking.workers.dispatcher import Crew, contestant
-from league.matchmaking.workers.worker import Job, Pit
+from league.matchmaking.workers import make_executor, processes
+from league.matchmaking.workers.dispatcher import Dispatcher, heat_driver
+from league.matchmaking.workers.worker import HeatJob, RaceWorker
 from league.racing import race
 
 GOAL_A_DAY, GOAL_A_DAY_PLANAR = 150_000, 500_000
@@ -68,15 +67,15 @@ def shares(store: Store) -> None:
     entries = store.entries()
     rules = store.settings.ruleset
     half = Half(rules.tracks[0], tuple(entry.id for entry in entries))
-    field = {entry.id: contestant(store, entry) for entry in entries}
+    field = {entry.id: heat_driver(store, entry) for entry in entries}
     heat = Heat(rules.hash, (half,))
-    job = Job(heat.key, 1, heat.halves, (5,), rules, field)
-    pit = Pit()
-    pit.race(job)
+    job = HeatJob(heat.key, 1, heat.halves, (5,), rules, field)
+    worker = RaceWorker()
+    worker.race(job)
     profile = cProfile.Profile(time.process_time)
     start = time.process_time()
     profile.enable()
-    report = pit.race(job)
+    report = worker.race(job)
     profile.disable()
     total = time.process_time() - start
     assert report.outcome is not None, report.traceback
@@ -91,10 +90,10 @@ def shares(store: Store) -> None:
         figure(f"  share of {name}", 100 * spent / whole, "%")
 
 
-class OneByOne(Pit):
+class OneByOne(RaceWorker):
     """A worker that races the halves of a heat one after the other."""
 
-    def _races(self, job: Job) -> list[race.Finished]:
+    def _races(self, job: HeatJob) -> list[race.Finished]:
         contests = [self._contest(job, *one) for one in zip(job.halves, job.seeds, strict=True)]
         return [race.run_together([contest])[0] for contest in contests]
 
@@ -105,9 +104,9 @@ def batching(store: Store, repeats: int = 3) -> None:
     heat = mirrored(
         rules.hash, (rules.tracks[0], rules.tracks[0]), tuple(entry.id for entry in entries)
     )
-    field = {entry.id: contestant(store, entry) for entry in entries}
-    job = Job(heat.key, 1, heat.halves, (5, 6), rules, field)
-    together, alone = Pit(), OneByOne()
+    field = {entry.id: heat_driver(store, entry) for entry in entries}
+    job = HeatJob(heat.key, 1, heat.halves, (5, 6), rules, field)
+    together, alone = RaceWorker(), OneByOne()
     assert together.race(job).outcome == alone.race(job).outcome  # warmed up, and the same races
     ratios = []
     for _ in range(repeats):
@@ -122,11 +121,11 @@ def batching(store: Store, repeats: int = 3) -> None:
 def throughput(store: Store, seconds: float, workers: int, goal: float) -> None:
     """Print duels of a minute a day, whole: matchmaker, store, replays, ratings and all."""
     planner = matchmaker.Season(store)
-    with closing(executors.make("processes", workers)) as executor:
-        crew = Crew(store, executor)
-        loop.run(store, crew, planner, heats=2 * workers)  # workers have warmed up
+    with closing(make_executor("processes", workers)) as executor:
+        dispatcher = Dispatcher(store, executor)
+        loop.run(store, dispatcher, planner, heats=2 * workers)  # workers have warmed up
         start = time.perf_counter()
-        tally = loop.run(store, crew, planner, seconds=seconds)
+        tally = loop.run(store, dispatcher, planner, seconds=seconds)
         wall_s = time.perf_counter() - start
     minutes = tally.race_s / MINUTE_S
     figure("race time per wall second", tally.race_s / wall_s, "x real time")

@@ -14,8 +14,7 @@ from benchmarks.report import figure, heading, note, seconds
 from league.matchmaking import standings, store
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Ruleset, mirrored
-from league.matchmaking.store import database, results, schema
-from league.matchmaking.store.records import FINISHED, TOLD
+from league.matchmaking.store import FINISHED, KNOWN, database, results, schema
 
 RULES = Ruleset()
 ENTRIES = 5000
@@ -41,7 +40,7 @@ def queue_rate(league: store.Store, block: int, count: int, draw: int) -> float:
     done, start = 0, time.perf_counter()
     while claims := league.claim("bench", block):
         outcomes = [
-            store.Outcome(
+            store.HeatOutcome(
                 claim.heat.key,
                 tuple(store.RaceOutcome((1, 2), {**RESULT, "seed": seed}) for seed in claim.seeds),
             )
@@ -101,7 +100,7 @@ def _races(
         for half, first in enumerate(wins):
             turn = 1 - 2 * half
             places = ((1, 2) if first else (2, 1))[::turn]
-            runs = [TOLD | FINISHED | lap_ms for lap_ms in laps[half]]
+            runs = [KNOWN | FINISHED | lap_ms for lap_ms in laps[half]]
             packed = results.packed(number, half, grid[::turn], places, track=0, runs=runs)
             told = {"heat": number, "half": half, "ruleset": 1, "rated": True, "cars": 2}
             races.append({**told, "packed": packed})

@@ -26,7 +26,7 @@ def league(tmp_path_factory) -> Path:
     from league.matchmaking import loop
     from league.matchmaking.pairing.matchmaker import Season
     from league.matchmaking.store import Store
-    from league.matchmaking.workers.dispatcher import Crew
+    from league.matchmaking.workers.dispatcher import Dispatcher
 
     folder = tmp_path_factory.mktemp("league")
     url = f"sqlite:///{folder / 'league.db'}"
@@ -35,7 +35,7 @@ def league(tmp_path_factory) -> Path:
     with Store(url) as store:
         for number, name in enumerate(("ann", "bob")):
             submitted(store, name, seed=number, senses="blind")
-        loop.run(store, Crew(store, Here()), Season(store), heats=10)
+        loop.run(store, Dispatcher(store, Here()), Season(store), heats=10)
     return folder
 
 
@@ -89,7 +89,7 @@ def test_a_rating_apart_from_the_anchor_has_its_sign_explained(told, tmp_path):
 
 
 def test_a_heat_in_quarantine_shows_both_results_and_can_be_raced_again(told, league):
-    from league.matchmaking.store import Outcome, RaceOutcome, Store
+    from league.matchmaking.store import HeatOutcome, RaceOutcome, Store
 
     copy = league / "disputed.db"
     with sqlite3.connect(league / "league.db") as there, sqlite3.connect(copy) as here:
@@ -99,7 +99,7 @@ def test_a_heat_in_quarantine_shows_both_results_and_can_be_raced_again(told, le
         record = next(r for r in store.heats(("done",)) if r.heat.purpose == "rated")
         results = store.results(record.number)
         lie = [RaceOutcome(r.places[::-1], {**r.result, "race_s": 0.0}) for r in results]
-        store.complete("liar", [Outcome(record.heat.key, tuple(lie))])
+        store.complete("liar", [HeatOutcome(record.heat.key, tuple(lie))])
     number, on = str(record.number), ("--league", url)
     shown = told("heat", number, *on)
     assert f"by {results[0].worker}" in shown and "by liar" in shown
@@ -108,7 +108,7 @@ def test_a_heat_in_quarantine_shows_both_results_and_can_be_raced_again(told, le
     with Store(url) as store:
         store.claim("third", 1)
         truth = tuple(RaceOutcome(r.places, r.result) for r in results)
-        store.complete("third", [Outcome(record.heat.key, truth)])
+        store.complete("third", [HeatOutcome(record.heat.key, truth)])
     assert "by liar, REJECTED" in told("heat", number, *on)
     rejected = [r["rejected"] for r in json.loads(told("heat", number, "--json", *on))["results"]]
     assert sorted(rejected) == [False, False, True, True]

@@ -27,7 +27,7 @@ def folder(tmp_path_factory) -> Path:
     from league.matchmaking import loop
     from league.matchmaking.pairing.matchmaker import Season
     from league.matchmaking.store import Store
-    from league.matchmaking.workers.dispatcher import Crew
+    from league.matchmaking.workers.dispatcher import Dispatcher
 
     folder = tmp_path_factory.mktemp("names")
     url = f"sqlite:///{folder / 'league.db'}"
@@ -36,7 +36,7 @@ def folder(tmp_path_factory) -> Path:
     with Store(url) as store:
         for number, name in enumerate((CLOSING, LINKED)):
             submitted(store, name, seed=number, senses="blind", owner=f"{OWNER}{number}")
-        loop.run(store, Crew(store, Here()), Season(store), heats=8)
+        loop.run(store, Dispatcher(store, Here()), Season(store), heats=8)
     checkpoint.save(folder / "[x].pt", make_checkpoint("blind", name=LINKED))
     return folder
 
@@ -108,20 +108,20 @@ def test_a_file_whose_name_looks_like_markup_is_raced_and_evaluated_under_it(tol
 def test_the_page_of_a_run_shows_names_as_they_stand(folder, monkeypatch, capsys, tmp_path):
     from season_kit import Here
 
-    from league.cli.season.monitor import Page
+    from league.cli.season.run import Page
     from league.matchmaking import loop
     from league.matchmaking.pairing.matchmaker import Season
     from league.matchmaking.store import Store
-    from league.matchmaking.workers.dispatcher import Crew
+    from league.matchmaking.workers.dispatcher import Dispatcher
 
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("COLUMNS", "100")
     copy = tmp_path / "league.db"
     copy.write_bytes((folder / "league.db").read_bytes())
     with Store(f"sqlite:///{copy}") as store:
-        crew = Crew(store, Here())
-        with Page(store, crew) as page:
-            loop.run(store, crew, Season(store), heats=4, watch=page.show)
+        dispatcher = Dispatcher(store, Here())
+        with Page(store, dispatcher) as page:
+            loop.run(store, dispatcher, Season(store), heats=4, watch=page.show)
     text = capsys.readouterr().out
     assert CLOSING in text and "\\[" not in text
     assert "\x1b]8" not in text and "\N{AUTOMOBILE}" not in text

@@ -40,7 +40,7 @@ HEAVY = {
     "sqlalchemy": ("matchmaking.store",),
     "alembic": ("matchmaking.store",),
     "psycopg": ("matchmaking.store",),
-    "fsspec": ("matchmaking.blobs",),
+    "fsspec": ("matchmaking.store.blobs",),
 }
 LOADED_LATE = (
     "torch",

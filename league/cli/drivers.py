@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from league.cli import tables
-from league.cli.season.base import OnLeague
+from league.cli.season import OnLeague
 from league.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -91,10 +91,13 @@ class Export(OnLeague):
                 "a checkpoint was named together with --csv or --json, which export a league: "
                 "do one after the other"
             )
-        from league.cli.season import export as league_export
+        from league.cli.season import heats, standings
 
         with self.opened() as store:
-            league_export.write(store, league_export.Wish(self.csv, self.json))
+            if self.csv is not None:
+                heats.export_csv(store, self.csv)
+            if self.json is not None:
+                heats.export_json(store, self.json, standings.document(store))
         return 0
 
     def _export_network(self) -> int:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import tyro
 
 from league.cli import tables
-from league.cli.season.base import OnLeague
+from league.cli.season import OnLeague
 from league.errors import ReplayError
 
 if TYPE_CHECKING:

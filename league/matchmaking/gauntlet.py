@@ -15,10 +15,10 @@ from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Heat
 from league.matchmaking.ratings import Ratings, Results, sprt
 from league.matchmaking.ratings.sprt import Comparison, SequentialSettings
-from league.matchmaking.store import RATED, Entry, Outcome, Store
+from league.matchmaking.store import RATED, Entry, HeatOutcome, Store
 from league.matchmaking.workers import Executor
-from league.matchmaking.workers.dispatcher import contestant
-from league.matchmaking.workers.worker import Contestant, Job, Report, check_physics
+from league.matchmaking.workers.dispatcher import heat_driver
+from league.matchmaking.workers.worker import HeatDriver, HeatJob, HeatReport, check_physics
 
 TRIES = 3
 """Tries of a heat that is not the store's."""
@@ -73,7 +73,7 @@ def audit(
     executor: Executor,
     audits: Sequence[Duel],
     *,
-    watch: Callable[[Outcome, bool], None] = lambda outcome, agrees: None,
+    watch: Callable[[HeatOutcome, bool], None] = lambda outcome, agrees: None,
 ) -> int:
     """Run heats again; return how many differ, which puts them in quarantine.
 
@@ -82,10 +82,10 @@ def audit(
     store.plan([one.heat for one in audits])
     entries = {entry.id: entry for entry in store.entries()}
     wanted = {id for one in audits for id in one.heat.entries}
-    field = {id: contestant(store, entries[id]) for id in wanted}
+    field = {id: heat_driver(store, entries[id]) for id in wanted}
     differ = 0
 
-    def judge(outcome: Outcome) -> bool:
+    def judge(outcome: HeatOutcome) -> bool:
         nonlocal differ
         agrees = not store.complete("auditor", [outcome]).quarantined
         differ += not agrees
@@ -111,10 +111,10 @@ def race(
     executor: Executor,
     store: Store,
     duels: Sequence[Duel],
-    field: dict[str, Contestant],
+    field: dict[str, HeatDriver],
     *,
-    watch: Callable[[Outcome], bool] = lambda outcome: True,
-) -> list[Outcome]:
+    watch: Callable[[HeatOutcome], bool] = lambda outcome: True,
+) -> list[HeatOutcome]:
     """Race heats that are not the store's; outcomes are in the order of the duels.
 
     Args:
@@ -131,14 +131,14 @@ def race(
     check_physics(rules, "this league")
     waiting = [(number, TRIES) for number in range(len(duels))]
     under_way: dict[str, tuple[int, int]] = {}
-    outcomes: dict[int, Outcome] = {}
+    outcomes: dict[int, HeatOutcome] = {}
     told = 0
     while len(outcomes) < len(duels):
         while executor.free and waiting:
             number, tries = waiting.pop(0)
             one = duels[number]
             some = {id: field[id] for id in one.heat.entries}
-            job = Job(one.heat.key, number, one.heat.halves, one.seeds, rules, some, False)
+            job = HeatJob(one.heat.key, number, one.heat.halves, one.seeds, rules, some, False)
             executor.offer(job)
             under_way[one.heat.key] = (number, tries)
         for report in executor.wait(0.5):
@@ -155,7 +155,7 @@ def race(
     return [outcomes[number] for number in range(len(duels))]
 
 
-def _give_up(report: Report, tries: int) -> None:
+def _give_up(report: HeatReport, tries: int) -> None:
     if tries <= 1:
         last = (report.traceback.strip().splitlines() or ["no reason told"])[-1]
         raise StoreError(
@@ -208,12 +208,12 @@ def gauntlet(
     field: Sequence[Entry],
     *,
     rounds: int = 1,
-    watch: Callable[[Outcome], bool] = lambda outcome: True,
+    watch: Callable[[HeatOutcome], bool] = lambda outcome: True,
 ) -> Gauntlet:
     """Race a checkpoint against opponents without submitting it; the league keeps nothing of it."""
     submission.check_sensors(given.card.sensors, store.settings.ruleset)
-    newcomer = Contestant(given.digest, given.card.name, weights=submission.pack(given))
-    contestants = {entry.id: contestant(store, entry) for entry in field}
+    newcomer = HeatDriver(given.digest, given.card.name, weights=submission.pack(given))
+    contestants = {entry.id: heat_driver(store, entry) for entry in field}
     contestants[newcomer.id] = newcomer
     salt = secrets.token_bytes(16)
     duels = [
@@ -230,7 +230,7 @@ def _placed(
     newcomer: str,
     field: Sequence[Entry],
     duels: Sequence[Duel],
-    outcomes: Sequence[Outcome],
+    outcomes: Sequence[HeatOutcome],
 ) -> Gauntlet:
     """Rate the newcomer with everybody else, from all races of the league and its own."""
     entries = store.entries()
@@ -264,7 +264,7 @@ def _placed(
 def _with(
     season: Results,
     duels: Sequence[Duel],
-    outcomes: Sequence[Outcome],
+    outcomes: Sequence[HeatOutcome],
     number_of: dict[str, int],
     entries: Sequence[Entry],
 ) -> Ratings:
@@ -294,8 +294,8 @@ def _with(
 def compare(
     store: Store,
     executor: Executor,
-    one: Contestant,
-    other: Contestant,
+    one: HeatDriver,
+    other: HeatDriver,
     settings: SequentialSettings,
     *,
     most_heats: int,
@@ -310,7 +310,7 @@ def compare(
     scores: list[float] = []
     found = sprt.compare(np.array(scores), settings)
 
-    def judge(outcome: Outcome) -> bool:
+    def judge(outcome: HeatOutcome) -> bool:
         nonlocal found
         heat = duels[len(scores)].heat
         points = [

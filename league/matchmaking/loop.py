@@ -1,4 +1,4 @@
-"""The season's loop of matchmaker and crew, until enough was raced or somebody says stop."""
+"""The season's loop: plan heats, race them, until a limit is reached or a stop is requested."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 from league.matchmaking.pairing.matchmaker import Season
 from league.matchmaking.store import Store
-from league.matchmaking.workers.dispatcher import Crew, Ended
+from league.matchmaking.workers.dispatcher import Dispatcher, FinishedHeat
 
 PLAN_EVERY_S = 5.0
-"""How often new submissions are looked for while no heat ends [s]."""
+"""Interval at which new submissions are looked for while no heat ends [s]."""
 
 
 @dataclass
@@ -35,26 +35,26 @@ class Tally:
     idle: bool = False
     """Whether there was nothing more to race."""
 
-    def note(self, ended: Ended) -> None:
-        """Count a heat that a worker is through with."""
-        self.worker_s += ended.report.wall_s
-        if ended.report.outcome is None:
+    def add(self, finished: FinishedHeat) -> None:
+        """Count a heat that a worker has reported on."""
+        self.worker_s += finished.report.wall_s
+        if finished.report.outcome is None:
             self.failures += 1
-            self.errors += ended.became == "error"
+            self.errors += finished.became == "error"
             return
         self.heats += 1
-        self.races += len(ended.report.outcome.races)
-        self.race_s += ended.report.race_s
-        self.quarantined += ended.became == "quarantined"
+        self.races += len(finished.report.outcome.races)
+        self.race_s += finished.report.race_s
+        self.quarantined += finished.became == "quarantined"
 
 
-Watcher = Callable[[Tally, list[Ended]], None]
-"""Told after each step of the loop."""
+Watcher = Callable[[Tally, list[FinishedHeat]], None]
+"""Called after each step of the loop, with the heats that finished in it."""
 
 
 def run(
     store: Store,
-    crew: Crew,
+    dispatcher: Dispatcher,
     season: Season | None,
     *,
     heats: int | None = None,
@@ -66,29 +66,29 @@ def run(
 
     Args:
         store: the league.
-        crew: who races.
-        season: who plans; None races what is in the queue, as it comes.
+        dispatcher: claims and races heats.
+        season: the matchmaker; without one the heats in the queue are raced.
         heats: end after so many.
         seconds: begin no heat after this time [s].
-        stop: asked often; True begins no heat any more.
-        watch: told what has happened.
+        stop: called at each step; once it returns True no heat is begun.
+        watch: called after each step.
     """
-    tally, began, planned_s = Tally(), time.monotonic(), 0.0
+    tally, began_s, planned_s = Tally(), time.monotonic(), 0.0
     due = True
     while True:
-        now = time.monotonic()
-        over = stop() or (seconds is not None and now - began > seconds)
-        room = None if heats is None else max(0, heats - tally.heats - len(crew.running))
-        if season is not None and not over and (due or now - planned_s > PLAN_EVERY_S):
+        now_s = time.monotonic()
+        over = stop() or (seconds is not None and now_s - began_s > seconds)
+        wanted = None if heats is None else max(0, heats - tally.heats - len(dispatcher.running))
+        if season is not None and not over and (due or now_s - planned_s > PLAN_EVERY_S):
             season.plan()
             planned_s = time.monotonic()
-        ended = crew.step(0.5 if crew.running else 0.1, claim=0 if over else room)
-        for one in ended:
-            tally.note(one)
-        due = bool(ended)
+        finished = dispatcher.step(0.5 if dispatcher.running else 0.1, claim=0 if over else wanted)
+        for one in finished:
+            tally.add(one)
+        due = bool(finished)
         if watch is not None:
-            watch(tally, ended)
-        if crew.running or due:
+            watch(tally, finished)
+        if dispatcher.running or due:
             continue
         if over or (heats is not None and tally.heats >= heats):
             return tally

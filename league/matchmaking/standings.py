@@ -13,8 +13,16 @@ from league.matchmaking import ratings
 from league.matchmaking.ratings import Field, Ratings, Results
 from league.matchmaking.ratings.intransitivity import Goodness, goodness_of_fit
 from league.matchmaking.ratings.pair_counts import points_of
-from league.matchmaking.store import RATED, Entry, EntryState, Races, Store
-from league.matchmaking.store.records import BEST_MS, FINISHED, TOLD
+from league.matchmaking.store import (
+    BEST_MS,
+    FINISHED,
+    KNOWN,
+    RATED,
+    Entry,
+    EntryState,
+    Races,
+    Store,
+)
 
 
 @dataclass(frozen=True)
@@ -263,7 +271,7 @@ class _Runs:
         told, finished = np.zeros(size), np.zeros(size)
         best_ms = np.full(len(tracks) * size, np.inf)
         for slot in range(races.entries.shape[1]):
-            known = np.flatnonzero(races.runs[:, slot] & TOLD)
+            known = np.flatnonzero(races.runs[:, slot] & KNOWN)
             who, run = races.entries[known, slot], races.runs[known, slot]
             told += np.bincount(who, minlength=size)
             finished += np.bincount(who, (run & FINISHED) > 0, size)

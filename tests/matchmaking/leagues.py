@@ -5,8 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 
+import sqlalchemy as sa
+
 from league.matchmaking import store
 from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset, mirrored
+from league.matchmaking.store import schema
+from league.matchmaking.store.database import Database
 
 TRACKS = ("ring", "square")
 RULES = Ruleset(tracks=TRACKS, laps=2)
@@ -30,6 +34,24 @@ def founded(url: str, *, entries: int = 4, **settings) -> store.Store:
     return league
 
 
+def events(league: store.Store) -> list[sa.Row]:
+    """Return the lines of a league's audit log, oldest first."""
+    database = Database(league.url)
+    with database.reading() as connection:
+        rows = connection.execute(sa.select(schema.events).order_by(schema.events.c.number)).all()
+    database.close()
+    return list(rows)
+
+
+def set_ruleset(league: store.Store, ruleset: Ruleset) -> None:
+    """Race by other rules from now on, as a later version of the program may allow."""
+    database = Database(league.url)
+    with database.writing() as connection:
+        number = schema.add_ruleset(connection, 0.0, ruleset)
+        connection.execute(schema.league.update().values(ruleset=number))
+    database.close()
+
+
 def duels(league: store.Store, count: int, *, first: int = 0) -> list[Heat]:
     """Return that many rated heats of two entries each, round and round."""
     ids = [entry.id for entry in league.entries()]
@@ -47,10 +69,10 @@ def race(seed: int, half: Half) -> store.RaceOutcome:
     return store.RaceOutcome(tuple(order), {"seed": seed, "track": half.track, "race_s": 12.5})
 
 
-def raced(claims: Sequence[store.Claim]) -> list[store.Outcome]:
+def raced(claims: Sequence[store.Claim]) -> list[store.HeatOutcome]:
     """Return the results of claimed heats."""
     return [
-        store.Outcome(
+        store.HeatOutcome(
             claim.heat.key,
             tuple(race(*told) for told in zip(claim.seeds, claim.heat.halves, strict=True)),
         )

@@ -11,7 +11,7 @@ from league.matchmaking import submission
 from league.matchmaking.pairing import matchmaker
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.store import Store, create
-from league.matchmaking.workers.worker import Job, Pit, Report
+from league.matchmaking.workers.worker import HeatJob, HeatReport, RaceWorker
 
 SHORT = Ruleset(solver="planar", laps=1, max_time_s=0.6)
 """Nine steps: enough for scripted drivers to be told apart by distance."""
@@ -21,7 +21,7 @@ def new_league(
     url: str, *, anchors: Sequence[str] = ("centerline",), rules: Ruleset = SHORT
 ) -> Store:
     # The same secret each time, so the same seeds: a test that fails once fails always.
-    with patch("league.matchmaking.store.creation.secrets.token_bytes", lambda size: b"s" * size):
+    with patch("league.matchmaking.store.schema.secrets.token_bytes", lambda size: b"s" * size):
         store = create(url, name="small", ruleset=rules)
     matchmaker.found(store, anchors)
     return store
@@ -37,19 +37,19 @@ class Here:
 
     def __init__(self, num_workers: int = 1) -> None:
         self.num_workers = num_workers
-        self.jobs: list[Job] = []
-        self._pit = Pit()
+        self.jobs: list[HeatJob] = []
+        self._worker = RaceWorker()
 
     @property
     def free(self) -> int:
         return self.num_workers - len(self.jobs)
 
-    def offer(self, job: Job) -> None:
+    def offer(self, job: HeatJob) -> None:
         assert self.free > 0
         self.jobs.append(job)
 
-    def wait(self, timeout_s: float) -> list[Report]:
-        return [self._pit.race(self.jobs.pop(0))] if self.jobs else []
+    def wait(self, timeout_s: float) -> list[HeatReport]:
+        return [self._worker.race(self.jobs.pop(0))] if self.jobs else []
 
     def close(self) -> None:
         self.jobs.clear()

@@ -45,7 +45,7 @@ def planned(path: Path, heats: int) -> None:
 
 
 def below(pid: int) -> list[int]:
-    """Return the processes of a crew: its workers, and what they were forked off from."""
+    """Return the processes of a dispatcher: its workers, and what they were forked off from."""
     try:
         children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
     except OSError:  # no Linux, or it is gone
@@ -61,34 +61,36 @@ def drain(path: Path, dice: random.Random | None, patience_s: float, heats: int)
         while time.monotonic() < give_up:
             if not left(store):
                 return kills
-            crew = subprocess.Popen(WORK, env=environment, stdout=subprocess.DEVNULL)
+            dispatcher = subprocess.Popen(WORK, env=environment, stdout=subprocess.DEVNULL)
             try:
-                while crew.poll() is None and left(store) and time.monotonic() < give_up:
-                    kills += struck(store, crew, dice, max(5, heats // 6))
+                while dispatcher.poll() is None and left(store) and time.monotonic() < give_up:
+                    kills += struck(store, dispatcher, dice, max(5, heats // 6))
             finally:
-                crew.kill()
-                crew.wait()
+                dispatcher.kill()
+                dispatcher.wait()
     raise AssertionError(f"heats are left: {store.counts()}")
 
 
-def struck(store: Store, crew: subprocess.Popen, dice: random.Random | None, most: int) -> bool:
-    """Wait for some results, then kill one of the crew or whoever hands the heats out."""
+def struck(
+    store: Store, dispatcher: subprocess.Popen, dice: random.Random | None, most: int
+) -> bool:
+    """Wait for some results, then kill one of the dispatcher or whoever hands the heats out."""
     if dice is None:
         time.sleep(0.2)
         return False
     wanted = store.counts().get("done", 0) + dice.randint(1, most)
-    while crew.poll() is None and left(store) and store.counts().get("done", 0) < wanted:
+    while dispatcher.poll() is None and left(store) and store.counts().get("done", 0) < wanted:
         time.sleep(0.05)
     time.sleep(dice.uniform(0.0, 0.4))
-    victims = below(crew.pid)
+    victims = below(dispatcher.pid)
     if victims and dice.random() < 0.6:
         try:
             os.kill(dice.choice(victims), signal.SIGKILL)
         except ProcessLookupError:  # a worker may come to its end first
             return False
     else:
-        crew.kill()
-        crew.wait()
+        dispatcher.kill()
+        dispatcher.wait()
     return True
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import sqlite3
 
+import leagues
 import numpy as np
 import pytest
 from season_kit import Here, new_league, submitted
@@ -12,19 +13,19 @@ from season_kit import Here, new_league, submitted
 from league.errors import StoreError
 from league.matchmaking import loop, standings
 from league.matchmaking.pairing.matchmaker import ROUND, Season
-from league.matchmaking.store import RATED, Outcome, RaceOutcome, Store
-from league.matchmaking.workers.dispatcher import Crew
-from league.matchmaking.workers.worker import Job, Report
+from league.matchmaking.store import RATED, HeatOutcome, RaceOutcome, Store
+from league.matchmaking.workers.dispatcher import Dispatcher
+from league.matchmaking.workers.worker import HeatJob, HeatReport
 
 
 class Coin(Here):
     """Workers that toss a coin by the race's seed instead of racing."""
 
-    def wait(self, timeout_s: float) -> list[Report]:
+    def wait(self, timeout_s: float) -> list[HeatReport]:
         if not self.jobs:
             return []
         job = self.jobs.pop(self.pick())
-        return [Report(job.key, tossed(job), "", 0.1, 60.0)]
+        return [HeatReport(job.key, tossed(job), "", 0.1, 60.0)]
 
     def pick(self) -> int:
         return 0
@@ -37,13 +38,13 @@ class Late(Coin):
         return -1
 
 
-def tossed(job: Job) -> Outcome:
+def tossed(job: HeatJob) -> HeatOutcome:
     races = []
     for half, seed in zip(job.halves, job.seeds, strict=True):
         first = seed % 2
         places = (1, 2) if first else (2, 1)
         races.append(RaceOutcome(places[: len(half.grid)], {"seed": seed}))
-    return Outcome(job.key, tuple(races))
+    return HeatOutcome(job.key, tuple(races))
 
 
 @pytest.fixture
@@ -78,7 +79,7 @@ def test_a_newcomer_races_itself_and_an_anchor_before_it_is_paired(url):
         assert own.halves[0].grid == (ids["e0"],) * 2
         assert set(anchor.halves[0].grid) == {ids["e0"], ids["centerline"]}
         assert planner.plan() == 0 and states(store)["e0"] == "validating"
-        loop.run(store, Crew(store, Coin()), None, heats=2)
+        loop.run(store, Dispatcher(store, Coin()), None, heats=2)
         assert planner.plan() == 8 and states(store)["e0"] == "placement"
         assert all(r.heat.purpose == "rated" for r in store.heats(("planned",)))
 
@@ -89,7 +90,7 @@ def test_a_new_leagues_first_entries_do_not_wait_behind_races_of_its_anchors(url
         planner = Season(store)
         assert [planner.plan(), planner.plan()] == [2, 0]
         assert all(record.heat.purpose == "validation" for record in store.heats())
-        loop.run(store, Crew(store, Coin()), None, heats=2)
+        loop.run(store, Dispatcher(store, Coin()), None, heats=2)
         assert planner.plan() == 8  # now that all three are known, everybody meets everybody
         me = store.entry("e0").id
         assert any(me in record.heat.entries for record in store.heats(("planned",)))
@@ -110,10 +111,10 @@ def test_two_rounds_are_in_the_queue_and_the_next_waits_for_the_older_one(url):
     with new_league(url, anchors=("centerline", "cautious", "blocker")) as store:
         planner = Season(store)
         assert [planner.plan() for _ in range(3)] == [8, 8, 0]
-        crew = Crew(store, Coin())
-        loop.run(store, crew, None, heats=7)
+        dispatcher = Dispatcher(store, Coin())
+        loop.run(store, dispatcher, None, heats=7)
         assert planner.plan() == 0
-        loop.run(store, crew, None, heats=1)
+        loop.run(store, dispatcher, None, heats=1)
         assert planner.plan() == 8 and planner.plan() == 0
         assert sorted({record.heat.draw // ROUND for record in store.heats()}) == [1, 2, 3]
 
@@ -130,10 +131,10 @@ def test_entries_of_one_owner_meet_only_if_the_league_allows_it(url):
     with new_league(url, anchors=()) as store:
         for name in ("e0", "e1"):
             submitted(store, name, seed=ord(name[1]), owner="ann", senses="blind")
-        crew = Crew(store, Coin())
-        tally = loop.run(store, crew, Season(store), heats=50)
+        dispatcher = Dispatcher(store, Coin())
+        tally = loop.run(store, dispatcher, Season(store), heats=50)
         assert tally.idle and tally.heats == 2  # each raced itself, there is no anchor
-        tally = loop.run(store, crew, Season(store, same_owner=True), heats=10)
+        tally = loop.run(store, dispatcher, Season(store, same_owner=True), heats=10)
         assert tally.heats == 10 and not tally.idle
 
 
@@ -147,20 +148,20 @@ def test_a_season_ends_the_same_whoever_was_faster_and_however_often_it_was_rest
     path = url.removeprefix("sqlite:///")
     shutil.copy(path, f"{path}.copy")  # the same secret, so the same seeds
     with Store(url) as store:
-        loop.run(store, Crew(store, Coin()), Season(store), heats=60)
+        loop.run(store, Dispatcher(store, Coin()), Season(store), heats=60)
         plain = fingerprint(store), [record.heat.key for record in store.heats()]
     with Store(f"{url}.copy") as store:
         for _ in range(12):  # a new matchmaker each time, workers that finish the other way round
-            loop.run(store, Crew(store, Late(5)), Season(store), heats=5)
+            loop.run(store, Dispatcher(store, Late(5)), Season(store), heats=5)
         keys = [record.heat.key for record in store.heats()]
         assert keys == plain[1] and fingerprint(store) == plain[0]
 
 
 def test_entries_climb_from_placement_to_ranked_as_they_become_sure(url):
     with grown(url, 2) as store:
-        loop.run(store, Crew(store, Coin()), Season(store), heats=24)
+        loop.run(store, Dispatcher(store, Coin()), Season(store), heats=24)
         assert set(states(store).values()) <= set(RATED)
-        loop.run(store, Crew(store, Coin()), Season(store), heats=70)
+        loop.run(store, Dispatcher(store, Coin()), Season(store), heats=70)
         assert set(states(store).values()) == {"ranked"}
         table = standings.of(store)
         assert all(row.sd < 50 and not row.provisional for row in table.rows)
@@ -172,11 +173,11 @@ class Fickle(Coin):
 
     count = 0
 
-    def wait(self, timeout_s: float) -> list[Report]:
+    def wait(self, timeout_s: float) -> list[HeatReport]:
         reports = super().wait(timeout_s)
         self.count += 1
         return [
-            Report(r.key, Outcome(r.key, tuple(RaceOutcome(one.places, {"n": self.count})
+            HeatReport(r.key, HeatOutcome(r.key, tuple(RaceOutcome(one.places, {"n": self.count})
                                                for one in r.outcome.races)))
             for r in reports if r.outcome
         ]  # fmt: skip
@@ -188,10 +189,10 @@ def test_an_entry_whose_validation_is_disputed_is_refused(url):
         planner.plan()
         (first, *_) = store.heats()
         for claim in store.claim("w", 1):
-            store.complete("w", [Outcome(claim.heat.key, (RaceOutcome((1, 2), {"n": 1}),))])
-            store.complete("w", [Outcome(claim.heat.key, (RaceOutcome((1, 2), {"n": 2}),))])
+            store.complete("w", [HeatOutcome(claim.heat.key, (RaceOutcome((1, 2), {"n": 1}),))])
+            store.complete("w", [HeatOutcome(claim.heat.key, (RaceOutcome((1, 2), {"n": 2}),))])
         assert store.heat(first.number).state == "quarantined"
-        loop.run(store, Crew(store, Coin()), None, heats=1)
+        loop.run(store, Dispatcher(store, Coin()), None, heats=1)
         planner.plan()
         entry = store.entry("e0")
         assert entry.state == "refused" and "deterministic" in entry.reason
@@ -202,16 +203,16 @@ def test_an_entry_refused_for_a_dispute_comes_back_when_a_third_worker_settles_i
         planner = Season(store)
         planner.plan()
         (claim,) = store.claim("w", 1)
-        rightly = Outcome(claim.heat.key, (RaceOutcome((1, 2), {"n": 1}),))
+        rightly = HeatOutcome(claim.heat.key, (RaceOutcome((1, 2), {"n": 1}),))
         store.complete("w", [rightly])
-        store.complete("v", [Outcome(claim.heat.key, (RaceOutcome((1, 2), {"n": 2}),))])
+        store.complete("v", [HeatOutcome(claim.heat.key, (RaceOutcome((1, 2), {"n": 2}),))])
         planner.plan()  # refuses it, and cancels its other validation heat
         assert states(store)["e0"] == "refused" and store.counts()["cancelled"] == 1
         assert store.retry(claim.heat.key) == claim.number
         assert states(store)["e0"] == "validating"
         (again,) = store.claim("x", 1)
-        assert store.complete("x", [Outcome(again.heat.key, rightly.races)]).accepted
-        loop.run(store, Crew(store, Coin()), Season(store), heats=4)
+        assert store.complete("x", [HeatOutcome(again.heat.key, rightly.races)]).accepted
+        loop.run(store, Dispatcher(store, Coin()), Season(store), heats=4)
         assert states(store)["e0"] in RATED
 
 
@@ -221,7 +222,7 @@ def test_after_its_first_round_a_league_is_connected_to_the_pinned_anchor(url):
         for number in range(5):
             submitted(store, f"e{number}", seed=number, owner="garage", senses="blind")
         # Five entries validate in ten heats; eight rated ones are the fewest that connect nine.
-        loop.run(store, Crew(store, Coin()), Season(store, same_owner=True), heats=18)
+        loop.run(store, Dispatcher(store, Coin()), Season(store, same_owner=True), heats=18)
         table = standings.of(store)
         assert len(table.rows) == 9 and table.num_races == 16
         assert all(row.connected and row.provisional for row in table.rows)
@@ -231,13 +232,13 @@ def test_after_its_first_round_a_league_is_connected_to_the_pinned_anchor(url):
 class Drivers(Coin):
     """Workers whose races tell laps: the front car drives one in 11 s, the other none."""
 
-    def wait(self, timeout_s: float) -> list[Report]:
+    def wait(self, timeout_s: float) -> list[HeatReport]:
         order = [
             {"car": 0, "finished": True, "lap_times_s": (11.5, 11.0)},
             {"car": 1, "finished": False, "lap_times_s": ()},
         ]
         return [
-            Report(r.key, Outcome(r.key, tuple(RaceOutcome((1, 2), {"order": order})
+            HeatReport(r.key, HeatOutcome(r.key, tuple(RaceOutcome((1, 2), {"order": order})
                                                for _ in r.outcome.races)))
             for r in super().wait(timeout_s) if r.outcome
         ]  # fmt: skip
@@ -245,7 +246,7 @@ class Drivers(Coin):
 
 def test_standings_tell_races_not_finished_and_best_laps_of_accepted_results(url):
     with grown(url, 2) as store:
-        loop.run(store, Crew(store, Drivers()), Season(store), heats=16)
+        loop.run(store, Dispatcher(store, Drivers()), Season(store), heats=16)
         table = standings.of(store)
         track = store.settings.ruleset.tracks[0]
         for row in table.rows:  # each heat is a race in front and one behind
@@ -253,7 +254,7 @@ def test_standings_tell_races_not_finished_and_best_laps_of_accepted_results(url
         heat = next(r for r in store.heats(("done",)) if r.heat.purpose == "rated")
         quick = {"order": [{"car": 0, "finished": True, "lap_times_s": [1.0]}]}
         lie = tuple(RaceOutcome((1, 2), quick) for _ in heat.heat.halves)
-        store.complete("liar", [Outcome(heat.heat.key, lie)])
+        store.complete("liar", [HeatOutcome(heat.heat.key, lie)])
         assert all(row.best_laps_s == {track: 11.0} for row in standings.of(store).rows)
         assert standings.of(store).num_races == table.num_races - 2
     with new_league(f"{url}.new") as store:
@@ -263,12 +264,12 @@ def test_standings_tell_races_not_finished_and_best_laps_of_accepted_results(url
 
 def test_a_retired_entry_is_paired_no_more_and_keeps_its_results(url):
     with grown(url, 2) as store:
-        loop.run(store, Crew(store, Coin()), Season(store), heats=40)
+        loop.run(store, Dispatcher(store, Coin()), Season(store), heats=40)
         gone = store.entry("e0")
         races = standings.of(store).row(gone.number).races
         store.move({gone.id: "retired"})
         since = store.heats()[-1].number
-        loop.run(store, Crew(store, Coin()), Season(store), heats=30)
+        loop.run(store, Dispatcher(store, Coin()), Season(store), heats=30)
         later = store.heats(("done",), since=since)
         assert later and not any(gone.id in record.heat.entries for record in later)
         assert standings.of(store).row(gone.number).races >= races > 0
@@ -276,7 +277,7 @@ def test_a_retired_entry_is_paired_no_more_and_keeps_its_results(url):
 
 def test_head_to_head_records_add_up(url):
     with grown(url) as store:
-        loop.run(store, Crew(store, Coin()), Season(store), heats=60)
+        loop.run(store, Dispatcher(store, Coin()), Season(store), heats=60)
         table = standings.of(store)
         for one in table.rows:
             others = [other.number for other in table.rows if other is not one]
@@ -292,7 +293,7 @@ def test_head_to_head_records_add_up(url):
 
 def test_the_last_moment_of_a_history_is_the_present(url):
     with grown(url) as store:
-        loop.run(store, Crew(store, Coin()), Season(store), heats=40)
+        loop.run(store, Dispatcher(store, Coin()), Season(store), heats=40)
         table = standings.of(store)
         last = store.races().entries[-1]
         assert any(row.number not in last for row in table.rows)  # others raced after its last
@@ -309,7 +310,7 @@ def test_the_last_moment_of_a_history_is_the_present(url):
 
 def test_standings_do_not_depend_on_the_order_of_the_rows_in_the_database(url):
     with grown(url, 6) as store:
-        loop.run(store, Crew(store, Coin()), Season(store), heats=40)
+        loop.run(store, Dispatcher(store, Coin()), Season(store), heats=40)
         before = standings.of(store)
         with sqlite3.connect(url.removeprefix("sqlite:///")) as database:
             rows = database.execute("SELECT * FROM races").fetchall()
@@ -328,7 +329,7 @@ def test_standings_do_not_depend_on_the_order_of_the_rows_in_the_database(url):
 
 def test_ranks_that_an_entry_may_have_leave_out_those_whose_interval_is_apart(url):
     with grown(url, 4) as store:
-        loop.run(store, Crew(store, Coin()), Season(store), heats=30)
+        loop.run(store, Dispatcher(store, Coin()), Season(store), heats=30)
         rows = standings.of(store).rows
     for row in rows:
         above = sum(other.low95 > row.high95 for other in rows)
@@ -346,9 +347,11 @@ def test_ratings_are_kept_apart_by_the_rules(url):
     from dataclasses import replace
 
     with grown(url) as store:
-        loop.run(store, Crew(store, Coin()), Season(store), heats=40)
-        store.set_ruleset(replace(store.settings.ruleset, laps=2))
+        loop.run(store, Dispatcher(store, Coin()), Season(store), heats=40)
+        leagues.set_ruleset(store, replace(store.settings.ruleset, laps=2))
         assert standings.of(store).num_races == 0
-        loop.run(store, Crew(store, Coin()), Season(store), heats=24)  # old ones are in the queue
+        loop.run(
+            store, Dispatcher(store, Coin()), Season(store), heats=24
+        )  # old ones are in the queue
         assert 0 < standings.of(store).num_races <= 48
         assert np.isfinite([row.sd for row in standings.of(store).rows]).all()

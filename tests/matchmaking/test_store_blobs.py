@@ -8,9 +8,9 @@ import leagues
 import pytest
 
 from league.errors import StoreError
-from league.matchmaking import blobs
-from league.matchmaking.blobs import FolderBlobs
 from league.matchmaking.pairing import heat_spec
+from league.matchmaking.store import blobs
+from league.matchmaking.store.blobs import FolderBlobs
 
 
 @pytest.fixture(params=["folder", "bucket", "table"])

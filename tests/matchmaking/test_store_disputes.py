@@ -31,7 +31,7 @@ def _disputed(league, count=1):
     claims = league.claim("honest", count)
     league.complete("honest", leagues.raced(claims))
     lies = [
-        store.Outcome(one.heat.key, tuple(_turned(r) for r in _outcome(one).races))
+        store.HeatOutcome(one.heat.key, tuple(_turned(r) for r in _outcome(one).races))
         for one in claims
     ]
     league.complete("liar", lies)
@@ -53,7 +53,9 @@ def test_a_dispute_is_settled_by_a_third_worker_who_agrees_with_one(league, righ
     assert races.places.tolist() == [list(race.places) for race in truth.races]
     told = {(r.worker, r.rejected) for r in league.results(claim.number)}
     assert told == {("honest", right == "liar"), ("liar", right == "honest")}
-    assert [e.subject for e in league.events() if e.action == "settle"] == [str(claim.number)]
+    assert [e.subject for e in leagues.events(league) if e.action == "settle"] == [
+        str(claim.number)
+    ]
     # The one who was wrong may send again what it likes.
     wrong = _outcome(claim) if right == "liar" else lie
     assert league.complete("honest", [wrong]).repeated
@@ -69,7 +71,7 @@ def test_a_dispute_stays_when_the_third_result_is_another_or_comes_from_the_disp
     assert league.complete("liar", [lie]).quarantined
     assert league.heat(claim.number).state == "claimed" and len(league.races().heat) == 0
     odd = tuple(store.RaceOutcome(r.places, {"odd": True}) for r in lie.races)
-    assert league.complete("third", [store.Outcome(claim.heat.key, odd)]).quarantined
+    assert league.complete("third", [store.HeatOutcome(claim.heat.key, odd)]).quarantined
     assert league.heat(claim.number).state == "quarantined"
     assert len(league.results(claim.number)) == 6 and len(league.races().heat) == 0
     # It may be tried once more, and the other one is as it was.
@@ -83,7 +85,7 @@ def test_a_disputed_audit_is_settled_by_racing_the_heat_it_audits(league):
     league.complete("w", leagues.raced([claim]))
     league.plan([heat_spec.audit_of(claim.heat)])
     (audit,) = league.claim("auditor", 1)
-    lie = store.Outcome(audit.heat.key, tuple(map(_turned, _outcome(claim).races)))
+    lie = store.HeatOutcome(audit.heat.key, tuple(map(_turned, _outcome(claim).races)))
     assert league.complete("auditor", [lie]).quarantined
     assert league.counts() == {"quarantined": 2}
     assert league.retry(audit.heat.key) == claim.number
@@ -100,7 +102,7 @@ def test_races_tell_who_finished_and_the_best_laps(league):
         {"car": 0, "finished": False, "lap_times_s": []},
     ]
     told = tuple(store.RaceOutcome((2, 1), {"order": order}) for _ in first.seeds)
-    league.complete("w", [store.Outcome(first.heat.key, told), _outcome(second)])
+    league.complete("w", [store.HeatOutcome(first.heat.key, told), _outcome(second)])
     races = league.races()
     # 2^31 known, 2^30 finished, 11.2345 s are 11,234 ms (half to even); leagues.race tells nothing.
     assert races.runs.tolist()[:2] == [[2**31, 2**31 + 2**30 + 11234]] * 2
@@ -115,7 +117,7 @@ def test_a_league_of_the_first_version_is_brought_up_to_date_with_its_races(url)
         order = [{"car": 0, "finished": True, "lap_times_s": [9.5]}]
         for claim in claims:
             told = tuple(store.RaceOutcome((1, 2), {"order": order}) for _ in claim.seeds)
-            league.complete("w", [store.Outcome(claim.heat.key, told)])
+            league.complete("w", [store.HeatOutcome(claim.heat.key, told)])
         new = league.races()
     there = database.Database(url)
     with there.writing() as connection:

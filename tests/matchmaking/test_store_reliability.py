@@ -197,10 +197,10 @@ def test_a_full_database_is_told_and_nothing_of_the_call_is_kept(tmp_path):
 
         leagues_event = store.store.sa.event
         leagues_event.listen(engine, "connect", small)
-        before = league.counts(), len(league.events())
+        before = league.counts(), len(leagues.events(league))
         with pytest.raises(StoreError, match=r"league\.db cannot grow, the disk is full: free"):
             league.complete("w", _bulky(claims))
-        assert (league.counts(), len(league.events())) == before
+        assert (league.counts(), len(leagues.events(league))) == before
         assert len(league.races().heat) == 0
         leagues_event.remove(engine, "connect", small)
         engine.dispose()
@@ -290,7 +290,7 @@ def _bulky(claims, size=2000):
     """Return results that take room: noise does not deflate."""
     noise = random.Random(5)
     return [
-        store.Outcome(
+        store.HeatOutcome(
             claim.heat.key,
             tuple(store.RaceOutcome((1, 2), {}, noise.randbytes(size)) for _ in claim.seeds),
         )

@@ -8,6 +8,7 @@ import time
 from contextlib import closing
 from dataclasses import replace
 
+import leagues
 import psycopg
 import pytest
 from season_kit import SHORT, Here, new_league, submitted
@@ -17,8 +18,8 @@ from league.matchmaking.pairing import heat_spec, matchmaker
 from league.matchmaking.pairing.heat_spec import Half
 from league.matchmaking.ratings import Run, places_of
 from league.matchmaking.store import Store, create
-from league.matchmaking.workers.dispatcher import Crew, Ended, contestant
-from league.matchmaking.workers.worker import Job, Pit, Report, places
+from league.matchmaking.workers.dispatcher import Dispatcher, FinishedHeat, heat_driver
+from league.matchmaking.workers.worker import HeatJob, HeatReport, RaceWorker, places
 from league.race_spec import CarResult, Entry, Event, RaceResult, RaceSpec
 from league.replay import format as replay_format
 
@@ -30,18 +31,18 @@ def league(tmp_path):
         yield store
 
 
-def job(store: Store, one: str, other: str, **settings) -> Job:
+def job(store: Store, one: str, other: str, **settings) -> HeatJob:
     entries = [store.entry(name) for name in (one, other)]
     heat = heat_spec.mirrored(SHORT.hash, ("reinvent_2018",) * 2, tuple(e.id for e in entries))
-    field = {entry.id: contestant(store, entry) for entry in entries}
-    return Job(heat.key, 1, heat.halves, (3, 4), SHORT, field, **settings)
+    field = {entry.id: heat_driver(store, entry) for entry in entries}
+    return HeatJob(heat.key, 1, heat.halves, (3, 4), SHORT, field, **settings)
 
 
 def test_a_job_gives_the_same_outcome_in_a_fresh_pit_and_in_a_used_one(league):
     submitted(league, "ann")
     given = job(league, "ann", "bob")
-    pit = Pit()
-    first, second, fresh = pit.race(given), pit.race(given), Pit().race(given)
+    worker = RaceWorker()
+    first, second, fresh = worker.race(given), worker.race(given), RaceWorker().race(given)
     assert first.outcome is not None and first.traceback == ""
     assert first.outcome == second.outcome == fresh.outcome
     assert {race.result["steps"] for race in first.outcome.races} == {9}
@@ -49,7 +50,7 @@ def test_a_job_gives_the_same_outcome_in_a_fresh_pit_and_in_a_used_one(league):
 
 def test_a_replay_names_the_policy_by_the_digest_of_its_checkpoint(league):
     entry = submitted(league, "ann")
-    outcome = Pit().race(job(league, "ann", "bob")).outcome
+    outcome = RaceWorker().race(job(league, "ann", "bob")).outcome
     assert outcome is not None and outcome.races[0].replay is not None
     spec = replay_format.decode(outcome.races[0].replay).spec
     assert [one.name for one in spec.entries] == ["ann", "bob"]
@@ -57,8 +58,8 @@ def test_a_replay_names_the_policy_by_the_digest_of_its_checkpoint(league):
 
 
 def test_without_its_recording_a_race_has_the_same_hash(league):
-    kept = Pit().race(job(league, "centerline", "bob")).outcome
-    bare = Pit().race(job(league, "centerline", "bob", keep_replays=False)).outcome
+    kept = RaceWorker().race(job(league, "centerline", "bob")).outcome
+    bare = RaceWorker().race(job(league, "centerline", "bob", keep_replays=False)).outcome
     assert kept is not None and bare is not None
     assert [race.replay for race in bare.races] == [None, None]
     assert [race.hash for race in bare.races] == [race.hash for race in kept.races]
@@ -67,7 +68,7 @@ def test_without_its_recording_a_race_has_the_same_hash(league):
 def test_another_seed_leaves_another_trace(league):
     given = job(league, "centerline", "bob")
     other = replace(given, halves=given.halves[:1], seeds=(99,))
-    one = Pit().race(given).outcome, Pit().race(other).outcome
+    one = RaceWorker().race(given).outcome, RaceWorker().race(other).outcome
     assert one[0].races[0].result["trace"] != one[1].races[0].result["trace"]
 
 
@@ -75,13 +76,13 @@ def test_an_entry_may_race_itself(league):
     entry = submitted(league, "ann")
     given = job(league, "ann", "bob")
     own = replace(given, halves=(Half("reinvent_2018", (entry.id,) * 2),), seeds=(1,))
-    outcome = Pit().race(own).outcome
+    outcome = RaceWorker().race(own).outcome
     assert outcome is not None and sorted(outcome.races[0].places) in ([1, 2], [1, 1])
 
 
 def test_what_goes_wrong_in_a_job_is_told_with_its_traceback(league):
     given = replace(job(league, "centerline", "bob"), halves=(Half("atlantis", ()),) * 2)
-    report = Pit().race(given)
+    report = RaceWorker().race(given)
     assert report.outcome is None
     assert "Traceback" in report.traceback and "atlantis" in report.traceback
 
@@ -135,13 +136,13 @@ def test_of_two_that_failed_at_the_same_place_the_one_that_lasted_longer_is_ahea
     assert places_of([Run(None, 0, 5.0, 3.0), Run(None, 0, 5.0, 3.0)]) == (1, 1)
 
 
-def test_a_crew_hands_in_what_its_workers_raced(league):
+def test_a_dispatcher_hands_in_what_its_workers_raced(league):
     given = job(league, "centerline", "bob")
-    heat = heat_spec.mirrored(SHORT.hash, ("reinvent_2018",) * 2, tuple(given.field))
+    heat = heat_spec.mirrored(SHORT.hash, ("reinvent_2018",) * 2, tuple(given.drivers))
     league.plan([heat])
-    crew = Crew(league, Here())
-    (ended,) = crew.step(0.0)
-    assert ended.became == "accepted" and not crew.running
+    dispatcher = Dispatcher(league, Here())
+    (ended,) = dispatcher.step(0.0)
+    assert ended.became == "accepted" and not dispatcher.running
     assert league.heat(1).state == "done" and len(league.races().heat) == 2
     replay = league.results(1)[0].replay
     assert replay is not None and league.blobs.has(replay)
@@ -150,30 +151,30 @@ def test_a_crew_hands_in_what_its_workers_raced(league):
 class Broken(Here):
     """Workers that lose every job."""
 
-    def wait(self, timeout_s: float) -> list[Report]:
-        return [Report(self.jobs.pop(0).key, None, "the dog ate it")] if self.jobs else []
+    def wait(self, timeout_s: float) -> list[HeatReport]:
+        return [HeatReport(self.jobs.pop(0).key, None, "the dog ate it")] if self.jobs else []
 
 
 def test_a_heat_that_fails_three_times_is_an_error_with_its_traceback(league):
     given = job(league, "centerline", "bob")
-    league.plan([heat_spec.mirrored(SHORT.hash, ("reinvent_2018",) * 2, tuple(given.field))])
-    crew = Crew(league, Broken())
-    assert [crew.step(0.0)[0].became for _ in range(3)] == ["planned", "planned", "error"]
-    assert crew.step(0.0) == []
+    league.plan([heat_spec.mirrored(SHORT.hash, ("reinvent_2018",) * 2, tuple(given.drivers))])
+    dispatcher = Dispatcher(league, Broken())
+    assert [dispatcher.step(0.0)[0].became for _ in range(3)] == ["planned", "planned", "error"]
+    assert dispatcher.step(0.0) == []
     assert league.heat(1).traceback == "the dog ate it" and not len(league.races().heat)
     assert league.retry(league.heat(1).heat.key)
-    assert Crew(league, Here()).step(0.0)[0].became == "accepted"
+    assert Dispatcher(league, Here()).step(0.0)[0].became == "accepted"
 
 
 def test_a_damaged_blob_fails_its_heat_and_not_the_season(league, tmp_path):
     ann = submitted(league, "ann", senses="blind")
     tracks = ("reinvent_2018",) * 2
-    fields = [job(league, "ann", "bob").field, job(league, "centerline", "bob").field]
-    league.plan([heat_spec.mirrored(SHORT.hash, tracks, tuple(field)) for field in fields])
+    jobs = [job(league, "ann", "bob"), job(league, "centerline", "bob")]
+    league.plan([heat_spec.mirrored(SHORT.hash, tracks, tuple(one.drivers)) for one in jobs])
     with closing(sqlite3.connect(tmp_path / "league.db")) as database, database:
         there = "update blobs set content = zeroblob(length(content)) where digest = ?"
         assert database.execute(there, [ann.id]).rowcount == 1
-    ended = Crew(league, Here(2)).step(0.0)
+    ended = Dispatcher(league, Here(2)).step(0.0)
     assert [one.became for one in ended] == ["planned", "accepted"]
     assert "is damaged (its hash differs)" in ended[0].report.traceback
     assert len(league.races().heat) == 2
@@ -181,9 +182,9 @@ def test_a_damaged_blob_fails_its_heat_and_not_the_season(league, tmp_path):
 
 def test_a_heat_of_another_physics_is_not_raced(league, monkeypatch):
     given = job(league, "centerline", "bob")
-    league.plan([heat_spec.mirrored(SHORT.hash, ("reinvent_2018",) * 2, tuple(given.field))])
+    league.plan([heat_spec.mirrored(SHORT.hash, ("reinvent_2018",) * 2, tuple(given.drivers))])
     monkeypatch.setattr("league.matchmaking.workers.worker.PHYSICS", "another")
-    (ended,) = Crew(league, Here()).step(0.0)
+    (ended,) = Dispatcher(league, Here()).step(0.0)
     assert ended.became == "planned" and "use the version" in ended.report.traceback
 
 
@@ -193,7 +194,7 @@ class HereUntilFull(Here):
     Python ignores the signal that comes with it, so a write fails as on a full disk.
     """
 
-    def wait(self, timeout_s: float) -> list[Report]:
+    def wait(self, timeout_s: float) -> list[HeatReport]:
         reports = super().wait(timeout_s)
         most = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
         resource.setrlimit(resource.RLIMIT_FSIZE, (10, most))
@@ -210,7 +211,7 @@ def test_no_room_for_recordings_is_told_and_the_heat_is_raced_again_when_there_i
         before = resource.getrlimit(resource.RLIMIT_FSIZE)
         try:
             with pytest.raises(StoreError, match=r"cannot be written .* has room"):
-                Crew(store, HereUntilFull(), lease_s=0.05).step(0.0)
+                Dispatcher(store, HereUntilFull(), lease_s=0.05).step(0.0)
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, before)
         assert store.counts() == {"claimed": 1} and not len(store.races().heat)
@@ -232,13 +233,13 @@ def test_a_full_postgresql_is_told_and_the_heat_is_raced_again_when_there_is_roo
     url = new_postgres()
     with new_league(url) as store, psycopg.connect(url, autocommit=True) as server:
         _one_heat(store)
-        told = len(store.events())
+        told = len(leagues.events(store))
         server.execute(FULL)
         sentence = "cannot grow, the server's disk is full: free some space; nothing was changed$"
         with pytest.raises(StoreError, match=sentence):
-            Crew(store, Here(), lease_s=0.05).step(0.0)
+            Dispatcher(store, Here(), lease_s=0.05).step(0.0)
         assert store.counts() == {"claimed": 1} and not len(store.races().heat)
-        assert [event.action for event in store.events()[told:]] == ["claim"]
+        assert [event.action for event in leagues.events(store)[told:]] == ["claim"]
         server.execute("DROP TRIGGER full_disk ON results")
         _raced_by_another(store)
 
@@ -252,8 +253,8 @@ def _one_heat(store: Store) -> None:
 
 def _raced_by_another(store: Store) -> None:
     """Race the one heat that was left, once its lease is over; it is its second try."""
-    ended: list[Ended] = []
-    heir, give_up = Crew(store, Here()), time.monotonic() + 30
+    ended: list[FinishedHeat] = []
+    heir, give_up = Dispatcher(store, Here()), time.monotonic() + 30
     while not ended and time.monotonic() < give_up:
         ended = heir.step(0.0)
         time.sleep(0.01)

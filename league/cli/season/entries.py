@@ -1,4 +1,4 @@
-"""`league init`, `submit`, `entries`, `retire`: founding a league, and who takes part."""
+"""`league init`, `submit`, `entries`, `retire`: make a league, list and change its entries."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Literal
 
 import tyro
 
-from league.cli import tables
-from league.cli.season import base
-from league.cli.season.base import OnLeague, Reading
-from league.errors import ConfigError, nearest_names
+from league.cli import season, tables
+from league.cli.season import OnLeague, Reading
+from league.errors import ConfigError, PolicyError, nearest_names
 
 if TYPE_CHECKING:
     from league.matchmaking.pairing.heat_spec import Ruleset
@@ -22,7 +21,7 @@ ANCHORS = ("centerline", "racing_line", "cautious", "blocker")
 
 @dataclass
 class Init(OnLeague):
-    """Make a league; its rules cannot be changed without beginning the ratings anew."""
+    """Make a league; its rules, on which all ratings depend, cannot be changed later."""
 
     name: str = "league"
     """Name shown to people."""
@@ -43,11 +42,21 @@ class Init(OnLeague):
     anchors: tuple[str, ...] = ANCHORS
     """Scripted drivers that tie the scale; the first one is pinned to 1000."""
     blobs: str = ""
-    """Directory or bucket (s3://...) for weights and recordings; by default the database."""
+    """Directory or bucket (s3://...) for weights and recordings; by default the dataseason."""
 
     def run(self) -> int:
         """Run the command."""
-        return _init(self)
+        from league.matchmaking.pairing import matchmaker
+        from league.matchmaking.store import create
+
+        rules = _rules(self)
+        with create(self.address, name=self.name, ruleset=rules, blobs=self.blobs) as store:
+            matchmaker.found(store, self.anchors)
+            print(f"League {self.name!r}: {store.url}")
+        laps = "1 lap" if rules.laps == 1 else f"{rules.laps} laps"
+        print(f"Rules {rules.hash[:12]}: {laps}, {rules.cars} cars, {', '.join(rules.tracks)}")
+        print(f"Anchors: {', '.join(self.anchors) or 'none'}")
+        return 0
 
 
 @dataclass
@@ -59,23 +68,47 @@ class Submit(OnLeague):
     name: str = ""
     """Name shown to people; by default the file's."""
     owner: str = ""
-    """Whose it is; by default your login name. Entries of one owner do not meet."""
+    """Its owner; by default your login name. Entries of one owner do not meet."""
 
     def run(self) -> int:
         """Run the command."""
-        return _submit(self)
+        import getpass
+
+        from league.agents import roster
+        from league.matchmaking import submission
+
+        owner = self.owner or getpass.getuser()
+        with self.opened() as store:
+            if self.driver.endswith(".pt"):
+                name = self.name or Path(self.driver).stem
+                entry = submission.submit(store, self.driver, name, owner)
+            elif self.driver in roster.NAMES:
+                name = self.name or self.driver
+                entry = store.submit(name, owner, scripted=self.driver, card={"name": name})
+            else:
+                raise PolicyError(
+                    f"there is no driver {self.driver!r}; nearest: "
+                    f"{nearest_names(self.driver, list(roster.NAMES))}; or give a checkpoint, "
+                    "FILE.pt"
+                )
+        if entry.name != name:
+            print(f"These weights are entered already, as {entry.name}; {name} is not a new entry.")
+        print(f"{entry.name} by {entry.owner}: entry {entry.id[:12]}, {entry.state}")
+        if entry.state == "pending":
+            print("It races itself and an anchor first: `league run`, then `league entries`.")
+        return 0
 
 
 @dataclass
 class Entries(Reading):
-    """List the entries and where they stand."""
+    """List the entries and their states."""
 
     def run(self) -> int:
         """Run the command."""
         with self.opened() as store:
             entries = store.entries()
         if self.json:
-            base.print_json(entries)
+            season.print_json(entries)
             return 0
         table = tables.table("Entries", "name", "owner", "state", "id", "kind", "submitted")
         for entry in entries:
@@ -86,7 +119,7 @@ class Entries(Reading):
                 entry.state,
                 entry.id[:8],
                 kind,
-                base.day(entry.created_s)[:10],
+                season.day(entry.created_s)[:10],
             )
         tables.console().print(table)
         for entry in entries:
@@ -127,20 +160,6 @@ class Upgrade(OnLeague):
         return 0
 
 
-def _init(command: Init) -> int:
-    from league.matchmaking.pairing import matchmaker
-    from league.matchmaking.store import create
-
-    rules = _rules(command)
-    with create(command.address, name=command.name, ruleset=rules, blobs=command.blobs) as store:
-        matchmaker.found(store, command.anchors)
-        print(f"League {command.name!r}: {store.url}")
-    laps = "1 lap" if rules.laps == 1 else f"{rules.laps} laps"
-    print(f"Rules {rules.hash[:12]}: {laps}, {rules.cars} cars, {', '.join(rules.tracks)}")
-    print(f"Anchors: {', '.join(command.anchors) or 'none'}")
-    return 0
-
-
 def _rules(command: Init) -> Ruleset:
     """Return the rules that were asked for, checked before anything is written."""
     from league.agents import roster
@@ -163,13 +182,13 @@ def _rules(command: Init) -> Ruleset:
         raise ConfigError("a track or an anchor was named twice: name each once")
     tracks = []
     for name in command.track:
-        course = files.load(name)
-        if name != course.name:
+        track = files.load(name)
+        if name != track.name:
             raise ConfigError(
                 f"the track {name!r} is a file: a league's workers know the tracks that ship "
                 "with the program, `league tracks` lists them"
             )
-        tracks.append(course.name)
+        tracks.append(track.name)
     try:
         return Ruleset(
             tracks=tuple(tracks),
@@ -182,35 +201,6 @@ def _rules(command: Init) -> Ruleset:
         )
     except ValueError as error:
         raise ConfigError(f"these rules are not possible: {error}") from error
-
-
-def _submit(command: Submit) -> int:
-    import getpass
-
-    from league.agents import roster
-    from league.errors import PolicyError
-    from league.matchmaking import submission
-
-    owner = command.owner or getpass.getuser()
-    with command.opened() as store:
-        if command.driver.endswith(".pt"):
-            name = command.name or Path(command.driver).stem
-            entry = submission.submit(store, command.driver, name, owner)
-        elif command.driver in roster.NAMES:
-            name = command.name or command.driver
-            entry = store.submit(name, owner, scripted=command.driver, card={"name": name})
-        else:
-            raise PolicyError(
-                f"there is no driver {command.driver!r}; nearest: "
-                f"{nearest_names(command.driver, list(roster.NAMES))}; or give a checkpoint, "
-                "FILE.pt"
-            )
-    if entry.name != name:
-        print(f"These weights are entered already, as {entry.name}; {name} is not a new entry.")
-    print(f"{entry.name} by {entry.owner}: entry {entry.id[:12]}, {entry.state}")
-    if entry.state == "pending":
-        print("It races itself and an anchor first: `league run`, then `league entries`.")
-    return 0
 
 
 COMMANDS = {

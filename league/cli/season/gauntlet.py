@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,15 +10,14 @@ from typing import TYPE_CHECKING
 
 import tyro
 
-from league.cli import flags, tables
-from league.cli.season import base
-from league.cli.season.base import Reading
+from league.cli import flags, season, tables
+from league.cli.season import Reading
 from league.errors import ConfigError
 
 if TYPE_CHECKING:
     from league.matchmaking.ratings.sprt import Comparison
-    from league.matchmaking.store import Outcome, Store
-    from league.matchmaking.workers.worker import Contestant
+    from league.matchmaking.store import HeatOutcome, Store
+    from league.matchmaking.workers.worker import HeatDriver
 
 
 @dataclass
@@ -37,7 +35,44 @@ class Gauntlet(Reading):
 
     def run(self) -> int:
         """Run the command."""
-        return _gauntlet(self)
+        from league.agents import checkpoint
+        from league.matchmaking import gauntlet
+
+        flags.at_least(self, "rounds", 1)
+        flags.at_least(self, "opponents", 1)
+        newcomer = checkpoint.load(self.checkpoint)
+        quiet = self.json or not sys.stderr.isatty()
+        with self.opened() as store:
+            opponents = gauntlet.opponents(store, most=self.opponents)
+            with (
+                season.local_workers(self.workers) as executor,
+                tables.progress(disable=quiet) as progress,
+            ):
+                bar = progress.add_task("Racing", total=self.rounds * len(opponents))
+
+                def watch(_outcome: HeatOutcome) -> bool:
+                    progress.advance(bar)
+                    return True
+
+                placed = gauntlet.gauntlet(
+                    store, executor, newcomer, opponents, rounds=self.rounds, watch=watch
+                )
+        if self.json:
+            season.print_json(placed)
+            return 0
+        table = tables.table(f"Gauntlet of {newcomer.card.name}", "opponent", "races", "points")
+        for name, races, points in placed.against:
+            table.add_row(name, str(races), f"{points:g}")
+        tables.console().print(table)
+        rating = season.plus_minus(placed.elo, placed.low95, placed.high95)
+        ranks = f" ({placed.best_rank} to {placed.worst_rank})" if placed.provisional else ""
+        print(f"Elo {rating}: that would be rank {placed.rank}{ranks}.")
+        if placed.one_sided:
+            print("It won, or lost, every race: read the number as a bound.")
+        if placed.provisional:
+            print("More rounds give a narrower interval: --rounds 5")
+        print(f"Nothing was kept; enter it with  league submit {self.checkpoint}")
+        return 0
 
 
 @dataclass
@@ -63,113 +98,65 @@ class Compare(Reading):
 
     def run(self) -> int:
         """Run the command."""
-        return _compare(self)
+        from league.matchmaking import gauntlet
+        from league.matchmaking.ratings.sprt import SequentialSettings
 
-
-def _gauntlet(command: Gauntlet) -> int:
-    from league.agents import checkpoint
-    from league.matchmaking import gauntlet as trials
-    from league.matchmaking import workers as executors
-
-    flags.at_least(command, "rounds", 1)
-    flags.at_least(command, "opponents", 1)
-    given = checkpoint.load(command.checkpoint)
-    with command.opened() as store:
-        field = trials.opponents(store, most=command.opponents)
-        executor = executors.make("processes", command.workers or os.cpu_count() or 1)
-        quiet = command.json or not sys.stderr.isatty()
-        try:
-            with tables.progress(disable=quiet) as progress:
-                bar = progress.add_task("Racing", total=command.rounds * len(field))
-
-                def watch(_outcome: Outcome) -> bool:
-                    progress.advance(bar)
-                    return True
-
-                found = trials.gauntlet(
-                    store, executor, given, field, rounds=command.rounds, watch=watch
-                )
-        finally:
-            executor.close()
-    if command.json:
-        base.print_json(found)
-        return 0
-    table = tables.table(f"Gauntlet of {given.card.name}", "opponent", "races", "points")
-    for name, races, points in found.against:
-        table.add_row(name, str(races), f"{points:g}")
-    tables.console().print(table)
-    rating = base.plus_minus(found.elo, found.low95, found.high95)
-    ranks = f" ({found.best_rank} to {found.worst_rank})" if found.provisional else ""
-    print(f"Elo {rating}: that would be rank {found.rank}{ranks}.")
-    if found.one_sided:
-        print("It won, or lost, every race: read the number as a bound.")
-    if found.provisional:
-        print("More rounds tell more surely: --rounds 5")
-    print(f"Nothing was kept; enter it with  league submit {command.checkpoint}")
-    return 0
-
-
-def _compare(command: Compare) -> int:
-    from league.matchmaking import gauntlet as trials
-    from league.matchmaking import workers as executors
-    from league.matchmaking.ratings.sprt import SequentialSettings
-
-    flags.at_least(command, "heats", 1)
-    with command.opened() as store:
-        one, other = (_contestant(store, given) for given in (command.one, command.other))
-        if one.id == other.id:
-            raise ConfigError(f"{command.one} and {command.other} are the same driver: name two")
-        settings = SequentialSettings(
-            elo0=command.elo0,
-            elo1=command.elo1,
-            alpha=command.alpha,
-            beta=command.beta,
-            slot_gap=_slot_gap(store),
-        )
-        executor = executors.make("processes", command.workers or os.cpu_count() or 1)
-        quiet = command.json or not sys.stderr.isatty()
-        try:
-            with tables.progress(disable=quiet) as progress:
-                bar = progress.add_task("Racing", total=command.heats)
+        flags.at_least(self, "heats", 1)
+        quiet = self.json or not sys.stderr.isatty()
+        with self.opened() as store:
+            one, other = (_driver(store, text) for text in (self.one, self.other))
+            if one.id == other.id:
+                raise ConfigError(f"{self.one} and {self.other} are the same driver: name two")
+            settings = SequentialSettings(
+                elo0=self.elo0,
+                elo1=self.elo1,
+                alpha=self.alpha,
+                beta=self.beta,
+                slot_gap=_slot_gap(store),
+            )
+            with (
+                season.local_workers(self.workers) as executor,
+                tables.progress(disable=quiet) as progress,
+            ):
+                bar = progress.add_task("Racing", total=self.heats)
 
                 def watch(now: Comparison) -> None:
-                    text = (
-                        f"heat {now.heats}: LLR {now.llr:+.2f} in {now.lower:.2f}..{now.upper:.2f}"
-                    )
+                    bounds = f"{now.lower:.2f}..{now.upper:.2f}"
+                    text = f"heat {now.heats}: LLR {now.llr:+.2f} in {bounds}"
                     progress.update(bar, completed=now.heats, description=text)
 
-                found = trials.compare(
-                    store, executor, one, other, settings, most_heats=command.heats, watch=watch
+                result = gauntlet.compare(
+                    store, executor, one, other, settings, most_heats=self.heats, watch=watch
                 )
-        finally:
-            executor.close()
-    if command.json:
-        base.print_json(found)
+        if self.json:
+            season.print_json(result)
+            return 0
+        decision = result.decision.replace("better", f"better than {one.name}")
+        print(f"{other.name} is {decision}.")
+        print(
+            f"{result.heats} heats, score {100 * result.score:.1f} %, lead {_elo(result.elo)} Elo "
+            f"({_elo(result.low95)} to {_elo(result.high95)}), LLR {result.llr:+.2f} "
+            f"({result.lower:.2f} to {result.upper:.2f})"
+        )
         return 0
-    print(f"{other.name} is {found.decision.replace('better', f'better than {one.name}')}.")
-    print(
-        f"{found.heats} heats, score {100 * found.score:.1f} %, lead {_elo(found.elo)} Elo "
-        f"({_elo(found.low95)} to {_elo(found.high95)}), LLR {found.llr:+.2f} "
-        f"({found.lower:.2f} to {found.upper:.2f})"
-    )
-    return 0
 
 
 def _elo(value: float) -> str:
     return f"{value:+.0f}" if math.isfinite(value) else ("+∞" if value > 0 else "-∞")
 
 
-def _contestant(store: Store, given: str) -> Contestant:
+def _driver(store: Store, text: str) -> HeatDriver:
+    """Return an entry by name or id, or a checkpoint by its file's name."""
     from league.agents import checkpoint
     from league.matchmaking import submission
     from league.matchmaking.workers import dispatcher
-    from league.matchmaking.workers.worker import Contestant
+    from league.matchmaking.workers.worker import HeatDriver
 
-    if not given.endswith(".pt"):
-        return dispatcher.contestant(store, store.entry(given))
-    found = checkpoint.load(given)
-    submission.check_sensors(found.card.sensors, store.settings.ruleset)
-    return Contestant(found.digest, Path(given).stem, weights=submission.pack(found))
+    if not text.endswith(".pt"):
+        return dispatcher.heat_driver(store, store.entry(text))
+    loaded = checkpoint.load(text)
+    submission.check_sensors(loaded.card.sensors, store.settings.ruleset)
+    return HeatDriver(loaded.digest, Path(text).stem, weights=submission.pack(loaded))
 
 
 def _slot_gap(store: Store) -> float:
@@ -180,7 +167,7 @@ def _slot_gap(store: Store) -> float:
     try:
         slots = standings.of(store).ratings.slot_advantages
     except StoreError:
-        return 0.0  # nobody has raced yet
+        return 0.0  # no entry has raced yet
     return float(slots[0] - slots[1])
 
 

@@ -1,20 +1,32 @@
-"""`league heats`, `heat`, `audit`, `retry`: what was raced, and whether it can be trusted."""
+"""`league heats`, `heat`, `audit`, `retry`: what was raced, and whether it can be trusted.
+
+`league export --csv` and `--json` (see cli/checkpoints.py) write the races here, too.
+"""
 
 from __future__ import annotations
 
+import csv
+import io
+import json
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import tyro
 
-from league.cli import flags, tables
-from league.cli.season import base
-from league.cli.season.base import OnLeague, Reading
+from league.atomic_file import replacing
+from league.cli import flags, season, tables
+from league.cli.season import OnLeague, Reading
 from league.errors import ConfigError, StoreError, brief
 
 if TYPE_CHECKING:
-    from league.matchmaking.store import HeatRecord, Outcome, Store
+    from league.matchmaking.store import HeatOutcome, HeatRecord, Store
 
+COLUMNS: tuple[str, ...] = (
+    "heat", "race", "key", "purpose", "ruleset", "track", "seed", "slot", "entry", "id", "owner",
+    "place", "finished", "laps", "total_s", "distance", "off_tracks", "crashes", "overtakes",
+)  # fmt: skip
+"""Columns of an export: one line for each car of each race."""
 Shown = Literal["all", "planned", "claimed", "done", "error", "quarantined", "cancelled"]
 
 
@@ -36,9 +48,9 @@ class Heats(Reading):
             numbers = [store.entry(self.entry).number] if self.entry else []
             states = None if self.state == "all" else (self.state,)
             records = store.heats(states, entries=numbers)[-self.limit :]
-            names = base.names(store.entries())
+            names = season.names_of(store.entries())
         if self.json:
-            base.print_json([_told(record, names) for record in records])
+            season.print_json([_document(record, names) for record in records])
             return 0
         table = tables.table("Heats", "heat", "grid", "purpose", "state", "track", "done")
         table.padding = (0, 0)  # the box leaves room enough between columns
@@ -46,7 +58,7 @@ class Heats(Reading):
         for record in records:
             half = record.heat.halves[0]
             grid = " - ".join(names[id] for id in half.grid)
-            done = base.day(record.done_s)[5:]
+            done = season.day(record.done_s)[5:]
             table.add_row(
                 str(record.number), grid, record.heat.purpose, record.state, half.track, done
             )
@@ -69,10 +81,10 @@ class ShowHeat(Reading):
 
 @dataclass
 class Retry(OnLeague):
-    """Have a heat raced again that was given up, cancelled, or is in quarantine.
+    """Race a heat again that was given up, cancelled, or is in quarantine.
 
-    A dispute is settled if the new result agrees with one of the old ones; so let a machine race it
-    that you trust, and that raced none of them.
+    A dispute is settled if the new result agrees with one of the old ones, so use a machine that
+    you trust and that raced none of them.
     """
 
     heat: tyro.conf.Positional[str]
@@ -93,7 +105,7 @@ class Retry(OnLeague):
             what += f", which heat {record.number} audited,"
         print(f"{what} waits to be raced again: `league run` or `league work` does it.")
         if record.state == "quarantined":
-            print(f"Then `league heat {number}` tells which result was found again, if any.")
+            print(f"Then `league heat {number}` shows which result was found again, if any.")
         return 0
 
 
@@ -110,37 +122,29 @@ class Audit(OnLeague):
 
     def run(self) -> int:
         """Run the command."""
-        return _audit(self)
+        import numpy as np
 
+        from league.matchmaking import gauntlet
 
-def _audit(command: Audit) -> int:
-    import os
+        share = _share(self.sample)
+        with self.opened() as store:
+            audits = gauntlet.pick_audit(store, share, np.random.default_rng(self.seed))
+            if not audits:
+                print(
+                    "There is nothing to audit: no rated heat is done that was not audited before."
+                )
+                return 0
+            number_of = {one.heat.key: store.heat(one.heat.audits).number for one in audits}
 
-    import numpy as np
-
-    from league.matchmaking import gauntlet
-    from league.matchmaking import workers as executors
-
-    share = _share(command.sample)
-    with command.opened() as store:
-        audits = gauntlet.pick_audit(store, share, np.random.default_rng(command.seed))
-        if not audits:
-            print("There is nothing to audit: no rated heat is done that was not audited before.")
-            return 0
-        number_of = {one.heat.key: store.heat(one.heat.audits).number for one in audits}
-        executor = executors.make("processes", command.workers or os.cpu_count() or 1)
-        try:
-
-            def watch(outcome: Outcome, agrees: bool) -> None:
+            def watch(outcome: HeatOutcome, agrees: bool) -> None:
                 verdict = "agrees" if agrees else "DIFFERS, and is in quarantine now"
                 print(f"heat {number_of[outcome.key]} {verdict}", flush=True)
 
-            differ = gauntlet.audit(store, executor, audits, watch=watch)
-        finally:
-            executor.close()
-    heats = "1 heat was" if len(audits) == 1 else f"{len(audits)} heats were"
-    print(f"{heats} run again: {len(audits) - differ} agree, {differ} differ.")
-    return 1 if differ else 0
+            with season.local_workers(self.workers) as executor:
+                differ = gauntlet.audit(store, executor, audits, watch=watch)
+        heats = "1 heat was" if len(audits) == 1 else f"{len(audits)} heats were"
+        print(f"{heats} run again: {len(audits) - differ} agree, {differ} differ.")
+        return 1 if differ else 0
 
 
 def _share(text: str) -> float:
@@ -152,7 +156,7 @@ def _share(text: str) -> float:
         ) from None
 
 
-def _told(record: HeatRecord, names: dict[str, str]) -> dict[str, object]:
+def _document(record: HeatRecord, names: dict[str, str]) -> dict[str, object]:
     return {
         "number": record.number,
         "key": record.heat.key,
@@ -172,10 +176,10 @@ def _told(record: HeatRecord, names: dict[str, str]) -> dict[str, object]:
 
 
 def _show(store: Store, record: HeatRecord, as_json: bool) -> int:
-    names = base.names(store.entries())
+    names = season.names_of(store.entries())
     results = store.results(record.number)
     if as_json:
-        base.print_json({**_told(record, names), "results": results})
+        season.print_json({**_document(record, names), "results": results})
         return 0
     print(f"Heat {record.number} ({record.heat.purpose}), {record.state}, key {record.heat.key}")
     if record.worker:
@@ -213,6 +217,70 @@ def _show(store: Store, record: HeatRecord, as_json: bool) -> int:
     if record.traceback:
         print(tables.spelled(record.traceback))
     return 0
+
+
+def export_csv(store: Store, path: Path) -> None:
+    """Write a line for each car of each race; "-" is the standard output."""
+    rows = _rows(store)
+    text = io.StringIO()
+    table = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    table.writeheader()
+    table.writerows(rows)
+    _write(path, text.getvalue(), f"{len(rows)} lines")
+
+
+def export_json(store: Store, path: Path, standings: object) -> None:
+    """Write rules, entries, standings and races; "-" is the standard output."""
+    settings = store.settings
+    document = {
+        "league": settings.name,
+        "rules": season.plain(settings.ruleset),
+        "ruleset": settings.ruleset.hash,
+        "entries": season.plain(store.entries()),
+        "standings": standings,
+        "races": _rows(store),
+    }
+    _write(path, json.dumps(document, indent=1, ensure_ascii=False) + "\n", "the league")
+
+
+def _write(path: Path, text: str, what: str) -> None:
+    if str(path) == "-":
+        print(text, end="")
+        return
+    with replacing(path, "the export", ConfigError) as file:
+        file.write_text(text, encoding="utf-8")
+    print(f"Wrote {what}: {path}")
+
+
+def _rows(store: Store) -> list[dict[str, object]]:
+    """Return a line for each car of each race that is done."""
+    entries = {entry.id: entry for entry in store.entries()}
+    rows = []
+    for record in store.heats(("done",)):
+        if record.heat.audits:
+            continue  # its results are those of the heat it audits
+        for result in store.results(record.number):
+            half = record.heat.halves[result.half]
+            for car in sorted(result.result["order"], key=lambda car: car["car"]):
+                entry = entries[half.grid[car["car"]]]
+                rows.append(
+                    {
+                        "heat": record.number,
+                        "race": result.half + 1,
+                        "key": record.heat.key,
+                        "purpose": record.heat.purpose,
+                        "ruleset": record.heat.ruleset[:12],
+                        "track": half.track,
+                        "seed": record.seeds[result.half] if record.seeds else "",
+                        "slot": car["car"] + 1,
+                        "entry": entry.name,
+                        "id": entry.id,
+                        "owner": entry.owner,
+                        "place": result.places[car["car"]],
+                        **{name: car[name] for name in COLUMNS[12:]},
+                    }
+                )
+    return rows
 
 
 COMMANDS = {"heats": Heats, "heat": ShowHeat, "audit": Audit, "retry": Retry}

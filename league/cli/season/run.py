@@ -1,23 +1,36 @@
-"""`league run` and `league work`: the matchmaker, the workers, and a page to watch them."""
+"""`league run` and `league work`: the matchmaker, the workers, and a page to watch them.
+
+On a terminal there is a live page, otherwise a line for each heat.
+"""
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
-from collections.abc import Iterator
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Self
 
-from league.cli import flags
-from league.cli.season.base import OnLeague
-from league.errors import ConfigError
+from league.cli import flags, tables
+from league.cli.season import OnLeague
+from league.errors import ConfigError, LeagueError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from rich.console import RenderableType
 
     from league.matchmaking.loop import Tally
+    from league.matchmaking.standings import Standings
     from league.matchmaking.store import Store
+    from league.matchmaking.workers.dispatcher import Dispatcher, FinishedHeat
+
+REFIT_EVERY_S = 5.0
+"""Interval at which the page computes the standings, at least [s]."""
+TOP = 12
+"""Entries on the page."""
 
 
 @dataclass
@@ -57,29 +70,27 @@ class Run(Work):
 
 
 def _run(command: Work, *, plans: bool, same_owner: bool) -> int:
-    import os
-
-    from league.cli.season.monitor import Lines, Page
-    from league.matchmaking import loop
-    from league.matchmaking import workers as executors
+    from league.matchmaking import loop, workers
     from league.matchmaking.pairing.matchmaker import LEAST_ROUND, Season
-    from league.matchmaking.workers.dispatcher import Crew
+    from league.matchmaking.workers.dispatcher import Dispatcher
 
     _check(command)
-    workers = command.workers or os.cpu_count() or 1
+    num_workers = command.workers or os.cpu_count() or 1
     with command.opened() as store:
         season = None
         if plans:
-            least = max(LEAST_ROUND, 2 * workers)
+            least = max(LEAST_ROUND, 2 * num_workers)
             season = Season(store, same_owner=same_owner, least_round=least)
-        executor = executors.make(command.executor, workers)
+        executor = workers.make_executor(command.executor, num_workers)
         try:
-            crew = Crew(store, executor, lease_s=command.lease_s, keep_replays=command.replays)
+            dispatcher = Dispatcher(
+                store, executor, lease_s=command.lease_s, keep_replays=command.replays
+            )
             page = sys.stdout.isatty() and not command.plain
-            with (Page if page else Lines)(store, crew) as shown, _stopping() as stop:
+            with (Page if page else Lines)(store, dispatcher) as shown, _stopping() as stop:
                 tally = loop.run(
                     store,
-                    crew,
+                    dispatcher,
                     season,
                     heats=command.heats,
                     seconds=None if command.minutes is None else 60 * command.minutes,
@@ -88,7 +99,7 @@ def _run(command: Work, *, plans: bool, same_owner: bool) -> int:
                 )
         finally:
             executor.close()
-        _print_tally(store, tally)
+        _print_tally(tally)
     return 0
 
 
@@ -102,24 +113,24 @@ def _check(command: Work) -> None:
 
 @contextmanager
 def _stopping() -> Iterator[Callable[[], bool]]:
-    """Turn the first Ctrl-C or SIGTERM into a wish to stop; the second one stops at once."""
-    asked: list[int] = []
+    """Turn the first Ctrl-C or SIGTERM into a request to stop; the second one stops at once."""
+    requests: list[int] = []
 
-    def note(number: int, _frame: object) -> None:
-        if asked:
+    def request(number: int, _frame: object) -> None:
+        if requests:
             raise KeyboardInterrupt
-        asked.append(number)
+        requests.append(number)
         print("Finishing the heats under way; Ctrl-C again leaves them.", file=sys.stderr)
 
-    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, request) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield lambda: bool(asked)
+        yield lambda: bool(requests)
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
 
 
-def _print_tally(store: Store, tally: Tally) -> None:
+def _print_tally(tally: Tally) -> None:
     if tally.idle and not tally.heats:
         print(
             "There is nothing to race: submit an entry with `league submit FILE.pt`; "
@@ -136,6 +147,108 @@ def _print_tally(store: Store, tally: Tally) -> None:
             f"{tally.failures} tries failed, {tally.errors} heats given up (`league heats --state "
             f"error`), {tally.quarantined} in quarantine (`league heats --state quarantined`)"
         )
+
+
+def describe(finished: FinishedHeat) -> str:
+    """Return a heat's outcome in a line."""
+    claim, report = finished.running.claim, finished.report
+    names = " - ".join(finished.running.names)
+    start = f"heat {claim.number} ({claim.heat.purpose}) {names}"
+    if report.outcome is None:
+        last = report.traceback.strip().splitlines()[-1:] or ["no reason given"]
+        again = "given up" if finished.became == "error" else "will be tried again"
+        return f"{start}: failed, {again}: {tables.spelled(last[0][:120])}"
+    scores = " | ".join(
+        "-".join(str(place) for place in one.places) for one in report.outcome.races
+    )
+    note = "" if finished.became == "accepted" else f"  [{finished.became}]"
+    return f"{start}: places {scores}  {report.race_s:.0f} s in {report.wall_s:.1f} s{note}"
+
+
+@dataclass
+class Lines:
+    """A line for each heat."""
+
+    store: Store
+    dispatcher: Dispatcher
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End."""
+
+    def show(self, tally: Tally, finished: list[FinishedHeat]) -> None:
+        """Print the heats that finished."""
+        for one in finished:
+            print(describe(one), flush=True)
+
+
+class Page:
+    """A page that is redrawn in place: rates, heats under way, last results, standings."""
+
+    def __init__(self, store: Store, dispatcher: Dispatcher) -> None:
+        from rich.live import Live
+
+        self._store, self._crew = store, dispatcher
+        self._began = time.monotonic()
+        self._last: deque[str] = deque(maxlen=6)
+        self._standings: Standings | None = None
+        self._fitted_s, self._stale = 0.0, True
+        self._live = Live(console=tables.console(), refresh_per_second=4, transient=True)
+
+    def __enter__(self) -> Self:
+        self._live.__enter__()
+        return self
+
+    def __exit__(self, *about: object) -> None:
+        self._live.__exit__(None, None, None)
+
+    def show(self, tally: Tally, finished: list[FinishedHeat]) -> None:
+        """Draw the page."""
+        for one in finished:
+            self._last.append(describe(one))
+        self._stale = self._stale or bool(finished)
+        if self._stale and time.monotonic() - self._fitted_s > REFIT_EVERY_S:
+            self._refit()
+        self._live.update(self._drawn(tally))
+
+    def _refit(self) -> None:
+        from league.matchmaking import standings
+
+        try:
+            self._standings = standings.of(self._store)
+        except LeagueError:
+            self._standings = None  # no entry is rated yet
+        self._fitted_s, self._stale = time.monotonic(), False
+
+    def _drawn(self, tally: Tally) -> RenderableType:
+        from rich.console import Group
+        from rich.text import Text
+
+        from league.cli.season.standings import standings_table
+
+        wall_s = max(time.monotonic() - self._began, 1e-9)
+        counts = self._store.counts()
+        head = (
+            f"{self._store.settings.name}   {wall_s / 60:.1f} min   {tally.heats} heats, "
+            f"{60 * tally.heats / wall_s:.1f} a minute   {tally.race_s / wall_s:.1f} x real time   "
+            f"queue {counts.get('planned', 0)}"
+        )
+        if tally.failures:
+            head += f"   failed tries {tally.failures}"
+        now = time.monotonic()
+        under_way = [
+            f"  {one.claim.number:>6} {one.claim.heat.purpose:<10} {' - '.join(one.names)}"
+            f"  {now - one.since_s:.0f} s"
+            for one in self._crew.running.values()
+        ]
+        parts: list[RenderableType] = [Text(head, style="bold")]
+        if self._standings is not None:
+            parts.append(standings_table(self._standings, TOP))
+        parts += [Text("Racing", style="dim"), *(Text(line) for line in under_way)]
+        parts += [Text("Last", style="dim"), *(Text(f"  {line}") for line in self._last)]
+        return Group(*parts)
 
 
 COMMANDS = {"run": Run, "work": Work}

@@ -1,20 +1,25 @@
-"""`league standings`, `show`, `h2h`, `history`: who is better, and how sure that is."""
+"""`league standings`, `show`, `h2h`, `history`: ratings, records and their uncertainty."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import tyro
 
-from league.cli import flags, tables
-from league.cli.season import base
-from league.cli.season.base import Reading
+from league.cli import flags, season, tables
+from league.cli.season import Reading
 from league.errors import ConfigError, StoreError
 
 if TYPE_CHECKING:
-    from league.matchmaking.standings import Standings
+    from rich.console import RenderableType
+
+    from league.matchmaking.standings import Row, Standings
     from league.matchmaking.store import Entry, Store
+
+SHORT = {"placement": "placing", "provisional": "prov.", "validating": "valid."}
+"""States in fewer letters, for the table."""
 
 
 @dataclass
@@ -26,24 +31,23 @@ class ShowStandings(Reading):
 
     def run(self) -> int:
         """Run the command."""
-        from league.cli.season import monitor
         from league.matchmaking import standings
 
         flags.at_least(self, "top", 1)
         with self.opened() as store:
-            found = standings.of(store)
+            rated = standings.of(store)
         if self.json:
-            base.print_json(told(found, self.top))
+            season.print_json(_document(rated, self.top))
             return 0
-        tables.console().print(monitor.table(found, self.top))
-        for line in notes(found):
+        tables.console().print(standings_table(rated, self.top))
+        for line in _notes(rated):
             print(line)
         return 0
 
 
 @dataclass
 class Show(Reading):
-    """Show an entry: rating, record against everybody, last heats."""
+    """Show an entry: rating, record against each opponent, last heats."""
 
     entry: tyro.conf.Positional[str]
     """Name or id."""
@@ -66,7 +70,7 @@ class HeadToHead(Reading):
     other: tyro.conf.Positional[str] = ""
     """Name or id."""
     top: int = 8
-    """So many of the best, where no names are given."""
+    """Size of the matrix, where no names are given."""
 
     def run(self) -> int:
         """Run the command."""
@@ -100,55 +104,95 @@ class History(Reading):
             entry = store.entry(self.entry)
             moments = standings.history(store, entry, points=self.points)
         if self.json:
-            base.print_json(moments)
+            season.print_json(moments)
             return 0
         table = tables.table(f"{entry.name} over time", "heat", "races", "Elo, 95 %", "between")
         for moment in moments:
             table.add_row(
                 str(moment.heat),
                 str(moment.races),
-                base.plus_minus(moment.elo, moment.low95, moment.high95),
+                season.plus_minus(moment.elo, moment.low95, moment.high95),
                 f"{moment.low95:.0f} to {moment.high95:.0f}",
             )
         tables.console().print(table)
         return 0
 
 
-def told(found: Standings, top: int | None = None) -> dict[str, object]:
-    """Return standings as plain data."""
-    goodness = found.goodness
+def document(store: Store) -> dict[str, object] | None:
+    """Return a league's standings as plain data; None where no entry is rated."""
+    from league.matchmaking import standings
+
+    try:
+        return _document(standings.of(store))
+    except StoreError:
+        return None
+
+
+def _document(rated: Standings, top: int | None = None) -> dict[str, object]:
+    goodness = rated.goodness
     return {
-        "ruleset": found.ruleset,
-        "races": found.num_races,
-        "prior_sd": found.ratings.prior_sd,
-        "slot_advantages": found.ratings.slot_advantages.tolist(),
+        "ruleset": rated.ruleset,
+        "races": rated.num_races,
+        "prior_sd": rated.ratings.prior_sd,
+        "slot_advantages": rated.ratings.slot_advantages.tolist(),
         "fit": {
             "chi_square": goodness.chi_square,
             "freedom": goodness.freedom,
             "p_value": goodness.p_value,
             "rejected": goodness.rejected,
         },
-        "entries": [base.plain(row) for row in found.rows[:top]],
+        "entries": [season.plain(row) for row in rated.rows[:top]],
     }
 
 
-def notes(found: Standings) -> list[str]:
-    """Return what people must know beside the table."""
-    front = found.ratings.slot_advantages
+def standings_table(rated: Standings, limit: int | None = None) -> RenderableType:
+    """Return the standings as a table that fits 80 columns."""
+    drawn = tables.table(
+        "Standings", "", "entry", "owner", "Elo ± 95 %", "state", "races", "score", "DNF",
+        "best lap", "ranks",
+    )  # fmt: skip
+    drawn.padding = (0, 0)  # the box leaves room enough between columns
+    for row in rated.rows[:limit]:
+        flags = "?" * row.provisional + "!" * row.one_sided + "~" * (not row.connected)
+        ranks = f"{row.best_rank}-{row.worst_rank}" if row.best_rank < row.worst_rank else ""
+        drawn.add_row(
+            str(row.rank),
+            row.name[:17],
+            row.owner[:6],
+            f"{season.plus_minus(row.elo, row.low95, row.high95)} {flags:2}",
+            "anchor" if row.anchor else SHORT.get(row.state, row.state),
+            str(row.races),
+            f"{100 * row.score:.0f}%" if row.races else "",
+            "" if row.unfinished is None else f"{100 * row.unfinished:.0f}%",
+            _best_lap(row, rated.tracks),
+            ranks,
+        )
+    return drawn
+
+
+def _best_lap(row: Row, tracks: Sequence[str]) -> str:
+    """Return an entry's best lap on the league's first track, laps of several not being alike."""
+    lap_s = row.best_laps_s.get(tracks[0]) if tracks else None
+    return "" if lap_s is None else tables.clock(lap_s)
+
+
+def _notes(rated: Standings) -> list[str]:
+    """Return the lines that explain the table."""
+    front = rated.ratings.slot_advantages
     lines = [
-        f"{found.num_races} races under rules {found.ruleset[:12]}; the front of the grid is worth "
+        f"{rated.num_races} races under rules {rated.ruleset[:12]}; the front of the grid is worth "
         f"{front[0] - front[-1]:+.0f} Elo over its end.",
         "? provisional: sd above 50, listed by Elo - 2 sd   ! won or lost every pair",
         "ranks: those the intervals allow   DNF: races not finished",
     ]
-    if len(found.tracks) > 1:
-        lines.append(f"best lap: on {found.tracks[0]}; `league show ENTRY` tells those on others")
-    if not all(row.connected for row in found.rows):
+    if len(rated.tracks) > 1:
+        lines.append(f"best lap: on {rated.tracks[0]}; `league show ENTRY` shows those on others")
+    if not all(row.connected for row in rated.rows):
         lines.append("~ no chain of races leads to the anchor; such ratings lean on the prior.")
-    if found.goodness.rejected:
+    if rated.goodness.rejected:
         lines.append(
             "One number a driver does not explain these results (p = "
-            f"{found.goodness.p_value:.1g}): `league h2h` shows who beats whom."
+            f"{rated.goodness.p_value:.1g}): `league h2h` shows who beats whom."
         )
     return lines
 
@@ -156,30 +200,30 @@ def notes(found: Standings) -> list[str]:
 def _show(store: Store, entry: Entry, as_json: bool) -> int:
     from league.matchmaking import standings
 
-    found: Standings | None = None
+    rated: Standings | None = None
     try:
-        found = standings.of(store)
-        row = found.row(entry.number)
+        rated = standings.of(store)
+        row = rated.row(entry.number)
     except StoreError:
         row = None
     others = []
-    if found is not None and row is not None:
-        for other in found.rows:
-            record = standings.record(found, entry.number, other.number)
+    if rated is not None and row is not None:
+        for other in rated.rows:
+            record = standings.record(rated, entry.number, other.number)
             if other is not row and record.races:
                 others.append((other, record))
     recent = store.heats(entries=[entry.number])[-10:]
     if as_json:
-        records = [{"name": other.name, **base.plain(record)} for other, record in others]
+        records = [{"name": other.name, **season.plain(record)} for other, record in others]
         heats = [{"number": heat.number, "state": heat.state} for heat in recent]
-        told = {"entry": entry, "standing": row, "against": records, "heats": heats}
-        base.print_json(told)
+        document = {"entry": entry, "standing": row, "against": records, "heats": heats}
+        season.print_json(document)
         return 0
     print(f"{entry.name} by {entry.owner}   {entry.id}")
     reason = f", {tables.spelled(entry.reason)}" if entry.reason else ""
     print(f"{entry.state}{reason}, {entry.kind}")
     if row is not None:
-        rating = base.plus_minus(row.elo, row.low95, row.high95)
+        rating = season.plus_minus(row.elo, row.low95, row.high95)
         print(
             f"rank {row.rank} ({row.best_rank} to {row.worst_rank}), Elo {rating}, "
             f"{row.races} races"
@@ -213,15 +257,15 @@ def _h2h(store: Store, one: Entry, other: Entry, as_json: bool) -> int:
 
     if one.id == other.id:
         raise StoreError(f"{one.name!r} was given twice: name two entries")
-    found = standings.of(store)
+    rated = standings.of(store)
     for entry in (one, other):
-        found.row(entry.number, entry.name)
-    gap = found.ratings.difference(one.number, other.number)
-    record = standings.record(found, one.number, other.number)
+        rated.row(entry.number, entry.name)
+    gap = rated.ratings.difference(one.number, other.number)
+    record = standings.record(rated, one.number, other.number)
     heats = [heat.number for heat in store.heats(("done",), entries=[one.number, other.number])]
     if as_json:
-        told = {"one": one.name, "other": other.name, "difference": gap, "record": record}
-        base.print_json({**told, "heats": heats})
+        document = {"one": one.name, "other": other.name, "difference": gap, "record": record}
+        season.print_json({**document, "heats": heats})
         return 0
     print(f"{one.name} - {other.name}: {gap.elo:+.0f} Elo ({gap.low95:+.0f} to {gap.high95:+.0f})")
     print(f"{one.name} is the stronger one with probability {100 * gap.superiority:.1f} %")
@@ -239,14 +283,15 @@ def _matrix(store: Store, top: int, as_json: bool) -> int:
 
     from league.matchmaking import standings
 
-    found = standings.of(store)
-    rows = found.rows[:top]
+    rated = standings.of(store)
+    rows = rated.rows[:top]
     pairs = list(combinations(rows, 2))
-    forth = [standings.record(found, one.number, other.number) for one, other in pairs]
+    forth = [standings.record(rated, one.number, other.number) for one, other in pairs]
     if as_json:
-        base.print_json(
+        season.print_json(
             [
-                {"one": one.name, "other": other.name, "points": record.points} | base.plain(record)
+                {"one": one.name, "other": other.name, "points": record.points}
+                | season.plain(record)
                 for (one, other), record in zip(pairs, forth, strict=True)
             ]
         )
@@ -263,7 +308,7 @@ def _matrix(store: Store, top: int, as_json: bool) -> int:
         table.add_row(str(row.rank), row.name[:14], *met)
     tables.console().print(table)
     print("points of races; below: (points - promised) / standard deviation, * beyond 3")
-    if found.goodness.rejected:
+    if rated.goodness.rejected:
         print("One number a driver does not explain these results: see `league standings`.")
     return 0
 

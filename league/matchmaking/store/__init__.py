@@ -1,37 +1,37 @@
-"""The league's database: the only rooms that know SQLAlchemy and Alembic."""
+"""The league's database; the only package that imports SQLAlchemy and Alembic."""
 
 from league.matchmaking.store.records import (
-    NEXT,
+    BEST_MS,
+    FINISHED,
+    KNOWN,
     RATED,
     Claim,
     Entry,
     EntryState,
-    Event,
+    HeatOutcome,
     HeatRecord,
     HeatState,
-    Outcome,
     RaceOutcome,
     Races,
     Received,
-    Settings,
     StoredResult,
 )
 from league.matchmaking.store.store import Store, create, upgrade
 
 __all__ = [
-    "NEXT",
+    "BEST_MS",
+    "FINISHED",
+    "KNOWN",
     "RATED",
     "Claim",
     "Entry",
     "EntryState",
-    "Event",
+    "HeatOutcome",
     "HeatRecord",
     "HeatState",
-    "Outcome",
     "RaceOutcome",
     "Races",
     "Received",
-    "Settings",
     "Store",
     "StoredResult",
     "create",

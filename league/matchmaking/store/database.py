@@ -1,10 +1,10 @@
 """One database, SQLite or PostgreSQL: connections, transactions, and its errors in one sentence.
 
 SQLite has one writer at a time. Each write is one BEGIN IMMEDIATE transaction, written through to
-the disk before it returns (WAL, synchronous=FULL); processes that find it taken try again every
-few milliseconds, which is fairer than SQLite's own waiting (up to 100 ms between tries, measured
-1.5 s at the median with 16 writers). The rule of a large league remains: one process writes, and
-workers get heats from it and hand results to it.
+the disk before it returns (WAL, synchronous=FULL). A process that finds the file locked tries
+again every few milliseconds, which is fairer than SQLite's own waiting (up to 100 ms between
+tries, measured 1.5 s at the median with 16 writers). In a large league one process should write,
+and its workers get heats from it and hand results to it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from league.errors import StoreError, brief
 PATIENCE_S = 60.0
 """How long a write waits for other writers of a SQLite file [s]."""
 ALONE = 0x1EA60E
-"""PostgreSQL's advisory lock for what must happen one at a time: counting results."""
+"""PostgreSQL's advisory lock for transactions that must run one at a time."""
 
 
 def address(url: str) -> URL:
@@ -61,8 +61,8 @@ class Database:
 
         Args:
             url: sqlite:///file or postgresql://...
-            clock: gives the time [s]; by default that of the database server, so that machines
-                with wrong clocks agree about leases.
+            clock: returns the time [s]; by default the database server's, so that machines with
+                wrong clocks agree about leases.
         """
         self.url = address(url)
         self.shown = self.url.set(drivername=self.url.get_backend_name()).render_as_string()
@@ -88,13 +88,13 @@ class Database:
 
     @contextmanager
     def reading(self) -> Iterator[sa.Connection]:
-        """Give a connection that sees one state of the database throughout."""
+        """Yield a connection that sees one state of the database throughout."""
         with self._translated(), self._engine.connect() as connection, connection.begin():
             yield connection
 
     @contextmanager
     def writing(self) -> Iterator[sa.Connection]:
-        """Give a connection whose changes are on the disk, all of them, when this ends well."""
+        """Yield a connection; all its changes are on the disk when this ends without an error."""
         with self._translated(), self._engine.connect() as connection:
             connection = connection.execution_options(writes=True)
             with connection.begin():
@@ -106,8 +106,8 @@ class Database:
             raw: Any = connection.connection.dbapi_connection
             raw.execute("PRAGMA journal_mode = WAL").fetchall()
 
-    def alone(self, connection: sa.Connection) -> None:
-        """Wait until no other transaction is past this line; SQLite's writers always are alone."""
+    def lock(self, connection: sa.Connection) -> None:
+        """Exclude other locked transactions until this one ends; SQLite's always exclude."""
         if not self.is_sqlite:
             connection.execute(sa.select(sa.func.pg_advisory_xact_lock(ALONE)))
 
@@ -206,7 +206,7 @@ _POSTGRES = {
     "53300": "has no free connections: use fewer workers, or raise max_connections",
 }
 
-_UNTOLD = {
+_REFUSALS = {
     "password authentication failed|no password supplied": "28P01",
     'no pg_hba.conf entry|role ".*" (does not exist|is not permitted to log in)': "28000",
     'database ".*" does not exist': "3D000",
@@ -215,7 +215,7 @@ _UNTOLD = {
     "shutting down": "57P01",
     "starting up|in recovery mode": "57P03",
 }
-"""What a refused connection says (a pattern), whose error carries no state: the state it means."""
+"""Messages of refused connections (patterns), which carry no SQLSTATE, with the one they mean."""
 
 
 def _sentence(refusal: BaseException | None) -> str:
@@ -226,7 +226,7 @@ def _sentence(refusal: BaseException | None) -> str:
     state = getattr(refusal, "sqlstate", None)
     if name is None and state is None and "FATAL:" in reason:
         said = reason.split("FATAL:", 1)[1]
-        state = next((state for text, state in _UNTOLD.items() if re.search(text, said)), None)
+        state = next((state for text, state in _REFUSALS.items() if re.search(text, said)), None)
     if name is not None:
         known = next((text for code, text in _SQLITE.items() if name.startswith(code)), None)
     elif state is not None:

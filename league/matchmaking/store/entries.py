@@ -1,21 +1,22 @@
-"""The roll: owners, entries and where they stand, and the blobs that the database keeps."""
+"""Entries and their owners: submission, look-up and states.
+
+Functions of a connection within a transaction; store.py owns the transactions.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 import sqlalchemy as sa
 
 from league.errors import StoreError, brief, nearest_names
-from league.matchmaking import blobs as files
 from league.matchmaking.pairing import heat_spec
-from league.matchmaking.store import audit_log, queue
+from league.matchmaking.store import queue
 from league.matchmaking.store.database import insert_new
 from league.matchmaking.store.records import NEXT, Entry, EntryState
-from league.matchmaking.store.schema import blobs, entries, heat_entries, heats, owners
+from league.matchmaking.store.schema import entries, heat_entries, heats, log_event, owners
 
 
 def submit(
@@ -58,29 +59,29 @@ def submit(
             created_s=now,
         )
     )
-    audit_log.note(connection, now, owner, "submit", id, name=name, kind=kind)
+    log_event(connection, now, owner, "submit", id, name=name, kind=kind)
     return _entry(connection.execute(_query().where(entries.c.id == id)).one())
 
 
-def find(connection: sa.Connection, given: str) -> Entry:
+def find(connection: sa.Connection, text: str) -> Entry:
     """Return the entry with this name, id, or beginning of an id (6 digits or more)."""
-    match = entries.c.name == given
-    if len(given) >= 6 and set(given) <= set("0123456789abcdef"):
-        match = match | entries.c.id.like(f"{given}%")
-    found = connection.execute(_query().where(match).limit(20)).all()
-    exact = [row for row in found if given in (row.name, row.id)]
-    if len(exact or found) == 1:
-        return _entry((exact or found)[0])
-    if found:
+    match = entries.c.name == text
+    if len(text) >= 6 and set(text) <= set("0123456789abcdef"):
+        match = match | entries.c.id.like(f"{text}%")
+    rows = connection.execute(_query().where(match).limit(20)).all()
+    exact = [row for row in rows if text in (row.name, row.id)]
+    if len(exact or rows) == 1:
+        return _entry((exact or rows)[0])
+    if rows:
         raise StoreError(
-            f"{brief(given)} begins the ids of {len(found)} entries: give more digits, or the name"
+            f"{brief(text)} begins the ids of {len(rows)} entries: give more digits, or the name"
         )
     names = list(connection.scalars(sa.select(entries.c.name)))
     if not names:
-        raise StoreError(f"there is no entry {brief(given)}: this league has none yet, submit one")
+        raise StoreError(f"there is no entry {brief(text)}: this league has none yet, submit one")
     raise StoreError(
-        f"there is no entry {brief(given)} in this league: did you mean "
-        f"{nearest_names(given, names)}?"
+        f"there is no entry {brief(text)} in this league: did you mean "
+        f"{nearest_names(text, names)}?"
     )
 
 
@@ -100,9 +101,9 @@ def move(
     reason: str,
     actor: str,
 ) -> int:
-    """Change where entries (by id) stand; return how many changed.
+    """Change the states of entries (by id); return how many changed.
 
-    One that leaves the league has its waiting heats cancelled.
+    The planned heats of one that leaves the league are cancelled.
     """
     number_of = queue.entry_numbers(connection, wanted)
     query = sa.select(entries.c.id, entries.c.state, entries.c.name).with_for_update()
@@ -118,72 +119,31 @@ def move(
         connection.execute(
             entries.update().where(entries.c.id == row.id).values(state=state, reason=reason)
         )
-        audit_log.note(connection, now, actor, state, row.id, was=row.state, reason=reason)
+        log_event(connection, now, actor, state, row.id, was=row.state, reason=reason)
         if state in ("retired", "refused"):
             queue.cancel(connection, now, number_of[row.id])
     return len(changes)
 
 
 def reopen(connection: sa.Connection, now: float, heat: int) -> None:
-    """Let entries that were refused for a validation heat wait for it, and their others, again."""
-    theirs = sa.select(heat_entries.c.entry).where(heat_entries.c.heat == heat)
+    """Move entries that were refused for a validation heat back to `validating`.
+
+    Their other validation heats, which were cancelled, are planned again.
+    """
+    of_heat = sa.select(heat_entries.c.entry).where(heat_entries.c.heat == heat)
     validates = sa.exists().where(heats.c.number == heat, heats.c.purpose == "validation")
-    refused = (entries.c.state == "refused") & entries.c.number.in_(theirs) & validates
+    refused = (entries.c.state == "refused") & entries.c.number.in_(of_heat) & validates
     for row in connection.execute(sa.select(entries.c.number, entries.c.id).where(refused)).all():
-        connection.execute(
-            entries.update()
-            .where(entries.c.number == row.number)
-            .values(state="validating", reason="")
-        )
+        own = entries.c.number == row.number
+        connection.execute(entries.update().where(own).values(state="validating", reason=""))
         others = sa.select(heat_entries.c.heat).where(heat_entries.c.entry == row.number)
+        cancelled = (heats.c.purpose == "validation") & (heats.c.state == "cancelled")
         connection.execute(
             heats.update()
-            .where(
-                heats.c.number.in_(others),
-                heats.c.purpose == "validation",
-                heats.c.state == "cancelled",
-            )
+            .where(heats.c.number.in_(others), cancelled)
             .values(state="planned", attempts=0)
         )
-        audit_log.note(connection, now, "league", "validating", row.id, was="refused", heat=heat)
-
-
-class TableBlobs:
-    """Blobs in the league's own database."""
-
-    def __init__(
-        self,
-        reading: Callable[[], AbstractContextManager[sa.Connection]],
-        writing: Callable[[], AbstractContextManager[sa.Connection]],
-        shown: str,
-    ) -> None:
-        """Be told how to begin transactions, and how the database is called."""
-        self._reading, self._writing, self._shown = reading, writing, shown
-
-    def put(self, content: bytes) -> str:
-        """Keep some bytes and return their SHA-256."""
-        with self._writing() as connection:
-            return keep(connection, 0.0, content)
-
-    def get(self, digest: str) -> bytes:
-        """Return the bytes with this SHA-256."""
-        with self._reading() as connection:
-            content = connection.scalar(sa.select(blobs.c.content).where(blobs.c.digest == digest))
-        return files.verified(content, digest, self._shown)
-
-    def has(self, digest: str) -> bool:
-        """Return whether the bytes with this SHA-256 are kept."""
-        with self._reading() as connection:
-            found = connection.scalar(sa.select(blobs.c.size).where(blobs.c.digest == digest))
-        return found is not None
-
-
-def keep(connection: sa.Connection, now: float, content: bytes) -> str:
-    """Keep some bytes in the database and return their SHA-256."""
-    digest = heat_spec.digest(files.checked(content))
-    row = {"digest": digest, "size": len(content), "created_s": now, "content": content}
-    connection.execute(insert_new(connection, blobs), [row])
-    return digest
+        log_event(connection, now, "league", "validating", row.id, was="refused", heat=heat)
 
 
 def _query() -> sa.Select[Any]:

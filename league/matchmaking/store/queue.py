@@ -1,4 +1,4 @@
-"""The queue of heats: planned, claimed with a lease, kept alive, failed, reaped.
+"""The queue of heats: planned, claimed with a lease, renewed, failed, reaped.
 
 Functions of a connection within a transaction; store.py owns the transactions.
 """
@@ -6,24 +6,30 @@ Functions of a connection within a transaction; store.py owns the transactions.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import sqlalchemy as sa
 
 from league.errors import StoreError
 from league.matchmaking.pairing.heat_spec import Half, Heat, Purpose
-from league.matchmaking.store import audit_log
 from league.matchmaking.store.database import insert_new
 from league.matchmaking.store.records import Claim, HeatRecord, HeatState
-from league.matchmaking.store.schema import entries, heat_entries, heats, results, rulesets
+from league.matchmaking.store.schema import (
+    entries,
+    heat_entries,
+    heats,
+    log_event,
+    results,
+    rulesets,
+)
 
 ATTEMPTS = 3
 """Tries before a heat is marked as an error."""
 PRIORITY: dict[Purpose, int] = {"validation": 0, "gauntlet": 1, "rated": 2, "audit": 3}
-"""What is claimed first: small numbers."""
+"""Small numbers are claimed first."""
 TRACEBACK_CHARS = 8000
-"""Kept of a traceback, its end."""
+"""The end of a traceback that is kept."""
 OVER = ("done", "quarantined")
 """States in which a heat's seeds are public."""
 
@@ -34,56 +40,60 @@ def plan(connection: sa.Connection, now: float, planned: Sequence[Heat]) -> int:
         return 0
     ruleset_of = dict(connection.execute(sa.select(rulesets.c.hash, rulesets.c.number)).all())
     number_of = entry_numbers(connection, {entry for heat in planned for entry in heat.entries})
-    audited = _numbers(connection, [heat.audits for heat in planned if heat.audits])
-    rows = []
-    for heat in planned:
-        if heat.ruleset not in ruleset_of:
-            raise StoreError(
-                f"a heat under the ruleset {heat.ruleset[:12]} was planned, which this league does "
-                "not have: set the league's ruleset first"
-            )
-        if heat.audits and heat.audits not in audited:
-            raise StoreError(
-                f"an audit of heat {heat.audits[:12]} was planned, which has no results here: "
-                "audit a heat that is done"
-            )
-        halves = [[half.track, [number_of[entry] for entry in half.grid]] for half in heat.halves]
-        rows.append(
-            {
-                "key": heat.key,
-                "ruleset": ruleset_of[heat.ruleset],
-                "purpose": heat.purpose,
-                "priority": PRIORITY[heat.purpose],
-                "halves": json.dumps(halves, separators=(",", ":")),
-                "draw": heat.draw,
-                "audits": audited.get(heat.audits),
-                "state": "planned",
-                "attempts": 0,
-                "traceback": "",
-                "created_s": now,
-            }
-        )
+    has_results = sa.exists().where(results.c.heat == heats.c.number)
+    by_key = sa.select(heats.c.key, heats.c.number)
+    audited = [heat.audits for heat in planned if heat.audits]
+    audited_rows = chunked(connection, by_key.where(has_results), heats.c.key, audited)
+    audited_of = {row.key: row.number for row in audited_rows}
+    rows = [_row(heat, now, ruleset_of, number_of, audited_of) for heat in planned]
     before = connection.scalar(sa.select(sa.func.coalesce(sa.func.max(heats.c.number), 0)))
     connection.execute(insert_new(connection, heats), rows)
-    added = {
-        row.key: row.number
-        for row in chunked(
-            connection,
-            sa.select(heats.c.key, heats.c.number).where(heats.c.number > before),
-            heats.c.key,
-            [heat.key for heat in planned],
-        )
-    }
+    entries_of = {heat.key: heat.entries for heat in planned}
+    added = chunked(
+        connection, by_key.where(heats.c.number > before), heats.c.key, list(entries_of)
+    )
     links = [
-        {"heat": added[heat.key], "entry": number_of[entry]}
-        for heat in {heat.key: heat for heat in planned}.values()
-        if heat.key in added
-        for entry in heat.entries
+        {"heat": row.number, "entry": number_of[entry]}
+        for row in added
+        for entry in entries_of[row.key]
     ]
     if links:
         connection.execute(insert_new(connection, heat_entries), links)
-        audit_log.note(connection, now, "league", "plan", "", heats=len(added))
+        log_event(connection, now, "league", "plan", "", heats=len(added))
     return len(added)
+
+
+def _row(
+    heat: Heat,
+    now: float,
+    ruleset_of: Mapping[str, int],
+    number_of: Mapping[str, int],
+    audited_of: Mapping[str, int],
+) -> dict[str, Any]:
+    if heat.ruleset not in ruleset_of:
+        raise StoreError(
+            f"a heat under the ruleset {heat.ruleset[:12]} was planned, which this league does "
+            "not have: set the league's ruleset first"
+        )
+    if heat.audits and heat.audits not in audited_of:
+        raise StoreError(
+            f"an audit of heat {heat.audits[:12]} was planned, which has no results here: "
+            "audit a heat that is done"
+        )
+    halves = [[half.track, [number_of[entry] for entry in half.grid]] for half in heat.halves]
+    return {
+        "key": heat.key,
+        "ruleset": ruleset_of[heat.ruleset],
+        "purpose": heat.purpose,
+        "priority": PRIORITY[heat.purpose],
+        "halves": json.dumps(halves, separators=(",", ":")),
+        "draw": heat.draw,
+        "audits": audited_of.get(heat.audits),
+        "state": "planned",
+        "attempts": 0,
+        "traceback": "",
+        "created_s": now,
+    }
 
 
 def claim(
@@ -111,7 +121,7 @@ def claim(
             attempts=heats.c.attempts + 1,
         )
     )
-    audit_log.note(connection, now, worker, "claim", "", heats=numbers)
+    log_event(connection, now, worker, "claim", "", heats=numbers)
     lent = read(connection, heats.c.number.in_(numbers), secret)
     return [
         Claim(
@@ -142,27 +152,22 @@ def heartbeat(connection: sa.Connection, now: float, worker: str, lease_s: float
 
 
 def fail(connection: sa.Connection, now: float, worker: str, key: str, traceback: str) -> HeatState:
-    """Take a heat back from a worker who could not race it; return its state.
+    """Take a heat back from a worker that could not race it; return its state.
 
-    A worker who has lost the lease changes nothing: its try was counted when the lease ended.
+    A worker that has lost the lease changes nothing: its try was counted when the lease ended.
     """
-    found = connection.execute(
-        sa.select(heats.c.number, heats.c.state, heats.c.worker, heats.c.attempts)
-        .where(heats.c.key == key)
-        .with_for_update()
-    ).one_or_none()
-    if found is None:
+    query = sa.select(heats.c.number, heats.c.state, heats.c.worker, heats.c.attempts)
+    row = connection.execute(query.where(heats.c.key == key).with_for_update()).one_or_none()
+    if row is None:
         raise StoreError(f"there is no heat {key[:12]!r} in this league: give a key it planned")
     text = traceback.replace("\x00", "?")[-TRACEBACK_CHARS:]
-    audit_log.note(
-        connection, now, worker, "fail", key, attempt=found.attempts, traceback=text[-500:]
-    )
-    if found.state != "claimed" or found.worker != worker:
-        return found.state
-    state: HeatState = "planned" if found.attempts < ATTEMPTS else "error"
+    log_event(connection, now, worker, "fail", key, attempt=row.attempts, traceback=text[-500:])
+    if row.state != "claimed" or row.worker != worker:
+        return row.state
+    state: HeatState = "planned" if row.attempts < ATTEMPTS else "error"
     connection.execute(
         heats.update()
-        .where(heats.c.number == found.number)
+        .where(heats.c.number == row.number)
         .values(state=state, lease_s=None, traceback=text)
     )
     return state
@@ -188,7 +193,7 @@ def reap(connection: sa.Connection, now: float) -> int:
                 traceback=f"{row.traceback}\n{lost}".strip()[-TRACEBACK_CHARS:],
             )
         )
-        audit_log.note(connection, now, "league", "reap", str(row.number), worker=row.worker)
+        log_event(connection, now, "league", "reap", str(row.number), worker=row.worker)
     return len(rows)
 
 
@@ -197,10 +202,9 @@ RETRIED: tuple[HeatState, ...] = ("error", "cancelled", "quarantined")
 
 
 def retry(connection: sa.Connection, now: float, key: str) -> int:
-    """Put a heat that is an error, cancelled or in quarantine back into the queue.
+    """Plan a heat again; return the number of the planned heat, or 0.
 
-    Of an audit in quarantine it is the heat that was audited. Returns the number of the heat that
-    waits now, or 0.
+    For an audit in quarantine it is the heat that was audited.
     """
     query = sa.select(heats.c.number, heats.c.state, heats.c.audits).where(heats.c.key == key)
     row = connection.execute(query.with_for_update()).one_or_none()
@@ -213,7 +217,7 @@ def retry(connection: sa.Connection, now: float, key: str) -> int:
         .values(state="planned", attempts=0, done_s=None)
     ).rowcount
     if changed:
-        audit_log.note(connection, now, "league", "retry", key, heat=number, was=row.state)
+        log_event(connection, now, "league", "retry", key, heat=number, was=row.state)
     return number if changed else 0
 
 
@@ -226,7 +230,7 @@ def cancel(connection: sa.Connection, now: float, entry: int) -> int:
         .values(state="cancelled")
     ).rowcount
     if changed:
-        audit_log.note(connection, now, "league", "cancel", str(entry), heats=changed)
+        log_event(connection, now, "league", "cancel", str(entry), heats=changed)
     return changed
 
 
@@ -249,10 +253,9 @@ def read(
     rows = connection.execute(query).all()
     drawn = [json.loads(row.halves) for row in rows]
     numbers = {number for halves in drawn for _, grid in halves for number in grid}
-    found = chunked(
-        connection, sa.select(entries.c.number, entries.c.id), entries.c.number, sorted(numbers)
-    )
-    id_of = {row.number: row.id for row in found}
+    query = sa.select(entries.c.number, entries.c.id)
+    named = chunked(connection, query, entries.c.number, sorted(numbers))
+    id_of = {row.number: row.id for row in named}
     return [_record(row, halves, id_of, secret) for row, halves in zip(rows, drawn, strict=True)]
 
 
@@ -301,10 +304,3 @@ def chunked(
     for start in range(0, len(values), 5000):  # SQLite allows 32,766 parameters
         rows += connection.execute(query.where(column.in_(values[start : start + 5000]))).all()
     return rows
-
-
-def _numbers(connection: sa.Connection, keys: list[str]) -> dict[str, int]:
-    """Return the numbers of heats that have results, by key."""
-    has = sa.exists().where(results.c.heat == heats.c.number)
-    query = sa.select(heats.c.key, heats.c.number).where(has)
-    return {row.key: row.number for row in chunked(connection, query, heats.c.key, keys)}

@@ -1,4 +1,4 @@
-"""What goes into the store and comes out of it: frozen data, no database."""
+"""Frozen data that goes into the store and comes out of it; no database."""
 
 from __future__ import annotations
 
@@ -28,25 +28,20 @@ NEXT: dict[EntryState, tuple[EntryState, ...]] = {
     "retired": (),
     "refused": (),
 }
-"""Where an entry may go from each state; out of the last two there is no way back, except that a
-validation heat in quarantine may be raced again (roll.reopen)."""
+"""States that may follow each state. `retired` and `refused` are final, except that a quarantined
+validation heat may be raced again (entries.reopen)."""
 
-TOLD, FINISHED, BEST_MS = 1 << 31, 1 << 30, (1 << 30) - 1
+KNOWN, FINISHED, BEST_MS = 1 << 31, 1 << 30, (1 << 30) - 1
 """Bits of Races.runs."""
 
 
 @dataclass(frozen=True)
-class Settings:
-    """What a league is."""
+class LeagueSettings:
+    """A league's name and rules."""
 
     name: str
-    """Name shown to people."""
     ruleset: Ruleset
-    """What is raced at present."""
-    blobs: str
-    """URL of the directory or bucket that keeps files; empty for the database itself."""
-    created_s: float
-    """When the league was made [s since 1970]."""
+    """The present rules."""
 
 
 @dataclass(frozen=True)
@@ -58,19 +53,17 @@ class Entry:
     id: str
     """SHA-256 of the weights, or of a scripted driver's name."""
     name: str
-    """Name shown to people, unique in the league."""
+    """Unique in the league."""
     owner: str
-    """Whose it is."""
     kind: Literal["policy", "scripted"]
     """A policy with weights, or a driver that ships with the program."""
     anchor: bool
     """Whether the ratings lean on it."""
     state: EntryState
-    """Where it stands."""
     reason: str
     """Why it was refused or retired."""
     card: Mapping[str, Any]
-    """The checkpoint's card, or whatever else describes the driver."""
+    """The checkpoint's card, or a scripted driver's description."""
     created_s: float
     """When it was submitted [s since 1970]."""
 
@@ -80,7 +73,6 @@ class Claim:
     """A heat lent to a worker."""
 
     heat: Heat
-    """What to race."""
     number: int
     """Number of the heat within the league."""
     seeds: tuple[int, ...]
@@ -98,7 +90,7 @@ class RaceOutcome:
     places: tuple[int, ...]
     """Place of the car in each grid slot, from 1; equal places are a tie."""
     result: Mapping[str, Any]
-    """The classification as plain data, whatever the caller wants to find again."""
+    """The classification as plain data."""
     replay: bytes | None = None
     """The recording."""
 
@@ -109,25 +101,23 @@ class RaceOutcome:
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """How a heat ended: all its races."""
+class HeatOutcome:
+    """How a heat ended: all its races, in the heat's order."""
 
     key: str
-    """Key of the heat."""
     races: tuple[RaceOutcome, ...]
-    """One per race of the heat, in its order."""
 
 
 @dataclass(frozen=True)
 class Received:
-    """What became of the results handed in: keys of heats."""
+    """What the store did with the results of heats: keys of heats."""
 
     accepted: tuple[str, ...] = ()
-    """Now counted (or, for an audit, found to agree)."""
+    """Now counted (an audit: agrees)."""
     repeated: tuple[str, ...] = ()
     """Known already, the same to the last bit; nothing was changed."""
     quarantined: tuple[str, ...] = ()
-    """Differ from what another worker found: neither counts."""
+    """Differ from another worker's results: neither counts."""
 
 
 @dataclass(frozen=True)
@@ -135,13 +125,11 @@ class HeatRecord:
     """All that is known about a heat."""
 
     heat: Heat
-    """What was to be raced."""
     number: int
     """Number within the league."""
     state: HeatState
-    """Where it stands."""
     worker: str | None
-    """Who has it, or had it last."""
+    """The worker that has it, or had it last."""
     attempts: int
     """How often it was lent."""
     traceback: str
@@ -156,14 +144,13 @@ class HeatRecord:
 
 @dataclass(frozen=True)
 class StoredResult:
-    """A race's result as it was kept."""
+    """A race's result as the store keeps it."""
 
     half: int
     """Which race of the heat, from 0."""
     hash: str
     """SHA-256 of places and result."""
     worker: str
-    """Who raced it."""
     received_s: float
     """When it came [s since 1970]."""
     places: tuple[int, ...]
@@ -174,24 +161,6 @@ class StoredResult:
     """SHA-256 of the recording, a blob."""
     rejected: bool = False
     """Whether a third worker found another one of the disputed results."""
-
-
-@dataclass(frozen=True)
-class Event:
-    """One line of the league's diary."""
-
-    number: int
-    """Running number."""
-    at_s: float
-    """When [s since 1970]."""
-    actor: str
-    """Who did it: a worker, an owner, or "league"."""
-    action: str
-    """What was done."""
-    subject: str
-    """To what."""
-    detail: Mapping[str, Any]
-    """The rest."""
 
 
 @dataclass(frozen=True)
@@ -209,9 +178,9 @@ class Races:
     places: np.ndarray
     """Places in grid order, from 1, equal for a tie, (num_races, most cars) uint8."""
     runs: np.ndarray
-    """How each car's race went, in grid order: TOLD if that is known, FINISHED if it drove all
+    """How each car's race went, in grid order: KNOWN if that is known, FINISHED if it drove all
     laps, and its best lap [ms], 0 for none, in BEST_MS, (num_races, most cars) uint32."""
     last: int = 0
-    """Ask for races since this number next time."""
+    """Pass this as `since` to read only later races next time."""
     voided: int = 0
-    """How many heats are in quarantine: if it has changed, ask for all races again."""
+    """How many heats are in quarantine: if it has changed, read all races again."""

@@ -1,12 +1,17 @@
-"""The tables of a league, the same in SQLite and PostgreSQL; migrations/ builds them.
+"""The tables of a league, the same in SQLite and PostgreSQL: definition, creation, migration.
 
-Rows that a refit reads a million of (`races`) are kept narrow; what is read one at a time
-(`results`) stands apart. Entries and heats have numbers beside their hashes, so that a race takes
-tens of bytes.
+A refit reads a million rows of `races`, so they are narrow; documents are in `results`. Entries
+and heats have numbers in addition to their hashes, so that a race takes tens of bytes.
 """
 
 from __future__ import annotations
 
+import json
+import secrets
+import warnings
+from pathlib import Path
+
+import sqlalchemy as sa
 from sqlalchemy import (
     BigInteger,
     Boolean,
@@ -25,6 +30,13 @@ from sqlalchemy import (
     UniqueConstraint,
     false,
 )
+
+from league.errors import StoreError
+from league.matchmaking.pairing import heat_spec
+from league.matchmaking.pairing.heat_spec import Ruleset
+from league.matchmaking.store.database import Database
+
+MIGRATIONS = Path(__file__).parent / "migrations"
 
 SCHEMA = "0002"
 """Version of these tables: the newest revision in migrations/versions."""
@@ -153,7 +165,7 @@ races = Table(
     UniqueConstraint("heat", "half"),
     sqlite_autoincrement=True,
 )
-"""Races that count: at most one result per race of a heat. `packed`: see history.packed."""
+"""Races that count: at most one result per race of a heat. `packed`: see results.packed."""
 
 results = Table(
     "results",
@@ -167,8 +179,8 @@ results = Table(
     Column("replay", String(64)),
     Column("rejected", Boolean, nullable=False, server_default=false()),
 )
-"""Every differing result that ever came, as deflated JSON; more than one for a race: a dispute,
-unless all but one are `rejected`, because a third worker found the one."""
+"""Every different result that ever came, as deflated JSON. Several for one race are a dispute,
+unless all but one are `rejected`, because a third worker found that one."""
 
 events = Table(
     "events",
@@ -181,4 +193,120 @@ events = Table(
     Column("detail", Text, nullable=False),
     sqlite_autoincrement=True,
 )
-"""Who did what, when: written in the same transaction as the deed."""
+"""The audit log: who did what, when; written in the transaction that did it."""
+
+
+def log_event(
+    connection: sa.Connection, now: float, actor: str, action: str, subject: str, **detail: object
+) -> None:
+    """Write a line of the audit log."""
+    connection.execute(
+        events.insert().values(
+            at_s=now,
+            actor=actor[:200],
+            action=action,
+            subject=subject[:100],
+            detail=json.dumps(detail, separators=(",", ":"), default=str),
+        )
+    )
+
+
+def create_tables(database: Database, name: str, ruleset: Ruleset, blobs: str) -> None:
+    """Make a league where there is none: all of it or nothing."""
+    path = database.path
+    if path is not None:
+        if path.exists() and not path.is_file():
+            raise StoreError(f"{database.shown} is a folder: give the name of a file")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as refusal:
+            raise StoreError(
+                f"the folder of {database.shown} cannot be made ({refusal.strerror}): "
+                "give a place that can be written"
+            ) from refusal
+        database.use_wal()
+    with database.writing() as connection:
+        database.lock(connection)
+        tables = set(sa.inspect(connection).get_table_names())
+        if {"league", "alembic_version"} <= tables:
+            raise StoreError(
+                f"there is a league in {database.shown} already: use it, or give another place"
+            )
+        if tables & set(metadata.tables):
+            raise StoreError(
+                f"{database.shown} holds tables of something else ({', '.join(sorted(tables)[:3])}"
+                "): give a database of its own"
+            )
+        migrate(connection)
+        now = database.now(connection)
+        connection.execute(
+            league.insert().values(
+                number=1,
+                name=name,
+                secret=secrets.token_bytes(32),
+                blobs=blobs,
+                ruleset=add_ruleset(connection, now, ruleset),
+                created_s=now,
+            )
+        )
+        log_event(connection, now, "league", "found", name, ruleset=ruleset.hash)
+
+
+def version_of(database: Database) -> str:
+    """Return the version of a league's tables; refuse a database without a league."""
+    path = database.path
+    if path is not None and not path.is_file():
+        raise StoreError(f"there is no league in {database.shown}: make one with `league init`")
+    with database.reading() as connection:
+        version = None
+        if {"league", "alembic_version"} <= set(sa.inspect(connection).get_table_names()):
+            version = connection.scalar(sa.text("SELECT version_num FROM alembic_version"))
+    if version is None:
+        raise StoreError(
+            f"{database.shown} holds no league: make one with `league init`, or give another place"
+        )
+    return str(version)
+
+
+def check_version(database: Database) -> None:
+    """Refuse a database without a league, or with tables of another version."""
+    version = version_of(database)
+    if version > SCHEMA:
+        raise StoreError(
+            f"the league in {database.shown} has tables of version {version}, this program knows "
+            f"{SCHEMA}: install a newer racing-league"
+        )
+    if version < SCHEMA:
+        raise StoreError(
+            f"the league in {database.shown} has tables of version {version}, this program needs "
+            f"{SCHEMA}: make a backup, then bring it up to date with `league upgrade`"
+        )
+
+
+def migrate(connection: sa.Connection) -> None:
+    """Bring the tables to the newest version, within the transaction of the connection."""
+    from alembic import command
+    from alembic.config import Config
+
+    config = Config()
+    # Alembic interpolates % in its options.
+    config.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
+    config.set_main_option("path_separator", "os")
+    config.attributes["connection"] = connection
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        command.upgrade(config, "head")
+
+
+def add_ruleset(connection: sa.Connection, now: float, ruleset: Ruleset) -> int:
+    """Return the number of a ruleset, which is added if it is new."""
+    query = sa.select(rulesets.c.number).where(rulesets.c.hash == ruleset.hash)
+    number = connection.scalar(query)
+    if number is None:
+        settings = heat_spec.canonical(heat_spec.settings(ruleset)).decode()
+        connection.execute(
+            rulesets.insert().values(hash=ruleset.hash, settings=settings, created_s=now)
+        )
+        number = connection.scalar(query)
+    assert number is not None
+    return number

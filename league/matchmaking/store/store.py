@@ -1,48 +1,46 @@
-"""Store: the one door to a league's database, and the one holder of the league's state."""
+"""Store: the interface of a league's database, which holds all of the league's state."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any, Literal, Self
 
 import sqlalchemy as sa
 
 from league.errors import StoreError, brief
-from league.matchmaking.blobs import Blobs, FolderBlobs
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Heat, Ruleset
-from league.matchmaking.store import audit_log, creation, queue
-from league.matchmaking.store import entries as roll
-from league.matchmaking.store import results as history
+from league.matchmaking.store import blobs, entries, queue, results, schema
+from league.matchmaking.store.blobs import Blobs, FolderBlobs, TableBlobs
 from league.matchmaking.store.database import Database
 from league.matchmaking.store.records import (
     Claim,
     Entry,
     EntryState,
-    Event,
+    HeatOutcome,
     HeatRecord,
     HeatState,
-    Outcome,
+    LeagueSettings,
     Races,
     Received,
-    Settings,
     StoredResult,
 )
 from league.matchmaking.store.schema import heat_entries, heats, league, rulesets
 
 LEASE_S = 60.0
-"""How long a heat is lent without a sign of life [s]; workers give one every 10 s."""
+"""Lease of a heat [s]; dispatchers renew it every 10 s."""
 BATCH = 1000
-"""Heats taken in per transaction."""
+"""Heats planned or completed per transaction."""
 
 
 class Store:
     """A league on SQLite or PostgreSQL.
 
     Each method is one transaction (plan and complete: one per 1,000 heats), on the disk when it
-    returns. Every method may be called again after a failure: what was done already is not done
-    twice. Threads may share a Store; each process opens its own.
+    returns. Every method may be called again after a failure: nothing is done twice. Threads may
+    share a Store; each process opens its own.
     """
 
     def __init__(self, url: str, *, clock: Callable[[], float] | None = None) -> None:
@@ -50,14 +48,14 @@ class Store:
 
         Args:
             url: sqlite:///league.db, a bare file name, or postgresql://user@host/database.
-            clock: gives the time [s since 1970], for tests; by default the database's.
+            clock: returns the time [s since 1970], for tests; by default the database's.
 
         Raises:
             StoreError: no league there, of another version, or no database at all.
         """
         self._database = Database(url, clock)
         try:
-            creation.check(self._database)
+            schema.check_version(self._database)
             with self._database.reading() as connection:
                 row = connection.execute(sa.select(league)).one()
         except BaseException:
@@ -84,22 +82,14 @@ class Store:
         return self._database.shown
 
     @property
-    def settings(self) -> Settings:
+    def settings(self) -> LeagueSettings:
         """The league's settings, as they are now."""
         with self._database.reading() as connection:
             query = sa.select(league, rulesets.c.settings).join(
                 rulesets, rulesets.c.number == league.c.ruleset
             )
             row = connection.execute(query).one()
-        return Settings(row.name, Ruleset.of(json.loads(row.settings)), row.blobs, row.created_s)
-
-    def set_ruleset(self, ruleset: Ruleset) -> None:
-        """Race by other rules from now on; ratings start again, old results are kept."""
-        with self._database.writing() as connection:
-            now = self._database.now(connection)
-            number = creation.enact(connection, now, ruleset)
-            connection.execute(league.update().values(ruleset=number))
-            audit_log.note(connection, now, "league", "ruleset", ruleset.hash)
+        return LeagueSettings(row.name, Ruleset.of(json.loads(row.settings)))
 
     def rulesets(self) -> dict[str, Ruleset]:
         """Return all rulesets the league ever had, by hash."""
@@ -110,9 +100,7 @@ class Store:
     @property
     def blobs(self) -> Blobs:
         """Where weights and recordings are kept."""
-        if self._blobs_url:
-            return FolderBlobs(self._blobs_url)
-        return roll.TableBlobs(self._database.reading, self._database.writing, self.url)
+        return FolderBlobs(self._blobs_url) if self._blobs_url else TableBlobs(self._database)
 
     # Entries
 
@@ -137,11 +125,10 @@ class Store:
             self.blobs.put(weights)
         id = heat_spec.scripted_id(scripted) if scripted else heat_spec.digest(weights or b"")
         card = {**(card or {}), **({"driver": scripted} if scripted else {})}
-        with self._database.writing() as connection:
-            now = self._database.now(connection)
+        with self._writing() as (connection, now):
             if weights is not None and not self._blobs_url:
-                roll.keep(connection, now, weights)
-            return roll.submit(
+                blobs.insert(connection, now, weights)
+            return entries.submit(
                 connection,
                 now,
                 id=id,
@@ -152,24 +139,22 @@ class Store:
                 card=card,
             )
 
-    def entry(self, given: str) -> Entry:
+    def entry(self, text: str) -> Entry:
         """Return the entry with this name, id or beginning of an id; StoreError names others."""
         with self._database.reading() as connection:
-            return roll.find(connection, given)
+            return entries.find(connection, text)
 
     def entries(self, states: Sequence[EntryState] | None = None) -> list[Entry]:
         """Return the entries in these states (all by default), in the order they came."""
         with self._database.reading() as connection:
-            return roll.listed(connection, states)
+            return entries.listed(connection, states)
 
     def move(
         self, states: Mapping[str, EntryState], *, reason: str = "", actor: str = "league"
     ) -> int:
-        """Change where entries (by id) stand, all or none; return how many changed."""
-        with self._database.writing() as connection:
-            self._database.alone(connection)
-            now = self._database.now(connection)
-            return roll.move(connection, now, states, reason=reason, actor=actor)
+        """Change the states of entries (by id), all or none; return how many changed."""
+        with self._writing(lock=True) as (connection, now):
+            return entries.move(connection, now, states, reason=reason, actor=actor)
 
     # The queue
 
@@ -177,30 +162,26 @@ class Store:
         """Add heats to the queue and return how many are new; known ones are left as they are."""
         added = 0
         for start in range(0, len(planned), BATCH):
-            with self._database.writing() as connection:
-                self._database.alone(connection)
-                now = self._database.now(connection)
+            with self._writing(lock=True) as (connection, now):
                 added += queue.plan(connection, now, planned[start : start + BATCH])
         return added
 
     def claim(self, worker: str, limit: int = 1, *, lease_s: float = LEASE_S) -> list[Claim]:
-        """Lend up to `limit` heats to a worker, whose name no other worker has.
+        """Lend up to `limit` heats to a worker; its name must be unique.
 
         Heats whose lease has ended are lent again, 3 times in all.
         """
         _check_worker(worker)
-        with self._database.writing() as connection:
-            now = self._database.now(connection)
+        with self._writing() as (connection, now):
             return queue.claim(connection, now, self._secret, worker, min(limit, BATCH), lease_s)
 
     def heartbeat(self, worker: str, *, lease_s: float = LEASE_S) -> list[str]:
         """Renew a worker's leases; return the keys of the heats it still holds."""
         _check_worker(worker)
-        with self._database.writing() as connection:
-            now = self._database.now(connection)
+        with self._writing() as (connection, now):
             return queue.heartbeat(connection, now, worker, lease_s)
 
-    def complete(self, worker: str, outcomes: Sequence[Outcome]) -> Received:
+    def complete(self, worker: str, outcomes: Sequence[HeatOutcome]) -> Received:
         """Take in the results of heats, each once, however often they are sent."""
         _check_worker(worker)
         received = Received()
@@ -213,51 +194,38 @@ class Store:
             )
         return received
 
-    def _complete(self, worker: str, outcomes: Sequence[Outcome]) -> Received:
-        outside = FolderBlobs(self._blobs_url) if self._blobs_url else None
+    def _complete(self, worker: str, outcomes: Sequence[HeatOutcome]) -> Received:
+        keep = self.blobs.put if self._blobs_url else heat_spec.digest
         batch = []
         for outcome in outcomes:
             replays = [race.replay for race in outcome.races]
-            digests = [_kept(replay, outside) for replay in replays]
-            batch.append((outcome.key, history.parcels(outcome, digests)))
-        with self._database.writing() as connection:
-            self._database.alone(connection)
-            now = self._database.now(connection)
-            received = history.complete(connection, now, worker, batch)
-            if outside is None:
-                recorded = [race.replay for outcome in outcomes for race in outcome.races]
-                for replay in filter(None, recorded):
-                    roll.keep(connection, now, replay)
+            digests = [None if replay is None else keep(replay) for replay in replays]
+            batch.append((outcome.key, results.pack(outcome, digests)))
+        with self._writing(lock=True) as (connection, now):
+            received = results.complete(connection, now, worker, batch)
+            if not self._blobs_url:
+                for outcome in outcomes:
+                    for replay in filter(None, (race.replay for race in outcome.races)):
+                        blobs.insert(connection, now, replay)
         return received
 
     def fail(self, worker: str, key: str, traceback: str) -> HeatState:
         """Hand back a heat that could not be raced; return what becomes of it."""
         _check_worker(worker)
-        with self._database.writing() as connection:
-            now = self._database.now(connection)
+        with self._writing() as (connection, now):
             return queue.fail(connection, now, worker, key, traceback)
 
-    def reap(self) -> int:
-        """Take back heats whose lease has ended; return how many (a claim does so too)."""
-        with self._database.writing() as connection:
-            return queue.reap(connection, self._database.now(connection))
-
     def retry(self, key: str) -> int:
-        """Have a heat raced again that is an error, cancelled or in quarantine.
+        """Plan a heat again that is an error, cancelled or in quarantine; return its number, or 0.
 
-        A result that agrees with one of a dispute settles it; another one leaves it in quarantine.
-        An entry that was refused for the dispute waits for the outcome.
-
-        Returns:
-            Number of the heat that waits now: for an audit in quarantine the heat it audited; 0 if
-            there is nothing to race again.
+        For an audit in quarantine the heat that it audited is planned. A result that agrees with
+        one of a dispute settles it; another one leaves it in quarantine. An entry that was refused
+        for the dispute is validating again.
         """
-        with self._database.writing() as connection:
-            self._database.alone(connection)
-            now = self._database.now(connection)
+        with self._writing(lock=True) as (connection, now):
             number = queue.retry(connection, now, key)
             if number:
-                roll.reopen(connection, now, number)
+                entries.reopen(connection, now, number)
             return number
 
     # What happened
@@ -272,22 +240,22 @@ class Store:
         """
         ruleset = ruleset or self.settings.ruleset.hash
         with self._database.reading() as connection:
-            return history.read_races(connection, ruleset, since, rated=rated)
+            return results.read_races(connection, ruleset, since, rated=rated)
 
-    def heat(self, given: str | int) -> HeatRecord:
+    def heat(self, name: str | int) -> HeatRecord:
         """Return the heat with this key, beginning of a key (6 digits or more), or number."""
-        text = str(given)
+        text = str(name)
         if text.isdigit() and len(text) < 16:
             match = heats.c.number == int(text)
         else:
             match = heats.c.key.startswith(text, autoescape=True)
-        found = self._heats(match, 2) if text.isdigit() or len(text) >= 6 else []
-        if len(found) != 1:
+        records = self._heats(match, 2) if text.isdigit() or len(text) >= 6 else []
+        if len(records) != 1:
             raise StoreError(
-                f"{brief(given)} names {'several heats' if found else 'no heat'} of this league: "
+                f"{brief(name)} names {'several heats' if records else 'no heat'} of this league: "
                 "give its number or its key"
             )
-        return found[0]
+        return records[0]
 
     def heats(
         self,
@@ -310,7 +278,7 @@ class Store:
     def results(self, heat: int) -> list[StoredResult]:
         """Return all results of a heat (by number); several for one race are a dispute."""
         with self._database.reading() as connection:
-            return history.read_results(connection, heat)
+            return results.read_results(connection, heat)
 
     def counts(self) -> dict[HeatState, int]:
         """Return how many heats are in each state."""
@@ -318,10 +286,13 @@ class Store:
         with self._database.reading() as connection:
             return {state: number for state, number in connection.execute(query)}
 
-    def events(self, *, since: int = 0, limit: int = 1000) -> list[Event]:
-        """Return lines of the diary after number `since`, oldest first."""
-        with self._database.reading() as connection:
-            return audit_log.read(connection, since, limit)
+    @contextmanager
+    def _writing(self, *, lock: bool = False) -> Iterator[tuple[sa.Connection, float]]:
+        """Begin a transaction that writes; yield its connection and the time [s since 1970]."""
+        with self._database.writing() as connection:
+            if lock:
+                self._database.lock(connection)
+            yield connection, self._database.now(connection)
 
     def _heats(self, match: sa.ColumnElement[bool], limit: int | None) -> list[HeatRecord]:
         with self._database.reading() as connection:
@@ -341,15 +312,15 @@ def create(
     Args:
         url: sqlite:///league.db, a bare file name, or postgresql://user@host/database.
         name: shown to people.
-        ruleset: what is raced.
+        ruleset: the rules of all races.
         blobs: directory or bucket for weights and recordings; empty for the database itself.
-        clock: gives the time [s since 1970], for tests.
+        clock: returns the time [s since 1970], for tests.
     """
     if blobs:
         FolderBlobs(blobs)
     database = Database(url, clock)
     try:
-        creation.found(database, name, ruleset or Ruleset(), blobs)
+        schema.create_tables(database, name, ruleset or Ruleset(), blobs)
     finally:
         database.close()
     return Store(url, clock=clock)
@@ -363,18 +334,12 @@ def upgrade(url: str) -> None:
     """
     database = Database(url)
     try:
-        creation.version_of(database)
+        schema.version_of(database)
         with database.writing() as connection:
-            database.alone(connection)
-            creation.migrate(connection)
+            database.lock(connection)
+            schema.migrate(connection)
     finally:
         database.close()
-
-
-def _kept(replay: bytes | None, outside: Blobs | None) -> str | None:
-    if replay is None:
-        return None
-    return outside.put(replay) if outside else heat_spec.digest(replay)
 
 
 def _check_worker(worker: str) -> None:

@@ -1,4 +1,4 @@
-"""Crew: lends heats from the store to an executor's workers, and hands their results in."""
+"""Dispatcher: lends heats from the store to an executor's workers, and hands their results in."""
 
 from __future__ import annotations
 
@@ -15,41 +15,38 @@ from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.store import Claim, Entry, Store
 from league.matchmaking.store.store import LEASE_S
 from league.matchmaking.workers import Executor
-from league.matchmaking.workers.worker import Contestant, Job, Report, check_physics
+from league.matchmaking.workers.worker import HeatDriver, HeatJob, HeatReport, check_physics
 
 KEPT = 256
-"""Contestants kept ready for the next job."""
+"""Drivers kept in memory for the next job."""
 
 
 @dataclass(frozen=True)
-class Running:
-    """A heat under way."""
+class RunningHeat:
+    """A heat that a worker races."""
 
     claim: Claim
-    """What is raced."""
     names: tuple[str, ...]
-    """Who races, in the grid order of the first race."""
+    """Names of the entries, in the grid order of the first race."""
     since_s: float
     """When it began, on time.monotonic's clock [s]."""
 
 
 @dataclass(frozen=True)
-class Ended:
-    """A heat that a worker is through with."""
+class FinishedHeat:
+    """A heat that a worker has reported on."""
 
-    running: Running
-    """What was raced."""
-    report: Report
-    """What the worker says."""
+    running: RunningHeat
+    report: HeatReport
     became: str
     """accepted, repeated, quarantined; or planned (again), error."""
 
 
-class Crew:
-    """One machine's workers, seen from the store.
+class Dispatcher:
+    """Claims heats for one machine's workers and hands in their results.
 
-    Only this process writes to the store: a SQLite file has one writer, and PostgreSQL one for
-    each machine.
+    It is the only writer of its machine: a SQLite file has one writer, and PostgreSQL one for each
+    machine.
     """
 
     def __init__(
@@ -65,101 +62,98 @@ class Crew:
 
         Args:
             store: the league.
-            executor: where heats are raced.
-            name: nobody else's; by default made of the machine, the process and chance.
-            lease_s: how long heats are lent without a sign of life [s]; one is given six times
-                as often.
+            executor: races the heats.
+            name: unique among dispatchers; by default of the machine, the process and chance.
+            lease_s: lease of a heat [s]; renewed every `lease_s / 6`.
             keep_replays: whether recordings are stored.
         """
         self._store, self._executor = store, executor
         self.name = name or f"{socket.gethostname()[:60]}-{os.getpid()}-{secrets.token_hex(3)}"
         self._lease_s, self._keep_replays = lease_s, keep_replays
-        self._beat_s = time.monotonic()
+        self._renewed_s = time.monotonic()
         self._rulesets: dict[str, Ruleset] = {}
-        self._contestants: OrderedDict[str, Contestant] = OrderedDict()
-        self.running: dict[str, Running] = {}
+        self._drivers: OrderedDict[str, HeatDriver] = OrderedDict()
+        self.running: dict[str, RunningHeat] = {}
 
-    def step(self, timeout_s: float = 0.5, *, claim: int | None = None) -> list[Ended]:
-        """Give idle workers heats, wait a little, and hand in what has come to an end.
+    def step(self, timeout_s: float = 0.5, *, claim: int | None = None) -> list[FinishedHeat]:
+        """Give heats to idle workers, wait for reports, and hand in what ended.
 
         Args:
-            timeout_s: how long to wait for results [s].
-            claim: lend at most so many more heats.
+            timeout_s: longest wait for reports [s].
+            claim: claim at most so many more heats.
         """
         wanted = self._executor.free if claim is None else min(claim, self._executor.free)
-        ended = self._begin(wanted) if wanted > 0 else []
-        self._beat()
-        return ended + self._hand_in(self._executor.wait(timeout_s))
+        finished = self._begin(wanted) if wanted > 0 else []
+        self._renew_leases()
+        return finished + self._hand_in(self._executor.wait(timeout_s))
 
-    def _begin(self, wanted: int) -> list[Ended]:
-        ended = []
+    def _begin(self, wanted: int) -> list[FinishedHeat]:
+        finished = []
         for claim in self._store.claim(self.name, wanted, lease_s=self._lease_s):
-            running = Running(claim, (), time.monotonic())
             try:
                 job = self._job(claim)
             except LeagueError:
                 # Its files are gone or damaged: one heat that cannot be raced, not the season.
-                report = Report(claim.heat.key, None, traceback.format_exc())
-                ended.append(self._failed(running, report))
+                report = HeatReport(claim.heat.key, None, traceback.format_exc())
+                running = RunningHeat(claim, (), time.monotonic())
+                finished.append(self._failed(running, report))
                 continue
-            names = tuple(job.field[id].name for id in claim.heat.halves[0].grid)
+            names = tuple(job.drivers[id].name for id in claim.heat.halves[0].grid)
             self._executor.offer(job)
-            self.running[claim.heat.key] = Running(claim, names, time.monotonic())
-        return ended
+            self.running[claim.heat.key] = RunningHeat(claim, names, time.monotonic())
+        return finished
 
-    def _job(self, claim: Claim) -> Job:
+    def _job(self, claim: Claim) -> HeatJob:
         heat = claim.heat
         if heat.ruleset not in self._rulesets:
             self._rulesets = self._store.rulesets()
-        rules = self._rulesets[heat.ruleset]
-        check_physics(rules, f"heat {claim.number}")
-        return Job(
+        ruleset = self._rulesets[heat.ruleset]
+        check_physics(ruleset, f"heat {claim.number}")
+        return HeatJob(
             key=heat.key,
             number=claim.number,
             halves=heat.halves,
             seeds=claim.seeds,
-            ruleset=rules,
-            field={id: self._contestant(id) for id in heat.entries},
+            ruleset=ruleset,
+            drivers={id: self._driver(id) for id in heat.entries},
             keep_replays=self._keep_replays,
         )
 
-    def _contestant(self, id: str) -> Contestant:
-        if id not in self._contestants:
-            self._contestants[id] = contestant(self._store, self._store.entry(id))
-            while len(self._contestants) > KEPT:
-                self._contestants.popitem(last=False)
-        self._contestants.move_to_end(id)
-        return self._contestants[id]
+    def _driver(self, id: str) -> HeatDriver:
+        if id not in self._drivers:
+            self._drivers[id] = heat_driver(self._store, self._store.entry(id))
+            while len(self._drivers) > KEPT:
+                self._drivers.popitem(last=False)
+        self._drivers.move_to_end(id)
+        return self._drivers[id]
 
-    def _beat(self) -> None:
+    def _renew_leases(self) -> None:
         now = time.monotonic()
-        if self.running and now - self._beat_s > self._lease_s / 6:
+        if self.running and now - self._renewed_s > self._lease_s / 6:
             self._store.heartbeat(self.name, lease_s=self._lease_s)
-            self._beat_s = now
+            self._renewed_s = now
 
-    def _hand_in(self, reports: list[Report]) -> list[Ended]:
-        done = [report.outcome for report in reports if report.outcome is not None]
-        received = self._store.complete(self.name, done) if done else None
-        ended = []
+    def _hand_in(self, reports: list[HeatReport]) -> list[FinishedHeat]:
+        outcomes = [report.outcome for report in reports if report.outcome is not None]
+        received = self._store.complete(self.name, outcomes) if outcomes else None
+        finished = []
         for report in reports:
             running = self.running.pop(report.key)
             if report.outcome is None or received is None:
-                ended.append(self._failed(running, report))
+                finished.append(self._failed(running, report))
                 continue
-            became = next(
-                name
-                for name in ("quarantined", "accepted", "repeated")
-                if report.key in getattr(received, name)
-            )
-            ended.append(Ended(running, report, became))
-        return ended
+            verdicts = ("quarantined", "accepted", "repeated")
+            became = next(name for name in verdicts if report.key in getattr(received, name))
+            finished.append(FinishedHeat(running, report, became))
+        return finished
 
-    def _failed(self, running: Running, report: Report) -> Ended:
-        return Ended(running, report, self._store.fail(self.name, report.key, report.traceback))
+    def _failed(self, running: RunningHeat, report: HeatReport) -> FinishedHeat:
+        state = self._store.fail(self.name, report.key, report.traceback)
+        return FinishedHeat(running, report, state)
 
 
-def contestant(store: Store, entry: Entry) -> Contestant:
+def heat_driver(store: Store, entry: Entry) -> HeatDriver:
     """Return an entry as a worker needs it."""
     if entry.kind == "scripted":
-        return Contestant(entry.id, entry.name, scripted=str(entry.card["driver"]))
-    return Contestant(entry.id, entry.name, weights=store.blobs.get(entry.id))
+        return HeatDriver(entry.id, entry.name, scripted=str(entry.card["driver"]))
+    return HeatDriver(entry.id, entry.name, weights=store.blobs.get(entry.id))

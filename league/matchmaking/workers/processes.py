@@ -11,8 +11,7 @@ from multiprocessing.process import BaseProcess
 
 from league import subprocesses
 from league.errors import ConfigError
-from league.matchmaking.workers.executor import JOB_LIMIT_S
-from league.matchmaking.workers.worker import Job, Report
+from league.matchmaking.workers.worker import JOB_LIMIT_S, HeatJob, HeatReport, RaceWorker
 
 MODULES = (
     "league.agents.policy",
@@ -24,162 +23,155 @@ MODULES = (
 )
 """Modules that a worker imports."""
 STARTS = 3
-"""So many workers of a seat, one after the other, that die before they are ready are no chance."""
+"""Give up after this many consecutive failed starts of a worker."""
 
 
 @dataclass
-class _Seat:
-    """One worker, or the next one in its place."""
+class _Slot:
+    """One worker process, or the one that replaces it."""
 
     process: BaseProcess
     pipe: Connection
     ready: bool = False
-    """Whether it waits for jobs: before, it gets none, for a large one would fill the pipe."""
-    job: Job | None = None
+    """Whether it reads from the pipe: before, it gets no job, for a large one would block."""
+    job: HeatJob | None = None
     since_s: float = 0.0
-    deaths: int = 0
-    """Workers in a row that died here before they were ready."""
+    failed_starts: int = 0
+    """Consecutive processes that died before they were ready."""
 
 
-class Processes:
+class ProcessExecutor:
     """An executor of processes."""
 
     def __init__(self, num_workers: int, *, job_limit_s: float = JOB_LIMIT_S) -> None:
         self._limit_s = job_limit_s
         subprocesses.prepare(MODULES)
-        self._seats = [_started() for _ in range(num_workers)]
+        self._slots = [_started() for _ in range(num_workers)]
 
     @property
     def num_workers(self) -> int:
-        """How many there are."""
-        return len(self._seats)
+        """Number of workers."""
+        return len(self._slots)
 
     @property
     def free(self) -> int:
-        """How many have nothing to do."""
-        return sum(seat.job is None for seat in self._seats)
+        """Number of workers without a job."""
+        return sum(slot.job is None for slot in self._slots)
 
-    @property
-    def pids(self) -> list[int]:
-        """Process ids of the workers."""
-        return [seat.process.pid or 0 for seat in self._seats]
-
-    def offer(self, job: Job) -> None:
+    def offer(self, job: HeatJob) -> None:
         """Give a job to a worker that is free."""
-        seat = next((seat for seat in self._seats if seat.job is None), None)
-        if seat is None:
+        slot = next((slot for slot in self._slots if slot.job is None), None)
+        if slot is None:
             raise ValueError("no worker is free: ask `free` first")
-        seat.job, seat.since_s = job, time.monotonic()
-        if seat.ready:
-            self._send(seat)
+        slot.job, slot.since_s = job, time.monotonic()
+        if slot.ready:
+            self._send(slot)
 
-    def wait(self, timeout_s: float) -> list[Report]:
-        """Return what has come to an end; the job of a worker that died counts as failed.
+    def wait(self, timeout_s: float) -> list[HeatReport]:
+        """Return reports of jobs that ended; the job of a worker that died failed.
 
         Raises:
             ConfigError: no worker can be started on this machine.
         """
-        busy = {seat.pipe: seat for seat in self._seats if seat.job}
+        busy = {slot.pipe: slot for slot in self._slots if slot.job}
+        if not busy:
+            time.sleep(timeout_s)
+            return []
         reports = []
-        for pipe in connection.wait(list(busy), timeout_s) if busy else ():
+        for pipe in connection.wait(list(busy), timeout_s):
             assert isinstance(pipe, Connection)
             report = self._read(busy[pipe])
             if report is not None:
                 reports.append(report)
-        if not busy:
-            time.sleep(timeout_s)
         now_s = time.monotonic()
-        stuck = [seat for seat in self._seats if seat.job and now_s - seat.since_s > self._limit_s]
+        stuck = [slot for slot in self._slots if slot.job and now_s - slot.since_s > self._limit_s]
         return reports + [
-            self._ended(one, f"took longer than {self._limit_s:.0f} s") for one in stuck
+            self._lost(slot, f"took longer than {self._limit_s:.0f} s") for slot in stuck
         ]
 
     def close(self) -> None:
         """End the workers."""
-        for seat in self._seats:
-            seat.pipe.close()
-            seat.process.kill()
-        for seat in self._seats:
-            seat.process.join(5.0)
-        self._seats = []
+        for slot in self._slots:
+            slot.pipe.close()
+            slot.process.kill()
+        for slot in self._slots:
+            slot.process.join(5.0)
+        self._slots = []
 
-    def _send(self, seat: _Seat) -> None:
-        assert seat.job is not None
+    def _send(self, slot: _Slot) -> None:
         try:
-            seat.pipe.send(seat.job)
-        except OSError:  # it died while it had nothing to do
-            self._replace(seat)
+            slot.pipe.send(slot.job)
+        except OSError:  # it died while it was idle
+            self._replace(slot)
 
-    def _read(self, seat: _Seat) -> Report | None:
-        """Return what became of a worker's job; None if it has only just begun, or begins anew."""
+    def _read(self, slot: _Slot) -> HeatReport | None:
+        """Return the report on a worker's job; None if the worker has only just started."""
         try:
-            report: Report | None = seat.pipe.recv()
+            report: HeatReport | None = slot.pipe.recv()
         except (EOFError, OSError):
-            seat.process.join(5.0)
-            if seat.ready:
-                return self._ended(seat, f"died with exit code {seat.process.exitcode}")
-            self._start_again(seat)
+            slot.process.join(5.0)
+            if slot.ready:
+                return self._lost(slot, f"died with exit code {slot.process.exitcode}")
+            self._start_again(slot)
             return None
         if report is None:
-            seat.ready, seat.deaths = True, 0
-            self._send(seat)
+            slot.ready, slot.failed_starts = True, 0
+            self._send(slot)
         else:
-            seat.job = None
+            slot.job = None
         return report
 
-    def _start_again(self, seat: _Seat) -> None:
-        """Replace a worker that died before it was given its job: that is no try at the heat."""
-        code = seat.process.exitcode
-        seat.deaths += 1
-        if seat.deaths >= STARTS:
+    def _start_again(self, slot: _Slot) -> None:
+        """Replace a worker that died before it got its job: that is no try at the heat."""
+        slot.failed_starts += 1
+        if slot.failed_starts >= STARTS:
             raise ConfigError(
                 f"{STARTS} worker processes in a row ended before their first race (exit code "
-                f"{code}): look at their messages above, or give fewer --workers if memory is short"
+                f"{slot.process.exitcode}): look at their messages above, or give fewer --workers "
+                "if memory is short"
             )
-        self._replace(seat)
+        self._replace(slot)
 
-    def _ended(self, seat: _Seat, how: str) -> Report:
-        """Replace a worker and say what became of its job."""
-        assert seat.job is not None
-        report = Report(
-            seat.job.key,
+    def _lost(self, slot: _Slot, how: str) -> HeatReport:
+        """Replace a worker and return a report on its job."""
+        assert slot.job is not None
+        report = HeatReport(
+            slot.job.key,
             None,
-            f"worker process {seat.process.pid} {how} while it raced heat {seat.job.number}",
-            time.monotonic() - seat.since_s,
+            f"worker process {slot.process.pid} {how} while it raced heat {slot.job.number}",
+            time.monotonic() - slot.since_s,
         )
-        self._replace(seat)
-        seat.job = None
+        slot.job = None
+        self._replace(slot)
         return report
 
-    def _replace(self, seat: _Seat) -> None:
-        """Put another worker into a seat; the seat's job waits for it."""
-        seat.pipe.close()
-        seat.process.kill()
-        seat.process.join(5.0)
+    def _replace(self, slot: _Slot) -> None:
+        """Start another process in a slot; the slot's job waits for it."""
+        slot.pipe.close()
+        slot.process.kill()
+        slot.process.join(5.0)
         fresh = _started()
-        seat.process, seat.pipe, seat.ready = fresh.process, fresh.pipe, False
+        slot.process, slot.pipe, slot.ready = fresh.process, fresh.pipe, False
 
 
-def _started() -> _Seat:
-    ours, theirs = subprocesses.CONTEXT.Pipe()
-    process = subprocesses.start(_work, theirs)
-    theirs.close()  # so that reading ends when the worker does
-    return _Seat(process, ours)
+def _started() -> _Slot:
+    pipe, workers_end = subprocesses.CONTEXT.Pipe()
+    process = subprocesses.start(_work, workers_end)
+    workers_end.close()  # so that reading ends when the worker does
+    return _Slot(process, pipe)
 
 
 def _work(pipe: Connection) -> None:
-    """Race jobs until the pipe ends, as it does when the matchmaker dies."""
-    from league.matchmaking.workers.worker import Pit
-
-    pit = Pit()
+    """Race jobs until the pipe ends, as it does when the dispatcher dies."""
+    worker = RaceWorker()
     with contextlib.suppress(OSError):
-        pipe.send(None)  # ready: what goes wrong from here on is a job's affair
+        pipe.send(None)  # ready: what fails from here on is reported for a job
     while True:
         try:
             job = pipe.recv()
         except (EOFError, OSError):
             return
-        report = pit.race(job)
+        report = worker.race(job)
         try:
             pipe.send(report)
         except OSError:

@@ -9,23 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from league.errors import ConfigError
-from league.matchmaking.workers.executor import JOB_LIMIT_S
-from league.matchmaking.workers.worker import Job, Pit, Report
-
-
-class Bench:
-    """What an actor is: a worker's pit."""
-
-    def __init__(self) -> None:
-        self._pit = Pit()
-
-    def race(self, job: Job) -> Report:
-        """Race a heat."""
-        return self._pit.race(job)
-
-    def pid(self) -> int:
-        """Return the process it runs in."""
-        return os.getpid()
+from league.matchmaking.workers.worker import JOB_LIMIT_S, HeatJob, HeatReport, RaceWorker
 
 
 @dataclass
@@ -33,17 +17,16 @@ class _Slot:
     """One actor."""
 
     actor: Any
-    job: Job | None = None
+    job: HeatJob | None = None
     answer: Any = None
     since_s: float = 0.0
 
 
-class Actors:
+class RayExecutor:
     """An executor of Ray actors, one CPU each; one that dies is replaced.
 
     With RAY_ADDRESS set it joins that cluster, otherwise it starts one of its own on this machine.
-    Ray is told neither to report its usage nor to open its dashboard, and never to retry: what is
-    tried again, and how often, is the queue's business.
+    Ray's usage reports, dashboard and retries are off: the queue decides what is tried again.
     """
 
     def __init__(self, num_workers: int, *, job_limit_s: float = JOB_LIMIT_S) -> None:
@@ -59,25 +42,20 @@ class Actors:
                 configure_logging=False,
                 **({} if address else local),
             )
-        self._kind = self._ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0)(Bench)
+        self._kind = self._ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0)(RaceWorker)
         self._slots = [_Slot(self._kind.remote()) for _ in range(num_workers)]
 
     @property
     def num_workers(self) -> int:
-        """How many there are."""
+        """Number of workers."""
         return len(self._slots)
 
     @property
     def free(self) -> int:
-        """How many have nothing to do."""
+        """Number of workers without a job."""
         return sum(slot.job is None for slot in self._slots)
 
-    @property
-    def pids(self) -> list[int]:
-        """Process ids of the actors; waits until they have started."""
-        return [self._ray.get(slot.actor.pid.remote()) for slot in self._slots]
-
-    def offer(self, job: Job) -> None:
+    def offer(self, job: HeatJob) -> None:
         """Give a job to a worker that is free."""
         slot = next((slot for slot in self._slots if slot.job is None), None)
         if slot is None:
@@ -85,8 +63,8 @@ class Actors:
         slot.answer = slot.actor.race.remote(job)
         slot.job, slot.since_s = job, time.monotonic()
 
-    def wait(self, timeout_s: float) -> list[Report]:
-        """Return what has come to an end; the job of an actor that died counts as failed."""
+    def wait(self, timeout_s: float) -> list[HeatReport]:
+        """Return reports of jobs that ended; the job of an actor that died failed."""
         busy = [slot for slot in self._slots if slot.job is not None]
         if not busy:
             time.sleep(timeout_s)
@@ -96,7 +74,7 @@ class Actors:
         now = time.monotonic()
         stuck = [slot for slot in busy if slot.job and now - slot.since_s > self._limit_s]
         return reports + [
-            self._ended(slot, f"took longer than {self._limit_s:.0f} s") for slot in stuck
+            self._lost(slot, f"took longer than {self._limit_s:.0f} s") for slot in stuck
         ]
 
     def close(self) -> None:
@@ -107,18 +85,18 @@ class Actors:
         if self._own and self._ray.is_initialized():
             self._ray.shutdown()
 
-    def _read(self, slot: _Slot) -> Report:
+    def _read(self, slot: _Slot) -> HeatReport:
         try:
-            report: Report = self._ray.get(slot.answer)
+            report: HeatReport = self._ray.get(slot.answer)
         except self._ray.exceptions.RayError as lost:
             first = (str(lost).strip().splitlines() or [type(lost).__name__])[0]
-            return self._ended(slot, f"was lost ({first[:200]})")
+            return self._lost(slot, f"was lost ({first[:200]})")
         slot.job = slot.answer = None
         return report
 
-    def _ended(self, slot: _Slot, how: str) -> Report:
+    def _lost(self, slot: _Slot, how: str) -> HeatReport:
         assert slot.job is not None
-        report = Report(
+        report = HeatReport(
             slot.job.key,
             None,
             f"a Ray actor {how} while it raced heat {slot.job.number}",
@@ -131,7 +109,7 @@ class Actors:
 
 
 def _ray() -> Any:  # noqa: ANN401
-    """Return the ray package, told to keep to itself."""
+    """Return the ray package with reports and messages off."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     try:
         import ray
@@ -140,7 +118,7 @@ def _ray() -> Any:  # noqa: ANN401
             "--executor ray was asked for and Ray is not installed: run pip install "
             '"racing-league[cluster]"'
         ) from missing
-    # Its news are not ours to tell; what fails is raised.
+    # What fails is raised.
     logging.getLogger("ray").setLevel(logging.ERROR)
     _keep_stdout(ray)
     return ray
@@ -149,7 +127,7 @@ def _ray() -> Any:  # noqa: ANN401
 def _keep_stdout(ray: Any) -> None:  # noqa: ANN401
     """Send what Ray prints about an actor's death to stderr: stdout is for results.
 
-    Ray has no setting for it, so this reaches into it; a Ray built otherwise is left as it is.
+    Ray has no setting for it, so this patches a private function, if this version has it.
     """
     worker = getattr(ray._private, "worker", None)
     prints = getattr(worker, "print_to_stdstream", None)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from league.errors import ConfigError
 from league.matchmaking.pairing.heat_spec import Half, Ruleset
 from league.matchmaking.ratings.results import Run, places_of
-from league.matchmaking.store.records import Outcome, RaceOutcome
+from league.matchmaking.store.records import HeatOutcome, RaceOutcome
 from league.sim.version import PHYSICS
 
 if TYPE_CHECKING:
@@ -29,11 +29,13 @@ KEPT = 64
 TOO_LATE_S = 2.0
 """Processor time after which an answer is too late [s]: eighty times what a submission may take, so
 that whether an honest driver is late never depends on the machine."""
+JOB_LIMIT_S = 1800.0
+"""A heat that takes longer than this is stuck: its worker is ended [s]."""
 
 
 @dataclass(frozen=True)
-class Contestant:
-    """Who drives, as a worker needs it."""
+class HeatDriver:
+    """An entry as a worker needs it."""
 
     id: str
     """Entry id."""
@@ -46,35 +48,33 @@ class Contestant:
 
 
 @dataclass(frozen=True)
-class Job:
+class HeatJob:
     """A heat to race."""
 
     key: str
-    """Key of the heat."""
     number: int
-    """Number of the heat, for people."""
+    """Number of the heat, for messages."""
     halves: tuple[Half, ...]
     """Its races."""
     seeds: tuple[int, ...]
     """Seed of each race."""
     ruleset: Ruleset
-    """By which rules."""
-    field: Mapping[str, Contestant]
-    """Who takes part, by id."""
+    drivers: Mapping[str, HeatDriver]
+    """By entry id."""
     keep_replays: bool = True
     """Whether the recordings are handed in; their hashes always are."""
 
 
 @dataclass(frozen=True)
-class Report:
+class HeatReport:
     """How a job went."""
 
     key: str
     """Key of the heat."""
-    outcome: Outcome | None
+    outcome: HeatOutcome | None
     """Its results; None if it could not be raced."""
     traceback: str = ""
-    """Why not."""
+    """Why it could not."""
     wall_s: float = 0.0
     """Time it took [s]."""
     race_s: float = 0.0
@@ -82,11 +82,7 @@ class Report:
 
 
 def check_physics(rules: Ruleset, what: str) -> None:
-    """Refuse to race by another version of the physics than this program's.
-
-    Raises:
-        ConfigError: it is another one.
-    """
+    """Raise a ConfigError if the rules are of another version of the physics."""
     if rules.physics != PHYSICS:
         raise ConfigError(
             f"{what} is raced by physics {rules.physics}, this program has {PHYSICS}: "
@@ -94,89 +90,92 @@ def check_physics(rules: Ruleset, what: str) -> None:
         )
 
 
-class Pit:
-    """A worker's bench: it races jobs, and keeps drivers ready from one job to the next."""
+class RaceWorker:
+    """Races jobs, and keeps drivers ready from one job to the next."""
 
     def __init__(self) -> None:
         self._drivers: OrderedDict[tuple[str, str], Driver] = OrderedDict()
         self._checkpoints: OrderedDict[str, Checkpoint] = OrderedDict()
-        self._courses: dict[str, Track] = {}
+        self._tracks: dict[str, Track] = {}
 
-    def race(self, job: Job) -> Report:
-        """Race a heat; whatever goes wrong is told, never raised."""
+    def race(self, job: HeatJob) -> HeatReport:
+        """Race a heat; whatever fails is in the report, never raised."""
         start = perf_counter()
         try:
             races = self._races(job)
-            told = tuple(outcome_of(one, keep_replay=job.keep_replays) for one in races)
+            outcomes = tuple(outcome_of(one, keep_replay=job.keep_replays) for one in races)
         except Exception:
             # The season goes on without this heat; its traceback is kept.
-            return Report(job.key, None, traceback.format_exc(), perf_counter() - start)
-        outcome = Outcome(job.key, told)
-        driven = sum(one.result.race_s for one in races)
-        return Report(job.key, outcome, "", perf_counter() - start, driven)
+            return HeatReport(job.key, None, traceback.format_exc(), perf_counter() - start)
+        race_s = sum(one.result.race_s for one in races)
+        outcome = HeatOutcome(job.key, outcomes)
+        return HeatReport(job.key, outcome, "", perf_counter() - start, race_s)
 
-    def _races(self, job: Job) -> list[FinishedRace]:
+    def _races(self, job: HeatJob) -> list[FinishedRace]:
         """Race all halves at once, as one batch: each goes as it would alone."""
         from league.racing import race
 
         races = [self._race_job(job, *one) for one in zip(job.halves, job.seeds, strict=True)]
         return race.run_together(races, patience_s=TOO_LATE_S)
 
-    def _race_job(self, job: Job, half: Half, seed: int) -> RaceJob:
+    def _race_job(self, job: HeatJob, half: Half, seed: int) -> RaceJob:
         from league.race_spec import checked
         from league.racing import race
         from league.track import files
         from league.track.track import TrackSet
 
         rules = job.ruleset
-        # The same object each time: scripted drivers seek their line once for a track.
-        if half.track not in self._courses:
-            self._courses[half.track] = files.load(half.track)
-        course = self._courses[half.track]
-        field = [job.field[id] for id in half.grid]
+        # The same object each time: scripted drivers search their line once for a track.
+        if half.track not in self._tracks:
+            self._tracks[half.track] = files.load(half.track)
+        track = self._tracks[half.track]
+        grid = [job.drivers[id] for id in half.grid]
         spec = checked(
             {
-                "track": course.name,
+                "track": track.name,
                 "kind": rules.kind,
                 "laps": rules.laps,
                 "seed": seed,
                 "solver": rules.solver,
                 "max_time_s": rules.max_time_s,
                 "variation": rules.variation,
-                "entries": [self._named(who) for who in field],
+                "entries": [
+                    {
+                        "name": driver.name,
+                        "digest": "" if driver.scripted else self._checkpoint(driver).digest,
+                    }
+                    for driver in grid
+                ],
             }
         )
-        tracks, car = TrackSet(course), race.sim_config(spec).car
-        drivers = [self._driver(who, tracks, car) for who in field]
-        return race.RaceJob(spec, course, drivers)
+        tracks, car = TrackSet(track), race.sim_config(spec).car
+        return race.RaceJob(spec, track, [self._driver(driver, tracks, car) for driver in grid])
 
-    def _named(self, who: Contestant) -> dict[str, str]:
-        digest = "" if who.scripted else self._checkpoint(who).digest
-        return {"name": who.name, "digest": digest}
-
-    def _checkpoint(self, who: Contestant) -> Checkpoint:
+    def _checkpoint(self, entry: HeatDriver) -> Checkpoint:
         from league.matchmaking import submission
 
-        if who.id not in self._checkpoints:
-            self._checkpoints[who.id] = submission.unpack(who.weights, f"the entry {who.name!r}")
+        if entry.id not in self._checkpoints:
+            self._checkpoints[entry.id] = submission.unpack(
+                entry.weights, f"the entry {entry.name!r}"
+            )
             _trim(self._checkpoints)
-        return self._checkpoints[who.id]
+        return self._checkpoints[entry.id]
 
-    def _driver(self, who: Contestant, tracks: TrackSet, car: CarConfig) -> Driver:
-        """Return the one driver of all of an entry's seats; scripted ones are built for a track."""
+    def _driver(self, entry: HeatDriver, tracks: TrackSet, car: CarConfig) -> Driver:
+        """Return the driver of all cars of an entry; scripted ones are built for a track."""
         from league.agents import roster
         from league.agents.policy import Policy
 
-        place = (who.id, tracks.tracks[0].name if who.scripted else "")
-        if place not in self._drivers:
-            self._drivers[place] = (
-                roster.load(who.scripted, tracks, car)
-                if who.scripted
-                else Policy(self._checkpoint(who), car, name=who.name)
+        key = (entry.id, tracks.tracks[0].name if entry.scripted else "")
+        if key not in self._drivers:
+            self._drivers[key] = (
+                roster.load(entry.scripted, tracks, car)
+                if entry.scripted
+                else Policy(self._checkpoint(entry), car, name=entry.name)
             )
             _trim(self._drivers)
-        self._drivers.move_to_end(place)
-        return self._drivers[place]
+        self._drivers.move_to_end(key)
+        return self._drivers[key]
 
 
 def _trim(kept: OrderedDict) -> None:
@@ -194,30 +193,30 @@ def outcome_of(finished: FinishedRace, *, keep_replay: bool = True) -> RaceOutco
 
     assert finished.replay is not None
     columns, result = finished.replay.columns, finished.result
-    told = result.model_dump(mode="json", exclude={"spec", "events"})
-    told["faults"] = sum(event.kind == "driver_fault" for event in result.events)
-    told["trace"] = hashlib.sha256(columns.checksum.astype("<u4").tobytes()).hexdigest()
+    document = result.model_dump(mode="json", exclude={"spec", "events"})
+    document["faults"] = sum(event.kind == "driver_fault" for event in result.events)
+    document["trace"] = hashlib.sha256(columns.checksum.astype("<u4").tobytes()).hexdigest()
     return RaceOutcome(
         places=places(result),
-        result=told,
+        result=document,
         replay=replay_format.encode(finished.replay) if keep_replay else None,
     )
 
 
 def places(result: RaceResult) -> tuple[int, ...]:
-    """Return the place of the car in each grid slot; equal runs share one."""
+    """Return the place of the car in each grid slot; equal runs share a place."""
     from league.racing.race import FAULTS_TO_END
 
     cars = sorted(result.order, key=lambda car: car.car)
-    last_word = dict.fromkeys(range(len(cars)), result.race_s)
+    end_s = dict.fromkeys(range(len(cars)), result.race_s)
     for event in result.events:
         if event.kind == "driver_fault" and event.value == FAULTS_TO_END:
-            last_word[event.car] = event.time_s
+            end_s[event.car] = event.time_s
     return places_of(
         [
             Run(car.total_s, car.laps)
             if car.finished
-            else Run(None, car.laps, car.distance, last_word[car.car])
+            else Run(None, car.laps, car.distance, end_s[car.car])
             for car in cars
         ]
     )

@@ -1,4 +1,4 @@
-"""Tells Alembic which connection and which tables; the store runs it, and so may a developer."""
+"""Alembic's environment: the connection and the tables that the store migrates."""
 
 from alembic import context
 

@@ -1,16 +1,20 @@
-"""Files kept by the hash of their content, in a directory or a bucket; the database keeps others.
+"""Files kept by the hash of their content: in the database, a directory or a bucket.
 
-A blob is written once and never changed: what is read is hashed again, so a damaged or swapped
-file is found out.
+A blob is written once and never changed. It is hashed again when it is read, so a damaged or
+swapped file is noticed.
 """
 
 from __future__ import annotations
 
 from typing import Protocol
 
+import sqlalchemy as sa
+
 from league.atomic_file import replacing
 from league.errors import StoreError
 from league.matchmaking.pairing import heat_spec
+from league.matchmaking.store.database import Database, insert_new
+from league.matchmaking.store.schema import blobs
 
 MAX_BYTES = 64 * 1024 * 1024
 """Largest blob [bytes]."""
@@ -32,8 +36,7 @@ class Blobs(Protocol):
         ...
 
 
-def checked(content: bytes) -> bytes:
-    """Return the bytes to keep; StoreError if they are too many."""
+def _checked(content: bytes) -> bytes:
     if len(content) > MAX_BYTES:
         raise StoreError(
             f"a file of {len(content):,} bytes was given: at most {MAX_BYTES:,} are kept, "
@@ -42,8 +45,7 @@ def checked(content: bytes) -> bytes:
     return content
 
 
-def verified(content: bytes | None, digest: str, where: str) -> bytes:
-    """Return what was read if it is what was asked for, else raise a StoreError."""
+def _verified(content: bytes | None, digest: str, where: str) -> bytes:
     if content is None:
         raise StoreError(
             f"{where} holds no file {digest[:12]}: restore it from a backup, or submit it again"
@@ -56,11 +58,43 @@ def verified(content: bytes | None, digest: str, where: str) -> bytes:
     return content
 
 
+def insert(connection: sa.Connection, now: float, content: bytes) -> str:
+    """Keep some bytes in the database and return their SHA-256."""
+    digest = heat_spec.digest(_checked(content))
+    row = {"digest": digest, "size": len(content), "created_s": now, "content": content}
+    connection.execute(insert_new(connection, blobs), [row])
+    return digest
+
+
+class TableBlobs:
+    """Blobs in the league's own database."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def put(self, content: bytes) -> str:
+        """Keep some bytes and return their SHA-256."""
+        with self._database.writing() as connection:
+            return insert(connection, self._database.now(connection), content)
+
+    def get(self, digest: str) -> bytes:
+        """Return the bytes with this SHA-256."""
+        with self._database.reading() as connection:
+            content = connection.scalar(sa.select(blobs.c.content).where(blobs.c.digest == digest))
+        return _verified(content, digest, self._database.shown)
+
+    def has(self, digest: str) -> bool:
+        """Return whether the bytes with this SHA-256 are kept."""
+        with self._database.reading() as connection:
+            size = connection.scalar(sa.select(blobs.c.size).where(blobs.c.digest == digest))
+        return size is not None
+
+
 class FolderBlobs:
     """Blobs in a directory, or in a bucket that fsspec can reach (s3://, gs://, memory://)."""
 
     def __init__(self, url: str) -> None:
-        """Name the place; it is made when the first blob comes."""
+        """Choose the place; it is made when the first blob comes."""
         import fsspec
 
         try:
@@ -74,13 +108,13 @@ class FolderBlobs:
 
     def put(self, content: bytes) -> str:
         """Keep some bytes and return their SHA-256."""
-        digest = heat_spec.digest(checked(content))
+        digest = heat_spec.digest(_checked(content))
         if self.has(digest):
             return digest
         path = self._path(digest)
         if "file" in self._files.protocol:
-            with replacing(path, f"the file {digest[:12]}", StoreError) as part:
-                part.write_bytes(content)
+            with replacing(path, f"the file {digest[:12]}", StoreError) as file:
+                file.write_bytes(content)
             return digest
         try:  # a bucket shows an object whole or not at all
             self._files.pipe_file(path, content)
@@ -102,7 +136,7 @@ class FolderBlobs:
                 f"the file {digest[:12]} cannot be read from {self._url} ({_reason(refusal)}): "
                 "check that the place can be reached"
             ) from refusal
-        return verified(content, digest, self._url)
+        return _verified(content, digest, self._url)
 
     def has(self, digest: str) -> bool:
         """Return whether the bytes with this SHA-256 are kept."""
