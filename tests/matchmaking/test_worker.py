@@ -148,6 +148,42 @@ def test_a_dispatcher_hands_in_what_its_workers_raced(league):
     assert replay is not None and league.blobs.has(replay)
 
 
+class Suspended(Here):
+    """Workers whose machine sleeps, longer than a lease, while they race their first job."""
+
+    def __init__(self, num_workers: int) -> None:
+        super().__init__(num_workers)
+        self._asleep = True
+
+    def wait(self, timeout_s: float) -> list[HeatReport]:
+        if self._asleep:
+            self._asleep = False
+            time.sleep(0.2)
+            return []
+        return super().wait(timeout_s)
+
+
+def test_a_dispatcher_that_slept_longer_than_its_lease_goes_on_with_its_own_heat(league):
+    given = job(league, "centerline", "bob")
+    league.plan([heat_spec.mirrored(SHORT.hash, ("reinvent_2018",) * 2, tuple(given.drivers))])
+    workers = Suspended(2)
+    dispatcher = Dispatcher(league, workers, lease_s=0.1)
+    assert dispatcher.step(0.0) == []
+    (finished,) = dispatcher.step(0.0)
+    assert finished.became == "accepted" and not dispatcher.running
+    assert workers.jobs == []  # it was not raced twice
+    assert dispatcher.step(0.0) == [] and league.counts() == {"done": 1}
+
+
+def test_a_report_on_a_heat_that_is_not_raced_is_discarded_with_a_message(league, caplog):
+    class Confused(Here):
+        def wait(self, timeout_s: float) -> list[HeatReport]:
+            return [HeatReport("0" * 64, None, "late")]
+
+    assert Dispatcher(league, Confused()).step(0.0) == []
+    assert "discarded a late report on heat 000000" in caplog.text
+
+
 class Broken(Here):
     """Workers that lose every job."""
 

@@ -156,8 +156,9 @@ def describe(finished: FinishedHeat) -> str:
     start = f"heat {claim.number} ({claim.heat.purpose}) {names}"
     if report.outcome is None:
         last = report.traceback.strip().splitlines()[-1:] or ["no reason given"]
-        again = "given up" if finished.became == "error" else "will be tried again"
-        return f"{start}: failed, {again}: {tables.spelled(last[0][:120])}"
+        ends = {"error": "given up", "planned": "will be tried again"}
+        end = ends.get(finished.became, "another worker has it")
+        return f"{start}: failed, {end}: {tables.spelled(last[0][:120])}"
     scores = " | ".join(
         "-".join(str(place) for place in one.places) for one in report.outcome.races
     )

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import secrets
 import socket
 import time
 import traceback
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from league.errors import LeagueError
 from league.matchmaking.pairing.heat_spec import Ruleset
@@ -19,6 +20,8 @@ from league.matchmaking.workers.worker import HeatDriver, HeatJob, HeatReport, c
 
 KEPT = 256
 """Drivers kept in memory for the next job."""
+
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -90,6 +93,10 @@ class Dispatcher:
     def _begin(self, wanted: int) -> list[FinishedHeat]:
         finished = []
         for claim in self._store.claim(self.name, wanted, lease_s=self._lease_s):
+            if claim.heat.key in self.running:
+                # Its lease ended while this machine was suspended, and a worker still races it.
+                self.running[claim.heat.key] = replace(self.running[claim.heat.key], claim=claim)
+                continue
             try:
                 job = self._job(claim)
             except LeagueError:
@@ -134,6 +141,10 @@ class Dispatcher:
             self._renewed_s = now
 
     def _hand_in(self, reports: list[HeatReport]) -> list[FinishedHeat]:
+        for report in reports:
+            if report.key not in self.running:
+                _LOG.warning("discarded a late report on heat %s: no worker races it", report.key)
+        reports = [report for report in reports if report.key in self.running]
         outcomes = [report.outcome for report in reports if report.outcome is not None]
         received = self._store.complete(self.name, outcomes) if outcomes else None
         finished = []
