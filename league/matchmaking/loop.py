@@ -92,11 +92,18 @@ def run(
             continue
         if over or (heats is not None and tally.heats >= heats):
             return tally
-        if season is not None and not _waiting(store) and not season.plan():
+        if season is not None and _nothing_to_race(store, season):
             tally.idle = True
             return tally
 
 
-def _waiting(store: Store) -> int:
+def _nothing_to_race(store: Store, season: Season) -> bool:
+    """Return whether no heat waits and none can be planned.
+
+    A round that another process has just planned adds no heat either, so the queue must be the
+    same before and after planning.
+    """
     counts = store.counts()
-    return counts.get("planned", 0) + counts.get("claimed", 0)
+    if counts.get("planned") or counts.get("claimed") or season.plan():
+        return False
+    return store.counts() == counts
