@@ -64,6 +64,7 @@ def check_killed_worker(executor, job: HeatJob, pid: int) -> None:
     os.kill(pid, signal.SIGKILL)
     (lost,) = reports(executor, 1)
     assert lost.key == "endless" and lost.outcome is None and "heat 7" in lost.traceback
+    assert lost.lost  # with its worker, which is not the race's fault
     assert executor.free == 2
     executor.offer(job)
     executor.offer(replace(job, key="again"))
@@ -81,6 +82,7 @@ def test_a_stuck_heat_is_ended(job):
         executor.offer(replace(job, ruleset=ENDLESS))
         (lost,) = reports(executor, 1)
         assert lost.outcome is None and "longer than" in lost.traceback and executor.free == 1
+        assert not lost.lost
 
 
 def test_a_process_that_died_idle_is_replaced_before_it_is_given_a_job(job):

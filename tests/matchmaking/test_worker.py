@@ -18,7 +18,7 @@ from league.matchmaking.pairing import heat_spec, matchmaker
 from league.matchmaking.pairing.heat_spec import Half
 from league.matchmaking.ratings import Run, places_of
 from league.matchmaking.store import Store, create
-from league.matchmaking.workers.dispatcher import Dispatcher, FinishedHeat, heat_driver
+from league.matchmaking.workers.dispatcher import MOST_LOSSES, Dispatcher, FinishedHeat, heat_driver
 from league.matchmaking.workers.worker import HeatJob, HeatReport, RaceWorker, places
 from league.race_spec import CarResult, Entry, Event, RaceResult, RaceSpec
 from league.replay import format as replay_format
@@ -202,6 +202,22 @@ def test_a_heat_that_fails_three_times_is_an_error_with_its_traceback(league):
     assert Dispatcher(league, Here()).step(0.0)[0].became == "accepted"
 
 
+class Killed(Here):
+    """Workers that are killed with every job."""
+
+    def wait(self, timeout_s: float) -> list[HeatReport]:
+        return [HeatReport(self.jobs.pop(0).key, None, "killed", lost=True)] if self.jobs else []
+
+
+def test_a_heat_whose_workers_are_killed_is_raced_again_within_reason(league):
+    given = job(league, "centerline", "bob")
+    league.plan([heat_spec.mirrored(SHORT.hash, ("reinvent_2018",) * 2, tuple(given.drivers))])
+    dispatcher = Dispatcher(league, Killed())
+    assert {dispatcher.step(0.0)[0].became for _ in range(MOST_LOSSES + 2)} == {"planned"}
+    assert league.heat(1).attempts == 2
+    assert dispatcher.step(0.0)[0].became == "error"  # a race that always ends its worker
+
+
 def test_a_damaged_blob_fails_its_heat_and_not_the_season(league, tmp_path):
     ann = submitted(league, "ann", senses="blind")
     tracks = ("reinvent_2018",) * 2
@@ -288,11 +304,11 @@ def _one_heat(store: Store) -> None:
 
 
 def _raced_by_another(store: Store) -> None:
-    """Race the one heat that was left, once its lease is over; it is its second try."""
+    """Race the one heat that was left, once its lease is over; that is no failed try."""
     ended: list[FinishedHeat] = []
     heir, give_up = Dispatcher(store, Here()), time.monotonic() + 30
     while not ended and time.monotonic() < give_up:
         ended = heir.step(0.0)
         time.sleep(0.01)
     assert [one.became for one in ended] == ["accepted"]
-    assert store.heat(1).attempts == 2 and len(store.races().heat) == 2
+    assert store.heat(1).attempts == 1 and len(store.races().heat) == 2

@@ -25,7 +25,7 @@ from league.matchmaking.store.schema import (
 )
 
 ATTEMPTS = 3
-"""Tries before a heat is marked as an error."""
+"""Failed races before a heat is marked as an error."""
 PRIORITY: dict[Purpose, int] = {"validation": 0, "gauntlet": 1, "rated": 2, "audit": 3}
 """Small numbers are claimed first."""
 TRACEBACK_CHARS = 8000
@@ -151,50 +151,53 @@ def heartbeat(connection: sa.Connection, now: float, worker: str, lease_s: float
     return [row.key for row in rows]
 
 
-def fail(connection: sa.Connection, now: float, worker: str, key: str, traceback: str) -> HeatState:
+def fail(
+    connection: sa.Connection, now: float, worker: str, key: str, traceback: str, *, lost: bool
+) -> HeatState:
     """Take a heat back from a worker that could not race it; return its state.
 
-    A worker that has lost the lease changes nothing: its try was counted when the lease ended.
+    A worker that has lost the lease changes nothing. A heat that was lost with its worker is
+    planned again: that is no failed try.
     """
     query = sa.select(heats.c.number, heats.c.state, heats.c.worker, heats.c.attempts)
     row = connection.execute(query.where(heats.c.key == key).with_for_update()).one_or_none()
     if row is None:
         raise StoreError(f"there is no heat {key[:12]!r} in this league: give a key it planned")
     text = traceback.replace("\x00", "?")[-TRACEBACK_CHARS:]
-    log_event(connection, now, worker, "fail", key, attempt=row.attempts, traceback=text[-500:])
+    action = "lose" if lost else "fail"
+    log_event(connection, now, worker, action, key, attempt=row.attempts, traceback=text[-500:])
     if row.state != "claimed" or row.worker != worker:
         return row.state
-    state: HeatState = "planned" if row.attempts < ATTEMPTS else "error"
+    state: HeatState = "planned" if lost or row.attempts < ATTEMPTS else "error"
     connection.execute(
         heats.update()
         .where(heats.c.number == row.number)
-        .values(state=state, lease_s=None, traceback=text)
+        .values(state=state, lease_s=None, attempts=row.attempts - lost, traceback=text)
     )
     return state
 
 
-def reap(connection: sa.Connection, now: float) -> int:
-    """Take back the heats whose lease has ended; return how many."""
+def reap(connection: sa.Connection, now: float) -> None:
+    """Plan the heats again whose lease has ended; their machine's end is no failed try."""
     ended = (
         sa.select(heats.c.number, heats.c.attempts, heats.c.worker, heats.c.traceback)
         .where(heats.c.lease_s < now, heats.c.state == "claimed")
         .order_by(heats.c.number)
         .with_for_update(skip_locked=True)
     )
-    rows = connection.execute(ended).all()
-    for row in rows:
-        lost = f"worker {row.worker} gave no sign until its lease ended (try {row.attempts})"
+    for row in connection.execute(ended).all():
+        lost = f"worker {row.worker} gave no sign until its lease ended"
         connection.execute(
             heats.update()
             .where(heats.c.number == row.number)
             .values(
-                state="planned" if row.attempts < ATTEMPTS else "error",
+                state="planned",
                 lease_s=None,
+                attempts=row.attempts - 1,
                 traceback=f"{row.traceback}\n{lost}".strip()[-TRACEBACK_CHARS:],
             )
         )
         log_event(connection, now, "league", "reap", str(row.number), worker=row.worker)
-    return len(rows)
 
 
 RETRIED: tuple[HeatState, ...] = ("error", "cancelled", "quarantined")

@@ -78,7 +78,7 @@ class Claim:
     seeds: tuple[int, ...]
     """Seed of each race."""
     attempt: int
-    """1 for the first worker who tries."""
+    """1 plus the number of races that failed."""
     lease_s: float
     """When the lease ends unless it is renewed [s since 1970]."""
 
@@ -131,7 +131,7 @@ class HeatRecord:
     worker: str | None
     """The worker that has it, or had it last."""
     attempts: int
-    """How often it was lent."""
+    """Races that failed, and the one under way; not those lost with their machine."""
     traceback: str
     """Of the last failure."""
     seeds: tuple[int, ...] | None

@@ -169,7 +169,7 @@ class Store:
     def claim(self, worker: str, limit: int = 1, *, lease_s: float = LEASE_S) -> list[Claim]:
         """Lend up to `limit` heats to a worker; its name must be unique.
 
-        Heats whose lease has ended are lent again, 3 times in all.
+        Heats whose lease has ended are lent again.
         """
         _check_worker(worker)
         with self._writing() as (connection, now):
@@ -209,11 +209,18 @@ class Store:
                         blobs.insert(connection, now, replay)
         return received
 
-    def fail(self, worker: str, key: str, traceback: str) -> HeatState:
-        """Hand back a heat that could not be raced; return what becomes of it."""
+    def fail(self, worker: str, key: str, traceback: str, *, lost: bool = False) -> HeatState:
+        """Hand back a heat that could not be raced, and return its state: planned, or error.
+
+        Args:
+            worker: the one that claimed it.
+            key: of the heat.
+            traceback: why it could not be raced.
+            lost: its worker was killed, so that this is no failed try of the heat.
+        """
         _check_worker(worker)
         with self._writing() as (connection, now):
-            return queue.fail(connection, now, worker, key, traceback)
+            return queue.fail(connection, now, worker, key, traceback, lost=lost)
 
     def retry(self, key: str) -> int:
         """Plan a heat again that is an error, cancelled or in quarantine; return its number, or 0.

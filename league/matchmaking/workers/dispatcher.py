@@ -8,7 +8,7 @@ import secrets
 import socket
 import time
 import traceback
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from dataclasses import dataclass, replace
 
 from league.errors import LeagueError
@@ -20,6 +20,9 @@ from league.matchmaking.workers.worker import HeatDriver, HeatJob, HeatReport, c
 
 KEPT = 256
 """Drivers kept in memory for the next job."""
+MOST_LOSSES = 10
+"""Workers killed while they race a heat before that counts as a failed try: the kernel also kills
+processes that take too much memory."""
 
 _LOG = logging.getLogger(__name__)
 
@@ -76,6 +79,7 @@ class Dispatcher:
         self._renewed_s = time.monotonic()
         self._rulesets: dict[str, Ruleset] = {}
         self._drivers: OrderedDict[str, HeatDriver] = OrderedDict()
+        self._losses: Counter[str] = Counter()
         self.running: dict[str, RunningHeat] = {}
 
     def step(self, timeout_s: float = 0.5, *, claim: int | None = None) -> list[FinishedHeat]:
@@ -159,7 +163,9 @@ class Dispatcher:
         return finished
 
     def _failed(self, running: RunningHeat, report: HeatReport) -> FinishedHeat:
-        state = self._store.fail(self.name, report.key, report.traceback)
+        self._losses[report.key] += report.lost
+        lost = report.lost and self._losses[report.key] <= MOST_LOSSES
+        state = self._store.fail(self.name, report.key, report.traceback, lost=lost)
         return FinishedHeat(running, report, state)
 
 

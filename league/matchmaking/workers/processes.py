@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import signal
 import time
 from dataclasses import dataclass
 from multiprocessing import connection
@@ -24,6 +25,8 @@ MODULES = (
 """Modules that a worker imports."""
 STARTS = 3
 """Give up after this many consecutive failed starts of a worker."""
+KILLED = (-signal.SIGKILL, -signal.SIGTERM, 255)
+"""Exit codes of workers that were killed; 255 when the fork server died, and its children."""
 
 
 @dataclass
@@ -111,7 +114,8 @@ class ProcessExecutor:
         except (EOFError, OSError):
             slot.process.join(5.0)
             if slot.ready:
-                return self._lost(slot, f"died with exit code {slot.process.exitcode}")
+                code = slot.process.exitcode
+                return self._lost(slot, f"died with exit code {code}", killed=code in KILLED)
             self._start_again(slot)
             return None
         if report is None:
@@ -132,7 +136,7 @@ class ProcessExecutor:
             )
         self._replace(slot)
 
-    def _lost(self, slot: _Slot, how: str) -> HeatReport:
+    def _lost(self, slot: _Slot, how: str, *, killed: bool = False) -> HeatReport:
         """Replace a worker and return a report on its job."""
         assert slot.job is not None
         report = HeatReport(
@@ -140,6 +144,7 @@ class ProcessExecutor:
             None,
             f"worker process {slot.process.pid} {how} while it raced heat {slot.job.number}",
             time.monotonic() - slot.since_s,
+            lost=killed,
         )
         slot.job = None
         self._replace(slot)

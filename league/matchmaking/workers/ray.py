@@ -90,17 +90,18 @@ class RayExecutor:
             report: HeatReport = self._ray.get(slot.answer)
         except self._ray.exceptions.RayError as lost:
             first = (str(lost).strip().splitlines() or [type(lost).__name__])[0]
-            return self._lost(slot, f"was lost ({first[:200]})")
+            return self._lost(slot, f"was lost ({first[:200]})", killed=True)
         slot.job = slot.answer = None
         return report
 
-    def _lost(self, slot: _Slot, how: str) -> HeatReport:
+    def _lost(self, slot: _Slot, how: str, *, killed: bool = False) -> HeatReport:
         assert slot.job is not None
         report = HeatReport(
             slot.job.key,
             None,
             f"a Ray actor {how} while it raced heat {slot.job.number}",
             time.monotonic() - slot.since_s,
+            lost=killed,
         )
         self._ray.kill(slot.actor)
         slot.actor = self._kind.remote()

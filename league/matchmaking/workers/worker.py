@@ -79,6 +79,8 @@ class HeatReport:
     """Time it took [s]."""
     race_s: float = 0.0
     """Race time driven [s]."""
+    lost: bool = False
+    """Whether its worker was killed, which is not the race's fault."""
 
 
 def check_physics(rules: Ruleset, what: str) -> None:
