@@ -21,6 +21,9 @@ from multiprocessing.process import BaseProcess
 
 from league.errors import ConfigError
 
+SERVER_STARTS = 5
+"""Starts of the server for one process before its death counts as this machine's fault."""
+
 _SERVED = sys.platform == "linux"
 _DIE_WITH_PARENT = 1
 """PR_SET_PDEATHSIG of prctl(2)."""
@@ -55,11 +58,13 @@ def start(target: Callable[..., None], *arguments: object) -> BaseProcess:
     """
     process = CONTEXT.Process(target=_run, args=(target, *arguments), daemon=True)
     with _failing_in_one_sentence():
-        try:
-            _begin(process)
-        except (EOFError, ConnectionError):  # the server has just died: wait until that shows
-            time.sleep(0.1)
-            _begin(process)
+        for _ in range(SERVER_STARTS - 1):
+            try:
+                _begin(process)
+                return process
+            except (EOFError, ConnectionError):  # the server was killed, maybe as it started
+                time.sleep(0.1)
+        _begin(process)
     return process
 
 

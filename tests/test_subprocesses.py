@@ -146,3 +146,33 @@ def test_stuck_ones_end_with_their_parent_and_nothing_comes_from_the_working_fol
     pid, server, loaded = output.split()
     assert loaded == "True"
     assert gone(int(pid)) and gone(int(server))
+
+
+KILLER = """
+import os, signal, threading, time
+from multiprocessing import forkserver
+from league import subprocesses
+
+def kill_servers(count):
+    killed = set()
+    while len(killed) < count:
+        pid = forkserver._forkserver._forkserver_pid
+        if pid and pid not in killed:
+            time.sleep(0.05)
+            os.kill(pid, signal.SIGKILL)
+            killed.add(pid)
+        time.sleep(0.005)
+
+subprocesses.LOADED = ("league.errors",)
+threading.Thread(target=kill_servers, args=(3,), daemon=True).start()
+process = subprocesses.start(print, "started")
+process.join()
+"""
+"""Start a process while the server is killed three times as it starts."""
+
+
+@on_linux
+def test_a_server_killed_while_it_starts_is_started_again():
+    command = [sys.executable, "-c", KILLER]
+    ran = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert ran.stdout == "started\n", ran.stderr
