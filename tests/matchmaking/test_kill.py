@@ -1,7 +1,8 @@
-"""kill -9 at random moments: no heat is lost, none is counted twice, the ratings are the same."""
+"""kill -9 of `league run`, matchmaker included: no heat is lost or counted twice; same ratings."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import random
 import shutil
@@ -13,116 +14,136 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from season_kit import SHORT, new_league, submitted
 
 from league.matchmaking import standings
-from league.matchmaking.pairing.heat_spec import Half, Heat
+from league.matchmaking.pairing.matchmaker import ROUND, Season
 from league.matchmaking.store import Store
+from tests.matchmaking.season_kit import SHORT, new_league, submitted
 
-WORK = [sys.executable, "-m", "league.cli", "work", "--lease-s", "3", "--workers", "2", "--plain"]
-
-
+LEAGUE = [sys.executable, "-m", "league.cli"]
+SETTINGS = ["--lease-s", "3", "--workers", "2", "--plain"]
 RULES = replace(SHORT, max_time_s=0.3)
 """Five steps: the shortest race whose cars are told apart."""
 
 
-def planned(path: Path, heats: int) -> None:
-    """Make a league with heats in its queue, of a driver without weights and two of chance."""
+def made(path: Path) -> None:
+    """Make a league in which nothing is planned yet: an anchor and two newcomers."""
     with new_league(f"sqlite:///{path}", rules=RULES) as store:
         for number in range(2):
             submitted(store, f"e{number}", seed=number, senses="blind")
-        ids = [entry.id for entry in store.entries()]
-        pairs = [(a, b) for a in ids for b in ids if a < b]
-        rules = store.settings.ruleset.hash
-        tracks = ("reinvent_2018",) * 2
-        store.plan(
-            [
-                Heat(rules, (Half(tracks[0], pair), Half(tracks[1], pair[::-1])), draw)
-                for draw in range(heats)
-                for pair in (pairs[draw % len(pairs)],)
-            ]
-        )
 
 
-def below(pid: int) -> list[int]:
-    """Return the processes of a dispatcher: its workers, and what they were forked off from."""
+def descendants(pid: int) -> list[int]:
+    """Return the processes that a process started, and those that they started."""
     try:
         children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-    except OSError:  # no Linux, or it is gone
+    except OSError:  # no Linux, or it has ended
         return []
-    return [one for child in map(int, children) for one in (child, *below(child))]
+    return [one for child in map(int, children) for one in (child, *descendants(child))]
 
 
-def drain(path: Path, dice: random.Random | None, patience_s: float, heats: int) -> int:
-    """Race until nothing is left, killing as the dice say; return how often was killed."""
+def raced(path: Path, heats: int, dice: random.Random | None, patience_s: float) -> list[str]:
+    """Run the season until so many heats are done; return what was killed."""
     environment = {**os.environ, "LEAGUE_URL": f"sqlite:///{path}", "OMP_NUM_THREADS": "1"}
-    kills, give_up = 0, time.monotonic() + patience_s
+    killed: list[str] = []
+    give_up = time.monotonic() + patience_s
     with Store(f"sqlite:///{path}") as store:
-        while time.monotonic() < give_up:
-            if not left(store):
-                return kills
-            dispatcher = subprocess.Popen(WORK, env=environment, stdout=subprocess.DEVNULL)
+        while done(store) < heats:
+            run = subprocess.Popen(
+                [*LEAGUE, "run", *SETTINGS], env=environment, stdout=subprocess.DEVNULL
+            )
             try:
-                while dispatcher.poll() is None and left(store) and time.monotonic() < give_up:
-                    kills += struck(store, dispatcher, dice, max(5, heats // 6))
+                while run.poll() is None and done(store) < heats:
+                    assert time.monotonic() < give_up, f"heats are left: {store.counts()}"
+                    if dice is None:
+                        time.sleep(0.2)
+                    else:
+                        most = max(3, heats // 8) if killed else 0
+                        killed += strike(store, run, dice, most, give_up)
             finally:
-                dispatcher.kill()
-                dispatcher.wait()
-    raise AssertionError(f"heats are left: {store.counts()}")
+                run.kill()
+                run.wait()
+    return killed
 
 
-def struck(
-    store: Store, dispatcher: subprocess.Popen, dice: random.Random | None, most: int
-) -> bool:
-    """Wait for some results, then kill one of the dispatcher or whoever hands the heats out."""
-    if dice is None:
-        time.sleep(0.2)
-        return False
-    wanted = store.counts().get("done", 0) + dice.randint(1, most)
-    while dispatcher.poll() is None and left(store) and store.counts().get("done", 0) < wanted:
+def strike(
+    store: Store, run: subprocess.Popen, dice: random.Random, most: int, give_up: float
+) -> list[str]:
+    """Wait for some results, then kill the matchmaker or another process, or suspend them all.
+
+    Without results to wait for, the matchmaker is killed as it starts.
+    """
+    wanted = done(store) + dice.randint(min(1, most), most)
+    while run.poll() is None and done(store) < wanted and time.monotonic() < give_up:
         time.sleep(0.05)
     time.sleep(dice.uniform(0.0, 0.4))
-    victims = below(dispatcher.pid)
-    if victims and dice.random() < 0.6:
-        try:
-            os.kill(dice.choice(victims), signal.SIGKILL)
-        except ProcessLookupError:  # a worker may come to its end first
-            return False
-    else:
-        dispatcher.kill()
-        dispatcher.wait()
-    return True
+    victims, chance = descendants(run.pid), dice.random()
+    waiting = "planned" if store.counts().get("planned") else "nothing planned"
+    if not most or chance < 0.4:
+        run.kill()
+        run.wait()
+        return [f"the matchmaker, {waiting}"]
+    if chance < 0.5:
+        send(signal.SIGSTOP, run.pid, *victims)
+        time.sleep(4.0)  # longer than the lease
+        send(signal.SIGCONT, run.pid, *victims)
+        return []
+    send(signal.SIGKILL, dice.choice(victims or [run.pid]))
+    return [f"a process, {waiting}"]
 
 
-def left(store: Store) -> bool:
-    """Return whether anything is still to be raced; heats killed three times are asked for again.
+def send(number: signal.Signals, *pids: int) -> None:
+    for pid in pids:
+        with contextlib.suppress(ProcessLookupError):  # it may have ended
+            os.kill(pid, number)
 
-    That is an operator's part, as `league retry` is.
-    """
-    for record in store.heats(("error",)):
-        store.retry(record.heat.key)
-    return any(count for state, count in store.counts().items() if state != "done")
+
+def done(store: Store) -> int:
+    return store.counts().get("done", 0)
+
+
+def finished(path: Path, rounds: int = 0) -> int:
+    """Plan at least so many rounds, race all that is planned, and return the number of rounds."""
+    environment = {**os.environ, "LEAGUE_URL": f"sqlite:///{path}", "OMP_NUM_THREADS": "1"}
+    with Store(f"sqlite:///{path}") as store:
+        while True:
+            while store.counts().keys() - {"done"}:
+                limit = ["--heats", str(sum(store.counts().values()) - done(store))]
+                subprocess.run(
+                    [*LEAGUE, "work", *SETTINGS, *limit],
+                    env=environment,
+                    stdout=subprocess.DEVNULL,
+                    check=True,
+                    timeout=600,
+                )
+            planned = max(record.heat.draw // ROUND for record in store.heats())
+            if planned >= rounds:
+                return planned
+            assert Season(store).plan()
 
 
 def outcome(path: Path) -> tuple:
     with Store(f"sqlite:///{path}") as store:
         heats = store.heats()
-        hashes = [(h.number, [r.hash for r in store.results(h.number)]) for h in heats]
+        hashes = sorted((h.heat.key, [r.hash for r in store.results(h.number)]) for h in heats)
         rows = [(row.number, row.elo, row.sd, row.races) for row in standings.of(store).rows]
-        races = store.races()
+        races = store.races(rated=False)
         assert len(set(zip(races.heat, races.half, strict=True))) == len(races.heat)
         return hashes, rows, len(races.heat)
 
 
 @pytest.mark.slow
 def test_kill_nine_loses_nothing_and_counts_nothing_twice(tmp_path):
-    heats = int(os.environ.get("LEAGUE_KILL_HEATS", "60"))
+    heats = int(os.environ.get("LEAGUE_KILL_HEATS", "40"))
     calm, wild = tmp_path / "calm.db", tmp_path / "wild.db"
-    planned(calm, heats)
+    made(calm)
     shutil.copy(calm, wild)  # the same secret, so the same seeds
-    drain(calm, None, 120.0 + 5.0 * heats, heats)
-    kills = drain(wild, random.Random(11), 240.0 + 10.0 * heats, heats)
-    assert kills > 0
+    raced(calm, heats, None, 180.0 + 5.0 * heats)
+    killed = raced(wild, heats, random.Random(11), 600.0 + 15.0 * heats)
+    assert {kill.split(",")[0] for kill in killed} == {"the matchmaker", "a process"}
+    assert {kill.split(", ")[1] for kill in killed} == {"planned", "nothing planned"}
+    rounds = max(finished(calm), finished(wild))
+    assert finished(calm, rounds) == finished(wild, rounds) == rounds
     undisturbed, disturbed = outcome(calm), outcome(wild)
-    assert disturbed == undisturbed and undisturbed[2] == 2 * heats
-    print(f"{heats} heats, {kills} times kill -9")
+    assert disturbed == undisturbed and len(undisturbed[0]) >= heats
+    print(f"{len(undisturbed[0])} heats, kill -9 of {sorted(killed)}")
