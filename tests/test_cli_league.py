@@ -6,27 +6,21 @@ import csv
 import io
 import json
 import sqlite3
-import sys
 from pathlib import Path
 
 import pytest
 
 from league.cli import main
 
-HERE = Path(__file__).parent
-for wing in ("agents", "matchmaking"):
-    sys.path.append(str(HERE / wing))  # trained.py and season_kit.py, as in the wings' own tests
-
 
 @pytest.fixture(scope="module")
 def league(tmp_path_factory) -> Path:
     """Return the folder of a league in which two entries have raced for a moment."""
-    from season_kit import Here, submitted
-
     from league.matchmaking import loop
     from league.matchmaking.pairing.matchmaker import Season
     from league.matchmaking.store import Store
     from league.matchmaking.workers.dispatcher import Dispatcher
+    from tests.matchmaking.season_kit import Here, submitted
 
     folder = tmp_path_factory.mktemp("league")
     url = f"sqlite:///{folder / 'league.db'}"
@@ -195,9 +189,8 @@ def test_an_export_has_a_line_for_each_car(told, tmp_path):
 
 
 def test_a_gauntlet_places_a_checkpoint_and_keeps_nothing(told, league):
-    from trained import make_checkpoint
-
     from league.agents import checkpoint
+    from tests.agents.trained import make_checkpoint
 
     path = league / "new.pt"
     checkpoint.save(path, make_checkpoint("blind", seed=9, name="new"))
@@ -270,9 +263,8 @@ def test_a_run_races_what_was_submitted_and_says_what_it_did(tmp_path, monkeypat
     assert main([*made, "centerline"]) == 0
     assert main(["run", "--workers", "1", "--heats", "2"]) == 0
     assert "nothing to race" in capsys.readouterr().out
-    from trained import make_checkpoint
-
     from league.agents import checkpoint
+    from tests.agents.trained import make_checkpoint
 
     checkpoint.save(tmp_path / "a.pt", make_checkpoint("blind", name="a"))
     assert main(["submit", str(tmp_path / "a.pt"), "--owner", "ann"]) == 0

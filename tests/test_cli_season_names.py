@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
 
 from league.agents import checkpoint
 from league.cli import main, tables
-
-HERE = Path(__file__).parent
-for wing in ("agents", "matchmaking"):
-    sys.path.append(str(HERE / wing))  # trained.py and season_kit.py, as in the wings' own tests
 
 CLOSING, LINKED, OWNER = "[/x]", "[link=e]:car:", "[/b]"
 """The first is an error where markup is read, the second a link and a picture."""
@@ -21,13 +16,12 @@ CLOSING, LINKED, OWNER = "[/x]", "[link=e]:car:", "[/b]"
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     """Return the folder of a league whose entries have such names, and of their checkpoints."""
-    from season_kit import Here, submitted
-    from trained import make_checkpoint
-
     from league.matchmaking import loop
     from league.matchmaking.pairing.matchmaker import Season
     from league.matchmaking.store import Store
     from league.matchmaking.workers.dispatcher import Dispatcher
+    from tests.agents.trained import make_checkpoint
+    from tests.matchmaking.season_kit import Here, submitted
 
     folder = tmp_path_factory.mktemp("names")
     url = f"sqlite:///{folder / 'league.db'}"
@@ -106,13 +100,12 @@ def test_a_file_whose_name_looks_like_markup_is_raced_and_evaluated_under_it(tol
 
 
 def test_the_page_of_a_run_shows_names_as_they_stand(folder, monkeypatch, capsys, tmp_path):
-    from season_kit import Here
-
     from league.cli.season.run import Page
     from league.matchmaking import loop
     from league.matchmaking.pairing.matchmaker import Season
     from league.matchmaking.store import Store
     from league.matchmaking.workers.dispatcher import Dispatcher
+    from tests.matchmaking.season_kit import Here
 
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("COLUMNS", "100")

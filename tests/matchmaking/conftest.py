@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
-import postgres
 import pytest
 
-sys.path.append(str(Path(__file__).parents[1] / "agents"))  # trained.py, the policies for tests
+from tests.matchmaking import postgres
 
 
 @pytest.fixture(scope="session")

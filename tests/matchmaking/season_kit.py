@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from unittest.mock import patch
 
-from trained import make_checkpoint
-
 from league.matchmaking import submission
 from league.matchmaking.pairing import matchmaker
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.store import Store, create
 from league.matchmaking.workers.worker import HeatJob, HeatReport, RaceWorker
+from tests.agents.trained import make_checkpoint
 
 SHORT = Ruleset(solver="planar", laps=1, max_time_s=0.6)
 """Nine steps: enough for scripted drivers to be told apart by distance."""

@@ -11,7 +11,6 @@ from contextlib import closing
 from dataclasses import replace
 
 import pytest
-from season_kit import SHORT, new_league, submitted
 
 from league.errors import ConfigError
 from league.matchmaking import workers
@@ -20,6 +19,7 @@ from league.matchmaking.workers import processes
 from league.matchmaking.workers.dispatcher import heat_driver
 from league.matchmaking.workers.processes import ProcessExecutor
 from league.matchmaking.workers.worker import HeatJob, HeatReport, RaceWorker
+from tests.matchmaking.season_kit import SHORT, new_league, submitted
 
 ENDLESS = replace(SHORT, laps=1000, max_time_s=36_000.0)
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from season_kit import Here, new_league, submitted
-
 from league.matchmaking import loop
 from league.matchmaking.pairing.matchmaker import Season
 from league.matchmaking.store import Store
 from league.matchmaking.workers.dispatcher import Dispatcher
+from tests.matchmaking.season_kit import Here, new_league, submitted
 
 
 class Overtaken(Season):

@@ -5,10 +5,8 @@ from __future__ import annotations
 import shutil
 import sqlite3
 
-import leagues
 import numpy as np
 import pytest
-from season_kit import Here, new_league, submitted
 
 from league.errors import StoreError
 from league.matchmaking import loop, standings
@@ -16,6 +14,8 @@ from league.matchmaking.pairing.matchmaker import ROUND, Season
 from league.matchmaking.store import RATED, HeatOutcome, RaceOutcome, Store
 from league.matchmaking.workers.dispatcher import Dispatcher
 from league.matchmaking.workers.worker import HeatJob, HeatReport
+from tests.matchmaking import leagues
+from tests.matchmaking.season_kit import Here, new_league, submitted
 
 
 class Coin(Here):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sqlite3
 
-import leagues
 import numpy as np
 import pytest
 import sqlalchemy as sa
@@ -18,6 +17,7 @@ from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset
 from league.matchmaking.store import database, schema
 from league.matchmaking.store.blobs import FolderBlobs
+from tests.matchmaking import leagues
 
 
 @pytest.fixture

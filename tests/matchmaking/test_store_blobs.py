@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 
-import leagues
 import pytest
 
 from league.errors import StoreError
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.store import blobs
 from league.matchmaking.store.blobs import FolderBlobs
+from tests.matchmaking import leagues
 
 
 @pytest.fixture(params=["folder", "bucket", "table"])

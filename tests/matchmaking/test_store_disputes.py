@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import leagues
 import pytest
 import sqlalchemy as sa
 
 from league.matchmaking import store
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.store import database
+from tests.matchmaking import leagues
 
 
 @pytest.fixture

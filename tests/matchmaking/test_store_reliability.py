@@ -13,13 +13,13 @@ import threading
 import time
 from concurrent.futures import ProcessPoolExecutor
 
-import leagues
 import pytest
 
 from league.errors import StoreError
 from league.matchmaking import store
 from league.matchmaking.store import database
 from league.subprocesses import CONTEXT, prepare
+from tests.matchmaking import leagues
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -105,7 +105,8 @@ def test_two_workers_that_send_the_same_heat_at_once_count_it_once(url):
 def test_a_store_is_not_used_across_a_fork(tmp_path):
     # In a process of its own: forking one with threads, as pytest's may be, is a hazard.
     program = (
-        "import os, sys, leagues\n"
+        "import os, sys\n"
+        "from tests.matchmaking import leagues\n"
         "league = leagues.founded(sys.argv[1], entries=0)\n"
         "if os.fork() == 0:\n"
         "    try: league.counts()\n"
@@ -120,7 +121,8 @@ def test_a_store_is_not_used_across_a_fork(tmp_path):
 
 
 WRITER = """
-import sys, leagues
+import sys
+from tests.matchmaking import leagues
 from league.matchmaking import store
 with store.Store(sys.argv[1]) as league:
     print("begun", flush=True)

@@ -10,12 +10,9 @@ import struct
 import time
 import zipfile
 
-import leagues
 import numpy as np
 import pytest
 from safetensors.numpy import load as safetensors_load
-from season_kit import SHORT, new_league
-from trained import make_card, make_checkpoint
 
 from league.agents import checkpoint
 from league.agents.network import NetworkConfig
@@ -24,6 +21,9 @@ from league.matchmaking import submission
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig
+from tests.agents.trained import make_card, make_checkpoint
+from tests.matchmaking import leagues
+from tests.matchmaking.season_kit import SHORT, new_league
 
 GIVEN = make_checkpoint("lidar", network=NetworkConfig(hidden=(8,)))
 SOUND = submission.pack(GIVEN)

@@ -8,10 +8,8 @@ import time
 from contextlib import closing
 from dataclasses import replace
 
-import leagues
 import psycopg
 import pytest
-from season_kit import SHORT, Here, new_league, submitted
 
 from league.errors import StoreError
 from league.matchmaking.pairing import heat_spec, matchmaker
@@ -22,6 +20,8 @@ from league.matchmaking.workers.dispatcher import MOST_LOSSES, Dispatcher, Finis
 from league.matchmaking.workers.worker import HeatJob, HeatReport, RaceWorker, places
 from league.race_spec import CarResult, Entry, Event, RaceResult, RaceSpec
 from league.replay import format as replay_format
+from tests.matchmaking import leagues
+from tests.matchmaking.season_kit import SHORT, Here, new_league, submitted
 
 
 @pytest.fixture
