@@ -108,6 +108,7 @@ def finished(path: Path, rounds: int = 0) -> int:
     with Store(f"sqlite:///{path}") as store:
         while True:
             while store.counts().keys() - {"done"}:
+                assert store.counts().keys() <= {"planned", "claimed", "done"}
                 limit = ["--heats", str(sum(store.counts().values()) - done(store))]
                 subprocess.run(
                     [*LEAGUE, "work", *SETTINGS, *limit],

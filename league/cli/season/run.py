@@ -11,7 +11,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Self
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from league.matchmaking.loop import Tally
+    from league.matchmaking.pairing.matchmaker import Season
     from league.matchmaking.standings import Standings
     from league.matchmaking.store import Store
     from league.matchmaking.workers.dispatcher import Dispatcher, FinishedHeat
@@ -54,7 +55,40 @@ class Work(OnLeague):
 
     def run(self) -> int:
         """Run the command."""
-        return _run(self, plans=False, same_owner=False)
+        from league.matchmaking import loop, workers
+        from league.matchmaking.workers.dispatcher import Dispatcher
+
+        flags.at_least(self, "heats", 1)
+        if self.minutes is not None and not self.minutes > 0:
+            raise ConfigError(f"--minutes {self.minutes}: give more than 0")
+        if not 1 <= self.lease_s <= 3600:
+            raise ConfigError(f"--lease-s {self.lease_s}: give 1 to 3600 s")
+        num_workers = self.workers or os.cpu_count() or 1
+        with self.opened() as store, ExitStack() as stack:
+            season = self._season(store, num_workers)
+            executor = workers.make_executor(self.executor, num_workers)
+            stack.callback(executor.close)
+            dispatcher = Dispatcher(
+                store, executor, lease_s=self.lease_s, keep_replays=self.replays
+            )
+            watch = _print_finished
+            if sys.stdout.isatty() and not self.plain:
+                watch = stack.enter_context(Page(store, dispatcher)).show
+            tally = loop.run(
+                store,
+                dispatcher,
+                season,
+                heats=self.heats,
+                seconds=None if self.minutes is None else 60 * self.minutes,
+                stop=stack.enter_context(_stopping()),
+                watch=watch,
+            )
+        _print_tally(tally)
+        return 0
+
+    def _season(self, store: Store, num_workers: int) -> Season | None:
+        """Return the matchmaker; None races what is in the queue."""
+        return None
 
 
 @dataclass
@@ -64,51 +98,11 @@ class Run(Work):
     same_owner: bool = False
     """Let entries of one owner meet, as a league of one person needs."""
 
-    def run(self) -> int:
-        """Run the command."""
-        return _run(self, plans=True, same_owner=self.same_owner)
+    def _season(self, store: Store, num_workers: int) -> Season:
+        from league.matchmaking.pairing.matchmaker import LEAST_ROUND, Season
 
-
-def _run(command: Work, *, plans: bool, same_owner: bool) -> int:
-    from league.matchmaking import loop, workers
-    from league.matchmaking.pairing.matchmaker import LEAST_ROUND, Season
-    from league.matchmaking.workers.dispatcher import Dispatcher
-
-    _check(command)
-    num_workers = command.workers or os.cpu_count() or 1
-    with command.opened() as store:
-        season = None
-        if plans:
-            least = max(LEAST_ROUND, 2 * num_workers)
-            season = Season(store, same_owner=same_owner, least_round=least)
-        executor = workers.make_executor(command.executor, num_workers)
-        try:
-            dispatcher = Dispatcher(
-                store, executor, lease_s=command.lease_s, keep_replays=command.replays
-            )
-            page = sys.stdout.isatty() and not command.plain
-            with (Page if page else Lines)(store, dispatcher) as shown, _stopping() as stop:
-                tally = loop.run(
-                    store,
-                    dispatcher,
-                    season,
-                    heats=command.heats,
-                    seconds=None if command.minutes is None else 60 * command.minutes,
-                    stop=stop,
-                    watch=shown.show,
-                )
-        finally:
-            executor.close()
-        _print_tally(tally)
-    return 0
-
-
-def _check(command: Work) -> None:
-    flags.at_least(command, "heats", 1)
-    if command.minutes is not None and not command.minutes > 0:
-        raise ConfigError(f"--minutes {command.minutes}: give more than 0")
-    if not 1 <= command.lease_s <= 3600:
-        raise ConfigError(f"--lease-s {command.lease_s}: give 1 to 3600 s")
+        least = max(LEAST_ROUND, 2 * num_workers)
+        return Season(store, same_owner=self.same_owner, least_round=least)
 
 
 @contextmanager
@@ -166,23 +160,9 @@ def describe(finished: FinishedHeat) -> str:
     return f"{start}: places {scores}  {report.race_s:.0f} s in {report.wall_s:.1f} s{note}"
 
 
-@dataclass
-class Lines:
-    """A line for each heat."""
-
-    store: Store
-    dispatcher: Dispatcher
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """End."""
-
-    def show(self, tally: Tally, finished: list[FinishedHeat]) -> None:
-        """Print the heats that finished."""
-        for one in finished:
-            print(describe(one), flush=True)
+def _print_finished(_tally: Tally, finished: list[FinishedHeat]) -> None:
+    for one in finished:
+        print(describe(one), flush=True)
 
 
 class Page:

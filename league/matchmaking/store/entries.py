@@ -12,26 +12,23 @@ from typing import Any, cast
 import sqlalchemy as sa
 
 from league.errors import StoreError, brief, nearest_names
-from league.matchmaking.pairing import heat_spec
 from league.matchmaking.store import queue
 from league.matchmaking.store.database import insert_new
 from league.matchmaking.store.records import NEXT, Entry, EntryState
 from league.matchmaking.store.schema import entries, heat_entries, heats, log_event, owners
 
 
-def submit(
-    connection: sa.Connection,
-    now: float,
-    *,
-    id: str,
-    name: str,
-    owner: str,
-    kind: str,
-    anchor: bool,
-    card: Mapping[str, Any],
-) -> Entry:
-    """Enter a driver as pending; the same content submitted again is the same entry."""
-    known = connection.execute(_query().where(entries.c.id == id)).one_or_none()
+def submit(connection: sa.Connection, now: float, owner: str, row: Mapping[str, Any]) -> Entry:
+    """Enter a driver as pending; the same content submitted again is the same entry.
+
+    Args:
+        connection: in a transaction.
+        now: time [s since 1970].
+        owner: name of the owner.
+        row: columns `id`, `name`, `kind`, `anchor` and `card` of the entry.
+    """
+    name = row["name"]
+    known = connection.execute(_query().where(entries.c.id == row["id"])).one_or_none()
     if known is not None:
         if known.owner_name != owner:
             raise StoreError(
@@ -46,21 +43,10 @@ def submit(
         raise StoreError(f"the name {name!r} is taken by entry {taken[:12]}: choose another")
     connection.execute(insert_new(connection, owners).values(name=owner, created_s=now))
     number = sa.select(owners.c.number).where(owners.c.name == owner).scalar_subquery()
-    connection.execute(
-        entries.insert().values(
-            id=id,
-            name=name,
-            owner=number,
-            kind=kind,
-            anchor=anchor,
-            state="pending",
-            reason="",
-            card=heat_spec.canonical(card).decode(),
-            created_s=now,
-        )
-    )
-    log_event(connection, now, owner, "submit", id, name=name, kind=kind)
-    return _entry(connection.execute(_query().where(entries.c.id == id)).one())
+    state = {"owner": number, "state": "pending", "reason": "", "created_s": now}
+    connection.execute(entries.insert().values(**row, **state))
+    log_event(connection, now, owner, "submit", row["id"], name=name, kind=row["kind"])
+    return _entry(connection.execute(_query().where(entries.c.id == row["id"])).one())
 
 
 def find(connection: sa.Connection, text: str) -> Entry:

@@ -129,7 +129,6 @@ def claim(
             number=record.number,
             seeds=record.heat.seeds(secret),
             attempt=record.attempts,
-            lease_s=now + lease_s,
         )
         for record in sorted(lent, key=lambda one: numbers.index(one.number))
     ]

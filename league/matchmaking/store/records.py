@@ -79,8 +79,6 @@ class Claim:
     """Seed of each race."""
     attempt: int
     """1 plus the number of races that failed."""
-    lease_s: float
-    """When the lease ends unless it is renewed [s since 1970]."""
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 import sqlalchemy as sa
 
@@ -120,24 +120,20 @@ class Store:
         """
         if (weights is None) == (scripted is None):
             raise ValueError("give either weights or the name of a scripted driver")
-        kind: Literal["policy", "scripted"] = "policy" if scripted is None else "scripted"
         if weights is not None and self._blobs_url:
             self.blobs.put(weights)
-        id = heat_spec.scripted_id(scripted) if scripted else heat_spec.digest(weights or b"")
         card = {**(card or {}), **({"driver": scripted} if scripted else {})}
+        row = {
+            "id": heat_spec.scripted_id(scripted) if scripted else heat_spec.digest(weights or b""),
+            "name": name,
+            "kind": "policy" if scripted is None else "scripted",
+            "anchor": anchor,
+            "card": heat_spec.canonical(card).decode(),
+        }
         with self._writing() as (connection, now):
             if weights is not None and not self._blobs_url:
                 blobs.insert(connection, now, weights)
-            return entries.submit(
-                connection,
-                now,
-                id=id,
-                name=name,
-                owner=owner,
-                kind=kind,
-                anchor=anchor,
-                card=card,
-            )
+            return entries.submit(connection, now, owner, row)
 
     def entry(self, text: str) -> Entry:
         """Return the entry with this name, id or beginning of an id; StoreError names others."""
