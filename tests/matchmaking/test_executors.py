@@ -1,4 +1,4 @@
-"""Executors: processes and Ray actors race jobs; one that dies is told of and replaced."""
+"""Executors: processes and Ray actors race jobs; one that dies is reported and replaced."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def check_killed_worker(executor, job: HeatJob, pid: int) -> None:
     assert both[job.key] == alone and both["again"] is not None
 
 
-def test_a_killed_process_is_told_of_and_replaced(job):
+def test_a_killed_process_is_reported_and_replaced(job):
     with closing(ProcessExecutor(2)) as executor:
         check_killed_worker(executor, job, pids()[0])
 
@@ -148,7 +148,7 @@ def test_without_ray_its_executor_says_how_to_install_it(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")  # Ray's own
-def test_a_killed_ray_actor_is_told_of_and_replaced(job, capfd):
+def test_a_killed_ray_actor_is_reported_and_replaced(job, capfd):
     ray = pytest.importorskip("ray", reason='Ray is not installed: pip install ".[cluster]"')
     with closing(workers.make_executor("ray", 2)) as executor:
         first = executor._slots[0].actor  # it is busy later, and answers nothing

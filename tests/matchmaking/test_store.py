@@ -299,7 +299,7 @@ def test_three_failures_make_an_error_with_the_traceback(league):
     assert len(league.races().heat) == 0
 
 
-def test_a_failure_told_after_the_lease_was_lost_takes_nothing_from_the_next(league, clock):
+def test_a_failure_reported_after_the_lease_was_lost_takes_nothing_from_the_next(league, clock):
     league.plan(leagues.duels(league, 1))
     (old,) = league.claim("old", 1, lease_s=10)
     clock.now_s += 11
@@ -436,7 +436,7 @@ def test_a_result_comes_back_as_it_was_given_with_its_recording(league):
     assert second.replay is None
 
 
-def test_seeds_are_told_only_when_the_heat_is_over(league):
+def test_seeds_are_known_only_when_the_heat_is_over(league):
     league.plan(leagues.duels(league, 1))
     (claim,) = league.claim("w", 1)
     assert league.heat(claim.number).seeds is None
@@ -542,7 +542,7 @@ def test_a_worker_without_a_proper_name_is_refused(league, worker):
         league.claim(worker)
 
 
-def test_a_league_keeps_its_files_in_a_folder_if_told_so(url, tmp_path):
+def test_a_league_keeps_its_files_in_a_folder_if_asked_to(url, tmp_path):
     place = tmp_path / "files"
     with leagues.founded(url, entries=2, blobs=str(place)) as league:
         entry = league.entry("e1")

@@ -184,7 +184,7 @@ def _goes_on(copy, acknowledged):
         assert len(league.races().heat) == 2 * len(done) + 2 * len(claims)
 
 
-def test_a_full_database_is_told_and_nothing_of_the_call_is_kept(tmp_path):
+def test_a_full_database_is_reported_and_nothing_of_the_call_is_kept(tmp_path):
     path = tmp_path / "league.db"
     with leagues.founded(str(path)) as league:
         league.plan(leagues.duels(league, 50))
@@ -252,7 +252,7 @@ def tiny_disk(tmp_path):
     subprocess.run(["umount", place], check=True)
 
 
-def test_a_disk_without_room_is_told_and_the_league_goes_on_when_there_is_some(tiny_disk):
+def test_a_disk_without_room_is_reported_and_the_league_goes_on_when_there_is_some(tiny_disk):
     (tiny_disk / "ballast").write_bytes(b"x" * 300_000)
     path = tiny_disk / "league.db"
     with leagues.founded(str(path)) as league:
@@ -266,7 +266,7 @@ def test_a_disk_without_room_is_told_and_the_league_goes_on_when_there_is_some(t
     _sound(path)
 
 
-def test_a_database_that_does_not_exist_is_told_in_a_sentence(postgres_server):
+def test_a_database_that_does_not_exist_is_reported_in_a_sentence(postgres_server):
     with pytest.raises(StoreError, match="names a database that does not exist: make it with"):
         store.create(postgres_server.url("nobody_made_this"))
 
@@ -284,7 +284,7 @@ def test_a_database_that_does_not_exist_is_told_in_a_sentence(postgres_server):
         ('FATAL:  database "a" is not currently accepting connections', "cannot be reached"),
     ],
 )
-def test_a_refused_connection_is_told_by_its_cause(said, told):
+def test_a_refused_connection_is_explained_by_its_cause(said, told):
     assert told in database._sentence(ConnectionError(f"connection failed: {said}"))
 
 

@@ -1,4 +1,4 @@
-"""Workers: an outcome follows from its job, places follow the rules, failures are told."""
+"""Workers: an outcome follows from its job, places follow the rules, failures are reported."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_an_entry_may_race_itself(league):
     assert outcome is not None and sorted(outcome.races[0].places) in ([1, 2], [1, 1])
 
 
-def test_what_goes_wrong_in_a_job_is_told_with_its_traceback(league):
+def test_what_goes_wrong_in_a_job_is_reported_with_its_traceback(league):
     given = replace(job(league, "centerline", "bob"), halves=(Half("atlantis", ()),) * 2)
     report = RaceWorker().race(given)
     assert report.outcome is None
@@ -253,7 +253,7 @@ class HereUntilFull(Here):
         return reports
 
 
-def test_no_room_for_recordings_is_told_and_the_heat_is_raced_again_when_there_is(tmp_path):
+def test_no_room_for_recordings_is_reported_and_the_heat_is_raced_again_when_there_is(tmp_path):
     """Recordings come first: a heat is not done before its recording is safe."""
     blobs = tmp_path / "blobs"
     url = f"sqlite:///{tmp_path / 'league.db'}"
@@ -281,7 +281,7 @@ CREATE TRIGGER full_disk BEFORE INSERT ON results EXECUTE FUNCTION full_disk()
 """Have PostgreSQL answer as it does when it finds no room for results."""
 
 
-def test_a_full_postgresql_is_told_and_the_heat_is_raced_again_when_there_is_room(new_postgres):
+def test_a_full_postgresql_is_reported_and_the_heat_is_raced_again_when_there_is_room(new_postgres):
     url = new_postgres()
     with new_league(url) as store, psycopg.connect(url, autocommit=True) as server:
         _one_heat(store)
