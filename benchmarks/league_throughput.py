@@ -58,7 +58,7 @@ def league(
         told = {**one.card.model_dump(), "name": f"{one.card.name} {number}"}
         renamed = Checkpoint(type(one.card)(**told), one.weights)
         submission.accept(store, submission.pack(renamed), f"policy {number}", f"owner {number}")
-    matchmaker.found(store, ())
+    matchmaker.enter_anchors(store, ())
     return store
 
 

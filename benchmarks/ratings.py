@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 import time
-from pathlib import Path
 
 import numpy as np
 
 from benchmarks.report import figure, heading
 from league.matchmaking.ratings import RatingSettings, Results, fit
-from league.matchmaking.ratings.intransitivity import goodness_of_fit
+from league.matchmaking.ratings.goodness_of_fit import goodness_of_fit
 from league.matchmaking.ratings.pair_counts import ELO
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "matchmaking"))
 
 RACES = 1_000_000
 """Races of the league whose refit is timed."""
@@ -21,7 +17,7 @@ RACES = 1_000_000
 
 def league_of(entries: int, cars: int = 2) -> tuple[Results, np.ndarray]:
     """Return a million races of a field, and its strengths."""
-    from fields import raced
+    from tests.matchmaking.fields import raced
 
     generator = np.random.default_rng(0)
     strengths = generator.normal(0, 200, entries)
@@ -53,7 +49,7 @@ def speed() -> None:
 
 def truth() -> None:
     """Print how far ratings are from known strengths."""
-    from fields import NOISE, covered, misses, raced, random_grids
+    from tests.matchmaking.fields import NOISE, covered, misses, raced, random_grids
 
     heading("Simulated fields: 16 entries, spread 200 Elo, 100 starts each")
     equal = "gauss, variance of gumbel"
@@ -109,7 +105,7 @@ def iterated() -> None:
 
 def seasons() -> None:
     """Print what the matchmaker makes of its heats."""
-    from test_pairing import dense_field, newcomer_races
+    from tests.matchmaking.test_pairing import dense_field, newcomer_races
 
     heading("Matchmaking")
     # Seeds that nothing was tuned on.

@@ -1,4 +1,4 @@
-"""Races beside the season: audits, a gauntlet for a checkpoint, and is B better than A."""
+"""Races outside the season: audits, gauntlets of a checkpoint, comparisons of two drivers."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from league.matchmaking.ratings.sprt import Comparison, SequentialSettings
 from league.matchmaking.store import RATED, Entry, HeatOutcome, Store
 from league.matchmaking.workers import Executor
 from league.matchmaking.workers.dispatcher import heat_driver
-from league.matchmaking.workers.worker import HeatDriver, HeatJob, HeatReport, check_physics
+from league.matchmaking.workers.worker import HeatDriver, HeatJob, check_physics
 
 TRIES = 3
-"""Tries of a heat that is not the store's."""
+"""Tries of a heat that is not in the store's queue."""
 NEWCOMER_SD = 200.0
 """How far from the field a newcomer may be, at least, before it has raced [Elo].
 
-A field of near equals says little about who comes next: with its own narrow spread the newcomer's
-interval would miss the truth more often than it says.
+A field of near equals says little about the next driver: with the field's own narrow spread the
+newcomer's interval would miss the truth more often than it says.
 """
 
 
 @dataclass(frozen=True)
-class Duel:
-    """What a heat beside the season is made of."""
+class SeededHeat:
+    """A heat that is raced outside the season."""
 
     heat: Heat
     """Races, with the grid reversed in the second."""
@@ -40,10 +40,10 @@ class Duel:
     """Seed of each race."""
 
 
-def pick_audit(store: Store, share: float, generator: np.random.Generator) -> list[Duel]:
+def pick_audit(store: Store, share: float, generator: np.random.Generator) -> list[SeededHeat]:
     """Return the audits of a share of the finished rated heats, at least one if there are any.
 
-    Those audited before are left out, so that repeated audits reach everybody.
+    Those audited before are left out, so that repeated audits reach all.
     """
     if not 0 < share <= 1:
         raise ConfigError(
@@ -52,7 +52,7 @@ def pick_audit(store: Store, share: float, generator: np.random.Generator) -> li
     ruleset = store.settings.ruleset.hash
     records = store.heats(("done", "planned", "claimed"))
     audited = {record.heat.audits for record in records if record.heat.audits}
-    open_ = [
+    unaudited = [
         record
         for record in records
         if record.state == "done"
@@ -60,29 +60,29 @@ def pick_audit(store: Store, share: float, generator: np.random.Generator) -> li
         and record.heat.ruleset == ruleset
         and record.heat.key not in audited
     ]
-    if not open_:
+    if not unaudited:
         return []
-    count = max(1, round(share * len(open_)))
-    picked = generator.choice(len(open_), size=count, replace=False)
-    chosen = [open_[int(index)] for index in sorted(picked)]
-    return [Duel(heat_spec.audit_of(record.heat), record.seeds or ()) for record in chosen]
+    number = max(1, round(share * len(unaudited)))
+    picked = sorted(generator.choice(len(unaudited), size=number, replace=False))
+    chosen = [unaudited[int(index)] for index in picked]
+    return [SeededHeat(heat_spec.audit_of(one.heat), one.seeds or ()) for one in chosen]
 
 
 def audit(
     store: Store,
     executor: Executor,
-    audits: Sequence[Duel],
+    audits: Sequence[SeededHeat],
     *,
     watch: Callable[[HeatOutcome, bool], None] = lambda outcome, agrees: None,
 ) -> int:
     """Run heats again; return how many differ, which puts them in quarantine.
 
-    They do not wait in the queue, but the store is told of them as if they had.
+    They do not wait in the queue, but the store receives them as if they had.
     """
     store.plan([one.heat for one in audits])
     entries = {entry.id: entry for entry in store.entries()}
-    wanted = {id for one in audits for id in one.heat.entries}
-    field = {id: heat_driver(store, entries[id]) for id in wanted}
+    ids = {id for one in audits for id in one.heat.entries}
+    field = {id: heat_driver(store, entries[id]) for id in ids}
     differ = 0
 
     def judge(outcome: HeatOutcome) -> bool:
@@ -96,7 +96,7 @@ def audit(
     return differ
 
 
-def duel(store: Store, one: str, other: str, draw: int, salt: bytes) -> Duel:
+def duel(store: Store, one: str, other: str, draw: int, salt: bytes) -> SeededHeat:
     """Return a heat of two contestants by the league's rules, with seeds of its own."""
     rules = store.settings.ruleset
     generator = np.random.default_rng([draw, *salt])
@@ -104,67 +104,72 @@ def duel(store: Store, one: str, other: str, draw: int, salt: bytes) -> Duel:
     first = str(tracks[0])
     second = str(tracks[1]) if len(rules.tracks) >= 4 else first
     heat = heat_spec.mirrored(rules.hash, (first, second), (one, other), draw)
-    return Duel(heat, heat.seeds(salt))
+    return SeededHeat(heat, heat.seeds(salt))
 
 
 def race(
     executor: Executor,
     store: Store,
-    duels: Sequence[Duel],
+    heats: Sequence[SeededHeat],
     field: dict[str, HeatDriver],
     *,
     watch: Callable[[HeatOutcome], bool] = lambda outcome: True,
 ) -> list[HeatOutcome]:
-    """Race heats that are not the store's; outcomes are in the order of the duels.
+    """Race heats that are not in the store's queue; return their outcomes in order.
 
     Args:
         executor: where they are raced.
-        store: whose rules count.
-        duels: what is raced.
-        field: who takes part.
-        watch: told each outcome in the order of the duels; False ends it early.
+        store: the league whose rules count.
+        heats: what is raced.
+        field: the contestants, by id.
+        watch: called with each outcome in the order of the heats; False ends it early.
 
     Raises:
         StoreError: a heat could not be raced three times in a row.
     """
     rules = store.settings.ruleset
     check_physics(rules, "this league")
-    waiting = [(number, TRIES) for number in range(len(duels))]
-    under_way: dict[str, tuple[int, int]] = {}
+    waiting = [(number, TRIES) for number in range(len(heats))]
+    running: dict[str, tuple[int, int]] = {}
     outcomes: dict[int, HeatOutcome] = {}
-    told = 0
-    while len(outcomes) < len(duels):
+    watched = 0
+    while len(outcomes) < len(heats):
         while executor.free and waiting:
             number, tries = waiting.pop(0)
-            one = duels[number]
-            some = {id: field[id] for id in one.heat.entries}
-            job = HeatJob(one.heat.key, number, one.heat.halves, one.seeds, rules, some, False)
-            executor.offer(job)
-            under_way[one.heat.key] = (number, tries)
+            one = heats[number]
+            contestants = {id: field[id] for id in one.heat.entries}
+            key, halves = one.heat.key, one.heat.halves
+            executor.offer(HeatJob(key, number, halves, one.seeds, rules, contestants, False))
+            running[key] = (number, tries)
         for report in executor.wait(0.5):
-            number, tries = under_way.pop(report.key)
-            if report.outcome is None:
-                _give_up(report, tries)
-                waiting.insert(0, (number, tries - 1))
+            number, tries = running.pop(report.key)
+            if report.outcome is not None:
+                outcomes[number] = report.outcome
                 continue
-            outcomes[number] = report.outcome
-        while told in outcomes:
-            told += 1
-            if not watch(outcomes[told - 1]):
-                return [outcomes[number] for number in range(told)]
-    return [outcomes[number] for number in range(len(duels))]
+            if tries <= 1:
+                last = (report.traceback.strip().splitlines() or ["no reason given"])[-1]
+                raise StoreError(
+                    f"a race failed {TRIES} times ({last[:200]}): look at the cause, try again"
+                )
+            waiting.insert(0, (number, tries - 1))
+        while watched in outcomes:
+            watched += 1
+            if not watch(outcomes[watched - 1]):
+                return [outcomes[number] for number in range(watched)]
+    return [outcomes[number] for number in range(len(heats))]
 
 
-def _give_up(report: HeatReport, tries: int) -> None:
-    if tries <= 1:
-        last = (report.traceback.strip().splitlines() or ["no reason told"])[-1]
-        raise StoreError(
-            f"a race failed {TRIES} times ({last[:200]}): look at the cause, try again"
-        )
+def points_of(heat: Heat, outcome: HeatOutcome, id: str) -> list[float]:
+    """Return the points of a contestant of a duel in each of its races: 1, 0.5 for a tie, or 0."""
+    points = []
+    for half, result in zip(heat.halves, outcome.races, strict=True):
+        slot = half.grid.index(id)
+        points.append(0.5 + 0.5 * float(np.sign(result.places[1 - slot] - result.places[slot])))
+    return points
 
 
 @dataclass(frozen=True)
-class Gauntlet:
+class GauntletResult:
     """How a newcomer did against the field."""
 
     elo: float
@@ -180,9 +185,9 @@ class Gauntlet:
     rank: int
     """Where that would put it."""
     best_rank: int
-    """The rank it may have: only those count above it whose whole interval is above its own."""
+    """The best rank that the intervals allow."""
     worst_rank: int
-    """The rank it may have: only those count below it whose whole interval is below its own."""
+    """The worst rank that the intervals allow."""
     against: tuple[tuple[str, int, float], ...]
     """Name, races and points against each opponent."""
 
@@ -197,58 +202,55 @@ def opponents(store: Store, *, most: int = 8) -> list[Entry]:
         ordered = list(entries.values())
     if not ordered:
         raise StoreError("there is nobody to race in this league yet: submit entries first")
-    picked = np.unique(np.linspace(0, len(ordered) - 1, min(most, len(ordered))).round())
-    return [ordered[int(index)] for index in picked]
+    spread = np.unique(np.linspace(0, len(ordered) - 1, min(most, len(ordered))).round())
+    return [ordered[int(index)] for index in spread]
 
 
 def gauntlet(
     store: Store,
     executor: Executor,
-    given: Checkpoint,
+    newcomer: Checkpoint,
     field: Sequence[Entry],
     *,
     rounds: int = 1,
     watch: Callable[[HeatOutcome], bool] = lambda outcome: True,
-) -> Gauntlet:
+) -> GauntletResult:
     """Race a checkpoint against opponents without submitting it; the league keeps nothing of it."""
-    submission.check_sensors(given.card.sensors, store.settings.ruleset)
-    newcomer = HeatDriver(given.digest, given.card.name, weights=submission.pack(given))
+    submission.check_sensors(newcomer.card.sensors, store.settings.ruleset)
+    own = HeatDriver(newcomer.digest, newcomer.card.name, weights=submission.pack(newcomer))
     contestants = {entry.id: heat_driver(store, entry) for entry in field}
-    contestants[newcomer.id] = newcomer
+    contestants[own.id] = own
     salt = secrets.token_bytes(16)
-    duels = [
-        duel(store, newcomer.id, entry.id, draw * len(field) + number, salt)
+    heats = [
+        duel(store, own.id, entry.id, draw * len(field) + number, salt)
         for draw in range(rounds)
         for number, entry in enumerate(field)
     ]
-    outcomes = race(executor, store, duels, contestants, watch=watch)
-    return _placed(store, newcomer.id, field, duels, outcomes)
+    outcomes = race(executor, store, heats, contestants, watch=watch)
+    return _placed(store, own.id, field, heats, outcomes)
 
 
 def _placed(
     store: Store,
     newcomer: str,
     field: Sequence[Entry],
-    duels: Sequence[Duel],
+    heats: Sequence[SeededHeat],
     outcomes: Sequence[HeatOutcome],
-) -> Gauntlet:
-    """Rate the newcomer with everybody else, from all races of the league and its own."""
+) -> GauntletResult:
+    """Rate the newcomer with all entries, from all races of the league and its own."""
     entries = store.entries()
     number_of = {entry.id: entry.number for entry in entries}
     own = number_of[newcomer] = max(number_of.values()) + 1
     season = standings.results_of(store.races())
-    fitted = _with(season, duels[: len(outcomes)], outcomes, number_of, entries)
+    fitted = _fit_with(season, heats[: len(outcomes)], outcomes, number_of, entries)
+    points: dict[str, list[float]] = {entry.id: [] for entry in field}
+    for one, outcome in zip(heats, outcomes, strict=False):
+        other = next(id for id in one.heat.entries if id != newcomer)
+        points[other] += points_of(one.heat, outcome, newcomer)
     at = fitted.index(own)
-    points = {entry.id: [0, 0.0] for entry in field}
-    for one, outcome in zip(duels, outcomes, strict=False):
-        for half, told in zip(one.heat.halves, outcome.races, strict=True):
-            other = next(id for id in half.grid if id != newcomer)
-            mine, theirs = (told.places[half.grid.index(id)] for id in (newcomer, other))
-            points[other][0] += 1
-            points[other][1] += 0.5 + 0.5 * float(np.sign(theirs - mine))
     low, high = float(fitted.low95[at]), float(fitted.high95[at])
     rank = 1 + int((fitted.elo > fitted.elo[at]).sum())
-    return Gauntlet(
+    return GauntletResult(
         elo=float(fitted.elo[at]),
         low95=low,
         high95=high,
@@ -257,34 +259,34 @@ def _placed(
         rank=rank,
         best_rank=min(rank, 1 + int((fitted.low95 > high).sum())),
         worst_rank=max(rank, len(fitted.entries) - int((fitted.high95 < low).sum())),
-        against=tuple((e.name, int(points[e.id][0]), points[e.id][1]) for e in field),
+        against=tuple((e.name, len(points[e.id]), sum(points[e.id])) for e in field),
     )
 
 
-def _with(
+def _fit_with(
     season: Results,
-    duels: Sequence[Duel],
+    heats: Sequence[SeededHeat],
     outcomes: Sequence[HeatOutcome],
     number_of: dict[str, int],
     entries: Sequence[Entry],
 ) -> Ratings:
     """Return the fit of a season with some heats more, of at least a newcomer's spread."""
     width = season.entries.shape[1]
-    first = int(season.heats.max(initial=0)) + 1
-    heats, grids, places = [], [], []
-    for heat, (one, outcome) in enumerate(zip(duels, outcomes, strict=True), first):
-        for half, told in zip(one.heat.halves, outcome.races, strict=True):
-            heats.append(heat)
+    numbers, grids, places = [], [], []
+    for number, (one, outcome) in enumerate(
+        zip(heats, outcomes, strict=True), int(season.heats.max(initial=0)) + 1
+    ):
+        for half, result in zip(one.heat.halves, outcome.races, strict=True):
+            numbers.append(number)
             grids.append([number_of[id] for id in half.grid] + [-1] * (width - 2))
-            places.append([*told.places] + [0] * (width - 2))
+            places.append([*result.places] + [0] * (width - 2))
     both = Results(
-        heats=np.concatenate([season.heats, np.array(heats, dtype=np.int64)]),
+        heats=np.append(season.heats, np.array(numbers, dtype=np.int64)),
         entries=np.concatenate([season.entries, np.array(grids, dtype=np.int64)]),
         places=np.concatenate([season.places, np.array(places, dtype=np.int64)]),
     )
     raced = set(np.unique(both.entries).tolist())
-    anchors = [entry.number for entry in entries if entry.anchor and entry.number in raced]
-    anchor = min(anchors, default=None)
+    anchor = min((e.number for e in entries if e.anchor and e.number in raced), default=None)
     fitted = ratings.fit(both, anchor=anchor)
     if fitted.prior_sd >= NEWCOMER_SD:
         return fitted
@@ -306,22 +308,16 @@ def compare(
     Outcomes are judged in the order they were planned, so that fast races do not weigh more.
     """
     salt = secrets.token_bytes(16)
-    duels = [duel(store, one.id, other.id, draw, salt) for draw in range(most_heats)]
+    heats = [duel(store, one.id, other.id, draw, salt) for draw in range(most_heats)]
     scores: list[float] = []
-    found = sprt.compare(np.array(scores), settings)
+    comparison = sprt.compare(np.array(scores), settings)
 
     def judge(outcome: HeatOutcome) -> bool:
-        nonlocal found
-        heat = duels[len(scores)].heat
-        points = [
-            0.5 + 0.5 * float(np.sign(told.places[half.grid.index(one.id)]
-                                      - told.places[half.grid.index(other.id)]))
-            for half, told in zip(heat.halves, outcome.races, strict=True)
-        ]  # fmt: skip
-        scores.append(float(np.mean(points)))
-        found = sprt.compare(np.array(scores), settings)
-        watch(found)
-        return found.decision == "undecided"
+        nonlocal comparison
+        scores.append(float(np.mean(points_of(heats[len(scores)].heat, outcome, other.id))))
+        comparison = sprt.compare(np.array(scores), settings)
+        watch(comparison)
+        return comparison.decision == "undecided"
 
-    race(executor, store, duels, {one.id: one, other.id: other}, watch=judge)
-    return found
+    race(executor, store, heats, {one.id: one, other.id: other}, watch=judge)
+    return comparison

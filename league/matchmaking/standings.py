@@ -1,18 +1,15 @@
-"""Standings: the ratings of a league as people read them; a pure function of its races."""
+"""Standings of a league as people read them; a pure function of its races."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from league.errors import StoreError, brief
-from league.matchmaking import ratings
-from league.matchmaking.ratings import Field, Ratings, Results
-from league.matchmaking.ratings.intransitivity import Goodness, goodness_of_fit
-from league.matchmaking.ratings.pair_counts import points_of
+from league.matchmaking.ratings import RatingData, Ratings, Results, fit
+from league.matchmaking.ratings.goodness_of_fit import Goodness, goodness_of_fit
 from league.matchmaking.store import (
     BEST_MS,
     FINISHED,
@@ -32,9 +29,9 @@ class Row:
     rank: int
     """From 1."""
     best_rank: int
-    """The rank it may have: only those count above it whose whole interval is above its own."""
+    """The best rank that the intervals allow."""
     worst_rank: int
-    """The rank it may have: only those count below it whose whole interval is below its own."""
+    """The worst rank that the intervals allow."""
     number: int
     """Entry number."""
     id: str
@@ -42,7 +39,7 @@ class Row:
     name: str
     """Name."""
     owner: str
-    """Whose it is."""
+    """Its owner."""
     anchor: bool
     """Whether it is one of the league's own drivers."""
     state: EntryState
@@ -66,7 +63,7 @@ class Row:
     score: float
     """Share of opponents it came in ahead of, ties half; 0 without a race."""
     unfinished: float | None
-    """Share of its rated races in which it did not drive all laps; None if none tells."""
+    """Share of its rated races in which it did not drive all laps; None if unknown."""
     best_laps_s: Mapping[str, float]
     """Best complete lap of its rated races, penalties included [s], by track."""
 
@@ -96,23 +93,18 @@ class Standings:
         Raises:
             StoreError: it is not rated.
         """
-        found = next((row for row in self.rows if row.number == number), None)
-        if found is None:
-            who = brief(name) if name else f"entry {number}"
+        row = next((row for row in self.rows if row.number == number), None)
+        if row is None:
+            what = brief(name) if name else f"entry {number}"
             raise StoreError(
-                f"{who} is not rated yet: it must pass its validation heats first, "
+                f"{what} is not rated yet: it must pass its validation heats first, "
                 "`league entries` shows where it stands"
             )
-        return found
+        return row
 
 
 def results_of(races: Races, *, before: int | None = None) -> Results:
-    """Return the store's races as the rating reads them.
-
-    Args:
-        races: from the store.
-        before: only those of heats with a smaller number.
-    """
+    """Return the store's races as the rating reads them; only heats numbered below `before`."""
     keep = slice(None) if before is None else races.heat < before
     return Results(
         heats=races.heat[keep],
@@ -122,37 +114,29 @@ def results_of(races: Races, *, before: int | None = None) -> Results:
 
 
 def rated(results: Results, entries: Sequence[Entry], also: Collection[int] = ()) -> Ratings | None:
-    """Return the fit of a league's results, pinned to its first anchor; None without a field.
+    """Return the fit of a league's results, pinned to its first anchor; None without an entry.
 
     Args:
         results: the races.
         entries: all entries of the league.
         also: numbers of entries to rate besides those in a rated state and those that raced.
     """
-    field = field_of(results, entries, also)
-    return None if field is None else _fit(field, entries)
+    data = _data(results, entries, also)
+    return None if data is None else _fit(data, entries)
 
 
-def field_of(
+def _data(
     results: Results, entries: Sequence[Entry], also: Collection[int] = ()
-) -> Field | None:
-    """Return who is rated by some results, and the races counted; None without anybody.
-
-    Args:
-        results: the races.
-        entries: all entries of the league.
-        also: numbers of entries to rate besides those in a rated state and those that raced.
-    """
-    wanted = {entry.number for entry in entries if entry.state in RATED} | set(also)
-    field = Field.of(results, sorted(wanted))
-    return field if len(field.entries) else None
+) -> RatingData | None:
+    numbers = {entry.number for entry in entries if entry.state in RATED} | set(also)
+    data = RatingData.of(results, sorted(numbers))
+    return data if len(data.entries) else None
 
 
-def _fit(field: Field, entries: Sequence[Entry]) -> Ratings:
-    """Return the fit of a field, pinned to its first anchor."""
-    there = set(field.entries.tolist())
-    pinned = min((e.number for e in entries if e.anchor and e.number in there), default=None)
-    return ratings.rate(field, anchor=pinned)
+def _fit(data: RatingData, entries: Sequence[Entry]) -> Ratings:
+    known = set(data.entries.tolist())
+    pinned = min((e.number for e in entries if e.anchor and e.number in known), default=None)
+    return fit(data, anchor=pinned)
 
 
 def of(store: Store, ruleset: str | None = None) -> Standings:
@@ -163,93 +147,78 @@ def of(store: Store, ruleset: str | None = None) -> Standings:
         ruleset: hash; by default the present one.
 
     Raises:
-        StoreError: nobody is rated yet.
+        StoreError: no entry is rated yet.
     """
     ruleset = ruleset or store.settings.ruleset.hash
     known = store.rulesets().get(ruleset)
+    entries, races = store.entries(), store.races(ruleset)
     tracks = known.tracks if known else ()
-    return table(store.entries(), store.races(ruleset), ruleset, tracks)
-
-
-def table(
-    entries: Sequence[Entry], races: Races, ruleset: str, tracks: tuple[str, ...] = ()
-) -> Standings:
-    """Return standings of some entries and races.
-
-    Args:
-        entries: all of the league.
-        races: those that count.
-        ruleset: hash of the ruleset they were raced by.
-        tracks: its tracks.
-
-    Raises:
-        StoreError: nobody is rated yet.
-    """
-    results = results_of(races)
-    field = field_of(results, entries)
-    if field is None:
+    data = _data(results_of(races), entries)
+    if data is None:
         raise StoreError(
             "nobody is rated in this league yet: submit entries with `league submit`, then let "
             "them race with `league run`"
         )
-    fitted = _fit(field, entries)
-    rows = _rows(field, fitted, entries, _Runs.of(races, tracks))
-    goodness = goodness_of_fit(field, fitted)
-    return Standings(rows, fitted, results, goodness, ruleset, len(field.results), tracks)
+    fitted = _fit(data, entries)
+    return Standings(
+        rows=_rows(data, fitted, entries, _Runs.of(races, tracks)),
+        ratings=fitted,
+        results=results_of(races),
+        goodness=goodness_of_fit(data, fitted),
+        ruleset=ruleset,
+        num_races=len(data.results),
+        tracks=tracks,
+    )
 
 
-def _rows(field: Field, fitted: Ratings, entries: Sequence[Entry], runs: _Runs) -> tuple[Row, ...]:
-    by_number = {entry.number: entry for entry in entries}
-    pairs, points = points_of(field.evidence)
-    # How many have their whole interval above one's own, and how many below it.
-    above = len(pairs) - np.searchsorted(np.sort(fitted.low95), fitted.high95, side="right")
-    below = np.searchsorted(np.sort(fitted.high95), fitted.low95, side="left")
-    columns = {
-        "elo": fitted.elo,
-        "sd": fitted.sd,
-        "low95": fitted.low95,
-        "high95": fitted.high95,
-        "provisional": fitted.provisional,
-        "connected": fitted.connected,
-        "one_sided": fitted.one_sided,
-        "races": fitted.races,
-        "score": points / np.maximum(pairs, 1),
-    }
+def possible_ranks(fitted: Ratings) -> tuple[np.ndarray, np.ndarray]:
+    """Return the best and the worst rank (from 0) that the intervals allow, in order of rank.
+
+    An entry counts as above (below) another if its whole interval is above (below) the other's.
+    """
     order = fitted.order()
-    best = np.minimum(np.arange(len(order)), above[order]) + 1
-    worst = np.maximum(np.arange(len(order)) + 1, len(order) - below[order])
-    table = zip(*(column[order].tolist() for column in columns.values()), strict=True)
-    ranked = zip(fitted.entries[order].tolist(), best.tolist(), worst.tolist(), table, strict=True)
-    return tuple(
-        _row(
-            by_number[number],
-            runs,
-            rank,
-            best_rank,
-            worst_rank,
-            dict(zip(columns, told, strict=True)),
+    rank = np.arange(len(order))
+    low, high = fitted.low95, fitted.high95
+    above = len(order) - np.searchsorted(np.sort(low), high, side="right")
+    below = np.searchsorted(np.sort(high), low, side="left")
+    return np.minimum(rank, above[order]), np.maximum(rank, len(order) - 1 - below[order])
+
+
+def _rows(
+    data: RatingData, fitted: Ratings, entries: Sequence[Entry], runs: _Runs
+) -> tuple[Row, ...]:
+    by_number = {entry.number: entry for entry in entries}
+    pairs, points = data.counts.points()
+    scores = points / np.maximum(pairs, 1)
+    best, worst = possible_ranks(fitted)
+    rows = []
+    for rank, at in enumerate(fitted.order()):
+        entry = by_number[int(fitted.entries[at])]
+        rows.append(
+            Row(
+                rank=rank + 1,
+                best_rank=int(best[rank]) + 1,
+                worst_rank=int(worst[rank]) + 1,
+                number=entry.number,
+                id=entry.id,
+                name=entry.name,
+                owner=entry.owner,
+                anchor=entry.anchor,
+                state=entry.state,
+                elo=float(fitted.elo[at]),
+                sd=float(fitted.sd[at]),
+                low95=float(fitted.low95[at]),
+                high95=float(fitted.high95[at]),
+                provisional=bool(fitted.provisional[at]),
+                connected=bool(fitted.connected[at]),
+                one_sided=bool(fitted.one_sided[at]),
+                races=int(fitted.races[at]),
+                score=float(scores[at]),
+                unfinished=runs.unfinished(entry.number),
+                best_laps_s=runs.best_laps_s(entry.number),
+            )
         )
-        for rank, (number, best_rank, worst_rank, told) in enumerate(ranked, 1)
-    )
-
-
-def _row(
-    entry: Entry, runs: _Runs, rank: int, best_rank: int, worst_rank: int, told: dict[str, Any]
-) -> Row:
-    return Row(
-        rank=rank,
-        best_rank=best_rank,
-        worst_rank=worst_rank,
-        number=entry.number,
-        id=entry.id,
-        name=entry.name,
-        owner=entry.owner,
-        anchor=entry.anchor,
-        state=entry.state,
-        unfinished=runs.unfinished(entry.number),
-        best_laps_s=runs.best_laps_s(entry.number),
-        **told,
-    )
+    return tuple(rows)
 
 
 @dataclass(frozen=True)
@@ -257,7 +226,7 @@ class _Runs:
     """How the races of each entry went, by its number."""
 
     tracks: tuple[str, ...]
-    told: np.ndarray
+    known: np.ndarray
     """Races of which it is known, (numbers,)."""
     finished: np.ndarray
     """Races in which all laps were driven, (numbers,)."""
@@ -266,38 +235,38 @@ class _Runs:
 
     @classmethod
     def of(cls, races: Races, tracks: tuple[str, ...]) -> _Runs:
-        """Count the races that count."""
+        """Count each entry's races, finishes and best laps."""
         size = int(races.entries.max(initial=-1)) + 1
-        told, finished = np.zeros(size), np.zeros(size)
+        known, finished = np.zeros(size), np.zeros(size)
         best_ms = np.full(len(tracks) * size, np.inf)
         for slot in range(races.entries.shape[1]):
-            known = np.flatnonzero(races.runs[:, slot] & KNOWN)
-            who, run = races.entries[known, slot], races.runs[known, slot]
-            told += np.bincount(who, minlength=size)
-            finished += np.bincount(who, (run & FINISHED) > 0, size)
-            lap_ms, track = run & BEST_MS, races.track[known]
+            rows = np.flatnonzero(races.runs[:, slot] & KNOWN)
+            entry, run = races.entries[rows, slot], races.runs[rows, slot]
+            known += np.bincount(entry, minlength=size)
+            finished += np.bincount(entry, (run & FINISHED) > 0, size)
+            lap_ms, track = run & BEST_MS, races.track[rows]
             timed = (lap_ms > 0) & (track < len(tracks))
-            place = track[timed].astype(np.int64) * size + who[timed]
+            place = track[timed].astype(np.int64) * size + entry[timed]
             np.minimum.at(best_ms, place, lap_ms[timed].astype(float))
-        return cls(tracks, told, finished, best_ms.reshape(len(tracks), size))
+        return cls(tracks, known, finished, best_ms.reshape(len(tracks), size))
 
     def unfinished(self, number: int) -> float | None:
         """Return the share of an entry's races that it did not finish."""
-        if number >= len(self.told) or not self.told[number]:
+        if number >= len(self.known) or not self.known[number]:
             return None
-        return 1.0 - float(self.finished[number] / self.told[number])
+        return 1.0 - float(self.finished[number] / self.known[number])
 
     def best_laps_s(self, number: int) -> dict[str, float]:
         """Return an entry's best lap on each track that it completed one on."""
-        if number >= len(self.told):
+        if number >= len(self.known):
             return {}
         laps = zip(self.tracks, self.best_ms[:, number].tolist(), strict=True)
         return {track: lap_ms / 1000 for track, lap_ms in laps if lap_ms < np.inf}
 
 
 @dataclass(frozen=True)
-class Record:
-    """How one entry did against another."""
+class HeadToHead:
+    """Record of one entry against another."""
 
     races: int
     """Races they met in."""
@@ -316,8 +285,8 @@ class Record:
         return self.wins + 0.5 * self.ties
 
 
-def record(standings: Standings, one: int, other: int) -> Record:
-    """Return the head-to-head record of two entries, by number."""
+def head_to_head(standings: Standings, one: int, other: int) -> HeadToHead:
+    """Return the record of two entries, by number."""
     results = standings.results
     mine = results.entries == one
     theirs = results.entries == other
@@ -325,20 +294,18 @@ def record(standings: Standings, one: int, other: int) -> Record:
     ahead = (results.places[met] * theirs[met]).sum(1) - (results.places[met] * mine[met]).sum(1)
     expected = residual = 0.0
     pairs = standings.goodness.pairs
-    low, high = min(one, other), max(one, other)
-    found = np.flatnonzero((pairs.one == low) & (pairs.other == high))
-    if len(found):
-        sign = 1.0 if one == low else -1.0
-        promised = float(pairs.expected[found[0]])
-        expected = promised if one == low else float(pairs.races[found[0]]) - promised
-        residual = sign * float(pairs.residual[found[0]])
-    return Record(
+    pair = np.flatnonzero((pairs.one == min(one, other)) & (pairs.other == max(one, other)))
+    if len(pair):
+        expected, residual = float(pairs.expected[pair[0]]), float(pairs.residual[pair[0]])
+        if one > other:
+            expected, residual = float(pairs.races[pair[0]]) - expected, -residual
+    return HeadToHead(
         int(met.sum()), int((ahead > 0).sum()), int((ahead == 0).sum()), expected, residual
     )
 
 
 @dataclass(frozen=True)
-class Moment:
+class HistoryPoint:
     """An entry's rating at some time."""
 
     heat: int
@@ -353,10 +320,10 @@ class Moment:
     """Upper end of the 95 % interval [Elo]."""
 
 
-def history(store: Store, entry: Entry, *, points: int = 20) -> list[Moment]:
+def history(store: Store, entry: Entry, *, points: int = 20) -> list[HistoryPoint]:
     """Return an entry's rating as it was after evenly many of its heats, and last as it is now.
 
-    Each is worked out anew from the races up to then, so later corrections of results count.
+    Each is fitted to the races up to then, so later corrections of results count.
     """
     races, entries = store.races(), store.entries()
     mine = np.unique(races.heat[(races.entries == entry.number).any(axis=1)])
@@ -373,7 +340,7 @@ def history(store: Store, entry: Entry, *, points: int = 20) -> list[Moment]:
         assert fitted is not None
         at = fitted.index(entry.number)
         moments.append(
-            Moment(
+            HistoryPoint(
                 heat=heat,
                 races=int(fitted.races[at]),
                 elo=float(fitted.elo[at]),

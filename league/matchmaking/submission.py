@@ -109,12 +109,12 @@ def probe(given: Checkpoint, what: str = "the submission") -> Probe:
     """
     policy = Policy(given, SimConfig().car)
     fastest, situations = float("inf"), list(_situations(given.card))
-    for told in situations:
-        # The processor's time of all threads: a busy machine must not refuse anybody.
+    for situation in situations:
+        # The processor's time of all threads: a busy machine must not refuse a policy.
         start = time.process_time()
-        first = policy.outputs(told)
+        first = policy.outputs(situation)
         fastest = min(fastest, time.process_time() - start)
-        again = policy.outputs(told)
+        again = policy.outputs(situation)
         if not np.isfinite(first).all():
             raise PolicyError(
                 f"{what} is refused: its network answers NaN or infinity; train it with smaller "
@@ -134,7 +134,7 @@ def probe(given: Checkpoint, what: str = "the submission") -> Probe:
 
 
 def _situations(card: Card) -> list[dict[str, np.ndarray]]:
-    """Return rows a car could be told: all dark, all bright, and seeded noise."""
+    """Return rows a car could observe: all dark, all bright, and seeded noise."""
     generator = np.random.default_rng(20)
     found = []
     for level in (0.0, 1.0, None, None, None, None):
@@ -184,13 +184,13 @@ def _check_stock(
 
 
 def accept(store: Store, content: bytes, name: str, owner: str) -> Entry:
-    """Take in what an owner sent: all that the league itself does; nothing is kept if refused.
+    """Check what an owner sent, and enter it; nothing is kept if it is refused.
 
     Args:
         store: the league.
         content: an entry, as `pack` makes it.
         name: shown to people.
-        owner: whose it is.
+        owner: its owner.
 
     Raises:
         LeagueError: it is not sound, its sensors are not stock, or its name is taken.

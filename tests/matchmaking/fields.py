@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Sequence
+from typing import NamedTuple
+
 import numpy as np
 
-from league.matchmaking.pairing.schedule import HeatPlan, PairingSettings, Standing
-from league.matchmaking.ratings import Finish, Ratings, Results, fit
+from league.matchmaking.pairing.schedule import Contender, HeatPlan, PairingSettings
+from league.matchmaking.ratings import Ratings, Results, fit
 
 UNIT = np.log(10) / 400
 """Natural units of strength in one Elo."""
@@ -18,6 +21,29 @@ NOISE = {
 Gumbel luck makes the odds of a duel exactly those of the Elo scale. Gaussian luck of this size
 makes them so within 0.01 (Birnbaum's 1.702), so that the strengths are Elo in both.
 """
+
+
+class Race(NamedTuple):
+    """The finishing order of one race."""
+
+    heat: Hashable
+    entries: tuple[int, ...]
+    """In grid order."""
+    places: tuple[int, ...]
+    """Of each of them; equal places are ties."""
+
+
+def results_of(races: Sequence[Race]) -> Results:
+    """Return races as tables; smaller fields leave the last slots empty."""
+    slots = max((len(race.entries) for race in races), default=2)
+    number: dict[Hashable, int] = {}
+    heats = [number.setdefault(race.heat, len(number)) for race in races]
+    entries = np.full((len(races), slots), -1)
+    places = np.zeros((len(races), slots), dtype=np.int64)
+    for row, race in enumerate(races):
+        entries[row, : len(race.entries)] = race.entries
+        places[row, : len(race.entries)] = race.places
+    return Results(np.array(heats, dtype=np.int64), entries, places)
 
 
 def raced(generator, strengths, grids, *, noise="gumbel", front=0.0) -> Results:
@@ -55,32 +81,30 @@ class Season:
 
     def __init__(self, generator, strengths, settings: PairingSettings):
         self.generator, self.strengths, self.settings = generator, strengths, settings
-        self.finishes: list[Finish] = []
+        self.races: list[Race] = []
         self.counts: dict[tuple[int, int], int] = {}
-        self.ratings = fit(Results.of([]), entries=range(len(strengths)))
+        self.ratings = fit(results_of([]), entries=range(len(strengths)))
         self._heat = 0
 
     def race(self, plans: list[HeatPlan]) -> None:
         """Run some heats and refit."""
         for plan in plans:
-            for race in plan.races:
-                cars = np.array(race.entries)
-                shown = self.strengths[cars] * UNIT + self.generator.gumbel(size=len(cars))
+            for grid in (plan.grid, plan.grid[::-1]):
+                shown = self.strengths[list(grid)] * UNIT + self.generator.gumbel(size=len(grid))
                 places = 1 + np.argsort(np.argsort(-shown))
-                self.finishes.append(Finish(self._heat, race.entries, tuple(places.tolist())))
-            pairs = [(a, b) for a in plan.entries for b in plan.entries if a < b]
-            for pair in pairs:
+                self.races.append(Race(self._heat, grid, tuple(places.tolist())))
+            for pair in [(a, b) for a in plan.grid for b in plan.grid if a < b]:
                 self.counts[pair] = self.counts.get(pair, 0) + 1
             self._heat += 1
-        self.ratings = fit(Results.of(self.finishes), entries=range(len(self.strengths)))
+        self.ratings = fit(results_of(self.races), entries=range(len(self.strengths)))
 
-    def standings(self) -> list[Standing]:
+    def contenders(self) -> list[Contender]:
         """Return what pairing needs to know."""
-        told = self.ratings
+        rated = self.ratings
         return [
-            Standing(
-                index, "provisional", f"owner {index}", told.elo[index], told.sd[index],
-                int(told.races[index]),
+            Contender(
+                index, "provisional", f"owner {index}", rated.elo[index], rated.sd[index],
+                int(rated.races[index]),
             )
             for index in range(len(self.strengths))
         ]  # fmt: skip

@@ -22,7 +22,7 @@ def new_league(
     # The same secret each time, so the same seeds: a test that fails once fails always.
     with patch("league.matchmaking.store.schema.secrets.token_bytes", lambda size: b"s" * size):
         store = create(url, name="small", ruleset=rules)
-    matchmaker.found(store, anchors)
+    matchmaker.enter_anchors(store, anchors)
     return store
 
 

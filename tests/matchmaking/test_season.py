@@ -281,11 +281,11 @@ def test_head_to_head_records_add_up(url):
         table = standings.of(store)
         for one in table.rows:
             others = [other.number for other in table.rows if other is not one]
-            met = [standings.record(table, one.number, other) for other in others]
+            met = [standings.head_to_head(table, one.number, other) for other in others]
             assert sum(record.races for record in met) == one.races
             points = sum(record.points for record in met)
             assert points / one.races == pytest.approx(one.score)
-        forth, back = (standings.record(table, *pair) for pair in ((1, 2), (2, 1)))
+        forth, back = (standings.head_to_head(table, *pair) for pair in ((1, 2), (2, 1)))
         assert forth.wins == back.races - back.wins - back.ties
         assert forth.expected + back.expected == pytest.approx(forth.races)
         assert forth.residual == pytest.approx(-back.residual)

@@ -20,9 +20,9 @@ def run(generator, lead, settings, front=0.0, most=1500):
     """Return the decision and the heats it took."""
     scores = heats(generator, lead, most, front)
     number = settings.least_heats
-    while (told := compare(scores[:number], settings)).decision == "undecided" and number < most:
+    while (state := compare(scores[:number], settings)).decision == "undecided" and number < most:
         number += 1 if number < 40 else number // 20
-    return told.decision, number
+    return state.decision, number
 
 
 @pytest.mark.parametrize(("lead", "wrong"), [(0, "better"), (100, "not better")])
@@ -53,11 +53,11 @@ def test_bounds_are_walds():
 def test_ratio_of_duels_one_by_one_is_the_likelihood_of_two_coins():
     # 60 of 100 single races: the most likely coin under each lead is the coin of that lead.
     settings = SequentialSettings(elo0=0, elo1=50, races_per_heat=1)
-    told = compare(np.array([1.0] * 60 + [0.0] * 40), settings)
+    state = compare(np.array([1.0] * 60 + [0.0] * 40), settings)
     chance = expected_score(50)
     by_hand = 60 * math.log(chance / 0.5) + 40 * math.log((1 - chance) / 0.5)
-    assert told.llr == pytest.approx(by_hand, abs=0.01)
-    assert told.elo == pytest.approx(400 * math.log10(1.5))  # 70.4
+    assert state.llr == pytest.approx(by_hand, abs=0.01)
+    assert state.elo == pytest.approx(400 * math.log10(1.5))  # 70.4
 
 
 def test_pairs_that_split_evenly_say_more_than_races_that_scatter():
@@ -70,9 +70,9 @@ def test_pairs_that_split_evenly_say_more_than_races_that_scatter():
 
 
 def test_nothing_is_decided_without_heats_or_by_a_few():
-    told = compare(np.array([]))
-    assert (told.decision, told.llr, told.heats) == ("undecided", 0.0, 0)
-    assert (told.low95, told.high95) == (-math.inf, math.inf)
+    state = compare(np.array([]))
+    assert (state.decision, state.llr, state.heats) == ("undecided", 0.0, 0)
+    assert (state.low95, state.high95) == (-math.inf, math.inf)
     few = compare(np.array([1.0, 1.0, 1.0]), SequentialSettings(elo0=0, elo1=400))
     assert few.decision == "undecided"
     assert few.elo == math.inf

@@ -14,7 +14,7 @@ import pytest
 from league.errors import StoreError
 from league.matchmaking.pairing import heat_spec, matchmaker
 from league.matchmaking.pairing.heat_spec import Half
-from league.matchmaking.ratings import Run, places_of
+from league.matchmaking.ratings import Finish, places_of
 from league.matchmaking.store import Store, create
 from league.matchmaking.workers.dispatcher import MOST_LOSSES, Dispatcher, FinishedHeat, heat_driver
 from league.matchmaking.workers.worker import HeatJob, HeatReport, RaceWorker, places
@@ -133,7 +133,7 @@ def test_of_two_that_failed_at_the_same_place_the_one_that_lasted_longer_is_ahea
     # A car whose faults were forgiven drove to the end.
     forgiven = (Event(time_s=1.0, kind="driver_fault", car=0, value=3.0), faults[1])
     assert places(result(car(0, **out), car(1, **out), events=forgiven)) == (1, 2)
-    assert places_of([Run(None, 0, 5.0, 3.0), Run(None, 0, 5.0, 3.0)]) == (1, 1)
+    assert places_of([Finish(None, 0, 5.0, 3.0), Finish(None, 0, 5.0, 3.0)]) == (1, 1)
 
 
 def test_a_dispatcher_hands_in_what_its_workers_raced(league):
@@ -258,7 +258,7 @@ def test_no_room_for_recordings_is_reported_and_the_heat_is_raced_again_when_the
     blobs = tmp_path / "blobs"
     url = f"sqlite:///{tmp_path / 'league.db'}"
     with create(url, ruleset=SHORT, blobs=str(blobs)) as store:
-        matchmaker.found(store, ["centerline"])
+        matchmaker.enter_anchors(store, ["centerline"])
         _one_heat(store)
         before = resource.getrlimit(resource.RLIMIT_FSIZE)
         try:

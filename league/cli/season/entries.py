@@ -51,7 +51,7 @@ class Init(OnLeague):
 
         rules = _rules(self)
         with create(self.address, name=self.name, ruleset=rules, blobs=self.blobs) as store:
-            matchmaker.found(store, self.anchors)
+            matchmaker.enter_anchors(store, self.anchors)
             print(f"League {self.name!r}: {store.url}")
         laps = "1 lap" if rules.laps == 1 else f"{rules.laps} laps"
         print(f"Rules {rules.hash[:12]}: {laps}, {rules.cars} cars, {', '.join(rules.tracks)}")

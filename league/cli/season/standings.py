@@ -209,7 +209,7 @@ def _show(store: Store, entry: Entry, as_json: bool) -> int:
     others = []
     if rated is not None and row is not None:
         for other in rated.rows:
-            record = standings.record(rated, entry.number, other.number)
+            record = standings.head_to_head(rated, entry.number, other.number)
             if other is not row and record.races:
                 others.append((other, record))
     recent = store.heats(entries=[entry.number])[-10:]
@@ -261,7 +261,7 @@ def _h2h(store: Store, one: Entry, other: Entry, as_json: bool) -> int:
     for entry in (one, other):
         rated.row(entry.number, entry.name)
     gap = rated.ratings.difference(one.number, other.number)
-    record = standings.record(rated, one.number, other.number)
+    record = standings.head_to_head(rated, one.number, other.number)
     heats = [heat.number for heat in store.heats(("done",), entries=[one.number, other.number])]
     if as_json:
         document = {"one": one.name, "other": other.name, "difference": gap, "record": record}
@@ -286,7 +286,7 @@ def _matrix(store: Store, top: int, as_json: bool) -> int:
     rated = standings.of(store)
     rows = rated.rows[:top]
     pairs = list(combinations(rows, 2))
-    forth = [standings.record(rated, one.number, other.number) for one, other in pairs]
+    forth = [standings.head_to_head(rated, one.number, other.number) for one, other in pairs]
     if as_json:
         season.print_json(
             [

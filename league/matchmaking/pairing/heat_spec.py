@@ -1,6 +1,6 @@
-"""What a heat is, and the keys that follow from it: heat key, seed, result hash; pure functions.
+"""Rulesets and heats, and the keys that follow from them: heat key, seed, result hash.
 
-Everything that must never be counted twice is named by a hash of what it is, so that sending it
+Everything that must never be counted twice is named by a hash of its content, so that sending it
 again changes nothing.
 """
 
@@ -58,7 +58,7 @@ class Ruleset:
     max_time_s: float = 0.0
     """A race is stopped after this time [s]; 0 chooses by length."""
     variation: float = 1.0
-    """How much the cars of a race differ, drawn anew from its seed; see RaceSpec."""
+    """How much the cars of a race differ, drawn from its seed; see RaceSpec."""
 
     def __post_init__(self) -> None:
         if not self.tracks:
@@ -102,7 +102,7 @@ class Heat:
     halves: tuple[Half, ...]
     """The races, in order."""
     draw: int = 0
-    """Tells meetings of the same entries on the same tracks apart; the seeds follow from it."""
+    """Number that distinguishes meetings of the same entries on the same tracks."""
     purpose: Purpose = "rated"
     """Only rated heats count in the ratings."""
     audits: str = ""
@@ -120,15 +120,7 @@ class Heat:
     @cached_property
     def key(self) -> str:
         """SHA-256 of all the above."""
-        halves = [{"track": half.track, "grid": half.grid} for half in self.halves]
-        told = {
-            "ruleset": self.ruleset,
-            "halves": halves,
-            "draw": self.draw,
-            "purpose": self.purpose,
-            "audits": self.audits,
-        }
-        return digest(canonical(told))
+        return digest(canonical(asdict(self)))
 
     @property
     def entries(self) -> tuple[str, ...]:
@@ -152,18 +144,18 @@ def mirrored(ruleset: str, tracks: tuple[str, str], grid: tuple[str, ...], draw:
 
 
 def audit_of(heat: Heat, draw: int = 0) -> Heat:
-    """Return the heat that runs another one again; `draw` tells audits of one heat apart."""
+    """Return the heat that runs another one again; audits of one heat differ in `draw`."""
     return Heat(heat.ruleset, heat.halves, draw=draw, purpose="audit", audits=heat.key)
 
 
 def seed(secret: bytes, heat_key: str, half: int) -> int:
-    """Return the seed of a race, in [0, 2^63): nobody without the secret can know it beforehand.
+    """Return the seed of a race, in [0, 2^63), unpredictable without the secret.
 
     HMAC-SHA-256 of "heat key/half" under the league's secret. It is published once the heat is
     over, so that anyone can run the race again.
     """
-    told = hmac.digest(secret, f"{heat_key}/{half}".encode(), "sha256")
-    return int.from_bytes(told[:8], "big") >> 1
+    code = hmac.digest(secret, f"{heat_key}/{half}".encode(), "sha256")
+    return int.from_bytes(code[:8], "big") >> 1
 
 
 def result_hash(result: Mapping[str, Any]) -> str:

@@ -1,85 +1,134 @@
-"""Who races whom next: a pure function of the standings, the history and a generator.
+"""Schedule of rated heats: a pure function of ratings, past meetings and a generator.
 
-Connection comes first: whoever has no chain of races to the pinned anchor gets one. Three lanes
-share the other heats. Coverage begins with whoever is least sure, so that newcomers are rated soon.
-Informed asks the closest questions. Random ties the whole field together: without it a field raced
-only among neighbours becomes a chain whose ends drift apart.
+Connection comes first: an entry without a chain of races to the pinned anchor gets one. Three
+lanes share the other heats. Coverage begins with the entry least sure, so that newcomers are rated
+soon. Informed asks the closest questions. Random ties the whole field together: without it a field
+raced only among near equals becomes a chain whose ends drift apart.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse import csgraph
 
-from league.matchmaking.pairing.grids import Grids
-from league.matchmaking.pairing.plans import (
-    RATED_STATES,
-    HeatPlan,
-    Lane,
-    PairCounts,
-    PairingSettings,
-    RacePlan,
-    Standing,
-    State,
-)
+from league.errors import ConfigError
+from league.matchmaking.ratings.fit import PROVISIONAL_SD
+from league.matchmaking.ratings.pair_counts import ELO
+from league.matchmaking.store.records import RATED, EntryState
+from league.sim.config import MAX_CARS
 
-__all__ = [
-    "RATED_STATES",
-    "HeatPlan",
-    "Lane",
-    "PairCounts",
-    "PairingSettings",
-    "RacePlan",
-    "Standing",
-    "State",
-    "next_heats",
-    "next_state",
-    "validation_heats",
-]
+Lane = Literal["connection", "coverage", "informed", "random", "validation"]
+Meetings = Mapping[tuple[int, int], int]
+"""Heats of each pair that met or is to meet, by entry numbers, the smaller one first."""
+
+PAIR_CAP = 3.0
+"""No pair meets more often than this many times the median pair."""
+OTHER_TRACK_FROM = 4
+"""Tracks from which on a heat's second race is driven on another one."""
+PLACEMENT_SD = 75.0
+"""Until an entry is this sure it is in placement [Elo]; then provisional until PROVISIONAL_SD."""
+SETTLED_SD = 25.0
+"""An entry this sure is no longer the first choice for a heat, only an opponent [Elo]."""
+GAPS, GAP_SHARES = np.polynomial.hermite_e.hermegauss(9)
+"""Points and shares that stand for a normal distribution."""
 
 
-def next_state(
-    state: State, sd: float, *, validated: bool = False, settings: PairingSettings
-) -> State:
-    """Return where an entry stands after a refit.
+@dataclass(frozen=True)
+class PairingSettings:
+    """A league's choices about its heats."""
 
-    Args:
-        state: where it stood.
-        sd: standard deviation of its rating [Elo].
-        validated: whether its validation heats went well.
-        settings: the limits.
-    """
-    if state in ("pending", "retired"):
-        return state
-    if state == "validating" and not validated:
-        return state
-    if sd > settings.placement_sd:
+    field_size: int = 2
+    """Cars in a race, 2 to 8; fewer if the field has not so many owners."""
+    tracks: tuple[str, ...] = ("reinvent_2018",)
+    """Tracks to race on."""
+    coverage_share: float = 0.4
+    """Share of heats that begin with the entry least sure."""
+    informed_share: float = 0.3
+    """Share of heats between entries that may well be equal; the rest is random."""
+    anchor_share: float = 0.1
+    """Share of heats with an anchor in them."""
+    same_owner: bool = False
+    """Whether entries of one owner may meet; a league of one person needs it."""
+
+    def __post_init__(self) -> None:
+        """Check sizes and shares."""
+        if not 2 <= self.field_size <= MAX_CARS:
+            raise ConfigError(f"field_size is {self.field_size}: races have 2 to {MAX_CARS} cars")
+        if not self.tracks:
+            raise ConfigError("there are no tracks to race on: name one or more")
+        shares = self.coverage_share, self.informed_share, self.anchor_share
+        if min(shares) < 0 or self.coverage_share + self.informed_share > 1 or shares[2] > 1:
+            raise ConfigError(
+                f"the shares of coverage, informed and anchors are {shares}: give numbers from 0, "
+                "the first two at most 1 together, the last at most 1"
+            )
+
+
+@dataclass(frozen=True)
+class Contender:
+    """What pairing knows of one entry."""
+
+    entry: int
+    """Its number."""
+    state: EntryState
+    """Where it stands."""
+    owner: str = ""
+    """Its owner; entries without one ("") may meet any entry."""
+    elo: float = 1000.0
+    """Strength [Elo]."""
+    sd: float = 200.0
+    """Standard deviation of the strength [Elo]."""
+    races: int = 0
+    """Races started or planned."""
+    anchor: bool = False
+    """Whether it is one of the league's own drivers, there to tie the scale."""
+
+
+@dataclass(frozen=True)
+class HeatPlan:
+    """Races that belong together: two, the second with the grid reversed; one for a validation."""
+
+    lane: Lane
+    """Why it is run."""
+    grid: tuple[int, ...]
+    """Entry numbers in grid order of the first race."""
+    tracks: tuple[str, ...]
+    """Track of each race."""
+    rated: bool = True
+    """Whether it counts for ratings."""
+
+
+def rated_state(sd: float) -> EntryState:
+    """Return the state of a rated entry from the standard deviation of its rating [Elo]."""
+    if sd > PLACEMENT_SD:
         return "placement"
-    return "provisional" if sd > settings.provisional_sd else "ranked"
+    return "provisional" if sd > PROVISIONAL_SD else "ranked"
 
 
 def validation_heats(
-    standing: Standing,
-    standings: Sequence[Standing],
+    newcomer: Contender,
+    field: Sequence[Contender],
     settings: PairingSettings,
     generator: np.random.Generator,
 ) -> list[HeatPlan]:
-    """Plan an entry's way in: a race against itself, and one against an anchor if there is one."""
-    tracks = generator.choice(settings.tracks, size=2)
-    own = RacePlan(str(tracks[0]), (standing.entry, standing.entry))
-    heats = [HeatPlan("validation", (own,), rated=False)]
-    anchors = [s.entry for s in standings if s.anchor and s.entry != standing.entry]
+    """Plan a newcomer's race against itself, and one against an anchor if there is one."""
+    own, other = (str(track) for track in generator.choice(settings.tracks, size=2))
+    heats = [HeatPlan("validation", (newcomer.entry, newcomer.entry), (own,), rated=False)]
+    anchors = [one.entry for one in field if one.anchor and one.entry != newcomer.entry]
     if anchors:
-        anchor = int(generator.choice(anchors))
-        race = RacePlan(str(tracks[1]), (standing.entry, anchor))
-        heats.append(HeatPlan("validation", (race,), rated=False))
+        grid = (newcomer.entry, int(generator.choice(anchors)))
+        heats.append(HeatPlan("validation", grid, (other,), rated=False))
     return heats
 
 
 def next_heats(
-    standings: Sequence[Standing],
-    counts: PairCounts,
+    field: Sequence[Contender],
+    meetings: Meetings,
     settings: PairingSettings,
     generator: np.random.Generator,
     *,
@@ -88,63 +137,207 @@ def next_heats(
     """Plan a round of rated heats.
 
     Args:
-        standings: all entries; those not in a rated state are left out.
-        counts: how often pairs have met, planned heats included.
+        field: all entries; those not in a rated state are left out.
+        meetings: how often pairs have met, planned heats included.
         settings: the league's choices.
-        generator: where chance comes from.
+        generator: random numbers.
         heats: how many; by default half as many as there are entries, so that workers do not
             wait for a refit and no plan is older than a round.
 
     Returns:
-        Fewer heats than asked for, none at worst, if nobody is left whom the rules let meet.
+        Fewer heats than asked for, possibly none, if the rules let no more entries meet.
     """
-    field_ = [s for s in standings if s.state in RATED_STATES]
-    if len(field_) < 2:
+    field = [one for one in field if one.state in RATED]
+    if len(field) < 2:
         return []
-    table = Grids.of(field_, counts, settings, generator)
-    wanted = max(1, len(field_) // 2) if heats is None else heats
+    grids = _Grids(field, meetings, settings, generator)
+    number = max(1, len(field) // 2) if heats is None else heats
+    lanes = _lanes(number, settings, generator)
+    anchored = _quota(number, settings.anchor_share, generator)
     plans = []
-    lanes = _lanes(wanted, settings, generator)
-    with_anchor = _quota(wanted, settings.anchor_share, generator)
-    for lane, anchored in zip(lanes, with_anchor, strict=True):
-        grid = table.joining()
+    for lane, with_anchor in zip(lanes, anchored, strict=True):
+        grid = grids.joining()
         if grid is not None:
             lane = "connection"
         else:
-            grid = table.grid(lane, bool(anchored))
+            grid = grids.grid(lane, bool(with_anchor))
         if grid is None:
             continue
-        table.note(grid)
-        entries = tuple(int(table.entries[index]) for index in grid)
-        plans.append(HeatPlan(lane, _halves(entries, settings, generator)))
+        grids.note(grid)
+        second_too = len(settings.tracks) >= OTHER_TRACK_FROM
+        tracks = generator.choice(settings.tracks, size=1 + second_too, replace=False)
+        entries = tuple(int(grids.entries[index]) for index in grid)
+        plans.append(HeatPlan(lane, entries, (str(tracks[0]), str(tracks[-1]))))
     return plans
 
 
-def _quota(wanted: int, share: float, generator: np.random.Generator) -> np.ndarray:
+def _quota(number: int, share: float, generator: np.random.Generator) -> np.ndarray:
     """Return which of some heats have a trait: a share of them to within one, in random order."""
-    whole, rest = divmod(wanted * share, 1.0)
-    marked = np.zeros(wanted, dtype=bool)
+    whole, rest = divmod(number * share, 1.0)
+    marked = np.zeros(number, dtype=bool)
     marked[: int(whole) + int(generator.random() < rest)] = True
     return generator.permutation(marked)
 
 
-def _lanes(wanted: int, settings: PairingSettings, generator: np.random.Generator) -> list[Lane]:
+def _lanes(number: int, settings: PairingSettings, generator: np.random.Generator) -> list[Lane]:
     """Return the lane of each heat; the shares are kept to within one heat."""
     ends = np.cumsum([settings.coverage_share, settings.informed_share])
     # One random shift of evenly spaced points keeps every share as even as it can be.
-    points = (np.arange(wanted) + generator.random()) / max(wanted, 1)
+    points = (np.arange(number) + generator.random()) / max(number, 1)
     which = np.searchsorted(ends, generator.permutation(points), side="right")
     names: tuple[Lane, ...] = ("coverage", "informed", "random")
     return [names[int(place)] for place in which]
 
 
-def _halves(
-    entries: tuple[int, ...], settings: PairingSettings, generator: np.random.Generator
-) -> tuple[RacePlan, ...]:
-    """Return a heat's two races: the grid reversed, and another track if there are enough."""
-    second_too = len(settings.tracks) >= settings.other_track_from
-    tracks = generator.choice(settings.tracks, size=1 + second_too, replace=False)
-    return (
-        RacePlan(str(tracks[0]), entries),
-        RacePlan(str(tracks[-1]), entries[::-1]),
-    )
+class _Grids:
+    """The field while a round is planned, and its grids; what is planned counts at once."""
+
+    def __init__(
+        self,
+        field: Sequence[Contender],
+        meetings: Meetings,
+        settings: PairingSettings,
+        generator: np.random.Generator,
+    ) -> None:
+        place = {one.entry: index for index, one in enumerate(field)}
+        if len(place) != len(field):
+            raise ConfigError("an entry stands twice in the standings: give each once")
+        self.settings, self.generator = settings, generator
+        self.entries = np.array([one.entry for one in field])
+        self.elo = np.array([one.elo for one in field], dtype=float)
+        self.sd = np.array([one.sd for one in field], dtype=float)
+        self.races = np.array([one.races for one in field], dtype=float)
+        self.planned = np.zeros(len(field))  # races planned in this round
+        self.anchor = np.array([one.anchor for one in field])
+        owners: dict[str, int] = {}  # an entry without an owner gets a number of its own
+        self.owner = np.array([
+            owners.setdefault(one.owner, len(owners)) if one.owner and not settings.same_owner
+            else -1 - index
+            for index, one in enumerate(field)
+        ])  # fmt: skip
+        self.met: dict[int, dict[int, int]] = {index: {} for index in range(len(field))}
+        for (one, other), count in meetings.items():
+            if one in place and other in place and count > 0:
+                a, b = place[one], place[other]
+                self.met[a][b] = self.met[b][a] = count
+        counts = [count for row in self.met.values() for count in row.values()]
+        self.cap = PAIR_CAP * max(1.0, float(np.median(counts)) if counts else 1.0)
+        self.group = _groups(self.entries, meetings)
+        anchors = [one.entry for one in field if one.anchor]
+        home = self.group[place[min(anchors)]] if anchors else np.bincount(self.group).argmax()
+        self.home = int(home)
+
+    def joining(self) -> list[int] | None:
+        """Return a field that ties an entry to the pinned anchor; None if all are, or none can.
+
+        People's entries come before the other anchors: it is for them that the league is raced.
+        """
+        apart = self.group != self.home
+        order = np.lexsort((self.generator.random(len(apart)), self.anchor))
+        for first in order[apart[order]]:
+            candidates = np.flatnonzero(self._free([first]) & ~apart)
+            if len(candidates):
+                chosen = [int(first), self._most_informative(int(first), candidates)]
+                break
+        else:
+            return None
+        while len(chosen) < self.settings.field_size:
+            free = self._free(chosen)
+            free = free & apart if (free & apart).any() else free
+            if not free.any():
+                break
+            chosen.append(int(self.generator.choice(np.flatnonzero(free))))
+        return [int(index) for index in self.generator.permutation(chosen)]
+
+    def grid(self, lane: Lane, anchored: bool) -> list[int] | None:
+        """Return a field in grid order, or None if the first entry may meet no other."""
+        first = self._first(lane)
+        # Strengths as they may be, drawn for each heat (Thompson): near equals are likely
+        # opponents, and so is any entry that may turn out to be one.
+        drawn = self.elo + self.sd * self.generator.standard_normal(len(self.elo))
+        chosen = [first]
+        for _ in range(self.settings.field_size - 1):
+            free = self._free(chosen)
+            if anchored and len(chosen) == 1 and (free & self.anchor).any():
+                free &= self.anchor
+            elif (free & ~self.anchor).any():
+                free &= ~self.anchor  # anchors race in their own share of heats, or in need
+            candidates = np.flatnonzero(free)
+            if not len(candidates):
+                break
+            if lane == "random":
+                chosen.append(int(self.generator.choice(candidates)))
+            elif lane == "coverage":
+                chosen.append(self._most_informative(first, candidates))
+            else:
+                gaps = np.abs(drawn[candidates] - drawn[first])
+                chosen.append(int(candidates[gaps.argmin()]))
+        if len(chosen) < 2:
+            return None
+        return [int(index) for index in self.generator.permutation(chosen)]
+
+    def note(self, grid: list[int]) -> None:
+        """Count a planned heat."""
+        for a in grid:
+            self.races[a] += 2
+            self.planned[a] += 2
+            for b in grid:
+                if a != b:
+                    self.met[a][b] = self.met[a].get(b, 0) + 1
+        joined = np.isin(self.group, self.group[grid])
+        self.group[joined] = self.home if self.home in self.group[joined] else self.group[grid[0]]
+
+    def _most_informative(self, first: int, candidates: np.ndarray) -> int:
+        """Return the opponent whose next duel is most informative about an entry.
+
+        A duel's information is w = E[p (1 - p)], over what the gap may be. But n duels against an
+        opponent of variance v give no more than 1 / (1 / (n w) + v) in all, so the next one adds
+        w / (1 + n w v)^2: opponents who are sure, and not always the same ones.
+        """
+        variance = (self.sd[candidates] / ELO) ** 2
+        spread = np.sqrt(variance + (self.sd[first] / ELO) ** 2)
+        gaps = (self.elo[candidates] - self.elo[first]) / ELO + np.outer(GAPS, spread)
+        information = GAP_SHARES @ (0.25 / np.cosh(0.5 * gaps) ** 2) / GAP_SHARES.sum()
+        duels = 2.0 * np.array([self.met[first].get(int(index), 0) for index in candidates])
+        adds = information / (1.0 + duels * information * variance) ** 2
+        # Chance decides between equals, or the same ones would always be asked first.
+        adds *= 1.0 + 1e-6 * self.generator.random(len(adds))
+        return int(candidates[adds.argmax()])
+
+    def _first(self, lane: Lane) -> int:
+        """Return the entry that a heat is for."""
+        own = np.flatnonzero(~self.anchor)
+        pool = own if len(own) else np.arange(len(self.entries))
+        unsettled = pool[self.sd[pool] > SETTLED_SD]
+        if lane == "random" or not len(unsettled):
+            return int(self.generator.choice(pool))
+        if lane == "informed":
+            return int(self.generator.choice(unsettled))
+        # A planned race makes the entry surer, though its result is not known yet: 1 / sd^2 grows
+        # by about 1 / 347^2 with each duel (0.25 (ln 10 / 400)^2).
+        sure = 1.0 / self.sd[unsettled] ** 2 + self.planned[unsettled] / 347.0**2
+        chance = self.generator.random(len(unsettled))
+        return int(unsettled[np.lexsort((chance, self.races[unsettled], sure))[0]])
+
+    def _free(self, chosen: list[int]) -> np.ndarray:
+        """Return which entries may join those chosen; the cap gives way before a heat fails."""
+        free = ~np.isin(self.owner, self.owner[chosen])
+        free[chosen] = False
+        worn = np.zeros(len(free))
+        for index in chosen:
+            for other, count in self.met[index].items():
+                worn[other] = max(worn[other], count)
+        fresh = free & (worn < self.cap)
+        if fresh.any() or not free.any():
+            return fresh
+        return free & (worn == worn[free].min())
+
+
+def _groups(entries: np.ndarray, meetings: Meetings) -> np.ndarray:
+    """Return the group of each entry; chains may lead over entries that have left."""
+    known = np.unique([*entries, *(entry for pair in meetings for entry in pair)])
+    pairs = np.array([pair for pair, count in meetings.items() if count > 0], dtype=np.int64)
+    one, other = np.searchsorted(known, pairs.reshape(-1, 2)).T
+    graph = sparse.coo_array((np.ones(len(one)), (one, other)), shape=(len(known), len(known)))
+    group = csgraph.connected_components(graph, directed=False)[1]
+    return group[np.searchsorted(known, entries)]

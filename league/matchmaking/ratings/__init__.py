@@ -1,20 +1,23 @@
-"""Results of races -> strengths on the Elo scale, with how sure they are; see docs/ratings.md."""
+"""Strengths on the Elo scale and their uncertainty from results of races; see docs/ratings.md."""
 
-from league.matchmaking.ratings.field import Field
-from league.matchmaking.ratings.fit import RatingSettings, fit, rate
-from league.matchmaking.ratings.results import Finish, Results, Run, places_of
-from league.matchmaking.ratings.table import Difference, Ratings, expected_score
+from league.matchmaking.ratings.fit import (
+    Difference,
+    Ratings,
+    RatingSettings,
+    expected_score,
+    fit,
+)
+from league.matchmaking.ratings.pair_counts import RatingData
+from league.matchmaking.ratings.results import Finish, Results, places_of
 
 __all__ = [
     "Difference",
-    "Field",
     "Finish",
+    "RatingData",
     "RatingSettings",
     "Ratings",
     "Results",
-    "Run",
     "expected_score",
     "fit",
     "places_of",
-    "rate",
 ]

@@ -1,28 +1,31 @@
-"""The fit: maximum a posteriori Bradley-Terry by damped Newton steps, its prior learned."""
+"""Maximum a posteriori Bradley-Terry ratings by damped Newton steps, their prior learned."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.special import ndtr, wrightomega
 
 from league.errors import ConfigError
-from league.matchmaking.ratings import intervals, pair_counts, systems
-from league.matchmaking.ratings.field import Field
-from league.matchmaking.ratings.pair_counts import ELO, Evidence
+from league.matchmaking.ratings import systems
+from league.matchmaking.ratings.pair_counts import ELO, PairCounts, RatingData, slope
 from league.matchmaking.ratings.results import Results
-from league.matchmaking.ratings.systems import Maker, Squares, System
-from league.matchmaking.ratings.table import SIGMAS_95, Ratings
+from league.matchmaking.ratings.systems import Squares, System, Variances
 
+SIGMAS_95 = 1.959963984540054
+"""Half width of a 95 % interval in standard deviations."""
 ANCHOR_ELO = 1000.0
 """Where the anchor is pinned."""
-
+SPREAD_LIMITS = 20.0, 400.0
+"""A learned spread is at least, and at most, this [Elo]."""
+PROVISIONAL_SD = 50.0
+"""Ratings less sure than this are marked provisional [Elo]."""
 USUAL_SPREAD = 300.0
-"""DynamicsRandomization of a field of drivers before anything is known of it [Elo]."""
+"""Spread of a field of drivers before any race [Elo]."""
 SPREAD_DOUBT = np.log(3.0)
 """Standard deviation of the logarithm of a field's spread: it is known to a factor of three."""
-
 ENOUGH = 1e-6
 """A Newton step this small [natural units] is the last one: it leaves an error of its square."""
 ENOUGH_FAR = 1e-3
@@ -37,38 +40,125 @@ SETTLED = 1e-5
 """A step of that logarithm this small is the last one."""
 
 
+def expected_score(gap_elo: float | np.ndarray) -> float | np.ndarray:
+    """Return the chance to finish ahead of an opponent weaker by this gap [Elo], ties half."""
+    return 1.0 / (1.0 + 10.0 ** (-np.asarray(gap_elo, dtype=float) / 400.0))
+
+
 @dataclass(frozen=True)
 class RatingSettings:
     """What a league may choose about its ratings."""
 
     prior_sd: float | None = None
-    """DynamicsRandomization of the field before any race [Elo]; None learns it from the field."""
-    least_prior_sd: float = 20.0
-    """A learned spread is at least this [Elo]."""
-    most_prior_sd: float = 400.0
-    """A learned spread is at most this [Elo]."""
+    """Spread of the field before any race [Elo]; None learns it from the field."""
     slot_sd: float = 300.0
     """How far two grid slots may differ in worth, before any race [Elo]."""
-    provisional_sd: float = 50.0
-    """Ratings less sure than this are marked provisional [Elo]."""
     dense_most: int = systems.DENSE_MOST
     """Entries up to which variances are exact; in larger fields they are estimated to about 1 %."""
 
     def __post_init__(self) -> None:
         """Check that the spreads are possible."""
-        if not 0 < self.least_prior_sd <= self.most_prior_sd:
+        for name in ("prior_sd", "slot_sd"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < np.inf:
+                raise ConfigError(f"{name} is {value}: give a spread above 0 Elo")
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How far one entry is ahead of another."""
+
+    elo: float
+    """Difference of the ratings [Elo]."""
+    sd: float
+    """Its standard deviation [Elo]; usually less than the two entries' own would add up to."""
+    low95: float
+    """Lower end of its 95 % interval [Elo]."""
+    high95: float
+    """Upper end of its 95 % interval [Elo]."""
+    superiority: float
+    """Probability that the one is the stronger, given the races."""
+
+
+@dataclass(frozen=True)
+class Ratings:
+    """Strengths of a field, all from one table of races."""
+
+    entries: np.ndarray
+    """Entry numbers, ascending, (entries,)."""
+    elo: np.ndarray
+    """Strength [Elo], the anchor's 1000; 400 more are ten times the odds, (entries,)."""
+    sd: np.ndarray
+    """Standard deviation of the place above or below the average of all others [Elo], (entries,).
+
+    The average counts each entry by what its races tell, so newcomers do not blur it.
+    """
+    low95: np.ndarray
+    """Lower end of the 95 % interval [Elo], (entries,)."""
+    high95: np.ndarray
+    """Upper end of the 95 % interval [Elo], (entries,)."""
+    races: np.ndarray
+    """Races started, (entries,)."""
+    provisional: np.ndarray
+    """True while sd is above 50, or the entry is not connected, (entries,)."""
+    connected: np.ndarray
+    """False where no chain of races leads to the anchor (or the largest group), (entries,)."""
+    one_sided: np.ndarray
+    """True for entries that raced and won, or lost, every pair: only the prior holds them."""
+    slot_advantages: np.ndarray
+    """What each grid slot is worth [Elo], 0 on average, slot 0 in front, (slots,)."""
+    slot_sd: np.ndarray
+    """Standard deviations of the slots' advantages [Elo], (slots,)."""
+    prior_sd: float
+    """Spread of the field, learned from it [Elo]."""
+    anchor: int | None
+    """Entry pinned to 1000; without one the field's mean is."""
+    num_races: int
+    """Races that counted."""
+    num_spreads: int
+    """Spreads of the field tried before the likeliest was settled."""
+    gap_variances: Callable[[np.ndarray, np.ndarray], np.ndarray] = field(repr=False, compare=False)
+    """Variances [Elo^2] of rating differences, from two arrays of indices into `entries`."""
+
+    def index(self, entry: int) -> int:
+        """Return where an entry stands in the tables.
+
+        Raises:
+            ConfigError: it is not in the field.
+        """
+        place = int(np.searchsorted(self.entries, entry))
+        if place >= len(self.entries) or self.entries[place] != entry:
             raise ConfigError(
-                f"the prior's limits are {self.least_prior_sd} to {self.most_prior_sd} Elo: "
-                "give two spreads above 0, the smaller one first"
+                f"entry {entry} is not rated: name one of the {len(self.entries)} entries of "
+                "this field"
             )
-        for name in ("prior_sd", "slot_sd", "provisional_sd"):
-            given = getattr(self, name)
-            if given is not None and not 0 < given < np.inf:
-                raise ConfigError(f"{name} is {given}: give a spread above 0 Elo")
+        return place
+
+    def difference(self, one: int, other: int) -> Difference:
+        """Return how far one entry is ahead of another, with its own interval."""
+        a, b = self.index(one), self.index(other)
+        gap = float(self.elo[a] - self.elo[b])
+        sd = float(np.sqrt(self.gap_variances(np.array([a]), np.array([b]))[0]))
+        return Difference(
+            elo=gap,
+            sd=sd,
+            low95=gap - SIGMAS_95 * sd,
+            high95=gap + SIGMAS_95 * sd,
+            superiority=float(ndtr(gap / sd)) if sd > 0 else 0.5,
+        )
+
+    def order(self) -> np.ndarray:
+        """Return indices from best to worst; provisional ones by rating - 2 sd.
+
+        Equals stay in the order of their numbers: rounding, which depends on the order in which
+        races were read, must not change their order.
+        """
+        shown = np.where(self.provisional, self.elo - 2 * self.sd, self.elo)
+        return np.argsort(-np.round(shown, 6), kind="stable")
 
 
 def fit(
-    results: Results,
+    races: Results | RatingData,
     settings: RatingSettings | None = None,
     *,
     entries: Iterable[int] = (),
@@ -77,40 +167,25 @@ def fit(
     """Rate a field from all its races.
 
     Args:
-        results: the races, in any order, delivered once or more often.
+        races: in any order, delivered once or more often; or counted already.
         settings: the league's choices.
-        entries: numbers to rate even if they have not raced yet.
+        entries: numbers to rate even if they have not raced yet (where races are not counted yet).
         anchor: the entry that is 1000.
 
     Raises:
-        ConfigError: nobody to rate, an anchor that is not in the field, contradicting results.
+        ConfigError: no entry to rate, an anchor that is not in the field, contradicting results.
     """
-    return rate(Field.of(results, entries), settings, anchor=anchor)
-
-
-def rate(
-    field: Field, settings: RatingSettings | None = None, *, anchor: int | None = None
-) -> Ratings:
-    """Rate a field whose races are counted already.
-
-    Args:
-        field: the races.
-        settings: the league's choices.
-        anchor: the entry that is 1000.
-
-    Raises:
-        ConfigError: nobody to rate, or an anchor that is not in the field.
-    """
+    data = races if isinstance(races, RatingData) else RatingData.of(races, entries)
     settings = settings or RatingSettings()
-    if not len(field.entries):
+    if not len(data.entries):
         raise ConfigError("there are no entries to rate: submit one, or give results")
-    if anchor is not None and anchor not in field.entries:
+    if anchor is not None and anchor not in data.entries:
         raise ConfigError(f"anchor {anchor} is not in the field: name one of its entries")
-    model = _Model(field.evidence, settings)
+    model = _Model(data.counts, settings)
     posterior = model.learned() if settings.prior_sd is None else model.at(settings.prior_sd)
-    prior = model.prior(posterior.prior_sd)
-    squares = systems.squares(field.results, field.evidence, posterior.parameters, prior)
-    return _table(field, posterior, squares, settings, anchor)
+    squares = Squares.of(data.results, posterior.parameters, model.prior(posterior.prior_sd))
+    variances = Variances.of(posterior.system, squares, posterior.weights)
+    return _ratings(data, posterior, variances, anchor, model.num_spreads)
 
 
 @dataclass(frozen=True)
@@ -122,52 +197,49 @@ class _Posterior:
     system: System
     """The curvature there."""
     prior_sd: float
-    """DynamicsRandomization of the strengths [Elo]."""
+    """Spread of the strengths [Elo]."""
     weights: np.ndarray
     """What each entry counts in the field's average, (entries,)."""
-    num_spreads: int
-    """Spreads tried up to this one."""
 
 
 class _Model:
-    """A field's log-posterior; it remembers where the last climb ended, to begin there again."""
+    """A field's log-posterior; each climb begins where the last one ended."""
 
-    def __init__(self, evidence: Evidence, settings: RatingSettings) -> None:
-        self._evidence, self._settings = evidence, settings
-        self._make: Maker = systems.maker(evidence, dense_most=settings.dense_most)
-        self._last = np.zeros(evidence.size)
-        self._num_spreads = 0
+    def __init__(self, counts: PairCounts, settings: RatingSettings) -> None:
+        self._counts, self._settings = counts, settings
+        self._last = np.zeros(counts.size)
+        self.num_spreads = 0
 
     def prior(self, prior_sd: float) -> np.ndarray:
         """Return the precision of each parameter."""
-        precisions = np.full(self._evidence.size, (ELO / prior_sd) ** 2)
+        precisions = np.full(self._counts.size, (ELO / prior_sd) ** 2)
         # Each of two slots has half the variance of their difference.
-        precisions[self._evidence.num_entries :] = 2.0 * (ELO / self._settings.slot_sd) ** 2
+        precisions[self._counts.num_entries :] = 2.0 * (ELO / self._settings.slot_sd) ** 2
         return precisions
 
     def at(self, prior_sd: float, enough: float = ENOUGH) -> _Posterior:
         """Climb to the best parameters under a prior, until a step is small enough."""
         prior, at = self.prior(prior_sd), self._last
-        self._num_spreads += 1
-        seen = pair_counts.slope(self._evidence, at)
+        self.num_spreads += 1
+        seen = slope(self._counts, at)
         value = seen.value - 0.5 * float(prior @ at**2)
         far = 1.0
         for _ in range(100):
-            system = self._make(seen.weights, prior)
+            system = systems.system(
+                self._counts, seen.weights, prior, dense_most=self._settings.dense_most
+            )
             gradient = seen.gradient - prior * at
-            # A step that is followed by others need not be exact: the next one's error is its
-            # square anyway.
+            # A step that others follow need not be exact: the next one's error is its square.
             step = system.solve(gradient, within=min(1e-2, max(1e-6, 1e-2 * far)))
             promised = float(gradient @ step)
             far = float(np.abs(step).max())
             if far < enough:
                 self._last = at + step
-                counts = intervals.field_weights(self._evidence, seen.weights)
-                return _Posterior(self._last, system, prior_sd, counts, self._num_spreads)
+                return _Posterior(self._last, system, prior_sd, self._shares(seen.weights))
             length = min(1.0, 4.0 / far)
             while True:
                 tried = at + length * step
-                seen = pair_counts.slope(self._evidence, tried)
+                seen = slope(self._counts, tried)
                 now = seen.value - 0.5 * float(prior @ tried**2)
                 # Rounding hides gains below a billionth; there the full step is right anyway.
                 if now >= value + 1e-4 * length * promised - 1e-9 * abs(value) or length < 1e-6:
@@ -176,19 +248,27 @@ class _Model:
             at, value = tried, now
         raise ArithmeticError("the fit of the ratings did not settle in 100 Newton steps")
 
+    def _shares(self, weights: np.ndarray) -> np.ndarray:
+        """Return how much each entry counts in the field's average: by what its races tell, sum 1.
+
+        No share is above a half, as each pair counts for both of its entries.
+        """
+        shares = np.add(*self._counts.by_entry(self._counts.by_pair(weights)))
+        total = shares.sum()
+        return shares / total if total > 0 else shares
+
     def learned(self) -> _Posterior:
         """Return the posterior under the spread that the field itself shows.
 
         The spread is the fixed point of the EM step: from the strengths' squares and posterior
-        variances follows the likeliest spread. What is known of fields in general keeps it from
-        collapsing where a few races tell nothing of it.
+        variances follows the likeliest spread. The prior of the spread itself keeps it from
+        collapsing where a few races say little of it.
 
-        Where races tell little of the strengths (the front slot decides them all), the EM step is
-        tiny everywhere, near the fixed point or not: it moves by what the races tell of it. So
-        the root of its drift is sought, by Newton's steps on the logarithm of the variance.
+        Where races say little of the strengths (the front slot decides them all), the EM step is
+        tiny everywhere, near the fixed point or not. So the root of its drift is sought, by
+        Newton's steps on the logarithm of the variance, kept within a bracket.
         """
-        limits = self._settings.least_prior_sd, self._settings.most_prior_sd
-        bounds = low, high = tuple(float(2 * np.log(limit)) for limit in limits)
+        bounds = low, high = tuple(float(2 * np.log(limit)) for limit in SPREAD_LIMITS)
         spread = float(np.clip(2 * np.log(USUAL_SPREAD), low, high))
         enough, last = ENOUGH_FAR, None
         for _ in range(MOST_SPREADS):
@@ -196,36 +276,35 @@ class _Model:
             drift, bend, towards = self._drift(posterior, spread)
             low, high = (spread, high) if drift > 0 else (low, spread)
             if last is not None and (abs(spread - last[0]) < NEAR or drift * last[1] < 0):
-                # What probes say of a slope is rough; what two drifts around it say is not.
+                # Two drifts around a slope are more accurate than what probes estimate of it.
                 between = (drift - last[1]) / ((spread - last[0]) or np.inf)
                 bend = between if between < 0 else bend
             last = spread, drift
             step = float(np.clip(drift / max(-bend, 1e-12), -FAR, FAR))
             end = high if drift > 0 else low
-            if abs(step) >= abs(end - spread):  # beyond what was tried before: half the way there
+            if abs(step) >= abs(end - spread):  # beyond the bracket: half the way to its end
                 step = end - spread if end in bounds else 0.5 * (end - spread)
-            moved = spread + step
             # The next spread's best parameters lie along their slope.
-            self._last = self._last + (moved - spread) * towards
-            if moved == spread and enough == ENOUGH:  # at a limit
+            self._last = self._last + step * towards
+            if step == 0.0 and enough == ENOUGH:  # at a limit
                 return posterior
-            spread, near = moved, abs(moved - spread)
-            if near < SETTLED and enough == ENOUGH:
+            spread += step
+            if abs(step) < SETTLED and enough == ENOUGH:
                 break
-            if near < NEAR and enough == ENOUGH_FAR:
+            if abs(step) < NEAR and enough == ENOUGH_FAR:
                 enough, (low, high) = ENOUGH, bounds  # signs of a rough drift may be wrong
         return self.at(float(np.exp(0.5 * spread)))
 
     def _drift(self, posterior: _Posterior, spread: float) -> tuple[float, float, np.ndarray]:
         """Return the EM step, its slope by the logarithm of the variance, and the parameters'."""
-        size = self._evidence.num_entries
+        size = self._counts.num_entries
         strengths = posterior.parameters[:size]
         precision = np.exp(-spread) * ELO**2
-        held = np.zeros(self._evidence.size)
-        held[:size] = precision * strengths
-        # The prior lets go of the strengths: d strengths = H^-1 (precision strengths) du,
-        # and of their variances: d H^-1 = H^-1 precision H^-1 du.
-        towards = posterior.system.solve(held, within=1e-4)
+        right = np.zeros(self._counts.size)
+        right[:size] = precision * strengths
+        # As the prior loosens, d strengths = H^-1 (precision strengths) du, and their variances
+        # change by d H^-1 = H^-1 precision H^-1 du.
+        towards = posterior.system.solve(right, within=1e-4)
         variance, twice = posterior.system.mean_variance()
         square = float((strengths**2).mean()) + variance
         rise = 2.0 * float(strengths @ towards[:size]) / size + precision * twice
@@ -242,62 +321,48 @@ def _likeliest(square: float, size: int) -> float:
 
         size * square * e^-u - size - 2 (u - u0) / w^2 = 0,
 
-    with u0 and w of USUAL_SPREAD and SPREAD_DOUBT (u is twice the logarithm of the spread).
+    with u0 and w of USUAL_SPREAD and SPREAD_DOUBT (u is twice the logarithm of the spread). With
+    n = size w^2 / 2 and x = u - u0 + n that is x + log x = log(n square) + n - u0.
     """
-    usual, doubt = 2 * np.log(USUAL_SPREAD), 2 * SPREAD_DOUBT
-    # Left of the root of a convex falling curve, from where Newton's steps cannot overshoot.
-    u = min(float(np.log(square)), float(usual))
-    for _ in range(50):
-        pull = size * square * np.exp(-u)
-        slope = pull - size - 2 * (u - usual) / doubt**2
-        step = float(slope / (pull + 2 / doubt**2))
-        u += step
-        if abs(step) < 1e-12:
-            break
-    return u
+    usual, n = 2 * np.log(USUAL_SPREAD), size * 2 * SPREAD_DOUBT**2
+    return float(usual - n + wrightomega(np.log(n * square) + n - usual).real)
 
 
-def _table(
-    field: Field,
+def _ratings(
+    data: RatingData,
     posterior: _Posterior,
-    squares: Squares,
-    settings: RatingSettings,
+    variances: Variances,
     anchor: int | None,
+    num_spreads: int,
 ) -> Ratings:
-    """Put a posterior into Elo, with intervals and flags."""
-    names, races, size = field.entries, field.races, len(field.entries)
+    """Convert a posterior to Elo, with intervals and flags."""
+    entries, races, size = data.entries, data.races, len(data.entries)
     strengths, slots = posterior.parameters[:size], posterior.parameters[size:]
-    zero = strengths[np.searchsorted(names, anchor)] if anchor is not None else 0.0
+    zero = strengths[np.searchsorted(entries, anchor)] if anchor is not None else 0.0
     elo = ANCHOR_ELO + ELO * (strengths - zero)
-    system = posterior.system
-    variances = intervals.variances(system, squares, posterior.weights)
     sd = ELO * np.sqrt(variances.strengths)
-    pairs, points = pair_counts.points_of(field.evidence)
-    group = pair_counts.groups(field.evidence)
+    pairs, points = data.counts.points()
+    group = data.counts.groups()
     if anchor is not None:
-        home = group[np.searchsorted(names, anchor)]
+        home = group[np.searchsorted(entries, anchor)]
     else:
         home = np.bincount(group, races).argmax()
     connected = (group == home) & ((races > 0) | (size == 1))
-
-    def gap_variances(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        return ELO**2 * intervals.gap_variances(system, squares, variances.ratio, one, other)
-
     return Ratings(
-        entries=names,
+        entries=entries,
         elo=elo,
         sd=sd,
         low95=elo - SIGMAS_95 * sd,
         high95=elo + SIGMAS_95 * sd,
         races=races,
-        provisional=(sd > settings.provisional_sd) | ~connected,
+        provisional=(sd > PROVISIONAL_SD) | ~connected,
         connected=connected,
         one_sided=(pairs > 0) & ((points == 0) | (points == pairs)),
         slot_advantages=ELO * slots,
-        slot_sd=ELO * np.sqrt(intervals.slot_variances(system, squares)),
+        slot_sd=ELO * np.sqrt(variances.slots()),
         prior_sd=posterior.prior_sd,
         anchor=anchor,
-        num_races=len(field.results),
-        num_spreads=posterior.num_spreads,
-        gap_variances=gap_variances,
+        num_races=len(data.results),
+        num_spreads=num_spreads,
+        gap_variances=lambda one, other: ELO**2 * variances.gaps(one, other),
     )

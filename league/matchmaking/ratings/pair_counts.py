@@ -1,4 +1,4 @@
-"""What the races say, condensed: counts of pairs, their log-likelihood, slope and curvature.
+"""Counts of the pairs that met, the log-likelihood of strengths, its slope and curvature.
 
 A finishing order of K cars counts as its K (K - 1) / 2 pairs (a composite likelihood); a pair of
 cars i on slot a and j on slot b is won by i with the odds exp(x), where
@@ -6,28 +6,30 @@ cars i on slot a and j on slot b is won by i with the odds exp(x), where
     x = strength_i + slot_a - strength_j - slot_b        [natural units: Elo ln(10) / 400]
 
 All meetings of a pair on the same two slots are one cell. A pair is named by its smaller index
-first, whoever stood in front, so that the cells of a pair, and the pairs of an entry, lie side by
-side: one sort of the races is all it takes, and sums run along the table.
+first, whoever stood in front. Cells are sorted by pair, and pairs by entry, so that one sort of
+the races counts everything, and sums run along the table.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
+from scipy.special import expit
 
-from league.matchmaking.ratings.results import Results
+from league.matchmaking.ratings.results import EMPTY, Results
 
 ELO = 400.0 / np.log(10.0)
 """Elo in one natural unit of strength."""
 
 
 @dataclass(frozen=True)
-class Evidence:
-    """All that the likelihood needs of the races."""
+class PairCounts:
+    """The races as the likelihood reads them."""
 
     num_entries: int
     """Entries in the field, raced or not."""
@@ -59,7 +61,7 @@ class Evidence:
 
     @cached_property
     def _bounds(self) -> np.ndarray:
-        """First pair of each one, and the end, (entries + 1,), as sparse matrices want it."""
+        """First pair of each one, and the end, (entries + 1,): the indptr of a CSR matrix."""
         return np.searchsorted(self.one, np.arange(self.num_entries + 1)).astype(np.int32)
 
     @cached_property
@@ -67,20 +69,11 @@ class Evidence:
         return self.other.astype(np.int32)
 
     @cached_property
-    def _leaders(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the entries that are the one of any pair, and their first pairs."""
-        first = self._bounds[:-1]
-        there = np.flatnonzero(self._bounds[1:] > first)
-        return there, first[there]
-
-    @cached_property
-    def _sides_of_entries(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return where the one and the other of each cell count in a table of entries by sides."""
+    def _entry_sides(self) -> tuple[np.ndarray, np.ndarray]:
+        """Index of each cell's one, and other, in a table of entries by sides, (cells,) both."""
         kinds = self.num_slots**2
-        return (
-            (self.one * kinds)[self.pair] + self.sides,
-            (self.other * kinds)[self.pair] + self.sides,
-        )
+        one, other = ((entry * kinds)[self.pair] + self.sides for entry in (self.one, self.other))
+        return one, other
 
     def by_pair(self, values: np.ndarray) -> np.ndarray:
         """Sum the cells' values over each pair, (pairs,)."""
@@ -89,9 +82,10 @@ class Evidence:
     def by_entry(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Sum the pairs' values over each entry, where it is the one and where it is the other."""
         ahead = np.zeros(self.num_entries)
-        there, first = self._leaders
-        if len(there):
-            ahead[there] = np.add.reduceat(values, first)
+        first = self._bounds[:-1]
+        leads = np.flatnonzero(self._bounds[1:] > first)
+        if len(leads):
+            ahead[leads] = np.add.reduceat(values, first[leads])
         return ahead, np.bincount(self.other, values, self.num_entries)
 
     def by_sides(self, values: np.ndarray) -> np.ndarray:
@@ -103,8 +97,8 @@ class Evidence:
         """Sum cells' values where an entry is the one, and the other, (entries, slots, slots)."""
         shape = (self.num_entries, self.num_slots, self.num_slots)
         ones, others = (
-            np.bincount(where, values, self.num_entries * self.num_slots**2).reshape(shape)
-            for where in self._sides_of_entries
+            np.bincount(where, values, int(np.prod(shape))).reshape(shape)
+            for where in self._entry_sides
         )
         return ones, others
 
@@ -112,6 +106,60 @@ class Evidence:
         """Return the pairs' values as a matrix by one and other: above its diagonal."""
         shape = (self.num_entries, self.num_entries)
         return sparse.csr_array((values, self._columns, self._bounds), shape=shape)
+
+    def groups(self) -> np.ndarray:
+        """Return each entry's group; no chain of races leads from one group to another."""
+        return csgraph.connected_components(self.graph(np.ones(len(self.one))), directed=False)[1]
+
+    def points(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the pairs each entry was in and the points it made in them, (entries,) both."""
+        met, won = self.by_pair(self.meetings), self.by_pair(self.won)
+        ahead, behind = self.by_entry(met)
+        return ahead + behind, self.by_entry(won)[0] + self.by_entry(met - won)[1]
+
+    def leads(self, strengths: np.ndarray, slots: np.ndarray) -> np.ndarray:
+        """Return x of each cell, (cells,)."""
+        gaps = strengths[self.one] - strengths[self.other]
+        return gaps[self.pair] + (slots[:, None] - slots).ravel()[self.sides]
+
+
+@dataclass(frozen=True)
+class RatingData:
+    """The races of a field, counted once for the fit, the test of fit and the standings."""
+
+    entries: np.ndarray
+    """Entry numbers, ascending, (entries,)."""
+    results: Results
+    """Each race once, sorted by heat; their entries are indices into `entries`."""
+    races: np.ndarray
+    """Races each entry started in, (entries,)."""
+    counts: PairCounts
+    """Counts of the pairs that met, by index."""
+
+    @classmethod
+    def of(cls, results: Results, extra: Iterable[int] = ()) -> RatingData:
+        """Count the races of a field.
+
+        Args:
+            results: the races, in any order, delivered once or more often.
+            extra: entry numbers that belong to the field even if they have not raced yet.
+
+        Raises:
+            ConfigError: contradicting results.
+        """
+        results = results.distinct()
+        extras = np.fromiter(extra, dtype=np.int64)
+        top = int(max(results.entries.max(initial=EMPTY), extras.max(initial=EMPTY))) + 1
+        starters = results.entries.ravel()
+        starters = starters if starters.min(initial=0) >= 0 else starters[starters >= 0]
+        races = np.bincount(starters, minlength=top)
+        known = races > 0
+        known[extras] = True
+        entries = np.flatnonzero(known)
+        index = np.full(top + 1, EMPTY)  # its last place is where -1 looks
+        index[entries] = np.arange(len(entries))
+        indexed = Results(results.heats, index[results.entries], results.places)
+        return cls(entries, indexed, races[entries], count(indexed, len(entries)))
 
 
 @dataclass(frozen=True)
@@ -137,42 +185,40 @@ def slot_pairs(results: Results) -> list[tuple[int, int]]:
     return [(a, b) for a in range(slots) for b in range(a + 1, slots)]
 
 
-def evidence_of(results: Results, num_entries: int) -> Evidence:
+def count(results: Results, num_entries: int) -> PairCounts:
     """Count the pairs of some races, whose entries are indices already.
 
-    One sort counts everything: a meeting is a number whose bits are, from the highest, the one,
-    the other, their slots, and the one's half points.
+    A meeting is packed into one number, whose bits are, from the highest, the one, the other,
+    their slots, and the one's half points; so one sort counts everything.
     """
     slots = results.entries.shape[1]
     entry_bits, slot_bits = (num_entries - 1).bit_length(), (slots - 1).bit_length()
-    bits = 2 * (entry_bits + slot_bits + 1)
-    kind = np.int32 if bits < 32 else np.int64
+    kind = np.int32 if 2 * (entry_bits + slot_bits + 1) < 32 else np.int64
     columns = [np.ascontiguousarray(column, dtype=kind) for column in results.entries.T]
-    found = [np.empty(0, dtype=kind)]
+    packed = [np.empty(0, dtype=kind)]
     for a, b in slot_pairs(results):
         front, behind = columns[a], columns[b]
         ahead = results.places[:, b] - results.places[:, a]
         points = (ahead >= 0).astype(kind) + (ahead > 0)  # 0, 1, 2 half points of the front one
-        named = (front << entry_bits) + behind
-        named = (((named << slot_bits) + a << slot_bits) + b << 2) + points
-        turned = (behind << entry_bits) + front
-        turned = (((turned << slot_bits) + b << slot_bits) + a << 2) + (2 - points)
-        there = (front >= 0) & (behind >= 0)
-        key = np.minimum(named, turned)  # the smaller index is in the highest bits
-        found.append(key if there.all() else key[there])
-    keys = np.sort(np.concatenate(found))
+        forth = (front << entry_bits) + behind
+        forth = (((forth << slot_bits) + a << slot_bits) + b << 2) + points
+        back = (behind << entry_bits) + front
+        back = (((back << slot_bits) + b << slot_bits) + a << 2) + (2 - points)
+        raced = (front >= 0) & (behind >= 0)
+        key = np.minimum(forth, back)  # the smaller index is in the highest bits
+        packed.append(key if raced.all() else key[raced])
+    keys = np.sort(np.concatenate(packed))
     cells = keys >> 2
     starts = changes(cells)
     meetings = np.diff(np.append(starts, len(cells))).astype(float)
     won = 0.5 * np.add.reduceat(keys & 3, starts) if len(starts) else np.zeros(0)
     cells = cells[starts].astype(np.int64)
-    pairs = cells >> 2 * slot_bits
     mask = (1 << slot_bits) - 1
     sides = (cells >> slot_bits & mask) * slots + (cells & mask)
+    pairs = cells >> 2 * slot_bits
     starts = changes(pairs)
-    pairs = pairs[starts]
-    one, other = pairs >> entry_bits, pairs & ((1 << entry_bits) - 1)
-    return Evidence(num_entries, slots, one, other, starts, sides, meetings, won)
+    one, other = pairs[starts] >> entry_bits, pairs[starts] & ((1 << entry_bits) - 1)
+    return PairCounts(num_entries, slots, one, other, starts, sides, meetings, won)
 
 
 def changes(ascending: np.ndarray) -> np.ndarray:
@@ -182,67 +228,33 @@ def changes(ascending: np.ndarray) -> np.ndarray:
     return np.flatnonzero(new)
 
 
-def _leads(evidence: Evidence, strengths: np.ndarray, slots: np.ndarray) -> np.ndarray:
-    """Return x of each cell."""
-    gaps = strengths[evidence.one] - strengths[evidence.other]
-    sides = (slots[:, None] - slots).ravel()
-    return gaps[evidence.pair] + sides[evidence.sides]
-
-
-def chances(evidence: Evidence, strengths: np.ndarray, slots: np.ndarray) -> np.ndarray:
-    """Return the chance of the one of each cell."""
-    return logistic(_leads(evidence, strengths, slots))
-
-
-def slope(evidence: Evidence, parameters: np.ndarray) -> Slope:
+def slope(counts: PairCounts, parameters: np.ndarray) -> Slope:
     """Return the log-likelihood, its gradient, and the weight of each cell in its curvature."""
-    size = evidence.num_entries
-    x = _leads(evidence, parameters[:size], parameters[size:])
+    size = counts.num_entries
+    x = counts.leads(parameters[:size], parameters[size:])
     # log(1 + e^x) and the chance from e^-|x|, which cannot overflow.
     small = np.exp(-np.abs(x))
     bounded = np.maximum(x, 0.0) + np.log1p(small)
-    value = float(evidence.won @ x - evidence.meetings @ bounded)
-    likely = 1.0 / (1.0 + small)  # of whoever is the likelier of the two
-    beyond = evidence.won - evidence.meetings * likely * np.exp(np.minimum(x, 0.0))
-    weights = evidence.meetings * small * likely * likely
-    ahead, behind = evidence.by_entry(evidence.by_pair(beyond))
-    sides = evidence.by_sides(beyond)
+    value = float(counts.won @ x - counts.meetings @ bounded)
+    likely = 1.0 / (1.0 + small)  # chance of the likelier of the two
+    beyond = counts.won - counts.meetings * likely * np.exp(np.minimum(x, 0.0))
+    ahead, behind = counts.by_entry(counts.by_pair(beyond))
+    sides = counts.by_sides(beyond)
     gradient = np.concatenate([ahead - behind, sides.sum(axis=1) - sides.sum(axis=0)])
-    return Slope(value, gradient, weights)
+    return Slope(value, gradient, counts.meetings * small * likely * likely)
 
 
 def race_scores(results: Results, strengths: np.ndarray, slots: np.ndarray) -> np.ndarray:
-    """Return each car's slope of the log-likelihood of its own race, (races, slots).
+    """Return each car's points beyond its expected ones, (races, slots).
 
-    It is the car's points beyond what was expected of it, and at once the slope for its entry and
-    for its slot. A heat's slope is the sum over its races: the clusters of the robust covariance.
+    That is the slope of its race's log-likelihood by its entry, and by its slot. A heat's slope is
+    the sum over its races: the clusters of the robust covariance.
     """
-    found = np.zeros(results.entries.shape)
-    shown = [strengths[column] + slots[a] for a, column in enumerate(results.entries.T)]
+    scores = np.zeros(results.entries.shape)
+    levels = [strengths[column] + slots[a] for a, column in enumerate(results.entries.T)]
     for a, b in slot_pairs(results):
-        one, other = results.entries[:, a], results.entries[:, b]
-        beyond = score(results.places[:, a], results.places[:, b])
-        beyond -= logistic(shown[a] - shown[b])
-        beyond *= (one >= 0) & (other >= 0)
-        found[:, a] += beyond
-        found[:, b] -= beyond
-    return found
-
-
-def groups(evidence: Evidence) -> np.ndarray:
-    """Return the group of each entry: entries of two groups have no chain of races between them."""
-    graph = evidence.graph(np.ones(len(evidence.one)))
-    return csgraph.connected_components(graph, directed=False)[1]
-
-
-def points_of(evidence: Evidence) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pairs each entry was in and the points it made in them, (entries,) both."""
-    met, won = evidence.by_pair(evidence.meetings), evidence.by_pair(evidence.won)
-    ahead, behind = evidence.by_entry(met)
-    return ahead + behind, evidence.by_entry(won)[0] + evidence.by_entry(met - won)[1]
-
-
-def logistic(x: np.ndarray) -> np.ndarray:
-    """Return 1 / (1 + e^-x)."""
-    with np.errstate(over="ignore"):
-        return 1.0 / (1.0 + np.exp(-x))
+        beyond = score(results.places[:, a], results.places[:, b]) - expit(levels[a] - levels[b])
+        beyond *= (results.entries[:, a] >= 0) & (results.entries[:, b] >= 0)
+        scores[:, a] += beyond
+        scores[:, b] -= beyond
+    return scores

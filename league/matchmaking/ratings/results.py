@@ -1,53 +1,41 @@
-"""What the rating reads: who started where, and who came in where, race by race."""
+"""Results of races as tables: who started where, and who came in where."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from league.errors import ConfigError
 
-NOBODY = -1
-"""Stands on a grid slot that is empty."""
-
-
-@dataclass(frozen=True)
-class Run:
-    """How one car's race went, as far as its place depends on it."""
-
-    score_s: float | None
-    """What finishers are ordered by (total, best or average time) [s]; None: did not finish."""
-    laps: int = 0
-    """Laps completed; only asked of those who did not finish."""
-    distance: float = 0.0
-    """Distance driven [m]; told apart when laps are equal."""
-    failed_s: float = 0.0
-    """When its race ended without a finish [s]; who lasted longer is placed before."""
-
-
-def places_of(runs: Sequence[Run]) -> tuple[int, ...]:
-    """Return the places, 1 the best; equal runs share a place, the next one is then left out."""
-    worth = [
-        (1, -run.score_s, 0.0, 0.0)
-        if run.score_s is not None
-        else (0, float(run.laps), run.distance, run.failed_s)
-        for run in runs
-    ]
-    return tuple(1 + sum(other > own for other in worth) for own in worth)
+EMPTY = -1
+"""Entry number of an empty grid slot."""
 
 
 @dataclass(frozen=True)
 class Finish:
-    """The finishing order of one race."""
+    """How one car's race ended, as far as its place depends on it."""
 
-    heat: Hashable
-    """Key of the heat; its races are told apart by who stood where on the grid."""
-    entries: tuple[int, ...]
-    """Entry numbers in grid order, slot 0 in front."""
-    places: tuple[int, ...]
-    """Place of each of them, in the same order; equal places are ties."""
+    score_s: float | None
+    """What finishers are ordered by (total, best or average time) [s]; None: did not finish."""
+    laps: int = 0
+    """Laps completed; orders those who did not finish."""
+    distance: float = 0.0
+    """Distance driven [m]; decides between equal laps."""
+    failed_s: float = 0.0
+    """When its race ended without a finish [s]; the later one is placed before."""
+
+
+def places_of(finishes: Sequence[Finish]) -> tuple[int, ...]:
+    """Return the places, 1 the best; equals share a place, the next one is then left out."""
+    worth = [
+        (1, -finish.score_s, 0.0, 0.0)
+        if finish.score_s is not None
+        else (0, float(finish.laps), finish.distance, finish.failed_s)
+        for finish in finishes
+    ]
+    return tuple(1 + sum(other > own for other in worth) for own in worth)
 
 
 @dataclass(frozen=True)
@@ -72,7 +60,7 @@ class Results:
             raise ConfigError(
                 f"{self.heats.shape} heat numbers for {len(self.entries)} races: give one a race"
             )
-        if len(self.entries) and self.entries.min() < NOBODY:
+        if len(self.entries) and self.entries.min() < EMPTY:
             raise ConfigError(
                 f"entry number {self.entries.min()} is below 0: number entries from 0 up, "
                 "and leave empty slots at -1"
@@ -81,75 +69,39 @@ class Results:
     def __len__(self) -> int:
         return len(self.heats)
 
-    @classmethod
-    def of(cls, finishes: Sequence[Finish]) -> Results:
-        """Return the tables of some finishing orders.
-
-        Raises:
-            ConfigError: a race without a place for each car, or with a car twice.
-        """
-        slots = max((len(finish.entries) for finish in finishes), default=2)
-        entries = np.full((len(finishes), slots), NOBODY, dtype=np.int64)
-        places = np.zeros((len(finishes), slots), dtype=np.int64)
-        numbers: dict[Hashable, int] = {}
-        heats = np.empty(len(finishes), dtype=np.int64)
-        for row, finish in enumerate(finishes):
-            cars = len(finish.entries)
-            if len(finish.places) != cars or len(set(finish.entries)) != cars:
-                raise ConfigError(
-                    f"heat {finish.heat} has entries {finish.entries} and places {finish.places}: "
-                    "give each car once, and one place for each"
-                )
-            heats[row] = numbers.setdefault(finish.heat, len(numbers))
-            entries[row, :cars] = finish.entries
-            places[row, :cars] = finish.places
-        return cls(heats=heats, entries=entries, places=places)
+    def rows(self, rows: np.ndarray) -> Results:
+        """Return the races in some rows (indices, or a mask)."""
+        return Results(self.heats[rows], self.entries[rows], self.places[rows])
 
     def distinct(self) -> Results:
         """Return the races sorted by heat, each once, however often it was delivered.
 
-        A race is known by its heat and its grid. The same race with another outcome is a
-        contradiction that the store must have settled before.
+        A race is known by its heat and its grid.
 
         Raises:
-            ConfigError: a race was given twice with different places.
+            ConfigError: one race with two outcomes, which the store must settle first.
         """
-        rows = self
+        table = self
         if len(self) > 1 and (self.heats[1:] < self.heats[:-1]).any():
-            order = np.argsort(self.heats, kind="stable")
-            rows = Results(self.heats[order], self.entries[order], self.places[order])
-        again = np.zeros(len(rows), dtype=bool)
-        for one, other in rows.in_one_heat():
-            same = (rows.entries[one] == rows.entries[other]).all(axis=1)
-            one, other = one[same], other[same]
-            # Places may be numbered differently (1, 2 or 0, 1); who beat whom may not differ.
-            sides = [np.sign(p[:, :, None] - p[:, None, :]) for p in rows._racing(one, other)]
-            if (sides[0] != sides[1]).any():
+            table = self.rows(np.argsort(self.heats, kind="stable"))
+        repeated = np.zeros(len(table), dtype=bool)
+        # Compare each row with the next one of its heat, then with the one after that, ...
+        for apart in range(1, len(table)):
+            first = np.flatnonzero(table.heats[:-apart] == table.heats[apart:])
+            if not len(first):
+                break
+            second = first + apart
+            same = (table.entries[first] == table.entries[second]).all(axis=1)
+            first, second = first[same], second[same]
+            if (table._orders(first) != table._orders(second)).any():
                 raise ConfigError(
-                    f"heat {rows.heats[one[0]]} has one race with two different outcomes: "
+                    f"heat {table.heats[first[0]]} has one race with two different outcomes: "
                     "quarantine it before rating"
                 )
-            again[other] = True
-        if not again.any():
-            return rows
-        keep = ~again
-        return Results(rows.heats[keep], rows.entries[keep], rows.places[keep])
+            repeated[second] = True
+        return table.rows(~repeated) if repeated.any() else table
 
-    def _racing(self, one: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the places of two sets of rows, 0 on empty slots."""
-        there = self.entries[one] >= 0
-        return np.where(there, self.places[one], 0), np.where(there, self.places[other], 0)
-
-    def in_one_heat(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return (rows, later rows of the same heat), one pair for each distance in the table.
-
-        The races must be sorted by heat. A heat of two races costs one comparison of the table
-        with itself, moved by one.
-        """
-        found = []
-        for apart in range(1, len(self)):
-            rows = np.flatnonzero(self.heats[:-apart] == self.heats[apart:])
-            if not len(rows):
-                break
-            found.append((rows, rows + apart))
-        return found
+    def _orders(self, rows: np.ndarray) -> np.ndarray:
+        """Return who beat whom, (rows, slots, slots): places may be numbered differently."""
+        places = np.where(self.entries[rows] >= 0, self.places[rows], 0)
+        return np.sign(places[:, :, None] - places[:, None, :])

@@ -1,4 +1,4 @@
-"""Is B better than A? Races are run until the answer is as sure as was asked, and no longer.
+"""Sequential test of whether B is better than A, over heats.
 
 The generalised sequential probability ratio test over heats (Wald 1945; Van den Bergh 2019). A
 heat's score is the mean over its races, so its five outcomes (two races, ties) keep together what
@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy.optimize import brentq
 
 from league.errors import ConfigError
-from league.matchmaking.ratings.table import SIGMAS_95, expected_score
+from league.matchmaking.ratings.fit import SIGMAS_95, expected_score
 
 Decision = Literal["better", "not better", "undecided"]
 
@@ -174,13 +175,11 @@ def _log_tilts(seen: np.ndarray, values: np.ndarray, mean: float) -> np.ndarray:
     q = p / (1 + tilt (value - mean)), where the tilt makes the mean right (Owen's empirical
     likelihood); it lies between the poles of the outermost outcomes.
     """
-    from scipy.optimize import brentq
-
     share, apart = seen / seen.sum(), values - mean
     edge = 1e-12
     low, high = -1.0 / apart.max() * (1 - edge), -1.0 / apart.min() * (1 - edge)
-    told = brentq(lambda t: float((share * apart / (1 + t * apart)).sum()), low, high, xtol=1e-14)
-    tilt = float(np.asarray(told))
+    root = brentq(lambda t: float((share * apart / (1 + t * apart)).sum()), low, high, xtol=1e-14)
+    tilt = float(np.asarray(root))
     return -np.log1p(tilt * apart)
 
 

@@ -1,45 +1,51 @@
-"""The two ways to solve with the curvature: a dense factor for small fields, iterations for large.
+"""Curvature of the log-posterior, and the variances that follow from it.
 
-Both hold the symmetric matrix of the negative log-posterior's second derivatives by strengths and
-slots, H. Variances come from it twice: H^-1, right if the model is, and the sandwich
-H^-1 (J + prior) H^-1, where J sums the squares of whole heats' slopes and so allows for whatever
-makes the races of a heat, or the pairs of a race, alike.
+H is the symmetric matrix of the negative log-posterior's second derivatives by strengths and
+slots. Variances come from it twice: H^-1, right if the model is, and the sandwich
+H^-1 (J + prior) H^-1, where J sums the outer products of whole heats' slopes and so allows for
+whatever makes the races of a heat, or the pairs of a race, alike. Small fields factor H; large
+ones solve with conjugate gradients and estimate diagonals from random probes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 from scipy import linalg, sparse
+from scipy.sparse.linalg import aslinearoperator, cg
 
-from league.matchmaking.ratings.pair_counts import Evidence, race_scores
+from league.matchmaking.ratings.pair_counts import PairCounts, race_scores
 from league.matchmaking.ratings.results import Results
 
 DENSE_MOST = 1500
-"""Entries up to which the dense factor is used; beyond, its cube of the field is too slow."""
+"""Entries up to which H is factored; beyond, the cube of the field is too slow."""
 PROBES = 8
-"""Random sign vectors in a batch, for what closed forms leave over of a large field's variances."""
+"""Random sign vectors in a batch."""
 BATCHES = 12
 """Batches of probes at most."""
 NOISE = 0.03
 """Relative noise of the variances (twice that of the standard deviations) that ends the probing."""
+COLUMNS = 64
+"""Differences solved for together."""
+PULL = 50.0
+"""Heats an entry needs for its own scatter to count as much as the field's."""
 
 
 class System(Protocol):
-    """What the fit asks of the curvature."""
+    """H, ready to be solved with."""
 
     def solve(self, right: np.ndarray, *, within: float = 1e-8) -> np.ndarray:
         """Return H^-1 right."""
         ...
 
     def mean_variance(self) -> tuple[float, float]:
-        """Return the mean diagonals of H^-1 and of its square, all over the entries alone."""
+        """Return the mean diagonals of H^-1 and of its square over the entries."""
         ...
 
-    def variances(self, squares: Squares) -> tuple[np.ndarray, np.ndarray]:
+    def diagonals(self, squares: Squares) -> tuple[np.ndarray, np.ndarray]:
         """Return the diagonals of H^-1 and of the sandwich over the entries."""
         ...
 
@@ -64,6 +70,30 @@ class Squares:
         """Number of parameters."""
         return sum(self.border.shape)
 
+    @classmethod
+    def of(cls, results: Results, at: np.ndarray, prior: np.ndarray) -> Squares:
+        """Sum the squared slopes of the heats at some parameters; races must be sorted by heat."""
+        slots = results.entries.shape[1]
+        size = len(at) - slots
+        scores = race_scores(results, at[:size], at[size:])
+        starts = np.flatnonzero(np.diff(results.heats, prepend=results.heats[:1] - 1))
+        by_slot = np.add.reduceat(scores, starts, axis=0) if len(starts) else scores
+        # One row a heat; an entry that stands in it twice (once a race) is summed by the product.
+        raced = results.entries >= 0
+        before = np.append(0, np.cumsum(raced.sum(axis=1)))  # cars that stood in earlier races
+        bounds = before[np.append(starts, len(results))]
+        heats = sparse.csr_array(
+            (scores[raced], results.entries[raced], bounds), shape=(len(starts), size)
+        )
+        heats.sum_duplicates()
+        return cls(
+            scores=heats,
+            prior=prior[:size],
+            border=heats.T @ by_slot,
+            corner=by_slot.T @ by_slot + np.diag(prior[size:]),
+            heats=np.bincount(heats.indices, minlength=size),
+        )
+
     def diagonal(self) -> np.ndarray:
         """Return the diagonal by strength, (entries,)."""
         squares = np.bincount(self.scores.indices, self.scores.data**2, len(self.prior))
@@ -72,8 +102,7 @@ class Squares:
     def table(self) -> np.ndarray:
         """Return it as one dense table."""
         entries = (self.scores.T.tocsr() @ self.scores).toarray() + np.diag(self.prior)
-        above = np.concatenate([entries, self.border], axis=1)
-        return np.concatenate([above, np.concatenate([self.border.T, self.corner], axis=1)])
+        return np.block([[entries, self.border], [self.border.T, self.corner]])
 
     def entries_times(self, vectors: np.ndarray) -> np.ndarray:
         """Return the product of the strengths' block with some columns, (entries, columns)."""
@@ -87,158 +116,123 @@ class Squares:
         return np.concatenate([above, self.border.T @ entries + self.corner @ slots])
 
 
-def squares(results: Results, evidence: Evidence, at: np.ndarray, prior: np.ndarray) -> Squares:
-    """Sum the squared slopes of the heats; races must be sorted by heat."""
-    size = evidence.num_entries
-    scores = race_scores(results, at[:size], at[size:])
-    starts = np.flatnonzero(np.diff(results.heats, prepend=results.heats[:1] - 1))
-    slots = np.add.reduceat(scores, starts, axis=0) if len(starts) else scores
-    # One row a heat; an entry that stands in it twice (once a race) is summed by the product.
-    there = results.entries >= 0
-    before = np.append(0, np.cumsum(there.sum(axis=1)))  # cars that stood in earlier races
-    bounds = before[np.append(starts, len(results))]
-    shape = (len(starts), size)
-    heats = sparse.csr_array((scores[there], results.entries[there], bounds), shape=shape)
-    heats.sum_duplicates()
-    return Squares(
-        scores=heats,
-        prior=prior[:size],
-        border=heats.T @ slots,
-        corner=slots.T @ slots + np.diag(prior[size:]),
-        heats=np.bincount(heats.indices, minlength=size),
-    )
-
-
-Maker = Callable[[np.ndarray, np.ndarray], System]
-"""Makes the system of the cells' weights and the prior's precisions."""
-
-
-def maker(evidence: Evidence, *, dense_most: int = DENSE_MOST) -> Maker:
-    """Return what makes the system that suits the size of the field."""
-    suited = Dense if evidence.num_entries <= dense_most else Sparse
-    return lambda weights, prior: suited(evidence, weights, prior)
-
-
-def _margins(
-    evidence: Evidence, weights: np.ndarray, met: np.ndarray, prior: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return all of H but the strengths' off-diagonals: their diagonal, the border, the corner.
+def system(
+    counts: PairCounts, weights: np.ndarray, prior: np.ndarray, *, dense_most: int = DENSE_MOST
+) -> System:
+    """Return H in the form that suits the size of the field.
 
     Args:
-        evidence: the races.
+        counts: the races.
         weights: curvature of each cell.
-        met: the same by pair.
-        prior: precisions.
+        prior: precision of each parameter.
+        dense_most: entries up to which H is factored.
     """
-    ahead, behind = evidence.by_entry(met)
-    ones, others = evidence.by_entry_and_sides(weights)
+    met = counts.by_pair(weights)
+    ahead, behind = counts.by_entry(met)
+    ones, others = counts.by_entry_and_sides(weights)
     # The opponent's slot counts against the own one.
     border = (ones - others).sum(axis=2) - (ones - others).sum(axis=1)
-    sides = ones.sum(axis=0)
-    size = evidence.num_entries
+    sides, size = ones.sum(axis=0), counts.num_entries
     corner = np.diag(prior[size:] + sides.sum(axis=1) + sides.sum(axis=0)) - sides - sides.T
-    return prior[:size] + ahead + behind, border, corner
+    suited = Dense if size <= dense_most else Sparse
+    return suited(counts, met, prior[:size] + ahead + behind, border, corner, 1.0 / prior[0])
 
 
 class Dense:
     """H as a table, and its Cholesky factor."""
 
-    def __init__(self, evidence: Evidence, weights: np.ndarray, prior: np.ndarray) -> None:
-        size, met = evidence.num_entries, evidence.by_pair(weights)
-        table = np.zeros((evidence.size, evidence.size))
-        table[evidence.other, evidence.one] = -met  # only the lower triangle is read
-        margins = _margins(evidence, weights, met, prior)
-        diagonal, border, table[size:, size:] = margins
-        table[size:, :size] = border.T
+    def __init__(
+        self,
+        counts: PairCounts,
+        met: np.ndarray,
+        diagonal: np.ndarray,
+        border: np.ndarray,
+        corner: np.ndarray,
+        _level: float,
+    ) -> None:
+        self._size = size = len(diagonal)
+        table = np.zeros((counts.size, counts.size))
+        table[counts.other, counts.one] = -met  # only the lower triangle is read
+        table[size:, size:], table[size:, :size] = corner, border.T
         table[range(size), range(size)] += diagonal
-        self._size = size
         self._factor = linalg.cho_factor(table, lower=True, overwrite_a=True, check_finite=False)
-        self._below: np.ndarray | None = None
 
     def solve(self, right: np.ndarray, *, within: float = 1e-8) -> np.ndarray:
         """Return H^-1 right."""
         return linalg.cho_solve(self._factor, right, check_finite=False)
 
+    @cached_property
     def _inverse(self) -> np.ndarray:
-        """Return H^-1, of which only the lower triangle counts."""
-        if self._below is None:
-            (potri,) = linalg.get_lapack_funcs(("potri",), (self._factor[0],))
-            self._below = np.asarray(potri(self._factor[0], lower=1)[0])
-        return self._below
+        """H^-1, of which only the lower triangle counts."""
+        (potri,) = linalg.get_lapack_funcs(("potri",), (self._factor[0],))
+        return np.asarray(potri(self._factor[0], lower=1)[0])
 
     def mean_variance(self) -> tuple[float, float]:
         """Return the mean diagonals of H^-1 and of its square over the entries."""
-        inner = np.tril(self._inverse()[: self._size, : self._size])
+        inner = np.tril(self._inverse[: self._size, : self._size])
         diagonal = inner.diagonal()
         twice = 2.0 * float((inner**2).sum()) - float(diagonal @ diagonal)
         return float(diagonal.mean()), twice / self._size
 
-    def variances(self, squares: Squares) -> tuple[np.ndarray, np.ndarray]:
+    def diagonals(self, squares: Squares) -> tuple[np.ndarray, np.ndarray]:
         """Return the diagonals of H^-1 and of the sandwich over the entries."""
-        below = self._inverse()
-        size = self._size
-        inverse = np.tril(below) + np.tril(below, -1).T
+        inverse = np.tril(self._inverse) + np.tril(self._inverse, -1).T
         across = inverse @ squares.table()
-        robust = np.einsum("ij,ij->i", across[:size], inverse[:size])
-        return inverse.diagonal()[:size].copy(), robust
+        robust = np.einsum("ij,ij->i", across[: self._size], inverse[: self._size])
+        return inverse.diagonal()[: self._size].copy(), robust
 
 
 class Sparse:
     """H as a sparse matrix with a narrow border, solved by conjugate gradients."""
 
-    def __init__(self, evidence: Evidence, weights: np.ndarray, prior: np.ndarray) -> None:
-        met = evidence.by_pair(weights)
-        self._above = evidence.graph(met)
-        self._below = self._above.T
-        self._diagonal, self._border, self._corner = _margins(evidence, weights, met, prior)
-        self._all = np.concatenate([self._diagonal, self._corner.diagonal()])
-        self._level = 1.0 / prior[0]
-        self._first: tuple[np.ndarray, np.ndarray] | None = None
+    def __init__(
+        self,
+        counts: PairCounts,
+        met: np.ndarray,
+        diagonal: np.ndarray,
+        border: np.ndarray,
+        corner: np.ndarray,
+        level: float,
+    ) -> None:
+        self._above = counts.graph(met)
+        self._diagonal, self._border, self._corner, self._level = diagonal, border, corner, level
+        self._all = np.concatenate([diagonal, corner.diagonal()])
+        self.shape, self.dtype = (len(self._all), len(self._all)), np.dtype(float)
 
     def _met(self, entries: np.ndarray) -> np.ndarray:
-        """Return the pairs' weights, in both triangles, times some columns."""
-        return self._above @ entries + self._below @ entries
+        """Return the pairs' weights, in both triangles, times a vector or some columns."""
+        return self._above @ entries + self._above.T @ entries
 
-    def times(self, vectors: np.ndarray) -> np.ndarray:
-        """Return H times some columns."""
+    def matvec(self, vectors: np.ndarray) -> np.ndarray:
+        """Return H times a vector or some columns."""
         size = len(self._diagonal)
         entries, slots = vectors[:size], vectors[size:]
-        above = self._diagonal[:, None] * entries - self._met(entries) + self._border @ slots
+        above = (self._diagonal * entries.T).T - self._met(entries) + self._border @ slots
         return np.concatenate([above, self._border.T @ entries + self._corner @ slots])
 
     def solve(self, right: np.ndarray, *, within: float = 1e-8) -> np.ndarray:
-        """Return H^-1 right by conjugate gradients, scaled by the diagonal."""
-        columns = right.reshape(len(right), -1)
-        found, rest = np.zeros_like(columns), columns.copy()
-        scaled = rest / self._all[:, None]
-        along = scaled.copy()
-        energy = (rest * scaled).sum(axis=0)
-        enough = within**2 * np.maximum(energy, 1e-300)
-        for _ in range(1000):
-            if (energy <= enough).all():
-                break
-            bent = self.times(along)
-            step = energy / np.maximum((along * bent).sum(axis=0), 1e-300)
-            found += step * along
-            rest -= step * bent
-            scaled = rest / self._all[:, None]
-            before, energy = energy, (rest * scaled).sum(axis=0)
-            along = scaled + (energy / np.maximum(before, 1e-300)) * along
-        return found.reshape(right.shape)
+        """Return H^-1 right."""
+        scaling = sparse.diags_array(1.0 / self._all)
+        operator = aslinearoperator(self)
+        solved = [
+            cg(operator, column, rtol=within, maxiter=1000, M=scaling)[0]
+            for column in right.reshape(len(right), -1).T
+        ]
+        return np.stack(solved, axis=1).reshape(right.shape)
 
     def mean_variance(self) -> tuple[float, float]:
         """Return the mean diagonals of H^-1 and of its square over the entries, by probes."""
-        if not self._above.nnz:  # nobody has met: what is known is the prior, exactly
+        if not self._above.nnz:  # no pair has met: the variance is the prior's, exactly
             return self._level, self._level**2
-        probes, solved = self._first_probes()
-        left_over = (probes * self._left_over(probes, solved)).mean()
+        probes, solved = self._first_probes
         level = self._level / len(probes)
-        once = float(left_over + (1.0 / self._diagonal).mean()) + level
+        rest = (probes * self._rest(probes, solved)).mean()
+        once = float(rest + (1.0 / self._diagonal).mean()) + level
         # Of the square, the level is known exactly, too, and what probes see of it is left out.
         apart = solved[: len(probes)] - self._level * probes.mean(axis=0)
         return once, float((apart**2).mean()) + self._level * level
 
-    def variances(self, squares: Squares) -> tuple[np.ndarray, np.ndarray]:
+    def diagonals(self, squares: Squares) -> tuple[np.ndarray, np.ndarray]:
         """Return the diagonals of H^-1 and of the sandwich over the entries.
 
         H^-1 is 1 / diagonal, plus the level of the field (known exactly: H times a constant is
@@ -251,41 +245,108 @@ class Sparse:
         model = self._level / size + first[:, 0]
         robust = model + first[:, 0] ** 2 * (squares.diagonal() - self._diagonal)
         generator = np.random.default_rng(0)  # the same signs at each fit: it is a pure function
-        seen: list[np.ndarray] = []
-        for _ in range(BATCHES):
+        samples = np.zeros((2, size, 0))
+        while True:
             probes = self._probes(generator)
-            solved = self._solve_entries(probes) if seen else self._first_probes()[1]
-            more = probes * self._left_over(probes, solved)
-            twice = self.solve(squares.times(solved) - self.times(solved), within=1e-3)[:size]
+            solved = self._solve_entries(probes) if samples.size else self._first_probes[1]
+            once = probes * self._rest(probes, solved)
+            twice = self.solve(squares.times(solved) - self.matvec(solved), within=1e-3)[:size]
             scaled = first * probes
             apart = squares.entries_times(scaled) + self._met(scaled) - probes  # E @ scaled
-            seen.append(np.stack([more, more + probes * (twice - first * apart)]))
-            told = np.concatenate(seen, axis=2)
-            noise = told.std(axis=2) / np.sqrt(told.shape[2])
-            found = np.stack([model, robust]) + told.mean(axis=2)
-            if np.sqrt(((noise / found) ** 2).mean()) < NOISE:
-                break
-        # No variance is below the one with all others known.
-        return np.maximum(found[0], first[:, 0]), found[1]
+            batch = np.stack([once, once + probes * (twice - first * apart)])
+            samples = np.concatenate([samples, batch], axis=2)
+            number = samples.shape[2]
+            noise = samples.std(axis=2) / np.sqrt(number)
+            variances = np.stack([model, robust]) + samples.mean(axis=2)
+            quiet = np.sqrt(((noise / variances) ** 2).mean()) < NOISE
+            if quiet or number >= BATCHES * PROBES:
+                # No variance is below the one with all others known.
+                return np.maximum(variances[0], first[:, 0]), variances[1]
 
+    @cached_property
     def _first_probes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the first batch of probes and what solves them."""
-        if self._first is None:
-            probes = self._probes(np.random.default_rng(0))
-            self._first = probes, self._solve_entries(probes)
-        return self._first
+        """The first batch of probes, and H^-1 times it."""
+        probes = self._probes(np.random.default_rng(0))
+        return probes, self._solve_entries(probes)
 
     def _probes(self, generator: np.random.Generator) -> np.ndarray:
         return generator.choice([-1.0, 1.0], size=(len(self._diagonal), PROBES))
 
     def _solve_entries(self, probes: np.ndarray) -> np.ndarray:
-        right = np.zeros((len(self._all), PROBES))
-        right[: len(probes)] = probes
-        return self.solve(right, within=1e-4)
+        slots = np.zeros((len(self._corner), PROBES))
+        return self.solve(np.concatenate([probes, slots]), within=1e-4)
 
-    def _left_over(self, probes: np.ndarray, solved: np.ndarray) -> np.ndarray:
+    def _rest(self, probes: np.ndarray, solved: np.ndarray) -> np.ndarray:
         """Return H^-1 probes less what is known of it in closed form."""
         first = 1.0 / self._diagonal[:, None]
         known = first * probes + self._level * probes.mean(axis=0)
         near = first * self._met(first * probes)  # has nothing on its diagonal
         return solved[: len(probes)] - known - near
+
+
+@dataclass(frozen=True)
+class Variances:
+    """How sure the parameters are [natural units^2]."""
+
+    system: System
+    """H."""
+    squares: Squares
+    """The middle of the sandwich."""
+    strengths: np.ndarray
+    """Of each strength against the weighted average of all others, (entries,)."""
+    ratio: float
+    """Robust variance over the model's, on average over the field."""
+
+    @classmethod
+    def of(cls, system: System, squares: Squares, weights: np.ndarray) -> Variances:
+        """Work out the strengths' variances; `weights` sum to 1 over the entries."""
+        size = len(weights)
+        average = np.zeros(squares.size)
+        average[:size] = weights
+        towards = system.solve(average)
+        around = system.solve(squares.times(towards[:, None])[:, 0])
+        model, robust = (
+            # (e_i - w) / (1 - w_i) takes an entry from the average of the others.
+            (diagonal - 2 * shared[:size] + float(average @ shared)) / (1.0 - weights) ** 2
+            for diagonal, shared in zip(system.diagonals(squares), (towards, around), strict=True)
+        )
+        heats = squares.heats
+        ratio = float(heats @ (robust / model)) / heats.sum() if heats.any() else 1.0
+        return cls(system, squares, _blend(model, robust, heats, ratio), ratio)
+
+    def slots(self) -> np.ndarray:
+        """Return the variances of the slots' worth against the average of all slots."""
+        size, slots = self.squares.border.shape
+        right = np.zeros((size + slots, slots))
+        right[size:] = np.eye(slots) - 1.0 / slots
+        return np.maximum(*self._quadratic(right))  # all heats contribute to the slots
+
+    def gaps(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """Return the variances of strength differences between entries, given by index."""
+        variances = np.zeros(len(one))
+        for start in range(0, len(one), COLUMNS):
+            some = slice(start, start + COLUMNS)
+            column = np.arange(len(one[some]))
+            right = np.zeros((self.squares.size, len(column)))
+            right[one[some], column] += 1.0
+            right[other[some], column] -= 1.0
+            heats = np.minimum(self.squares.heats[one[some]], self.squares.heats[other[some]])
+            variances[some] = _blend(*self._quadratic(right), heats, self.ratio)
+        return variances
+
+    def _quadratic(self, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the model's and the robust variances of some combinations, one a column."""
+        solved = self.system.solve(right)
+        return (right * solved).sum(axis=0), (solved * self.squares.times(solved)).sum(axis=0)
+
+
+def _blend(model: np.ndarray, robust: np.ndarray, heats: np.ndarray, ratio: float) -> np.ndarray:
+    """Return variances between the model's and the robust ones, never below the model's.
+
+    The scatter of an entry's few heats says little about their variance: an entry that never lost
+    shows none at all. So its own ratio robust / model is drawn towards the field's, as if PULL
+    more heats had shown that.
+    """
+    own = robust / np.maximum(model, 1e-300)
+    drawn = (heats * own + PULL * ratio) / (heats + PULL)
+    return model * np.maximum(1.0, drawn)

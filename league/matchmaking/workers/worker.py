@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from league.errors import ConfigError
 from league.matchmaking.pairing.heat_spec import Half, Ruleset
-from league.matchmaking.ratings.results import Run, places_of
+from league.matchmaking.ratings import Finish, places_of
 from league.matchmaking.store.records import HeatOutcome, RaceOutcome
 from league.sim.version import PHYSICS
 
@@ -216,9 +216,9 @@ def places(result: RaceResult) -> tuple[int, ...]:
             end_s[event.car] = event.time_s
     return places_of(
         [
-            Run(car.total_s, car.laps)
+            Finish(car.total_s, car.laps)
             if car.finished
-            else Run(None, car.laps, car.distance, end_s[car.car])
+            else Finish(None, car.laps, car.distance, end_s[car.car])
             for car in cars
         ]
     )

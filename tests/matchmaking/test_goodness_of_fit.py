@@ -1,17 +1,13 @@
 """Cycles: found where they were planted, not found where they were not."""
 
 import itertools
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
-from fields import raced, random_grids
-
-from league.matchmaking.ratings import Field, Results, expected_score, fit, rate
-from league.matchmaking.ratings.intransitivity import goodness_of_fit
+from league.matchmaking.ratings import RatingData, Results, expected_score, fit
+from league.matchmaking.ratings.goodness_of_fit import goodness_of_fit
+from tests.matchmaking.fields import raced, random_grids
 
 
 def round_robin(generator, leads, races, track_sd=0.0) -> Results:
@@ -78,18 +74,23 @@ def test_records_of_pairs_add_up_and_name_the_surprise():
     results = round_robin(generator, leads_of(np.zeros(6), 0.85), 60)
     names = np.array([3, 8, 11, 20, 21, 40])
     results = Results(results.heats, names[results.entries], results.places)
-    told = goodness_of_fit(results, fit(results))
-    assert told.rejected and told.p_value < 1e-6
-    assert len(told.pairs.one) == 15
-    assert (told.pairs.races == 60).all()
-    worst = np.argsort(-np.abs(told.pairs.residual))[:3]
-    assert {(told.pairs.one[k], told.pairs.other[k]) for k in worst} == {(3, 8), (8, 11), (3, 11)}
-    k = next(k for k in worst if (told.pairs.one[k], told.pairs.other[k]) == (3, 8))
-    assert told.pairs.points[k] > told.pairs.expected[k]
-    assert told.pairs.residual[k] > 3
+    goodness = goodness_of_fit(results, fit(results))
+    pairs = goodness.pairs
+    assert goodness.rejected and goodness.p_value < 1e-6
+    assert len(pairs.one) == 15
+    assert (pairs.races == 60).all()
+    worst = np.argsort(-np.abs(pairs.residual))[:3]
+    assert {(pairs.one[k], pairs.other[k]) for k in worst} == {
+        (3, 8),
+        (8, 11),
+        (3, 11),
+    }
+    k = next(k for k in worst if (pairs.one[k], pairs.other[k]) == (3, 8))
+    assert pairs.points[k] > pairs.expected[k]
+    assert pairs.residual[k] > 3
     # Residuals by hand: 60 races near even have a standard deviation of sqrt(60) / 2 = 3.87.
-    by_hand = (told.pairs.points[k] - told.pairs.expected[k]) / np.sqrt(15 * told.dispersion)
-    assert told.pairs.residual[k] == pytest.approx(by_hand, rel=0.02)
+    by_hand = (pairs.points[k] - pairs.expected[k]) / np.sqrt(15 * goodness.dispersion)
+    assert pairs.residual[k] == pytest.approx(by_hand, rel=0.02)
 
 
 def test_records_and_scatter_are_those_counted_race_by_race():
@@ -102,7 +103,7 @@ def test_records_and_scatter_are_those_counted_race_by_race():
     # No numbers 0 to 6: the entries are counted by where they stand among the rated ones.
     names = np.array([2, 3, 5, 8, 13, 21, 34, -1])
     results = Results(results.heats, names[entries], places)
-    told, ratings = goodness_of_fit(results, fit(results)), fit(results)
+    goodness, ratings = goodness_of_fit(results, fit(results)), fit(results)
     points, promised, room = {}, {}, {}
     for heat, grid, place in zip(results.heats, results.entries, places, strict=True):
         for a, b in itertools.permutations(range(4), 2):
@@ -115,30 +116,30 @@ def test_records_and_scatter_are_those_counted_race_by_race():
                 promised[key] = promised.get(key, 0) + chance
                 room[key] = room.get(key, 0) + chance * (1 - chance)
     scatter = least = 0.0
-    for k, pair in enumerate(zip(told.pairs.one, told.pairs.other, strict=True)):
+    for k, pair in enumerate(zip(goodness.pairs.one, goodness.pairs.other, strict=True)):
         keys = [key for key in points if key[:2] == pair]
-        assert told.pairs.points[k] == sum(points[key] for key in keys)
-        assert told.pairs.expected[k] == pytest.approx(sum(promised[key] for key in keys))
+        assert goodness.pairs.points[k] == sum(points[key] for key in keys)
+        assert goodness.pairs.expected[k] == pytest.approx(sum(promised[key] for key in keys))
         beyond = [points[key] - promised[key] for key in keys]
         scatter += sum((x - np.mean(beyond)) ** 2 for x in beyond) if len(keys) > 1 else 0
         least += sum(room[key] for key in keys) * (1 - 1 / len(keys))
-    assert len(told.pairs.one) == len({key[:2] for key in points})
-    assert told.dispersion == pytest.approx(max(1.0, scatter / least))
-    assert told.dispersion > 1.2
+    assert len(goodness.pairs.one) == len({key[:2] for key in points})
+    assert goodness.dispersion == pytest.approx(max(1.0, scatter / least))
+    assert goodness.dispersion > 1.2
 
 
-def test_a_field_counted_before_is_judged_like_its_races():
+def test_races_counted_before_are_judged_like_uncounted_ones():
     results = round_robin(np.random.default_rng(6), leads_of(np.zeros(6), 0.85), 20)
-    field = Field.of(results)
-    one, other = goodness_of_fit(field, rate(field)), goodness_of_fit(results, fit(results))
+    data = RatingData.of(results)
+    one, other = goodness_of_fit(data, fit(data)), goodness_of_fit(results, fit(results))
     assert (one.chi_square, one.dispersion) == (other.chi_square, other.dispersion)
     with pytest.raises(ValueError, match="do not have"):
-        goodness_of_fit(field, fit(results, entries=[99]))
+        goodness_of_fit(data, fit(results, entries=[99]))
 
 
 def test_one_race_proves_nothing():
     results = Results(np.array([0]), np.array([[0, 1]]), np.array([[1, 2]]))
-    told = goodness_of_fit(results, fit(results))
-    assert (told.rejected, told.p_value, told.judged) == (False, 1.0, 0)
+    goodness = goodness_of_fit(results, fit(results))
+    assert (goodness.rejected, goodness.p_value, goodness.judged) == (False, 1.0, 0)
     empty = Results(np.zeros(0, int), np.zeros((0, 2), int), np.zeros((0, 2), int))
     assert not goodness_of_fit(empty, fit(empty, entries=range(3))).rejected

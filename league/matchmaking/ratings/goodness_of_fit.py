@@ -1,0 +1,163 @@
+"""Goodness of fit of the ratings: cycles, and pairs that surprise.
+
+Ratings promise that A beats C if A beats B and B beats C. Pearson's chi-square over pairs tests
+the promise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse import csgraph
+from scipy.special import expit, gammaincc
+
+from league.matchmaking.ratings import pair_counts
+from league.matchmaking.ratings.fit import Ratings
+from league.matchmaking.ratings.pair_counts import ELO, RatingData
+from league.matchmaking.ratings.results import Results
+
+LEAST_VARIANCE = 1.0
+"""Pairs whose score the model leaves less room than this [points^2] are too thin to be judged."""
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """All pairs that met, and how they did against what their ratings promise."""
+
+    one: np.ndarray
+    """Entry number of the one, (pairs,)."""
+    other: np.ndarray
+    """Entry number of the other, above the one's, (pairs,)."""
+    races: np.ndarray
+    """Races they met in, (pairs,)."""
+    points: np.ndarray
+    """Points of the one, (pairs,)."""
+    expected: np.ndarray
+    """Points its rating promises, (pairs,)."""
+    residual: np.ndarray
+    """(points - expected) / standard deviation: above 2 or below -2 is worth a look, (pairs,)."""
+    variance: np.ndarray
+    """Variance of the points, dispersion included, (pairs,)."""
+
+
+@dataclass(frozen=True)
+class Goodness:
+    """Whether the ratings explain the results."""
+
+    pairs: Pairs
+    """The head-to-head records."""
+    chi_square: float
+    """Sum of the squared residuals of all pairs that raced enough to be judged."""
+    freedom: float
+    """What it is on average if the ratings are right."""
+    p_value: float
+    """Chance of a sum this large if the ratings are right; 1 when nothing can be judged."""
+    rejected: bool
+    """True if one number a driver does not explain the results."""
+    judged: int
+    """Pairs in the sum."""
+    dispersion: float
+    """Scatter of the heats of one pair over that of independent races; 1 or more."""
+
+
+def goodness_of_fit(
+    races: Results | RatingData, ratings: Ratings, *, level: float = 0.01
+) -> Goodness:
+    """Test whether the head-to-head records agree with the ratings.
+
+    Args:
+        races: those that the ratings were made of.
+        ratings: what is tested.
+        level: false alarms allowed.
+    """
+    data = races if isinstance(races, RatingData) else RatingData.of(races, ratings.entries)
+    if not np.array_equal(data.entries, ratings.entries):
+        raise ValueError("the races name entries that the ratings do not have")
+    counts = data.counts
+    chance = expit(counts.leads(ratings.elo / ELO, ratings.slot_advantages / ELO))
+    room = chance * (1.0 - chance)
+    single = np.maximum(counts.by_pair(counts.meetings * room), 1e-12)
+    dispersion = _dispersion(data, ratings)
+    points, expected = counts.by_pair(counts.won), counts.by_pair(counts.meetings * chance)
+    variance = single * dispersion
+    residual = (points - expected) / np.sqrt(variance)
+    judged = single >= LEAST_VARIANCE
+    chi_square = float((residual[judged] ** 2).sum())
+    freedom = _freedom(counts.one[judged], counts.other[judged], counts.num_entries)
+    p_value = 1.0
+    if freedom >= 1.0:
+        # The square of a residual of n races has a variance a little below a Gaussian's 2; a
+        # gamma distribution with the right mean and variance stands for the sum.
+        fourth = counts.by_pair(counts.meetings * room * (1.0 - 6.0 * room))
+        bend = float((fourth / single**2)[judged].mean()) / dispersion
+        spread = freedom * max(0.1, 2.0 + bend)
+        p_value = float(gammaincc(freedom**2 / spread, chi_square * freedom / spread))
+    return Goodness(
+        pairs=Pairs(
+            one=ratings.entries[counts.one],
+            other=ratings.entries[counts.other],
+            races=counts.by_pair(counts.meetings),
+            points=points,
+            expected=expected,
+            residual=residual,
+            variance=variance,
+        ),
+        chi_square=chi_square,
+        freedom=freedom,
+        p_value=p_value,
+        rejected=p_value < level,
+        judged=int(judged.sum()),
+        dispersion=dispersion,
+    )
+
+
+def _dispersion(data: RatingData, ratings: Ratings) -> float:
+    """Return how much more heats of one pair scatter around the pair's own mean than races do.
+
+    A track that suits one car makes both races of a heat alike; that is no cycle, and must not be
+    taken for one.
+    """
+    pair, sums, rooms = _clusters(data, ratings)
+    _, of, heats_of = np.unique(pair, return_inverse=True, return_counts=True)
+    means = np.bincount(of, sums) / heats_of
+    # A pair that met in one heat has no scatter.
+    scatter = ((sums - means[of]) ** 2).sum()
+    promised = (np.bincount(of, rooms) * (1.0 - 1.0 / heats_of)).sum()
+    return max(1.0, float(scatter / promised)) if promised > 0 else 1.0
+
+
+def _clusters(data: RatingData, ratings: Ratings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return each pair's meetings in one heat together: pair, points beyond promise, variance.
+
+    A pair is numbered among all possible ones.
+    """
+    results, size = data.results, len(ratings.entries)
+    strengths, slots = ratings.elo / ELO, ratings.slot_advantages / ELO
+    heat = np.cumsum(np.diff(results.heats, prepend=results.heats[:1]) != 0)
+    columns = [np.zeros((2, 0))]
+    keys = [np.zeros(0, np.int64)]
+    for a, b in pair_counts.slot_pairs(results):
+        one, other = results.entries[:, a], results.entries[:, b]
+        raced = (one >= 0) & (other >= 0)
+        chance = expit(strengths[one] - strengths[other] + (slots[a] - slots[b]))
+        beyond = pair_counts.score(results.places[:, a], results.places[:, b]) - chance
+        low, high = np.minimum(one, other), np.maximum(one, other)
+        values = np.stack([np.where(one < other, beyond, -beyond), chance * (1.0 - chance)])
+        keys.append(((heat * size + low) * size + high)[raced])
+        columns.append(values[:, raced])
+    key, (beyond, room) = np.concatenate(keys), np.concatenate(columns, axis=1)
+    order = np.argsort(key, kind="stable")
+    key, beyond, room = key[order], beyond[order], room[order]
+    starts = pair_counts.changes(key)
+    if not len(starts):
+        return key, beyond, room
+    return key[starts] % size**2, np.add.reduceat(beyond, starts), np.add.reduceat(room, starts)
+
+
+def _freedom(one: np.ndarray, other: np.ndarray, size: int) -> float:
+    """Return pairs less the strengths fitted to them: the entries less 1 in each group."""
+    graph = sparse.coo_array((np.ones(len(one)), (one, other)), shape=(size, size))
+    groups = csgraph.connected_components(graph, directed=False)[0]
+    return float(len(one) - (size - groups))
