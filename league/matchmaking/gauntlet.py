@@ -14,6 +14,7 @@ from league.matchmaking import ratings, standings, submission
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Heat
 from league.matchmaking.ratings import Ratings, Results, sprt
+from league.matchmaking.ratings.fit import SIGMAS_95
 from league.matchmaking.ratings.sprt import Comparison, SequentialSettings
 from league.matchmaking.store import RATED, Entry, HeatOutcome, Store
 from league.matchmaking.workers import Executor
@@ -185,9 +186,9 @@ class GauntletResult:
     rank: int
     """Where that would put it."""
     best_rank: int
-    """The best rank that the intervals allow."""
+    """The best rank that the races allow."""
     worst_rank: int
-    """The worst rank that the intervals allow."""
+    """The worst rank that the races allow."""
     against: tuple[tuple[str, int, float], ...]
     """Name, races and points against each opponent."""
 
@@ -248,17 +249,17 @@ def _placed(
         other = next(id for id in one.heat.entries if id != newcomer)
         points[other] += points_of(one.heat, outcome, newcomer)
     at = fitted.index(own)
-    low, high = float(fitted.low95[at]), float(fitted.high95[at])
     rank = 1 + int((fitted.elo > fitted.elo[at]).sum())
+    low, high = fitted.elo - SIGMAS_95 * fitted.sd, fitted.elo + SIGMAS_95 * fitted.sd
     return GauntletResult(
         elo=float(fitted.elo[at]),
-        low95=low,
-        high95=high,
+        low95=float(fitted.low95[at]),
+        high95=float(fitted.high95[at]),
         provisional=bool(fitted.provisional[at]),
         one_sided=bool(fitted.one_sided[at]),
         rank=rank,
-        best_rank=min(rank, 1 + int((fitted.low95 > high).sum())),
-        worst_rank=max(rank, len(fitted.entries) - int((fitted.high95 < low).sum())),
+        best_rank=min(rank, 1 + int((low > high[at]).sum())),
+        worst_rank=max(rank, len(fitted.entries) - int((high < low[at]).sum())),
         against=tuple((e.name, len(points[e.id]), sum(points[e.id])) for e in field),
     )
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from league.errors import StoreError, brief
 from league.matchmaking.ratings import RatingData, Ratings, Results, fit
+from league.matchmaking.ratings.fit import SIGMAS_95
 from league.matchmaking.ratings.goodness_of_fit import Goodness, goodness_of_fit
 from league.matchmaking.store import (
     BEST_MS,
@@ -29,9 +30,9 @@ class Row:
     rank: int
     """From 1."""
     best_rank: int
-    """The best rank that the intervals allow."""
+    """The best rank that the races allow."""
     worst_rank: int
-    """The worst rank that the intervals allow."""
+    """The worst rank that the races allow."""
     number: int
     """Entry number."""
     id: str
@@ -47,11 +48,11 @@ class Row:
     elo: float
     """Strength [Elo]."""
     sd: float
-    """Standard deviation [Elo]."""
+    """Standard deviation of its place within the field [Elo]."""
     low95: float
-    """Lower end of the 95 % interval [Elo]."""
+    """Lower end of the 95 % interval of `elo`, relative to the anchor [Elo]."""
     high95: float
-    """Upper end of the 95 % interval [Elo]."""
+    """Upper end of it [Elo]."""
     provisional: bool
     """Known to worse than sd 50, or not connected."""
     connected: bool
@@ -172,13 +173,14 @@ def of(store: Store, ruleset: str | None = None) -> Standings:
 
 
 def possible_ranks(fitted: Ratings) -> tuple[np.ndarray, np.ndarray]:
-    """Return the best and the worst rank (from 0) that the intervals allow, in order of rank.
+    """Return the best and the worst rank (from 0) that the races allow, in order of rank.
 
-    An entry counts as above (below) another if its whole interval is above (below) the other's.
+    An entry counts as above (below) another if its whole 95 % interval within the field is above
+    (below) the other's: the anchor's uncertainty moves all of them together.
     """
     order = fitted.order()
     rank = np.arange(len(order))
-    low, high = fitted.low95, fitted.high95
+    low, high = fitted.elo - SIGMAS_95 * fitted.sd, fitted.elo + SIGMAS_95 * fitted.sd
     above = len(order) - np.searchsorted(np.sort(low), high, side="right")
     below = np.searchsorted(np.sort(high), low, side="left")
     return np.minimum(rank, above[order]), np.maximum(rank, len(order) - 1 - below[order])

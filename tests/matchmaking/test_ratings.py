@@ -121,6 +121,30 @@ def test_hundred_duels_an_entry_rate_it_to_45_elo_with_honest_intervals(front):
     assert worth == pytest.approx(front, abs=10)
 
 
+@pytest.mark.parametrize(("spread", "front"), [(150, 0), (150, 200), (300, 0)])
+def test_printed_intervals_hold_the_printed_number_19_times_of_20(spread, front):
+    generator, inside = np.random.default_rng(21), []
+    for _ in range(250):
+        strengths = generator.normal(0, spread, 16)
+        races = raced(generator, strengths, random_grids(generator, 16, 2, 400), front=front)
+        rated = fit(races, anchor=3)
+        truth = 1000 + strengths - strengths[3]  # as printed: relative to the anchor
+        held = (rated.low95 <= truth) & (truth <= rated.high95)
+        inside.append(np.delete(held, 3).mean())
+        assert rated.low95[3] == rated.elo[3] == rated.high95[3] == 1000
+    # Entries of a field share their anchor's error: 250 fields scatter by 0.007.
+    assert 0.92 <= np.mean(inside) <= 0.97
+
+
+def test_printed_interval_is_that_of_the_difference_to_the_anchor():
+    results = season()
+    rated = fit(results, anchor=4)
+    for entry in (0, 9, 19):
+        gap = rated.difference(entry, 4)
+        assert rated.low95[entry] == pytest.approx(1000 + gap.low95, abs=1e-6)
+        assert rated.high95[entry] == pytest.approx(1000 + gap.high95, abs=1e-6)
+
+
 @pytest.mark.parametrize("noise", ["gumbel", "gauss"])
 def test_hundred_starts_in_fours_rate_to_32_elo_whatever_the_luck(noise):
     miss, coverage, _ = simulated(4, noise, 0, 40)
@@ -374,6 +398,11 @@ def test_large_fields_rate_alike_by_iteration():
     assert (large.sd / small.sd).std() < 0.04
     assert (large.sd / small.sd).mean() == pytest.approx(1, abs=0.01)
     assert large.slot_sd == pytest.approx(small.slot_sd, rel=1e-3)
+    anchored = [
+        fit(results, settings, anchor=7) for settings in (None, RatingSettings(dense_most=10))
+    ]
+    widths = [rated.high95 - rated.low95 for rated in anchored]
+    assert np.delete(widths[1], 7) == pytest.approx(np.delete(widths[0], 7), rel=0.1)
     gap = small.difference(0, 200), large.difference(0, 200)
     assert gap[0].sd == pytest.approx(gap[1].sd, rel=0.01)
 

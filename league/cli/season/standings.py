@@ -183,7 +183,7 @@ def _notes(rated: Standings) -> list[str]:
         f"{rated.num_races} races under rules {rated.ruleset[:12]}; the front of the grid is worth "
         f"{front[0] - front[-1]:+.0f} Elo over its end.",
         "? provisional: sd above 50, listed by Elo - 2 sd   ! won or lost every pair",
-        "ranks: those the intervals allow   DNF: races not finished",
+        "ranks: those the races allow   DNF: races not finished",
     ]
     if len(rated.tracks) > 1:
         lines.append(f"best lap: on {rated.tracks[0]}; `league show ENTRY` shows those on others")

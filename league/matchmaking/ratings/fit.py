@@ -91,12 +91,12 @@ class Ratings:
     sd: np.ndarray
     """Standard deviation of the place above or below the average of all others [Elo], (entries,).
 
-    The average counts each entry by what its races tell, so newcomers do not blur it.
+    The average counts each entry by the information in its races, so newcomers do not blur it.
     """
     low95: np.ndarray
-    """Lower end of the 95 % interval [Elo], (entries,)."""
+    """Lower end of the 95 % interval of `elo`, as it stands relative to the anchor, (entries,)."""
     high95: np.ndarray
-    """Upper end of the 95 % interval [Elo], (entries,)."""
+    """Upper end of it; the anchor's own interval is a point, (entries,)."""
     races: np.ndarray
     """Races started, (entries,)."""
     provisional: np.ndarray
@@ -340,7 +340,9 @@ def _ratings(
     strengths, slots = posterior.parameters[:size], posterior.parameters[size:]
     zero = strengths[np.searchsorted(entries, anchor)] if anchor is not None else 0.0
     elo = ANCHOR_ELO + ELO * (strengths - zero)
-    sd = ELO * np.sqrt(variances.strengths)
+    sd = elo_sd = ELO * np.sqrt(variances.strengths)
+    if anchor is not None:  # what is published is the lead over the anchor
+        elo_sd = ELO * np.sqrt(variances.against(int(np.searchsorted(entries, anchor))))
     pairs, points = data.counts.points()
     group = data.counts.groups()
     if anchor is not None:
@@ -352,8 +354,8 @@ def _ratings(
         entries=entries,
         elo=elo,
         sd=sd,
-        low95=elo - SIGMAS_95 * sd,
-        high95=elo + SIGMAS_95 * sd,
+        low95=elo - SIGMAS_95 * elo_sd,
+        high95=elo + SIGMAS_95 * elo_sd,
         races=races,
         provisional=(sd > PROVISIONAL_SD) | ~connected,
         connected=connected,

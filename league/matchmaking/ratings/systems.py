@@ -292,6 +292,8 @@ class Variances:
     """H."""
     squares: Squares
     """The middle of the sandwich."""
+    diagonals: tuple[np.ndarray, np.ndarray]
+    """Of H^-1 and of the sandwich, over the entries."""
     strengths: np.ndarray
     """Of each strength against the weighted average of all others, (entries,)."""
     ratio: float
@@ -300,19 +302,26 @@ class Variances:
     @classmethod
     def of(cls, system: System, squares: Squares, weights: np.ndarray) -> Variances:
         """Work out the strengths' variances; `weights` sum to 1 over the entries."""
-        size = len(weights)
-        average = np.zeros(squares.size)
-        average[:size] = weights
-        towards = system.solve(average)
-        around = system.solve(squares.times(towards[:, None])[:, 0])
+        diagonals = system.diagonals(squares)
+        # (e_i - w) / (1 - w_i) takes an entry from the average of the others.
         model, robust = (
-            # (e_i - w) / (1 - w_i) takes an entry from the average of the others.
-            (diagonal - 2 * shared[:size] + float(average @ shared)) / (1.0 - weights) ** 2
-            for diagonal, shared in zip(system.diagonals(squares), (towards, around), strict=True)
+            variance / (1.0 - weights) ** 2
+            for variance in _against(system, squares, diagonals, weights)
         )
         heats = squares.heats
         ratio = float(heats @ (robust / model)) / heats.sum() if heats.any() else 1.0
-        return cls(system, squares, _blend(model, robust, heats, ratio), ratio)
+        strengths = _blend(model, robust, heats, ratio)
+        return cls(system, squares, diagonals, strengths, ratio)
+
+    def against(self, entry: int) -> np.ndarray:
+        """Return the variances of all strengths against one entry's, by its index, (entries,)."""
+        one = np.zeros(len(self.strengths))
+        one[entry] = 1.0
+        model, robust = _against(self.system, self.squares, self.diagonals, one)
+        heats = np.minimum(self.squares.heats, self.squares.heats[entry])
+        variances = _blend(model, robust, heats, self.ratio)
+        variances[entry] = 0.0
+        return variances
 
     def slots(self) -> np.ndarray:
         """Return the variances of the slots' worth against the average of all slots."""
@@ -338,6 +347,25 @@ class Variances:
         """Return the model's and the robust variances of some combinations, one a column."""
         solved = self.system.solve(right)
         return (right * solved).sum(axis=0), (solved * self.squares.times(solved)).sum(axis=0)
+
+
+def _against(
+    system: System,
+    squares: Squares,
+    diagonals: tuple[np.ndarray, np.ndarray],
+    weights: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the model's and the robust variances of each strength less a weighted average."""
+    size = len(weights)
+    average = np.zeros(squares.size)
+    average[:size] = weights
+    towards = system.solve(average)
+    around = system.solve(squares.times(towards[:, None])[:, 0])
+    model, robust = (
+        np.maximum(diagonal - 2 * shared[:size] + float(average @ shared), 0.0)
+        for diagonal, shared in zip(diagonals, (towards, around), strict=True)
+    )
+    return model, robust
 
 
 def _blend(model: np.ndarray, robust: np.ndarray, heats: np.ndarray, ratio: float) -> np.ndarray:
