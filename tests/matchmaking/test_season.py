@@ -8,8 +8,10 @@ import sqlite3
 import numpy as np
 import pytest
 
+from league.cli import main
 from league.errors import StoreError
 from league.matchmaking import loop, standings
+from league.matchmaking.pairing import matchmaker
 from league.matchmaking.pairing.matchmaker import ROUND, Season
 from league.matchmaking.store import RATED, HeatOutcome, RaceOutcome, Store
 from league.matchmaking.workers.dispatcher import Dispatcher
@@ -107,6 +109,27 @@ def test_anchors_go_on_racing_when_a_newcomer_cannot_be_validated(url):
         assert planner.plan() == 8 and states(store)["e0"] == "validating"
 
 
+def test_an_entry_that_is_not_rated_yet_says_what_it_waits_for(url):
+    def reason() -> str:
+        return matchmaker.entries_with_reasons(store)[-1].reason
+
+    with grown(url, 1) as store:
+        planner = Season(store)
+        assert "not planned yet: `league run`" in reason()
+        planner.plan()
+        assert "waits for its validation heats (1, 2): `league run`" in reason()
+        while claims := store.claim("w", 1):
+            store.fail("w", claims[0].heat.key, "Traceback\nOSError: the dog ate it")
+        assert planner.plan() == 0 and states(store)["e0"] == "validating"
+        assert "heat 1 was given up (OSError: the dog ate it)" in reason()
+        assert "`league retry 1`" in reason()
+        assert [store.retry(record.heat.key) for record in store.heats(("error",))] == [1, 2]
+        loop.run(store, Crew(store, Coin()), None, heats=2)
+        assert "are done: `league run` rates it" in reason()
+        planner.plan()
+        assert states(store)["e0"] == "placement" and reason() == ""
+
+
 def test_two_rounds_are_in_the_queue_and_the_next_waits_for_the_older_one(url):
     with new_league(url, anchors=("centerline", "cautious", "blocker")) as store:
         planner = Season(store)
@@ -117,6 +140,21 @@ def test_two_rounds_are_in_the_queue_and_the_next_waits_for_the_older_one(url):
         loop.run(store, dispatcher, None, heats=1)
         assert planner.plan() == 8 and planner.plan() == 0
         assert sorted({record.heat.draw // ROUND for record in store.heats()}) == [1, 2, 3]
+
+
+def test_the_same_heats_are_planned_for_any_number_of_workers(url, monkeypatch, capsys):
+    new_league(url, anchors=("centerline", "cautious")).close()
+    path = url.removeprefix("sqlite:///")
+    planned = []
+    for workers in (1, 5):
+        copy = f"{path}.{workers}"
+        shutil.copy(path, copy)  # the same secret, so the same seeds
+        monkeypatch.setenv("LEAGUE_URL", f"sqlite:///{copy}")
+        assert main(["run", "--heats", "1", "--workers", str(workers), "--plain"]) == 0
+        with Store(f"sqlite:///{copy}") as store:
+            planned.append([record.heat.key for record in store.heats()])
+    fewer = min(map(len, planned))
+    assert fewer >= 8 and planned[0][:fewer] == planned[1][:fewer]
 
 
 def test_a_heat_is_two_races_with_the_grid_swapped(url):

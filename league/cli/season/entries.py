@@ -105,8 +105,10 @@ class Entries(Reading):
 
     def run(self) -> int:
         """Run the command."""
+        from league.matchmaking.pairing import matchmaker
+
         with self.opened() as store:
-            entries = store.entries()
+            entries = matchmaker.entries_with_reasons(store)
         if self.json:
             season.print_json(entries)
             return 0

@@ -99,10 +99,9 @@ class Run(Work):
     """Let entries of one owner meet, as a league of one person needs."""
 
     def _season(self, store: Store, num_workers: int) -> Season:
-        from league.matchmaking.pairing.matchmaker import LEAST_ROUND, Season
+        from league.matchmaking.pairing.matchmaker import Season
 
-        least = max(LEAST_ROUND, 2 * num_workers)
-        return Season(store, same_owner=self.same_owner, least_round=least)
+        return Season(store, same_owner=self.same_owner)
 
 
 @contextmanager

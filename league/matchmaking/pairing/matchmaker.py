@@ -3,13 +3,13 @@
 Heats are planned in rounds, and two rounds are in the queue at a time, so that workers never wait
 for a refit. Round n is planned from the results of rounds 1 to n - 2, whatever else is known by
 then. So the same league raced by more workers, slower, or with a dozen crashes in between plans
-the same heats, and ends with the same ratings.
+the same heats, and ends with the same ratings. A round's size depends on the field alone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
@@ -29,7 +29,7 @@ from league.matchmaking.store import RATED, Entry, EntryState, HeatRecord, Races
 ROUND = 4096
 """Heats of a round at most; heat k of round n has the draw n * ROUND + k."""
 LEAST_ROUND = 8
-"""Heats of a round at least."""
+"""Heats of a round at least; more workers than heats in two rounds have to wait."""
 LOOK_BACK = 3000
 """Heats among which the latest round is looked for first."""
 
@@ -47,6 +47,42 @@ def enter_anchors(store: Store, anchors: Sequence[str]) -> list[Entry]:
     store.move(dict.fromkeys(ids, "validating"))
     store.move(dict.fromkeys(ids, "placement"))
     return store.entries()
+
+
+def entries_with_reasons(store: Store) -> list[Entry]:
+    """Return a league's entries; the reason of one that is not rated yet is what it waits for."""
+    return [
+        replace(entry, reason=_waits_for(store, entry))
+        if entry.state in ("pending", "validating")
+        else entry
+        for entry in store.entries()
+    ]
+
+
+def _waits_for(store: Store, entry: Entry) -> str:
+    """Return why an entry is not rated yet, and what to do about it."""
+    heats = [
+        record
+        for record in store.heats(entries=[entry.number])
+        if record.heat.purpose == "validation"
+        and record.heat.ruleset == store.settings.ruleset.hash
+    ]
+    if not heats:
+        return "its validation heats are not planned yet: `league run` plans and races them"
+    for record in heats:
+        if record.state in ("error", "cancelled"):
+            last = (record.traceback.strip().splitlines() or ["it was cancelled"])[-1]
+            return (
+                f"its validation heat {record.number} was given up ({last[:200]}): mend the "
+                f"cause, then `league retry {record.number}`"
+            )
+        if record.state == "quarantined":
+            return f"its validation heat {record.number} went two ways: the next plan refuses it"
+    waiting = [record.number for record in heats if record.state in ("planned", "claimed")]
+    if waiting:
+        listed = ", ".join(map(str, waiting))
+        return f"it waits for its validation heats ({listed}): `league run` races them"
+    return "its validation heats are done: `league run` rates it when it plans its next round"
 
 
 @dataclass(frozen=True)
@@ -108,18 +144,14 @@ class _Past:
 class Season:
     """A league's matchmaker; all it knows is in the store, so another may take over any time."""
 
-    def __init__(
-        self, store: Store, *, same_owner: bool = False, least_round: int = LEAST_ROUND
-    ) -> None:
+    def __init__(self, store: Store, *, same_owner: bool = False) -> None:
         """Plan for a league.
 
         Args:
             store: the league.
             same_owner: whether entries of one owner meet; a league of one person needs it.
-            least_round: heats of a round at least; a few for each worker.
         """
-        self._store, self._least_round = store, least_round
-        self._same_owner = same_owner
+        self._store, self._same_owner = store, same_owner
         self._latest = _Round()
 
     def plan(self) -> int:
@@ -179,7 +211,7 @@ class Season:
         for newcomer in roster.newcomers:
             plans += validation_heats(newcomer, roster.contenders, settings, generator)
         rated = [one for one in roster.contenders if one.state in RATED]
-        size = min(max(self._least_round, len(rated) // 2), ROUND // 2)
+        size = min(max(LEAST_ROUND, len(rated) // 2), ROUND // 2)
         if roster.undecided and all(one.anchor for one in rated):
             size = 0  # a new league's first entries need not wait for its anchors to be sure
         plans = plans[: ROUND // 2]
