@@ -6,6 +6,7 @@ tensors are the actor's weights. Nothing in it is executed.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import struct
@@ -19,7 +20,8 @@ from league.agents.card import Card
 from league.agents.checkpoint import MAX_SIZE_CAMERA, Checkpoint
 from league.agents.policy import Policy
 from league.agents.torch_archive import RefusedError
-from league.errors import PolicyError, brief
+from league.errors import LeagueError, PolicyError, brief
+from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.store import Entry, Store
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig, SimConfig
@@ -28,6 +30,12 @@ MAX_HEADER = 64 << 10
 """Bytes of the header, which holds the card and the tensors' places."""
 PROBE_S = 0.025
 """Time a decision may take on one core [s]; a car decides every 67 ms."""
+DRIVING = {"sensors", "action_space", "network"}
+"""Fields of a card that a policy's driving depends on."""
+SKETCH = 64
+"""Numbers of a sketch, which estimates distances to about 10 %."""
+NEAR_COPY = 0.01
+"""Weights this near to those of another entry, relative to their norm, are labelled a near-copy."""
 MAX_PICTURE = 160 * 120
 """Pixels of each eye under stock sensors."""
 
@@ -183,6 +191,31 @@ def _check_stock(
             )
 
 
+def identity(policy: Checkpoint) -> str:
+    """Return the id of a policy as an entry: the hash of whatever its driving depends on.
+
+    That is its weights, sensors, action space and network. Neither the rest of its card (name,
+    results, command, ...) nor how its file is laid out makes it another entry.
+    """
+    card = policy.card.model_dump(mode="json", include=DRIVING)
+    content = hashlib.sha256(b"league policy 1\n" + heat_spec.canonical(card))
+    for name in sorted(policy.weights):
+        weight = policy.weights[name]
+        content.update(heat_spec.canonical([name, list(weight.shape)]))
+        content.update(np.ascontiguousarray(weight, dtype="<f4").tobytes())
+    return content.hexdigest()
+
+
+def sketch(policy: Checkpoint) -> list[float]:
+    """Return a short vector whose distances are about those of the weights (a count sketch)."""
+    weights = np.concatenate([policy.weights[name].ravel() for name in sorted(policy.weights)])
+    generator = np.random.default_rng(0)  # the same signs and buckets for every policy
+    signs = generator.integers(0, 2, len(weights)) * 2 - 1
+    buckets = generator.integers(0, SKETCH, len(weights))
+    sums = np.bincount(buckets, signs * weights.astype(float), SKETCH)
+    return [float(f"{value:.8g}") for value in sums]
+
+
 def accept(store: Store, content: bytes, name: str, owner: str) -> Entry:
     """Check what an owner sent, and enter it; nothing is kept if it is refused.
 
@@ -196,11 +229,31 @@ def accept(store: Store, content: bytes, name: str, owner: str) -> Entry:
         LeagueError: it is not sound, its sensors are not stock, or its name is taken.
     """
     what = f"the submission {brief(name)}"
-    found = unpack(content, what)
-    check_sensors(found.card.sensors, store.settings.ruleset)
-    probe(found, what)
-    card = {**found.card.model_dump(mode="json"), "digest": found.digest}
-    return store.submit(name, owner, weights=content, card=card)
+    policy = unpack(content, what)
+    check_sensors(policy.card.sensors, store.settings.ruleset)
+    probe(policy, what)
+    own, vector = identity(policy), sketch(policy)
+    driving = policy.card.model_dump(mode="json", include=DRIVING)
+    near = ""
+    for entry in store.entries():
+        if entry.kind != "policy":
+            continue
+        known, build = entry.card.get("sketch"), entry.card
+        if known is None:  # an entry of an older league, which is known by the hash of its file
+            try:
+                other = unpack(store.blobs.get(entry.blob), f"the entry {brief(entry.name)}")
+            except LeagueError:
+                continue  # damaged: its own heats fail and say so
+            if identity(other) == own:
+                own = entry.id
+            known, build = sketch(other), other.card.model_dump(mode="json")
+        if near or any(build.get(name) != value for name, value in driving.items()):
+            continue
+        if np.linalg.norm(np.subtract(vector, known)) < NEAR_COPY * np.linalg.norm(known):
+            near = entry.name
+    card = {**policy.card.model_dump(mode="json"), "digest": policy.digest, "sketch": vector}
+    card |= {"near_copy_of": near} if near else {}
+    return store.submit(name, owner, weights=content, card=card, id=own)
 
 
 def submit(store: Store, path: str | os.PathLike[str], name: str, owner: str) -> Entry:

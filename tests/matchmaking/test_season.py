@@ -124,7 +124,7 @@ def test_an_entry_that_is_not_rated_yet_says_what_it_waits_for(url):
         assert "heat 1 was given up (OSError: the dog ate it)" in reason()
         assert "`league retry 1`" in reason()
         assert [store.retry(record.heat.key) for record in store.heats(("error",))] == [1, 2]
-        loop.run(store, Crew(store, Coin()), None, heats=2)
+        loop.run(store, Dispatcher(store, Coin()), None, heats=2)
         assert "are done: `league run` rates it" in reason()
         planner.plan()
         assert states(store)["e0"] == "placement" and reason() == ""

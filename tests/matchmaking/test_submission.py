@@ -9,6 +9,7 @@ import resource
 import struct
 import time
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from safetensors.numpy import load as safetensors_load
 
 from league.agents import checkpoint
 from league.agents.network import NetworkConfig
-from league.errors import LeagueError, PolicyError
+from league.errors import LeagueError, PolicyError, StoreError
 from league.matchmaking import submission
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Ruleset
@@ -237,9 +238,99 @@ def test_a_checkpoint_file_becomes_a_pending_entry_whose_blob_is_no_pickle(tmp_p
     checkpoint.save(path, GIVEN)
     with new_league(f"sqlite:///{tmp_path / 'league.db'}") as store:
         entry = submission.submit(store, path, "ann's car", "ann")
-        assert (entry.state, entry.owner, entry.id) == ("pending", "ann", heat_spec.digest(SOUND))
-        assert store.blobs.get(entry.id) == SOUND
+        assert (entry.state, entry.owner) == ("pending", "ann")
+        assert entry.id == submission.identity(GIVEN) and entry.blob == heat_spec.digest(SOUND)
+        assert store.blobs.get(entry.blob) == SOUND
         assert entry.card["digest"] == GIVEN.digest
         assert submission.submit(store, path, "ann's car", "ann") == entry
         assert b"pickle" not in SOUND and np.frombuffer(SOUND[:8], "<u8")[0] < 65536
         assert SHORT.sensors == "stock"
+
+
+def relaid(content: bytes) -> bytes:
+    """Return the same entry with spaces at the end of its header."""
+    (size,) = struct.unpack("<Q", content[:8])
+    return struct.pack("<Q", size + 40) + content[8 : 8 + size] + b" " * 40 + content[8 + size :]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [with_card(name="other"), with_card(command="league train", steps=7), relaid(SOUND)],
+    ids=["another name", "another history", "another layout"],
+)
+def test_the_same_policy_with_another_card_or_layout_is_the_same_entry(tmp_path, content):
+    with new_league(f"sqlite:///{tmp_path / 'league.db'}") as store:
+        entry = submission.accept(store, SOUND, "ann's car", "ann")
+        assert content != SOUND
+        assert submission.accept(store, content, "second car", "ann") == entry
+        assert not store.blobs.has(heat_spec.digest(content))
+        with pytest.raises(LeagueError, match="entered already, as \"ann's car\" by 'ann'"):
+            submission.accept(store, content, "stolen", "bob")
+
+
+def test_identity_depends_on_all_that_the_driving_depends_on():
+    ids = {submission.identity(GIVEN)}
+    for other in (
+        make_checkpoint("lidar", network=NetworkConfig(hidden=(8,)), seed=1),
+        make_checkpoint("lidar", network=NetworkConfig(hidden=(8,), activation="relu")),
+        make_checkpoint("stereo", network=NetworkConfig(hidden=(8,))),
+    ):
+        ids.add(submission.identity(other))
+    assert len(ids) == 4
+    mounted = replace(GIVEN.card.sensors, lidar=LidarConfig(up=0.15))
+    card = GIVEN.card.model_copy(update={"sensors": mounted})
+    assert submission.identity(checkpoint.Checkpoint(card, GIVEN.weights)) not in ids
+
+
+def test_a_policy_of_an_older_league_is_known_again(tmp_path):
+    with new_league(f"sqlite:///{tmp_path / 'league.db'}") as store:
+        store.submit("damaged", "ann", weights=b"rubbish")
+        old = store.submit("old", "ann", weights=SOUND, card=json.loads(GIVEN.text))
+        assert old.id == heat_spec.digest(SOUND)  # as all entries were named before
+        assert submission.accept(store, with_card(name="new"), "new", "ann") == old
+        with pytest.raises(LeagueError, match="entered already, as 'old'"):
+            submission.accept(store, relaid(SOUND), "new", "bob")
+
+
+@pytest.mark.parametrize(("noise", "near"), [(1e-3, "ann's car"), (0.1, "")])
+def test_near_copies_are_labelled(tmp_path, noise, near):
+    generator = np.random.default_rng(0)
+    weights = {
+        name: (weight * (1 + noise * generator.normal(size=weight.shape))).astype(np.float32)
+        for name, weight in GIVEN.weights.items()
+    }
+    with new_league(f"sqlite:///{tmp_path / 'league.db'}") as store:
+        submission.accept(store, SOUND, "ann's car", "ann")
+        other = submission.pack(checkpoint.Checkpoint(GIVEN.card, weights))
+        entry = submission.accept(store, other, "bob's car", "bob")
+        assert entry.near_copy_of == store.entry("bob's car").near_copy_of == near
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("Racer", "looks like 'racer'"),
+        ("ra\uff43er", "looks like 'racer'"),
+        ("ra\u0441er", "mixes letters of CYRILLIC, LATIN"),
+        ("r\u03b1cer", "mixes letters of GREEK, LATIN"),
+        ("racer\u3164", "cannot be seen"),
+        ("rac\ufe0fer", "cannot be seen"),
+        ("rac\u200ber", "printable"),
+        ("\u0441\u043e\u0440\u0435", "looks like 'cope'"),
+    ],
+)
+def test_names_that_pass_for_others_are_refused(tmp_path, name, reason):
+    with new_league(f"sqlite:///{tmp_path / 'league.db'}") as store:
+        for known in ("racer", "cope"):
+            store.submit(known, "ann", weights=known.encode())
+        with pytest.raises(StoreError, match=reason):
+            store.submit(name, "bob", weights=b"other")
+        with pytest.raises(StoreError, match="the owner 'Ann' looks like 'ann'"):
+            store.submit("new", "Ann", weights=b"other")
+        for fine in (
+            "\u0433\u043e\u043d\u0449\u0438\u043a",
+            "\u8d64\u3044\u8eca GT",
+            "Zo\u00eb 2",
+            "racer 2",
+        ):
+            assert store.submit(fine, "bob", weights=fine.encode()).name == fine

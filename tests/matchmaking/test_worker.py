@@ -225,7 +225,7 @@ def test_a_damaged_blob_fails_its_heat_and_not_the_season(league, tmp_path):
     league.plan([heat_spec.mirrored(SHORT.hash, tracks, tuple(one.drivers)) for one in jobs])
     with closing(sqlite3.connect(tmp_path / "league.db")) as database, database:
         there = "update blobs set content = zeroblob(length(content)) where digest = ?"
-        assert database.execute(there, [ann.id]).rowcount == 1
+        assert database.execute(there, [ann.blob]).rowcount == 1
     ended = Dispatcher(league, Here(2)).step(0.0)
     assert [one.became for one in ended] == ["planned", "accepted"]
     assert "is damaged (its hash differs)" in ended[0].report.traceback

@@ -94,6 +94,10 @@ class Submit(OnLeague):
         if entry.name != name:
             print(f"These weights are entered already, as {entry.name}; {name} is not a new entry.")
         print(f"{entry.name} by {entry.owner}: entry {entry.id[:12]}, {entry.state}")
+        if entry.near_copy_of:
+            print(
+                f"Its weights are nearly those of {entry.near_copy_of}: it is labelled a near-copy."
+            )
         if entry.state == "pending":
             print("It races itself and an anchor first: `league run`, then `league entries`.")
         return 0
@@ -127,6 +131,8 @@ class Entries(Reading):
         for entry in entries:
             if entry.reason:
                 print(f"{entry.name} is {entry.state}: {tables.spelled(entry.reason)}")
+            if entry.near_copy_of:
+                print(f"{entry.name} is nearly a copy of {entry.near_copy_of}.")
         return 0
 
 

@@ -156,7 +156,7 @@ def _driver(store: Store, text: str) -> HeatDriver:
         return dispatcher.heat_driver(store, store.entry(text))
     loaded = checkpoint.load(text)
     submission.check_sensors(loaded.card.sensors, store.settings.ruleset)
-    return HeatDriver(loaded.digest, Path(text).stem, weights=submission.pack(loaded))
+    return HeatDriver(submission.identity(loaded), Path(text).stem, weights=submission.pack(loaded))
 
 
 def _slot_gap(store: Store) -> float:

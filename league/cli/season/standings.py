@@ -159,7 +159,7 @@ def standings_table(rated: Standings, limit: int | None = None) -> RenderableTyp
             str(row.rank),
             row.name[:17],
             row.owner[:6],
-            f"{season.plus_minus(row.elo, row.low95, row.high95)} {flags:2}",
+            f"{row.elo:.0f} ±{(row.high95 - row.low95) / 2:<3.0f} {flags:2}",
             "anchor" if row.anchor else SHORT.get(row.state, row.state),
             str(row.races),
             f"{100 * row.score:.0f}%" if row.races else "",

@@ -12,7 +12,7 @@ from typing import Any, cast
 import sqlalchemy as sa
 
 from league.errors import StoreError, brief, nearest_names
-from league.matchmaking.store import queue
+from league.matchmaking.store import names, queue
 from league.matchmaking.store.database import insert_new
 from league.matchmaking.store.records import NEXT, Entry, EntryState
 from league.matchmaking.store.schema import entries, heat_entries, heats, log_event, owners
@@ -36,11 +36,21 @@ def submit(connection: sa.Connection, now: float, owner: str, row: Mapping[str, 
                 "submit weights of your own"
             )
         return _entry(known)
-    _check_name(name, "an entry's name")
-    _check_name(owner, "an owner's name")
-    taken = connection.scalar(sa.select(entries.c.id).where(entries.c.name == name))
-    if taken is not None:
-        raise StoreError(f"the name {name!r} is taken by entry {taken[:12]}: choose another")
+    names.check(name, "an entry's name")
+    names.check(owner, "an owner's name")
+    for taken, taken_id in connection.execute(sa.select(entries.c.name, entries.c.id)):
+        if taken == name:
+            raise StoreError(f"the name {name!r} is taken by entry {taken_id[:12]}: choose another")
+        if names.skeleton(taken) == names.skeleton(name):
+            raise StoreError(
+                f"the name {name!r} looks like {taken!r} of entry {taken_id[:12]}: choose another"
+            )
+    for known_owner in connection.scalars(sa.select(owners.c.name)):
+        if known_owner != owner and names.skeleton(known_owner) == names.skeleton(owner):
+            raise StoreError(
+                f"the owner {owner!r} looks like {known_owner!r}: write it like that, or choose "
+                "another"
+            )
     connection.execute(insert_new(connection, owners).values(name=owner, created_s=now))
     number = sa.select(owners.c.number).where(owners.c.name == owner).scalar_subquery()
     state = {"owner": number, "state": "pending", "reason": "", "created_s": now}
@@ -62,12 +72,12 @@ def find(connection: sa.Connection, text: str) -> Entry:
         raise StoreError(
             f"{brief(text)} begins the ids of {len(rows)} entries: give more digits, or the name"
         )
-    names = list(connection.scalars(sa.select(entries.c.name)))
-    if not names:
+    known = list(connection.scalars(sa.select(entries.c.name)))
+    if not known:
         raise StoreError(f"there is no entry {brief(text)}: this league has none yet, submit one")
     raise StoreError(
         f"there is no entry {brief(text)} in this league: did you mean "
-        f"{nearest_names(text, names)}?"
+        f"{nearest_names(text, known)}?"
     )
 
 
@@ -141,10 +151,3 @@ def _query() -> sa.Select[Any]:
 def _entry(row: Any) -> Entry:  # noqa: ANN401
     fields = {name: row._mapping[name] for name in Entry.__dataclass_fields__}
     return Entry(**{**fields, "owner": row.owner_name, "card": json.loads(row.card)})
-
-
-def _check_name(name: str, what: str) -> None:
-    if not 1 <= len(name) <= 100 or not name.isprintable() or name != name.strip():
-        raise StoreError(
-            f"{what} is {brief(name)}: give 1 to 100 printable characters without spaces around"
-        )

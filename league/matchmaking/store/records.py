@@ -51,7 +51,8 @@ class Entry:
     number: int
     """Number within this league, as in the arrays of races."""
     id: str
-    """SHA-256 of the weights, or of a scripted driver's name."""
+    """Hash of a policy's weights, sensors, action space and network, or of a scripted driver's
+    name; entries of older leagues have the hash of their file."""
     name: str
     """Unique in the league."""
     owner: str
@@ -66,6 +67,16 @@ class Entry:
     """The checkpoint's card, or a scripted driver's description."""
     created_s: float
     """When it was submitted [s since 1970]."""
+
+    @property
+    def blob(self) -> str:
+        """SHA-256 of the file that holds a policy's weights."""
+        return str(self.card.get("blob", self.id))
+
+    @property
+    def near_copy_of(self) -> str:
+        """Name of the earlier entry whose weights are nearly its own; empty for none."""
+        return str(self.card.get("near_copy_of", ""))
 
 
 @dataclass(frozen=True)

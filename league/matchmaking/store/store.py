@@ -113,27 +113,31 @@ class Store:
         scripted: str | None = None,
         anchor: bool = False,
         card: Mapping[str, Any] | None = None,
+        id: str = "",
     ) -> Entry:
         """Enter a driver: a policy's weights, or the name of a scripted driver.
 
-        The same content submitted again by its owner is the entry it was.
+        The same driver submitted again by its owner is the entry it was. A policy is known by its
+        `id`, by default the hash of its file.
         """
         if (weights is None) == (scripted is None):
             raise ValueError("give either weights or the name of a scripted driver")
         if weights is not None and self._blobs_url:
             self.blobs.put(weights)
-        card = {**(card or {}), **({"driver": scripted} if scripted else {})}
+        blob = heat_spec.digest(weights or b"")
+        card = {**(card or {}), **({"driver": scripted} if scripted else {"blob": blob})}
         row = {
-            "id": heat_spec.scripted_id(scripted) if scripted else heat_spec.digest(weights or b""),
+            "id": heat_spec.scripted_id(scripted) if scripted else id or blob,
             "name": name,
             "kind": "policy" if scripted is None else "scripted",
             "anchor": anchor,
             "card": heat_spec.canonical(card).decode(),
         }
         with self._writing() as (connection, now):
-            if weights is not None and not self._blobs_url:
+            entry = entries.submit(connection, now, owner, row)
+            if weights is not None and not self._blobs_url and entry.blob == blob:
                 blobs.insert(connection, now, weights)
-            return entries.submit(connection, now, owner, row)
+            return entry
 
     def entry(self, text: str) -> Entry:
         """Return the entry with this name, id or beginning of an id; StoreError names others."""

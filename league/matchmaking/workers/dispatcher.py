@@ -173,4 +173,4 @@ def heat_driver(store: Store, entry: Entry) -> HeatDriver:
     """Return an entry as a worker needs it."""
     if entry.kind == "scripted":
         return HeatDriver(entry.id, entry.name, scripted=str(entry.card["driver"]))
-    return HeatDriver(entry.id, entry.name, weights=store.blobs.get(entry.id))
+    return HeatDriver(entry.id, entry.name, weights=store.blobs.get(entry.blob))
