@@ -9,10 +9,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
 
 from league.errors import ConfigError, brief
-from league.sim.config import RaceKind, SolverName
+from league.sim.config import MAX_OBSTACLES, USUAL_OBSTACLES, RaceKind, RulesName, SolverName
 
 EventKind = Literal[
     "start",
@@ -21,6 +28,8 @@ EventKind = Literal[
     "off_track",
     "crash",
     "contact",
+    "touch",
+    "forced_off",
     "obstacle_contact",
     "wall_contact",
     "immobilised",
@@ -74,11 +83,15 @@ class RaceSpec(FrozenModel):
     solver: SolverName = "bullet"
     """Physics solver."""
     ranking: Literal["total", "best", "average"] = "total"
-    """Order by total time, best lap or average lap."""
+    """Order by total time, best lap, or best mean of consecutive laps."""
+    average_laps: int = Field(default=2, ge=1, le=1000)
+    """How many consecutive laps a mean is of, or all where fewer are raced."""
+    rules: RulesName = "league"
+    """Which rules: those of this league, or the original's, under which older races were driven."""
     entries: tuple[Entry, ...] = Field(min_length=1, max_length=8)
     """The field, in grid order."""
-    obstacles: int = Field(default=6, ge=0, le=32)
-    """Boxes or bots, in obstacle avoidance."""
+    obstacles: int = Field(default=0, ge=0, le=MAX_OBSTACLES)
+    """Boxes or bots; by default six in obstacle avoidance, and none in the other kinds."""
     obstacle_kind: Literal["box", "bot"] = "box"
     """Standing boxes, or slow bot cars that change lanes."""
     random_obstacles: bool = True
@@ -86,11 +99,34 @@ class RaceSpec(FrozenModel):
     off_track_penalty_s: float = Field(default=2.0, ge=0, le=600)
     """Seconds frozen after leaving the road."""
     crash_penalty_s: float = Field(default=5.0, ge=0, le=600)
-    """Seconds frozen after a contact to blame for."""
+    """Seconds frozen after the hardest contact to blame for."""
     max_time_s: float = Field(default=0.0, ge=0, le=36_000)
     """The race is stopped after this time [s]; 0 chooses by length."""
     variation: float = Field(default=0.0, ge=0, le=10)
     """How much cars of one kind differ, drawn from the seed; 0: not at all, 1: as in a league."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_usual_obstacles(cls, settings: object) -> object:
+        match settings:
+            case {"obstacles": _}:
+                return settings
+            case {"kind": "obstacle_avoidance", **others}:
+                usual = {"kind": "obstacle_avoidance", "obstacles": USUAL_OBSTACLES}
+                return {**others, **usual}
+        return settings
+
+
+def of_older_version(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings of a spec written before specs named their rules, as they were meant."""
+    avoiding = settings.get("kind") == "obstacle_avoidance"
+    return {
+        **settings,
+        "rules": "deepracer",
+        # The mean was of all laps, and in other kinds the number of obstacles was not read.
+        "average_laps": settings.get("laps", 3),
+        "obstacles": settings.get("obstacles", USUAL_OBSTACLES) if avoiding else 0,
+    }
 
 
 def checked(settings: Mapping[str, Any]) -> RaceSpec:
@@ -160,7 +196,9 @@ class CarResult(FrozenModel):
     off_tracks: int
     """Times off the track."""
     crashes: int
-    """Contacts to blame for."""
+    """Contacts penalised."""
+    touches: int = 0
+    """Contacts to blame for that were too light for a penalty."""
     contacts_taken: int
     """Contacts others were to blame for."""
     immobilised: int

@@ -46,10 +46,14 @@ def recorder_of(frames: int, change: Change = lambda world, _: world, cars: int 
     return recorder
 
 
+def _boxes(cars: int) -> int:
+    return 3 if cars == 1 else 0
+
+
 def first_world(tracks: TrackSet, cars: int = 2) -> World:
     """Return one world on the grid."""
     kind = "head_to_head" if cars > 1 else "obstacle_avoidance"
-    sim = SimConfig(kind=kind, num_cars=cars, obstacles=ObstacleConfig(count=3))
+    sim = SimConfig(kind=kind, num_cars=cars, obstacles=ObstacleConfig(count=_boxes(cars)))
     return start(tracks, sim, [5])
 
 
@@ -57,7 +61,7 @@ def spec(cars: int = 2) -> RaceSpec:
     """Return what such a race was asked to be."""
     kind = "head_to_head" if cars > 1 else "obstacle_avoidance"
     entries = tuple(Entry(name=f"driver_{slot}") for slot in range(cars))
-    return RaceSpec(kind=kind, laps=2, entries=entries, obstacles=3)
+    return RaceSpec(kind=kind, laps=2, entries=entries, obstacles=_boxes(cars))
 
 
 def finish(recorder: Recorder, frames: int, cars: int = 2) -> Replay:

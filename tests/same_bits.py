@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,12 @@ _STEERING, _SPEED = 1, 2
 _HELD = 5
 """Control steps for which a draw is held."""
 _SHORT = config.RaceRules(laps=1, off_track_penalty_s=0.4, crash_penalty_s=0.6, max_time_s=14.0)
+ORIGINAL = replace(
+    config.RULES["deepracer"],
+    **{name: getattr(_SHORT, name) for name in ("laps", "max_time_s")},
+    **{name: getattr(_SHORT, name) for name in ("off_track_penalty_s", "crash_penalty_s")},
+)
+"""The same under the rules of older versions."""
 _SPREAD = config.DynamicsRandomization(
     grip=0.3, mass=0.3, latency_s=0.06, steering_offset=0.03, camera_position=0.01, camera_angle=0.1
 )
@@ -34,20 +41,20 @@ _COLOUR = (config.SensorConfig(camera=config.CameraConfig(width=48, height=36, c
 
 def _sim(cars: int = 1, **settings) -> config.SimConfig:
     kind = "head_to_head" if cars > 1 else "obstacle_avoidance"
-    return config.SimConfig(kind=kind, num_cars=cars, rules=_SHORT, **settings)
+    return config.SimConfig(kind=kind, num_cars=cars, **settings)
 
 
-def races() -> dict[str, tuple[EnvConfig, int, int]]:
+def races(rules: config.RaceRules = _SHORT) -> dict[str, tuple[EnvConfig, int, int]]:
     """Return the settings of each race, its worlds and its steps."""
     boxes, bots = config.ObstacleConfig(), config.ObstacleConfig(kind="bot", speed=1.0)
     meeting = {"mode": "training", "episode_s": 4.0, "placement": OpponentPlacement()}
     return {
-        "race": (EnvConfig(sim=_sim(4, spread=_SPREAD), sensors=_SENSORS), 6, 240),
-        "boxes": (EnvConfig(sim=_sim(obstacles=boxes), sensors=_SEEING), 6, 240),
-        "bots": (EnvConfig(sim=_sim(obstacles=bots), sensors=_COLOUR), 6, 240),
-        "meeting": (EnvConfig(sim=_sim(3, spread=_SPREAD), **meeting), 6, 200),
+        "race": (EnvConfig(sim=_sim(4, rules=rules, spread=_SPREAD), sensors=_SENSORS), 6, 240),
+        "boxes": (EnvConfig(sim=_sim(rules=rules, obstacles=boxes), sensors=_SEEING), 6, 240),
+        "bots": (EnvConfig(sim=_sim(rules=rules, obstacles=bots), sensors=_COLOUR), 6, 240),
+        "meeting": (EnvConfig(sim=_sim(3, rules=rules, spread=_SPREAD), **meeting), 6, 200),
         # So many cars that threads share them.
-        "crowd": (EnvConfig(sim=_sim(8)), 128, 30),
+        "crowd": (EnvConfig(sim=_sim(8, rules=rules)), 128, 30),
     }
 
 
@@ -78,9 +85,9 @@ def _actions(env: RaceEnv, number: int) -> np.ndarray:
     return np.stack([steering.clip(-1, 1), speed], axis=-1)
 
 
-def raced(name: str) -> Iterator[tuple[str, np.ndarray]]:
+def raced(name: str, rules: config.RaceRules = _SHORT) -> Iterator[tuple[str, np.ndarray]]:
     """Yield the name and the numbers of each field, step by step."""
-    for env in drive(*races()[name]):
+    for env in drive(*races(rules)[name]):
         tables = {
             "cars": env.world.cars,
             "obstacles": env.world.obstacles,

@@ -111,9 +111,9 @@ def test_racing_line_fills_the_column_of_the_trace(league, tmp_path):
         (["centerline", "--replay", "replays", "--episode"], "--episode"),
         (["centerline", "--reward", "race"], "--trace"),
         (["centerline", "--reward", "nothing", "--trace", "t.csv"], "centerline"),
-        (["centerline", "--kind", "obstacle_avoidance", "--opponents", "cautious"], "--kind"),
-        (["centerline", "--bots"], "--bots means nothing without --kind obstacle_avoidance"),
-        (["centerline", "--obstacles", "3"], "--obstacles means nothing without --kind"),
+        (["centerline", "--kind", "time_trial", "--opponents", "cautious"], "--kind"),
+        (["centerline", "--kind", "time_trial", "--bots"], "has 6 obstacles"),
+        (["centerline", "--kind", "time_trial", "--obstacles", "3"], "has 3 obstacles"),
         (["centerline", "--trace", "."], "--trace is ., which is a folder"),
     ],
 )

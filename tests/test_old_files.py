@@ -5,6 +5,7 @@ import tarfile
 from pathlib import Path
 
 import pytest
+from league.training.run_config import settings
 
 from league import replay
 from league.agents import checkpoint
@@ -34,6 +35,8 @@ def test_an_old_run_is_resumed(run, capsys):
     more = ("--steps", "96", "--plain", "--no-tensorboard")
     assert run("train", "--resume", "--out", "version_1.pt", *more) == 0
     assert "96 decisions" in capsys.readouterr().out
+    stored = settings(Path("version_1.run")).train
+    assert (stored.rules, stored.obstacles) == ("deepracer", None)
     history = Path("version_1.run/history.jsonl").read_text().splitlines()
     assert [line.split(",")[1] for line in history if '"update"' in line] == [
         f'"number":{number}' for number in (1, 2, 3)
@@ -52,4 +55,7 @@ def test_an_old_league_has_the_same_standings_and_goes_on(run, capsys):
 def test_an_old_replay_is_read_and_raced_again(capsys):
     old = replay.read(DATA / "version_2.race")
     assert [entry.name for entry in old.spec.entries] == ["centerline", "cautious"]
+    # It names no rules: it was driven under the original's, and still is.
+    assert (old.spec.rules, old.spec.obstacles, old.spec.average_laps) == ("deepracer", 0, 1)
     assert main(["verify", str(DATA / "version_2.race")]) == 0
+    assert "under the rules 'deepracer'" in capsys.readouterr().out

@@ -126,7 +126,7 @@ def test_penalties_are_as_long_as_the_spec_says():
 
 def test_contacts_given_are_contacts_taken():
     drivers = [Follower("a", 0.8), Follower("b", 1.5), Follower("c", 2.5)]
-    result = raced(*drivers, crash_penalty_s=1.0)
+    result = raced(*drivers, crash_penalty_s=1.0, rules="deepracer")
     crashes = sum(kind == "crash" for kind in kinds(result))
     assert crashes > 0
     assert sum(car.crashes for car in result.order) == crashes
@@ -200,6 +200,29 @@ def test_open_track_is_raced_to_its_end():
     assert all(car.finished for car in result.order)
 
 
+def test_the_rules_a_race_names_decide_what_a_contact_costs():
+    found = {}
+    for rules in ("league", "deepracer"):
+        field = (Follower("slow", 1.0), Follower("quick", 1.25))
+        found[rules] = raced(*field, track=make_straight(), rules=rules, max_time_s=6.0)
+    nudge = next(event for event in found["league"].events if event.kind == "touch")
+    assert (nudge.car, nudge.other) == (1, 0)
+    assert nudge.value == pytest.approx(0.25, abs=0.1)
+    league, deepracer = ({car.car: car for car in one.order} for one in found.values())
+    assert (league[1].touches, league[1].crashes, league[1].penalty_s) == (1, 0, 0.0)
+    assert (deepracer[1].touches, deepracer[1].crashes, deepracer[1].penalty_s) == (0, 1, 5.0)
+    assert [e.kind for e in found["league"].events].count("contact") == league[0].contacts_taken
+
+
+@pytest.mark.parametrize("kind", ["box", "bot"])
+def test_several_cars_race_round_obstacles(kind):
+    result = raced(
+        Follower("a"), Follower("b", 2.0), Follower("c", 1.0),
+        obstacles=3, obstacle_kind=kind, track=make_square(), max_time_s=20.0,
+    )  # fmt: skip
+    assert {event.car for event in result.events if event.kind == "obstacle_contact"}
+
+
 @pytest.mark.parametrize("kind", ["box", "bot"])
 def test_obstacles_are_raced_round_or_run_into_and_the_race_goes_on(kind):
     result = raced(
@@ -220,7 +243,6 @@ def test_obstacles_are_raced_round_or_run_into_and_the_race_goes_on(kind):
     [
         ("head_to_head", 1, "name 2 to 8"),
         ("time_trial", 2, "driven alone"),
-        ("obstacle_avoidance", 3, "driven alone"),
     ],
 )
 def test_wrong_number_of_drivers_is_refused_with_a_way_out(kind, drivers, said):
@@ -356,10 +378,18 @@ STUCK = result_of(car=3, finished=False, laps=0, total_s=40.0, lap_times_s=(), d
 
 @pytest.mark.parametrize(
     ("ranking", "order"),
-    [("total", [1, 0, 2, 3]), ("best", [2, 0, 1, 3]), ("average", [1, 0, 2, 3])],
+    [
+        ({"ranking": "total"}, [1, 0, 2, 3]),
+        ({"ranking": "best"}, [2, 0, 1, 3]),
+        # The best two laps in a row: 9.5, 10 and 20 s; all three are the total.
+        ({"ranking": "average"}, [0, 1, 2, 3]),
+        ({"ranking": "average", "average_laps": 1}, [2, 0, 1, 3]),
+        ({"ranking": "average", "average_laps": 3}, [1, 0, 2, 3]),
+        ({"ranking": "average", "average_laps": 9}, [1, 0, 2, 3]),
+    ],
 )
-def test_ranking_by_total_best_or_average(ranking, order):
-    spec = RaceSpec(ranking=ranking, entries=(Entry(name="x"),))
+def test_ranking_by_total_best_or_mean_of_consecutive_laps(ranking, order):
+    spec = RaceSpec(**ranking, entries=(Entry(name="x"),))
     placed = sorted([STUCK, SLOW, A, B], key=lambda car: race_log.merit(spec, car))
     assert [car.car for car in placed] == order
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from league.envs.rewards import Reward
     from league.racing.table import Evaluation
     from league.racing.trace import Trace
-    from league.sim.config import CarConfig, ObstacleConfig
+    from league.sim.config import CarConfig, ObstacleConfig, RaceKind
     from league.track.track import TrackSet
 
 
@@ -31,8 +31,8 @@ class Evaluate:
     """A checkpoint (FILE.pt), or the name of a scripted driver (see `league drivers`)."""
     track: tuple[str, ...] = ("reinvent_2018",)
     """Names of tracks (see `league tracks`), or track files; one table for each."""
-    kind: Literal["time_trial", "obstacle_avoidance"] = "time_trial"
-    """Kind of race."""
+    kind: Literal["auto", "time_trial", "obstacle_avoidance"] = "auto"
+    """Kind of race; auto: a time trial, or obstacle avoidance where obstacles were asked for."""
     laps: int = 3
     """Laps of each run."""
     trials: int = 1
@@ -43,8 +43,9 @@ class Evaluate:
     """Seed of obstacles and noise of the first run."""
     solver: Literal["bullet", "planar"] = "bullet"
     """Physics."""
-    obstacles: int = 6
-    """Boxes or bots in obstacle avoidance."""
+    obstacles: int | None = None
+    """Boxes or bots on the track; by default 6 where --kind obstacle_avoidance or --bots asks for
+    some, else none."""
     bots: bool = False
     """Slow bot cars that change lanes instead of boxes."""
     fixed_obstacles: bool = False
@@ -115,13 +116,12 @@ def _check(command: Evaluate) -> None:
             f"--trace is {trace}, which is a folder: give a file, NAME.csv",
         ),
         (
-            bool(command.opponents) and command.kind != "time_trial",
-            f"--opponents were named for {command.kind}, which is driven alone: "
+            bool(command.opponents) and command.kind == "time_trial",
+            "--opponents were named for time_trial, which is driven alone: "
             "omit --kind for a head-to-head race",
         ),
     )
-    avoiding = (command.kind == "obstacle_avoidance", "--kind obstacle_avoidance")
-    flags.refuse_ignored(command, dict.fromkeys(("obstacles", "bots", "fixed_obstacles"), avoiding))
+    _num_obstacles(command)
 
 
 def _one(command: Evaluate, track: str) -> tuple[Evaluation, Trace | None]:
@@ -146,7 +146,7 @@ def _one(command: Evaluate, track: str) -> tuple[Evaluation, Trace | None]:
         course,
         laps=command.laps,
         trials=command.trials,
-        kind=command.kind,
+        kind=_kind(command),
         mode="episode" if command.episode else "race",
         seed=command.seed,
         solver=command.solver,
@@ -158,11 +158,25 @@ def _one(command: Evaluate, track: str) -> tuple[Evaluation, Trace | None]:
     return done.model_copy(update={"driver": labels([command.driver])[0]}), trace
 
 
+def _num_obstacles(command: Evaluate) -> int:
+    from league.cli.race import num_obstacles
+
+    return num_obstacles(command, avoiding=command.kind == "obstacle_avoidance")
+
+
+def _kind(command: Evaluate) -> RaceKind:
+    if command.opponents:
+        return "head_to_head"
+    if command.kind == "auto":
+        return "obstacle_avoidance" if _num_obstacles(command) else "time_trial"
+    return command.kind
+
+
 def _obstacles(command: Evaluate) -> ObstacleConfig:
     from league.sim.config import ObstacleConfig
 
     return ObstacleConfig(
-        count=command.obstacles,
+        count=_num_obstacles(command),
         kind="bot" if command.bots else "box",
         random_places=not command.fixed_obstacles,
     )
@@ -188,8 +202,7 @@ def _keep_replay(command: Evaluate, track: str) -> None:
     from league.track import files
 
     course = files.load(track)
-    kind = "head_to_head" if command.opponents else command.kind
-    spec = race_spec(command, course.name, kind, [command.driver, *command.opponents])
+    spec = race_spec(command, course.name, _kind(command), [command.driver, *command.opponents])
     recorded = race.run(spec, track=course).replay
     assert recorded is not None
     path = replays.write(recorded, replay_path(command.replay, spec, course))

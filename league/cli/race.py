@@ -7,12 +7,13 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import tyro
 
 from league.cli import tables
 from league.errors import ConfigError
+from league.sim.config import USUAL_OBSTACLES
 
 if TYPE_CHECKING:
     from league.cli.evaluate import Evaluate
@@ -31,7 +32,8 @@ class Race:
     track: str = "reinvent_2018"
     """Name of a track (see `league tracks`), or a track file."""
     kind: Literal["auto", "time_trial", "obstacle_avoidance", "head_to_head"] = "auto"
-    """Kind of race; auto: alone a time trial, together head-to-head."""
+    """Kind of race; auto: alone a time trial, or obstacle avoidance where obstacles were asked for;
+    together head-to-head."""
     laps: int = 3
     """Laps to drive."""
     seed: int = 0
@@ -39,9 +41,14 @@ class Race:
     solver: Literal["bullet", "planar"] = "bullet"
     """Physics."""
     ranking: Literal["total", "best", "average"] = "total"
-    """Order by total time, best lap or average lap."""
-    obstacles: int = 6
-    """Boxes or bots in obstacle avoidance."""
+    """Order by total time, best lap, or best mean of consecutive laps."""
+    average_laps: int = 2
+    """How many consecutive laps the mean of --ranking average is of."""
+    rules: Literal["league", "deepracer"] = "league"
+    """Who is to blame and what it costs: as docs/rules.md has it, or as in the original."""
+    obstacles: int | None = None
+    """Boxes or bots on the track, among which any number of cars drives; by default 6 where --kind
+    obstacle_avoidance or --bots asks for some, else none."""
     bots: bool = False
     """Slow bot cars that change lanes instead of boxes."""
     fixed_obstacles: bool = False
@@ -68,8 +75,11 @@ def _race(command: Race) -> int:
             "`league drivers` lists them all"
         )
     track = files.load(command.track)
-    alone = "time_trial" if len(command.drivers) == 1 else "head_to_head"
-    kind = alone if command.kind == "auto" else command.kind
+    kind = command.kind
+    if kind == "auto" and len(command.drivers) > 1:
+        kind = "head_to_head"
+    elif kind == "auto":
+        kind = "obstacle_avoidance" if num_obstacles(command, avoiding=False) else "time_trial"
     spec = race_spec(command, track.name, kind, command.drivers)
     keep = command.replay != "none"
     path = replay_path(command.replay, spec, track) if keep else None
@@ -106,6 +116,10 @@ def race_spec(command: Race | Evaluate, track: str, kind: str, drivers: Sequence
     """Return the checked spec of a race by the flags that two commands share."""
     from league.race_spec import checked
 
+    if isinstance(command, Race) and command.average_laps != 2 and command.ranking != "average":
+        raise ConfigError(
+            "--average-laps means nothing without --ranking average: give both, or neither"
+        )
     return checked(
         {
             "track": track,
@@ -113,13 +127,39 @@ def race_spec(command: Race | Evaluate, track: str, kind: str, drivers: Sequence
             "laps": command.laps,
             "seed": command.seed,
             "solver": command.solver,
-            "ranking": getattr(command, "ranking", "total"),
+            **{
+                name: getattr(command, name)
+                for name in ("ranking", "average_laps", "rules")
+                if hasattr(command, name)
+            },
             "entries": entries(drivers),
-            "obstacles": command.obstacles,
+            "obstacles": num_obstacles(command, avoiding=kind == "obstacle_avoidance"),
             "obstacle_kind": "bot" if command.bots else "box",
             "random_obstacles": not command.fixed_obstacles,
         }
     )
+
+
+class _Obstacles(Protocol):
+    obstacles: int | None
+    bots: bool
+    fixed_obstacles: bool
+
+
+def num_obstacles(command: _Obstacles, *, avoiding: bool) -> int:
+    """Return how many obstacles a command line asks for.
+
+    Raises:
+        ConfigError: it asks for obstacles of some kind, and for none.
+    """
+    asked = command.bots or command.fixed_obstacles
+    if asked and command.obstacles == 0:
+        raise ConfigError(
+            "--bots and --fixed-obstacles mean nothing with --obstacles 0: give more, or neither"
+        )
+    if command.obstacles is not None:
+        return command.obstacles
+    return USUAL_OBSTACLES if asked or avoiding else 0
 
 
 def entries(drivers: Sequence[str]) -> list[dict[str, str]]:

@@ -78,6 +78,7 @@ class Verify:
         """Run the command."""
         from league import __version__
         from league import replay as replays
+        from league.race_spec import RaceSpec
         from league.racing import race
         from league.sim.version import PHYSICS
 
@@ -91,6 +92,8 @@ class Verify:
             )
         agreement = replays.compare(recorded, race.rerun(recorded, self.policies))
         print(agreement.sentence)
+        if recorded.spec.rules != RaceSpec.model_fields["rules"].default:
+            print(f"Both were driven under the rules {recorded.spec.rules!r}, which it names.")
         then = recorded.league_version
         if not agreement.agrees and then != __version__:
             print(

@@ -14,7 +14,7 @@ from league.deepracer import hyperparameters
 from league.deepracer import model_metadata as metadata
 from league.envs.actions import ActionSpace, ContinuousActions, DiscreteActions, grid
 from league.errors import ConfigError, brief
-from league.sim.config import CameraConfig, LidarConfig, SensorConfig
+from league.sim.config import USUAL_OBSTACLES, CameraConfig, LidarConfig, SensorConfig
 from league.training.config import PpoConfig, RunConfig, TrainConfig, read
 
 if TYPE_CHECKING:
@@ -77,10 +77,13 @@ def finished(command: Train) -> RunConfig:
     cfg = command.cfg
     _check(cfg)
     line = shlex.join(["league", *sys.argv[1:]])[:2000]
+    obstacles = cfg.train.obstacles
+    if obstacles is None and cfg.train.bots:
+        obstacles = USUAL_OBSTACLES
     return replace(
         cfg,
         name=command.out.stem,
-        train=replace(cfg.train, save_every=_save_every(cfg.train)),
+        train=replace(cfg.train, save_every=_save_every(cfg.train), obstacles=obstacles),
         command="".join(sign if sign.isprintable() else " " for sign in line),
     )
 
@@ -93,14 +96,18 @@ def _check(cfg: RunConfig) -> None:
     cars = train.num_cars != 1 + racing * len(cfg.opponents)
     for needed, is_there, flags in (
         (
-            "--kind obstacle_avoidance",
-            train.kind == "obstacle_avoidance",
+            "--kind obstacle_avoidance or head_to_head",
+            train.kind != "time_trial",
             {"--obstacles": obstacles, "--bots": train.bots},
         ),
         (
             "--kind head_to_head",
             racing,
-            {"--opponents": cfg.opponents, "--self-play": cfg.self_play},
+            {
+                "--opponents": cfg.opponents,
+                "--self-play": cfg.self_play,
+                "--rules": train.rules != plain.train.rules,
+            },
         ),
         (
             "--self-play",

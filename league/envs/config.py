@@ -113,6 +113,11 @@ class EnvConfig:
 
     def __post_init__(self) -> None:
         check(self, "environment")
+        if self.sim.kind == "time_trial" and self.sim.num_obstacles:
+            raise ConfigError(
+                f"a time_trial race has {self.sim.num_obstacles} obstacles: its track is empty, "
+                "give none, or choose obstacle_avoidance"
+            )
         if len(self.sensors) not in (1, self.sim.num_cars):
             raise ConfigError(
                 f"{len(self.sensors)} sensor settings for {self.sim.num_cars} cars: "

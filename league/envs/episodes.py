@@ -95,6 +95,10 @@ def end_and_begin(done, cars, obstacles, world, points, course, places, sim, epi
                 grid.retire(cars[c])
     if begins:
         _restart(begins, cars, obstacles, world, points, course, places, sim, episodes)
+        for c in range(len(cars)):
+            # A car that begins another episode is to blame for nothing of the last one.
+            if (begins >> cars[c].pushed_by) & 1:
+                cars[c].pushed_steps = 0
     return begins
 
 
@@ -117,14 +121,14 @@ def _joining(done, cars, course, episodes):
 @inner
 def _restart(mask, cars, obstacles, world, points, course, places, sim, episodes):
     spots = np.empty((len(cars), 2), np.float32)
-    if episodes.placing:
-        _place_around_learner(mask, cars, world, spots, points, course, sim, episodes)
-        return
     all_begin = mask == (1 << len(cars)) - 1
     if all_begin and len(obstacles) and sim.random_places and world.step > 0:
         # Another seed, and with it other obstacles.
         world.seed = bits_of(world.seed, _SEED, world.step) & SEED_MASK
         obstacle_kernels.place(obstacles, world, points, course, places, sim)
+    if episodes.placing:
+        _place_around_learner(mask, cars, obstacles, world, spots, points, course, sim, episodes)
+        return
     _free_spots(mask, cars, obstacles, world, spots, course)
     for c in range(len(cars)):
         if (mask >> c) & 1:
@@ -196,14 +200,14 @@ def _free_spots(mask, cars, obstacles, world, spots, course):
 
 
 @inner
-def _place_around_learner(mask, cars, world, spots, points, course, sim, episodes):
+def _place_around_learner(mask, cars, obstacles, world, spots, points, course, sim, episodes):
     """Begin episodes of all cars if car 0 begins one, else of those that join it."""
     seed, step, num_cars = world.seed, world.step, len(cars)
     first = mask & 1 == 1
     kind = uniform_of(seed, _KIND, step)
     alone = first and kind < episodes.alone
     on_grid = first and not alone and kind < episodes.alone + episodes.standing
-    _near_spots(mask, cars, world, spots, points, course, episodes)
+    _near_spots(mask, cars, obstacles, world, spots, points, course, episodes)
     if on_grid:
         shift = np.int64(uniform_of(seed, _SLOT, step) * f32(num_cars))
         for c in range(num_cars):
@@ -235,16 +239,16 @@ def _place_around_learner(mask, cars, world, spots, points, course, sim, episode
 
 
 @inner
-def _near_spots(mask, cars, world, spots, points, course, episodes):
-    """Draw places on the road for all that begin, near car 0, where no other car is.
+def _near_spots(mask, cars, obstacles, world, spots, points, course, episodes):
+    """Draw places on the road for all that begin, near car 0, where nothing else is.
 
-    Of the candidates the first that is clear of all cars is taken, or else the clearest.
+    Of the candidates the first that is clear of everything is taken, or else the clearest.
     """
     seed, step = world.seed, world.step
     for c in range(len(cars)):
         spots[c, 0], spots[c, 1] = cars[c].s, cars[c].lateral
     if mask & 1:
-        spots[0, 0] = uniform_of(seed, _NEAR_SPOT, step) * course.length
+        spots[0, 0] = _clear_spot(obstacles, world, course)
         side = _TWO * uniform_of(seed, _NEAR_SIDE, step) - _ONE
         spots[0, 1] = _across(points, course, spots[0, 0], side)
     behind = _ONE - episodes.ahead
@@ -261,10 +265,32 @@ def _near_spots(mask, cars, world, spots, points, course, episodes):
             side = _TWO * uniform_of(seed, _LANE, step, c, attempt) - _ONE
             across = _across(points, course, place, side)
             clear, room = _clearance(c, mask, place, across, spots, course, episodes)
+            away = _to_obstacle(place, obstacles, course)
+            clear, room = clear and away >= _ROOM, min(room, away)
             merit = _PREFERRED - f32(attempt) * _LATER if clear else room
             if merit > best:
                 best, s, lateral = merit, place, across
         spots[c, 0], spots[c, 1] = s, lateral
+
+
+@inner
+def _clear_spot(obstacles, world, course):
+    """Draw s for car 0: the first of eight places that is clear of obstacles, or the last."""
+    s = uniform_of(world.seed, _NEAR_SPOT, world.step) * course.length
+    for attempt in range(1, _CANDIDATES):
+        if _to_obstacle(s, obstacles, course) >= _ROOM:
+            break
+        s = uniform_of(world.seed, _NEAR_SPOT, world.step, attempt) * course.length
+    return s
+
+
+@inner
+def _to_obstacle(s, obstacles, course):
+    """Return how far the nearest obstacle is along the track [m]."""
+    room = _FAR
+    for k in range(len(obstacles)):
+        room = min(room, abs(signed_gap(course, obstacles[k].s, s)))
+    return room
 
 
 @inner

@@ -14,6 +14,7 @@ from league.errors import ConfigError, TrackError, brief, nearest_names
 from league.sim.config import (
     CameraConfig,
     LidarConfig,
+    ObstacleConfig,
     RaceKind,
     SensorConfig,
     SimConfig,
@@ -49,6 +50,9 @@ class EnvOptions(TypedDict, total=False):
     """Weights of the reward terms."""
     mode: Mode
     """In a race a mistake costs penalty seconds; in training it ends the car's episode."""
+    obstacles: int | ObstacleConfig | None
+    """Boxes on the track, by their number or their settings, among which any number of cars drives;
+    None: six in obstacle_avoidance, else none, unless `sim` holds others."""
     sim: SimConfig | None
     """All other settings of the world: car, rules, obstacles, contacts, randomisation."""
     camera_path: Literal["paint", "ray"]
@@ -81,7 +85,7 @@ def configure(
     """Return the settings of a RaceEnv; options win over the settings in `sim`.
 
     Args:
-        kind: alone, with obstacles, or against other cars.
+        kind: time_trial, alone on an empty track; or obstacle_avoidance or head_to_head.
         num_cars: cars in a world; None: 2 in a head_to_head race, else 1.
         sensors: of the cars.
         restarting: see EnvConfig.
@@ -106,6 +110,11 @@ def configure(
         num_cars = 2 if kind == "head_to_head" else 1
     _check_whole("num_cars", num_cars, 1)
     base = options.get("sim") or SimConfig()
+    obstacles = options.get("obstacles")
+    if obstacles is None:
+        obstacles = base.obstacles
+    elif not isinstance(obstacles, ObstacleConfig):
+        obstacles = replace(base.obstacles, count=obstacles)
     rules, longest_s = replace(base.rules, laps=laps), EnvConfig.episode_s
     if max_steps is not None:
         _check_whole("max_steps", max_steps, 1)
@@ -113,7 +122,7 @@ def configure(
         rules = replace(rules, max_time_s=(max_steps - 0.5) * base.step_dt)
         longest_s = max_steps * base.step_dt
     return EnvConfig(
-        sim=replace(base, kind=kind, num_cars=num_cars, rules=rules),
+        sim=replace(base, kind=kind, num_cars=num_cars, rules=rules, obstacles=obstacles),
         solver=solver,
         sensors=_of_cars(sensors, num_cars),
         camera_path=camera_path,

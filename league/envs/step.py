@@ -33,7 +33,7 @@ OUTCOME = np.dtype(
     [
         ("reward", f32),
         ("terminated", np.bool_),  # a finish; in training any mistake too
-        ("truncated", np.bool_),  # the time limit
+        ("truncated", np.bool_),  # the time limit; in training also pushed off the road
         ("began", np.bool_),  # a new episode began in this step
     ],
     align=True,
@@ -208,7 +208,9 @@ def _end_episodes(cars, verdicts, outcomes, rules):
         cars[c].episode_steps += 1
         over = verdicts[c].mistake or verdicts[c].finished
         outcomes[c].terminated = over
-        outcomes[c].truncated = cars[c].episode_steps >= rules.longest and not over
+        # Pushed off the road an episode is cut off: it ends, but through no fault of the car.
+        cut_off = cars[c].episode_steps >= rules.longest or verdicts[c].forced_off
+        outcomes[c].truncated = cut_off and not over
         if over or outcomes[c].truncated:
             done |= 1 << c
     return done

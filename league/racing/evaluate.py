@@ -107,7 +107,7 @@ def evaluate(
         mode: whether a mistake costs seconds or ends the trial.
         seed: seed of the first run.
         solver: physics.
-        obstacles: boxes or bots, in obstacle avoidance.
+        obstacles: boxes or bots; None: six boxes in obstacle avoidance, else none.
         opponents: drivers that start behind it on the grid.
         rules: penalties and time limit of a run; its number of laps is not read.
         reward: makes the reward of so many worlds; None: progress.

@@ -18,7 +18,7 @@ from league.envs.sensor_suite import SensorSuite
 from league.errors import ConfigError, PolicyError
 from league.race_spec import Entry, RaceResult, RaceSpec
 from league.racing.race_log import RaceLog, classify
-from league.sim.config import CarConfig, DynamicsRandomization, ObstacleConfig, RaceRules, SimConfig
+from league.sim.config import RULES, CarConfig, DynamicsRandomization, ObstacleConfig, SimConfig
 from league.sim.world import World
 from league.track.track import Track, TrackSet
 
@@ -63,9 +63,9 @@ def sim_config(spec: RaceSpec) -> SimConfig:
     """Return the settings of the world that a spec asks for."""
     if spec.kind == "head_to_head" and len(spec.entries) < 2:
         raise ConfigError("a head_to_head race has 1 driver: name 2 to 8 drivers")
-    if spec.kind != "head_to_head" and len(spec.entries) > 1:
+    if spec.kind == "time_trial" and len(spec.entries) > 1:
         raise ConfigError(
-            f"a {spec.kind} race has {len(spec.entries)} drivers: it is driven alone, name one "
+            f"a time_trial race has {len(spec.entries)} drivers: it is driven alone, name one "
             "driver, or choose kind head_to_head"
         )
     return SimConfig(
@@ -74,7 +74,8 @@ def sim_config(spec: RaceSpec) -> SimConfig:
         obstacles=ObstacleConfig(
             count=spec.obstacles, kind=spec.obstacle_kind, random_places=spec.random_obstacles
         ),
-        rules=RaceRules(
+        rules=replace(
+            RULES[spec.rules],
             laps=spec.laps,
             ranking=spec.ranking,
             off_track_penalty_s=spec.off_track_penalty_s,
@@ -206,7 +207,7 @@ class _Batch:
         scraped = verdicts["wall"] & ~self._at_wall
         self._at_wall = verdicts["wall"].copy()
         cars = scraped | (verdicts["overtook"] > 0) | verdicts["lead_changed"]
-        for name in ("mistake", "lap", "released", "was_hit"):
+        for name in ("mistake", "lap", "released", "was_hit", "touched", "forced_off"):
             cars |= verdicts[name]
         eventful = np.any(cars, axis=1).tolist()
         ended = (step.terminated | step.truncated).tolist()

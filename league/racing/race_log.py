@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from statistics import fmean
 
 import numpy as np
 
@@ -48,7 +49,7 @@ class RaceLog:
                 self.add("lap", car, value=self.laps[car][-1])
             if seen["finished"]:
                 self.add("finish", car, value=round(float(now["finish_s"]), 4))
-            self._note_mistakes(seen, float(now["penalty_s"]), car)
+            self._note_mistakes(seen, now, verdicts, car)
             for other in np.flatnonzero(members(seen["overtook"], self.num_cars)).tolist():
                 self.add("overtake", car, other=other)
             if seen["was_hit"]:
@@ -58,7 +59,9 @@ class RaceLog:
         if verdicts[0]["lead_changed"]:
             self.add("lead_change", int(world.worlds[0]["leader"]))
 
-    def _note_mistakes(self, seen: np.void, penalty: float, car: int) -> None:
+    def _note_mistakes(self, seen: np.void, now: np.void, verdicts: np.ndarray, car: int) -> None:
+        penalty = float(seen["penalty_s"])
+        self.penalties[car] += penalty
         kinds: tuple[EventKind, ...] = ("off_track", "immobilised", "reversed")
         for kind in kinds:
             if seen[kind]:
@@ -69,8 +72,15 @@ class RaceLog:
                 self.add("crash", car, other=car_hit, value=round(penalty, 4))
             if thing != NOBODY:
                 self.add("obstacle_contact", car, other=thing, value=round(penalty, 4))
-        if seen["mistake"]:
-            self.penalties[car] += penalty
+        if seen["touched"]:
+            touching = np.flatnonzero(members(now["touching_cars"], self.num_cars))
+            hit = [other for other in touching.tolist() if verdicts[other]["was_hit"]]
+            closing = round(float(seen["closing_speed"]), 4)
+            self.add("touch", car, other=hit[0] if hit else None, value=closing)
+        if seen["forced_off"]:
+            pusher = int(now["pushed_by"])
+            imposed = float(verdicts[pusher]["penalty_s"])
+            self.add("forced_off", pusher, other=car, value=round(imposed, 4))
         if seen["released"]:
             self.add("put_back", car)
 
@@ -94,6 +104,7 @@ def classify(spec: RaceSpec, world: World, log: RaceLog) -> RaceResult:
                 distance=round(float(now["best_distance"]), 3),
                 off_tracks=int(now["off_tracks"]),
                 crashes=int(now["crashes"]),
+                touches=int(now["touches"]),
                 contacts_taken=int(now["contacts_taken"]),
                 immobilised=int(now["immobilised"]),
                 reversed=int(now["reversed"]),
@@ -118,12 +129,12 @@ def merit(spec: RaceSpec, car: CarResult) -> tuple[float, ...]:
 
     Fewer mistakes break a tie, then the place on the grid.
     """
-    times = {
-        "total": car.total_s,
-        "best": car.best_lap_s or float("inf"),
-        "average": car.total_s / max(car.laps, 1),
-    }
-    counts = car.best_lap_s is not None if spec.ranking == "best" else car.finished
-    time_s = times[spec.ranking] if counts else 0.0
+    window = {"best": 1, "average": min(spec.average_laps, spec.laps)}.get(spec.ranking)
+    time_s = car.total_s if car.finished else None
+    if window is not None:
+        laps = car.lap_times_s
+        stretches = [laps[first : first + window] for first in range(len(laps) - window + 1)]
+        time_s = min(map(fmean, stretches), default=None)
+    counts = time_s is not None
     mistakes = car.off_tracks + car.crashes
-    return (0.0 if counts else 1.0, time_s, -car.distance, float(mistakes), float(car.car))
+    return (0.0 if counts else 1.0, time_s or 0.0, -car.distance, float(mistakes), float(car.car))

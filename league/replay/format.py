@@ -9,11 +9,11 @@ import zlib
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from league.atomic_file import replacing
 from league.errors import ReplayError, TrackError
-from league.race_spec import RaceResult
+from league.race_spec import RaceResult, of_older_version
 from league.replay.replay import (
     GRAINS,
     NUM_ACTIONS,
@@ -62,6 +62,15 @@ class _Header(BaseModel):
     league: str = Field(default="", max_length=40)
     physics: str = Field(default="", max_length=40)
     result: RaceResult
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_rules(cls, header: object) -> object:
+        """Read the spec of an older version, which names no rules, as it was meant."""
+        match header:
+            case {"result": {"spec": {**spec}, **result}, **others} if "rules" not in spec:
+                return {**others, "result": {**result, "spec": of_older_version(spec)}}
+        return header
 
     def problem(self) -> str | None:
         """Return a contradiction, or None."""

@@ -88,7 +88,7 @@ def captions(replay: Replay) -> list[tuple[Event, str]]:
     """Return the events, each with a sentence."""
     events = replay.result.events
     # A crash names the car that was hit, and an overtake for the lead names the leader.
-    said = {(e.time_s, "contact", e.other) for e in events if e.kind == "crash"}
+    said = {(e.time_s, "contact", e.other) for e in events if e.kind in ("crash", "touch")}
     said |= {(e.time_s, "lead_change", e.car) for e in events if e.kind == "overtake"}
     return [
         (event, caption(replay, event))
@@ -111,6 +111,8 @@ def caption(replay: Replay, event: Event) -> str:
         "start": "The race is on",
         "off_track": f"{name} leaves the track{penalty}",
         "crash": f"{name} runs into {other or 'another car'}{penalty}",
+        "touch": f"{name} touches {other or 'another car'}",
+        "forced_off": f"{name} pushes {other or 'another car'} off the road{penalty}",
         "contact": f"{name} is hit" + (f" by {other}" if other else ""),
         "obstacle_contact": f"{name} hits an obstacle{penalty}",
         "wall_contact": f"{name} hits the wall{penalty}",

@@ -13,7 +13,10 @@ from league.sim.validation import Checked, check, is_number, ranged
 
 RaceKind = Literal["time_trial", "obstacle_avoidance", "head_to_head"]
 SolverName = Literal["planar", "bullet"]
-MAX_CARS = 8
+RulesName = Literal["league", "deepracer"]
+MAX_CARS, MAX_OBSTACLES = 8, 32
+USUAL_OBSTACLES = 6
+"""Boxes or bots in obstacle_avoidance, unless their number is given."""
 
 
 @dataclass(frozen=True)
@@ -228,8 +231,9 @@ class SensorConfig(Checked, what="sensor"):
 class ObstacleConfig(Checked, what="obstacle"):
     """Boxes or slow bot cars on the track."""
 
-    count: int = ranged(6, 0, 32)
-    """How many."""
+    count: int | None = None
+    """How many, 0 to 32; None: one at each of `places`, or else six in obstacle_avoidance and none
+    in the other kinds."""
     kind: Literal["box", "bot"] = "box"
     """A standing box, or a car that follows a lane at constant speed."""
     random_places: bool = True
@@ -250,13 +254,20 @@ class ObstacleConfig(Checked, what="obstacle"):
     """Height of a box [m]."""
 
     def __post_init__(self) -> None:
+        whole = isinstance(self.count, int) and is_number(self.count, 0, MAX_OBSTACLES)
+        if self.count is not None and not whole:
+            raise ConfigError(
+                f"obstacle count is {brief(self.count)}: give a whole number, 0 to {MAX_OBSTACLES}"
+            )
         super().__post_init__()
         if not isinstance(self.places, tuple | list) or not all(map(_is_place, self.places)):
             raise ConfigError(
                 f"obstacle places are {brief(self.places)}: give (fraction of the lap from 0 to 1, "
                 "lane from -1 to 1) for each"
             )
-        if self.places and len(self.places) != self.count:
+        if len(self.places) > MAX_OBSTACLES:
+            raise ConfigError(f"{len(self.places)} obstacle places: give at most {MAX_OBSTACLES}")
+        if self.places and self.count not in (None, len(self.places)):
             raise ConfigError(
                 f"{len(self.places)} places for {self.count} obstacles: give one place for each"
             )
@@ -276,11 +287,21 @@ class RaceRules:
     laps: int = ranged(3, 1, 1000)
     """Laps to drive."""
     ranking: Literal["total", "best", "average"] = "total"
-    """Order by total time, best lap or average lap."""
+    """Order by total time, best lap or best mean of consecutive laps (RaceSpec.average_laps)."""
+    room: bool = True
+    """Whether cars owe each other room (docs/rules.md). Otherwise the rear car is to blame for each
+    contact, whatever happened, and a pass counts even of or by a ghost, as in DeepRacer."""
+    light_contact: float = ranged(0.3, 0.0, 100.0)
+    """Closing speed below which a contact of cars is counted, but not penalised [m/s]."""
+    full_contact: float = ranged(1.5, 0.0, 100.0)
+    """Closing speed from which a contact costs all of `crash_penalty_s` [m/s]; from `light_contact`
+    on the penalty grows in proportion."""
+    forced_off_s: float = ranged(0.5, 0.0, 10.0)
+    """How long after a contact leaving the road is the fault of the car to blame for it [s]."""
     off_track_penalty_s: float = ranged(2.0, 0.0, 600.0)
     """Seconds frozen after all four wheels left the road."""
     crash_penalty_s: float = ranged(5.0, 0.0, 600.0)
-    """Seconds frozen for a contact the car is to blame for."""
+    """Seconds frozen for the hardest contact, and for any with an obstacle."""
     reversed_penalty_s: float = ranged(2.0, 0.0, 600.0)
     """Seconds frozen after driving backwards."""
     immobilised_penalty_s: float = ranged(2.0, 0.0, 600.0)
@@ -302,6 +323,18 @@ class RaceRules:
 
     def __post_init__(self) -> None:
         check(self)
+        if self.light_contact > self.full_contact:
+            raise ConfigError(
+                f"light_contact is {self.light_contact} m/s and full_contact {self.full_contact}: "
+                "give speeds that grow"
+            )
+
+
+RULES: dict[RulesName, RaceRules] = {
+    "league": RaceRules(),
+    "deepracer": RaceRules(room=False, light_contact=0.0, full_contact=0.0, forced_off_s=0.0),
+}
+"""Ready rules by name; files that name none were written under `deepracer`."""
 
 
 @dataclass(frozen=True)
@@ -330,7 +363,8 @@ class SimConfig(Checked):
     """Everything the world needs but its tracks, seeds and drivers."""
 
     kind: RaceKind = "time_trial"
-    """Alone, with obstacles, or against other cars."""
+    """A time trial is driven alone on an empty track; in the other two there may be any number of
+    cars, at least two in head_to_head, and of obstacles."""
     num_cars: int = ranged(1, 1, MAX_CARS)
     """Cars in each world."""
     step_hz: int = ranged(15, 1, 1000)
@@ -342,7 +376,7 @@ class SimConfig(Checked):
     contact: ContactConfig = field(default_factory=ContactConfig)
     """How bodies touch."""
     obstacles: ObstacleConfig = field(default_factory=ObstacleConfig)
-    """Obstacles, in the kind that has them."""
+    """Obstacles."""
     rules: RaceRules = field(default_factory=RaceRules)
     """The rules."""
     spread: DynamicsRandomization = field(default_factory=DynamicsRandomization)
@@ -352,9 +386,9 @@ class SimConfig(Checked):
         super().__post_init__()
         if self.kind == "head_to_head" and self.num_cars < 2:
             raise ConfigError("a head_to_head race has 1 car: give 2 to 8")
-        if self.kind != "head_to_head" and self.num_cars != 1:
+        if self.kind == "time_trial" and self.num_cars != 1:
             raise ConfigError(
-                f"a {self.kind} race has {self.num_cars} cars: it is driven alone, give 1, "
+                f"a time_trial race has {self.num_cars} cars: it is driven alone, give 1, "
                 "or choose head_to_head"
             )
         if self.car.latency_s + self.spread.latency_s > self.step_dt + 1e-9:
@@ -376,4 +410,7 @@ class SimConfig(Checked):
     @property
     def num_obstacles(self) -> int:
         """Obstacles in each world."""
-        return self.obstacles.count if self.kind == "obstacle_avoidance" else 0
+        if self.obstacles.count is not None:
+            return self.obstacles.count
+        usual = USUAL_OBSTACLES if self.kind == "obstacle_avoidance" else 0
+        return len(self.obstacles.places) or usual

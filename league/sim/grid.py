@@ -120,7 +120,8 @@ def blank_book(car, distance, now_s):
     car.lap_start_s, car.last_lap_s = now_s, _ZERO
     car.best_lap_s, car.finish_s, car.penalty_s = _INFINITE, _INFINITE, _ZERO
     car.laps, car.still_steps, car.backward_steps, car.episode_steps = 0, 0, 0, 0
-    car.off_tracks, car.crashes, car.contacts_taken = 0, 0, 0
+    car.off_tracks, car.crashes, car.touches, car.contacts_taken = 0, 0, 0, 0
+    car.pushed_by, car.pushed_steps, car.pushed_speed, car.pace = 0, 0, _ZERO, _ZERO
     car.immobilised, car.reversed, car.overtakes = 0, 0, 0
     car.touching_cars, car.touching_obstacles = 0, 0
     car.ghost, car.put_back, car.retired, car.parked = False, False, False, False

@@ -79,6 +79,10 @@ def _first_s(k, count, seed, course, places, settings):
         return places[k, 0] * course.length
     first = min(course.length / f32(count + 1), settings.min_distance)
     stretch = course.length - first - _END_MARGIN
+    # The starting grid stays clear; it stands before the line, or on an open track after it.
+    stretch = max(stretch - settings.grid_length, _ZERO)
+    if not course.closed:
+        first += settings.grid_length
     if not settings.random_places:
         return first + f32(k) * (stretch / f32(max(count - 1, 1)))
     # Each keeps to its own stretch, shortened so that two neighbours stay min_distance apart.

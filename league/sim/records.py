@@ -56,12 +56,17 @@ CAR = np.dtype(
         ("still_steps", _I4),  # steps in a row without movement
         ("backward_steps", _I4),  # steps in a row with falling distance
         ("off_tracks", _I4),  # how often all four wheels left the road
-        ("crashes", _I4),  # how often the car was to blame for a contact
+        ("crashes", _I4),  # how often the car was penalised for a contact
+        ("touches", _I4),  # how often it was to blame for a contact too light for a penalty
         ("contacts_taken", _I4),  # how often another car was to blame for a contact with this one
         ("immobilised", _I4),  # how often the car stood still too long
         ("reversed", _I4),  # how often the car drove backwards too long
         ("overtakes", _I4),  # cars passed on the road
         ("episode_steps", _I4),  # steps since the car's episode began
+        ("pushed_by", _I4),  # the car to blame for the last contact this one was not to blame for
+        ("pushed_steps", _I4),  # steps for which leaving the road is still that car's fault
+        ("pushed_speed", _F4),  # closing speed of that contact [m/s]
+        ("pace", _F4),  # largest share so far of the speed that the road allowed, 0 to 1
         ("touching_obstacles", _U4),  # obstacles touched in the last step
         ("touching_cars", _U1),  # cars touched in the last step
         ("ahead", _U1),  # cars that this one leads; changes only when a pass is clear
@@ -110,19 +115,24 @@ CONTACT = np.dtype([("obstacles", _U4), ("cars", _U1), ("wall", _BOOL)], align=T
 VERDICT = np.dtype(
     [
         ("advance", _F4),  # signed movement along the track in this step [m]
+        ("closing_speed", _F4),  # hardest contact with a car that this one is to blame for [m/s]
+        ("penalty_s", _F4),  # what a race takes for this step's mistakes; in training for contacts
         ("crashed_car", _I4),  # the car it ran into, or NOBODY
         ("crashed_obstacle", _I4),  # the obstacle it ran into, or NOBODY
         ("overtook", _U1),  # cars passed on the road in this step
         ("off_track", _BOOL),  # all four wheels have left the road
-        ("crashed", _BOOL),  # a contact this car is to blame for
+        ("crashed", _BOOL),  # a contact this car is penalised for
+        ("touched", _BOOL),  # a contact this car is to blame for began, too light for a penalty
         ("was_hit", _BOOL),  # a contact another car is to blame for
+        ("forced_off", _BOOL),  # pushed off the road or into an obstacle by CAR.pushed_by
+        ("pushed_off", _BOOL),  # to blame for that of another car
         ("wall", _BOOL),  # the car touches the wall
         ("immobilised", _BOOL),  # stood still too long
         ("reversed", _BOOL),  # drove backwards too long
         ("lap", _BOOL),  # completed a lap in this step
         ("finished", _BOOL),  # completed its last lap in this step
         ("released", _BOOL),  # a penalty ended in this step
-        ("mistake", _BOOL),  # off_track, crashed, immobilised or reversed
+        ("mistake", _BOOL),  # off_track, crashed, pushed_off, immobilised or reversed
         ("lead_changed", _BOOL),  # another car leads; the same for all cars of a world
     ],
     align=True,

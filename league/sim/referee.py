@@ -1,8 +1,8 @@
-"""Compiled: the referee: laps, off-track, contacts and who is to blame, penalties, running order.
+"""Compiled: the referee: laps, off-track, contacts, penalties, running order.
 
 `judge` looks at a world before and after physics, writes down what happened (VERDICT) and keeps the
 cars' book; it moves nobody. `penalise` applies the race's penalties; in training a mistake ends the
-episode instead. The rules: docs/rules.md.
+episode instead. Who is to blame for a contact: blame.py. The rules: docs/rules.md.
 """
 
 # Numba gives its types a meaning that the checker does not know.
@@ -12,7 +12,7 @@ import numpy as np
 
 from league.jit import compiled, inner
 from league.portable_math import clamp, f32, sincos
-from league.sim import grid
+from league.sim import blame, grid
 from league.sim.physics.vehicle import frozen
 from league.sim.records import NOBODY
 from league.track.projection import lap_length, project, signed_gap
@@ -39,10 +39,14 @@ def judge(before, cars, obstacles, world, verdicts, contacts, points, course, se
         course: COURSE record of the world's track.
         settings: SETTINGS record.
     """
+    wanted = world.step % blame.PACE_EVERY == 0
     for c in range(len(cars)):
         _progress(before[c], cars[c], verdicts[c], points, course, settings)
-    for c in range(len(cars)):
-        _blame(c, before, cars, obstacles, verdicts[c], contacts[c], course, settings)
+        wanted |= blame.begin(cars[c], verdicts[c], contacts[c])
+    if wanted:
+        blame.judge_contacts(
+            before, cars, obstacles, world, verdicts, contacts, points, course, settings
+        )
     for c in range(len(cars)):
         _mistakes(before[c], cars[c], verdicts[c], contacts[c], settings)
         _lap(before[c], cars[c], world, verdicts[c], course, settings)
@@ -94,36 +98,13 @@ def _is_on_road(car, frame, points, course, settings):
 
 
 @inner
-def _blame(c, before, cars, obstacles, seen, touched, course, settings):
-    """Judge a car's contacts: of two cars the rear one along the track is to blame.
-
-    Contact with a box is the car's own fault; with a bot car it is if the bot was ahead. Of several
-    that were hit at once, the rearmost is named.
-    """
-    seen.crashed_car, seen.crashed_obstacle, seen.was_hit = NOBODY, NOBODY, False
-    new = touched.cars & ~before[c].touching_cars
-    nearest = _INFINITE
-    for other in range(len(cars)):
-        if (touched.cars >> other) & 1:
-            gap = signed_gap(course, cars[other].s, cars[c].s)
-            if _ZERO < gap < nearest:
-                seen.crashed_car, nearest = other, gap
-            if gap < _ZERO and (new >> other) & 1:
-                seen.was_hit = True
-    nearest = _INFINITE
-    for k in range(len(obstacles)):
-        if (touched.obstacles >> k) & 1:
-            gap = signed_gap(course, obstacles[k].s, cars[c].s)
-            if gap < nearest and (gap > _ZERO or not settings.bots):
-                seen.crashed_obstacle, nearest = k, gap
-
-
-@inner
 def _mistakes(old, car, seen, touched, settings):
     """Note a car's mistakes, and count them in its book."""
     racing = grid.is_racing(old)
-    to_blame = seen.crashed_car != NOBODY or seen.crashed_obstacle != NOBODY
-    seen.crashed, seen.wall = racing and to_blame, touched.wall
+    hit_thing = seen.crashed_obstacle != NOBODY and not seen.forced_off
+    seen.crashed = racing and (seen.crashed_car != NOBODY or hit_thing)
+    seen.touched, seen.wall = racing and seen.touched, touched.wall
+    pushed_off = racing and seen.pushed_off
     dx, dy = car.x - old.x, car.y - old.y
     still = dx * dx + dy * dy <= settings.still_squared
     car.still_steps = old.still_steps + 1 if racing and still else 0
@@ -134,10 +115,11 @@ def _mistakes(old, car, seen, touched, settings):
     seen.reversed = car.backward_steps >= settings.patience_steps
     if seen.reversed:
         car.backward_steps = 0
-    seen.mistake = seen.off_track or seen.crashed or seen.immobilised or seen.reversed
+    seen.mistake = seen.off_track or seen.crashed or seen.immobilised or seen.reversed or pushed_off
     car.touching_cars, car.touching_obstacles = touched.cars, touched.obstacles
     car.off_tracks += seen.off_track
     car.crashes += seen.crashed
+    car.touches += seen.touched
     car.contacts_taken += seen.was_hit
     car.immobilised += seen.immobilised
     car.reversed += seen.reversed
@@ -180,6 +162,8 @@ def _order(before, cars, world, verdicts, course, settings):
                 ahead |= 1 << other
                 beaten += 1
                 both = grid.is_racing(before[c]) and grid.is_racing(before[other])
+                # Of cars that can drive through each other none passes.
+                both = both and not (settings.room and (before[c].ghost or before[other].ghost))
                 # Half a lap apart, ahead turns to behind without a pass.
                 near = _lead(cars[c], cars[other], course) < _CLEAR_PASS
                 if not was_ahead and both and near:
@@ -221,7 +205,7 @@ def stop_bots(cars, obstacles, verdicts, settings):
         return
     hit = False
     for c in range(len(cars)):
-        hit |= cars[c].touching_obstacles != 0 and not verdicts[c].crashed
+        hit |= cars[c].touching_obstacles != 0 and verdicts[c].crashed_obstacle == NOBODY
     if hit:
         for k in range(len(obstacles)):
             obstacles[k].stopped_s = settings.bot_stop_s
@@ -232,7 +216,8 @@ def penalise(cars, obstacles, verdicts, points, course, settings):
     """Apply the race's penalties to one world: who made a mistake is frozen, then goes on.
 
     After a crash the car is moved first, behind what it hit and to the other lane, then frozen.
-    Off the track, backwards or immobilised: frozen where it stands, then put on the nearer lane.
+    Off the track, backwards, immobilised or to blame for another car that left the road: frozen
+    where it stands, then put on the nearer lane. The other car is put back at once.
     Frozen cars are ghosts, and stay so until nothing is near; so are cars that have finished. On an
     occupied spot a car thus drives on as a ghost until it is clear of whoever is there.
     """
@@ -240,27 +225,24 @@ def penalise(cars, obstacles, verdicts, points, course, settings):
     for c in range(len(cars)):
         seen = verdicts[c]
         changing |= seen.mistake or seen.released or seen.finished or cars[c].ghost
-        crashes |= seen.crashed
+        changing |= seen.forced_off
+        crashes |= _is_moved(seen)
         if seen.released:
             grid.release(cars[c], points, course)
     if crashes:
         _put_behind(cars, obstacles, verdicts, points, course, settings)
     if not changing:
         return
+    _price(cars, verdicts, settings)
     solid, wanting = 0, 0
     for c in range(len(cars)):
         car, seen = cars[c], verdicts[c]
-        # Of several mistakes the last one here decides.
-        if seen.immobilised:
-            car.penalty_s = settings.immobilised_penalty_s
-        if seen.reversed:
-            car.penalty_s = settings.reversed_penalty_s
-        if seen.off_track:
-            car.penalty_s = settings.off_track_penalty_s
-        if seen.crashed:
-            car.penalty_s = settings.crash_penalty_s
+        # Who is frozen already, and to blame for a car that leaves the road now, stands longer.
+        car.penalty_s += seen.penalty_s
         if seen.mistake:
             car.put_back = not seen.crashed
+        elif seen.forced_off:
+            car.penalty_s, car.put_back = settings.step_dt, not _is_moved(seen)
         stays = frozen(car) or car.finish_s != _INFINITE
         if car.ghost and not stays:
             wanting |= 1 << c
@@ -273,12 +255,42 @@ def penalise(cars, obstacles, verdicts, points, course, settings):
 
 
 @inner
+def _price(cars, verdicts, settings):
+    """Set what each car has to stand for the mistakes of this step [s]."""
+    for c in range(len(cars)):
+        # Of several mistakes the last one here decides; that of a crash has been set already.
+        seen, cost = verdicts[c], _ZERO
+        if seen.immobilised:
+            cost = settings.immobilised_penalty_s
+        if seen.reversed:
+            cost = settings.reversed_penalty_s
+        if seen.off_track:
+            cost = settings.off_track_penalty_s
+        if not seen.crashed:
+            seen.penalty_s = cost
+    for c in range(len(cars)):
+        if verdicts[c].forced_off:
+            to_blame = cars[c].pushed_by
+            if cars[to_blame].finish_s == _INFINITE and not cars[to_blame].retired:
+                into_thing = verdicts[c].crashed_obstacle != NOBODY
+                verdicts[to_blame].penalty_s += (
+                    settings.crash_penalty_s if into_thing else settings.off_track_penalty_s
+                )
+
+
+@inner
+def _is_moved(seen):
+    """Return whether a car is put behind what it hit, be it its own fault or not."""
+    return seen.crashed or (seen.forced_off and seen.crashed_obstacle != NOBODY)
+
+
+@inner
 def _put_behind(cars, obstacles, verdicts, points, course, settings):
     """Move crashed cars; all are placed by where the others were before anybody was moved."""
     places = np.empty((len(cars), 2), np.float32)
     for c in range(len(cars)):
         seen = verdicts[c]
-        if seen.crashed:
+        if _is_moved(seen):
             target, side = _ZERO, _ZERO
             if seen.crashed_obstacle != NOBODY:
                 target = obstacles[seen.crashed_obstacle].s
@@ -288,7 +300,7 @@ def _put_behind(cars, obstacles, verdicts, points, course, settings):
             shift, lateral = grid.place_behind(cars[c], target, side, points, course, settings)
             places[c, 0], places[c, 1] = shift, lateral
     for c in range(len(cars)):
-        if verdicts[c].crashed:
+        if _is_moved(verdicts[c]):
             grid.move(cars[c], points, course, places[c, 0], places[c, 1])
 
 

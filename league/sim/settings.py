@@ -76,6 +76,12 @@ def _fields(sim: SimConfig) -> tuple[tuple[str, type, float], ...]:
         # The rules.
         ("laps", _I8, rules.laps),
         ("patience_steps", _I8, rules.patience_steps),
+        ("room", _BOOL, rules.room),  # cars owe each other room; else the rear one is to blame
+        ("alongside", _F4, car.length / 4),  # overlap along the track from which cars are alongside
+        ("light_contact", _F4, rules.light_contact),  # closing speeds of contacts [m/s]
+        ("full_contact", _F4, rules.full_contact),
+        # Steps for which a contact may have pushed a car off the road.
+        ("push_steps", _I8, round(rules.forced_off_s * sim.step_hz) if rules.room else 0),
         ("still_squared", _F4, rules.still_distance**2),  # [m^2]
         ("off_track_penalty_s", _F4, seconds(rules.off_track_penalty_s)),
         ("crash_penalty_s", _F4, seconds(rules.crash_penalty_s)),
@@ -83,6 +89,7 @@ def _fields(sim: SimConfig) -> tuple[tuple[str, type, float], ...]:
         ("reversed_penalty_s", _F4, seconds(rules.reversed_penalty_s)),
         ("overtake_margin", _F4, rules.overtake_margin),  # [m]
         ("grid_gap", _F4, rules.grid_gap),  # [m]
+        ("grid_length", _F4, rules.grid_gap * (sim.num_cars - 1)),  # first place to last [m]
         ("put_back_behind", _F4, rules.put_back_behind),  # [m]
         ("bot_stop_s", _F4, rules.bot_stop_s),
         # Obstacles.

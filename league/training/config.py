@@ -21,7 +21,7 @@ from league.envs.actions import ActionSpace, ContinuousActions
 from league.envs.config import RewardConfig
 from league.errors import ConfigError, PolicyError
 from league.racing.evaluate import MAX_TRIALS
-from league.sim.config import CameraConfig, RaceKind, SensorConfig
+from league.sim.config import CameraConfig, RaceKind, RulesName, SensorConfig
 
 _T = TypeVar("_T")
 Hidden = Annotated[_T, tyro.conf.Fixed, tyro.conf.Suppress]
@@ -131,8 +131,10 @@ class TrainConfig:
     do, less in proportion; 0: not at all."""
     visual_randomization: bool = False
     """Draw light, colours, noise and blur of the pictures."""
-    obstacles: int = 6
-    """Boxes or bots in obstacle avoidance."""
+    rules: RulesName = "league"
+    """Which car is to blame and what it costs: as docs/rules.md has it, or as in the original."""
+    obstacles: int | None = None
+    """Boxes or bots on the track, in obstacle_avoidance (by default 6) or in head_to_head."""
     bots: bool = False
     """Slow bot cars instead of boxes."""
     episode_s: Hidden[float] = 40.0
@@ -362,6 +364,10 @@ def _renamed(run: dict[str, Any]) -> dict[str, Any]:
         # These two used to hold how far each thing is drawn, or null.
         looks, spread = train.get("visual_randomization"), train.get("dynamics_randomization")
         train["visual_randomization"] = bool(looks)
+        if "rules" not in train:  # the original's were the only ones
+            train["rules"] = "deepracer"
+            if train.get("kind") != "obstacle_avoidance":
+                train["obstacles"] = None  # it was not read
         train["dynamics_randomization"] = (
             spread["grip"] / GRIP_SPREAD if isinstance(spread, dict) else spread or 0.0
         )

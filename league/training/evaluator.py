@@ -34,8 +34,8 @@ class EvalConfig:
     """Runs on each track."""
     kind: RaceKind = "time_trial"
     """Kind of race."""
-    obstacles: int = 6
-    """Boxes or bots, in obstacle avoidance."""
+    obstacles: int | None = None
+    """Boxes or bots; None: six in obstacle avoidance, else none."""
     bots: bool = False
     """Bot cars instead of boxes."""
     opponents: tuple[str, ...] = ()

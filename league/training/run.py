@@ -35,6 +35,7 @@ from league.training.selfplay.payoff_matrix import FINAL, PayoffMatrix
 
 if TYPE_CHECKING:
     from league.racing.table import Evaluation
+    from league.sim.config import RaceKind
     from league.training.monitor.callback import TrainingCallback
 
 
@@ -451,11 +452,18 @@ def _eval_config(cfg: RunConfig) -> EvalConfig:
         tracks=tuple(tracks),
         laps=cfg.eval_laps,
         trials=cfg.eval_trials,
-        kind=cfg.train.kind if cfg.train.kind != "head_to_head" else "time_trial",
+        kind=_eval_kind(cfg),
         obstacles=cfg.train.obstacles,
         bots=cfg.train.bots,
         opponents=opponents,
     )
+
+
+def _eval_kind(cfg: RunConfig) -> RaceKind:
+    """Return the kind of an evaluation without opponents."""
+    if cfg.train.kind != "head_to_head":
+        return cfg.train.kind
+    return "obstacle_avoidance" if cfg.train.obstacles else "time_trial"
 
 
 def _reward(cfg: RunConfig) -> tuple[Reward | None, RewardCard]:

@@ -132,7 +132,8 @@ def test_two_to_eight_cars_race(race_env, solver, num_cars):
 
 @pytest.mark.parametrize("solver", ["planar", "bullet"])
 def test_fast_car_that_rams_a_slow_one_is_penalised_and_put_behind_it(race_env, solver):
-    sim = SimConfig(kind="head_to_head", num_cars=2)
+    rules = RaceRules(light_contact=0.0, full_contact=0.0)
+    sim = SimConfig(kind="head_to_head", num_cars=2, rules=rules)
     env = race_env(tracks=TrackSet(make_square(side=6.0)), sim=sim, solver=solver)
     env.reset(seed=1)
     for _ in range(60):

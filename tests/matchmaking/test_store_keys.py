@@ -96,7 +96,20 @@ def test_ruleset_comes_back_from_its_settings_with_its_hash():
     assert replace(rules, physics="3").hash != rules.hash
 
 
-@pytest.mark.parametrize("wrong", [{"tracks": ()}, {"cars": 0}, {"cars": 9}, {"laps": 0}])
+def test_ruleset_of_an_older_league_keeps_its_hash_and_its_rules():
+    new = Ruleset(physics="4")
+    names = ("tracks", "kind", "laps", "cars", "solver", "physics", "sensors", "max_time_s")
+    stored = {name: heat_spec.settings(new)[name] for name in (*names, "variation")}
+    old = Ruleset.of(stored)
+    assert (old.rules, old.obstacles, old.obstacle_kind) == ("deepracer", 0, "box")
+    assert old.hash == heat_spec.digest(heat_spec.canonical(stored))
+    hashes = {old.hash, new.hash, replace(new, obstacles=6).hash, replace(old, obstacles=6).hash}
+    assert len(hashes) == 4
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"tracks": ()}, {"cars": 0}, {"cars": 9}, {"laps": 0}, {"obstacles": 33}]
+)
 def test_rules_that_cannot_be_raced_are_refused(wrong):
     with pytest.raises(ValueError):
         Ruleset(**wrong)

@@ -27,7 +27,7 @@ CHOICES = [
     (made, item)
     for made in SETTINGS
     for item in fields(made)
-    if item.type not in (int, float) and item.name != "places"
+    if item.type not in (int, float) and item.name not in ("places", "count")
 ]
 
 
@@ -95,6 +95,17 @@ def test_numbers_may_be_numpys(number):
             {"spread": DynamicsRandomization(latency_s=0.1)},
             "longer than one control step",
         ),
+            SimConfig,
+            {"spread": DynamicsRandomization(latency_s=0.1)},
+            "longer than one control step",
+        ),
+        (RaceRules, {"light_contact": 2.0}, "full_contact 1.5: give speeds that grow"),
+        (ObstacleConfig, {"count": 33}, "obstacle count is 33: give a whole number, 0 to 32"),
+        (ObstacleConfig, {"count": "x"}, "obstacle count is 'x': give a whole number, 0 to 32"),
+        (ObstacleConfig, {"count": True}, "obstacle count is True: give a whole number"),
+        (ObstacleConfig, {"count": math.nan}, "obstacle count is nan: give a whole number"),
+        (ObstacleConfig, {"count": 1.5}, "obstacle count is 1.5: give a whole number, 0 to 32"),
+        (SimConfig, {"num_cars": 2}, "a time_trial race has 2 cars: it is driven alone"),
     ],
 )
 def test_what_is_refused_is_told_with_what_was_expected(made, settings, sentence):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from functools import partial
 
 import golden
 import numpy as np
@@ -21,7 +23,7 @@ MOTION, RULES, RACES = (
 )
 DESCRIBED = golden.described()
 CLASSES = {
-    "rules": config.RaceRules,
+    "rules": partial(replace, config.RULES["deepracer"]),
     "spread": config.DynamicsRandomization,
     "obstacles": config.ObstacleConfig,
 }
@@ -41,7 +43,7 @@ def course(*names: str) -> TrackSet:
 
 
 def sim_of(scene: dict) -> config.SimConfig:
-    settings = golden.sim_settings(scene)
+    settings = {"rules": {}, **golden.sim_settings(scene)}
     made = {key: CLASSES[key](**v) if key in CLASSES else v for key, v in settings.items()}
     return config.SimConfig(**made)
 

@@ -39,6 +39,12 @@ class Init(OnLeague):
     """A race is stopped after this time [s]; 0 chooses by length."""
     variation: float = 1.0
     """How much the cars of a race differ, drawn from its seed: 1 is two percent of grip."""
+    rules: Literal["league", "deepracer"] = "league"
+    """Who is to blame and what it costs: as docs/rules.md has it, or as in the original."""
+    obstacles: int = 0
+    """Boxes or bots on the track."""
+    bots: bool = False
+    """Slow bot cars that change lanes instead of boxes."""
     anchors: tuple[str, ...] = ANCHORS
     """Scripted drivers that tie the scale; the first one is pinned to 1000."""
     blobs: str = ""
@@ -180,6 +186,8 @@ def _rules(command: Init) -> Ruleset:
         if name not in roster.NAMES:
             nearest = nearest_names(name, list(roster.NAMES))
             raise ConfigError(f"there is no scripted driver {name!r}; nearest: {nearest}")
+    if command.bots and not command.obstacles:
+        raise ConfigError("--bots means nothing without --obstacles: give both, or neither")
     if command.cars < 2:
         raise ConfigError(
             f"{command.cars} cars in a race: a league's races have 2 to 8, give --cars 2"
@@ -206,6 +214,9 @@ def _rules(command: Init) -> Ruleset:
             sensors=command.sensors,
             max_time_s=command.max_time_s,
             variation=command.variation,
+            rules=command.rules,
+            obstacles=command.obstacles,
+            obstacle_kind="bot" if command.bots else "box",
         )
     except ValueError as error:
         raise ConfigError(f"these rules are not possible: {error}") from error

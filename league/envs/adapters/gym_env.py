@@ -51,9 +51,9 @@ class LearnerEnv:
         options.setdefault("mode", "training")
         sim = options.get("sim")
         drivers = load_drivers(opponents, tracks, (sim or SimConfig()).car) if opponents else ()
-        if drivers and not racing:
+        if drivers and kind == "time_trial":
             raise ConfigError(
-                f"{len(drivers)} opponents are given for a {kind} race, which is driven alone: "
+                f"{len(drivers)} opponents are given for a time_trial race, which is driven alone: "
                 "give none, or choose head_to_head"
             )
         if not 0 <= car <= len(drivers):
@@ -126,7 +126,7 @@ class GymEnv(gymnasium.Env[Any, np.ndarray]):
             kind: time_trial, obstacle_avoidance or head_to_head.
             sensors: of the learner: stereo and lidar, or CameraConfig and LidarConfig.
             car: grid slot of the learner, 0 in front.
-            opponents: names or drivers of the other slots, in head_to_head; one by default.
+            opponents: names or drivers of the other slots; in head_to_head one by default.
             privileged: whether the learner also observes the truth, as group `state`.
             render_mode: rgb_array for pictures, human for the live viewer, or None.
             view: of pictures: chase, from behind the learner, or top.

@@ -23,7 +23,10 @@ STATE_LIMIT = 10_000.0
 FLAGS = (
     "off_track",
     "crashed",
+    "touched",
     "was_hit",
+    "forced_off",
+    "pushed_off",
     "wall",
     "immobilised",
     "reversed",

@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any, Literal
 
-from league.sim.config import MAX_CARS, RaceKind, SolverName
+from league.sim.config import MAX_CARS, MAX_OBSTACLES, RaceKind, RulesName, SolverName
 from league.sim.version import PHYSICS
 
 Purpose = Literal["rated", "validation", "audit", "gauntlet"]
@@ -59,6 +59,12 @@ class Ruleset:
     """A race is stopped after this time [s]; 0 chooses by length."""
     variation: float = 1.0
     """How much the cars of a race differ, drawn from its seed; see RaceSpec."""
+    rules: RulesName = "league"
+    """Which rules a race has, see RaceSpec."""
+    obstacles: int = 0
+    """Boxes or bots on the track."""
+    obstacle_kind: Literal["box", "bot"] = "box"
+    """Standing boxes, or slow bot cars that change lanes."""
 
     def __post_init__(self) -> None:
         if not self.tracks:
@@ -71,16 +77,24 @@ class Ruleset:
             raise ValueError(f"max_time_s is {self.max_time_s}: give 0 to 36000 s")
         if not 0 <= self.variation <= 10:
             raise ValueError(f"variation is {self.variation}: give 0 to 10")
+        if not 0 <= self.obstacles <= MAX_OBSTACLES:
+            raise ValueError(f"{self.obstacles} obstacles: 0 to {MAX_OBSTACLES} are possible")
 
     @property
     def hash(self) -> str:
-        """SHA-256 of the settings."""
-        return digest(canonical(asdict(self)))
+        """SHA-256 of the settings; those that older rulesets lack are left out as they imply."""
+        told = asdict(self)
+        told = {name: value for name, value in told.items() if _IMPLIED.get(name) != value}
+        return digest(canonical(told))
 
     @classmethod
     def of(cls, settings: Mapping[str, Any]) -> Ruleset:
         """Return the ruleset that was stored as these settings."""
-        return cls(**{**settings, "tracks": tuple(settings["tracks"])})
+        return cls(**{**_IMPLIED, **settings, "tracks": tuple(settings["tracks"])})
+
+
+_IMPLIED = {"rules": "deepracer", "obstacles": 0, "obstacle_kind": "box"}
+"""Settings that rulesets of older leagues do not hold, and what they mean by that."""
 
 
 @dataclass(frozen=True)

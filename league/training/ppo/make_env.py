@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Literal
 
 import torch
@@ -12,9 +13,9 @@ from league.envs.adapters.rsl_vec_env import RacingVecEnv
 from league.envs.config import EnvConfig, OpponentPlacement
 from league.envs.rewards import Reward
 from league.sim.config import (
+    RULES,
     DynamicsRandomization,
     ObstacleConfig,
-    RaceRules,
     SimConfig,
     VisualRandomization,
 )
@@ -32,7 +33,7 @@ def env_config(cfg: TrainConfig) -> EnvConfig:
         kind=cfg.kind,
         num_cars=cfg.num_cars,
         obstacles=ObstacleConfig(count=cfg.obstacles, kind="bot" if cfg.bots else "box"),
-        rules=RaceRules(laps=_ENDLESS),
+        rules=replace(RULES[cfg.rules], laps=_ENDLESS),
         spread=_spread(cfg.dynamics_randomization),
     )
     return EnvConfig(
