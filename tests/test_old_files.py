@@ -5,11 +5,11 @@ import tarfile
 from pathlib import Path
 
 import pytest
-from league.training.run_config import settings
 
 from league import replay
 from league.agents import checkpoint
 from league.cli import main
+from league.training.config import read
 
 DATA = Path(__file__).parent / "data"
 
@@ -35,7 +35,7 @@ def test_an_old_run_is_resumed(run, capsys):
     more = ("--steps", "96", "--plain", "--no-tensorboard")
     assert run("train", "--resume", "--out", "version_1.pt", *more) == 0
     assert "96 decisions" in capsys.readouterr().out
-    stored = settings(Path("version_1.run")).train
+    stored = read(Path("version_1.run")).train
     assert (stored.rules, stored.obstacles) == ("deepracer", None)
     history = Path("version_1.run/history.jsonl").read_text().splitlines()
     assert [line.split(",")[1] for line in history if '"update"' in line] == [

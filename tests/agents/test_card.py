@@ -6,7 +6,6 @@ import pytest
 import safetensors.torch
 import torch
 from pydantic import ValidationError
-from trained import SENSES, make_card
 
 from league.agents.card import Card, Reward
 from league.agents.network import NetworkConfig
@@ -14,7 +13,9 @@ from league.envs.actions import ContinuousActions, grid
 from league.errors import ConfigError, PolicyError
 from league.matchmaking import submission
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig
-from league.training import checks
+from league.training.config import RunConfig, TrainConfig
+from league.training.run import Run
+from tests.agents.trained import SENSES, make_card
 
 
 @pytest.mark.parametrize("senses", SENSES)
@@ -115,9 +116,9 @@ COSTLY = {
 }
 
 
-def test_a_network_that_costs_too_much_is_refused_before_it_is_trained():
+def test_a_network_that_costs_too_much_is_refused_before_it_is_trained(tmp_path):
     with pytest.raises(ConfigError, match="holds 78648010 activations") as refusal:
-        checks.card(lambda: make_card(**COSTLY))
+        Run(RunConfig(minutes=1.0, train=TrainConfig(**COSTLY)), tmp_path)
     assert "\n" not in str(refusal.value)
 
 

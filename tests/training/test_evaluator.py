@@ -114,7 +114,6 @@ def test_program_ends_although_policies_are_still_waiting(tmp_path):
             from small import CAMERA, untrained
 
             if __name__ == "__main__":
-                subprocesses.LOADED = ()  # so that there is little to wait for
                 judge = Evaluator(EvalConfig(tracks=(files.load("reinvent_2018"),)))
                 for number in range(20):
                     judge.submit(number, untrained(CAMERA))

@@ -17,7 +17,7 @@ def points(folder: Path) -> dict[str, list[tuple[int, float]]]:
     read = EventAccumulator(str(folder))
     read.Reload()
     return {
-        name: [(point.step, point.value) for point in read.TensorBoard(name)]
+        name: [(point.step, point.value) for point in read.Scalars(name)]
         for name in read.Tags()["scalars"]
     }
 
