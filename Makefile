@@ -1,10 +1,10 @@
-# The workshop in a few words: make race | league | test | sync | format | check | type | bench | clean
+# The workshop in a few words: make race | league | serve | test | sync | format | check | type | bench | clean
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 # Torch on a few cores: waiting threads must not spin.
 export OMP_WAIT_POLICY = PASSIVE
 
-.PHONY: race league test sync format check type bench clean
+.PHONY: race league serve test sync format check type bench clean
 
 race: sync
 	$(BIN)/league race duelist racer --track reinvent_2018
@@ -18,6 +18,10 @@ league: sync
 	done
 	$(BIN)/league run --same-owner --minutes 2 --league $(LEAGUE)
 	$(BIN)/league standings --league $(LEAGUE)
+
+# Its web pages, on this machine only.
+serve: league
+	$(BIN)/league serve --league $(LEAGUE)
 
 # In the order of the files: sorted by number of tests, the few that take longest would come last.
 test: sync

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from league import rerun_view
-from league.cli import tables
+from league import rerun_view, times
 
 SHORT = ["--laps", "1", "--solver", "planar", "--replay", "none"]
 
@@ -208,10 +207,10 @@ def test_reader_who_has_had_enough_of_the_help_gets_no_traceback():
 
 
 def test_times_are_told_as_on_a_timing_screen():
-    assert tables.clock(0.0) == "0:00.000"
-    assert tables.clock(9.0666) == "0:09.067"
-    assert tables.clock(75.5) == "1:15.500"
-    assert tables.clock(59.9996) == "1:00.000"
+    assert times.clock(0.0) == "0:00.000"
+    assert times.clock(9.0666) == "0:09.067"
+    assert times.clock(75.5) == "1:15.500"
+    assert times.clock(59.9996) == "1:00.000"
 
 
 def test_verify_explains_why_a_race_of_another_physics_cannot_be_run_again(league):

@@ -12,6 +12,7 @@ import pytest
 HOUSE = Path(__file__).parents[1] / "league"
 LAYERS = {
     "league": 1, "errors": 1, "atomic_file": 1, "jit": 1, "portable_math": 1, "subprocesses": 1,
+    "times": 1,
     "figures": 2, "track": 2,
     "sim": 3,
     "race_spec": 4, "racing_line": 4,
@@ -21,7 +22,7 @@ LAYERS = {
     "racing": 8,
     "training": 9,
     "matchmaking": 10,
-    "precompile": 11,
+    "precompile": 11, "web": 11,
     "cli": 12, "__main__": 12,
 }  # fmt: skip
 HEAVY = {
@@ -40,6 +41,9 @@ HEAVY = {
     "sqlalchemy": ("matchmaking.store",),
     "alembic": ("matchmaking.store",),
     "psycopg": ("matchmaking.store",),
+    "starlette": ("web",),
+    "jinja2": ("web",),
+    "uvicorn": ("web",),
     "fsspec": ("matchmaking.store.blobs",),
 }
 LOADED_LATE = (
@@ -53,6 +57,9 @@ LOADED_LATE = (
     "cv2",
     "scipy",
     "av",
+    "starlette",
+    "uvicorn",
+    "jinja2",
 )
 
 

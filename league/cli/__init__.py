@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import tyro
 
 from league.cli import drivers, evaluate, race, replays, rewards, tracks
-from league.cli.season import entries, gauntlet, heats, run, standings
+from league.cli.season import entries, gauntlet, heats, run, serve, standings
 from league.errors import LeagueError
 
 
@@ -36,6 +36,7 @@ COMMANDS: dict[str, type] = {
     **standings.COMMANDS,
     **heats.COMMANDS,
     **gauntlet.COMMANDS,
+    **serve.COMMANDS,
 }
 """All commands, in the order of the help."""
 _SIMULATING = (

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 import tyro
 
+from league import times
 from league.cli import flags, tables
 
 if TYPE_CHECKING:
@@ -227,7 +228,7 @@ def print_table(done: Evaluation) -> None:
         row = (
             str(one.trial),
             one.status.replace("_", " "),
-            tables.clock(one.time_s),
+            times.clock(one.time_s),
             f"{one.completion:.1f}",
             str(one.off_tracks),
             str(one.crashes),
@@ -250,7 +251,7 @@ def summary(done: Evaluation) -> str:
         ("total", done.total_s),
     ):
         if seconds is not None:
-            parts.append(f"{name} {tables.clock(seconds)}")
+            parts.append(f"{name} {times.clock(seconds)}")
     if done.places:
         won = sum(place == 1 for place in done.places)
         parts.append(f"{won} of {len(done.places)} races won")

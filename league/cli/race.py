@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal, Protocol
 
 import tyro
 
+from league import times
 from league.cli import tables
 from league.errors import ConfigError
 from league.sim.config import USUAL_OBSTACLES
@@ -239,9 +240,9 @@ def _print_classification(result: RaceResult) -> None:
             str(car.place),
             car.name,
             str(car.laps),
-            tables.clock(car.total_s) if car.finished else "not finished",
+            times.clock(car.total_s) if car.finished else "not finished",
             f"+{gap:.3f}" if car.finished and car is not winner else "",
-            tables.clock(car.best_lap_s) if car.best_lap_s else "",
+            times.clock(car.best_lap_s) if car.best_lap_s else "",
             str(car.off_tracks),
             str(car.crashes),
             str(car.overtakes),

@@ -1,4 +1,4 @@
-"""What the commands print with: tables, times and progress bars, all loaded late."""
+"""What the commands print with: tables and progress bars, all loaded late."""
 
 from __future__ import annotations
 
@@ -8,12 +8,6 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
     from rich.table import Table
-
-
-def clock(seconds: float) -> str:
-    """Return a time as people read it on a timing screen: m:ss.mmm."""
-    minutes, rest = divmod(round(seconds * 1000), 60_000)
-    return f"{minutes}:{rest / 1000:06.3f}"
 
 
 def spelled(text: str) -> str:

@@ -61,6 +61,8 @@ class Row:
     """Won, or lost, every pair: only the prior holds the number."""
     races: int
     """Rated races."""
+    wins: int
+    """Rated races in which it took the first place, alone or with others."""
     score: float
     """Share of opponents it came in ahead of, ties half; 0 without a race."""
     unfinished: float | None
@@ -215,6 +217,7 @@ def _rows(
                 connected=bool(fitted.connected[at]),
                 one_sided=bool(fitted.one_sided[at]),
                 races=int(fitted.races[at]),
+                wins=runs.wins(entry.number),
                 score=float(scores[at]),
                 unfinished=runs.unfinished(entry.number),
                 best_laps_s=runs.best_laps_s(entry.number),
@@ -228,6 +231,8 @@ class _Runs:
     """How the races of each entry went, by its number."""
 
     tracks: tuple[str, ...]
+    first: np.ndarray
+    """Races in which it came first, (numbers,)."""
     known: np.ndarray
     """Races of which it is known, (numbers,)."""
     finished: np.ndarray
@@ -239,9 +244,10 @@ class _Runs:
     def of(cls, races: Races, tracks: tuple[str, ...]) -> _Runs:
         """Count each entry's races, finishes and best laps."""
         size = int(races.entries.max(initial=-1)) + 1
-        known, finished = np.zeros(size), np.zeros(size)
+        first, known, finished = np.zeros(size), np.zeros(size), np.zeros(size)
         best_ms = np.full(len(tracks) * size, np.inf)
         for slot in range(races.entries.shape[1]):
+            first += np.bincount(races.entries[races.places[:, slot] == 1, slot], minlength=size)
             rows = np.flatnonzero(races.runs[:, slot] & KNOWN)
             entry, run = races.entries[rows, slot], races.runs[rows, slot]
             known += np.bincount(entry, minlength=size)
@@ -250,7 +256,11 @@ class _Runs:
             timed = (lap_ms > 0) & (track < len(tracks))
             place = track[timed].astype(np.int64) * size + entry[timed]
             np.minimum.at(best_ms, place, lap_ms[timed].astype(float))
-        return cls(tracks, known, finished, best_ms.reshape(len(tracks), size))
+        return cls(tracks, first, known, finished, best_ms.reshape(len(tracks), size))
+
+    def wins(self, number: int) -> int:
+        """Return the number of races that an entry won."""
+        return int(self.first[number]) if number < len(self.first) else 0
 
     def unfinished(self, number: int) -> float | None:
         """Return the share of an entry's races that it did not finish."""
@@ -304,6 +314,16 @@ def head_to_head(standings: Standings, one: int, other: int) -> HeadToHead:
     return HeadToHead(
         int(met.sum()), int((ahead > 0).sum()), int((ahead == 0).sum()), expected, residual
     )
+
+
+def records(standings: Standings, number: int) -> list[tuple[Row, HeadToHead]]:
+    """Return an entry's record against each one that it met, the best of them first."""
+    met = [
+        (other, head_to_head(standings, number, other.number))
+        for other in standings.rows
+        if other.number != number
+    ]
+    return [(other, record) for other, record in met if record.races]
 
 
 @dataclass(frozen=True)

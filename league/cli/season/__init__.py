@@ -1,17 +1,16 @@
-"""The commands of a league, and what they share: the league's address, JSON, names and dates."""
+"""The commands of a league, and what they share: the league's address, and JSON."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, is_dataclass
-from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from league.matchmaking.store import Entry, Store
+    from league.matchmaking.store import Store
     from league.matchmaking.workers import Executor
 
 DEFAULT = "sqlite:///league.db"
@@ -57,34 +56,11 @@ def local_workers(num_workers: int) -> Iterator[Executor]:
         executor.close()
 
 
-def plain(value: object) -> Any:  # noqa: ANN401
-    """Return frozen data as JSON knows it."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return {name: plain(field) for name, field in asdict(value).items()}
-    if isinstance(value, Mapping):
-        return {str(name): plain(item) for name, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if isinstance(value, float) and value in (float("inf"), float("-inf")):
-        return None
-    return value
-
-
 def print_json(value: object) -> None:
     """Print data as JSON."""
+    from league.matchmaking.documents import plain
+
     print(json.dumps(plain(value), indent=2, ensure_ascii=False))
-
-
-def day(seconds: float | None) -> str:
-    """Return a time [s since 1970] as people read it, in UTC."""
-    if seconds is None:
-        return ""
-    return datetime.fromtimestamp(seconds, tz=UTC).strftime("%Y-%m-%d %H:%M")
-
-
-def names_of(entries: Sequence[Entry]) -> dict[str, str]:
-    """Return the names of entries by their ids."""
-    return {entry.id: entry.name for entry in entries}
 
 
 def plus_minus(elo: float, low: float, high: float) -> str:

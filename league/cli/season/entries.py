@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import tyro
 
+from league import times
 from league.cli import season, tables
 from league.cli.season import OnLeague, Reading
 from league.errors import ConfigError, PolicyError, nearest_names
@@ -131,7 +132,7 @@ class Entries(Reading):
                 entry.state,
                 entry.id[:8],
                 kind,
-                season.day(entry.created_s)[:10],
+                times.day(entry.created_s)[:10],
             )
         tables.console().print(table)
         for entry in entries:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Literal
 
 import tyro
 
+from league import times
 from league.atomic_file import replacing
 from league.cli import flags, season, tables
 from league.cli.season import OnLeague, Reading
@@ -43,14 +44,16 @@ class Heats(Reading):
 
     def run(self) -> int:
         """Run the command."""
+        from league.matchmaking import documents
+
         flags.at_least(self, "limit", 1)
         with self.opened() as store:
             numbers = [store.entry(self.entry).number] if self.entry else []
             states = None if self.state == "all" else (self.state,)
             records = store.heats(states, entries=numbers)[-self.limit :]
-            names = season.names_of(store.entries())
+            names = documents.names_of(store.entries())
         if self.json:
-            season.print_json([_document(record, names) for record in records])
+            season.print_json([documents.heat_document(record, names) for record in records])
             return 0
         table = tables.table("Heats", "heat", "grid", "purpose", "state", "track", "done")
         table.padding = (0, 0)  # the box leaves room enough between columns
@@ -58,7 +61,7 @@ class Heats(Reading):
         for record in records:
             half = record.heat.halves[0]
             grid = " - ".join(names[id] for id in half.grid)
-            done = season.day(record.done_s)[5:]
+            done = times.day(record.done_s)[5:]
             table.add_row(
                 str(record.number), grid, record.heat.purpose, record.state, half.track, done
             )
@@ -156,30 +159,13 @@ def _share(text: str) -> float:
         ) from None
 
 
-def _document(record: HeatRecord, names: dict[str, str]) -> dict[str, object]:
-    return {
-        "number": record.number,
-        "key": record.heat.key,
-        "purpose": record.heat.purpose,
-        "state": record.state,
-        "races": [
-            {"track": half.track, "grid": [names[id] for id in half.grid]}
-            for half in record.heat.halves
-        ],
-        "seeds": record.seeds,
-        "worker": record.worker,
-        "attempts": record.attempts,
-        "traceback": record.traceback,
-        "audits": record.heat.audits,
-        "done_s": record.done_s,
-    }
-
-
 def _show(store: Store, record: HeatRecord, as_json: bool) -> int:
-    names = season.names_of(store.entries())
+    from league.matchmaking import documents
+
+    names = documents.names_of(store.entries())
     results = store.results(record.number)
     if as_json:
-        season.print_json({**_document(record, names), "results": results})
+        season.print_json({**documents.heat_document(record, names), "results": results})
         return 0
     print(f"Heat {record.number} ({record.heat.purpose}), {record.state}, key {record.heat.key}")
     if record.worker:
@@ -200,7 +186,7 @@ def _show(store: Store, record: HeatRecord, as_json: bool) -> int:
                 names[half.grid[car["car"]]],
                 str(car["car"] + 1),
                 str(car["laps"]),
-                tables.clock(car["total_s"]) if car["finished"] else "not finished",
+                times.clock(car["total_s"]) if car["finished"] else "not finished",
                 str(car["off_tracks"]),
                 str(car["crashes"]),
                 str(car["overtakes"]),
@@ -231,12 +217,14 @@ def export_csv(store: Store, path: Path) -> None:
 
 def export_json(store: Store, path: Path, standings: object) -> None:
     """Write rules, entries, standings and races; "-" is the standard output."""
+    from league.matchmaking import documents
+
     settings = store.settings
     document = {
         "league": settings.name,
-        "rules": season.plain(settings.ruleset),
+        "rules": documents.plain(settings.ruleset),
         "ruleset": settings.ruleset.hash,
-        "entries": season.plain(store.entries()),
+        "entries": documents.plain(store.entries()),
         "standings": standings,
         "races": _rows(store),
     }

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
+from league import times
 from league.cli import flags, season, tables
 from league.cli.season import Reading
 from league.errors import ConfigError, StoreError
@@ -31,13 +32,13 @@ class ShowStandings(Reading):
 
     def run(self) -> int:
         """Run the command."""
-        from league.matchmaking import standings
+        from league.matchmaking import documents, standings
 
         flags.at_least(self, "top", 1)
         with self.opened() as store:
             rated = standings.of(store)
         if self.json:
-            season.print_json(_document(rated, self.top))
+            season.print_json(documents.standings_document(rated, self.top))
             return 0
         tables.console().print(standings_table(rated, self.top))
         for line in _notes(rated):
@@ -120,29 +121,12 @@ class History(Reading):
 
 def document(store: Store) -> dict[str, object] | None:
     """Return a league's standings as plain data; None where no entry is rated."""
-    from league.matchmaking import standings
+    from league.matchmaking import documents, standings
 
     try:
-        return _document(standings.of(store))
+        return documents.standings_document(standings.of(store))
     except StoreError:
         return None
-
-
-def _document(rated: Standings, top: int | None = None) -> dict[str, object]:
-    goodness = rated.goodness
-    return {
-        "ruleset": rated.ruleset,
-        "races": rated.num_races,
-        "prior_sd": rated.ratings.prior_sd,
-        "slot_advantages": rated.ratings.slot_advantages.tolist(),
-        "fit": {
-            "chi_square": goodness.chi_square,
-            "freedom": goodness.freedom,
-            "p_value": goodness.p_value,
-            "rejected": goodness.rejected,
-        },
-        "entries": [season.plain(row) for row in rated.rows[:top]],
-    }
 
 
 def standings_table(rated: Standings, limit: int | None = None) -> RenderableType:
@@ -173,7 +157,7 @@ def standings_table(rated: Standings, limit: int | None = None) -> RenderableTyp
 def _best_lap(row: Row, tracks: Sequence[str]) -> str:
     """Return an entry's best lap on the league's first track, laps of several not being alike."""
     lap_s = row.best_laps_s.get(tracks[0]) if tracks else None
-    return "" if lap_s is None else tables.clock(lap_s)
+    return "" if lap_s is None else times.clock(lap_s)
 
 
 def _notes(rated: Standings) -> list[str]:
@@ -198,7 +182,7 @@ def _notes(rated: Standings) -> list[str]:
 
 
 def _show(store: Store, entry: Entry, as_json: bool) -> int:
-    from league.matchmaking import standings
+    from league.matchmaking import documents, standings
 
     rated: Standings | None = None
     try:
@@ -206,15 +190,10 @@ def _show(store: Store, entry: Entry, as_json: bool) -> int:
         row = rated.row(entry.number)
     except StoreError:
         row = None
-    others = []
-    if rated is not None and row is not None:
-        for other in rated.rows:
-            record = standings.head_to_head(rated, entry.number, other.number)
-            if other is not row and record.races:
-                others.append((other, record))
+    others = standings.records(rated, entry.number) if rated is not None and row is not None else []
     recent = store.heats(entries=[entry.number])[-10:]
     if as_json:
-        records = [{"name": other.name, **season.plain(record)} for other, record in others]
+        records = [{"name": other.name, **documents.plain(record)} for other, record in others]
         heats = [{"number": heat.number, "state": heat.state} for heat in recent]
         document = {"entry": entry, "standing": row, "against": records, "heats": heats}
         season.print_json(document)
@@ -229,7 +208,7 @@ def _show(store: Store, entry: Entry, as_json: bool) -> int:
             f"{row.races} races"
         )
         if row.unfinished is not None:
-            laps = [f"{tables.clock(lap_s)} on {track}" for track, lap_s in row.best_laps_s.items()]
+            laps = [f"{times.clock(lap_s)} on {track}" for track, lap_s in row.best_laps_s.items()]
             print(
                 f"not finished: {100 * row.unfinished:.0f} %, best lap: {', '.join(laps) or 'none'}"
             )
@@ -281,7 +260,7 @@ def _h2h(store: Store, one: Entry, other: Entry, as_json: bool) -> int:
 def _matrix(store: Store, top: int, as_json: bool) -> int:
     from itertools import combinations
 
-    from league.matchmaking import standings
+    from league.matchmaking import documents, standings
 
     rated = standings.of(store)
     rows = rated.rows[:top]
@@ -291,7 +270,7 @@ def _matrix(store: Store, top: int, as_json: bool) -> int:
         season.print_json(
             [
                 {"one": one.name, "other": other.name, "points": record.points}
-                | season.plain(record)
+                | documents.plain(record)
                 for (one, other), record in zip(pairs, forth, strict=True)
             ]
         )

@@ -1,0 +1,66 @@
+"""Plain data of a league's standings, entries and heats, for `--json` and for the web."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, is_dataclass
+from typing import Any
+
+from league.matchmaking.standings import Standings
+from league.matchmaking.store import Entry, HeatRecord
+
+
+def plain(value: object) -> Any:  # noqa: ANN401
+    """Return frozen data as JSON knows it."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {name: plain(field) for name, field in asdict(value).items()}
+    if isinstance(value, Mapping):
+        return {str(name): plain(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and value in (float("inf"), float("-inf")):
+        return None
+    return value
+
+
+def names_of(entries: Sequence[Entry]) -> dict[str, str]:
+    """Return the names of entries by their ids."""
+    return {entry.id: entry.name for entry in entries}
+
+
+def standings_document(rated: Standings, top: int | None = None) -> dict[str, object]:
+    """Return the standings, how well they explain the results, and all entries or the `top`."""
+    goodness = rated.goodness
+    return {
+        "ruleset": rated.ruleset,
+        "races": rated.num_races,
+        "prior_sd": rated.ratings.prior_sd,
+        "slot_advantages": rated.ratings.slot_advantages.tolist(),
+        "fit": {
+            "chi_square": goodness.chi_square,
+            "freedom": goodness.freedom,
+            "p_value": goodness.p_value,
+            "rejected": goodness.rejected,
+        },
+        "entries": [plain(row) for row in rated.rows[:top]],
+    }
+
+
+def heat_document(record: HeatRecord, names: Mapping[str, str]) -> dict[str, object]:
+    """Return a heat without its results."""
+    return {
+        "number": record.number,
+        "key": record.heat.key,
+        "purpose": record.heat.purpose,
+        "state": record.state,
+        "races": [
+            {"track": half.track, "grid": [names[id] for id in half.grid]}
+            for half in record.heat.halves
+        ],
+        "seeds": record.seeds,
+        "worker": record.worker,
+        "attempts": record.attempts,
+        "traceback": record.traceback,
+        "audits": record.heat.audits,
+        "done_s": record.done_s,
+    }

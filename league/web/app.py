@@ -1,0 +1,176 @@
+"""The web application: routes, security headers and errors; the pages' data is in pages.py."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from http import HTTPStatus
+from importlib import resources
+from typing import Any
+
+import jinja2
+from starlette.applications import Starlette
+from starlette.datastructures import MutableHeaders
+from starlette.exceptions import HTTPException
+from starlette.middleware import Middleware
+from starlette.middleware.gzip import GZipMiddleware
+from starlette.middleware.trustedhost import TrustedHostMiddleware
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, RedirectResponse, Response
+from starlette.routing import Route
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from league import times
+from league.errors import LeagueError
+from league.matchmaking.documents import plain
+from league.matchmaking.store import Store
+from league.web import charts
+from league.web.pages import NotFoundError, Pages
+
+HOSTS = ["127.0.0.1", "localhost"]
+"""Names a browser may know this server by; others are web sites that point their name here."""
+HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; "
+        "connect-src 'self'; form-action 'self'; frame-ancestors 'none'; base-uri 'none'"
+    ),
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
+STATIC = {
+    "style.css": "text/css",
+    "player.js": "text/javascript",
+    "icon.svg": "image/svg+xml",
+}
+"""All static files, with their types; they are read once, when the program starts."""
+PAGES: dict[str, tuple[str, Callable[[Pages, Request], Any]]] = {
+    "/": ("home.html", lambda pages, _: pages.home()),
+    "/standings": (
+        "standings.html",
+        lambda pages, request: pages.standings(
+            owner=request.query_params.get("owner", ""),
+            kind=request.query_params.get("kind", ""),
+        ),
+    ),
+    "/drivers/{number:int}": (
+        "driver.html",
+        lambda pages, request: pages.driver(request.path_params["number"]),
+    ),
+    "/heats": ("heats.html", lambda pages, _: pages.heats()),
+    "/heats/{number:int}": (
+        "heat.html",
+        lambda pages, request: pages.heat(
+            request.path_params["number"], request.query_params.get("race", "1")
+        ),
+    ),
+    "/tracks": ("tracks.html", lambda pages, _: pages.tracks()),
+}
+"""Template and data of each page; the data alone is at /api/v1 and the same path."""
+
+
+def make_app(store: Store) -> ASGIApp:
+    """Return the application that shows a league; it only reads."""
+    pages = Pages(store)
+    templates = jinja2.Environment(
+        loader=jinja2.PackageLoader("league.web"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    templates.filters |= {"clock": times.clock, "day": times.day}
+    templates.globals["league_name"] = store.settings.name
+
+    def page(template: str, document: Callable[[Pages, Request], Any]) -> Callable:
+        def respond(request: Request) -> Response:
+            content = templates.get_template(template).render(
+                path=request.url.path, **document(pages, request)
+            )
+            return HTMLResponse(content)
+
+        return respond
+
+    def data(document: Callable[[Pages, Request], Any]) -> Callable:
+        return lambda request: _json(_without_drawings(document(pages, request)))
+
+    def failed(request: Request, error: Exception) -> Response:
+        status, sentence = _status(error)
+        if request.url.path.startswith("/api/"):
+            return _json({"error": sentence}, status)
+        content = templates.get_template("error.html").render(
+            path="", title=HTTPStatus(status).phrase, sentence=sentence
+        )
+        return HTMLResponse(content, status)
+
+    routes = [Route(path, page(*about)) for path, about in PAGES.items()]
+    routes += [
+        Route(f"/api/v1{path.rstrip('/') or '/home'}", data(document))
+        for path, (_, document) in PAGES.items()
+    ]
+    routes += [
+        Route(
+            "/api/v1/heats/{number:int}/races/{race:int}/replay",
+            data(lambda pages, request: pages.replay(**request.path_params)),
+        ),
+        *(Route(f"/static/{name}", _static(name)) for name in STATIC),
+        Route("/favicon.ico", lambda _: RedirectResponse("/static/icon.svg", 308)),
+    ]
+    app = Starlette(
+        routes=routes,
+        middleware=[
+            Middleware(TrustedHostMiddleware, allowed_hosts=HOSTS, www_redirect=False),
+            Middleware(GZipMiddleware, minimum_size=1000, compresslevel=6),
+        ],
+        exception_handlers={HTTPException: failed, LeagueError: failed},
+    )
+    return _SecurityHeaders(app)
+
+
+def _status(error: Exception) -> tuple[int, str]:
+    """Return an error's HTTP status, and the sentence that describes it."""
+    if isinstance(error, NotFoundError):
+        return 404, str(error)
+    if isinstance(error, HTTPException):
+        known = {404: "There is no such page.", 405: "This server answers GET and HEAD only."}
+        return error.status_code, known.get(error.status_code, error.detail)
+    return 503, f"{error}."
+
+
+def _json(document: object, status: int = 200) -> Response:
+    content = json.dumps(plain(document), ensure_ascii=False, separators=(",", ":"))
+    return Response(content, status, media_type="application/json")
+
+
+def _without_drawings(value: object) -> object:
+    """Return a page's data without the shapes of its charts and maps."""
+    if isinstance(value, dict):
+        return {
+            name: _without_drawings(item)
+            for name, item in value.items()
+            if not isinstance(item, charts.Chart | charts.TrackMap)
+        }
+    return [_without_drawings(item) for item in value] if isinstance(value, list) else value
+
+
+def _static(name: str) -> Callable[[Request], Response]:
+    content = resources.files("league.web").joinpath("static", name).read_bytes()
+    # A new version of the program must not meet an old one's script in the browser's cache.
+    headers = {"Cache-Control": "no-cache"}
+    return lambda _: Response(content, media_type=STATIC[name], headers=headers)
+
+
+class _SecurityHeaders:
+    """Adds `HEADERS` to every response, errors included."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def send_with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                MutableHeaders(scope=message).update(HEADERS)
+            await send(message)
+
+        await self._app(scope, receive, send_with_headers)
