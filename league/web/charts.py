@@ -11,7 +11,7 @@ from league.matchmaking.standings import HistoryPoint, Row
 from league.replay import Replay, story
 from league.track.track import Track
 
-WIDTH, HEIGHT = 640, 200
+WIDTH, HEIGHT = 520, 180
 """Size of a line chart; margins of 44 on the left and 22 below hold the axes' numbers."""
 LEFT, BOTTOM, TOP, RIGHT = 44, 22, 10, 8
 GAP_POINTS = 300

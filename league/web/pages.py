@@ -26,6 +26,8 @@ TOP = 8
 """Entries of the standings on the home page."""
 RECORDS = 8
 """Fastest drivers of each track."""
+DRIVER_HEATS = 14
+"""Newest heats on a driver's page."""
 HISTORY_POINTS = 16
 """Moments of a rating's history."""
 Document = dict[str, Any]
@@ -92,7 +94,7 @@ class Pages:
         entry, entries = self._entry(number), self._store.entries()
         rated = self._standings()
         row = next((row for row in rated.rows if row.number == number), None) if rated else None
-        recent = self._store.heats(entries=[number])[-20:][::-1]
+        recent = self._store.heats(entries=[number])[-DRIVER_HEATS:][::-1]
         history = self._past(number, rated.num_races) if rated and row and row.races else ()
         return {
             "entry": entry,
@@ -226,15 +228,13 @@ class Pages:
     def _listed(self, record: HeatRecord, entries: list[Entry]) -> Document:
         """Return a heat as a line of a list: who raced, who won."""
         names = names_of(entries)
-        places = [
-            {names[id]: place for id, place in zip(half.grid, result.places, strict=True)}
-            for half, result in zip(
-                record.heat.halves,
-                filter(None, (_accepted(self._store.results(record.number), n) for n in (0, 1))),
-                strict=False,
-            )
-        ]
-        return {**heat_document(record, names), "places": places}
+        results = self._store.results(record.number)
+        winners = []
+        for number, half in enumerate(record.heat.halves):
+            result = _accepted(results, number)
+            if result is not None:
+                winners.append(names[half.grid[result.places.index(min(result.places))]])
+        return {**heat_document(record, names), "winners": winners}
 
     def _rules(self) -> Document:
         rules = self._store.settings.ruleset

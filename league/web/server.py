@@ -37,6 +37,7 @@ def serve(store: Store, port: int, *, host: str = HOST, ready: Callable[[str], N
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             listener.bind((host, port))
+            listener.listen()
         except OSError as error:
             raise ConfigError(
                 f"the port {port} cannot be opened ({error.strerror}): give another --port"

@@ -3,6 +3,7 @@
 
 const TRAIL_S = 1.5;
 const CAPTION_S = 2.5;
+const LATEST = 9;
 const PANEL_HZ = 6;
 const JUMP_CM = 50; // a car that moved farther in one frame was put back: nothing lies between
 const CAR_CM = [30, 20];
@@ -143,7 +144,8 @@ class Player {
       this.button, element("div", { class: "scrub" }, marks, this.slider), this.clock,
       this.pace, this.subject, full, ...("keys" in root.dataset ? [link] : []),
     );
-    root.replaceChildren(screen, table, bar);
+    this.latest = element("ol", { class: "latest", "aria-hidden": "true" });
+    root.replaceChildren(screen, element("div", { class: "side" }, table, this.latest), bar);
     root.tabIndex = 0;
     root.classList.add("ready");
   }
@@ -307,10 +309,11 @@ class Player {
         ...cells.map((text) => element("td", { class: "number" }, text)),
       );
     }));
-    const said = this.race.events.filter(
-      (event) => event.time_s <= this.time && event.time_s > this.time - CAPTION_S,
-    );
-    const text = said.length ? said[said.length - 1].text : "";
+    const past = this.race.events.filter((event) => event.time_s <= this.time).reverse();
+    this.latest.replaceChildren(...past.slice(0, LATEST).map((event) =>
+      element("li", {}, element("span", {}, clock(event.time_s)), element("span", {}, event.text)),
+    ));
+    const text = past.length && past[0].time_s > this.time - CAPTION_S ? past[0].text : "";
     if (this.caption.textContent !== text) this.caption.textContent = text;
   }
 

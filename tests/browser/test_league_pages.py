@@ -1,0 +1,155 @@
+"""The league's pages in a real browser: races play, keys work, names do no harm."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import Browser, Page, sync_playwright
+
+from tests.browser import chromium
+from tests.matchmaking.season_kit import Store
+from tests.test_web import rated_heat
+from tests.web_league import raced_league
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.skipif(
+        chromium.program() is None,
+        reason="needs Chromium: install it, or set CHROMIUM to its path",
+    ),
+]
+PHONE = {"width": 390, "height": 800}
+PATHS = ("/", "/standings", "/drivers/1", "/drivers/3", "/heats", "/heats/{heat}", "/tracks")
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory) -> Iterator[Store]:
+    with raced_league(f"sqlite:///{tmp_path_factory.mktemp('league') / 'league.db'}") as store:
+        yield store
+
+
+@pytest.fixture(scope="module")
+def origin(store) -> Iterator[str]:
+    command = [sys.executable, "-m", "league.cli", "serve", "--league", store.url, "--port", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            yield re.search(r"http://127\.0\.0\.1:\d+", process.stdout.readline()).group()
+        finally:
+            process.send_signal(2)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=chromium.program(), args=["--no-sandbox"]
+        )
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def complaints() -> list[str]:
+    """Return what pages wrote to the console, refusals by the security policy included."""
+    return []
+
+
+def opened(browser: Browser, origin: str, complaints: list[str], **options) -> Page:
+    page = browser.new_context(base_url=origin, **options).new_page()
+    page.on("console", lambda message: complaints.append(message.text))
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    return page
+
+
+def test_home_plays_and_pixels_change(browser, origin, complaints):
+    page = opened(browser, origin, complaints)
+    page.goto("/")
+    canvas = page.locator("canvas")
+    canvas.wait_for()
+    first = canvas.screenshot()
+    page.wait_for_timeout(700)
+    assert canvas.screenshot() != first
+    assert float(page.locator(".scrub input").input_value()) > 0.3
+    page.get_by_role("button", name="Pause").click()
+    still = canvas.screenshot()
+    page.wait_for_timeout(300)
+    assert canvas.screenshot() == still
+    assert complaints == []
+
+
+def test_home_stands_still_where_motion_is_not_wanted(browser, origin, complaints):
+    page = opened(browser, origin, complaints, reduced_motion="reduce")
+    page.goto("/")
+    page.get_by_role("button", name="Play").wait_for()
+    page.wait_for_timeout(300)
+    assert page.locator(".scrub input").input_value() == "0"
+
+
+def test_a_heat_is_scrubbed_by_keyboard(browser, origin, complaints, store):
+    page = opened(browser, origin, complaints)
+    page.goto(f"/heats/{rated_heat(store)}")
+    canvas, slider = page.locator("canvas"), page.locator(".scrub input")
+    canvas.wait_for()
+    start = canvas.screenshot()
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("ArrowLeft")
+    assert slider.input_value() == "1"
+    assert canvas.screenshot() != start
+    page.keyboard.press("Home")
+    page.keyboard.press(".")
+    assert float(slider.input_value()) == pytest.approx(1 / 15, abs=0.03)
+    page.keyboard.press("2")
+    assert page.get_by_label("Follow").input_value() == "2"
+    page.keyboard.press(" ")
+    page.wait_for_timeout(400)
+    page.keyboard.press(" ")
+    assert float(slider.input_value()) > 0.2
+    page.keyboard.press("End")
+    assert page.locator(".order tbody tr").count() == 2
+    assert complaints == []
+
+
+def test_an_event_and_a_link_lead_to_their_moment(browser, origin, complaints, store):
+    page = opened(browser, origin, complaints)
+    page.goto(f"/heats/{rated_heat(store)}#t=2.5")
+    slider = page.locator(".scrub input")
+    slider.wait_for()
+    assert slider.input_value() == "2.5"
+    page.locator(".events a").last.click()
+    page.wait_for_timeout(100)
+    moment = float(re.search(r"#t=([\d.]+)", page.url).group(1))
+    assert float(slider.input_value()) == pytest.approx(moment, abs=0.03)
+    page.get_by_role("button", name="Link to this moment").click()
+    assert page.url.endswith(f"#t={moment:.1f}")
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_names_with_html_do_nothing_and_phones_need_no_sideways_scroll(
+    browser, origin, complaints, store, path
+):
+    page = opened(browser, origin, complaints, viewport=PHONE, color_scheme="dark")
+    page.goto(path.format(heat=rated_heat(store)))
+    page.wait_for_timeout(300)
+    assert page.evaluate("window.name") == ""
+    assert page.locator("img").count() == 0
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    assert complaints == []
+
+
+def test_everything_but_the_player_works_without_javascript(browser, origin, complaints, store):
+    page = opened(browser, origin, complaints, java_script_enabled=False)
+    page.goto("/standings")
+    page.get_by_label("Kind").select_option("anchor")
+    page.get_by_role("button", name="Filter").click()
+    assert page.locator("tbody tr").count() == 2
+    page.get_by_role("link", name="racing_line").click()
+    assert page.get_by_role("heading", level=1).inner_text() == "racing_line"
+    page.goto(f"/heats/{rated_heat(store)}")
+    assert page.get_by_text("Classification").is_visible()
+    assert page.locator(".player svg").is_visible()
+    assert complaints == []

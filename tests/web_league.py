@@ -1,0 +1,23 @@
+"""A league of scripted drivers with recorded races, one of them with HTML in its names."""
+
+from __future__ import annotations
+
+from league.matchmaking import loop
+from league.matchmaking.pairing.heat_spec import Ruleset
+from league.matchmaking.pairing.matchmaker import Season
+from league.matchmaking.store import Store
+from league.matchmaking.workers.dispatcher import Dispatcher
+from tests.matchmaking.season_kit import Here, new_league
+
+RULES = Ruleset(solver="planar", laps=1, max_time_s=8.0)
+NAME = "<img src=x onerror=name='owned'>"
+OWNER = "</td><script>name='owned'</script>"
+
+
+def raced_league(url: str, *, heats: int = 12) -> Store:
+    """Return a league in which that many heats were raced."""
+    store = new_league(url, anchors=("centerline", "racing_line"), rules=RULES)
+    store.submit(NAME, OWNER, scripted="cautious")
+    dispatcher = Dispatcher(store, Here())
+    loop.run(store, dispatcher, Season(store, same_owner=True), heats=heats)
+    return store
