@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, is_dataclass
 from typing import Any
@@ -11,14 +12,14 @@ from league.matchmaking.store import Entry, HeatRecord
 
 
 def plain(value: object) -> Any:  # noqa: ANN401
-    """Return frozen data as JSON knows it."""
+    """Return frozen data as JSON knows it; infinities and NaN become null."""
     if is_dataclass(value) and not isinstance(value, type):
         return {name: plain(field) for name, field in asdict(value).items()}
     if isinstance(value, Mapping):
         return {str(name): plain(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
-    if isinstance(value, float) and value in (float("inf"), float("-inf")):
+    if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
 

@@ -86,7 +86,7 @@ def make_app(store: Store) -> ASGIApp:
     def page(template: str, document: Callable[[Pages, Request], Any]) -> Callable:
         def respond(request: Request) -> Response:
             content = templates.get_template(template).render(
-                path=request.url.path, **document(pages, request)
+                path=request.url.path, query=request.url.query, **document(pages, request)
             )
             return HTMLResponse(content)
 
@@ -100,7 +100,7 @@ def make_app(store: Store) -> ASGIApp:
         if request.url.path.startswith("/api/"):
             return _json({"error": sentence}, status)
         content = templates.get_template("error.html").render(
-            path="", title=HTTPStatus(status).phrase, sentence=sentence
+            path="", query="", title=HTTPStatus(status).phrase, sentence=sentence
         )
         return HTMLResponse(content, status)
 
