@@ -72,12 +72,12 @@ def test_thousand_random_specs_each_end_in_a_value_or_a_readable_error(seed):
         assert RaceSpec.model_validate_json(spec.model_dump_json()) == spec
         try:
             sim = race.sim_config(spec)
+            EnvConfig(sim=sim, solver=spec.solver)
         except LeagueError as error:
             assert one_sentence(error)
             refused += 1
             continue
         assert isinstance(sim, SimConfig)
-        EnvConfig(sim=sim, solver=spec.solver)
         accepted += 1
     # Neither is so rare that the other is all that was tried.
     assert accepted > 100

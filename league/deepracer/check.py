@@ -7,7 +7,7 @@ import statistics
 import threading
 import time
 from collections.abc import ItemsView, Iterator, Sequence, ValuesView
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
 from league.envs.state import INDEX
 from league.errors import RewardError
-from league.sim.config import ObstacleConfig, RaceKind, RaceRules, SimConfig
+from league.sim.config import RULES, ObstacleConfig, RaceKind, SimConfig
 from league.sim.world import World
 from league.track import files
 from league.track.track import Track, TrackSet
@@ -256,7 +256,7 @@ def drives() -> tuple[Drive, ...]:
     """Return scripted drives of all kinds of races: about 700 steps, in a second or two."""
     track = files.load(_TRACK)
     other_way = track.mirrored()
-    one_lap = RaceRules(laps=1)
+    one_lap = replace(RULES["deepracer"], laps=1)
     alone = SimConfig(rules=one_lap)
     boxes = SimConfig(
         kind="obstacle_avoidance",

@@ -9,11 +9,11 @@ from scenes import Stages, go_to, make_ring, make_straight, put_cars, touch
 
 from league.deepracer import params_kernels
 from league.deepracer.params import KEYS, ParamsBuilder, Roads
-from league.sim.config import ObstacleConfig, RaceRules, SimConfig
+from league.sim.config import RULES, ObstacleConfig, RaceRules, SimConfig
 from league.track.track import TrackSet
 
 ALONE = SimConfig(rules=RaceRules(laps=1))
-TWO = SimConfig(kind="head_to_head", num_cars=2, rules=RaceRules(laps=1))
+TWO = SimConfig(kind="head_to_head", num_cars=2, rules=replace(RULES["deepracer"], laps=1))
 BOXES = SimConfig(
     kind="obstacle_avoidance",
     obstacles=ObstacleConfig(count=2, places=((0.25, 1.0), (0.75, -1.0))),

@@ -34,7 +34,7 @@ def drawn(kind: str) -> tuple[SimConfig, World]:
     sim = SimConfig(
         kind=kind,  # pyright: ignore
         num_cars=3 if kind == "head_to_head" else 1,
-        obstacles=ObstacleConfig(count=5),
+        obstacles=ObstacleConfig(count=0 if kind == "time_trial" else 5),
     )
     env = RaceEnv(TrackSet(make_square()), EnvConfig(sim=sim), num_worlds=4, seed=5)
     draw = np.random.default_rng(3)
