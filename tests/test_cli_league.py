@@ -178,6 +178,19 @@ def test_an_audit_runs_heats_again_and_finds_that_they_agree(told):
     assert waiting == json.loads(told("heats", "--state", "planned", "--json", "--limit", "100"))
 
 
+def test_an_audit_recomputes_all_races_whatever_is_run_again(told, league, tmp_path):
+    copy = tmp_path / "changed.db"
+    with sqlite3.connect(league / "league.db") as there, sqlite3.connect(copy) as here:
+        there.backup(here)
+        here.execute("UPDATE entries SET anchor = 1 - anchor")
+        here.execute("DELETE FROM races WHERE number = 1")
+    command = ("audit", "--sample", "1%", "--workers", "1", "--league", f"sqlite:///{copy}")
+    text = told(*command, code=1)
+    assert text.count("what it records was changed") == 3  # ann, bob, centerline
+    assert "race 1: the standings miss it" in text and "4 does not agree." in text
+    assert "the ledger no longer has the record abc" in told(*command, "--head", "abc", code=1)
+
+
 def test_an_export_has_a_line_for_each_car(told, tmp_path):
     rows = list(csv.DictReader(io.StringIO(told("export", "--csv", "-"))))
     done = json.loads(told("heats", "--state", "done", "--json", "--limit", "1000"))
@@ -286,9 +299,12 @@ def test_upgrade_brings_an_older_league_up_to_date_and_makes_none(tmp_path, monk
     assert main(["init", "--anchors", "centerline"]) == 0
     with sqlite3.connect("league.db") as database:
         database.execute("ALTER TABLE results DROP COLUMN rejected")
+        database.execute("ALTER TABLE results DROP COLUMN machine")
+        database.execute("DROP TABLE ledger")
         database.execute("UPDATE alembic_version SET version_num = '0001'")
     assert main(["standings"]) == 2
     assert "bring it up to date with `league upgrade`" in capsys.readouterr().err
     assert main(["upgrade"]) == 0
-    assert "is up to date" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "version 0002: " in out and "version 0003: " in out and "is up to date" in out
     assert main(["standings"]) == 0

@@ -44,6 +44,8 @@ def test_an_old_run_is_resumed(run, capsys):
 
 
 def test_an_old_league_has_the_same_standings_and_goes_on(run, capsys):
+    assert run("upgrade") == 0
+    assert "12 records begin the ledger" in capsys.readouterr().out
     assert run("standings") == 0
     out = capsys.readouterr().out
     for row in ("centerline  league 1000", "4 races under rules c114134669dd"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -74,27 +75,27 @@ def audit(
     executor: Executor,
     audits: Sequence[SeededHeat],
     *,
-    watch: Callable[[HeatOutcome, bool], None] = lambda outcome, agrees: None,
-) -> int:
-    """Run heats again; return how many differ, which puts them in quarantine.
+    watch: Callable[[HeatOutcome, str], None] = lambda outcome, verdict: None,
+) -> Counter[str]:
+    """Run heats again; return how many got each verdict (a field of Received).
 
+    Those that differ are in quarantine then, but for races in Bullet on another class of machine.
     They do not wait in the queue, but the store receives them as if they had.
     """
     store.plan([one.heat for one in audits])
     entries = {entry.id: entry for entry in store.entries()}
     ids = {id for one in audits for id in one.heat.entries}
     field = {id: heat_driver(store, entries[id]) for id in ids}
-    differ = 0
+    verdicts = Counter[str]()
 
     def judge(outcome: HeatOutcome) -> bool:
-        nonlocal differ
-        agrees = not store.complete("auditor", [outcome]).quarantined
-        differ += not agrees
-        watch(outcome, agrees)
+        verdict = store.complete("auditor", [outcome]).verdict(outcome.key)
+        verdicts[verdict] += 1
+        watch(outcome, verdict)
         return True
 
     race(executor, store, audits, field, watch=judge)
-    return differ
+    return verdicts
 
 
 def duel(store: Store, one: str, other: str, draw: int, salt: bytes) -> SeededHeat:

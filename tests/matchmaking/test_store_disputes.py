@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import pytest
-import sqlalchemy as sa
 
 from league.matchmaking import store
 from league.matchmaking.pairing import heat_spec
-from league.matchmaking.store import database
 from tests.matchmaking import leagues
 
 
@@ -119,17 +117,20 @@ def test_a_league_of_the_first_version_is_brought_up_to_date_with_its_races(url)
             told = tuple(store.RaceOutcome((1, 2), {"order": order}) for _ in claim.seeds)
             league.complete("w", [store.HeatOutcome(claim.heat.key, told)])
         new = league.races()
-    there = database.Database(url)
-    with there.writing() as connection:
+    leagues.change(
+        url,
         # As version 0001 wrote them: heat and half, then entries and places; no runs, no rejected.
-        connection.execute(sa.text(
-            "UPDATE races SET packed = substr(packed, 1, 10) || substr(packed, 13, 20)"
-        ))  # fmt: skip
-        connection.execute(sa.text("ALTER TABLE results DROP COLUMN rejected"))
-        connection.execute(sa.text("UPDATE alembic_version SET version_num = '0001'"))
-    there.close()
-    store.upgrade(url)
+        "UPDATE races SET packed = substr(packed, 1, 10) || substr(packed, 13, 20)",
+        "ALTER TABLE results DROP COLUMN rejected",
+        "ALTER TABLE results DROP COLUMN machine",
+        "DROP TABLE ledger",
+        "UPDATE alembic_version SET version_num = '0001'",
+    )
+    done = store.upgrade(url)
+    assert [line.split(":")[0] for line in done[:2]] == ["version 0002", "version 0003"]
+    assert done[2] == "9 records begin the ledger"  # 1 ruleset, 4 entries, 4 results
     with store.Store(url) as league:
+        assert league.verify().mismatches == [] and league.verify().races == 4
         old = league.races()
         for name in ("heat", "half", "track", "entries", "places", "runs"):
             assert getattr(old, name).tolist() == getattr(new, name).tolist()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 import resource
 import sqlite3
 import time
@@ -17,6 +18,7 @@ from league.matchmaking.pairing.heat_spec import Half
 from league.matchmaking.ratings import Finish, places_of
 from league.matchmaking.store import Store, create
 from league.matchmaking.workers.dispatcher import MOST_LOSSES, Dispatcher, FinishedHeat, heat_driver
+from league.matchmaking.workers.machine import machine_class
 from league.matchmaking.workers.worker import HeatJob, HeatReport, RaceWorker, places
 from league.race_spec import CarResult, Entry, Event, RaceResult, RaceSpec
 from league.replay import format as replay_format
@@ -46,6 +48,15 @@ def test_a_job_gives_the_same_outcome_in_a_fresh_pit_and_in_a_used_one(league):
     assert first.outcome is not None and first.traceback == ""
     assert first.outcome == second.outcome == fresh.outcome
     assert {race.result["steps"] for race in first.outcome.races} == {9}
+
+
+def test_a_race_in_bullet_names_the_class_of_machine_that_gave_its_bits(league):
+    planar = job(league, "bob", "centerline")
+    bullet = replace(planar, ruleset=replace(SHORT, solver="bullet"))
+    outcomes = [RaceWorker().race(one).outcome for one in (planar, bullet)]
+    assert [one and one.machine for one in outcomes] == ["", machine_class()]
+    architecture, *_, libm = machine_class().split()
+    assert architecture == platform.machine() and len(libm) == len("libm:") + 12
 
 
 def test_a_replay_names_the_policy_by_the_digest_of_its_checkpoint(league):

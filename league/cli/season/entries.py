@@ -169,7 +169,8 @@ class Upgrade(OnLeague):
         """Run the command."""
         from league.matchmaking import store
 
-        store.upgrade(self.address)
+        for step in store.upgrade(self.address):
+            print(step)
         with self.opened() as league:
             print(f"The league in {league.url} is up to date.")
         return 0

@@ -15,7 +15,15 @@ from league.errors import StoreError, brief, nearest_names
 from league.matchmaking.store import names, queue
 from league.matchmaking.store.database import insert_new
 from league.matchmaking.store.records import NEXT, Entry, EntryState
-from league.matchmaking.store.schema import entries, heat_entries, heats, log_event, owners
+from league.matchmaking.store.schema import (
+    Record,
+    append,
+    entries,
+    heat_entries,
+    heats,
+    log_event,
+    owners,
+)
 
 
 def submit(connection: sa.Connection, now: float, owner: str, row: Mapping[str, Any]) -> Entry:
@@ -28,7 +36,7 @@ def submit(connection: sa.Connection, now: float, owner: str, row: Mapping[str, 
         row: columns `id`, `name`, `kind`, `anchor` and `card` of the entry.
     """
     name = row["name"]
-    known = connection.execute(_query().where(entries.c.id == row["id"])).one_or_none()
+    known = connection.execute(with_owners().where(entries.c.id == row["id"])).one_or_none()
     if known is not None:
         if known.owner_name != owner:
             raise StoreError(
@@ -56,7 +64,15 @@ def submit(connection: sa.Connection, now: float, owner: str, row: Mapping[str, 
     state = {"owner": number, "state": "pending", "reason": "", "created_s": now}
     connection.execute(entries.insert().values(**row, **state))
     log_event(connection, now, owner, "submit", row["id"], name=name, kind=row["kind"])
-    return _entry(connection.execute(_query().where(entries.c.id == row["id"])).one())
+    added = connection.execute(with_owners().where(entries.c.id == row["id"])).one()
+    append(connection, [ledger_record(added)])
+    return _entry(added)
+
+
+def ledger_record(row: Any) -> Record:  # noqa: ANN401
+    """Return what the ledger records of an entry: all but its state and the reason of it."""
+    names = ("number", "name", "owner_name", "kind", "anchor", "card", "created_s")
+    return Record("entry", row.id, [row._mapping[name] for name in names])
 
 
 def find(connection: sa.Connection, text: str) -> Entry:
@@ -64,7 +80,7 @@ def find(connection: sa.Connection, text: str) -> Entry:
     match = entries.c.name == text
     if len(text) >= 6 and set(text) <= set("0123456789abcdef"):
         match = match | entries.c.id.like(f"{text}%")
-    rows = connection.execute(_query().where(match).limit(20)).all()
+    rows = connection.execute(with_owners().where(match).limit(20)).all()
     exact = [row for row in rows if text in (row.name, row.id)]
     if len(exact or rows) == 1:
         return _entry((exact or rows)[0])
@@ -83,7 +99,7 @@ def find(connection: sa.Connection, text: str) -> Entry:
 
 def listed(connection: sa.Connection, states: Sequence[EntryState] | None) -> list[Entry]:
     """Return the entries in these states (None: all), in the order they came."""
-    query = _query().order_by(entries.c.number)
+    query = with_owners().order_by(entries.c.number)
     if states is not None:
         query = query.where(entries.c.state.in_(states))
     return [_entry(row) for row in connection.execute(query)]
@@ -142,7 +158,8 @@ def reopen(connection: sa.Connection, now: float, heat: int) -> None:
         log_event(connection, now, "league", "validating", row.id, was="refused", heat=heat)
 
 
-def _query() -> sa.Select[Any]:
+def with_owners() -> sa.Select[Any]:
+    """Select entries and the names of their owners."""
     return sa.select(entries, owners.c.name.label("owner_name")).join(
         owners, owners.c.number == entries.c.owner
     )

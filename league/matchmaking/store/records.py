@@ -115,6 +115,8 @@ class HeatOutcome:
 
     key: str
     races: tuple[RaceOutcome, ...]
+    machine: str = ""
+    """Class of the machine that raced it; empty if these races have the same bits on all."""
 
 
 @dataclass(frozen=True)
@@ -127,6 +129,13 @@ class Received:
     """Known already, the same to the last bit; nothing was changed."""
     quarantined: tuple[str, ...] = ()
     """Differ from another worker's results: neither counts."""
+    unverified: tuple[str, ...] = ()
+    """Differ from results of another class of machine, which proves nothing: left out."""
+
+    def verdict(self, key: str) -> str:
+        """Return the name of the field that holds a heat, the worst one of several."""
+        verdicts = ("quarantined", "unverified", "accepted", "repeated")
+        return next(verdict for verdict in verdicts if key in getattr(self, verdict))
 
 
 @dataclass(frozen=True)
@@ -155,6 +164,8 @@ class HeatRecord:
 class StoredResult:
     """A race's result as the store keeps it."""
 
+    heat: int
+    """Number of the heat."""
     half: int
     """Which race of the heat, from 0."""
     hash: str
@@ -168,6 +179,8 @@ class StoredResult:
     """The classification."""
     replay: str | None
     """SHA-256 of the recording, a blob."""
+    machine: str
+    """Class of the machine that raced it; empty if unknown, or if all give the same bits."""
     rejected: bool = False
     """Whether a third worker found another one of the disputed results."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,7 +13,6 @@ import sqlalchemy as sa
 
 from league.errors import StoreError
 from league.matchmaking.pairing import heat_spec
-from league.matchmaking.store.database import insert_new
 from league.matchmaking.store.queue import chunked
 from league.matchmaking.store.records import (
     BEST_MS,
@@ -24,7 +23,15 @@ from league.matchmaking.store.records import (
     Received,
     StoredResult,
 )
-from league.matchmaking.store.schema import heats, log_event, races, results, rulesets
+from league.matchmaking.store.schema import (
+    Record,
+    append,
+    heats,
+    log_event,
+    races,
+    results,
+    rulesets,
+)
 
 BLOCK = 1 << 20
 """Races read at a time."""
@@ -46,6 +53,8 @@ class PackedResult:
     """Of the car in each slot; see Races.runs."""
     replay: str | None
     """SHA-256 of the recording."""
+    machine: str
+    """Class of the machine that raced it."""
 
 
 def pack(outcome: HeatOutcome, replays: Sequence[str | None]) -> tuple[PackedResult, ...]:
@@ -66,9 +75,18 @@ def pack(outcome: HeatOutcome, replays: Sequence[str | None]) -> tuple[PackedRes
                 places=race.places,
                 runs=_runs(race.result, len(race.places)),
                 replay=replay,
+                machine=outcome.machine,
             )
         )
     return tuple(packed_results)
+
+
+def unpack(document: bytes, replay: str | None, machine: str) -> PackedResult:
+    """Return a result of which a document was stored."""
+    plain = json.loads(document)
+    places = tuple(plain["places"])
+    runs = _runs(plain["result"], len(places))
+    return PackedResult(heat_spec.digest(document), document, places, runs, replay, machine)
 
 
 def _runs(result: Mapping[str, Any], cars: int) -> tuple[int, ...]:
@@ -119,12 +137,16 @@ class _Intake:
     """Results that were not rejected."""
     before: dict[int, set[tuple[int, str]]]
     """All results, rejected or not, from before this batch."""
+    machines: dict[int, set[str]]
+    """Classes of the machines that the known results came from."""
     tracks: dict[int, tuple[str, ...]]
     """Tracks of each ruleset, by its number."""
     new_results: list[dict[str, Any]] = field(default_factory=list)
     new_races: list[dict[str, Any]] = field(default_factory=list)
     done: set[int] = field(default_factory=set)
     disputed: set[int] = field(default_factory=set)
+    unverified: set[int] = field(default_factory=set)
+    """Audits that prove nothing."""
     settled: dict[int, set[tuple[int, str]]] = field(default_factory=dict)
     """Results of a dispute that a third worker found, too."""
 
@@ -138,13 +160,14 @@ def complete(
     """Take in results of heats; the caller must hold the database's lock.
 
     A known result changes nothing. One that differs from what is known puts its heat in
-    quarantine. One whose lease was lost counts if no other came first. A quarantined heat that was
+    quarantine, unless it comes late or from an audit, and from another class of machine. One whose
+    lease was lost counts if no other came first. A quarantined heat that was
     lent again is settled by a result that agrees with one it has.
     """
     query = sa.select(heats).order_by(heats.c.number).with_for_update()
     rows = {row.key: row for row in chunked(connection, query, heats.c.key, [k for k, _ in batch])}
     intake = _intake(connection, sorted({row.audits or row.number for row in rows.values()}))
-    keys: dict[str, list[str]] = {"accepted": [], "repeated": [], "quarantined": []}
+    keys: dict[str, list[str]] = {verdict: [] for verdict in Received.__dataclass_fields__}
     for key, sent in batch:
         if key not in rows:
             raise StoreError(f"there is no heat {key[:12]!r} in this league: give a key it planned")
@@ -165,17 +188,24 @@ def _intake(connection: sa.Connection, targets: list[int]) -> _Intake:
     intake = _Intake(
         known={number: set() for number in targets},
         before={number: set() for number in targets},
-        tracks={
-            row.number: tuple(json.loads(row.settings)["tracks"])
-            for row in connection.execute(sa.select(rulesets.c.number, rulesets.c.settings))
-        },
+        machines={number: set() for number in targets},
+        tracks=tracks_of(connection),
     )
-    stored = sa.select(results.c.heat, results.c.half, results.c.hash, results.c.rejected)
+    stored = sa.select(
+        results.c.heat, results.c.half, results.c.hash, results.c.rejected, results.c.machine
+    )
     for row in chunked(connection, stored, results.c.heat, targets):
         intake.before[row.heat].add((row.half, row.hash))
         if not row.rejected:
             intake.known[row.heat].add((row.half, row.hash))
+            intake.machines[row.heat].add(row.machine)
     return intake
+
+
+def tracks_of(connection: sa.Connection) -> dict[int, tuple[str, ...]]:
+    """Return the tracks of each ruleset, by its number."""
+    query = sa.select(rulesets.c.number, rulesets.c.settings)
+    return {number: tuple(json.loads(text)["tracks"]) for number, text in connection.execute(query)}
 
 
 def _judge(
@@ -185,7 +215,7 @@ def _judge(
     worker: str,
     now: float,
 ) -> str:
-    """Note what one heat's results change; return `accepted`, `repeated` or `quarantined`."""
+    """Note what one heat's results change; return the name of a field of Received."""
     _check_places(row, sent)
     target = row.audits or row.number
     known, hashes = intake.known[target], {(half, one.hash) for half, one in enumerate(sent)}
@@ -197,13 +227,17 @@ def _judge(
     ):
         if row.state == "claimed" and row.worker == worker:  # the third opinion on a dispute
             intake.settled[target] = intake.known[target] = hashes
-            intake.new_races += _race_rows(intake, row, sent)
+            intake.new_races += race_rows(intake.tracks, row, sent)
             intake.done.add(target)
             return "accepted"
         if not hashes <= known:
             return "repeated"  # it was rejected
         if row.state in ("planned", "claimed"):
             return "quarantined"  # an old result is no third opinion
+    is_late = bool(row.audits) or row.state == "done"
+    if known and not hashes <= known and is_late and sent[0].machine not in intake.machines[target]:
+        intake.unverified |= {row.number} if row.audits else set()
+        return "unverified"
     intake.new_results += [
         {
             "heat": target,
@@ -213,13 +247,15 @@ def _judge(
             "received_s": now,
             "document": one.document,
             "replay": one.replay,
+            "machine": one.machine,
         }
         for half, one in enumerate(sent)
-        if (half, one.hash) not in known
+        if (half, one.hash) not in known | intake.before[target]
     ]
     if not known and not row.audits:
-        intake.new_races += _race_rows(intake, row, sent)
+        intake.new_races += race_rows(intake.tracks, row, sent)
     intake.known[target] = known | hashes
+    intake.machines[target].add(sent[0].machine)
     if (known and not hashes <= known) or len(known) > len(sent):
         intake.disputed |= {target, row.number}
         return "quarantined"
@@ -244,15 +280,16 @@ def _check_places(row: Any, sent: tuple[PackedResult, ...]) -> None:  # noqa: AN
         )
 
 
-def _race_rows(
-    intake: _Intake,
+def race_rows(
+    tracks_of: Mapping[int, tuple[str, ...]],
     row: Any,  # noqa: ANN401
-    sent: tuple[PackedResult, ...],
+    sent: Sequence[PackedResult],
 ) -> list[dict[str, Any]]:
-    tracks, race_rows = intake.tracks[row.ruleset], []
+    """Return the rows of `races` that follow from a heat's row and its results."""
+    tracks, rows = tracks_of[row.ruleset], []
     for half, ((name, grid), one) in enumerate(zip(json.loads(row.halves), sent, strict=True)):
         track = min(tracks.index(name), NO_TRACK) if name in tracks else NO_TRACK
-        race_rows.append(
+        rows.append(
             {
                 "heat": row.number,
                 "half": half,
@@ -262,17 +299,31 @@ def _race_rows(
                 "packed": packed(row.number, half, grid, one.places, track=track, runs=one.runs),
             }
         )
-    return race_rows
+    return rows
+
+
+def ledger_record(key: str, row: Mapping[str, Any]) -> Record:
+    """Return what the ledger records of a result of the heat with this key."""
+    content = [key, *(row[name] for name in ("worker", "received_s", "machine", "replay"))]
+    return Record("result", f"{row['heat']}/{row['half']}/{row['hash']}", content)
 
 
 def _write(connection: sa.Connection, intake: _Intake, now: float) -> None:
     if intake.new_results:
-        connection.execute(insert_new(connection, results), intake.new_results)
+        connection.execute(results.insert(), intake.new_results)
+        query, numbers = sa.select(heats.c.number, heats.c.key), list(intake.known)
+        key_of = dict(map(tuple, chunked(connection, query, heats.c.number, numbers)))
+        append(connection, [ledger_record(key_of[row["heat"]], row) for row in intake.new_results])
     if intake.new_races:
         connection.execute(races.insert(), intake.new_races)
     for heat, kept in intake.settled.items():
         _settle(connection, heat, kept)
-    for state, numbers in (("done", intake.done), ("quarantined", intake.disputed)):
+    changed = {
+        "done": intake.done,
+        "quarantined": intake.disputed,
+        "cancelled": intake.unverified,
+    }
+    for state, numbers in changed.items():
         if numbers:
             over = {"state": state, "lease_s": None, "done_s": now}
             connection.execute(heats.update().where(heats.c.number.in_(numbers)).values(**over))
@@ -285,6 +336,7 @@ def _settle(connection: sa.Connection, heat: int, kept: set[tuple[int, str]]) ->
     keep = sa.or_(*((results.c.half == half) & (results.c.hash == hash) for half, hash in kept))
     of_heat = results.update().where(results.c.heat == heat)
     connection.execute(of_heat.values(rejected=sa.not_(keep)))
+    append(connection, [settlement(heat, kept)])
     connection.execute(
         heats.update()
         .where(heats.c.audits == heat, heats.c.state == "quarantined")
@@ -292,14 +344,20 @@ def _settle(connection: sa.Connection, heat: int, kept: set[tuple[int, str]]) ->
     )
 
 
-def read_results(connection: sa.Connection, heat: int) -> list[StoredResult]:
-    """Return all results of a heat, by race and time; several for one race are a dispute."""
-    query = sa.select(results).where(results.c.heat == heat)
+def settlement(heat: int, kept: Iterable[tuple[int, str]]) -> Record:
+    """Return what the ledger records of a settled dispute: the beginnings of the kept hashes."""
+    return Record("settle", "/".join([str(heat), *(hash[:16] for _, hash in sorted(kept))]), None)
+
+
+def read_results(connection: sa.Connection, numbers: Sequence[int]) -> list[StoredResult]:
+    """Return all results of heats, by race and time; several for one race are a dispute."""
+    query = sa.select(results).order_by(results.c.heat, results.c.half, results.c.received_s)
     stored = []
-    for row in connection.execute(query.order_by(results.c.half, results.c.received_s)):
+    for row in chunked(connection, query, results.c.heat, sorted(numbers)):
         document = json.loads(zlib.decompress(row.document))
         stored.append(
             StoredResult(
+                heat=row.heat,
                 half=row.half,
                 hash=row.hash,
                 worker=row.worker,
@@ -307,6 +365,7 @@ def read_results(connection: sa.Connection, heat: int) -> list[StoredResult]:
                 places=tuple(document["places"]),
                 result=document["result"],
                 replay=row.replay,
+                machine=row.machine,
                 rejected=row.rejected,
             )
         )

@@ -9,7 +9,9 @@ from __future__ import annotations
 import json
 import secrets
 import warnings
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import sqlalchemy as sa
 from sqlalchemy import (
@@ -38,7 +40,7 @@ from league.matchmaking.store.database import Database
 
 MIGRATIONS = Path(__file__).parent / "migrations"
 
-SCHEMA = "0002"
+SCHEMA = "0003"
 """Version of these tables: the newest revision in migrations/versions."""
 
 # SQLite numbers rows by itself only in a column that is declared INTEGER PRIMARY KEY.
@@ -178,6 +180,7 @@ results = Table(
     Column("document", LargeBinary, nullable=False),
     Column("replay", String(64)),
     Column("rejected", Boolean, nullable=False, server_default=false()),
+    Column("machine", String(200), nullable=False, server_default=""),
 )
 """Every different result that ever came, as deflated JSON. Several for one race are a dispute,
 unless all but one are `rejected`, because a third worker found that one."""
@@ -194,6 +197,44 @@ events = Table(
     sqlite_autoincrement=True,
 )
 """The audit log: who did what, when; written in the transaction that did it."""
+
+ledger = Table(
+    "ledger",
+    metadata,
+    Column("number", Number, primary_key=True, autoincrement=False),
+    Column("kind", String(16), nullable=False),
+    Column("subject", String(200), nullable=False),
+    Column("chain", String(64), nullable=False),
+)
+"""A record of each ruleset, entry, result and settled dispute, from 1 without gaps. `chain` hashes
+the record's content and the record before it, so that what is changed later shows."""
+
+
+class Record(NamedTuple):
+    """What the ledger records."""
+
+    kind: str
+    subject: str
+    content: Any
+    """Plain data that the tables hold, too."""
+
+
+def append(connection: sa.Connection, records: Iterable[Record]) -> None:
+    """Add records to the ledger; the caller must hold the database's lock."""
+    newest = sa.select(ledger.c.number, ledger.c.chain).order_by(ledger.c.number.desc()).limit(1)
+    last, chain = connection.execute(newest).one_or_none() or (0, "")
+    rows = []
+    for number, record in enumerate(records, last + 1):
+        chain = link(chain, record)
+        row = {"number": number, "kind": record.kind, "subject": record.subject, "chain": chain}
+        rows.append(row)
+    if rows:
+        connection.execute(ledger.insert(), rows)
+
+
+def link(before: str, record: Record) -> str:
+    """Return the hash of a record and of all before it."""
+    return heat_spec.digest(heat_spec.canonical([before, *record]))
 
 
 def log_event(
@@ -283,10 +324,12 @@ def check_version(database: Database) -> None:
         )
 
 
-def migrate(connection: sa.Connection) -> None:
-    """Bring the tables to the newest version, within the transaction of the connection."""
+def migrate(connection: sa.Connection) -> list[str]:
+    """Bring the tables to the newest version within a transaction; return what that changed."""
     from alembic import command
     from alembic.config import Config
+    from alembic.runtime.migration import MigrationContext
+    from alembic.script import ScriptDirectory
 
     config = Config()
     # Alembic interpolates % in its options.
@@ -295,7 +338,10 @@ def migrate(connection: sa.Connection) -> None:
     config.attributes["connection"] = connection
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
+        before = MigrationContext.configure(connection).get_current_revision() or "base"
         command.upgrade(config, "head")
+        done = ScriptDirectory.from_config(config).iterate_revisions("head", before)
+    return [f"version {step.revision}: {step.doc}" for step in done][::-1]
 
 
 def add_ruleset(connection: sa.Connection, now: float, ruleset: Ruleset) -> int:
@@ -307,6 +353,7 @@ def add_ruleset(connection: sa.Connection, now: float, ruleset: Ruleset) -> int:
         connection.execute(
             rulesets.insert().values(hash=ruleset.hash, settings=settings, created_s=now)
         )
+        append(connection, [Record("ruleset", ruleset.hash, settings)])
         number = connection.scalar(query)
     assert number is not None
     return number

@@ -12,9 +12,10 @@ import sqlalchemy as sa
 from league.errors import StoreError, brief
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Heat, Ruleset
-from league.matchmaking.store import blobs, entries, queue, results, schema
+from league.matchmaking.store import blobs, entries, integrity, queue, results, schema
 from league.matchmaking.store.blobs import Blobs, FolderBlobs, TableBlobs
 from league.matchmaking.store.database import Database
+from league.matchmaking.store.integrity import Integrity
 from league.matchmaking.store.records import (
     Claim,
     Entry,
@@ -133,7 +134,7 @@ class Store:
             "anchor": anchor,
             "card": heat_spec.canonical(card).decode(),
         }
-        with self._writing() as (connection, now):
+        with self._writing(lock=True) as (connection, now):
             entry = entries.submit(connection, now, owner, row)
             if weights is not None and not self._blobs_url and entry.blob == blob:
                 blobs.insert(connection, now, weights)
@@ -191,6 +192,7 @@ class Store:
                 received.accepted + part.accepted,
                 received.repeated + part.repeated,
                 received.quarantined + part.quarantined,
+                received.unverified + part.unverified,
             )
         return received
 
@@ -282,10 +284,19 @@ class Store:
             )
         return self._heats(match, limit)
 
-    def results(self, heat: int) -> list[StoredResult]:
-        """Return all results of a heat (by number); several for one race are a dispute."""
+    def results(self, *heats: int) -> list[StoredResult]:
+        """Return all results of heats (by number); several for one race are a dispute."""
         with self._database.reading() as connection:
-            return results.read_results(connection, heat)
+            return results.read_results(connection, heats)
+
+    def verify(self, head: str = "") -> Integrity:
+        """Recompute all that standings use, and check it against documents, hashes and the ledger.
+
+        Args:
+            head: `Integrity.head` of an earlier check, which the ledger must still have.
+        """
+        with self._database.reading() as connection:
+            return integrity.verify(connection, head)
 
     def counts(self) -> dict[HeatState, int]:
         """Return how many heats are in each state."""
@@ -333,18 +344,21 @@ def create(
     return Store(url, clock=clock)
 
 
-def upgrade(url: str) -> None:
-    """Bring the tables of an older league up to date; all of it or nothing.
+def upgrade(url: str) -> list[str]:
+    """Bring the tables of an older league up to date, all of it or nothing; return what was done.
 
     Raises:
         StoreError: there is no league, or a newer program made it.
     """
     database = Database(url)
     try:
-        schema.version_of(database)
+        version = schema.version_of(database)
         with database.writing() as connection:
             database.lock(connection)
-            schema.migrate(connection)
+            steps = schema.migrate(connection)
+            if version < "0003":
+                steps.append(f"{integrity.adopt(connection)} records begin the ledger")
+            return steps
     finally:
         database.close()
 

@@ -45,7 +45,7 @@ class FinishedHeat:
     running: RunningHeat
     report: HeatReport
     became: str
-    """accepted, repeated, quarantined; or planned (again), error."""
+    """A field of Received; or planned (again), error."""
 
 
 class Dispatcher:
@@ -157,8 +157,7 @@ class Dispatcher:
             if report.outcome is None or received is None:
                 finished.append(self._failed(running, report))
                 continue
-            verdicts = ("quarantined", "accepted", "repeated")
-            became = next(name for name in verdicts if report.key in getattr(received, name))
+            became = received.verdict(report.key)
             finished.append(FinishedHeat(running, report, became))
         return finished
 

@@ -14,6 +14,7 @@ from league.errors import ConfigError
 from league.matchmaking.pairing.heat_spec import Half, Ruleset
 from league.matchmaking.ratings import Finish, places_of
 from league.matchmaking.store.records import HeatOutcome, RaceOutcome
+from league.matchmaking.workers.machine import machine_class
 from league.sim.version import PHYSICS
 
 if TYPE_CHECKING:
@@ -110,7 +111,8 @@ class RaceWorker:
             # The season goes on without this heat; its traceback is kept.
             return HeatReport(job.key, None, traceback.format_exc(), perf_counter() - start)
         race_s = sum(one.result.race_s for one in races)
-        outcome = HeatOutcome(job.key, outcomes)
+        machine = machine_class() if job.ruleset.solver == "bullet" else ""
+        outcome = HeatOutcome(job.key, outcomes, machine)
         return HeatReport(job.key, outcome, "", perf_counter() - start, race_s)
 
     def _races(self, job: HeatJob) -> list[FinishedRace]:
