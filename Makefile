@@ -9,7 +9,8 @@ export OMP_WAIT_POLICY = PASSIVE
 race: sync
 	$(BIN)/league race duelist racer --track reinvent_2018
 
-# A league in runs/league/: the garage and the scripted drivers, raced for two minutes.
+# A league in runs/league/: the garage and the scripted drivers, raced for two minutes. All policies
+# of the garage are one owner's, whose entries meet only with --same-owner.
 LEAGUE := sqlite:///runs/league/league.db
 league: sync
 	@test -e runs/league/league.db || $(BIN)/league init --league $(LEAGUE) --name garage

@@ -6,11 +6,13 @@ import csv
 import io
 import json
 import sqlite3
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from league.cli import main
+from league.cli import main, tables
 
 
 @pytest.fixture(scope="module")
@@ -64,10 +66,33 @@ def test_standings_and_show_tell_races_not_finished_and_best_laps(told):
     assert "not finished: 100 %, best lap: none" in told("show", "ann")
 
 
-def test_standings_fit_80_columns(told, monkeypatch):
+def test_standings_fit_80_columns(told, league, monkeypatch, capsys):
+    from league.cli.season.standings import standings_table
+    from league.matchmaking import standings
+    from league.matchmaking.store import Store
+
     monkeypatch.setenv("COLUMNS", "80")
+    with Store(f"sqlite:///{league / 'league.db'}") as store:
+        table = standings.of(store)
+    wide = {"name": "n" * 30, "owner": "o" * 30, "state": "provisional", "anchor": False}
+    far = {"listed_by": -123.0, "rank": 10, "best_rank": 10, "worst_rank": 99, "races": 12345}
+    laps = {"connected": False, "best_laps_s": {"reinvent_2018": 59.0}}
+    rows = tuple(replace(row, **wide, **far, **laps) for row in table.rows)
+    tables.console().print(standings_table(replace(table, rows=rows)))
+    text = capsys.readouterr().out
+    assert max(map(len, text.splitlines())) <= 80 and "…" not in text and "provisional" in text
+
+
+def test_standings_show_the_value_they_are_sorted_by_and_the_states_of_entries(told):
+    rows = json.loads(told("standings", "--json"))["entries"]
+    listed = [row["listed_by"] for row in rows]
+    assert listed == sorted(listed, reverse=True)
+    for row in rows:
+        uncertain = row["elo"] - 2 * row["sd"]
+        assert row["listed_by"] == pytest.approx(uncertain if row["provisional"] else row["elo"])
     text = told("standings")
-    assert max(map(len, text.splitlines()[:8])) <= 80 and "…" not in text
+    assert all(f" {value:.0f} " in text for value in listed)
+    assert text.count("placement") == 2  # as in `league entries`; the third one is an anchor
 
 
 def test_heats_fit_80_columns(told, monkeypatch):
@@ -202,6 +227,40 @@ def test_an_export_has_a_line_for_each_car(told, tmp_path):
     assert len(document["races"]) == len(rows) and document["rules"]["laps"] == 1
 
 
+def test_an_export_has_neither_formulas_nor_rejected_results_nor_everything_in_memory(
+    told, league, tmp_path, monkeypatch
+):
+    from league.cli.season import heats
+    from league.matchmaking.store import HeatOutcome, RaceOutcome, Store
+
+    copy = tmp_path / "formula.db"
+    with sqlite3.connect(league / "league.db") as there, sqlite3.connect(copy) as here:
+        there.backup(here)
+        here.execute("UPDATE entries SET name = '=1+1' WHERE name = 'ann'")
+    url = f"sqlite:///{copy}"
+    before = told("export", "--csv", "-", "--league", url)
+    assert {row["entry"] for row in csv.DictReader(io.StringIO(before))} == {
+        "'=1+1", "bob", "centerline",
+    }  # fmt: skip
+    with Store(url) as store:
+        record = next(r for r in store.heats(("done",)) if r.heat.purpose == "rated")
+        truth = tuple(RaceOutcome(r.places, r.result) for r in store.results(record.number))
+        lie = tuple(replace(race, places=race.places[::-1]) for race in truth)
+        store.complete("liar", [HeatOutcome(record.heat.key, lie)])
+        store.retry(record.heat.key)
+        store.claim("third")
+        store.complete("third", [HeatOutcome(record.heat.key, truth)])
+    sizes = []
+    read = Store.results
+    monkeypatch.setattr(Store, "results", lambda *a: sizes.append(len(a) - 1) or read(*a))
+    monkeypatch.setattr(heats, "EXPORTED", 3)
+    assert told("export", "--csv", "-", "--league", url) == before
+    assert max(sizes) == 3 and len(sizes) > 3
+    document = json.loads(told("export", "--json", "-", "--league", url))
+    assert len(document["races"]) == before.count("\n") - 1
+    assert document["races"][0].keys() == set(heats.COLUMNS)
+
+
 def test_a_gauntlet_places_a_checkpoint_and_keeps_nothing(told, league):
     from league.agents import checkpoint
     from tests.agents.trained import make_checkpoint
@@ -223,6 +282,23 @@ def test_a_comparison_stops_when_it_is_sure_or_out_of_heats(told):
     wish = ("--heats", "3", "--workers", "1", "--json")
     found = json.loads(told("compare", "ann", "centerline", *wish))
     assert found["heats"] == 3 and found["decision"] == "undecided"
+
+
+def test_a_comparison_reports_its_progress_and_a_verdict_without_a_terminal(
+    told, capsys, monkeypatch
+):
+    from league.cli.season import gauntlet
+    from league.matchmaking.ratings import sprt
+
+    monkeypatch.setattr(gauntlet, "PRINT_EVERY_S", 0.0)
+    assert main(["compare", "ann", "centerline", "--heats", "2", "--workers", "1"]) == 0
+    out, err = capsys.readouterr()
+    assert [line.split(":")[0] for line in err.splitlines()] == ["heat 1", "heat 2"]
+    assert "Not decided after 2 heats: whether centerline is better than ann." in out
+    settings = sprt.SequentialSettings()
+    for score, sentence in ((1.0, "Yes, b is better than a."), (0.0, "No, b is not better than a")):
+        result = sprt.compare(np.full(40, score), settings)
+        assert gauntlet.Compare("a", "b")._verdict(result, "a", "b").startswith(sentence)
 
 
 def test_a_wrong_name_gives_the_nearest_ones(told, capsys):
@@ -287,8 +363,15 @@ def test_a_run_races_what_was_submitted_and_says_what_it_did(tmp_path, monkeypat
     assert main(["run", "--workers", "1", "--heats", "3"]) == 0
     out = capsys.readouterr().out
     assert "(validation) a - a" in out and "(rated)" in out and "3 heats, 4 races" in out
-    assert main(["retire", "a", "--reason", "tired"]) == 0
+    assert main(["retire", "a"]) == 2
+    assert "confirm with --yes" in capsys.readouterr().err
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", lambda question: "" if "no way back" in question else "y")
+    assert main(["retire", "a"]) == 1
+    assert "a stays placement" in capsys.readouterr().out
+    assert main(["retire", "a", "--yes", "--reason", "tired"]) == 0
     assert "a is retired" in capsys.readouterr().out
+    assert main(["retire", "a"]) == 0  # nothing is lost
 
 
 def test_upgrade_brings_an_older_league_up_to_date_and_makes_none(tmp_path, monkeypatch, capsys):

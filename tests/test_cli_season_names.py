@@ -136,6 +136,6 @@ def test_a_reason_cannot_move_the_cursor(told, folder, monkeypatch, tmp_path):
     copy = tmp_path / "league.db"
     copy.write_bytes((folder / "league.db").read_bytes())
     on = ("--league", f"sqlite:///{copy}")
-    told("retire", CLOSING, "--reason", "red\x1b[2J", *on)
+    told("retire", CLOSING, "--yes", "--reason", "red\x1b[2J", *on)
     assert "red\\x1b[2J" in told("entries", *on)
     assert "red\\x1b[2J" in told("show", CLOSING, *on)

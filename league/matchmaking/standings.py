@@ -53,6 +53,8 @@ class Row:
     """Lower end of the 95 % interval of `elo`, relative to the anchor [Elo]."""
     high95: float
     """Upper end of it [Elo]."""
+    listed_by: float
+    """What the table is sorted by: `elo`, or `elo` - 2 `sd` of provisional ones [Elo]."""
     provisional: bool
     """Known to worse than sd 50, or not connected."""
     connected: bool
@@ -213,6 +215,7 @@ def _rows(
                 sd=float(fitted.sd[at]),
                 low95=float(fitted.low95[at]),
                 high95=float(fitted.high95[at]),
+                listed_by=float(fitted.listed_by[at]),
                 provisional=bool(fitted.provisional[at]),
                 connected=bool(fitted.connected[at]),
                 one_sided=bool(fitted.one_sided[at]),

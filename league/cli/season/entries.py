@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -15,6 +16,7 @@ from league.errors import ConfigError, PolicyError, nearest_names
 
 if TYPE_CHECKING:
     from league.matchmaking.pairing.heat_spec import Ruleset
+    from league.matchmaking.store import Entry
 
 ANCHORS = ("centerline", "racing_line", "cautious", "blocker")
 """Scripted drivers that a new league begins with; the first one is 1000."""
@@ -49,7 +51,7 @@ class Init(OnLeague):
     anchors: tuple[str, ...] = ANCHORS
     """Scripted drivers that tie the scale; the first one is pinned to 1000."""
     blobs: str = ""
-    """Directory or bucket (s3://...) for weights and recordings; by default the dataseason."""
+    """Directory or bucket (s3://...) for weights and recordings; by default the database."""
 
     def run(self) -> int:
         """Run the command."""
@@ -151,11 +153,16 @@ class Retire(OnLeague):
     """Name or id."""
     reason: str = ""
     """Why, for people to read."""
+    yes: bool = False
+    """Do not ask first."""
 
     def run(self) -> int:
         """Run the command."""
         with self.opened() as store:
             entry = store.entry(self.entry)
+            if not self.yes and entry.state != "retired" and not _confirmed(entry):
+                print(f"{entry.name} stays {entry.state}.")
+                return 1
             changed = store.move({entry.id: "retired"}, reason=self.reason, actor=entry.owner)
         print(f"{entry.name} {'is retired' if changed else 'was retired already'}.")
         return 0
@@ -174,6 +181,17 @@ class Upgrade(OnLeague):
         with self.opened() as league:
             print(f"The league in {league.url} is up to date.")
         return 0
+
+
+def _confirmed(entry: Entry) -> bool:
+    """Ask whether an entry is to be retired."""
+    if not sys.stdin.isatty():
+        raise ConfigError(
+            f"{entry.name} cannot come back once it is retired, and there is no terminal to ask "
+            "on: confirm with --yes"
+        )
+    question = f"Retire {entry.name} by {entry.owner} ({entry.state})? There is no way back [y/N] "
+    return input(question).strip().lower() in ("y", "yes")
 
 
 def _rules(command: Init) -> Ruleset:

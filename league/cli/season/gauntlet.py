@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
     from league.matchmaking.ratings.sprt import Comparison
     from league.matchmaking.store import HeatOutcome, Store
     from league.matchmaking.workers.worker import HeatDriver
+
+PRINT_EVERY_S = 10.0
+"""Interval at which a comparison without a terminal reports its progress [s]."""
 
 
 @dataclass
@@ -103,6 +107,7 @@ class Compare(Reading):
 
         flags.at_least(self, "heats", 1)
         quiet = self.json or not sys.stderr.isatty()
+        printed_s = time.monotonic()
         with self.opened() as store:
             one, other = (_driver(store, text) for text in (self.one, self.other))
             if one.id == other.id:
@@ -124,6 +129,10 @@ class Compare(Reading):
                     bounds = f"{now.lower:.2f}..{now.upper:.2f}"
                     text = f"heat {now.heats}: LLR {now.llr:+.2f} in {bounds}"
                     progress.update(bar, completed=now.heats, description=text)
+                    nonlocal printed_s
+                    if quiet and not self.json and time.monotonic() > printed_s + PRINT_EVERY_S:
+                        printed_s = time.monotonic()
+                        print(f"{text}, lead {_elo(now.elo)} Elo", file=sys.stderr, flush=True)
 
                 result = gauntlet.compare(
                     store, executor, one, other, settings, most_heats=self.heats, watch=watch
@@ -131,14 +140,28 @@ class Compare(Reading):
         if self.json:
             season.print_json(result)
             return 0
-        decision = result.decision.replace("better", f"better than {one.name}")
-        print(f"{other.name} is {decision}.")
+        print(self._verdict(result, one.name, other.name))
         print(
             f"{result.heats} heats, score {100 * result.score:.1f} %, lead {_elo(result.elo)} Elo "
             f"({_elo(result.low95)} to {_elo(result.high95)}), LLR {result.llr:+.2f} "
             f"({result.lower:.2f} to {result.upper:.2f})"
         )
         return 0
+
+    def _verdict(self, result: Comparison, one: str, other: str) -> str:
+        if result.decision == "better":
+            chance = f"{100 * self.alpha:g} %, if its lead were {self.elo0:g} Elo"
+            return f"Yes, {other} is better than {one}. (Chance of a wrong yes: {chance}.)"
+        if result.decision == "not better":
+            chance = f"{100 * self.beta:g} %, if it were"
+            return (
+                f"No, {other} is not better than {one} by {self.elo1:g} Elo. (Chance of a wrong "
+                f"no: {chance}.)"
+            )
+        return (
+            f"Not decided after {result.heats} heats: whether {other} is better than {one}. "
+            f"More heats may decide: --heats {4 * self.heats}"
+        )
 
 
 def _elo(value: float) -> str:

@@ -1,16 +1,18 @@
 """`league heats`, `heat`, `audit`, `retry`: what was raced, and whether it can be trusted.
 
-`league export --csv` and `--json` (see cli/checkpoints.py) write the races here, too.
+`league export --csv` and `--json` (see cli/drivers.py) write the races here, too.
 """
 
 from __future__ import annotations
 
 import csv
-import io
 import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TextIO
 
 import tyro
 
@@ -28,6 +30,8 @@ COLUMNS: tuple[str, ...] = (
     "place", "finished", "laps", "total_s", "distance", "off_tracks", "crashes", "overtakes",
 )  # fmt: skip
 """Columns of an export: one line for each car of each race."""
+EXPORTED = 500
+"""Heats read at a time by an export."""
 VERDICTS = {
     "accepted": "agrees",
     "repeated": "agrees",
@@ -236,12 +240,16 @@ def _show(store: Store, record: HeatRecord, as_json: bool) -> int:
 
 def export_csv(store: Store, path: Path) -> None:
     """Write a line for each car of each race; "-" is the standard output."""
-    rows = _rows(store)
-    text = io.StringIO()
-    table = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-    table.writeheader()
-    table.writerows(rows)
-    _write(path, text.getvalue(), f"{len(rows)} lines")
+    with _output(path) as file:
+        table = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        table.writeheader()
+        for row in _rows(store):
+            table.writerow({name: _inert(value) for name, value in row.items()})
+
+
+def _inert(value: object) -> object:
+    """Return a cell that no spreadsheet takes for a formula: then it begins with an apostrophe."""
+    return f"'{value}" if isinstance(value, str) and value[:1] in tuple("=+-@\t\r") else value
 
 
 def export_json(store: Store, path: Path, standings: object) -> None:
@@ -255,49 +263,57 @@ def export_json(store: Store, path: Path, standings: object) -> None:
         "ruleset": settings.ruleset.hash,
         "entries": documents.plain(store.entries()),
         "standings": standings,
-        "races": _rows(store),
     }
-    _write(path, json.dumps(document, indent=1, ensure_ascii=False) + "\n", "the league")
+    with _output(path) as file:
+        head = json.dumps(document, indent=1, ensure_ascii=False)
+        file.write(head.removesuffix("\n}") + ',\n "races": [')
+        for number, row in enumerate(_rows(store)):
+            file.write(("," if number else "") + "\n  " + json.dumps(row, ensure_ascii=False))
+        file.write("\n ]\n}\n")
 
 
-def _write(path: Path, text: str, what: str) -> None:
+@contextmanager
+def _output(path: Path) -> Iterator[TextIO]:
+    """Yield a file to write, which appears when it is whole; "-" is the standard output."""
     if str(path) == "-":
-        print(text, end="")
+        yield sys.stdout
         return
-    with replacing(path, "the export", ConfigError) as file:
-        file.write_text(text, encoding="utf-8")
-    print(f"Wrote {what}: {path}")
+    with (
+        replacing(path, "the export", ConfigError) as temporary,
+        temporary.open("w", encoding="utf-8", newline="") as file,
+    ):
+        yield file
+    print(f"Wrote the league's results: {path}")
 
 
-def _rows(store: Store) -> list[dict[str, object]]:
-    """Return a line for each car of each race that is done."""
-    entries = {entry.id: entry for entry in store.entries()}
-    rows = []
-    for record in store.heats(("done",)):
-        if record.heat.audits:
-            continue  # its results are those of the heat it audits
-        for result in store.results(record.number):
+def _rows(store: Store) -> Iterator[dict[str, object]]:
+    """Yield a line for each car of each race that is done; a few hundred heats are in memory."""
+    entries, last = {entry.id: entry for entry in store.entries()}, 0
+    while records := store.heats(("done",), since=last, limit=EXPORTED):
+        last = records[-1].number
+        # The results of an audit are those of the heat it audits.
+        by_number = {record.number: record for record in records if not record.heat.audits}
+        for result in store.results(*by_number):
+            record = by_number[result.heat]
             half = record.heat.halves[result.half]
-            for car in sorted(result.result["order"], key=lambda car: car["car"]):
+            order = () if result.rejected else result.result["order"]
+            for car in sorted(order, key=lambda car: car["car"]):
                 entry = entries[half.grid[car["car"]]]
-                rows.append(
-                    {
-                        "heat": record.number,
-                        "race": result.half + 1,
-                        "key": record.heat.key,
-                        "purpose": record.heat.purpose,
-                        "ruleset": record.heat.ruleset[:12],
-                        "track": half.track,
-                        "seed": record.seeds[result.half] if record.seeds else "",
-                        "slot": car["car"] + 1,
-                        "entry": entry.name,
-                        "id": entry.id,
-                        "owner": entry.owner,
-                        "place": result.places[car["car"]],
-                        **{name: car[name] for name in COLUMNS[12:]},
-                    }
-                )
-    return rows
+                yield {
+                    "heat": record.number,
+                    "race": result.half + 1,
+                    "key": record.heat.key,
+                    "purpose": record.heat.purpose,
+                    "ruleset": record.heat.ruleset[:12],
+                    "track": half.track,
+                    "seed": record.seeds[result.half] if record.seeds else "",
+                    "slot": car["car"] + 1,
+                    "entry": entry.name,
+                    "id": entry.id,
+                    "owner": entry.owner,
+                    "place": result.places[car["car"]],
+                    **{name: car[name] for name in COLUMNS[12:]},
+                }
 
 
 COMMANDS = {"heats": Heats, "heat": ShowHeat, "audit": Audit, "retry": Retry}

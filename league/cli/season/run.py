@@ -96,7 +96,8 @@ class Run(Work):
     """Run the season: pair entries, race heats, rate, and again; Ctrl-C finishes what has begun."""
 
     same_owner: bool = False
-    """Let entries of one owner meet, as a league of one person needs."""
+    """Let entries of one owner meet, too. By default they race only entries of others and anchors,
+    so that nobody gains by entering many; a league of one person needs this."""
 
     def _season(self, store: Store, num_workers: int) -> Season:
         from league.matchmaking.pairing.matchmaker import Season

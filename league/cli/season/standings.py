@@ -19,9 +19,6 @@ if TYPE_CHECKING:
     from league.matchmaking.standings import Row, Standings
     from league.matchmaking.store import Entry, Store
 
-SHORT = {"placement": "placing", "provisional": "prov.", "validating": "valid."}
-"""States in fewer letters, for the table."""
-
 
 @dataclass
 class ShowStandings(Reading):
@@ -132,21 +129,21 @@ def document(store: Store) -> dict[str, object] | None:
 def standings_table(rated: Standings, limit: int | None = None) -> RenderableType:
     """Return the standings as a table that fits 80 columns."""
     drawn = tables.table(
-        "Standings", "", "entry", "owner", "Elo ± 95 %", "state", "races", "score", "DNF",
+        "Standings", "", "entry", "owner", "Elo ± 95 %", "by", "state", "races", "DNF",
         "best lap", "ranks",
     )  # fmt: skip
     drawn.padding = (0, 0)  # the box leaves room enough between columns
     for row in rated.rows[:limit]:
-        flags = "?" * row.provisional + "!" * row.one_sided + "~" * (not row.connected)
+        flags = "!" * row.one_sided + "~" * (not row.connected)
         ranks = f"{row.best_rank}-{row.worst_rank}" if row.best_rank < row.worst_rank else ""
         drawn.add_row(
             str(row.rank),
-            row.name[:17],
+            row.name[:14],
             row.owner[:6],
             f"{row.elo:.0f} ±{(row.high95 - row.low95) / 2:<3.0f} {flags:2}",
-            "anchor" if row.anchor else SHORT.get(row.state, row.state),
+            f"{row.listed_by:.0f}",
+            "anchor" if row.anchor else row.state,
             str(row.races),
-            f"{100 * row.score:.0f}%" if row.races else "",
             "" if row.unfinished is None else f"{100 * row.unfinished:.0f}%",
             _best_lap(row, rated.tracks),
             ranks,
@@ -166,7 +163,8 @@ def _notes(rated: Standings) -> list[str]:
     lines = [
         f"{rated.num_races} races under rules {rated.ruleset[:12]}; the front of the grid is worth "
         f"{front[0] - front[-1]:+.0f} Elo over its end.",
-        "? provisional: sd above 50, listed by Elo - 2 sd   ! won or lost every pair",
+        "by: what the table is sorted by, Elo, or Elo - 2 sd while that is above 50 (or ~)",
+        "! won or lost every pair",
         "ranks: those the races allow   DNF: races not finished",
     ]
     if len(rated.tracks) > 1:
@@ -205,7 +203,7 @@ def _show(store: Store, entry: Entry, as_json: bool) -> int:
         rating = season.plus_minus(row.elo, row.low95, row.high95)
         print(
             f"rank {row.rank} ({row.best_rank} to {row.worst_rank}), Elo {rating}, "
-            f"{row.races} races"
+            f"{row.races} races, score {100 * row.score:.0f} %"
         )
         if row.unfinished is not None:
             laps = [f"{times.clock(lap_s)} on {track}" for track, lap_s in row.best_laps_s.items()]

@@ -147,14 +147,18 @@ class Ratings:
             superiority=float(ndtr(gap / sd)) if sd > 0 else 0.5,
         )
 
+    @property
+    def listed_by(self) -> np.ndarray:
+        """What entries are listed by: the rating, of provisional ones rating - 2 sd [Elo]."""
+        return np.where(self.provisional, self.elo - 2 * self.sd, self.elo)
+
     def order(self) -> np.ndarray:
-        """Return indices from best to worst; provisional ones by rating - 2 sd.
+        """Return indices from best to worst, see `listed_by`.
 
         Equals stay in the order of their numbers: rounding, which depends on the order in which
         races were read, must not change their order.
         """
-        shown = np.where(self.provisional, self.elo - 2 * self.sd, self.elo)
-        return np.argsort(-np.round(shown, 6), kind="stable")
+        return np.argsort(-np.round(self.listed_by, 6), kind="stable")
 
 
 def fit(
