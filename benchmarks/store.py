@@ -1,8 +1,8 @@
 """How fast a league's database is: heats through the queue, and a million races for the standings.
 
-Every transaction is on the disk when it returns (SQLite: WAL and synchronous=FULL). Workers claim and
-complete one heat at a time, each in a transaction of its own: that is the first figure. Blocks of
-heats in one transaction show what the tables can do apart from the disk.
+Every transaction is on the disk when it returns (SQLite: WAL and synchronous=FULL). Workers claim
+and complete one heat at a time, each in a transaction of its own: that is the first figure. Blocks
+of heats in one transaction show what the tables can do apart from the disk.
 """
 
 import tempfile

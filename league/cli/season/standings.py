@@ -127,7 +127,8 @@ def document(store: Store) -> dict[str, object] | None:
 
 
 def standings_table(rated: Standings, limit: int | None = None) -> RenderableType:
-    """Return the standings as a table that fits 80 columns."""
+    """Return the standings as a table that fits 80 columns; wider terminals show longer names."""
+    name_width = min(24, max(8, tables.console().width - 68))
     drawn = tables.table(
         "Standings", "", "entry", "owner", "Elo ± 95 %", "by", "state", "races", "DNF",
         "best lap", "ranks",
@@ -138,7 +139,7 @@ def standings_table(rated: Standings, limit: int | None = None) -> RenderableTyp
         ranks = f"{row.best_rank}-{row.worst_rank}" if row.best_rank < row.worst_rank else ""
         drawn.add_row(
             str(row.rank),
-            row.name[:14],
+            row.name[:name_width],
             row.owner[:6],
             f"{row.elo:.0f} ±{(row.high95 - row.low95) / 2:<3.0f} {flags:2}",
             f"{row.listed_by:.0f}",
