@@ -12,7 +12,7 @@ from typing import Any
 import sqlalchemy as sa
 
 from league.matchmaking.pairing import heat_spec
-from league.matchmaking.pairing.heat_spec import Half, Heat
+from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset
 from league.matchmaking.store import entries, results
 from league.matchmaking.store.queue import chunked
 from league.matchmaking.store.results import PackedResult
@@ -106,8 +106,12 @@ def _sound_tracks(connection: sa.Connection, found: Integrity) -> dict[int, tupl
     """Return the tracks of the rulesets that are what their hashes say."""
     tracks = {}
     for row in connection.execute(sa.select(rulesets)):
-        if heat_spec.digest(row.settings.encode()) == row.hash:
-            tracks[row.number] = tuple(json.loads(row.settings)["tracks"])
+        try:
+            rules = Ruleset.of(json.loads(row.settings))
+        except (ValueError, KeyError, TypeError):
+            rules = None
+        if rules is not None and rules.hash == row.hash:
+            tracks[row.number] = rules.tracks
         else:
             found.mismatches.append(f"ruleset {row.hash[:12]}: its settings differ from its hash")
     return tracks
