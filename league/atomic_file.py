@@ -53,6 +53,26 @@ def replacing(
             temporary.unlink(missing_ok=True)
 
 
+def check_writable(path: Path, what: str, error: type[LeagueError]) -> None:
+    """Refuse a place where a file cannot be made, before the work that it is to keep.
+
+    Raises:
+        LeagueError: of the given type, in one sentence.
+    """
+    there = path.parent
+    while not there.exists() and there != there.parent:
+        there = there.parent
+    if path.is_dir():
+        reason = "it is a folder"
+    elif not there.is_dir():
+        reason = f"{there} is no folder"
+    elif not os.access(there, os.W_OK | os.X_OK):
+        reason = f"{there} cannot be written"
+    else:
+        return
+    raise error(f"{what} cannot be written to {path} ({reason}): give a place that can be written")
+
+
 def _umask() -> int:
     mask = os.umask(0o022)
     os.umask(mask)

@@ -38,11 +38,11 @@ class WorldError(LeagueError):
 
 
 def nearest_names(name: str, known: list[str], limit: int = 3) -> str:
-    """Return the known names nearest to a name, as a phrase for an error message."""
+    """Return a phrase for an error message: the nearest names, or all where none is near."""
     import difflib
 
-    close = difflib.get_close_matches(name, known, n=limit, cutoff=0.4)
-    return ", ".join(close or sorted(known))
+    close = difflib.get_close_matches(name, known, n=limit, cutoff=0.6)
+    return f"nearest: {', '.join(close)}" if close else f"there are {', '.join(sorted(known))}"
 
 
 def brief(value: object) -> str:

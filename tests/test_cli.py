@@ -3,14 +3,19 @@
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from league import replay as replays
 from league import rerun_view, times
+from league.cli import commands
+from league.errors import ReplayError
 
 SHORT = ["--laps", "1", "--solver", "planar", "--replay", "none"]
 
@@ -204,6 +209,126 @@ def test_reader_who_has_had_enough_of_the_help_gets_no_traceback():
     )
     assert "usage" in ran.stdout
     assert "Traceback" not in ran.stderr
+
+
+def test_help_of_the_program_is_in_groups_and_fits_sixty_columns():
+    settings = {**os.environ, "COLUMNS": "60"}
+    command = [sys.executable, "-m", "league.cli", "--help"]
+    out = subprocess.run(command, capture_output=True, text=True, env=settings).stdout
+    groups = [line for line in out.splitlines() if re.fullmatch(r"[A-Z]\w+:", line)]
+    assert groups == ["Drive:", "Watch:", "Tracks:", "League:", "Tools:"]
+    assert max(map(len, out.splitlines())) <= 60
+    assert all(re.search(rf"^  {name}  ", out, re.M) for name in commands.COMMANDS)
+
+
+def test_positional_arguments_are_named(league):
+    for name in commands.COMMANDS:
+        usage = league(name, "--help")[1].splitlines()[0]
+        assert not re.search(r"\b(STR|PATH)\b", usage.partition("OPTIONS]")[2]), usage
+
+
+@pytest.mark.parametrize("arguments", [["tracks"], ["--help"], ["race", "--help"]])
+def test_full_disk_behind_the_output_is_one_sentence(arguments):
+    command = f"{sys.executable} -m league.cli {' '.join(arguments)} > /dev/full"
+    ran = subprocess.run(command, shell=True, capture_output=True, text=True)
+    assert ran.returncode == 2
+    assert is_one_sentence(ran.stderr), ran.stderr
+
+
+@pytest.mark.parametrize("after_s", [0.05, 0.1, 0.15])
+def test_ctrl_c_while_the_program_starts_is_no_traceback(after_s):
+    command = [sys.executable, "-c", "print(flush=True); from league.cli import main; main()"]
+    with subprocess.Popen([*command, "tracks"], stdout=-1, stderr=-1, text=True) as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.readline()
+        time.sleep(after_s)
+        process.send_signal(signal.SIGINT)
+        assert "Traceback" not in process.stderr.read()
+
+
+def test_races_vary_with_the_seed_unless_that_is_switched_off(league):
+    def total(*settings: str) -> float:
+        out = league("race", "centerline", "blocker", *SHORT, "--json", *settings)[1]
+        return json.loads(out)["order"][0]["total_s"]
+
+    assert total("--seed", "1") == total("--seed", "1") != total("--seed", "2")
+    still = [total("--variation", "0", "--seed", seed) for seed in ("1", "2")]
+    assert still[0] == still[1]
+
+
+def test_result_is_printed_where_the_replay_cannot_be_written(league, monkeypatch):
+    def refuse(*_: object) -> None:
+        raise ReplayError("the replay cannot be written (No space left on device): give a place")
+
+    monkeypatch.setattr(replays, "write", refuse)
+    code, out, err = league("race", "centerline", "--laps", "1", "--solver", "planar")
+    assert code == 2 and is_one_sentence(err)
+    assert "centerline" in out and "Replay" not in out
+
+
+def test_classification_says_who_passed_whom_and_the_penalties(league):
+    code, out, _ = league("race", "centerline", "racing_line", *SHORT)
+    assert code == 0
+    assert "penalty" in out
+    assert re.search(r"^racing_line passed centerline at 0:\d\d\.\d(, 0:\d\d\.\d)*$", out, re.M)
+
+
+@pytest.mark.parametrize("name", ["tracks", "drivers"])
+def test_tables_cut_nothing_off_in_sixty_columns(league, monkeypatch, name):
+    monkeypatch.setenv("COLUMNS", "60")
+    out = league(name)[1]
+    assert "…" not in out and max(map(len, out.splitlines())) <= 60
+
+
+def test_race_of_sixty_columns_is_whole(league, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "60")
+    out = league("race", "racing_line", "centerline", *SHORT)[1]
+    assert "…" not in out, out
+    assert len(re.findall(r"\d:\d\d\.\d{3}", out)) == 4
+    assert max(map(len, out.splitlines())) <= 60
+
+
+def test_replays_are_listed_and_the_unreadable_named(league, tmp_path):
+    code, _, err = league("replays")
+    assert code == 2 and is_one_sentence(err) and "race first" in err
+    league("race", "centerline", "--laps", "1", "--solver", "planar")
+    (name,) = [path.name for path in (tmp_path / "replays").iterdir()]
+    (tmp_path / "replays" / "bad.race").write_text("x")
+    code, out, err = league("replays")
+    assert code == 0 and "bad.race" in err
+    assert "centerline 0:" in out
+    assert name in "".join(out.split())
+    assert json.loads(league("replays", "--json")[1])[0]["file"] == f"replays/{name}"
+
+
+def test_hint_quotes_the_name_of_a_file(league):
+    short = ["--laps", "1", "--solver", "planar"]
+    assert (
+        "league view 'a b.race'" in league("race", "centerline", *short, "--replay", "a b.race")[1]
+    )
+
+
+def test_tracks_are_imported_from_files_and_folders_at_once(league, tmp_path):
+    round_track = np.linspace(0, 2 * np.pi, 121)[:, None]
+    circle = np.hstack([np.cos(round_track), np.sin(round_track)])
+    (tmp_path / "npy").mkdir()
+    for name in ("one", "two", "three"):
+        rows = np.hstack([3 * circle, 2.7 * circle, 3.3 * circle])
+        np.save(tmp_path / ("npy" if name != "three" else "") / f"{name}.npy", rows)
+    code, _, _ = league("tracks", "import", "npy", "three.npy", "--out", "made")
+    assert code == 0
+    made = sorted(path.name for path in (tmp_path / "made").iterdir())
+    assert made == ["one.yaml", "three.yaml", "two.yaml"]
+    (tmp_path / "npy" / "bad.npy").write_text("x")
+    code, out, err = league("tracks", "import", "npy")
+    assert code == 2 and out.count("Written") == 2 and "1 of 3 files" in err
+    code, _, err = league("tracks", "import", "npy", "--out", "all.yaml")
+    assert code == 2 and is_one_sentence(err) and "folder" in err
+
+
+def test_names_that_are_near_are_told_apart_from_all(league):
+    assert "; nearest: racing_line; or" in league("race", "racing_lin")[2]
+    assert "; there are blocker, cautious," in league("race", "xyzzy")[2]
 
 
 def test_times_are_told_as_on_a_timing_screen():

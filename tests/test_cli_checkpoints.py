@@ -160,3 +160,14 @@ def test_file_that_is_no_checkpoint_is_refused_in_one_sentence(league, tmp_path,
     assert err.count("\n") == 1
     assert "a.pt" in err
     assert sorted(path.name for path in tmp_path.iterdir()) == before
+
+
+def test_policies_of_the_garage_are_named_everywhere(league, tmp_path):
+    assert "rookie" in league("card", "rookie")[1]
+    assert league("export", "rookie")[0] == 0
+    assert (tmp_path / "rookie.onnx").exists()
+    assert league("init", "--anchors", "centerline")[0] == 0
+    code, out, _ = league("submit", "rookie", "--owner", "me")
+    assert code == 0 and "rookie by me" in out
+    code, _, err = league("card", "blocker")
+    assert code == 2 and "scripted driver" in err

@@ -353,6 +353,7 @@ def test_resume_of_a_finished_run_asks_for_more_but_brings_a_lost_checkpoint_bac
         (["--seed", "3", "--gamma", "0.5"], "started with another --seed, --gamma: omit what"),
         (["--track", "peanut"], "started with another --track"),
         (["--sensors", "lidar"], "started with another --sensors"),
+        (["--reward", "centerline"], "started with another --reward: omit what"),
         (["--no-symmetry"], "started with another --symmetry"),
         (["--overwrite"], "--resume goes on and --overwrite starts a new run: give one of them"),
         (["--steps", "16"], "--steps is 16, and the run was started with 32: give more"),

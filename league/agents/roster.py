@@ -95,6 +95,21 @@ def check(name_or_path: str) -> None:
         checkpoint.load(path)
 
 
+def checkpoint_path(name_or_path: str) -> str:
+    """Return the file of a policy: the one named, or the garage's of that name.
+
+    Raises:
+        PolicyError: the name is unknown, or a scripted driver's.
+    """
+    path = _file(name_or_path)
+    if path is None:
+        raise PolicyError(
+            f"{name_or_path!r} is a scripted driver, which has no checkpoint: give FILE.pt, or "
+            f"a policy of the garage ({', '.join(garage())})"
+        )
+    return path
+
+
 def _file(name_or_path: str) -> str | None:
     """Return a policy's file, or None for a scripted driver."""
     if name_or_path.endswith(".pt"):
@@ -105,6 +120,6 @@ def _file(name_or_path: str) -> str | None:
     if name_or_path in shipped:
         return str(shipped[name_or_path])
     raise PolicyError(
-        f"there is no driver {name_or_path!r}; nearest: "
+        f"there is no driver {name_or_path!r}; "
         f"{nearest_names(name_or_path, [*NAMES, *shipped])}; or give a checkpoint, FILE.pt"
     )

@@ -46,22 +46,21 @@ def _description(card: Card) -> str:
 class ShowCard:
     """Show a checkpoint's card: sensors, network, where it was trained and how well it drove."""
 
-    checkpoint: tyro.conf.Positional[Path]
-    """The checkpoint (FILE.pt)."""
+    checkpoint: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="CHECKPOINT")]
+    """The checkpoint (FILE.pt), or a name in the garage."""
     json: bool = False
     """Print JSON."""
 
     def run(self) -> int:
         """Run the command."""
-        from league.agents import checkpoint
+        from league.agents import checkpoint, roster
 
-        loaded = checkpoint.load(self.checkpoint)
+        loaded = checkpoint.load(roster.checkpoint_path(self.checkpoint))
         if self.json:
             card = loaded.card.model_dump(mode="json")
             print(json.dumps({"digest": checkpoint.digest(loaded), "card": card}, indent=2))
             return 0
-        table = tables.table(str(self.checkpoint), "", "card")
-        table.columns[1].no_wrap = False
+        table = tables.table(self.checkpoint, "", "card")
         for name, value in _lines(loaded, checkpoint.digest(loaded)):
             table.add_row(name, value)
         tables.console().print(table)
@@ -72,11 +71,14 @@ class ShowCard:
 class Export(OnLeague):
     """Write a checkpoint's network as ONNX, or a league's results as CSV or JSON."""
 
-    checkpoint: tyro.conf.Positional[Path | None] = None
-    """The checkpoint (FILE.pt), for a physical car or any other runtime; none for a league."""
+    checkpoint: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="CHECKPOINT")] = (
+        None
+    )
+    """The checkpoint (FILE.pt) or a name in the garage, for a physical car or any other runtime;
+    none for a league."""
     onnx: Annotated[tuple[Path, ...] | None, tyro.conf.arg(metavar="[FILE]")] = None
-    """Write ONNX, the default for a checkpoint; without FILE next to the checkpoint, with the
-    ending .onnx."""
+    """Write ONNX, the default for a checkpoint; without FILE next to the checkpoint (for a name in
+    the garage: here), with the ending .onnx."""
     csv: Path | None = None
     """Write the league's results, a line for each car of each race; - is the standard output."""
     json: Path | None = None
@@ -101,12 +103,12 @@ class Export(OnLeague):
         return 0
 
     def _export_network(self) -> int:
-        from league.agents import checkpoint, export
+        from league.agents import checkpoint, export, roster
 
         source, outputs = self.checkpoint, list(self.onnx or ())
         for path in outputs:
             if source is None and path.suffix == ".pt":  # as in `--onnx a.pt`
-                source = path
+                source = str(path)
                 outputs.remove(path)
                 break
         if source is None:
@@ -114,13 +116,13 @@ class Export(OnLeague):
                 "nothing was named to export: give a checkpoint (FILE.pt), or --csv FILE or "
                 "--json FILE for the results of a league"
             )
-        output = outputs[0] if outputs else source.with_suffix(".onnx")
+        output = outputs[0] if outputs else Path(source).with_suffix(".onnx")
         if len(outputs) > 1 or output.suffix == ".pt":
             raise ConfigError(
                 f"--onnx would write {' and '.join(map(str, outputs))}: give one file, NAME.onnx, "
                 "or none for one next to the checkpoint"
             )
-        export.to_onnx(checkpoint.load(source), output)
+        export.to_onnx(checkpoint.load(roster.checkpoint_path(source)), output)
         print(f"Network: {output}   ({output.stat().st_size / 1024:.0f} kB)")
         return 0
 

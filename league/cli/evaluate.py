@@ -6,7 +6,7 @@ import json
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 class Evaluate:
     """Drive laps from the start line and print trial, time, % completed, off-tracks, crashes."""
 
-    driver: tyro.conf.Positional[str]
+    driver: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="DRIVER")]
     """A checkpoint (FILE.pt), or the name of a scripted driver (see `league drivers`)."""
     track: tuple[str, ...] = ("reinvent_2018",)
     """Names of tracks (see `league tracks`), or track files; one table for each."""

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Literal, Protocol
 
 import tyro
 
 from league import times
+from league.atomic_file import check_writable
 from league.cli import tables
-from league.errors import ConfigError
+from league.errors import ConfigError, ReplayError
 from league.sim.config import USUAL_OBSTACLES
 
 if TYPE_CHECKING:
@@ -28,7 +30,7 @@ if TYPE_CHECKING:
 class Race:
     """Race drivers against each other, or one alone, and keep a replay."""
 
-    drivers: tyro.conf.Positional[tuple[str, ...]]
+    drivers: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="DRIVER...")]
     """Names of scripted drivers (see `league drivers`) or checkpoints (FILE.pt), in grid order."""
     track: str = "reinvent_2018"
     """Name of a track (see `league tracks`), or a track file."""
@@ -54,6 +56,8 @@ class Race:
     """Slow bot cars that change lanes instead of boxes."""
     fixed_obstacles: bool = False
     """Obstacles evenly spaced instead of at random places."""
+    variation: float = 1.0
+    """How much the cars differ, drawn from the seed; 1 is two percent of grip, 0: not at all."""
     replay: str = "replays"
     """Folder or .race file for the replay; "none" keeps none."""
     watch: bool = False
@@ -84,6 +88,8 @@ def _race(command: Race) -> int:
     spec = race_spec(command, track.name, kind, command.drivers)
     keep = command.replay != "none"
     path = replay_path(command.replay, spec, track) if keep else None
+    if path is not None:
+        check_writable(path, "the replay", ReplayError)
     live = _live(spec, track) if command.watch else None
     quiet = command.json or not sys.stderr.isatty()
     with tables.progress(disable=quiet) as progress:
@@ -95,22 +101,31 @@ def _race(command: Race) -> int:
                 live.add(world)
 
         finished = race.run(spec, track=track, record=keep, watch=watch)
-    if finished.replay is not None and path is not None:
-        from league import replay as replays
+    try:
+        if finished.replay is not None and path is not None:
+            from league import replay as replays
 
-        replays.write(finished.replay, path)
-    if command.json:
-        result = finished.result.model_dump(mode="json")
-        print(json.dumps({**result, "replay": str(path) if path else None}, indent=2))
-    else:
-        _print_classification(finished.result)
-        if path is not None:
-            print(replay_line(path))
+            replays.write(finished.replay, path)
+    except ReplayError:
+        _print_result(command, finished.result, None)  # a full disk does not undo the race
+        raise
+    _print_result(command, finished.result, path)
     if live is not None:
         sys.stdout.flush()
+        print(f"The race is over. {live.how_to_end}", file=sys.stderr, flush=True)
         live.wait()
         live.close()
     return 0
+
+
+def _print_result(command: Race, result: RaceResult, replay: Path | None) -> None:
+    if command.json:
+        document = {**result.model_dump(mode="json"), "replay": str(replay) if replay else None}
+        print(json.dumps(document, indent=2))
+        return
+    _print_classification(result)
+    if replay is not None:
+        print(replay_line(replay))
 
 
 def race_spec(command: Race | Evaluate, track: str, kind: str, drivers: Sequence[str]) -> RaceSpec:
@@ -130,7 +145,7 @@ def race_spec(command: Race | Evaluate, track: str, kind: str, drivers: Sequence
             "solver": command.solver,
             **{
                 name: getattr(command, name)
-                for name in ("ranking", "average_laps", "rules")
+                for name in ("ranking", "average_laps", "rules", "variation")
                 if hasattr(command, name)
             },
             "entries": entries(drivers),
@@ -215,14 +230,15 @@ def replay_path(replay: str, spec: RaceSpec, track: Track) -> Path:
 def replay_line(replay: Path) -> str:
     """Return the line that says where a replay is, and how to watch it."""
     newest = replay.parent == Path("replays")  # where `league view` looks by itself
-    return f"Replay: {replay}   (watch it: league view{'' if newest else f' {replay}'})"
+    name = "" if newest else f" {shlex.quote(str(replay))}"
+    return f"Replay: {replay}   (watch it: league view{name})"
 
 
 def _live(spec: RaceSpec, track: Track) -> Live:
     from league.rerun_view import Live
 
     live = Live.start(spec, track)
-    print(f"Watching live: {live.address}   (Ctrl-C stops)", file=sys.stderr, flush=True)
+    print(f"Watching live: {live.address}   (Ctrl-C stops the race)", file=sys.stderr, flush=True)
     return live
 
 
@@ -231,7 +247,7 @@ def _print_classification(result: RaceResult) -> None:
     laps = "1 lap" if spec.laps == 1 else f"{spec.laps} laps"
     title = f"{spec.kind.replace('_', ' ')} on {spec.track}, {laps}"
     table = tables.table(
-        title, "", "driver", "laps", "total", "gap", "best lap", "off", "crash", "passed"
+        title, "", "driver", "laps", "total", "gap", "best lap", "off", "crash", "penalty"
     )
     winner = result.order[0]
     for car in result.order:
@@ -245,11 +261,27 @@ def _print_classification(result: RaceResult) -> None:
             times.clock(car.best_lap_s) if car.best_lap_s else "",
             str(car.off_tracks),
             str(car.crashes),
-            str(car.overtakes),
+            f"{car.penalty_s:.1f}" if car.penalty_s else "",
         )
     tables.console().print(table)
     if len(result.order) > 1:
         print(f"Lead changes: {result.lead_changes}")
+        for line in _passes(result):
+            print(line)
+
+
+def _passes(result: RaceResult) -> list[str]:
+    """Return who passed whom and when, a line for each pair."""
+    names = {car.car: car.name for car in result.order}
+    passes: dict[tuple[int, int], list[str]] = {}
+    for event in result.events:
+        if event.kind == "overtake" and event.other is not None:
+            passes.setdefault((event.car, event.other), []).append(times.clock(event.time_s)[:-2])
+    return [
+        f"{names[car]} passed {names[other]} at {', '.join(at[:5])}"
+        + (f" and {len(at) - 5} times more" if len(at) > 5 else "")
+        for (car, other), at in passes.items()
+    ]
 
 
 COMMANDS = {"race": Race}

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
+import sys
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from league import times
 from league.cli import tables
 from league.cli.season import OnLeague
 from league.errors import ReplayError
@@ -16,11 +20,15 @@ if TYPE_CHECKING:
     from league.replay import Replay
 
 
+FOLDER = Path("replays")
+"""Where races leave their replays."""
+
+
 @dataclass
 class View(OnLeague):
     """Open a replay, or a race of a league, in the Rerun viewer."""
 
-    replay: tyro.conf.Positional[Path | None] = None
+    replay: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="[REPLAY]")] = None
     """The replay file, or the number of a league's heat; by default the newest in replays/."""
     race: int = 1
     """Which race of the heat."""
@@ -39,12 +47,48 @@ class View(OnLeague):
 
 
 @dataclass
+class ListReplays:
+    """List the recorded races of a folder, the newest first."""
+
+    folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="[FOLDER]")] = FOLDER
+    """Where to look."""
+    json: bool = False
+    """Print JSON."""
+
+    def run(self) -> int:
+        """Run the command."""
+        from league import replay as replays
+
+        rows, unreadable = [], []
+        for path in reversed(_recordings(self.folder)):
+            try:
+                result = replays.read(path).result
+            except ReplayError as error:
+                unreadable.append(str(error))
+                continue
+            rows.append((path, result))
+        if self.json:
+            results = [{"file": str(path), "spec": one.spec.model_dump()} for path, one in rows]
+            print(json.dumps(results, indent=2))
+        else:
+            table = tables.table(f"Replays in {self.folder}", "made", "file", "winner")
+            for path, result in rows:
+                made, winner = datetime.fromtimestamp(path.stat().st_mtime), result.order[0]
+                time = times.clock(winner.total_s) if winner.finished else "not finished"
+                table.add_row(f"{made:%m-%d %H:%M}", path.name, f"{winner.name} {time}")
+            tables.console().print(table)
+        for sentence in unreadable:
+            print(f"league: {sentence}", file=sys.stderr)
+        return 0
+
+
+@dataclass
 class Video:
     """Render a replay to an MP4: chase camera, top view, lap counter, running order."""
 
-    replay: tyro.conf.Positional[Path]
+    replay: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="REPLAY")]
     """The replay file."""
-    out: tyro.conf.Positional[Path]
+    out: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE.mp4")]
     """The .mp4 file to write."""
 
     def run(self) -> int:
@@ -69,7 +113,7 @@ class Video:
 class Verify:
     """Run a recorded race again and report whether every step agrees."""
 
-    replay: tyro.conf.Positional[Path]
+    replay: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="REPLAY")]
     """The replay file."""
     policies: tuple[Path, ...] = ()
     """Checkpoints of the policies that raced, if they are no longer where they were."""
@@ -104,13 +148,22 @@ class Verify:
 
 def _newest() -> Path:
     """Return the newest replay."""
-    paths = sorted(Path("replays").glob("*.race"), key=lambda path: path.stat().st_mtime)
+    return _recordings(FOLDER)[-1]
+
+
+def _recordings(folder: Path) -> list[Path]:
+    """Return the replays of a folder, the newest last.
+
+    Raises:
+        ReplayError: there is none.
+    """
+    paths = sorted(folder.glob("*.race"), key=lambda path: path.stat().st_mtime)
     if not paths:
         raise ReplayError(
-            "there is no replay in replays/ yet: race first, say `league race racing_line "
+            f"there is no replay in {folder}/ yet: race first, say `league race racing_line "
             "centerline`, or name a replay file"
         )
-    return paths[-1]
+    return paths
 
 
 def _recorded(command: View, path: Path) -> Replay:
@@ -159,4 +212,4 @@ def _view(command: View) -> int:
     return 0
 
 
-COMMANDS = {"view": View, "video": Video, "verify": Verify}
+COMMANDS = {"replays": ListReplays, "view": View, "video": Video, "verify": Verify}

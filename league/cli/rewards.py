@@ -24,7 +24,7 @@ _PRINTED = 5
 class CheckReward:
     """Try a DeepRacer reward file on recorded drives of every kind of race."""
 
-    file: tyro.conf.Positional[Path]
+    file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE.py")]
     """The Python file that defines reward_function(params); it is your own program, and is run."""
     json: bool = False
     """Print JSON."""
@@ -45,9 +45,9 @@ class CheckReward:
 class ScoreReplay:
     """Score a recorded race with another reward function, and plot it with a second one."""
 
-    replay: tyro.conf.Positional[Path]
+    replay: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="REPLAY")]
     """The replay file."""
-    reward: tyro.conf.Positional[str]
+    reward: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="REWARD")]
     """A reward file (FILE.py), or centerline, progress, race or racing_line."""
     against: str = "progress"
     """The second one: another reward file, or a built-in reward."""

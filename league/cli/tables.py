@@ -29,10 +29,11 @@ def console(*, stderr: bool = False) -> Console:
 
 
 def table(title: str, *columns: str) -> Table:
-    """Return an empty table; its first two columns, and those of words, are set to the left."""
+    """Return an empty table: columns of words are set to the left and wrap, numbers never do."""
     from rich import box
     from rich.table import Table
 
+    narrow = console().width < 80
     table = Table(
         title=spelled(title),
         title_justify="left",
@@ -40,11 +41,13 @@ def table(title: str, *columns: str) -> Table:
         header_style="dim",
         box=box.SIMPLE_HEAD,
         pad_edge=False,
+        padding=(0, 0) if narrow else (0, 1),
     )
     for number, column in enumerate(columns):
-        left = number < 2 or column in ("title", "driven", "how it drives")
-        sentences = column == "how it drives"
-        table.add_column(column, justify="left" if left else "right", no_wrap=not sentences)
+        if number < 2 or column in ("title", "driven", "how it drives"):
+            table.add_column(column, overflow="fold")
+        else:
+            table.add_column(column, justify="right", no_wrap=True)
     return table
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shlex
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
@@ -48,7 +50,7 @@ class ListTracks:
 class ShowTrack:
     """Draw a track to a PNG, with start line and direction."""
 
-    name: tyro.conf.Positional[str]
+    name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="TRACK")]
     """Name of a track, or a track file."""
     out: Path | None = None
     """Where to write the picture; by default NAME.png here."""
@@ -71,24 +73,61 @@ class ShowTrack:
 
 
 @dataclass
-class ImportTrack:
-    """Turn a community .npy track (N x 6 waypoints) into a track file."""
+class ImportTracks:
+    """Turn community .npy tracks (N x 6 waypoints) into track files."""
 
-    file: tyro.conf.Positional[Path]
-    """The .npy file."""
+    files: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE...")]
+    """The .npy files, or folders of them."""
     out: Path | None = None
-    """Where to write the track; by default NAME.yaml here."""
+    """Where to write the track, by default NAME.yaml here; for several tracks a folder."""
 
     def run(self) -> int:
         """Run the command."""
         from league.track import files, importer
 
-        track = importer.read_npy(self.file)
-        path = self.out or Path(f"{track.name}.yaml")
-        files.save(track, path)
-        print(f"{track.length:.2f} m, {track.direction}. Written to {path}")
-        print(f"Race on it: league race racing_line centerline --track {path}")
+        sources = [source for file in self.files for source in _npy_files(file)]
+        if not sources:
+            raise TrackError("no files were named: give .npy files, or a folder of them")
+        single = len(sources) == 1 and not self.files[0].is_dir()
+        single = single and not (self.out is not None and self.out.is_dir())
+        if not single and self.out is not None and self.out.suffix == ".yaml":
+            raise TrackError(
+                f"{len(sources)} tracks would be written to {self.out}: give a folder as --out"
+            )
+        refused = 0
+        for source in sources:
+            try:
+                track = importer.read_npy(source)
+                name = Path(f"{track.name}.yaml")
+                path = (self.out or name) if single else (self.out or Path()) / name
+                files.save(track, path)
+            except TrackError as error:
+                if single:
+                    raise
+                print(f"league: {error}", file=sys.stderr)
+                refused += 1
+                continue
+            print(f"{track.length:.2f} m, {track.direction}. Written to {path}")
+            if single:
+                quoted = shlex.quote(str(path))
+                print(f"Race on it: league race racing_line centerline --track {quoted}")
+        if refused:
+            raise TrackError(f"{refused} of {len(sources)} files were not imported: see above")
         return 0
+
+
+def _npy_files(path: Path) -> list[Path]:
+    """Return the files of a folder, or the file itself.
+
+    Raises:
+        TrackError: it is a folder without such files.
+    """
+    if not path.is_dir():
+        return [path]
+    sources = sorted(path.glob("*.npy"))
+    if not sources:
+        raise TrackError(f"there is no .npy file in the folder {path}: give another")
+    return sources
 
 
 @dataclass
@@ -138,7 +177,7 @@ class Tracks:
     command: (
         Annotated[ListTracks, tyro.conf.subcommand("list")]
         | Annotated[ShowTrack, tyro.conf.subcommand("show")]
-        | Annotated[ImportTrack, tyro.conf.subcommand("import")]
+        | Annotated[ImportTracks, tyro.conf.subcommand("import")]
         | Annotated[GenerateTracks, tyro.conf.subcommand("generate")]
     ) = field(default_factory=ListTracks)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 import signal
 import sys
@@ -297,7 +298,8 @@ def _report(command: Train, outcome: Outcome) -> None:
         print(_win_rates(outcome.matrix, command.folder))
     print(
         f"{outcome.samples} decisions in {outcome.time_s:.0f} s; stopped because {outcome.why}.\n"
-        f"Best policy: {command.out}   (race it: league race {command.out} centerline)\n"
+        f"Best policy: {command.out}   "
+        f"(race it: league race {shlex.quote(str(command.out))} centerline)\n"
         f"The run, with best.pt, last.pt and training.png: {command.folder}"
     )
 

@@ -99,7 +99,7 @@ def parse(content: Mapping[str, Any], name: str = "hyperparameters") -> Hyperpar
     for key in content:
         if key not in (*NAMES, "learning_rate", "entropy"):
             near = nearest_names(key, list(NAMES))
-            raise ConfigError(f"{name}: {brief(key)} is no hyperparameter; nearest: {near}")
+            raise ConfigError(f"{name}: {brief(key)} is no hyperparameter; {near}")
     try:
         return Hyperparameters.model_validate(dict(content))
     except ValidationError as error:

@@ -230,7 +230,7 @@ def _version(file: _File) -> str:
 def _one_of(what: str, value: str, known: tuple[str, ...]) -> str:
     if value not in known:
         near = nearest_names(value, list(known))
-        raise ConfigError(f"{what} is {brief(value)}; nearest: {near}")
+        raise ConfigError(f"{what} is {brief(value)}; {near}")
     return value
 
 

@@ -180,7 +180,7 @@ class RewardFile:
         if isinstance(error, KeyError) and error.args and isinstance(error.args[0], str):
             key, parameter = error.args[0], re.search(rf"def {NAME}\(\s*(\w+)", self.text)
             if key not in KEYS and (parameter[1] if parameter else "params") in text:
-                return f": params has no such key; nearest: {nearest_names(key, list(KEYS))}"
+                return f": params has no such key; {nearest_names(key, list(KEYS))}"
         alone = not params.get("objects_location")
         if isinstance(error, IndexError) and alone and "object" in text:
             return ": the objects_* lists are empty when there is nothing else on the track"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import signal
 import sys
 import threading
 import weakref
@@ -16,6 +17,9 @@ _LOOKS = 10
 """Looks at a call within its time limit. Looks are counted instead of seconds, because a machine
 that sleeps or a program that its terminal has stopped takes none."""
 
+_WAKE = getattr(signal, "SIGURG", None)
+"""A signal that does nothing by itself; Windows has none."""
+
 
 class Stopped(BaseException):
     """Thrown into the thread that runs the user's code, to end it."""
@@ -28,8 +32,9 @@ NOT_ITS_OWN = (KeyboardInterrupt, Stopped)
 class Watchdog:
     """Watches the calls that are made inside its `with`; count each in `calls`.
 
-    A loop in Python ends at its next line, with a RewardError. One inside a C library, or one that
-    catches every exception, goes on until the program ends.
+    A loop in Python ends at its next line, with a RewardError, and so does waiting for a clock, a
+    file or the keyboard in the main thread. A loop inside a C library, or one that catches every
+    exception, goes on until the program ends.
     """
 
     def __init__(self, path: str, time_limit_s: float = TIME_LIMIT_S) -> None:
@@ -78,11 +83,14 @@ class Watchdog:
             self._error = self._error or stuck(self._path, self._thread, self._limit_s)
             if self._busy:
                 _throw(self._thread, Stopped)
+                _wake(self._thread)
             else:
                 self._error = None
 
     def _begin(self) -> None:
         self._begun, over = True, threading.Event()
+        if _WAKE is not None and threading.current_thread() is threading.main_thread():
+            signal.signal(_WAKE, _nothing)
         weakref.finalize(self, over.set)
         arguments = (weakref.ref(self), over, self._limit_s / _LOOKS)
         threading.Thread(target=_watch, args=arguments, daemon=True, name="watchdog").start()
@@ -114,7 +122,7 @@ def stuck(path: str, thread: int, limit_s: float) -> RewardError:
         frame = frame.f_back
     return RewardError(
         f"{path}, line {line or 1}: still running after {limit_s:g} s: a call must return at "
-        "once, look for a loop that does not end"
+        "once, look for a loop that does not end, or a sleep or input"
     )
 
 
@@ -131,6 +139,20 @@ def is_debugged(thread: int) -> bool:
             return True
         frame = frame.f_back
     return False
+
+
+def _wake(thread: int) -> None:
+    """Interrupt a call of the system in the main thread, so that it sees what was thrown.
+
+    Python repeats such a call unless a handler of the signal raises: the handler's first line is
+    where the exception arrives. Other threads run no handlers.
+    """
+    if _WAKE is not None and thread == threading.main_thread().ident:
+        signal.pthread_kill(thread, _WAKE)
+
+
+def _nothing(_number: int, _frame: object) -> None:
+    pass
 
 
 def _throw(thread: int, error: type[BaseException] | None) -> None:

@@ -176,8 +176,8 @@ def _unknown_agent(name: object, racing: Sequence[str], known: Sequence[str]) ->
         return f"there is an action for {name}, but its race has ended: {left}"
     if not known:
         return f"there is an action for {brief(name)} before the first reset: call reset"
-    near = nearest_names(name, list(known)) if isinstance(name, str) else ", ".join(known)
-    return f"there is an action for {brief(name)}, which is no agent here: there are {near}"
+    near = nearest_names(name if isinstance(name, str) else "", list(known))
+    return f"there is an action for {brief(name)}, which is no agent here; {near}"
 
 
 MAX_STEERING_DEG = 30.0

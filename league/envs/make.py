@@ -97,7 +97,7 @@ def configure(
     if unknown := options.keys() - EnvOptions.__annotations__:
         name = min(unknown)
         near = nearest_names(name, list(EnvOptions.__annotations__))
-        raise ConfigError(f"there is no option {name!r}; nearest: {near}")
+        raise ConfigError(f"there is no option {name!r}; {near}")
     solver, mode = options.get("solver", "planar"), options.get("mode", "race")
     camera_path = options.get("camera_path", "paint")
     laps, max_steps = options.get("laps", 3), options.get("max_steps")
@@ -191,11 +191,8 @@ def _of_cars(sensors: Sensors, num_cars: int) -> tuple[SensorConfig, ...]:
 
 
 def _no_sensor(value: object) -> str:
-    near = nearest_names(value, list(_NAMED)) if isinstance(value, str) else ", ".join(_NAMED)
-    return (
-        f"there is no sensor {brief(value)}; nearest: {near}; "
-        "or give a CameraConfig or a LidarConfig"
-    )
+    near = nearest_names(value if isinstance(value, str) else "", list(_NAMED))
+    return f"there is no sensor {brief(value)}; {near}; or give a CameraConfig or a LidarConfig"
 
 
 def _check_name(what: str, value: object, known: tuple[str, ...]) -> None:

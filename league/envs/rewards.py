@@ -88,7 +88,7 @@ def preset(name: str) -> RewardConfig:
     """
     if name not in PRESETS:
         raise ConfigError(
-            f"there is no built-in reward {name!r}; nearest: "
+            f"there is no built-in reward {name!r}; "
             f"{nearest_names(name, [*PRESETS, RACING_LINE])}; "
             "or give the path of a reward file that ends in .py"
         )

@@ -110,7 +110,7 @@ def load(name_or_path: str | os.PathLike[str]) -> Track:
         return parse(_read_text(given), given)
     if given not in names():
         raise TrackError(
-            f"there is no track {given!r}; nearest: {nearest_names(given, names())}; "
+            f"there is no track {given!r}; {nearest_names(given, names())}; "
             "or give the path of a .yaml file"
         )
     return _shipped(given)

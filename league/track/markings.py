@@ -247,13 +247,17 @@ def poster(track: Track) -> np.ndarray:
     edge = max(4, round(0.04 / pixel))
     height, width = (size + 2 * edge for size in plan.picture.shape[:2])
     plan = plan.framed(width, height, track.colours.wall)
-    sheet = np.full((_HEAD + height + _FRAME, max(width + 2 * _FRAME, 900), 3), _PAPER, np.uint8)
+    radius = f"smallest radius {track.min_radius:.2f} m" if track.min_radius < 1000 else "straight"
+    size = f"{track.length:.2f} m long   {track.width:.3f} m wide"
+    about = f"{size}   {track.direction}   {radius}"
+    # Right of the text there is room for the north arrow.
+    text = max(_text_width(track.title, 46, bold=True), _text_width(about, 26)) + 80
+    wide = max(width, min(text, 4 * _POSTER[0]), 900 - 2 * _FRAME) + 2 * _FRAME
+    sheet = np.full((_HEAD + height + _FRAME, wide, 3), _PAPER, np.uint8)
     left = (sheet.shape[1] - width) // 2
     sheet[_HEAD : _HEAD + height, left : left + width] = plan.picture
     _write(sheet, track.title, (_FRAME, 62), 46, _INK, bold=True)
-    radius = f"smallest radius {track.min_radius:.2f} m" if track.min_radius < 1000 else "straight"
-    size = f"{track.length:.2f} m long   {track.width:.3f} m wide"
-    _write(sheet, f"{size}   {track.direction}   {radius}", (_FRAME, 106), 26, _SOFT_INK)
+    _write(sheet, about, (_FRAME, 106), 26, _SOFT_INK)
     _scale_bar(sheet, (left + edge + 24, sheet.shape[0] - _FRAME - edge - 24), pixel)
     _north(sheet, (sheet.shape[1] - _FRAME - 26, 84))
     return sheet
@@ -302,3 +306,11 @@ def _write(
         return
     font, thickness = cv2.FONT_HERSHEY_DUPLEX, 2 if bold else 1
     cv2.putText(sheet, text, place, font, size / 34, rgb, thickness, cv2.LINE_AA)
+
+
+def _text_width(text: str, size: int, *, bold: bool = False) -> int:
+    if hasattr(cv2, "FontFace"):
+        font, weight = cv2.FontFace("sans"), 700 if bold else 400
+        return cv2.getTextSize((0, 0), text, (0, 0), font, size, weight)[2]
+    font, thickness = cv2.FONT_HERSHEY_DUPLEX, 2 if bold else 1
+    return cv2.getTextSize(text, font, size / 34, thickness)[0][0]

@@ -5,6 +5,7 @@ import gc
 import hashlib
 import re
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -410,3 +411,18 @@ def test_reward_is_told_of_every_episode_that_begins():
     env.step(np.zeros((2, 1, 2), np.float32))
     env.step(np.zeros((2, 1, 2), np.float32))  # three steps of 1/15 s: the first world's time is up
     assert heard.begun[3:] == [[[True], [False]]]
+
+
+@pytest.mark.parametrize("wait", ["time.sleep(30)", "os.read(PIPE[0], 1)"])
+@pytest.mark.parametrize("at_import", [True, False])
+def test_a_wait_is_stopped_as_it_is_called_and_as_the_file_is_loaded(reward_file, wait, at_import):
+    head, begin = "import os, time\nPIPE = os.pipe()\n", "def reward_function(params):\n    "
+    lines = [wait, f"{begin}return 1"] if at_import else [f"{begin}{wait}", "    return 1"]
+    source = RewardFile.read(reward_file(head + "\n".join(lines)))
+    began = time.monotonic()
+    with pytest.raises(RewardError, match=r"line [34]: still running after 0\.3 s"):
+        paid = UserReward(source, ALONE, 1, (0,), time_limit_s=0.3)
+        assert not at_import
+        env = RaceEnv(TrackSet(make_ring()), EnvConfig(sim=ALONE), num_worlds=1, reward=paid)
+        drive(env, 1)
+    assert time.monotonic() - began < 10

@@ -5,14 +5,14 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from league import times
 from league.cli import season, tables
 from league.cli.season import OnLeague, Reading
-from league.errors import ConfigError, PolicyError, nearest_names
+from league.errors import ConfigError, nearest_names
 
 if TYPE_CHECKING:
     from league.matchmaking.pairing.heat_spec import Ruleset
@@ -72,8 +72,8 @@ class Init(OnLeague):
 class Submit(OnLeague):
     """Submit a checkpoint; it is read here, and its weights are sent as plain numbers."""
 
-    driver: tyro.conf.Positional[str]
-    """The checkpoint (FILE.pt), or the name of a scripted driver (see `league drivers`)."""
+    driver: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="DRIVER")]
+    """A checkpoint (FILE.pt), or the name of a driver (see `league drivers`)."""
     name: str = ""
     """Name shown to people; by default the file's."""
     owner: str = ""
@@ -88,18 +88,11 @@ class Submit(OnLeague):
 
         owner = self.owner or getpass.getuser()
         with self.opened() as store:
-            if self.driver.endswith(".pt"):
-                name = self.name or Path(self.driver).stem
-                entry = submission.submit(store, self.driver, name, owner)
-            elif self.driver in roster.NAMES:
-                name = self.name or self.driver
-                entry = store.submit(name, owner, scripted=self.driver, card={"name": name})
+            name = self.name or Path(self.driver).stem
+            if self.driver not in roster.NAMES:
+                entry = submission.submit(store, roster.checkpoint_path(self.driver), name, owner)
             else:
-                raise PolicyError(
-                    f"there is no driver {self.driver!r}; nearest: "
-                    f"{nearest_names(self.driver, list(roster.NAMES))}; or give a checkpoint, "
-                    "FILE.pt"
-                )
+                entry = store.submit(name, owner, scripted=self.driver, card={"name": name})
         if entry.name != name:
             print(f"These weights are entered already, as {entry.name}; {name} is not a new entry.")
         print(f"{entry.name} by {entry.owner}: entry {entry.id[:12]}, {entry.state}")
@@ -149,7 +142,7 @@ class Entries(Reading):
 class Retire(OnLeague):
     """Take an entry out of the league; its results stay, and there is no way back."""
 
-    entry: tyro.conf.Positional[str]
+    entry: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ENTRY")]
     """Name or id."""
     reason: str = ""
     """Why, for people to read."""
@@ -205,7 +198,7 @@ def _rules(command: Init) -> Ruleset:
     for name in command.anchors:
         if name not in roster.NAMES:
             nearest = nearest_names(name, list(roster.NAMES))
-            raise ConfigError(f"there is no scripted driver {name!r}; nearest: {nearest}")
+            raise ConfigError(f"there is no scripted driver {name!r}; {nearest}")
     if command.bots and not command.obstacles:
         raise ConfigError("--bots means nothing without --obstacles: give both, or neither")
     if command.cars < 2:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+import shlex
 import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -28,8 +29,8 @@ PRINT_EVERY_S = 10.0
 class Gauntlet(Reading):
     """Race a checkpoint against the field without submitting it: where would it stand?"""
 
-    checkpoint: tyro.conf.Positional[Path]
-    """The checkpoint (FILE.pt)."""
+    checkpoint: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="CHECKPOINT")]
+    """The checkpoint (FILE.pt), or a name in the garage."""
     rounds: int = 1
     """Heats against each opponent."""
     opponents: int = 8
@@ -39,12 +40,12 @@ class Gauntlet(Reading):
 
     def run(self) -> int:
         """Run the command."""
-        from league.agents import checkpoint
+        from league.agents import checkpoint, roster
         from league.matchmaking import gauntlet
 
         flags.at_least(self, "rounds", 1)
         flags.at_least(self, "opponents", 1)
-        newcomer = checkpoint.load(self.checkpoint)
+        newcomer = checkpoint.load(roster.checkpoint_path(self.checkpoint))
         quiet = self.json or not sys.stderr.isatty()
         with self.opened() as store:
             opponents = gauntlet.opponents(store, most=self.opponents)
@@ -75,7 +76,7 @@ class Gauntlet(Reading):
             print("It won, or lost, every race: read the number as a bound.")
         if placed.provisional:
             print("More rounds give a narrower interval: --rounds 5")
-        print(f"Nothing was kept; enter it with  league submit {self.checkpoint}")
+        print(f"Nothing was kept; enter it with  league submit {shlex.quote(self.checkpoint)}")
         return 0
 
 
@@ -83,9 +84,9 @@ class Gauntlet(Reading):
 class Compare(Reading):
     """Is B better than A? Race them until the answer is sure, and no longer."""
 
-    one: tyro.conf.Positional[str]
+    one: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="A")]
     """A: an entry's name or id, or a checkpoint (FILE.pt)."""
-    other: tyro.conf.Positional[str]
+    other: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="B")]
     """B."""
     elo0: float = 0.0
     """B is "not better" if it leads by this or less [Elo]."""

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TextIO
+from typing import TYPE_CHECKING, Annotated, Literal, TextIO
 
 import tyro
 
@@ -84,7 +84,7 @@ class Heats(Reading):
 class ShowHeat(Reading):
     """Show a heat: its races, results, seeds, and what went wrong if it failed."""
 
-    heat: tyro.conf.Positional[str]
+    heat: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="HEAT")]
     """Its number, or the beginning of its key."""
 
     def run(self) -> int:
@@ -101,7 +101,7 @@ class Retry(OnLeague):
     you trust and that raced none of them.
     """
 
-    heat: tyro.conf.Positional[str]
+    heat: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="HEAT")]
     """Its number, or the beginning of its key."""
 
     def run(self) -> int:

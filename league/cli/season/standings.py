@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -47,7 +47,7 @@ class ShowStandings(Reading):
 class Show(Reading):
     """Show an entry: rating, record against each opponent, last heats."""
 
-    entry: tyro.conf.Positional[str]
+    entry: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ENTRY")]
     """Name or id."""
 
     def run(self) -> int:
@@ -63,9 +63,9 @@ class HeadToHead(Reading):
     Without names: all of the best ones against each other, and where the ratings miss something.
     """
 
-    one: tyro.conf.Positional[str] = ""
+    one: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[A]")] = ""
     """Name or id."""
-    other: tyro.conf.Positional[str] = ""
+    other: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[B]")] = ""
     """Name or id."""
     top: int = 8
     """Size of the matrix, where no names are given."""
@@ -88,7 +88,7 @@ class HeadToHead(Reading):
 class History(Reading):
     """Show how an entry's rating came about."""
 
-    entry: tyro.conf.Positional[str]
+    entry: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ENTRY")]
     """Name or id."""
     points: int = 20
     """How many moments."""

@@ -92,8 +92,7 @@ def find(connection: sa.Connection, text: str) -> Entry:
     if not known:
         raise StoreError(f"there is no entry {brief(text)}: this league has none yet, submit one")
     raise StoreError(
-        f"there is no entry {brief(text)} in this league: did you mean "
-        f"{nearest_names(text, known)}?"
+        f"there is no entry {brief(text)} in this league; {nearest_names(text, known)}"
     )
 
 
