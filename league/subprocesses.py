@@ -27,6 +27,7 @@ SERVER_STARTS = 5
 _SERVED = sys.platform == "linux"
 _DIE_WITH_PARENT = 1
 """PR_SET_PDEATHSIG of prctl(2)."""
+_LIBC = ctypes.CDLL(None) if _SERVED else None
 
 CONTEXT = (
     multiprocessing.get_context("forkserver") if _SERVED else multiprocessing.get_context("spawn")
@@ -72,9 +73,15 @@ def _run(target: Callable[..., None], *arguments: object) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if _SERVED:
         # Without the server this process could be neither observed nor ended.
-        ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
+        die_with_parent()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     target(*arguments)
+
+
+def die_with_parent() -> None:
+    """Let the kernel end this process when its parent ends, however that comes about (Linux)."""
+    if _LIBC is not None:
+        _LIBC.prctl(_DIE_WITH_PARENT, signal.SIGKILL)
 
 
 def _end_with_parent() -> None:

@@ -1,5 +1,9 @@
+import signal
 import socket
+import subprocess
+import sys
 import threading
+import time
 import urllib.error
 import urllib.request
 from dataclasses import replace
@@ -244,3 +248,43 @@ def test_cars_lean_and_nose_down_as_their_records_say():
     # First the heading, then the pitch about the new axle: the nose goes down, not aside.
     both = scene.rotation(np.array(half), np.array(0.3), np.array(0.0))
     assert rotated(both, ahead) == pytest.approx([0.0, np.cos(0.3), -np.sin(0.3)])
+
+
+def test_classification_is_shown_at_the_end_and_the_order_before(tmp_path):
+    made = raced()
+    path = rerun_view.save(made, tmp_path / "a.rrd", cameras=False)
+    texts = []
+    for chunk in RrdReader(path).stream():
+        if chunk.entity_path.strip("/") == paths.TITLE:
+            batch = chunk.to_record_batch()
+            assert not chunk.is_static
+            columns = dict(zip(batch.schema.names, batch.columns, strict=True))
+            name = next(name for name in columns if name.endswith("text"))
+            times = columns[paths.TIMELINE].cast("int64").to_pylist()
+            texts += zip(times, [text[0] for text in columns[name].to_pylist()], strict=True)
+    texts.sort()
+    assert len(texts) >= 2 and texts[0][0] == 0
+    assert all("| total |" not in text for _, text in texts[:-1])
+    assert "| total |" in texts[-1][1]
+    assert texts[-1][0] == pytest.approx(1e9 * made.times_s[-1])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux ends children by itself")
+@pytest.mark.parametrize("sign", [signal.SIGTERM, signal.SIGKILL])
+def test_no_server_outlives_a_program_that_is_ended(sign):
+    program = (
+        "import time\nfrom league.rerun_view import blueprint\n"
+        "from league.rerun_view.viewer import Stream\n"
+        "stream = Stream(blueprint.broadcast(1, ('a',), (0, 0, 1, 1)), window=False)\n"
+        "print(stream._child.pid, flush=True)\ntime.sleep(60)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", program], stdout=-1, text=True) as parent:
+        assert parent.stdout is not None
+        server = Path("/proc", parent.stdout.readline().strip())
+        assert server.exists()
+        parent.send_signal(sign)
+    for _ in range(100):
+        if not server.exists() or ") Z " in (server / "stat").read_text():
+            return
+        time.sleep(0.05)
+    pytest.fail("the server still runs")

@@ -45,7 +45,7 @@ def broadcast(
     if cameras:
         left.append(_eyes(num_cars, names))
     charts = rrb.Vertical(
-        rrb.TextDocumentView(origin=paths.TITLE, name="Classification"),
+        rrb.TextDocumentView(origin=paths.TITLE, name="Order"),
         _chart(paths.PLOT_SPEED, "Speed [m/s]"),
         _chart(paths.PLOT_GAP, "Behind the leader [m]"),
         _chart(paths.PLOT_STEERING, "Steering [deg]"),

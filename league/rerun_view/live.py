@@ -66,13 +66,9 @@ class Live:
         self.address = ""
         """Where it can be watched."""
         self._writer = SceneWriter(recording, track, self._names, step_hz)
-        drivers = "\n".join(
-            f"{place}. {record.escaped(entry.name)}" for place, entry in enumerate(spec.entries, 1)
-        )
         kind, laps = spec.kind.replace("_", " "), record.laps(spec.laps)
-        text = f"# {track.title}\n\n**{kind}**, {laps}, live\n\n{drivers}"
-        title = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
-        recording.log(paths.TITLE, title, static=True)
+        self._title = f"# {track.title}\n\n**{kind}**, {laps}, live"
+        self._order: tuple[int, ...] = ()
 
     @classmethod
     def start(
@@ -125,6 +121,11 @@ class Live:
             text = f"{self._names[slot]} completes lap {laps[slot]}"
             self._writer.send_event(times[0], text, CAR_COLOURS[slot])
         self._laps = laps.copy()
+        order = tuple(np.argsort(gaps[0], kind="stable").tolist())
+        if order != self._order:
+            self._order = order
+            text = record.running_order(self._title, [self._names[slot] for slot in order])
+            self._writer.send_text(paths.TITLE, times, [text])
         self._follow(times, cars[0], gaps[0])
         now = time.monotonic()
         if self._begin_s is None:
@@ -143,6 +144,13 @@ class Live:
         self._chase = self._chase + np.array([*forward, turn * CHASE_SHARE])
         x, y, yaw = self._chase[:, None]
         self._writer.send_poses(paths.CHASE, times, positions(x, y), about_z(yaw))
+
+    @property
+    def how_to_end(self) -> str:
+        """What a user does when the race is over."""
+        if self._stream is None or self._stream.has_window:
+            return "The window stays open until you close it."
+        return "The page stays as it is until you press Ctrl-C."
 
     def wait(self) -> None:
         """Wait for Ctrl-C, where a web page is served."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -73,8 +74,19 @@ def _send_race(writer: SceneWriter, replay: Replay) -> None:
         factors = np.full((len(changes), 4), 255, np.uint8)
         factors[frozen[changes], 3] = round(255 * FROZEN_OPACITY)
         writer.send(paths.body(slot), times[changes], rr.Mesh3D.columns(albedo_factor=factors))
-    table = rr.TextDocument(classification(replay), media_type=rr.MediaType.MARKDOWN)
-    writer.recording.log(paths.TITLE, table, static=True)
+    _send_order(writer, replay)
+
+
+def _send_order(writer: SceneWriter, replay: Replay) -> None:
+    """Send who is where while they race, and the classification when they have raced."""
+    order = story.running_order(replay)
+    changes = np.flatnonzero(np.any(np.diff(order, axis=0, prepend=-1), axis=1))
+    head, names = _head(replay), replay.names
+    texts = [running_order(head, [names[slot] for slot in order[frame]]) for frame in changes]
+    # The last frame is the classification's, also where the order changed in it.
+    earlier = [text for frame, text in zip(changes, texts, strict=True) if frame + 1 < len(order)]
+    times = [*replay.times_s[changes[: len(earlier)]], replay.times_s[-1]]
+    writer.send_text(paths.TITLE, np.array(times), [*earlier, classification(replay)])
 
 
 def _send_obstacles(writer: SceneWriter, replay: Replay) -> None:
@@ -146,10 +158,9 @@ def _film(replay: Replay, slot: int) -> tuple[bytes, bytes]:
 
 def classification(replay: Replay) -> str:
     """Return the result of the race as Markdown."""
-    result, spec = replay.result, replay.spec
-    kind = spec.kind.replace("_", " ")
+    result = replay.result
     lines = [
-        f"**{replay.track.title}**: {kind}, {laps(spec.laps)}, {spec.solver}, seed {spec.seed}",
+        _head(replay),
         "",
         "| | driver | total | best lap | penalties |",
         "|---:|:---|---:|---:|---:|",
@@ -163,6 +174,18 @@ def classification(replay: Replay) -> str:
         changes = "change" if result.lead_changes == 1 else "changes"
         lines += ["", f"{result.lead_changes} {changes} of the lead"]
     return "\n".join(lines)
+
+
+def running_order(head: str, names: Sequence[str]) -> str:
+    """Return who is where as Markdown, the leader first."""
+    places = [f"{place}. {escaped(name)}" for place, name in enumerate(names, 1)]
+    return "\n".join([head, "", *places])
+
+
+def _head(replay: Replay) -> str:
+    spec = replay.spec
+    kind = spec.kind.replace("_", " ")
+    return f"**{replay.track.title}**: {kind}, {laps(spec.laps)}, {spec.solver}, seed {spec.seed}"
 
 
 def laps(count: int) -> str:

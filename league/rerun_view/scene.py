@@ -192,6 +192,11 @@ class SceneWriter:
         times = [rr.TimeColumn(paths.TIMELINE, duration=times_s)]
         self.recording.send_columns(path, times, columns)
 
+    def send_text(self, path: str, times: np.ndarray, texts: Sequence[str]) -> None:
+        """Send Markdown that is shown from some times on."""
+        media = [rr.MediaType.MARKDOWN] * len(texts)
+        self.send(path, times, rr.TextDocument.columns(text=texts, media_type=media))
+
     def send_event(
         self, time_s: float, text: str, colour: Sequence[int] = NEUTRAL, level: str = "INFO"
     ) -> None:

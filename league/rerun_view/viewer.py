@@ -35,6 +35,7 @@ import rerun.blueprint as rrb
 
 from league.errors import ReplayError
 from league.rerun_view import paths
+from league.subprocesses import die_with_parent
 
 HOST = "127.0.0.1"
 """The only address ever listened on."""
@@ -79,8 +80,9 @@ def free_port() -> int:
 def _launch(command: list[str], home: str | None) -> subprocess.Popen:
     """Start the viewer program, without our Ctrl-C, in a home folder of its own if one is given.
 
-    It would otherwise read and write the user's own viewer settings, and report usage to its makers
-    from the second run on; in an empty home every run is the first, which reports nothing.
+    With such a home it is a server, and ends with this program; a window may stay open. In the
+    user's own home it would read and write the user's viewer settings, and report usage to its
+    makers from the second run on; in an empty one every run is the first, which reports nothing.
     """
     environment = None
     if home is not None:
@@ -93,6 +95,7 @@ def _launch(command: list[str], home: str | None) -> subprocess.Popen:
         stderr=subprocess.DEVNULL,
         env=environment,
         start_new_session=True,
+        preexec_fn=None if home is None or sys.platform == "win32" else die_with_parent,
     )
 
 
@@ -314,6 +317,11 @@ class Stream:
     def is_open(self) -> bool:
         """Whether the viewer still runs: a window may have been closed."""
         return self._child.poll() is None
+
+    @property
+    def has_window(self) -> bool:
+        """Whether it is a window, which stays open, rather than a page that this program serves."""
+        return self._window
 
     def wait(self) -> None:
         """Wait for Ctrl-C, where a web page is served."""

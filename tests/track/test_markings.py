@@ -1,9 +1,11 @@
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 from league.errors import ConfigError
-from league.track import files, markings
+from league.track import files, importer, markings
 from league.track.track import Track
 
 from . import shapes
@@ -137,6 +139,22 @@ def test_a_poster_is_a_picture_with_north_up(track: Track):
     assert 900 <= sheet.shape[1] <= 1700 and sheet.shape[0] <= 1200
     back = cv2.imdecode(np.frombuffer(markings.png(sheet), np.uint8), cv2.IMREAD_COLOR)
     assert np.array_equal(back[..., ::-1], sheet)
+
+
+def test_text_of_a_tall_poster_ends_before_the_north_arrow():
+    around = np.linspace(0, 2 * np.pi, 241)[:, None]
+    rows = [
+        np.hstack([(1.2 + aside) * np.cos(around), (6 + aside) * np.sin(around)])
+        for aside in (0.0, -0.3, 0.3)
+    ]
+    tall = importer.from_rows(np.hstack(rows), "tall", "here")
+    sheet = markings.poster(replace(tall, title="A long title of a track that is tall and narrow"))
+    paper = sheet[0, 0]
+    head = sheet[30:110]
+    inked = np.flatnonzero((head != paper).any(axis=(0, 2)))
+    arrow = inked > sheet.shape[1] - 85
+    assert arrow.any() and inked[~arrow].max() < inked[arrow].min() - 10
+    assert (sheet[30:110, -20:] == paper).all()
 
 
 def test_north_is_up_on_a_poster():
