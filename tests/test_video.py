@@ -1,13 +1,17 @@
+from dataclasses import replace
+
 import av
 import numpy as np
 import pytest
 import torch
-from recorded import by_hand, moved
+from recorded import by_hand, moved, raced
 
 from league import video
 from league.errors import ReplayError
+from league.replay import story
 from league.sim.camera.scene import CAR_COLOURS
 from league.video import hud
+from league.video.film import Film
 from league.video.hud import clock
 from league.video.mp4 import Coding, Mp4
 from league.video.topview import TopView
@@ -52,8 +56,8 @@ def test_a_video_has_all_its_pictures_and_plays_in_browsers(tmp_path):
         assert (stream.codec_context.name, stream.codec_context.pix_fmt) == ("h264", "yuv420p")
         assert (stream.width, stream.height, stream.average_rate) == (320, 180, 30)
         shown = [frame.pts * frame.time_base for frame in container.decode(stream)]
-    # 7 steps of 1/15 s, then 3 s of classification, first and last picture included.
-    assert len(shown) == round((7 / 15 + 3) * 30) + 1
+    # 7 steps of 1/15 s, then 4 s of classification, first and last picture included.
+    assert len(shown) == round((7 / 15 + 4) * 30) + 1
     assert np.diff(np.array(shown, dtype=float)) == pytest.approx(1 / 30)
     assert parts == sorted(parts)
     assert parts[-1] == 1.0
@@ -61,6 +65,42 @@ def test_a_video_has_all_its_pictures_and_plays_in_browsers(tmp_path):
     # The index stands before the pictures, so a browser can begin at once.
     content = path.read_bytes()
     assert content.index(b"moov") < content.index(b"mdat")
+
+
+def test_film_ends_shortly_after_the_last_fight_is_decided():
+    made = raced()
+    first, last = made.result.order
+    assert first.finished and made.result.spec.ranking == "total"
+    # Who is last has no rival once the other has finished.
+    assert story.decided_s(made) == min(first.total_s, made.duration_s)
+    best = made.result.spec.model_copy(update={"ranking": "best"})
+    result = made.result.model_copy(update={"spec": best})
+    assert story.decided_s(replace(made, result=result)) == made.duration_s
+    order = (first.model_copy(update={"finished": False}), last)
+    result = made.result.model_copy(update={"order": order})
+    assert story.decided_s(replace(made, result=result)) == made.duration_s
+
+
+def test_end_card_covers_the_race_and_names_stand_at_the_cars():
+    made = driving()
+    film = Film(made)
+    names = film._hud.draw_names
+    film._hud.draw_names = lambda *_: None
+    (without,) = film.pictures(np.array([0.3]))
+    film._hud.draw_names = names
+    drawn, card = film.pictures(np.array([0.3, film.ends_s + 1.0]))
+    rows, columns = np.nonzero((drawn != without).any(axis=2))
+    cars = near(drawn, CAR_COLOURS[0]) | near(drawn, CAR_COLOURS[1])
+    on_road = np.nonzero(cars[:, 330:900])
+    assert 0 < rows.max() < on_road[0].max()
+    assert on_road[1].min() + 230 < columns.min() < columns.max() < on_road[1].max() + 430
+    assert card.mean() < 0.5 * drawn.mean()
+    assert near(card, (244, 246, 248))[250:500, 260:1020].sum() > 500
+
+
+def test_above_the_walls_there_is_no_bright_strip():
+    picture = video.still(driving(), 0.3)
+    assert picture[0, 400:].max() < 100
 
 
 def test_a_video_that_cannot_be_written_leaves_nothing(tmp_path):

@@ -84,6 +84,14 @@ def _watched(replay: Replay) -> np.ndarray:
     return watched
 
 
+def decided_s(replay: Replay) -> float:
+    """Return when no place can change hands any more: the last car to finish has no rival [s]."""
+    fights = replay.result.order[:-1]
+    if replay.spec.ranking != "total" or not fights or not all(car.finished for car in fights):
+        return replay.duration_s
+    return min(max(car.total_s for car in fights), replay.duration_s)
+
+
 def captions(replay: Replay) -> list[tuple[Event, str]]:
     """Return the events, each with a sentence."""
     events = replay.result.events

@@ -23,8 +23,12 @@ from league.video.mp4 import Coding, Mp4, interleaved
 
 SIZE = (1280, 720)
 FPS = 30
-HOLD_S = 3.0
+HOLD_S = 4.0
 """Time at the end for the classification [s]."""
+DARK = 0.3
+"""Brightness above the walls, as a share of theirs: a hall and not a strip of sky."""
+LABEL_UP, LABEL_REACH = 0.24, 5.0
+"""Where a car's name is: above the floor, and this far from the camera at most [m]."""
 BEHIND, ABOVE, TILT = 1.12, 0.56, 0.27
 """Where the chase camera is: behind its frame [m], above the floor [m], tilted down [rad]."""
 VIEW = 1.15
@@ -62,7 +66,12 @@ class Film:
             up=ABOVE,
             pitch=TILT,
         )
-        self._renderer = PaintRenderer(replay.tracks, replay.sim, camera)
+        red, green, blue = (round(DARK * part) for part in replay.track.colours.wall)
+        sky = (red, green, blue)
+        self._renderer = PaintRenderer(replay.tracks, replay.sim, camera, sky=sky)
+        self._size = size
+        self.ends_s = min(story.decided_s(replay) + story.AFTER_FINISH_S, replay.duration_s)
+        """When the classification is shown: shortly after the last fight is decided [s]."""
         self._hud = Hud(replay, width, height)
         self._path = story.chase_path(replay)
 
@@ -74,9 +83,35 @@ class Film:
         pictures = []
         for row, time_s in enumerate(times_s):
             picture = interleaved(seen[row])
-            self._hud.draw(picture, world, row, float(time_s))
+            if time_s > self.ends_s:
+                self._hud.draw_result(picture)
+            else:
+                self._hud.draw_names(picture, self._labels(world, row, x[row], y[row], yaw[row]))
+                self._hud.draw(picture, world, row, float(time_s))
             pictures.append(picture)
         return pictures
+
+    def _labels(
+        self, world: World, row: int, x: float, y: float, yaw: float
+    ) -> list[tuple[int, int, int]]:
+        """Return the cars in front of the camera and their names' pixels, the farthest first."""
+        cars = world.cars[row, : self._replay.num_cars]
+        ahead = (cars["x"] - x) * np.cos(yaw) + (cars["y"] - y) * np.sin(yaw)
+        right = (cars["x"] - x) * np.sin(yaw) - (cars["y"] - y) * np.cos(yaw)
+        below = ABOVE - LABEL_UP
+        depth = ahead * np.cos(TILT) + below * np.sin(TILT)
+        down = below * np.cos(TILT) - ahead * np.sin(TILT)
+        width, height = self._size
+        focal = width / 2 / np.tan(VIEW / 2)
+        seen = np.flatnonzero((depth > 0.3) & (depth < LABEL_REACH))
+        return [
+            (
+                int(car),
+                round(width / 2 + focal * float(right[car] / depth[car])),
+                round(height / 2 + focal * float(down[car] / depth[car])),
+            )
+            for car in seen[np.argsort(-depth[seen])]
+        ]
 
     def _eye(self, times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the chase camera's position and heading, inside the walls."""
@@ -111,7 +146,7 @@ def render(
     if not 1 <= fps <= 120:
         raise ReplayError(f"a video at {fps} pictures per second cannot be made: give 1 to 120")
     film = Film(replay, size)
-    count = round((replay.duration_s + HOLD_S) * fps) + 1
+    count = round((film.ends_s + HOLD_S) * fps) + 1
     with (
         replacing(path_mp4, "the video", ReplayError, also=(FFmpegError,)) as file,
         Mp4(str(file), fps, CODING) as video,

@@ -51,6 +51,64 @@ class Hud:
         self._draw_caption(picture, time_s)
         self._draw_map(picture, world, row)
 
+    def draw_names(self, picture: np.ndarray, places: list[tuple[int, int, int]]) -> None:
+        """Write each car's name above it, its middle at a pixel: (car, x, y)."""
+        px = self._px
+        for car, x, y in places if self._replay.num_cars > 1 else ():
+            name = _short(self._replay.names[car])
+            width = text_width(name, px(16), 500) + px(26)
+            left, top = x - width // 2, y - px(26)
+            put_panel(picture, left, top, width, px(26), radius=px(8), opacity=0.55)
+            colour = CAR_COLOURS[car]
+            put_panel(
+                picture,
+                left + px(5),
+                top + px(6),
+                px(5),
+                px(14),
+                radius=px(2),
+                colour=colour,
+                opacity=1.0,
+            )
+            put_text(picture, name, left + px(16), top + px(1), px(16), weight=500)
+
+    def draw_result(self, picture: np.ndarray) -> None:
+        """Draw the end card: the classification over the darkened picture."""
+        px, result = self._px, self._replay.result
+        picture //= 3
+        row_height, width = px(44), px(760)
+        height = px(112) + row_height * len(result.order)
+        left, top = (self._width - width) // 2, (self._height - height) // 2
+        put_panel(picture, left, top, width, height, radius=px(14), opacity=0.9)
+        title = f"{self._replay.track.title}: {result.spec.kind.replace('_', ' ')}"
+        put_text(picture, title[:44], left + px(28), top + px(14), px(28), weight=700)
+        columns = {"total": px(470), "best lap": px(610), "penalty": width - px(28)}
+        for name, x in columns.items():
+            put_text(picture, name, left + x, top + px(58), px(17), DIM, right=True)
+        for row, car in enumerate(result.order):
+            y = top + px(90) + row * row_height
+            put_panel(
+                picture,
+                left + px(28),
+                y + px(4),
+                px(30),
+                px(30),
+                radius=px(7),
+                colour=CAR_COLOURS[car.car],
+                opacity=1.0,
+            )
+            number = str(car.place)
+            middle = left + px(43) - text_width(number, px(19), 800) // 2
+            put_text(picture, number, middle, y + px(6), px(19), (16, 18, 22), weight=800)
+            put_text(picture, _short(car.name), left + px(76), y + px(4), px(22), weight=500)
+            values = {
+                "total": clock(car.total_s) if car.finished else "not finished",
+                "best lap": clock(car.best_lap_s) if car.best_lap_s else "",
+                "penalty": f"{car.penalty_s:.1f}" if car.penalty_s else "",
+            }
+            for name, value in values.items():
+                put_text(picture, value, left + columns[name], y + px(5), px(20), right=True)
+
     def _px(self, units: float) -> int:
         """Return the pixels of a length in a picture 720 high."""
         return max(1, round(units * self._unit))
@@ -89,8 +147,7 @@ class Hud:
             number = str(place + 1)
             middle = px(47) - text_width(number, px(17), 800) // 2
             put_text(picture, number, middle, y + px(6), px(17), dark, weight=800)
-            name = self._replay.names[car]
-            name = name if len(name) <= NAME_LETTERS else name[: NAME_LETTERS - 1] + "\u2026"
+            name = _short(self._replay.names[car])
             put_text(picture, name, px(72), y + px(4), px(19), weight=500)
             value, colour = self._value(frame, time_s, car, place)
             x = px(24) + width - px(14)
@@ -158,6 +215,10 @@ class Hud:
             opacity=0.85,
         )
         put_picture(picture, inset, x, y, radius=px(11))
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= NAME_LETTERS else name[: NAME_LETTERS - 1] + "\u2026"
 
 
 def clock(seconds: float) -> str:

@@ -35,7 +35,7 @@ from league.sim.camera.stage import NEAR, Lens, Stage, Thing
 from league.sim.camera.visual_randomization import Look
 from league.sim.config import CameraConfig, SimConfig, VisualRandomization
 from league.sim.world import World
-from league.track.track import TrackSet
+from league.track.track import Rgb, TrackSet
 
 MODELS: tuple[Model, ...] = (CAR, FAR_CAR, BOX)
 """Every model there is; compiled code names a model by its place in this list."""
@@ -59,8 +59,10 @@ class Renderer(ABC):
         sim: SimConfig,
         camera: CameraConfig,
         looks: VisualRandomization | None = None,
+        sky: Rgb = SKY_COLOUR,
     ) -> None:
-        """Work out the lens; `looks` randomises the pictures."""
+        """Work out the lens; `looks` randomises the pictures, `sky` is above the walls."""
+        self._sky = sky
         self._tracks, self._sim, self._camera = tracks, sim, camera
         self._looks = None if looks is None or looks.is_plain else looks
         self._lens = Lens.of(camera)
@@ -95,7 +97,7 @@ class PaintRenderer(Renderer):
     def _painter(self) -> Painter:
         # OpenCV's own threads cost more than they bring at these sizes.
         cv2.setNumThreads(1)
-        return Painter(self._lens, gray=not self._camera.colour)
+        return Painter(self._lens, gray=not self._camera.colour, sky=self._sky)
 
     def _draw(self, stage: Stage, car: int, look: Look | None) -> np.ndarray:
         cfg, painter = self._camera, self._painter
@@ -115,13 +117,13 @@ class PaintRenderer(Renderer):
 class Painter:
     """Draws what a lens sees; knows the lens and nothing that changes."""
 
-    def __init__(self, lens: Lens, gray: bool) -> None:
+    def __init__(self, lens: Lens, gray: bool, sky: Rgb = SKY_COLOUR) -> None:
         self._lens, self._gray = lens, gray
         channels = 1 if gray else 3
         self._optics = raster.Optics(
             lens.focal, lens.cx, lens.cy, np.array(lens.eyes), channels, NEAR
         )
-        self._sky = luma(SKY_COLOUR) if gray else SKY_COLOUR
+        self._sky = luma(sky) if gray else sky
         self._models = models(gray)
         self._far = far_from(lens.focal)
 
