@@ -257,7 +257,7 @@ def test_flag_beats_the_hyperparameters_file(league, tmp_path):
         (["--hyperparameters", "none.json"], "none.json"),
         (["--resume"], "settings.json holds no settings of a run"),
         (["--init-from", "none.pt"], "none.pt"),
-        (["--eval-opponents", "nobody"], "there is no driver 'nobody'; nearest"),
+        (["--eval-opponents", "nobody"], "there is no driver 'nobody'; there are"),
         (["--exam-trials", "100000"], "eval_trials is 100000: give 1 to 1000"),
         (["--seed", "-1"], "seed is -1: give 0 to 2147483647"),
         (["--device", "abacus"], "cannot compute on the device 'abacus': give cpu, or cuda"),
