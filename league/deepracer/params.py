@@ -17,7 +17,6 @@ from league.deepracer import params_kernels
 from league.errors import ConfigError
 from league.sim.config import CameraConfig, CarConfig, SimConfig
 from league.sim.world import World
-from league.track import build
 from league.track.track import Track, TrackSet
 
 WAYPOINT_SPACING = 0.15
@@ -120,7 +119,7 @@ class ParamsBuilder:
         if self._to_note:
             self._to_note = params_kernels.note_starts(*known, before.cars, world.worlds)
         own, objects = params_kernels.build(
-            *(*known, roads.places, before.cars, world.cars, world.obstacles, world.worlds),
+            *(*known, roads.own_waypoints, before.cars, world.cars, world.obstacles, world.worlds),
             *(verdicts, self._step_dt),
         )
         rows = own.tolist()
@@ -178,9 +177,8 @@ class Roads:
 
     records: np.ndarray
     """ROAD of each track."""
-    places: np.ndarray
-    """How far along the lap waypoints lie [m], of one track with its own after another; see
-    `build.waypoint_places`."""
+    own_waypoints: np.ndarray
+    """Waypoints of the tracks that have their own [m], one track after another, (n, 2)."""
     clockwise: list[bool]
     """Whether each is driven clockwise."""
     waypoints: tuple[list[Point], ...]
@@ -195,15 +193,14 @@ class Roads:
             records[name] = tracks.courses[name]
         records["lap"] = tracks.lap_length(np.arange(len(records)))
         records["steps"] = [_steps(track) for track in tracks.tracks]
-        places = [
-            np.empty(0) if track.waypoints is None else build.waypoint_places(track)
-            for track in tracks.tracks
+        own = [
+            np.empty((0, 2)) if one.waypoints is None else one.waypoints for one in tracks.tracks
         ]
-        count = np.array([len(each) for each in places])
-        records["first_place"] = np.where(count > 0, np.cumsum(count) - count, -1)
+        count = np.array([len(each) for each in own])
+        records["first_waypoint"] = np.where(count > 0, np.cumsum(count) - count, -1)
         return cls(
             records=records,
-            places=np.concatenate(places),
+            own_waypoints=np.concatenate(own).astype(np.float64),
             clockwise=[track.direction == "clockwise" for track in tracks.tracks],
             waypoints=tuple(_waypoints(track) for track in tracks.tracks),
         )

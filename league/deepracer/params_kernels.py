@@ -43,7 +43,7 @@ ROAD = np.dtype(
         ("lap", "f8"),  # what counts as a lap [m]: the length, but of an open track a little less
         ("closed", "?"),  # whether the track is a loop
         ("steps", "i8"),  # stretches between two waypoints
-        ("first_place", "i8"),  # where its waypoints' places begin; -1: they are evenly spaced
+        ("first_waypoint", "i8"),  # where its own waypoints begin; -1: they are evenly spaced
     ]
 )
 """One track as reward functions see it."""
@@ -105,7 +105,7 @@ def build(
     roads,
     bodies,
     memory,
-    places,
+    waypoints,
     before,
     after,
     obstacles,
@@ -122,7 +122,7 @@ def build(
         bodies: BODY of all cars, (1,).
         memory: MEMORY of each car, (num_worlds, num_cars); steps are counted in it, and a lap ends
             an episode.
-        places: how far along the lap waypoints lie [m], for tracks with waypoints of their own.
+        waypoints: those of all tracks that have their own, (n, 2) [m].
         before: CAR records before the step, (num_worlds, num_cars).
         after: CAR records after it.
         obstacles: OBSTACLE records, (num_worlds, num_obstacles).
@@ -147,7 +147,7 @@ def build(
             row, verdict = own[number], verdicts[w, c]
             row[WORLD], row[CAR], row[TRACK] = w, c, worlds[w].track
             row[CRASHED], row[SIM_TIME] = verdict.crashed, worlds[w].step * step_dt
-            _write_place(points, course, road, body, places, car, row)
+            _write_place(points, course, road, body, waypoints, car, row)
             _write_episode(road, episode, car, before[w, c].laps, verdict.lap, row)
             for k in range(num_obstacles):
                 _write_object(road, obstacles[w, k], k, objects[number])
@@ -173,7 +173,7 @@ def _stopped(car):
 
 
 @inner
-def _write_place(points, course, road, body, places, car, row):
+def _write_place(points, course, road, body, waypoints, car, row):
     x, y, frame, lateral = _nose(points, course, body, car)
     row[X], row[Y], row[HEADING] = x, y, _heading(car.yaw)
     row[STEERING] = _rounded(car.target_steering * _DEGREES)
@@ -182,7 +182,7 @@ def _write_place(points, course, road, body, places, car, row):
     row[WIDTH], row[LENGTH] = frame.left + frame.right, road.length
     row[IS_LEFT] = frame.left - lateral < frame.right + lateral
     row[ALL_ON_ROAD], row[NONE_ON_ROAD] = _on_road(points, course, body, car)
-    row[BEHIND], row[FOLLOWING] = closest_waypoints(places, road, frame.s)
+    row[BEHIND], row[FOLLOWING] = closest_waypoints(waypoints, road, frame.s, x, y)
 
 
 @inner
@@ -230,38 +230,54 @@ def _write_closest_objects(road, table, row):
 
 
 @compiled
-def closest_waypoints(places, road, s):
+def closest_waypoints(waypoints, road, s, x, y):
     """Return the waypoint at or behind a place, and the next one; after the last comes 0.
 
-    `road` is the ROAD of one track, and s a distance along its centreline, in [0, length] [m].
+    A track's own waypoints are joined by straight lines, and the nearest point of these counts, as
+    in the original; those that are evenly spaced lie on the centreline.
+
+    Args:
+        waypoints: those of all tracks that have their own, (n, 2) [m].
+        road: ROAD of one track.
+        s: distance of the place along its centreline, in [0, length] [m].
+        x: of the place [m].
+        y: of the place [m].
     """
     # The tiny share keeps a place right at a waypoint from falling behind it by rounding.
-    if road.first_place < 0:
+    if road.first_waypoint < 0:
         behind = math.floor(s / road.length * road.steps + 1e-6)
     else:
-        behind = _last_reached(places, road, s + 1e-6 * road.length / road.steps)
+        own = waypoints[road.first_waypoint : road.first_waypoint + road.steps + 1]
+        behind = _last_reached(own, road.closed, x, y)
     behind = min(max(behind, 0), road.steps)
     return behind, 0 if behind >= road.steps else behind + 1
 
 
 @inner
-def _last_reached(places, road, s):
-    """Return the last waypoint at or before a place by bisection, -1 before the first."""
-    low, high = road.first_place, road.first_place + road.steps + 1
-    if road.closed:
-        # Right at the seam the first waypoint counts, so that no pair is twice the same point.
-        lap = places[high - 1] - places[low]
-        if s < places[low]:
-            s += lap
-        elif s >= places[high - 1]:
-            s -= lap
-    while low < high:
-        middle = (low + high) // 2
-        if places[middle] <= s:
-            low = middle + 1
-        else:
-            high = middle
-    return low - 1 - road.first_place
+def _last_reached(waypoints, closed, x, y):
+    """Return the last waypoint at or before the nearest point on the lines that join them."""
+    reached, nearest = 0, math.inf
+    for k in range(len(waypoints) - 1):
+        begin_x, begin_y = waypoints[k]
+        edge_x, edge_y = waypoints[k + 1, 0] - begin_x, waypoints[k + 1, 1] - begin_y
+        square = edge_x**2 + edge_y**2
+        part = ((x - begin_x) * edge_x + (y - begin_y) * edge_y) / square if square > 0.0 else 0.0
+        part = min(max(part, 0.0), 1.0)
+        off = (x - begin_x - part * edge_x) ** 2 + (y - begin_y - part * edge_y) ** 2
+        if off < nearest:
+            reached, nearest = k + (part > 1.0 - 1e-6), off
+    # Right at the seam the first waypoint counts, and of equal ones the last.
+    last = len(waypoints) - 1
+    if closed and _equal(waypoints, reached, last):
+        reached = 0
+    while reached < last and _equal(waypoints, reached, reached + 1):
+        reached += 1
+    return reached
+
+
+@inner
+def _equal(waypoints, one, other):
+    return waypoints[one, 0] == waypoints[other, 0] and waypoints[one, 1] == waypoints[other, 1]
 
 
 @inner

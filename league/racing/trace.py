@@ -112,7 +112,8 @@ class Trace:
         """Return the columns that say where on the lap the car is."""
         roads = self._roads
         assert roads is not None
-        pair = params_kernels.closest_waypoints(roads.places, roads.records[0], row["nose_s"])
+        place = (row["nose_s"], row["X"], row["Y"])
+        pair = params_kernels.closest_waypoints(roads.own_waypoints, roads.records[0], *place)
         # The referee counts laps where the base is; the original's progress is that of the nose.
         on_lap = row["distance"] - row["laps"] * row["lap_length"]
         progress = 100.0 * (on_lap + row["nose_ahead"]) / row["lap_length"]

@@ -222,18 +222,6 @@ def _check_waypoints(track: Track, points: np.ndarray, where: str) -> None:
         )
 
 
-def waypoint_places(track: Track) -> np.ndarray:
-    """Return how far along the lap each waypoint lies [m], shape (M,): never falling.
-
-    The first lies in [0, length), or [0, length] if open; beyond the start line they count on from
-    length, so that those of a loop end one length after they began.
-    """
-    if track.waypoints is None:
-        raise ValueError(f"the track {track.name} has no waypoints of its own")
-    s = np.maximum.accumulate(_in_order(track, track.waypoints))
-    return np.minimum(s, s[0] + track.length) if track.closed else s
-
-
 def _in_order(track: Track, points: np.ndarray) -> np.ndarray:
     """Return where points in driving order lie [m], each counted on from the one before it."""
     s, _ = _projected(track, points)

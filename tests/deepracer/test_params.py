@@ -2,16 +2,22 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 from scenes import Stages, go_to, make_ring, make_straight, put_cars, touch
+from scipy.spatial import KDTree
 
 from league.deepracer import params_kernels
 from league.deepracer.params import KEYS, ParamsBuilder, Roads
 from league.sim.config import RULES, ObstacleConfig, RaceRules, SimConfig
+from league.track import importer
 from league.track.track import TrackSet
 
+SHARED = Path(__file__).parents[3] / "shared" / "tracks"
+COMMUNITY = sorted(SHARED.glob("*.npy")) if SHARED.is_dir() else []
 ALONE = SimConfig(rules=RaceRules(laps=1))
 TWO = SimConfig(kind="head_to_head", num_cars=2, rules=replace(RULES["deepracer"], laps=1))
 BOXES = SimConfig(
@@ -162,9 +168,13 @@ def told_waypoints(track, *places):
     return replace(track, waypoints=track.center[rows])
 
 
-def closest(roads, s, *, track=0):
-    found = params_kernels.closest_waypoints(roads.places, roads.records[track], s)
-    return [int(one) for one in found]
+def closest(roads, tracks, s, *, track=0):
+    center = tracks[track].center
+    line = np.vstack([center, center[:1]]) if tracks[track].closed else center
+    x, y = (np.interp(20 * s, np.arange(len(line)), line[:, axis]) for axis in (0, 1))
+    record = roads.records[track]
+    pair = params_kernels.closest_waypoints(roads.own_waypoints, record, s, float(x), float(y))
+    return [int(one) for one in pair]
 
 
 def test_waypoints_of_its_own_are_told_as_they_are():
@@ -190,8 +200,8 @@ def test_closest_of_a_tracks_own_waypoints_wherever_the_first_one_lies(
     first, clockwise, further, pair
 ):
     places = [first + place for place in (0, 1, 4, 4, 9, 12)]
-    roads = Roads.of(TrackSet(told_waypoints(make_ring(clockwise=clockwise), *places)))
-    assert closest(roads, (first + further) % 12) == pair
+    track = told_waypoints(make_ring(clockwise=clockwise), *places)
+    assert closest(Roads.of(TrackSet(track)), [track], (first + further) % 12) == pair
 
 
 @pytest.mark.parametrize(
@@ -206,7 +216,7 @@ def test_closest_waypoints_of_a_reversed_track_count_the_other_way(further, pair
     roads = Roads.of(TrackSet(track, back))
     assert roads.waypoints[1] == roads.waypoints[0][::-1]
     # The first one is 1.5 m behind the start line now.
-    assert closest(roads, (10.5 + further) % 12, track=1) == pair
+    assert closest(roads, [track, back], (10.5 + further) % 12, track=1) == pair
 
 
 @pytest.mark.parametrize(
@@ -218,16 +228,17 @@ def test_closest_waypoints_of_a_straight_have_nothing_before_the_first_and_0_aft
     s, pair
 ):
     # They begin 0.5 m after the start and end 0.5 m before the end.
-    roads = Roads.of(TrackSet(told_waypoints(make_straight(), 0.5, 4, 4, 9.5)))
-    assert closest(roads, s) == pair
+    track = told_waypoints(make_straight(), 0.5, 4, 4, 9.5)
+    assert closest(Roads.of(TrackSet(track)), [track], s) == pair
 
 
 def test_tracks_with_waypoints_of_their_own_and_without_stand_side_by_side():
     own = told_waypoints(make_ring(), 0, 1, 4, 4, 9, 12)
-    other = told_waypoints(make_ring(), 0, 2, 12)
+    other = told_waypoints(make_ring(), 0, 2, 7, 12)
     plain = make_straight()
-    roads = Roads.of(TrackSet(own, plain, other, plain))
-    pairs = [closest(roads, 4.6, track=number) for number in range(4)]
+    tracks = (own, plain, other, plain)
+    roads = Roads.of(TrackSet(*tracks))
+    pairs = [closest(roads, tracks, 4.6, track=number) for number in range(4)]
     # 67 stretches on 10 m: 4.6 m is the 30.8th.
     assert pairs == [[3, 4], [30, 31], [1, 2], [30, 31]]
     assert roads.waypoints[1] == Roads.of(TrackSet(plain)).waypoints[0]
@@ -238,10 +249,28 @@ def test_tracks_with_waypoints_of_their_own_and_without_stand_side_by_side():
 
 def test_no_two_closest_waypoints_are_the_same_place():
     # The first, the last and one in between come twice, as files have them.
-    roads = Roads.of(TrackSet(told_waypoints(make_ring(), 0, 0, 3, 3, 9, 12, 12)))
+    track = told_waypoints(make_ring(), 0, 0, 3, 3, 9, 12, 12)
+    roads = Roads.of(TrackSet(track))
     for s in (0.0, 1.5, 3.0, 6.0, 9.0, 11.9999999, math.nextafter(12.0, 0.0), 12.0):
-        behind, ahead = closest(roads, s)
+        behind, ahead = closest(roads, [track], s)
         assert roads.waypoints[0][behind] != roads.waypoints[0][ahead]
+
+
+@pytest.mark.parametrize("path", COMMUNITY, ids=lambda path: path.stem)
+def test_closest_waypoints_of_a_community_track_are_those_of_its_own_polyline(path):
+    track = importer.read_npy(path)
+    roads, line = Roads.of(TrackSet(track)), shapely.LineString(track.waypoints)
+    chords = np.linalg.norm(np.diff(track.waypoints, axis=0), axis=1)
+    reached = np.concatenate([[0], chords.cumsum()])
+    generator = np.random.default_rng(0)
+    center = track.center[generator.integers(len(track.center), size=1000)]
+    for x, y in center + generator.uniform(-0.3, 0.3, center.shape):
+        nearest, s = KDTree(track.center).query((x, y))[1], line.project(shapely.Point(x, y))
+        if np.abs(reached - s).min() > 1e-4:  # right at a waypoint rounding decides
+            behind = int(np.searchsorted(reached, s)) - 1
+            along = track.length * nearest / len(track.center)
+            arguments = (roads.own_waypoints, roads.records[0], along, x, y)
+            assert params_kernels.closest_waypoints(*arguments) == (behind, behind + 1)
 
 
 def test_speed_and_steering_are_what_was_asked_for_not_what_is(straight):

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from league.track import files
+from league.track import build, files
 from league.track.track import Track
 
 HEAD = """name: {name}
@@ -49,3 +49,9 @@ def straight(length: float = 6.0) -> Track:
     """An open straight along x from the origin."""
     points = [[part * length / 4, 0.0] for part in range(5)]
     return files.parse(text(points, direction="open"))
+
+
+def waypoint_places(track: Track) -> np.ndarray:
+    """Return how far along the lap each of a track's own waypoints lies [m]: never falling."""
+    s = np.maximum.accumulate(build._in_order(track, track.waypoints))
+    return np.minimum(s, s[0] + track.length) if track.closed else s

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import KDTree
 
 from league.errors import TrackError
-from league.track import build, files, spline
+from league.track import files, spline
 from league.track.track import Colours
 
 from . import shapes
@@ -146,19 +146,14 @@ def test_waypoints_may_begin_anywhere_on_the_lap():
     # A circle of 2 m from its east; the start line is moved to its north, a quarter further on.
     east = [[2, 0], [0, 2], [0, 2], [-2, 0], [0, -2], [2, 0]]
     text = shapes.text(shapes.circle_points()) + f"start: [0, 2]\nwaypoints: {east}\n"
-    places = build.waypoint_places(files.parse(text))
+    places = shapes.waypoint_places(files.parse(text))
     np.testing.assert_allclose(places, np.array([3, 4, 4, 5, 6, 7]) * np.pi, atol=2e-3)
-
-
-def test_waypoints_of_a_track_that_has_none_are_asked_for_in_vain():
-    with pytest.raises(ValueError, match="test_track has no waypoints"):
-        build.waypoint_places(files.parse(GOOD))
 
 
 def test_waypoints_that_step_back_a_little_are_held():
     points = [[0, 0], [3, 0], [6, 0]]
     text = shapes.text(points, direction="open") + "waypoints: [[0, 0], [3, 0], [2.8, 0], [6, 0]]"
-    places = build.waypoint_places(files.parse(text))
+    places = shapes.waypoint_places(files.parse(text))
     np.testing.assert_allclose(places, [0, 3, 3, 6], atol=1e-9)
 
 

@@ -8,7 +8,9 @@ from scipy.spatial import KDTree
 from league.errors import TrackError
 from league.race_spec import Entry, RaceSpec
 from league.racing import race
-from league.track import build, files, importer, spline
+from league.track import files, importer, spline
+
+from . import shapes
 
 SHARED = Path(__file__).parents[3] / "shared" / "tracks"
 COMMUNITY = sorted(SHARED.glob("*.npy")) if SHARED.is_dir() else []
@@ -66,7 +68,7 @@ def test_waypoints_of_a_community_track_are_its_rows_to_the_bit(path):
 
 def _assert_in_step(track, rows: np.ndarray) -> None:
     """Assert that waypoints lie as far apart along our lap as along the lines that join them."""
-    places = build.waypoint_places(track)
+    places = shapes.waypoint_places(track)
     chords = np.linalg.norm(np.diff(rows[:, :2], axis=0), axis=1)
     # Two rows up to 8 mm off the curve; a bend of 0.3 m is 4 % longer than a chord of 0.3 m.
     np.testing.assert_allclose(np.diff(places), chords, rtol=0.05, atol=0.01)
@@ -137,7 +139,7 @@ def test_waypoints_of_an_open_track_are_its_rows(tmp_path):
     track = importer.read_npy(_write(tmp_path / "straight.npy", rows))
     assert np.array_equal(track.waypoints, rows[:, :2])
     # 61 rows on 6 m.
-    np.testing.assert_allclose(build.waypoint_places(track), np.linspace(0, 6, 61), atol=1e-3)
+    np.testing.assert_allclose(shapes.waypoint_places(track), np.linspace(0, 6, 61), atol=1e-3)
 
 
 def test_waypoints_of_a_loop_end_where_they_begin_whatever_the_file_does(tmp_path):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from league.track import build, files, projection
+from league.track import files, projection
 from league.track.track import TrackSet
 
 from . import shapes
@@ -196,10 +196,10 @@ def test_reversed_track_has_its_waypoints_in_the_other_order():
     assert back.waypoints.tolist() == told[::-1]
     quarter = np.pi
     np.testing.assert_allclose(
-        build.waypoint_places(track), np.array([1, 2, 2, 3, 4, 5]) * quarter, atol=2e-3
+        shapes.waypoint_places(track), np.array([1, 2, 2, 3, 4, 5]) * quarter, atol=2e-3
     )
     np.testing.assert_allclose(
-        build.waypoint_places(back), np.array([3, 4, 5, 6, 6, 7]) * quarter, atol=2e-3
+        shapes.waypoint_places(back), np.array([3, 4, 5, 6, 6, 7]) * quarter, atol=2e-3
     )
     assert track.reversed().reversed().waypoints.tolist() == told
 
@@ -211,7 +211,7 @@ def test_mirrored_track_turns_the_other_way_and_keeps_its_order():
     assert (track.direction, other.direction) == ("counter-clockwise", "clockwise")
     np.testing.assert_allclose(other.curvature, -track.curvature, atol=1e-9)
     np.testing.assert_array_equal(other.left, track.right * [1, -1])
-    np.testing.assert_allclose(build.waypoint_places(other), build.waypoint_places(track))
+    np.testing.assert_allclose(shapes.waypoint_places(other), shapes.waypoint_places(track))
     again = files.parse(files.dump(other))
     np.testing.assert_allclose(again.center, other.center, atol=2e-3)
     np.testing.assert_array_equal(other.mirrored().center, track.center)
