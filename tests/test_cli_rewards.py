@@ -48,23 +48,58 @@ def test_check_tells_what_a_good_file_pays_and_reads(capsys):
     assert max(map(len, out.splitlines()[:10])) <= 80
 
 
-def test_check_finds_what_only_fails_alone_and_says_where(tmp_path, capsys):
+NEEDS_OBJECTS = (
+    "def reward_function(params):\n"
+    "    print('hello')\n"
+    "    ahead = params['closest_objects'][1]\n"
+    "    return params['objects_distance'][ahead]\n"
+)
+
+
+def test_check_reports_a_file_that_needs_objects_and_accepts_it(tmp_path, capsys):
     path = tmp_path / "mine.py"
-    path.write_text(
-        "def reward_function(params):\n"
-        "    print('hello')\n"
-        "    ahead = params['closest_objects'][1]\n"
-        "    return params['objects_distance'][ahead]\n"
-    )
-    assert command.CheckReward(path, json=True).run() == 1
+    path.write_text(NEEDS_OBJECTS)
+    assert command.CheckReward(path).run() == 0
+    out = capsys.readouterr().out
+    assert "Fails" not in out
+    assert f"a time trial cannot be trained with it: {path}, line 4: IndexError" in out
+    assert command.CheckReward(path, json=True).run() == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["ok"] is False
+    assert (told["ok"], told["needs_objects"]) == (True, True)
     assert told["keys"] == ["closest_objects", "objects_distance"]
     assert told["printed"][-1] == "hello"
     by_kind = {one["kind"]: one["failure"] for one in told["drives"]}
     assert f"{path}, line 4: IndexError" in by_kind["time_trial"]
     assert by_kind["obstacle_avoidance"] is None
     assert by_kind["head_to_head"] is None
+
+
+@pytest.mark.parametrize(
+    ("kind", "code"), [("time_trial", 1), ("obstacle_avoidance", 0), ("head_to_head", 0)]
+)
+def test_check_of_one_kind_tries_no_other(tmp_path, capsys, kind, code):
+    path = tmp_path / "mine.py"
+    path.write_text(NEEDS_OBJECTS)
+    assert command.CheckReward(path, kind=kind, json=True).run() == code
+    told = json.loads(capsys.readouterr().out)
+    assert {drive["kind"] for drive in told["drives"]} == {kind}
+    assert (told["ok"], told["needs_objects"]) == (code == 0, False)
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "return 1 / 0",  # everywhere
+        "return params['objects_speed'][0] if params['is_offtrack'] else 1.0",  # on one of three
+        "return 1.0 if params['objects_speed'] else params['sped']",  # a wrong key
+        "return params['objects_speed'][1]",  # with one object, too
+    ],
+)
+def test_other_failures_than_a_lack_of_objects_fail_the_check(tmp_path, body, capsys):
+    path = tmp_path / "mine.py"
+    path.write_text(f"def reward_function(params):\n    {body}\n")
+    assert command.CheckReward(path).run() == 1
+    assert "Fails:" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -75,7 +110,7 @@ def test_check_finds_what_only_fails_alone_and_says_where(tmp_path, capsys):
             "return params.get('sped', 1.0) * params['steps']",
             "params['sped'], which does not exist",
         ),
-        ("return 2000.0 + params['steps']", "more than 1000"),
+        ("return 2000.0 + params['steps']", "pays up to 2,"),
         ("return params['steps'] + sum(params['objects_heading'])", "degrees here"),
     ],
 )

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from league.cli import tables
+from league.sim.config import RaceKind
 
 if TYPE_CHECKING:
     from league.deepracer.check import DriveReport, Report
@@ -26,6 +27,9 @@ class CheckReward:
 
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE.py")]
     """The Python file that defines reward_function(params); it is your own program, and is run."""
+    kind: RaceKind | None = None
+    """Kind of race that it is written for; by default it is tried in every kind, and may need
+    objects."""
     json: bool = False
     """Print JSON."""
 
@@ -33,7 +37,7 @@ class CheckReward:
         """Run the command; 1 if the function fails anywhere."""
         from league.deepracer import check
 
-        report = check.check(self.file)
+        report = check.check(self.file, kind=self.kind)
         if self.json:
             print(json.dumps(_as_json(report), indent=2))
         else:
@@ -115,15 +119,19 @@ def _totals(race: Replay, scores: list[Score]) -> list[dict[str, object]]:
 
 
 def _print_report(report: Report) -> None:
-    table = tables.table(
-        f"{report.source.path}", "drive", "", "steps", "min", "mean", "max", "us/call"
-    )
+    table = tables.table(f"{report.source.path}", "drive", "", "steps", "min", "mean", "max", "us")
     for one in report.drives:
         table.add_row(*_row(one))
     tables.console().print(table)
     print(f"Keys read ({len(report.keys)} of 27): {', '.join(report.keys) or 'none'}")
     for failure in _failures(report):
         print(f"Fails: {failure}")
+    if report.needs_objects:
+        alone = next(one for one in report.drives if one.failure)
+        print(
+            f"Note: without boxes or other cars it fails, so a time trial cannot be trained with "
+            f"it: {alone.failure}"
+        )
     for warning in report.warnings:
         print(f"Note: {warning}")
     printed = report.source.prints.lines
@@ -165,6 +173,7 @@ def _as_json(report: Report) -> dict[str, object]:
         "file": str(report.source.path),
         "digest": report.source.digest,
         "ok": not report.failures,
+        "needs_objects": report.needs_objects,
         "keys": report.keys,
         "unknown_keys": report.unknown_keys,
         "warnings": report.warnings,

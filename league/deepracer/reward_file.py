@@ -10,10 +10,12 @@ import hashlib
 import inspect
 import io
 import itertools
+import logging
 import math
 import os
 import re
 import sys
+import time
 import tokenize
 import traceback
 import weakref
@@ -33,8 +35,10 @@ from league.sim.world import World
 from league.track.track import TrackSet
 
 NAME = "reward_function"
-LIMIT = 1e5
-"""Largest reward, as in the original."""
+LARGE = 1e5
+"""Rewards beyond this are noted: the original's documentation promises to learn up to here."""
+LARGEST = float(np.finfo(np.float32).max)
+"""Larger rewards are infinite: the league learns in single precision."""
 MAX_CHARACTERS = 140_000
 """Longest file, as in the original."""
 KEPT_LINES = 200
@@ -48,6 +52,9 @@ TERM = "user"
 Function = Callable[[dict], object]
 
 _MODULE_NUMBERS = itertools.count()
+_LOG = logging.getLogger("league")
+_TIMED_CALLS = 300
+"""Calls after which their share of the run's time is looked at."""
 
 
 class Prints:
@@ -153,7 +160,7 @@ class RewardFile:
         """Return the value as a float.
 
         Raises:
-            RewardError: it is not a number from -1e5 to 1e5.
+            RewardError: it is no number, NaN or infinite.
         """
         try:
             # An array of one number is one, as it was with the numpy of the original.
@@ -161,11 +168,11 @@ class RewardFile:
             number = math.nan if isinstance(one, str | bytes) else float(one)  # type: ignore
         except (TypeError, ValueError, OverflowError, AttributeError):
             number = math.nan
-        if -LIMIT <= number <= LIMIT:
+        if -LARGEST <= number <= LARGEST:
             return number
         raise RewardError(
             f"{self.path}, line {_first_line(function)}: {NAME} returned {brief(value)} "
-            f"({when}): return a number from -1e5 to 1e5"
+            f"({when}): return a finite number, best one of about 1"
         )
 
     def _hint(self, error: BaseException, line: int, params: Mapping[str, object] | None) -> str:
@@ -277,6 +284,9 @@ class UserReward:
         self.source, self.cars = source, tuple(cars)
         self._builder = ParamsBuilder(sim, cars)
         self._watchdog = Watchdog(str(source.path), time_limit_s)
+        self._large = False
+        self._began_s: float | None = None
+        self._busy_s, self._calls = 0.0, 0
         self._functions: dict[tuple[int, int], Function] = {}
         with self._watchdog as watchdog:
             for world in range(num_worlds):
@@ -304,16 +314,35 @@ class UserReward:
         """Return each car's reward, (num_worlds, num_cars), and its only term; see Reward.
 
         Raises:
-            RewardError: the user's code fails, takes too long, or returns no number from -1e5 to
-                1e5.
+            RewardError: the user's code fails, takes too long, or returns no finite number.
         """
         rows = self._builder.rows(tracks, before, world, verdicts)
         rewards = np.zeros(verdicts.shape, dtype=np.float32)
+        start_s = time.perf_counter()
         with self._watchdog as watchdog:
             for place, car, params in zip(rows.world, rows.car, rows.params, strict=True):
                 watchdog.calls += 1
                 rewards[place, car] = self._call(place, car, params)
+        self._note_time(start_s, len(rows.params))
         return rewards, {TERM: rewards}
+
+    def _note_time(self, start_s: float, calls: int) -> None:
+        """Warn once if the user's calls take most of the run's time."""
+        if self._calls >= _TIMED_CALLS:
+            return
+        now_s = time.perf_counter()
+        if self._began_s is None:  # the first step loads what the file imports
+            self._began_s = now_s
+            return
+        self._busy_s += now_s - start_s
+        self._calls += calls
+        share = self._busy_s / (now_s - self._began_s)
+        if self._calls >= _TIMED_CALLS and share > 0.5:
+            _LOG.warning(
+                "%s takes %.2g ms a call, %.0f %% of the run's time: move what does not change "
+                "out of %s, or use fewer worlds",
+                *(self.source.path, 1000 * self._busy_s / self._calls, 100 * share, NAME),
+            )
 
     def _call(self, world: int, car: int, params: Params) -> float:
         function, steps = self._functions[world, car], params["steps"]
@@ -323,9 +352,16 @@ class UserReward:
             raise
         except BaseException as error:
             raise self.source.failed(error, _when(world, car, steps), params) from error
-        if type(value) is float and -LIMIT <= value <= LIMIT:
+        if type(value) is float and -LARGE <= value <= LARGE:
             return value
-        return self.source.number(function, value, _when(world, car, steps))
+        number = self.source.number(function, value, _when(world, car, steps))
+        if abs(number) > LARGE and not self._large:
+            self._large = True
+            _LOG.warning(
+                "%s returned %g (%s): rewards beyond %g are hard to learn from, aim at about 1",
+                *(self.source.path, number, _when(world, car, steps), LARGE),
+            )
+        return number
 
 
 def _when(world: int, car: int, steps: object) -> str:

@@ -162,7 +162,8 @@ def test_penalty_is_paid_nothing_and_the_function_is_not_called(reward_file):
         ),
         ("x = 1\ndef reward_function(params):\n    return float('nan')\n", 2, "returned nan"),
         ("def reward_function(params):\n    return float('-inf')\n", 1, "returned -inf"),
-        ("def reward_function(params):\n    return 100001\n", 1, "returned 100001"),
+        ("def reward_function(params):\n    return 1e39\n", 1, "returned 1e+39"),
+        ("def reward_function(params):\n    return 10**400\n", 1, "return a finite number"),
         ("def reward_function(params):\n    pass\n", 1, "returned None"),
         ("def reward_function(params):\n    return '1.0'\n", 1, "returned '1.0'"),
         ("def reward_function(params):\n    return [1.0]\n", 1, "returned [1.0]"),
@@ -205,6 +206,46 @@ def test_whatever_float_takes_is_a_reward(reward_file, value):
         reward_file(f"import numpy\ndef reward_function(params):\n    return {value}")
     )
     drive(env, 1)
+
+
+def test_a_reward_beyond_100000_counts_and_is_reported_once(reward_file, caplog):
+    path = reward_file("def reward_function(params):\n    return 134998.0 + params['steps']\n")
+    env, _ = env_with(path, num_worlds=2)
+    assert [step.rewards.tolist() for step in drive(env, 3)] == [
+        [[134998.0 + n]] * 2 for n in (1, 2, 3)
+    ]
+    (record,) = caplog.records
+    assert record.getMessage() == (
+        f"{path} returned 134999 (car 0 of world 0, steps 1): rewards beyond 100000 are hard to "
+        "learn from, aim at about 1"
+    )
+
+
+def test_a_slow_reward_function_is_reported_once_and_a_fast_one_is_not(reward_file, caplog):
+    text = "import time\ndef reward_function(params):\n    {}\n    return 1.0\n"
+    slow = reward_file(text.format("time.sleep(0.002)"))
+    env, _ = env_with(slow, num_worlds=64)
+    drive(env, 8)
+    (record,) = caplog.records
+    assert re.match(
+        rf"{re.escape(str(slow))} takes [2-9](\.\d)? ms a call, (100|\d\d) % of the run's time",
+        record.getMessage(),
+    )
+    caplog.clear()
+    drive(env_with(reward_file(text.format("pass")), num_worlds=64)[0], 8)
+    assert not caplog.records
+
+
+def test_a_reward_file_may_use_shapely_as_in_the_original(reward_file):
+    text = (
+        "from shapely.geometry import LineString, Point\n"
+        "def reward_function(params):\n"
+        "    line = LineString(params['waypoints'])\n"
+        "    off = line.distance(Point(params['x'], params['y']))\n"
+        "    return off - params['distance_from_center']\n"
+    )
+    env, _ = env_with(reward_file(text))
+    assert drive(env, 1)[0].rewards.item() == pytest.approx(0.0, abs=0.01)
 
 
 @pytest.mark.parametrize(
