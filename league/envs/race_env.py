@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -272,6 +272,18 @@ class RaceEnv:
         self._sensors.observe(self._world)
         return self._result
 
+    def restart(self, worlds: np.ndarray, seeds: ArrayLike) -> None:
+        """Start some races again between two steps, as `reset` would; the others stay.
+
+        Args:
+            worlds: the races, bool, (num_worlds,).
+            seeds: their seeds (those of others are not read), int64, (num_worlds,).
+        """
+        self._check_open()
+        which = np.flatnonzero(worlds)
+        self._start(which, np.asarray(seeds, np.int64)[which])
+        self._sensors.observe_again(self._world, which)
+
     def _run_in_parts(self, actions: np.ndarray) -> None:
         """Run a step with Bullet's physics, or with a reward written in Python."""
         world = self._world
@@ -319,6 +331,14 @@ class RaceEnv:
         self._closed = True
         if self._solver is not None:
             self._solver.close()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy or a pickle keeps: not the views, which would not follow a copy."""
+        return {name: value for name, value in vars(self).items() if name != "_result"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._result = self._result_views()
 
     def _begin(self, seed: int, seeds: ArrayLike | None) -> None:
         self._seed = seed

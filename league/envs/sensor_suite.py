@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,31 +18,28 @@ from league.track.track import TrackSet
 if TYPE_CHECKING:  # OpenCV comes late
     from league.sim.camera.paint_renderer import Renderer
 
-Reading = Callable[[World, np.ndarray | None], np.ndarray]
+Reading = Callable[[World, int, np.ndarray | None], np.ndarray]
 
 
 class Groups(Mapping[str, np.ndarray]):
     """One car's groups; `state` is computed on access, because racing policies do not use it."""
 
-    def __init__(
-        self,
-        held: Mapping[str, np.ndarray],
-        motion: np.ndarray,
-        car: int,
-        states: Callable[[], np.ndarray],
-    ) -> None:
-        self._held, self._motion, self._car, self._states = held, motion, car, states
+    def __init__(self, suite: SensorSuite, car: int, world: World, motions: np.ndarray) -> None:
+        # References alone, so that the groups of a pickled environment are its own.
+        self._suite, self._car, self._world, self._motions = suite, car, world, motions
 
     def __getitem__(self, name: str) -> np.ndarray:
         if name == "motion":
-            return self._motion
-        return self._states()[self._car] if name == "state" else self._held[name]
+            return self._motions[self._car]
+        if name == "state":
+            return self._suite.states(self._world)[self._car]
+        return self._suite.held[self._car][name]
 
     def __iter__(self) -> Iterator[str]:
-        return iter((*self._held, "motion", "state"))
+        return iter((*self._suite.held[self._car], "motion", "state"))
 
     def __len__(self) -> int:
-        return len(self._held) + 2
+        return len(self._suite.held[self._car]) + 2
 
 
 class SensorSuite:
@@ -54,7 +52,8 @@ class SensorSuite:
         self._sensors: list[dict[str, tuple[float, Reading]]] = [
             self._sensors_of(car) for car in range(cfg.sim.num_cars)
         ]
-        self._held: list[dict[str, np.ndarray]] = [{} for _ in self._sensors]
+        self.held: list[dict[str, np.ndarray]] = [{} for _ in self._sensors]
+        """The last readings of each car."""
         self._carries = any(self._sensors)
         self._states: np.ndarray | None = None
         self._states_fresh = False
@@ -62,7 +61,7 @@ class SensorSuite:
 
     def reset(self) -> None:
         """Forget all readings."""
-        for held in self._held:
+        for held in self.held:
             held.clear()
         self._stale: np.ndarray | None = None
 
@@ -81,22 +80,21 @@ class SensorSuite:
 
         Own motion is float32 (num_cars, num_worlds, 5).
         """
+        return tuple(Groups(self, car, world, motions) for car in range(len(self.held)))
 
-        def states() -> np.ndarray:
-            if self._states is None:
-                shape = (world.num_cars, world.num_worlds, state.SIZE)
-                self._states = np.empty(shape, np.float32)
-            if not self._states_fresh:
-                self._states_fresh = True
-                tables = (self._tracks.points, self._tracks.courses)
-                over_worlds(
-                    observations.states,
-                    *(world.num_worlds, world.num_cars),
-                    *(world.cars, world.obstacles, world.worlds, *tables, self._states),
-                )
-            return self._states
-
-        return tuple(Groups(held, motions[car], car, states) for car, held in enumerate(self._held))
+    def states(self, world: World) -> np.ndarray:
+        """Return the `state` groups of all cars, float32 (num_cars, num_worlds, 40)."""
+        if self._states is None:
+            self._states = np.empty((world.num_cars, world.num_worlds, state.SIZE), np.float32)
+        if not self._states_fresh:
+            self._states_fresh = True
+            tables = (self._tracks.points, self._tracks.courses)
+            over_worlds(
+                observations.states,
+                *(world.num_worlds, world.num_cars),
+                *(world.cars, world.obstacles, world.worlds, *tables, self._states),
+            )
+        return self._states
 
     def observe(self, world: World) -> None:
         """Read what is due, on each race's own clock: a race in a batch equals that race alone."""
@@ -108,42 +106,43 @@ class SensorSuite:
         """Return the readings of each car's sensors, without own motion and the truth."""
         step_hz = self._cfg.sim.step_hz
         for car, sensors in enumerate(self._sensors):
-            held = self._held[car]
+            held = self.held[car]
             for name, (rate_hz, read) in sensors.items():
                 if rate_hz >= step_hz:
-                    held[name] = read(world, None)  # due at every step
+                    held[name] = read(world, car, None)  # due at every step
                     continue
                 new = observations.due(rate_hz, step_hz, world.worlds["step"])
                 if self._stale is not None:
                     new = new | self._stale[:, car]
                 if name not in held or new.all():
-                    held[name] = read(world, None)
+                    held[name] = read(world, car, None)
                 elif new.any():
                     rows = np.flatnonzero(new)
                     fresh = held[name].copy()
-                    fresh[rows] = read(world, rows)
+                    fresh[rows] = read(world, car, rows)
                     held[name] = fresh
         self._stale = None
-        return tuple(self._held)
+        return tuple(self.held)
+
+    def observe_again(self, world: World, rows: np.ndarray) -> None:
+        """Read the sensors of these races, which have just been started again; not the others'."""
+        self._states_fresh, self._stale = False, None
+        for car, sensors in enumerate(self._sensors):
+            for name, (_, read) in sensors.items():
+                fresh = self.held[car][name].copy()
+                fresh[rows] = read(world, car, rows)
+                self.held[car][name] = fresh
 
     def _sensors_of(self, car: int) -> dict[str, tuple[float, Reading]]:
         carried = self._cfg.sensors_of(car)
         sensors: dict[str, tuple[float, Reading]] = {}
         if carried.camera is not None:
-            renderer = self._renderer(carried.camera)
-            sensors["stereo"] = (
-                carried.camera.rate_hz,
-                lambda world, rows: renderer.render(world, car, rows),
-            )
+            sensors["stereo"] = carried.camera.rate_hz, self._renderer(carried.camera).render
         if carried.lidar is not None:
             from league.sim import lidar
 
-            settings, sim, tracks = carried.lidar, self._cfg.sim, self._tracks
-
-            def scan(world: World, rows: np.ndarray | None) -> np.ndarray:
-                return lidar.scan(tracks, sim, settings, world, car, rows)
-
-            sensors["lidar"] = (settings.rate_hz, scan)
+            scan = partial(lidar.scan, self._tracks, self._cfg.sim, carried.lidar)
+            sensors["lidar"] = carried.lidar.rate_hz, scan
         return sensors
 
     def _renderer(self, camera: CameraConfig) -> Renderer:

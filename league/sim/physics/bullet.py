@@ -116,7 +116,7 @@ class BulletSolver:
         Raises:
             ConfigError: more worlds than Bullet keeps.
         """
-        self._clients: list[int] = []
+        self._clients = []
         if num_worlds > MAX_WORLDS:
             raise ConfigError(
                 f"{num_worlds} worlds are too many for the bullet solver: "
@@ -127,6 +127,11 @@ class BulletSolver:
         self._rooms, self._settings = rooms.tolist(), settings(cfg)
         self._chassis = suspension.chassis(cfg.car, cfg.physics_dt)
         self._height = cfg.car.height if cfg.obstacles.kind == "bot" else cfg.obstacles.height
+        self._connect(num_worlds)
+
+    def _connect(self, num_worlds: int) -> None:
+        """Connect to a simulation for each world; the next step builds them."""
+        self._clients: list[int] = []
         self._stages: list[_Stage | None] = [None] * num_worlds
         for _ in range(num_worlds):
             client = pybullet.connect(pybullet.DIRECT)
@@ -189,6 +194,17 @@ class BulletSolver:
             # At the interpreter's end PyBullet may have gone first.
             with contextlib.suppress(pybullet.error):
                 pybullet.disconnect(physicsClientId=self._clients.pop())
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy or a pickle keeps: it gets simulations of its own."""
+        state = {**vars(self), "num_worlds": len(self._clients)}
+        del state["_clients"], state["_stages"]
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        num_worlds = state.pop("num_worlds")
+        vars(self).update(state)
+        self._connect(num_worlds)
 
     def __del__(self) -> None:
         self.close()
