@@ -24,6 +24,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import CodeType, ModuleType
+from typing import Any
 
 import numpy as np
 
@@ -112,16 +113,11 @@ class RewardFile:
         """
         path = Path(path)
         content, text = _text(path)
-        try:
-            code = compile(text, str(path), "exec", dont_inherit=True)
-        except SyntaxError as error:
-            raise RewardError(
-                f"{path}, line {error.lineno or 1}: this is not Python ({error.msg}): "
-                "correct the line and try again"
-            ) from error
-        except (ValueError, RecursionError, MemoryError) as error:
-            raise RewardError(f"{path} cannot be compiled: {error}") from error
-        return cls(path, text, hashlib.sha256(content).hexdigest(), code)
+        return _compiled(path, text, hashlib.sha256(content).hexdigest(), Prints())
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Compile the same text again; code cannot be pickled."""
+        return _compiled, (self.path, self.text, self.digest, self.prints)
 
     def instance(self) -> Function:
         """Run the file in a new module and return its reward function.
@@ -220,6 +216,19 @@ class RewardFile:
         return function
 
 
+def _compiled(path: Path, text: str, digest: str, prints: Prints) -> RewardFile:
+    try:
+        code = compile(text, str(path), "exec", dont_inherit=True)
+    except SyntaxError as error:
+        raise RewardError(
+            f"{path}, line {error.lineno or 1}: this is not Python ({error.msg}): "
+            "correct the line and try again"
+        ) from error
+    except (ValueError, RecursionError, MemoryError) as error:
+        raise RewardError(f"{path} cannot be compiled: {error}") from error
+    return RewardFile(path, text, digest, code, prints)
+
+
 def _first_line(function: object) -> int:
     return getattr(getattr(function, "__code__", None), "co_firstlineno", 1)
 
@@ -283,16 +292,30 @@ class UserReward:
         """
         self.source, self.cars = source, tuple(cars)
         self._builder = ParamsBuilder(sim, cars)
-        self._watchdog = Watchdog(str(source.path), time_limit_s)
         self._large = False
         self._began_s: float | None = None
         self._busy_s, self._calls = 0.0, 0
+        self._load([(world, car) for world in range(num_worlds) for car in cars], time_limit_s)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy or a pickle keeps: not the modules, which are loaded again."""
+        state = vars(self).copy()
+        del state["_watchdog"], state["_functions"]
+        return {**state, "cells": list(self._functions), "time_limit_s": self._watchdog.limit_s}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        cells, time_limit_s = state.pop("cells"), state.pop("time_limit_s")
+        vars(self).update(state)
+        self._load(cells, time_limit_s)
+
+    def _load(self, cells: Sequence[tuple[int, int]], time_limit_s: float) -> None:
+        """Run the file once for each (world, car)."""
+        self._watchdog = Watchdog(str(self.source.path), time_limit_s)
         self._functions: dict[tuple[int, int], Function] = {}
         with self._watchdog as watchdog:
-            for world in range(num_worlds):
-                for car in cars:
-                    watchdog.calls += 1
-                    self._functions[world, car] = source.instance()
+            for cell in cells:
+                watchdog.calls += 1
+                self._functions[cell] = self.source.instance()
 
     @property
     def printed(self) -> tuple[str, ...]:

@@ -39,7 +39,7 @@ class Watchdog:
 
     def __init__(self, path: str, time_limit_s: float = TIME_LIMIT_S) -> None:
         self.calls = 0
-        self._path, self._limit_s = path, time_limit_s
+        self._path, self.limit_s = path, time_limit_s
         self._lock, self._begun = threading.Lock(), False
         self._busy, self._thread = False, 0
         self._error: RewardError | None = None
@@ -80,7 +80,7 @@ class Watchdog:
             self._looks += 1
             if self._looks < _LOOKS or is_debugged(self._thread):
                 return
-            self._error = self._error or stuck(self._path, self._thread, self._limit_s)
+            self._error = self._error or stuck(self._path, self._thread, self.limit_s)
             if self._busy:
                 _throw(self._thread, Stopped)
                 _wake(self._thread)
@@ -92,7 +92,7 @@ class Watchdog:
         if _WAKE is not None and threading.current_thread() is threading.main_thread():
             signal.signal(_WAKE, _nothing)
         weakref.finalize(self, over.set)
-        arguments = (weakref.ref(self), over, self._limit_s / _LOOKS)
+        arguments = (weakref.ref(self), over, self.limit_s / _LOOKS)
         threading.Thread(target=_watch, args=arguments, daemon=True, name="watchdog").start()
 
     def _settle(self) -> None:
