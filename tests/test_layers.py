@@ -31,6 +31,8 @@ HEAVY = {
     "numba": ("jit", "sim.camera.raster"),
     "pettingzoo": ("envs.adapters.parallel_env",),
     "rsl_rl": ("envs.adapters.rsl_vec_env", "training"),
+    "stable_baselines3": ("envs.adapters.sb3_vec_env",),
+    "shapely": (),
     "tensordict": ("envs.adapters.rsl_vec_env", "training"),
     "gymnasium": ("envs",),
     "av": ("video",),

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 from league.agents import checkpoint, roster
 from league.deepracer import hyperparameters
 from league.deepracer import model_metadata as metadata
+from league.envs import make
 from league.envs.actions import ActionSpace, ContinuousActions, DiscreteActions, grid
 from league.errors import ConfigError, brief
-from league.sim.config import USUAL_OBSTACLES, CameraConfig, LidarConfig, SensorConfig
+from league.sim.config import USUAL_OBSTACLES, SensorConfig
 from league.training.config import PpoConfig, RunConfig, TrainConfig, read
 
 if TYPE_CHECKING:
@@ -255,21 +256,4 @@ def parse_sensors(names: tuple[str, ...]) -> SensorConfig:
     """
     if len(names) == 1 and names[0].endswith(".json"):
         return metadata.read(names[0]).sensors
-    cameras, lidars = [], []
-    for name in names:
-        if match := re.fullmatch(r"(stereo|mono|left)([0-9]{1,4})x([0-9]{1,4})", name):
-            eyes, width, height = match.groups()
-            cameras.append(CameraConfig(int(width), int(height), eyes=eyes))  # type: ignore
-        elif name in ("lidar", "sectors", "discretised"):
-            lidars.append(LidarConfig(form="ranges" if name == "lidar" else name))  # type: ignore
-        else:
-            raise ConfigError(
-                f"there is no sensor {brief(name)}: give stereoWxH, monoWxH, leftWxH, lidar, "
-                "sectors, discretised, or a model_metadata.json"
-            )
-    if len(cameras) > 1 or len(lidars) > 1:
-        raise ConfigError(
-            f"the sensors {brief(' '.join(names))} hold two of a kind: "
-            "give one camera and one lidar"
-        )
-    return SensorConfig(camera=cameras[0] if cameras else None, lidar=lidars[0] if lidars else None)
+    return make.sensors_of_car(names)

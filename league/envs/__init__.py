@@ -1,4 +1,4 @@
-"""The learning problem, and its adapters to PettingZoo, Gymnasium and rsl-rl."""
+"""The learning problem, and its adapters to PettingZoo, Gymnasium, rsl-rl and Stable-Baselines3."""
 
 from typing import TYPE_CHECKING
 
@@ -7,8 +7,9 @@ from league.envs.adapters.registration import register
 if TYPE_CHECKING:
     from league.envs.adapters.parallel_env import parallel_env
     from league.envs.adapters.rsl_vec_env import RacingVecEnv
+    from league.envs.adapters.sb3_vec_env import SB3VecEnv
 
-__all__ = ["RacingVecEnv", "parallel_env", "register"]
+__all__ = ["RacingVecEnv", "SB3VecEnv", "parallel_env", "register"]
 
 # Gymnasium finds the ids of a package once it is imported.
 register()
@@ -24,4 +25,8 @@ def __getattr__(name: str) -> object:
         from league.envs.adapters.rsl_vec_env import RacingVecEnv
 
         return RacingVecEnv
+    if name == "SB3VecEnv":
+        from league.envs.adapters.sb3_vec_env import SB3VecEnv
+
+        return SB3VecEnv
     raise AttributeError(f"module 'league.envs' has no attribute {name!r}")

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import inspect
 import os
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal, TypedDict, Unpack, get_args
 
 import numpy as np
 
 from league.envs.config import EnvConfig, RewardConfig
+from league.envs.rewards import RACING_LINE, Reward, preset
 from league.errors import ConfigError, TrackError, brief, nearest_names
 from league.sim.config import (
     CameraConfig,
@@ -26,7 +29,7 @@ from league.track.track import Track, TrackSet
 
 Mode = Literal["race", "training"]
 Sensor = str | CameraConfig | LidarConfig
-"""A sensor by its name, "stereo" or "lidar", or by its settings."""
+"""A sensor by its name, such as "stereo64x48" or "lidar", or by its settings."""
 Carried = SensorConfig | Sensor | Sequence[Sensor] | None
 """Sensors of one car; own motion is always observed."""
 Sensors = Carried | Mapping[str, Carried] | Sequence[SensorConfig]
@@ -34,7 +37,7 @@ Sensors = Carried | Mapping[str, Carried] | Sequence[SensorConfig]
 
 BOTH: tuple[Sensor, ...] = ("stereo", "lidar")
 """Default sensors of a car."""
-_NAMED = {"stereo": CameraConfig, "lidar": LidarConfig, "motion": None}
+SENSOR_NAMES = "stereoWxH, monoWxH, leftWxH, stereo, lidar, sectors, discretised"
 
 
 class EnvOptions(TypedDict, total=False):
@@ -46,8 +49,9 @@ class EnvOptions(TypedDict, total=False):
     """Laps of a race, or of an episode in training."""
     max_steps: int | None
     """Longest race or episode in steps of 1/15 s; None: by the length of the race, or 60 s."""
-    reward: RewardConfig | None
-    """Weights of the reward terms."""
+    reward: RewardConfig | Reward | str | os.PathLike[str] | None
+    """Weights of the reward terms, a built-in reward's name, the path of a reward file, or a Reward
+    of your own."""
     mode: Mode
     """In a race a mistake costs penalty seconds; in training it ends the car's episode."""
     obstacles: int | ObstacleConfig | None
@@ -94,10 +98,7 @@ def configure(
     Raises:
         ConfigError: an unknown name, or settings that contradict each other.
     """
-    if unknown := options.keys() - EnvOptions.__annotations__:
-        name = min(unknown)
-        near = nearest_names(name, list(EnvOptions.__annotations__))
-        raise ConfigError(f"there is no option {name!r}; {near}")
+    check_options(options, configure)
     solver, mode = options.get("solver", "planar"), options.get("mode", "race")
     camera_path = options.get("camera_path", "paint")
     laps, max_steps = options.get("laps", 3), options.get("max_steps")
@@ -128,10 +129,34 @@ def configure(
         camera_path=camera_path,
         looks=options.get("looks"),
         mode=mode,
-        reward=options.get("reward") or RewardConfig(),
+        reward=weights(options.get("reward")),
         episode_s=longest_s,
         restarting=restarting,
     )
+
+
+def check_options(options: Iterable[str], function: Callable[..., object]) -> None:
+    """Check the names of the keyword arguments that a function passes on as EnvOptions.
+
+    Raises:
+        ConfigError: there is no such argument.
+    """
+    if unknown := set(options) - EnvOptions.__annotations__.keys():
+        own = set(inspect.signature(function).parameters) - {"self", "options"}
+        near = nearest_names(min(unknown), [*own, *EnvOptions.__annotations__])
+        raise ConfigError(f"there is no option {min(unknown)!r}; nearest: {near}")
+
+
+def weights(reward: RewardConfig | Reward | str | os.PathLike[str] | None) -> RewardConfig:
+    """Return the weights of the built-in terms; a reward that is computed in Python needs none.
+
+    Raises:
+        ConfigError: there is no built-in reward of this name.
+    """
+    if isinstance(reward, RewardConfig):
+        return reward
+    name = os.fspath(reward) if isinstance(reward, str | os.PathLike) else RACING_LINE
+    return RewardConfig() if name == RACING_LINE or name.endswith(".py") else preset(name)
 
 
 def checked_seed(seed: object) -> int:
@@ -151,7 +176,11 @@ def draw_seed(generator: np.random.Generator) -> int:
 
 
 def sensors_of_car(sensors: Carried) -> SensorConfig:
-    """Return what one car carries, from names or settings of its sensors."""
+    """Return what one car carries, from names or settings of its sensors.
+
+    Raises:
+        ConfigError: there is no such sensor, or two of a kind.
+    """
     if isinstance(sensors, SensorConfig):
         return sensors
     if sensors is None:
@@ -160,18 +189,32 @@ def sensors_of_car(sensors: Carried) -> SensorConfig:
         sensors = (sensors,)
     if not isinstance(sensors, Sequence):
         raise ConfigError(_no_sensor(sensors))
-    camera = lidar = None
-    for sensor in sensors:
-        if isinstance(sensor, str) and sensor in _NAMED:
-            made = _NAMED[sensor]
-            sensor = made() if made else None
-        if isinstance(sensor, CameraConfig):
-            camera = sensor
-        elif isinstance(sensor, LidarConfig):
-            lidar = sensor
-        elif sensor is not None:
-            raise ConfigError(_no_sensor(sensor))
-    return SensorConfig(camera=camera, lidar=lidar)
+    carried = [_named(sensor) if isinstance(sensor, str) else sensor for sensor in sensors]
+    cameras = [sensor for sensor in carried if isinstance(sensor, CameraConfig)]
+    lidars = [sensor for sensor in carried if isinstance(sensor, LidarConfig)]
+    strangers = [sensor for sensor in carried if sensor not in (*cameras, *lidars, None)]
+    if strangers:
+        raise ConfigError(_no_sensor(strangers[0]))
+    if len(cameras) > 1 or len(lidars) > 1:
+        raise ConfigError(
+            f"the sensors {brief(sensors)} hold two of a kind: give one camera and one lidar"
+        )
+    return SensorConfig(camera=cameras[0] if cameras else None, lidar=lidars[0] if lidars else None)
+
+
+def _named(name: str) -> CameraConfig | LidarConfig | None:
+    """Return the settings of a sensor by its name; None for own motion."""
+    match = re.fullmatch(r"(stereo|mono|left)([0-9]{1,4})x([0-9]{1,4})", name)
+    if match is not None:
+        eyes, width, height = match.groups()
+        return CameraConfig(int(width), int(height), eyes=eyes)  # type: ignore
+    if name == "stereo":
+        return CameraConfig()
+    if name in ("lidar", "sectors", "discretised"):
+        return LidarConfig(form="ranges" if name == "lidar" else name)  # type: ignore
+    if name == "motion":
+        return None
+    raise ConfigError(_no_sensor(name))
 
 
 def _of_cars(sensors: Sensors, num_cars: int) -> tuple[SensorConfig, ...]:
@@ -191,8 +234,9 @@ def _of_cars(sensors: Sensors, num_cars: int) -> tuple[SensorConfig, ...]:
 
 
 def _no_sensor(value: object) -> str:
-    near = nearest_names(value if isinstance(value, str) else "", list(_NAMED))
-    return f"there is no sensor {brief(value)}; {near}; or give a CameraConfig or a LidarConfig"
+    return (
+        f"there is no sensor {brief(value)}: give {SENSOR_NAMES}, a CameraConfig or a LidarConfig"
+    )
 
 
 def _check_name(what: str, value: object, known: tuple[str, ...]) -> None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from league.errors import ConfigError
+from league.errors import ConfigError, brief
 
 if TYPE_CHECKING:
+    from league.envs.config import EnvConfig, RewardConfig
     from league.envs.driver import Driver
+    from league.envs.rewards import Reward
     from league.sim.config import CarConfig
     from league.track.track import TrackSet
 
@@ -35,3 +38,35 @@ def load_drivers(
             )
         loaded.append(driver)
     return tuple(loaded)
+
+
+def load_reward(
+    reward: RewardConfig | Reward | str | os.PathLike[str] | None,
+    tracks: TrackSet,
+    cfg: EnvConfig,
+    num_worlds: int,
+    cars: Sequence[int],
+) -> Reward | None:
+    """Return the reward of some cars if it is computed in Python; None: by `cfg.reward`.
+
+    Raises:
+        RewardError: a reward file that cannot be used.
+        ConfigError: something is neither a reward nor the name or path of one.
+    """
+    from league.envs import rewards
+
+    if reward is None or isinstance(reward, rewards.RewardConfig):
+        return None
+    if isinstance(reward, str | os.PathLike):
+        name = os.fspath(reward)
+        if name.endswith(".py"):
+            from league.deepracer import user_reward  # late: few need it
+
+            return user_reward(name, num_worlds, cars, sim=cfg.sim)
+        return rewards.built_in(name, tracks, cfg.sim.car) if name == rewards.RACING_LINE else None
+    if not (callable(reward) and hasattr(reward, "restart") and hasattr(reward, "terms")):
+        raise ConfigError(
+            f"reward is {brief(reward)}: give a built-in reward's name, the path of a reward file "
+            "(.py), a RewardConfig, or an object with terms, restart and __call__"
+        )
+    return reward

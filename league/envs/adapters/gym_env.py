@@ -8,14 +8,13 @@ from typing import Any, Unpack
 
 import gymnasium
 import numpy as np
-from gymnasium.spaces import Dict
 from gymnasium.utils.seeding import np_random
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from league.envs import make
 from league.envs.actions import SIZE, checked
-from league.envs.adapters import load_drivers, spaces
+from league.envs.adapters import load_drivers, load_reward, spaces
 from league.envs.adapters.rendering import Renderer
 from league.envs.driver import Driver, Opponents
 from league.envs.make import EnvOptions
@@ -70,7 +69,8 @@ class LearnerEnv:
             restarting=tuple(others),
             **options,
         )
-        self.env, self.car = RaceEnv(tracks, cfg, num_worlds=num_worlds), car
+        reward = load_reward(options.get("reward"), tracks, cfg, num_worlds, (car,))
+        self.env, self.car = RaceEnv(tracks, cfg, num_worlds=num_worlds, reward=reward), car
         self.sensors = cfg.sensors_of(car)
         self._opponents = Opponents(dict(zip(others, drivers, strict=True)))
         self._actions = np.zeros((num_worlds, len(carried), SIZE), np.float32)
@@ -95,6 +95,51 @@ class LearnerEnv:
         step = self.env.step(actions, restart=restart, seeds=seeds)
         self._opponents.forget(step.began)
         return step
+
+    def restart(self, worlds: np.ndarray, seeds: list[int]) -> None:
+        """Start some races again between two steps; bool (num_worlds,), see RaceEnv."""
+        self.env.restart(worlds, seeds)
+        self._opponents.forget(np.broadcast_to(worlds[:, None], self._actions.shape[:2]))
+
+
+class Seeds:
+    """The generators from which a batch of races draws its seeds, as Gymnasium's own vectors do."""
+
+    def __init__(self, num_envs: int) -> None:
+        self._num_envs = num_envs
+        self._generators: list[np.random.Generator] = []
+
+    @property
+    def begun(self) -> bool:
+        """Whether `restart` was called."""
+        return bool(self._generators)
+
+    def restart(self, seed: int | Sequence[int | None] | None) -> list[int]:
+        """Return the seeds of all races.
+
+        `seed` is that of the first race, from which the next ones count up, or one for each; None
+        goes on to other races.
+        """
+        if seed is None and self._generators:
+            return self.draw(np.ones(self._num_envs, bool))
+        if seed is None or isinstance(seed, int | np.integer):
+            first = None if seed is None else make.checked_seed(seed)
+            seeds = [None if first is None else first + race for race in range(self._num_envs)]
+        else:
+            seeds = [None if one is None else make.checked_seed(one) for one in seed]
+        if len(seeds) != self._num_envs:
+            raise ConfigError(f"{len(seeds)} seeds for {self._num_envs} races: give one for each")
+        kept = self._generators or [None] * self._num_envs
+        self._generators = [
+            old if one is None and old is not None else np_random(one)[0]
+            for one, old in zip(seeds, kept, strict=True)
+        ]
+        return self.draw(np.ones(self._num_envs, bool))
+
+    def draw(self, which: np.ndarray) -> list[int]:
+        """Return seeds for the races that restart; the others draw none."""
+        pairs = zip(self._generators, which, strict=True)
+        return [make.draw_seed(generator) if over else 0 for generator, over in pairs]
 
 
 class GymEnv(gymnasium.Env[Any, np.ndarray]):
@@ -136,6 +181,7 @@ class GymEnv(gymnasium.Env[Any, np.ndarray]):
         Raises:
             LeagueError: an unknown track or name, or settings that contradict each other.
         """
+        make.check_options(options, GymEnv.__init__)
         self.learner = LearnerEnv(track, kind, sensors, car=car, opponents=opponents, **options)
         self.render_mode = render_mode
         self._renderer = Renderer(self.learner.env, render_mode, view, car)
@@ -211,13 +257,16 @@ class GymVectorEnv(VectorEnv[Observation, np.ndarray, np.ndarray]):
         privileged: bool = False,
         render_mode: str | None = None,
         max_episode_steps: int | None = None,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         **options: Unpack[EnvOptions],
     ) -> None:
         """Set up the races, by the arguments of GymEnv.
 
         `track` may also be a TrackSet, whose tracks the races take in turn; a driver in `opponents`
         serves all races; `max_episode_steps` is Gymnasium's name for `max_steps`. A batch is not
-        drawn, so `render_mode` is None.
+        drawn, so `render_mode` is None. With `autoreset_mode` SAME_STEP a race that has ended is
+        restarted at once, its last observation and info in the info's `final_obs` and
+        `final_info`; with DISABLED by `reset(options={"reset_mask": ended})`.
         """
         if render_mode is not None:
             raise ConfigError(
@@ -226,21 +275,26 @@ class GymVectorEnv(VectorEnv[Observation, np.ndarray, np.ndarray]):
             )
         if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
             raise ConfigError(f"num_envs is {num_envs!r}: give a whole number, 1 or more")
+        make.check_options(options, GymVectorEnv.__init__)
         if max_episode_steps is not None:
             options.setdefault("max_steps", max_episode_steps)
         self.learner = LearnerEnv(
             track, kind, sensors, num_worlds=num_envs, car=car, opponents=opponents, **options
         )
-        self.num_envs = num_envs
+        modes = [mode.value for mode in AutoresetMode]
+        if autoreset_mode not in (*AutoresetMode, *modes):
+            raise ConfigError(
+                f"autoreset_mode is {autoreset_mode!r}: choose one of {', '.join(modes)}"
+            )
+        self.num_envs, self.autoreset_mode = num_envs, AutoresetMode(autoreset_mode)
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.single_observation_space = spaces.observation_space(self.learner.sensors, privileged)
         self.single_action_space = spaces.action_space()
-        space = batch_space(self.single_observation_space, num_envs)
-        assert isinstance(space, Dict)
-        self.observation_space: Dict = space
-        self._reader = spaces.Reader(space)
+        self.observation_space = spaces.batched(self.single_observation_space, num_envs)
+        self._reader = spaces.Reader(self.observation_space)
         self._infos = spaces.Infos(self.learner.env, car)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._generators: list[np.random.Generator] = []
+        self._seeds = Seeds(num_envs)
         self._done = np.zeros(num_envs, dtype=bool)
 
     def reset(
@@ -252,11 +306,18 @@ class GymVectorEnv(VectorEnv[Observation, np.ndarray, np.ndarray]):
         """Start all races.
 
         `seed` is that of the first race, from which the next ones count up, or one for each; None
-        goes on to other races.
+        goes on to other races. `options` may hold a `reset_mask`, bool (num_envs,), of the races
+        to start; the others go on.
         """
-        self._seed(seed)
-        groups = self.learner.reset([make.draw_seed(each) for each in self._generators])
-        self._done[:] = False
+        mask = None if options is None else options.get("reset_mask")
+        if mask is None:
+            groups = self.learner.reset(self._seeds.restart(seed))
+            self._done[:] = False
+            return self._reader.read(groups), self._info(None)
+        seeds = self._seeds.draw(mask) if seed is None else self._seeds.restart(seed)
+        self.learner.restart(mask, seeds)
+        self._done &= ~mask
+        groups = self.learner.env.observations[self.learner.car]
         return self._reader.read(groups), self._info(None)
 
     def step(
@@ -267,11 +328,13 @@ class GymVectorEnv(VectorEnv[Observation, np.ndarray, np.ndarray]):
         Raises:
             ActionError: the actions are not (num_envs, 2) numbers in [-1, 1].
         """
-        if not self._generators:
+        if not self._seeds.begun:
             raise ActionError("step was called before the first reset: call reset")
         actions, ended = checked(actions, "the learners", rows=self.num_envs), self._done
+        if self.autoreset_mode != AutoresetMode.NEXT_STEP:
+            return self._step_alone(actions)
         if ended.any():
-            step = self.learner.step(actions, ended, self._draw_seeds(ended))
+            step = self.learner.step(actions, ended, self._seeds.draw(ended))
         else:
             step = self.learner.step(actions)
         car = self.learner.car
@@ -282,30 +345,37 @@ class GymVectorEnv(VectorEnv[Observation, np.ndarray, np.ndarray]):
         observations = self._reader.read(step.observations[car])
         return observations, rewards, terminated, truncated, self._info(step, ended)
 
+    def _step_alone(
+        self, actions: np.ndarray
+    ) -> tuple[Observation, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Drive all races, and in mode SAME_STEP restart those that have ended."""
+        if self._done.any():
+            raise ActionError(
+                f"step was called while race {int(self._done.argmax())} is over: call "
+                'reset(options={"reset_mask": ended})'
+            )
+        step, car = self.learner.step(actions), self.learner.car
+        terminated, truncated = step.terminated[:, car].copy(), step.truncated[:, car].copy()
+        rewards, done = step.rewards[:, car].astype(np.float64), terminated | truncated
+        observations, info = self._reader.read(step.observations[car]), self._info(step)
+        if self.autoreset_mode == AutoresetMode.DISABLED:
+            self._done = done
+        elif done.any():
+            final = np.full(self.num_envs, None, object)
+            for race in np.flatnonzero(done):
+                final[race] = {name: values[race] for name, values in observations.items()}
+            self.learner.restart(done, self._seeds.draw(done))
+            observations = self._reader.read(self.learner.env.observations[car])
+            begun = self._infos.of_all(None)
+            begun = spaces.masked(spaces.mixed(done, begun, info), self.num_envs)
+            info = begun | {
+                "final_obs": final, "_final_obs": done, "final_info": info, "_final_info": done,
+            }  # fmt: skip
+        return observations, rewards, terminated, truncated, info
+
     def close_extras(self, **kwargs: Any) -> None:  # noqa: ANN401
         """Close the physics engine."""
         self.learner.env.close()
-
-    def _seed(self, seed: int | Sequence[int | None] | None) -> None:
-        if seed is None and self._generators:
-            return
-        if seed is None or isinstance(seed, int | np.integer):
-            first = None if seed is None else make.checked_seed(seed)
-            seeds = [None if first is None else first + race for race in range(self.num_envs)]
-        else:
-            seeds = [None if one is None else make.checked_seed(one) for one in seed]
-        if len(seeds) != self.num_envs:
-            raise ConfigError(f"{len(seeds)} seeds for {self.num_envs} races: give one for each")
-        kept = self._generators or [None] * self.num_envs
-        self._generators = [
-            old if one is None and old is not None else np_random(one)[0]
-            for one, old in zip(seeds, kept, strict=True)
-        ]
-
-    def _draw_seeds(self, ended: np.ndarray) -> list[int]:
-        """Return seeds for the races that restart; the others draw none."""
-        pairs = zip(self._generators, ended, strict=True)
-        return [make.draw_seed(generator) if over else 0 for generator, over in pairs]
 
     def _info(self, step: Step | None, ended: np.ndarray | None = None) -> dict[str, Any]:
         info = self._infos.of_all(step)

@@ -11,10 +11,11 @@ from pettingzoo import ParallelEnv
 
 from league.envs import make
 from league.envs.actions import SIZE, of_agents
-from league.envs.adapters import spaces
+from league.envs.adapters import load_reward, spaces
 from league.envs.adapters.rendering import Renderer
 from league.envs.make import EnvOptions
 from league.envs.race_env import Observations, RaceEnv, Step
+from league.errors import ConfigError
 from league.track.track import Track
 
 Observation = dict[str, np.ndarray]
@@ -29,6 +30,7 @@ def parallel_env(
     privileged: bool = False,
     render_mode: str | None = None,
     view: str = "chase",
+    max_cycles: int | None = None,
     **options: Unpack[EnvOptions],
 ) -> RaceParallelEnv:
     """Return a race in which every car is an agent: car_0, car_1, ...
@@ -42,14 +44,25 @@ def parallel_env(
         privileged: whether the agents also observe the truth, as group `state`.
         render_mode: rgb_array for pictures, human for the live viewer, or None.
         view: of pictures: chase, from behind the leader, or top.
+        max_cycles: PettingZoo's name for the option max_steps.
         options: see league.envs.make.EnvOptions; bullet is the default solver here.
 
     Raises:
         LeagueError: an unknown track or name, or settings that contradict each other.
     """
+    make.check_options(options, parallel_env)
     options.setdefault("solver", "bullet")
+    if max_cycles is not None:
+        if options.get("max_steps") not in (None, max_cycles):
+            raise ConfigError(
+                f"max_cycles is {max_cycles} and max_steps {options.get('max_steps')}, but both "
+                "are the longest episode: give one of them"
+            )
+        options["max_steps"] = max_cycles
     cfg = make.configure(kind=kind, num_cars=num_cars, sensors=sensors, restarting=(), **options)
-    env = RaceEnv(make.course(track), cfg)
+    tracks = make.course(track)
+    reward = load_reward(options.get("reward"), tracks, cfg, 1, range(cfg.sim.num_cars))
+    env = RaceEnv(tracks, cfg, reward=reward)
     return RaceParallelEnv(env, privileged=privileged, render_mode=render_mode, view=view)
 
 
@@ -87,6 +100,7 @@ class RaceParallelEnv(ParallelEnv[str, Any, np.ndarray]):
         self._action_spaces = {agent: spaces.action_space() for agent in self.possible_agents}
         self.observation_spaces = {**self._observation_spaces}
         self.action_spaces = {**self._action_spaces}
+        self.state_space = spaces.state_space(env.num_cars)
         self._readers = [spaces.Reader(space) for space in self._observation_spaces.values()]
         self._infos = [spaces.Infos(env, car) for car in range(env.num_cars)]
         self._cars = {agent: car for car, agent in enumerate(self.possible_agents)}
@@ -156,7 +170,8 @@ class RaceParallelEnv(ParallelEnv[str, Any, np.ndarray]):
 
     def state(self) -> np.ndarray:
         """Return the truth about all cars, float32, (num_cars * league.envs.state.SIZE,)."""
-        return np.concatenate([groups["state"][0] for groups in self._env.observations])
+        truth = np.concatenate([groups["state"][0] for groups in self._env.observations])
+        return truth.clip(-spaces.STATE_LIMIT, spaces.STATE_LIMIT)
 
     def render(self) -> np.ndarray | None:
         """Return a picture, uint8 (height, width, 3), or show the race in the live viewer."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import Unpack
 
 import numpy as np
 import torch
@@ -11,14 +13,17 @@ from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 from torch import Tensor
 
+from league.envs import make
 from league.envs.actions import SIZE, ActionSpace, encode, finite, to_actions
-from league.envs.adapters import load_drivers
-from league.envs.config import EnvConfig
+from league.envs.adapters import load_drivers, load_reward
+from league.envs.config import EnvConfig, RewardConfig
 from league.envs.driver import Driver, Opponents, check_field
+from league.envs.make import EnvOptions
 from league.envs.race_env import RaceEnv, Step
-from league.envs.rewards import Reward
+from league.errors import ConfigError
+from league.sim.config import RaceKind
 from league.sim.world import World
-from league.track.track import TrackSet
+from league.track.track import Track, TrackSet
 
 MISTAKES = ("off_track", "crashed", "immobilised", "reversed")
 
@@ -34,36 +39,60 @@ class RacingVecEnv(VecEnv):
 
     def __init__(
         self,
-        tracks: TrackSet,
-        cfg: EnvConfig,
+        track: str | os.PathLike[str] | Track | TrackSet,
+        cfg: EnvConfig | None = None,
         *,
-        num_worlds: int,
+        num_worlds: int = 64,
         learners: Sequence[int] = (0,),
         opponents: Mapping[int, Driver | str] | None = None,
         action_space: ActionSpace | None = None,
-        reward: Reward | None = None,
         as_bytes: bool = False,
         seed: int = 0,
         device: str = "cpu",
+        kind: RaceKind = "time_trial",
+        sensors: make.Carried = make.BOTH,
+        **options: Unpack[EnvOptions],
     ) -> None:
         """Build the worlds and reset them.
 
         Args:
-            tracks: courses, which the worlds take in turn.
-            cfg: settings, in mode "training"; opponents' cars carry what their drivers need.
+            track: name of a track, path of its .yaml file, a Track, or a TrackSet, whose tracks the
+                worlds take in turn.
+            cfg: settings, in mode "training"; opponents' cars carry what their drivers need. None:
+                by `kind`, `sensors` and `options`.
             num_worlds: races in the batch.
             learners: cars that learn, all with the same sensors.
-            opponents: driver, or its name, of each other car.
+            opponents: driver, or its name, of each other car; without `cfg` by default one follows
+                the centreline in a head_to_head race.
             action_space: what the rows' actions mean; None: steering and speed in [-1, 1].
-            reward: None: the built-in terms of the settings.
             as_bytes: keep pictures as bytes, a quarter of the memory, for networks that scale them.
             seed: makes the worlds' seeds.
             device: of the rows' tensors; the worlds themselves stay on the CPU.
+            kind: time_trial, obstacle_avoidance or head_to_head.
+            sensors: of the learners, such as "stereo64x48" or ("stereo64x48", "lidar").
+            options: see league.envs.make.EnvOptions; of these `reward` is allowed with a `cfg`,
+                too, whose weights count without it.
 
         Raises:
             ConfigError: settings that contradict each other.
             PolicyError: an unknown driver.
+            RewardError: a reward file that cannot be used.
         """
+        make.check_options(options, RacingVecEnv.__init__)
+        tracks, reward = make.course(track), options.get("reward")
+        if cfg is None:
+            if opponents is None and kind == "head_to_head":
+                opponents = {car: "centerline" for car in range(2) if car not in learners}
+            options.setdefault("mode", "training")
+            num_cars = len(learners) + len(opponents or ())
+            cfg = make.configure(kind=kind, num_cars=num_cars, sensors=sensors, **options)
+        elif options.keys() - {"reward"} or (kind, sensors) != ("time_trial", make.BOTH):
+            raise ConfigError(
+                "settings are given twice, as cfg and by name: "
+                "give an EnvConfig, or kind, sensors and options"
+            )
+        elif isinstance(reward, str | RewardConfig):
+            cfg = replace(cfg, reward=make.weights(reward))
         drivers = dict(opponents or {})
         check_field(cfg, learners, drivers)
         loaded = load_drivers(list(drivers.values()), tracks, cfg.sim.car)
@@ -76,7 +105,12 @@ class RacingVecEnv(VecEnv):
         ]
         self.cfg: EnvConfig = replace(cfg, sensors=tuple(carried))  # type: ignore
         self._env = RaceEnv(
-            tracks, self.cfg, num_worlds=num_worlds, seed=seed, reward=reward, device=device
+            tracks,
+            self.cfg,
+            num_worlds=num_worlds,
+            seed=seed,
+            reward=load_reward(reward, tracks, self.cfg, num_worlds, self.learners),
+            device=device,
         )
         self._as_bytes = as_bytes
         self._columns = list(self.learners)

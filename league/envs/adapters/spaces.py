@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box, Dict, Space
+from gymnasium.vector.utils import batch_space
 
 from league.envs import actions, observations, state
 from league.envs.race_env import RaceEnv, Step
@@ -59,6 +60,18 @@ def observation_space(sensors: SensorConfig, privileged: bool) -> Dict:
     return Dict(groups)
 
 
+def batched(space: Dict, num_envs: int) -> Dict:
+    """Return the space of the observations of a batch of cars."""
+    batch = batch_space(space, num_envs)
+    assert isinstance(batch, Dict)
+    return batch
+
+
+def state_space(num_cars: int) -> Box:
+    """Return the space of the truth about all cars."""
+    return Box(-STATE_LIMIT, STATE_LIMIT, (num_cars * state.SIZE,), np.float32)
+
+
 class Reader:
     """Copies the groups of a space, bounded by it, out of a car's observations."""
 
@@ -93,16 +106,19 @@ class Infos:
 
     def __init__(self, env: RaceEnv, car: int) -> None:
         self._env, self._car, self._world = env, car, env.world
-        self._terms, self._step_dt = env.cfg.reward.terms, env.cfg.sim.step_dt
+        self._terms = [(f"reward_{name}", name) for name in env.terms]
+        self._step_dt = env.cfg.sim.step_dt
         sensors, step_hz = env.cfg.sensors_of(car), env.cfg.sim.step_hz
         # Own motion is read at every step.
-        self._rates = {"motion": float(step_hz)}
+        self._rates = {"motion_rate_hz": float(step_hz)}
         for name, sensor in (("stereo", sensors.camera), ("lidar", sensors.lidar)):
             if sensor is not None:
-                self._rates[name] = observations.effective_rate_hz(sensor.rate_hz, step_hz)
+                self._rates[f"{name}_rate_hz"] = observations.effective_rate_hz(
+                    sensor.rate_hz, step_hz
+                )
 
     def of_all(self, step: Step | None) -> dict[str, Any]:
-        """Return the info of all worlds: arrays of shape (num_worlds,), some nested.
+        """Return the info of all worlds: arrays of shape (num_worlds,).
 
         Args:
             step: the last step; None after a reset, where all flags are False and all rewards 0.
@@ -114,12 +130,10 @@ class Infos:
         for name in FLAGS:
             flags = np.zeros(number, np.bool_) if step is None else step.verdicts[name][:, car]
             info[name] = flags.copy()
-        info["rewards"] = {
-            name: np.zeros(number) if step is None else step.log[name][:, car].astype(np.float64)
-            for name in self._terms
-        }
-        info["sensor_rates_hz"] = {name: np.full(number, hz) for name, hz in self._rates.items()}
-        return info
+        for key, name in self._terms:
+            terms = np.zeros(number) if step is None else step.log[name][:, car]
+            info[key] = terms.astype(np.float64)
+        return info | {key: np.full(number, hz) for key, hz in self._rates.items()}
 
     def of_first(self, step: Step | None) -> dict[str, Any]:
         """Return the info of the first world as plain numbers; see `of_all`."""
@@ -131,12 +145,11 @@ class Infos:
         info.update(zip((*_LENGTHS, *_COUNTS), _CAR_FIELDS(world.cars.item(0, car)), strict=True))
         if step is None:
             info.update(dict.fromkeys(FLAGS, False))
-            info["rewards"] = dict.fromkeys(self._terms, 0.0)
+            info.update((key, 0.0) for key, _ in self._terms)
         else:
             info.update(zip(FLAGS, _VERDICT_FLAGS(step.verdicts.item(0, car)), strict=True))
-            info["rewards"] = {name: step.log[name].item(0, car) for name in self._terms}
-        info["sensor_rates_hz"] = self._rates.copy()
-        return info
+            info.update((key, step.log[name].item(0, car)) for key, name in self._terms)
+        return info | self._rates
 
     def _places(self) -> np.ndarray:
         return referee.running_order(self._world.cars)[:, self._car]
@@ -144,18 +157,9 @@ class Infos:
 
 def mixed(where: np.ndarray, one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
     """Return an info that is `one` in some worlds and `other` elsewhere."""
-    return {
-        name: mixed(where, value, other[name])
-        if isinstance(value, dict)
-        else np.where(where, value, other[name])
-        for name, value in one.items()
-    }
+    return {name: np.where(where, value, other[name]) for name, value in one.items()}
 
 
 def masked(info: dict[str, Any], num_worlds: int) -> dict[str, Any]:
     """Return an info with the masks of Gymnasium's vectors: `_name` says where `name` is known."""
-    result: dict[str, Any] = {}
-    for name, value in info.items():
-        result[name] = masked(value, num_worlds) if isinstance(value, dict) else value
-        result[f"_{name}"] = np.ones(num_worlds, dtype=bool)
-    return result
+    return info | {f"_{name}": np.ones(num_worlds, dtype=bool) for name in info}
