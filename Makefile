@@ -4,7 +4,7 @@ BIN := .venv/bin
 # Torch on a few cores: waiting threads must not spin.
 export OMP_WAIT_POLICY = PASSIVE
 
-.PHONY: race league serve test sync format check type bench clean
+.PHONY: race league serve test torchrl sync format check type bench clean
 
 race: sync
 	$(BIN)/league race duelist racer --track reinvent_2018
@@ -27,6 +27,12 @@ serve: league
 # In the order of the files: sorted by number of tests, the few that take longest would come last.
 test: sync
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+
+# TorchRL needs another tensordict than rsl-rl, so it lies in a folder that these tests alone see.
+torchrl: sync
+	test -d .venv/torchrl || $(BIN)/python -m pip install --quiet --no-deps --target .venv/torchrl \
+		--requirement tests/clients/torchrl.txt
+	PYTHONPATH=.venv/torchrl $(BIN)/python -m pytest tests/clients/test_torchrl.py
 
 sync: .venv/.installed
 

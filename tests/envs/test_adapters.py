@@ -189,4 +189,4 @@ def test_a_batch_for_rsl_rl_is_pickled_too():
     other = pickle.loads(pickle.dumps(env))
     for _ in range(3):
         one, two = env.step(np.ones((2, 2)) * 0.2), other.step(np.ones((2, 2)) * 0.2)
-    assert all(bool((one[0][name] == two[0][name]).all()) for name in one[0].keys())
+    assert all(bool((one[0][name] == two[0][name]).all()) for name in one[0].keys())  # noqa: SIM118
