@@ -104,6 +104,8 @@ class RaceSpec(FrozenModel):
     """The race is stopped after this time [s]; 0 chooses by length."""
     variation: float = Field(default=0.0, ge=0, le=10)
     """How much cars of one kind differ, drawn from the seed; 0: not at all, 1: as in a league."""
+    start_speed: float = Field(default=0.0, ge=0, le=12)
+    """Largest speed at the start [m/s], drawn from the seed; 0: cars start at rest."""
 
     @model_validator(mode="before")
     @classmethod

@@ -46,6 +46,16 @@ def test_json_holds_trials_and_summary(league):
     assert told["summary"]["complete_laps"] == told["asked"] == 2
 
 
+def test_runs_differ_unless_that_is_turned_off(league):
+    trials = ("evaluate", "centerline", *QUICK, "--trials", "3", "--json")
+    for extra, different in (((), 3), (("--variation", "0"), 1)):
+        code, out, _ = league(*trials, *extra)
+        assert code == 0
+        assert len({trial["time_s"] for trial in json.loads(out)["trials"]}) == different
+    code, out, _ = league(*trials[:-1])
+    assert "3 of 3 runs clean" in out
+
+
 def test_races_against_opponents_tell_who_won(league):
     code, out, _ = league("evaluate", "racing_line", *QUICK, "--opponents", "centerline")
     assert code == 0
@@ -102,6 +112,7 @@ def test_racing_line_fills_the_column_of_the_trace(league, tmp_path):
         (["centerline", "--laps", "0"], "laps"),
         (["centerline", "--trials", "0"], "trials"),
         (["centerline", "--seed", "-4"], "seed"),
+        (["centerline", "--variation", "-1"], "variation is -1.0: give 0, which is none"),
         (
             ["centerline", "--kind", "obstacle_avoidance", "--obstacles", "99"],
             "obstacle count",

@@ -16,7 +16,7 @@ from league.race_spec import Entry, RaceSpec
 from league.racing import race
 from league.racing.evaluate import evaluate
 from league.racing.trace import COLUMNS, Trace, nearer
-from league.sim.config import ObstacleConfig, RaceRules, SensorConfig
+from league.sim.config import ObstacleConfig, RaceRules, SensorConfig, SimConfig
 
 
 @dataclass
@@ -59,7 +59,7 @@ class Stubborn(Follower):
 
 
 def evaluated(driver=None, track=None, **settings):
-    settings = {"solver": "planar", "laps": 2} | settings
+    settings = {"solver": "planar", "laps": 2, "variation": 0.0} | settings
     return evaluate(driver or Follower(), track or make_ring(), **settings)
 
 
@@ -138,6 +138,52 @@ def test_attempt_after_a_mistake_is_a_fresh_one():
     assert [one.status for one in done.trials] == ["lap_complete", "off_track", "lap_complete"]
     assert [one.standing for one in done.trials] == [True, False, True]
     assert done.trials[2].time_s == done.trials[0].time_s
+
+
+def test_runs_vary_by_their_seeds_within_the_limits():
+    begun = {}
+
+    def note(step):
+        for trial in step.trials:
+            if trial.step == 1:
+                begun[trial.run, trial.trial] = step.before[trial.row, 0].copy()
+
+    done = evaluated(laps=1, trials=20, variation=1.0, watch=note)
+    assert len({one.time_s for one in done.trials}) > 1
+    speeds = [float(np.hypot(car["velocity_x"], car["velocity_y"])) for car in begun.values()]
+    assert 0.0 < min(speeds) < 0.1 and 0.4 < max(speeds) < 0.5
+    plain = SimConfig().car
+    for name, middle, reach in (
+        ("grip", plain.grip, 0.02 * plain.grip),
+        ("mass", plain.mass, 0.02 * plain.mass),
+        ("steering_offset", 0.0, 0.005),
+    ):
+        deviations = [abs(float(car[name]) - middle) for car in begun.values()]
+        assert 0.5 * reach < max(deviations) <= reach * 1.001
+    assert evaluated(laps=1, trials=20, variation=1.0) == done
+    (last,) = evaluated(laps=1, seed=19, variation=1.0).trials
+    assert last.time_s == done.trials[19].time_s
+    with pytest.raises(ConfigError, match="variation is 11: give 0"):
+        evaluated(variation=11)
+
+
+def test_attempts_of_a_run_vary_and_a_grid_stands():
+    done = evaluated(Follower(leaves=(60, 75)), mode="episode", laps=3, variation=1.0)
+    assert len({one.time_s for one in done.trials} | {one.completion for one in done.trials}) > 2
+    speeds = []
+    evaluated(
+        opponents=[Follower("slow", 1.0)],
+        laps=1,
+        variation=1.0,
+        watch=lambda step: speeds.append(step.before["velocity_x"].copy()),
+    )
+    assert not speeds[0].any()
+
+
+def test_clean_runs_are_counted():
+    assert evaluated(laps=2, trials=2).clean_runs == 2
+    done = evaluated(Follower(leaves=(160, 175)), laps=2, trials=2)
+    assert (done.clean_laps, done.clean_runs, done.runs) == (2, 0, 2)
 
 
 def test_standing_still_is_told_by_its_name():

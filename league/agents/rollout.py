@@ -101,23 +101,28 @@ class Rollout:
         Args:
             env: the worlds.
             drivers: of their cars.
-            seeds: of the worlds, also when they are started again.
+            seeds: of the worlds.
             on_faults: called between the answers and the step with the seats that gave no action,
                 bool (num_worlds, num_cars), idle ones included; they repeat their last action.
         """
         self.env, self.drivers = env, drivers
-        self._seeds, self._on_faults = np.array(seeds), on_faults
-        env.reset(seeds=self._seeds)
+        self._on_faults = on_faults
+        env.reset(seeds=np.array(seeds))
         drivers.reset()
 
     def step(
-        self, readings: Sequence[Observations] = (), *, restart: np.ndarray | None = None
+        self,
+        readings: Sequence[Observations] = (),
+        *,
+        restart: np.ndarray | None = None,
+        seeds: Sequence[int] | None = None,
     ) -> Step:
         """Drive one control step.
 
         Args:
             readings: see `DriverPool.act`.
             restart: worlds that are started again at the end of the step, bool (num_worlds,).
+            seeds: of the worlds that are started again; those of others are not read.
         """
         driven = self.drivers.act(self.env.observations, readings)
         faults = np.isnan(driven[..., 0])
@@ -125,7 +130,6 @@ class Rollout:
             self._on_faults(faults)
         if faults.any():
             driven[faults] = self.env.last_action[faults]
-        seeds = None if restart is None else self._seeds
         step = self.env.step(driven, restart=restart, seeds=seeds)
         if restart is not None and restart.any():
             self.drivers.reset(np.flatnonzero(restart))

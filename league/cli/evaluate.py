@@ -37,7 +37,10 @@ class Evaluate:
     laps: int = 3
     """Laps of each run."""
     trials: int = 1
-    """Runs, with seeds counting up."""
+    """Runs from the start line, with seeds counting up."""
+    variation: float = 1.0
+    """How far runs differ: 1 by up to 2 % in grip and mass, 0.3 deg of steering and 0.5 m/s at the
+    start; 0: not at all."""
     episode: bool = False
     """End a lap at the first mistake, as training does, instead of a penalty."""
     seed: int = 0
@@ -151,6 +154,7 @@ def _one(command: Evaluate, track: str) -> tuple[Evaluation, Trace | None]:
         mode="episode" if command.episode else "race",
         seed=command.seed,
         solver=command.solver,
+        variation=command.variation,
         obstacles=_obstacles(command),
         opponents=opponents,
         reward=None if trace is None else _reward(command.reward, tracks, car),
@@ -200,10 +204,13 @@ def _keep_replay(command: Evaluate, track: str) -> None:
     from league import replay as replays
     from league.cli.race import race_spec, replay_line, replay_path
     from league.racing import race
+    from league.racing.evaluate import start_speed
     from league.track import files
 
     course = files.load(track)
     spec = race_spec(command, course.name, _kind(command), [command.driver, *command.opponents])
+    started = start_speed(command.variation, len(spec.entries))
+    spec = spec.model_copy(update={"variation": command.variation, "start_speed": started})
     recorded = race.run(spec, track=course).replay
     assert recorded is not None
     path = replays.write(recorded, replay_path(command.replay, spec, course))
@@ -242,6 +249,8 @@ def print_table(done: Evaluation) -> None:
 def summary(done: Evaluation) -> str:
     """Return the line below the table."""
     parts = [f"{done.complete_laps} of {done.asked} laps complete, {done.clean_laps} clean"]
+    if done.runs > 1:
+        parts.append(f"{done.clean_runs} of {done.runs} runs clean")
     if not done.all_complete:
         parts.append(f"{done.completion:.1f} % completed")
     for name, seconds in (

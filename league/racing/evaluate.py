@@ -18,15 +18,21 @@ from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv, Step
 from league.envs.rewards import BuiltIn, Reward
 from league.errors import ConfigError, brief
+from league.racing.race import dynamics
 from league.racing.table import Evaluation, Mode, Status, Trial
-from league.sim import referee
+from league.sim import referee, rng
 from league.sim.config import ObstacleConfig, RaceKind, RaceRules, SimConfig, SolverName
 from league.sim.world import World, is_frozen
 from league.track.track import Track, TrackSet
 
 MAX_TRIALS = 1000
+START_SPEED = 0.5
+"""Largest speed at the start of a run where nothing but the course is on the track [m/s], times
+the variation."""
 WORLDS_AT_ONCE = 32
 """Runs driven in one batch; a driver's numbers are the same alone and in a batch."""
+_ATTEMPT = 401
+"""Purpose of the random numbers that seed the attempts of a run after its first."""
 _MISTAKES: dict[str, Status] = {
     "off_track": "off_track",
     "crashed": "crashed",
@@ -86,6 +92,7 @@ def evaluate(
     mode: Mode = "race",
     seed: int = 0,
     solver: SolverName = "bullet",
+    variation: float = 1.0,
     obstacles: ObstacleConfig | None = None,
     opponents: Sequence[Driver | str] = (),
     rules: RaceRules | None = None,
@@ -107,6 +114,8 @@ def evaluate(
         mode: whether a mistake costs seconds or ends the trial.
         seed: seed of the first run.
         solver: physics.
+        variation: how far runs differ in the car and, alone on the track, in the speed at the
+            start, drawn from their seeds: 1 as heats of a league do; 0 not at all.
         obstacles: boxes or bots; None: six boxes in obstacle avoidance, else none.
         opponents: drivers that start behind it on the grid.
         rules: penalties and time limit of a run; its number of laps is not read.
@@ -122,6 +131,8 @@ def evaluate(
         raise ConfigError(f"trials is {brief(trials)}: give 1 to {MAX_TRIALS}")
     if not 0 <= seed < 2**63 - trials:
         raise ConfigError(f"seed is {brief(seed)}: give a whole number from 0 to 2^63 - trials")
+    if not 0 <= variation <= 10:
+        raise ConfigError(f"variation is {brief(variation)}: give 0, which is none, to 10")
     course = files.load(track) if isinstance(track, str) else track
     tracks = TrackSet(course)
     sim = SimConfig(
@@ -129,11 +140,15 @@ def evaluate(
         num_cars=1 + len(opponents),
         obstacles=obstacles or ObstacleConfig(),
         rules=replace(rules or RaceRules(), laps=laps),
+        spread=dynamics(variation, start_speed(variation, 1 + len(opponents))),
     )
     drivers = [_loaded(one, tracks, sim) for one in (driver, *opponents)]
     cfg = EnvConfig(sim=sim, solver=solver, sensors=tuple(one.sensors for one in drivers))
     run_laps = laps if course.closed else 1
-    runs = [LapRun(number, seed + number, run_laps, mode) for number in range(trials)]
+    runs = [
+        LapRun(number, seed + number, run_laps, mode, varied=variation > 0)
+        for number in range(trials)
+    ]
     for first in range(0, trials, WORLDS_AT_ONCE):
         batch = runs[first : first + WORLDS_AT_ONCE]
         batch_reward = reward(len(batch)) if reward is not None else None
@@ -148,12 +163,18 @@ def evaluate(
         laps=run_laps,
         asked=run_laps * trials,
         seed=seed,
+        variation=variation,
         trials=tuple(
             Trial(trial=number, run=run.number, seed=run.seed, **row)
             for number, (run, row) in enumerate(rows, 1)
         ),
         places=tuple(run.place for run in runs) if opponents else (),
     )
+
+
+def start_speed(variation: float, num_cars: int) -> float:
+    """Return the largest speed at the start of a run [m/s]; a grid of several cars stands."""
+    return START_SPEED * variation if num_cars == 1 else 0.0
 
 
 def _loaded(driver: Driver | str, tracks: TrackSet, sim: SimConfig) -> Driver:
@@ -179,7 +200,7 @@ def _drive(
         while not all(run.over for run in runs):
             restart = np.array([run.restart for run in runs])
             before = env.world.cars.copy()
-            step = rollout.step(restart=restart)
+            step = rollout.step(restart=restart, seeds=[run.restart_seed for run in runs])
             records = _step_records(tracks, cfg.sim, before, env.world, step)
             trial_steps = []
             for row, run in enumerate(runs):
@@ -276,6 +297,7 @@ class LapRun:
     seed: int
     laps: int
     mode: Mode
+    varied: bool = False
     rows: list[dict] = field(default_factory=list)
     place: int = 0
     over: bool = False
@@ -284,6 +306,13 @@ class LapRun:
     steps: int = 0
     penalty_s: float = 0.0
     counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(_MISTAKES, 0))
+
+    @property
+    def restart_seed(self) -> int:
+        """Seed of the next attempt from the line; without variation all attempts are alike."""
+        if not self.varied:
+            return self.seed
+        return rng.bits(self.seed, _ATTEMPT, len(self.rows)).item() & rng.SEED_MASK
 
     def add(self, row: int, record: StepRecord) -> TrialStep:
         """Count a step of this run, which is in a row of the batch."""

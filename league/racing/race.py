@@ -82,11 +82,11 @@ def sim_config(spec: RaceSpec) -> SimConfig:
             crash_penalty_s=spec.crash_penalty_s,
             max_time_s=spec.max_time_s,
         ),
-        spread=_spread(spec.variation),
+        spread=dynamics(spec.variation, spec.start_speed),
     )
 
 
-def _spread(variation: float) -> DynamicsRandomization:
+def dynamics(variation: float, start_speed: float) -> DynamicsRandomization:
     """Return how far the cars of a race differ: as one car does within a day of racing.
 
     Without it drivers without sensor noise repeat one race to the bit, whatever its seed, and a
@@ -98,6 +98,7 @@ def _spread(variation: float) -> DynamicsRandomization:
         steering_offset=0.005 * variation,
         camera_position=0.001 * variation,
         camera_angle=0.004 * variation,
+        start_speed=start_speed,
     )
 
 

@@ -20,9 +20,9 @@ class Trial(FrozenModel):
     run: int
     """Which run from the start line, from 0."""
     seed: int
-    """Seed of the run: of obstacles and noise."""
+    """Seed of the run: of obstacles, noise and variation."""
     standing: bool
-    """Whether it began at rest on the start line; otherwise it is a flying lap."""
+    """Whether it began on the start line, at walking pace at most; otherwise it is a flying lap."""
     status: Status
     """How it ended."""
     time_s: float
@@ -75,6 +75,8 @@ class Evaluation(FrozenModel):
     """Trials that would have been driven had nothing gone wrong."""
     seed: int
     """Seed of the first run."""
+    variation: float = 0.0
+    """How far runs differ in start speed, grip, mass and steering; 0: not at all."""
     trials: tuple[Trial, ...]
     """All trials that were begun, in order."""
     places: tuple[int, ...]
@@ -89,6 +91,16 @@ class Evaluation(FrozenModel):
     def clean_laps(self) -> int:
         """Laps completed without a mistake."""
         return sum(one.clean for one in self.trials)
+
+    @property
+    def runs(self) -> int:
+        """Runs from the start line."""
+        return len({one.run for one in self.trials})
+
+    @property
+    def clean_runs(self) -> int:
+        """Runs with every lap completed without a mistake."""
+        return self.runs - len({one.run for one in self.trials if not one.clean})
 
     @property
     def all_complete(self) -> bool:
@@ -148,6 +160,8 @@ class Evaluation(FrozenModel):
             "asked": self.asked,
             "complete_laps": self.complete_laps,
             "clean_laps": self.clean_laps,
+            "clean_runs": self.clean_runs,
+            "runs": self.runs,
             "completion": self.completion,
             "best_lap_s": self.best_lap_s,
             "mean_lap_s": self.mean_lap_s,

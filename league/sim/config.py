@@ -352,6 +352,8 @@ class DynamicsRandomization(Checked, what="spread"):
     """Largest extra latency [s]."""
     steering_offset: float = ranged(0.0, 0.0, 0.5)
     """Largest error of the steering's zero [rad]."""
+    start_speed: float = ranged(0.0, 0.0, 12.0)
+    """Largest speed at the start of a race [m/s]; the episodes of training do not read it."""
     camera_position: float = ranged(0.0, 0.0, 1.0)
     """Largest shift of the camera in height [m]."""
     camera_angle: float = ranged(0.0, 0.0, 0.5)

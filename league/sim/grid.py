@@ -14,7 +14,7 @@ from league.sim.physics.vehicle import frozen
 from league.sim.rng import uniform_of
 from league.track.projection import frame_at, signed_gap
 
-_GRIP, _MASS, _LATENCY, _STEERING, _CAMERA_UP, _CAMERA_PITCH = range(201, 207)
+_GRIP, _MASS, _LATENCY, _STEERING, _CAMERA_UP, _CAMERA_PITCH, _START_SPEED = range(201, 208)
 _SLACK = f32(0.07)
 _OPEN_START = f32(0.2)
 _INFINITE = f32(np.inf)
@@ -23,7 +23,7 @@ _ZERO, _HALF, _ONE, _TWO = f32(0.0), f32(0.5), f32(1.0), f32(2.0)
 
 @inner
 def start(cars, obstacles, world, points, course, places, settings):
-    """Put one world at the start of its race: cars at rest on a staggered grid.
+    """Put one world at the start of its race: cars on a staggered grid, at rest unless speeds vary.
 
     The first car stands on the start line, each further one a grid gap behind, odd ones on the
     inner lane and even ones on the outer; a car alone stands on the centreline. On an open track
@@ -43,6 +43,11 @@ def start(cars, obstacles, world, points, course, places, settings):
         distance, lateral = slot(c, len(cars), points, course, settings)
         stand(cars[c], points, course, distance, lateral)
         draw_parameters(cars[c], c, world.seed, 0, settings)
+        if settings.start_speed > _ZERO:
+            speed = settings.start_speed * uniform_of(world.seed, _START_SPEED, c)
+            frame = frame_at(points, course, distance)
+            cars[c].velocity_x, cars[c].velocity_y = speed * frame.cos, speed * frame.sin
+            cars[c].target_speed = speed
         blank_book(cars[c], distance, _ZERO)
         cars[c].lateral, cars[c].zero_s = lateral, _ZERO
         cars[c].ahead = 0

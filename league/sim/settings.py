@@ -69,6 +69,7 @@ def _fields(sim: SimConfig) -> tuple[tuple[str, type, float], ...]:
         ("mass_spread", _F4, spread.mass),
         ("latency_spread_s", _F4, spread.latency_s),
         ("steering_spread", _F4, spread.steering_offset),
+        ("start_speed", _F4, spread.start_speed),
         ("camera_up_spread", _F4, spread.camera_position),
         ("camera_pitch_spread", _F4, spread.camera_angle),
         ("friction", _F4, sim.contact.friction),

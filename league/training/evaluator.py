@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 import os
 import queue
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from league import subprocesses
 from league.agents import roster
@@ -18,6 +19,8 @@ from league.racing.table import Evaluation
 from league.sim.config import ObstacleConfig, RaceKind, SimConfig
 from league.track.track import Track, TrackSet
 
+CLEAN_RUNS = 20
+"""Runs from the start line of which a card says how many were clean."""
 TIMEOUT_S = 600.0
 """Longest wait for one evaluation [s]."""
 
@@ -76,17 +79,29 @@ def evaluate_policy(cfg: EvalConfig, checkpoint: Checkpoint) -> Evaluation:
     first = evaluations[0]
     if len(evaluations) == 1:
         return first
-    trials = [trial for evaluation in evaluations for trial in evaluation.trials]
+    trials = [
+        (number * cfg.trials + trial.run, trial)
+        for number, evaluation in enumerate(evaluations)
+        for trial in evaluation.trials
+    ]
     return first.model_copy(
         update={
             "track": f"{len(evaluations)} tracks",
             "asked": sum(evaluation.asked for evaluation in evaluations),
             "trials": tuple(
-                trial.model_copy(update={"trial": number}) for number, trial in enumerate(trials, 1)
+                trial.model_copy(update={"trial": number, "run": run})
+                for number, (run, trial) in enumerate(trials, 1)
             ),
             "places": tuple(place for evaluation in evaluations for place in evaluation.places),
         }
     )
+
+
+def clean_share(cfg: EvalConfig, checkpoint: Checkpoint) -> float:
+    """Return the share of at least CLEAN_RUNS runs, over all tracks, without a mistake."""
+    trials = math.ceil(CLEAN_RUNS / len(cfg.tracks))
+    evaluation = evaluate_policy(replace(cfg, trials=trials), checkpoint)
+    return round(evaluation.clean_runs / evaluation.runs, 4)
 
 
 MODULES = (

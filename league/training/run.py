@@ -25,7 +25,14 @@ from league.errors import ConfigError, LeagueError, PolicyError, brief
 from league.track.track import Track
 from league.training import config, run_folder, track_selection
 from league.training.config import RunConfig
-from league.training.evaluator import EvalConfig, EvalResult, Evaluator, evaluate_policy
+from league.training.evaluator import (
+    CLEAN_RUNS,
+    EvalConfig,
+    EvalResult,
+    Evaluator,
+    clean_share,
+    evaluate_policy,
+)
 from league.training.monitor.history import History
 from league.training.ppo import distributed, make_env
 from league.training.ppo.learner import Update, check_device, make_learner, memory_explained
@@ -359,7 +366,19 @@ class Run:
             for callback in callbacks:
                 callback.racing("racing the policy against its past for the win matrix")
             self._race_past(self._self_play)
+        self._note_clean_share(callbacks)
         self._save()
+
+    def _note_clean_share(self, callbacks: Sequence[TrainingCallback]) -> None:
+        """Write into the best policy's card how many runs it drives without a mistake."""
+        if self._best_evaluation is None or not self._best_evaluation.complete_laps:
+            return
+        for callback in callbacks:
+            callback.racing(f"driving {CLEAN_RUNS} runs for the policy's card")
+        best = checkpoint.load(self.folder / "best.pt")
+        share = clean_share(self._eval_cfg, best)
+        card = best.card.model_copy(update={"results": best.card.results | {"clean_share": share}})
+        checkpoint.save(self.folder / "best.pt", replace(best, card=card, text=""))
 
     def _race_past(self, self_play: SelfPlay) -> None:
         """Race the policy against its past; the one that wins most of these races is the best."""

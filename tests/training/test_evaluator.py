@@ -11,7 +11,10 @@ from pathlib import Path
 import pytest
 from small import untrained
 
+from league.agents.policy import Policy
 from league.errors import PolicyError
+from league.racing.evaluate import evaluate
+from league.sim.config import SimConfig
 from league.track import files
 from league.training import evaluator
 from league.training.evaluator import EvalConfig, Evaluator, evaluate_policy
@@ -55,6 +58,34 @@ def test_trials_on_several_tracks_are_counted_on():
     assert [trial.trial for trial in found.trials] == [1, 2, 3, 4]
     alone = evaluate_policy(EvalConfig(tracks=(TWO.tracks[1],), laps=1, trials=2), untrained())
     assert [t.time_s for t in found.trials[2:]] == [t.time_s for t in alone.trials]
+    assert [t.run for t in found.trials] == [0, 1, 2, 3]
+
+
+def test_policies_are_evaluated_as_the_command_does():
+    found = evaluate_policy(replace(ONE, trials=2), untrained())
+    same = evaluate(
+        Policy(untrained(), SimConfig().car),
+        ONE.tracks[0],
+        laps=1,
+        trials=2,
+        mode="episode",
+        seed=ONE.seed,
+    )
+    assert found.variation == same.variation == 1.0
+    assert found.trials == same.trials
+
+
+def test_share_of_clean_runs_is_of_twenty(monkeypatch):
+    asked = []
+
+    def counted(cfg, policy):
+        asked.append(cfg.trials)
+        return evaluate("centerline", "reinvent_2018", laps=1, trials=cfg.trials, solver="planar")
+
+    monkeypatch.setattr(evaluator, "evaluate_policy", counted)
+    assert evaluator.clean_share(ONE, untrained()) == 1.0
+    evaluator.clean_share(replace(TWO, tracks=TWO.tracks * 6), untrained())
+    assert asked == [20, 2]  # on one track, and on each of twelve
 
 
 def test_judge_against_opponents_tells_one_place_for_each_run():
@@ -109,6 +140,7 @@ def test_program_ends_although_policies_are_still_waiting(tmp_path):
             f"""
             import sys
             sys.path[:0] = {[os.path.dirname(__file__), str(Path(__file__).parents[1])]!r}
+            from league import subprocesses
             from league.track import files
             from league.training.evaluator import EvalConfig, Evaluator
             from small import CAMERA, untrained

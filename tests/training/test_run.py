@@ -245,6 +245,19 @@ def test_parent_of_another_shape_is_refused(tmp_path):
         small.run(tmp_path / "two", sees)
 
 
+def test_card_says_how_many_of_twenty_runs_are_clean(tmp_path, monkeypatch):
+    monkeypatch.setattr(evaluator, "evaluate_policy", passed)
+    monkeypatch.setattr(run_room, "evaluate_policy", passed)
+    callback = small.CallbackRecorder()
+    small.run(tmp_path, small.cfg(updates=2)).learn([callback])
+    assert checkpoint.load(tmp_path / "best.pt").card.results["clean_share"] == 1.0
+
+
+def test_card_says_no_share_where_no_lap_was_complete(tmp_path):
+    small.run(tmp_path, small.cfg(updates=2)).learn()
+    assert "clean_share" not in checkpoint.load(tmp_path / "best.pt").card.results
+
+
 def test_policy_sees_what_its_card_says(tmp_path):
     small.run(tmp_path, small.cfg(updates=2, train=small.train(sensors=small.CAMERA))).learn()
     card = checkpoint.load(tmp_path / "best.pt").card
