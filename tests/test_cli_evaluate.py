@@ -125,7 +125,6 @@ def test_racing_line_fills_the_column_of_the_trace(league, tmp_path):
         (["centerline", "--kind", "time_trial", "--opponents", "cautious"], "--kind"),
         (["centerline", "--kind", "time_trial", "--bots"], "has 6 obstacles"),
         (["centerline", "--kind", "time_trial", "--obstacles", "3"], "has 3 obstacles"),
-        (["centerline", "--trace", "."], "--trace is ., which is a folder"),
     ],
 )
 def test_mistake_is_answered_in_one_sentence_and_nothing_is_left(

@@ -3,6 +3,7 @@
 import json
 import os
 import random
+import shlex
 import signal
 import subprocess
 import sys
@@ -219,6 +220,15 @@ def test_flag_beats_the_hyperparameters_file(league, tmp_path):
     )
     assert (code, err) == (0, "")
     assert read(tmp_path / "h.run").train.ppo.gamma == 0.5
+
+
+def test_last_line_after_a_run_without_a_complete_lap_says_how_to_go_on(league):
+    code, out, _ = league("train", *TINY, "--steps", "32", "--out", "my car.pt")
+    assert code == 0
+    last = out.splitlines()[-1]
+    assert last.endswith("twice the budget: league train --resume --out 'my car.pt' --steps 64")
+    assert "league race" not in out
+    assert league(*shlex.split(last.partition("league ")[2]))[0] == 0
 
 
 @pytest.mark.parametrize(

@@ -57,7 +57,8 @@ class Evaluate:
     opponents: tuple[str, ...] = ()
     """Drivers or checkpoints to race against; they start behind."""
     trace: Path | None = None
-    """Write every step to this CSV, with the 19 columns that community log tools read."""
+    """Write every step to this CSV, with the 19 columns that community log tools read; or into this
+    folder, NAME.run/simtrace for one, in the layout in which they look for it."""
     reward: str = "progress"
     """What the trace's reward column holds: centerline, progress, race or racing_line, or a reward
     file (FILE.py)."""
@@ -72,6 +73,8 @@ class Evaluate:
 
 
 def _evaluate(command: Evaluate) -> int:
+    from league.racing import simtrace
+
     _check(command)
     evaluations = []
     for track in command.track:
@@ -80,7 +83,10 @@ def _evaluate(command: Evaluate) -> int:
         if not command.json:
             print_table(evaluation)
         if trace is not None and command.trace is not None:
-            path = trace.write(command.trace)
+            if _is_folder(command.trace):
+                path = simtrace.write_evaluation(trace, command.trace)
+            else:
+                path = trace.write(command.trace)
             if not command.json:
                 print(f"Trace: {path}")
         if command.replay != "none":
@@ -98,9 +104,9 @@ def _check(command: Evaluate) -> None:
     flags.refuse(
         (not tracks, "no track was named: give --track NAME, `league tracks` lists them"),
         (
-            trace is not None and several,
-            f"--trace {trace} was asked for {len(tracks)} tracks: a trace holds one track, "
-            "give one",
+            trace is not None and several and not _is_folder(trace),
+            f"--trace {trace} was asked for {len(tracks)} tracks: a file holds one track, "
+            "give one, or a folder",
         ),
         (
             replay.endswith(".race") and several,
@@ -114,10 +120,6 @@ def _check(command: Evaluate) -> None:
             command.reward != "progress" and trace is None,
             f"--reward {command.reward} fills a column of the trace, and none was asked for: "
             "give --trace FILE.csv as well",
-        ),
-        (
-            trace is not None and trace.is_dir(),
-            f"--trace is {trace}, which is a folder: give a file, NAME.csv",
         ),
         (
             bool(command.opponents) and command.kind == "time_trial",
@@ -144,7 +146,7 @@ def _one(command: Evaluate, track: str) -> tuple[Evaluation, Trace | None]:
     trace = None
     if command.trace is not None:
         space: ActionSpace | None = getattr(getattr(driver, "card", None), "action_space", None)
-        trace = Trace(space, started_s=time.time())
+        trace = Trace(space, driver.sensors, started_s=time.time())
     done = evaluate(
         driver,
         course,
@@ -175,6 +177,10 @@ def _kind(command: Evaluate) -> RaceKind:
     if command.kind == "auto":
         return "obstacle_avoidance" if _num_obstacles(command) else "time_trial"
     return command.kind
+
+
+def _is_folder(path: Path) -> bool:
+    return path.is_dir() or not path.suffix
 
 
 def _obstacles(command: Evaluate) -> ObstacleConfig:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import shutil
 import signal
@@ -298,9 +299,23 @@ def _report(command: Train, outcome: Outcome) -> None:
         print(_win_rates(outcome.matrix, command.folder))
     print(
         f"{outcome.samples} decisions in {outcome.time_s:.0f} s; stopped because {outcome.why}.\n"
-        f"Best policy: {command.out}   "
-        f"(race it: league race {shlex.quote(str(command.out))} centerline)\n"
-        f"The run, with best.pt, last.pt and training.png: {command.folder}"
+        f"Best policy: {command.out}\n"
+        f"The run, with best.pt, last.pt and training.png: {command.folder}\n"
+        f"{_next_step(command, outcome)}"
+    )
+
+
+def _next_step(command: Train, outcome: Outcome) -> str:
+    """Return what to do after a run: race its policy, or train on if no lap was complete."""
+    out = shlex.quote(os.fspath(command.out))
+    if outcome.evaluation is None or outcome.evaluation.complete_laps:
+        return f"Race it: league race {out} centerline"
+    cfg = command.cfg
+    more = [f"--minutes {2 * cfg.minutes:g}"] if cfg.minutes else []
+    more += [f"--steps {2 * cfg.steps}"] if cfg.steps else []
+    return (
+        "No lap is complete yet. Train on with twice the budget: "
+        f"league train --resume --out {out} {' '.join(more)}"
     )
 
 

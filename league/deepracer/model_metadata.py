@@ -145,6 +145,33 @@ def parse(content: Mapping[str, Any], name: str = "model_metadata") -> Metadata:
         raise ConfigError(f"{name}: {error}") from None
 
 
+def content(space: ActionSpace, sensors: SensorConfig) -> dict[str, Any]:
+    """Return what a model_metadata.json says of actions and sensors; `parse` reads it."""
+    if isinstance(space, DiscreteActions):
+        actions: object = [
+            {"steering_angle": angle, "speed": speed, "index": index}
+            for index, (angle, speed) in enumerate(space.choices)
+        ]
+    else:
+        actions = {
+            "steering_angle": {"low": space.steering_low, "high": space.steering_high},
+            "speed": {"low": space.speed_low, "high": space.speed_high},
+        }
+    names = []
+    if sensors.camera is not None:
+        names += [name for name, eyes in _CAMERAS.items() if eyes == sensors.camera.eyes][-1:]
+    if sensors.lidar is not None:
+        names.append(_LIDARS[("ranges", "sectors", "discretised").index(sensors.lidar.form)])
+    return {
+        "action_space": actions,
+        "action_space_type": "discrete" if isinstance(space, DiscreteActions) else "continuous",
+        "sensor": names,
+        "neural_network": NETWORKS[0],
+        "training_algorithm": "clipped_ppo",
+        "version": "5",
+    }
+
+
 def _action_space(file: _DiscreteFile | _ContinuousFile, kind: str) -> ActionSpace:
     ranges = isinstance(file, _ContinuousFile)
     if ranges != (kind == "continuous"):

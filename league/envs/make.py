@@ -144,7 +144,7 @@ def check_options(options: Iterable[str], function: Callable[..., object]) -> No
     if unknown := set(options) - EnvOptions.__annotations__.keys():
         own = set(inspect.signature(function).parameters) - {"self", "options"}
         near = nearest_names(min(unknown), [*own, *EnvOptions.__annotations__])
-        raise ConfigError(f"there is no option {min(unknown)!r}; nearest: {near}")
+        raise ConfigError(f"there is no option {min(unknown)!r}; {near}")
 
 
 def weights(reward: RewardConfig | Reward | str | os.PathLike[str] | None) -> RewardConfig:

@@ -33,7 +33,7 @@ WORLDS_AT_ONCE = 32
 """Runs driven in one batch; a driver's numbers are the same alone and in a batch."""
 _ATTEMPT = 401
 """Purpose of the random numbers that seed the attempts of a run after its first."""
-_MISTAKES: dict[str, Status] = {
+MISTAKES: dict[str, Status] = {
     "off_track": "off_track",
     "crashed": "crashed",
     "immobilised": "immobilized",
@@ -250,7 +250,7 @@ class StepRecord:
     """A step of the evaluated car of one world."""
 
     mistakes: tuple[str, ...]
-    """The referee's flags that are set, of _MISTAKES."""
+    """The referee's flags that are set, of MISTAKES."""
     lap: bool
     """Whether it completed a lap."""
     truncated: bool
@@ -282,9 +282,9 @@ def _step_records(
         share,
         referee.running_order(world.cars)[:, 0] + 1,
     )
-    flags = zip(*(verdicts[name].tolist() for name in _MISTAKES), strict=True)
+    flags = zip(*(verdicts[name].tolist() for name in MISTAKES), strict=True)
     return [
-        StepRecord(tuple(name for name, flag in zip(_MISTAKES, made, strict=True) if flag), *row)
+        StepRecord(tuple(name for name, flag in zip(MISTAKES, made, strict=True) if flag), *row)
         for made, *row in zip(flags, *(column.tolist() for column in columns), strict=True)
     ]
 
@@ -305,7 +305,7 @@ class LapRun:
     standing: bool = True
     steps: int = 0
     penalty_s: float = 0.0
-    counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(_MISTAKES, 0))
+    counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(MISTAKES, 0))
 
     @property
     def restart_seed(self) -> int:
@@ -320,7 +320,7 @@ class LapRun:
         for name in record.mistakes:
             self.counts[name] += 1
         self.penalty_s += record.penalty_s if record.mistakes and self.mode == "race" else 0.0
-        mistake = _MISTAKES[record.mistakes[0]] if record.mistakes else None
+        mistake = MISTAKES[record.mistakes[0]] if record.mistakes else None
         trial, step = len(self.rows), self.steps
         ending = self._ending(mistake, record)
         if ending is not None:

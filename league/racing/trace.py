@@ -17,13 +17,14 @@ import numpy as np
 from league.atomic_file import replacing
 from league.deepracer import params_kernels
 from league.deepracer.params import Roads
-from league.envs.actions import ActionSpace, DiscreteActions
+from league.envs.actions import ActionSpace, ContinuousActions, DiscreteActions
 from league.errors import ConfigError
-from league.racing.evaluate import EvalStep
+from league.racing.evaluate import MISTAKES, EvalStep
 from league.sim import referee
+from league.sim.config import CarConfig, SensorConfig, SimConfig
 from league.sim.records import NOBODY
-from league.sim.world import is_frozen
-from league.track.track import Track
+from league.sim.world import World, is_frozen
+from league.track.track import Track, TrackSet
 
 COLUMNS = (
     "episode", "steps", "X", "Y", "yaw", "steer", "throttle", "action", "reward", "done",
@@ -39,42 +40,121 @@ def nearer(points: Sequence[tuple[float, float]], pair: Sequence[int], x: float,
     return pair[1] if ahead < behind else pair[0]
 
 
+def mistakes(verdicts: np.ndarray) -> list[str]:
+    """Return the first mistake of each verdict, VERDICT records (n,); empty where there is none."""
+    names = np.full(len(verdicts), "", dtype=object)
+    for flag, name in reversed(MISTAKES.items()):
+        names[verdicts[flag]] = name
+    return names.tolist()
+
+
+class StepRows:
+    """The columns of the CSV that follow from one step alone, for car 0 of each world."""
+
+    def __init__(self, space: ActionSpace | None = None) -> None:
+        """Prepare.
+
+        Args:
+            space: what the driver chooses from, for the column `action`; None: any numbers.
+        """
+        self._space = space
+        self._roads: Roads | None = None
+
+    def of(
+        self,
+        tracks: TrackSet,
+        sim: SimConfig,
+        before: np.ndarray,
+        world: World,
+        rewards: np.ndarray,
+    ) -> list[dict]:
+        """Return a row for each world.
+
+        Args:
+            tracks: the courses.
+            sim: settings of the worlds.
+            before: CAR records before the step, (num_worlds, num_cars).
+            world: the worlds after it, before any penalty or restart moved a car.
+            rewards: of each car.
+        """
+        if self._roads is None:
+            self._roads = Roads.of(tracks)
+        columns = _columns(tracks, sim.car, before[:, 0], world, rewards[:, 0])
+        rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+        for row, index in zip(rows, world.track.tolist(), strict=True):
+            row.update(self._lap_columns(tracks.tracks[index], index, row))
+            row["action"] = self._action(row["steer"], row["throttle"])
+        return rows
+
+    def _lap_columns(self, track: Track, index: int, row: Mapping[str, float]) -> dict:
+        """Return the columns that say where on the lap the car is."""
+        roads = self._roads
+        assert roads is not None
+        place = (row["nose_s"], row["X"], row["Y"])
+        pair = params_kernels.closest_waypoints(roads.own_waypoints, roads.records[index], *place)
+        # The referee counts laps where the base is; the original's progress is that of the nose.
+        on_lap = row["distance"] - row["laps"] * row["lap_length"]
+        progress = 100.0 * (on_lap + row["nose_ahead"]) / row["lap_length"]
+        return {
+            "progress": round(min(max(progress, 0.0), 100.0), 6),
+            "closest_waypoint": nearer(roads.waypoints[index], pair, row["X"], row["Y"]),
+            "track_len": round(track.length, 6),
+        }
+
+    def _action(self, steer: float, throttle: float) -> str | int:
+        if isinstance(self._space, DiscreteActions):
+            gaps = [
+                abs(angle - steer) / 30.0 + abs(speed - throttle)
+                for angle, speed in self._space.choices
+            ]
+            return gaps.index(min(gaps))
+        # No comma between the two: readers of the older files count commas.
+        return f"[{steer:.4f} {throttle:.4f}]"
+
+
 class Trace:
     """Records the steps of an evaluation; give its `add` as `watch`."""
 
-    def __init__(self, space: ActionSpace | None = None, *, started_s: float = 0.0) -> None:
+    def __init__(
+        self,
+        space: ActionSpace | None = None,
+        sensors: SensorConfig | None = None,
+        *,
+        started_s: float = 0.0,
+    ) -> None:
         """Start an empty trace.
 
         Args:
             space: what the driver chooses from, for the column `action`; None: any numbers.
+            sensors: what its car carries, if anything.
             started_s: Unix time at which the evaluation began [s], for `wall_clock`.
         """
-        self._space, self._started_s = space, started_s
+        self.space, self.started_s = space or ContinuousActions(), started_s
+        self.sensors = sensors or SensorConfig()
+        self._step_rows = StepRows(space)
         self._rows: dict[int, list[dict]] = {}
-        self._roads: Roads | None = None
         self._crashes: dict[tuple[int, int], int] = {}
         self._step_dt = 0.0
 
     def add(self, step: EvalStep) -> None:
         """Keep one step of every run that is under way."""
-        if self._roads is None:
-            self._roads = Roads.of(step.tracks)
         self._step_dt = step.sim.step_dt
-        columns = _columns(step)
+        rows = self._step_rows.of(
+            step.tracks, step.sim, step.before, step.judged, step.step.rewards
+        )
+        pauses = _plain(step.world.cars["penalty_s"][:, 0])
         for trial in step.trials:
             crash = bool(step.step.verdicts["crashed_obstacle"][trial.row, 0] != NOBODY)
             key = (trial.run, trial.trial)
             self._crashes[key] = self._crashes.get(key, 0) + crash
-            row = {name: values[trial.row] for name, values in columns.items()}
             self._rows.setdefault(trial.run, []).append(
                 {
-                    **row,
-                    **self._lap_columns(step.tracks.tracks[0], row),
+                    **rows[trial.row],
                     "trial": trial.trial,
                     "steps": trial.step,
-                    "action": self._action(row["steer"], row["throttle"]),
                     "done": trial.done,
                     "episode_status": trial.status,
+                    "pause_duration": pauses[trial.row],
                     "obstacle_crash_counter": self._crashes[key],
                     **({"progress": 100.0} if trial.status == "lap_complete" else {}),
                 }
@@ -91,7 +171,7 @@ class Trace:
                     **row,
                     "episode": episodes + row["trial"],
                     "tstamp": round(time_s, 6),
-                    "wall_clock": round(self._started_s + time_s, 6),
+                    "wall_clock": round(self.started_s + time_s, 6),
                 }
                 rows.append({name: whole[name] for name in COLUMNS})
             episodes += self._rows[run][-1]["trial"] + 1
@@ -99,46 +179,26 @@ class Trace:
 
     def write(self, path: str | os.PathLike[str]) -> Path:
         """Write the CSV, whole or not at all, and return its path."""
-        with (
-            replacing(path, "the trace", ConfigError) as temporary,
-            temporary.open("w", newline="", encoding="utf-8") as file,
-        ):
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(COLUMNS)
-            writer.writerows(list(row.values()) for row in self.rows())
-        return Path(path)
-
-    def _lap_columns(self, track: Track, row: Mapping[str, float]) -> dict:
-        """Return the columns that say where on the lap the car is."""
-        roads = self._roads
-        assert roads is not None
-        place = (row["nose_s"], row["X"], row["Y"])
-        pair = params_kernels.closest_waypoints(roads.own_waypoints, roads.records[0], *place)
-        # The referee counts laps where the base is; the original's progress is that of the nose.
-        on_lap = row["distance"] - row["laps"] * row["lap_length"]
-        progress = 100.0 * (on_lap + row["nose_ahead"]) / row["lap_length"]
-        return {
-            "progress": round(min(max(progress, 0.0), 100.0), 6),
-            "closest_waypoint": nearer(roads.waypoints[0], pair, row["X"], row["Y"]),
-            "track_len": round(track.length, 6),
-            "all_wheels_on_track": bool(row["all_wheels_on_track"]),
-        }
-
-    def _action(self, steer: float, throttle: float) -> str | int:
-        if isinstance(self._space, DiscreteActions):
-            gaps = [
-                abs(angle - steer) / 30.0 + abs(speed - throttle)
-                for angle, speed in self._space.choices
-            ]
-            return gaps.index(min(gaps))
-        # No comma between the two: readers of the older files count commas.
-        return f"[{steer:.4f} {throttle:.4f}]"
+        return write_rows(Path(path), self.rows())
 
 
-def _columns(step: EvalStep) -> dict[str, list]:
-    """Return numbers of the evaluated car of each world after a step, by name."""
-    tracks, car, world = step.tracks, step.sim.car, step.judged
-    now, before, track = world.cars[:, 0], step.before[:, 0], world.track
+def write_rows(path: Path, rows: Sequence[Mapping[str, object]]) -> Path:
+    """Write rows with the columns of the CSV, whole or not at all, and return the path."""
+    with (
+        replacing(path, "the trace", ConfigError) as temporary,
+        temporary.open("w", newline="", encoding="utf-8") as file,
+    ):
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        writer.writerows([row[name] for name in COLUMNS] for row in rows)
+    return path
+
+
+def _columns(
+    tracks: TrackSet, car: CarConfig, before: np.ndarray, world: World, rewards: np.ndarray
+) -> dict[str, list]:
+    """Return numbers of car 0 of each world after a step, by name."""
+    now, track = world.cars[:, 0], world.track
     x = now["x"] + np.float32(car.nose) * np.cos(now["yaw"])
     y = now["y"] + np.float32(car.nose) * np.sin(now["yaw"])
     nose = tracks.project(track, x, y, now["s"])
@@ -153,14 +213,13 @@ def _columns(step: EvalStep) -> dict[str, list]:
         "steer": np.round(now["target_steering"] * np.float32(180.0 / math.pi), 4),
         "throttle": now["target_speed"],
         # No reward is paid during a penalty.
-        "reward": np.where(is_frozen(before), 0.0, step.step.rewards[:, 0]),
+        "reward": np.where(is_frozen(before), 0.0, rewards),
         "all_wheels_on_track": on.all(axis=1),
         "distance": now["distance"],
         "laps": before["laps"],
         "lap_length": tracks.lap_length(track),
         "nose_s": nose.s,
         "nose_ahead": tracks.signed_gap(track, nose.s, now["s"]),
-        "pause_duration": step.world.cars["penalty_s"][:, 0],
     }
     return {name: _plain(values) for name, values in columns.items()}
 

@@ -214,6 +214,9 @@ class RunConfig:
     """Runs of each evaluation on each track."""
     eval_every: int = field(default=1, metadata=FREE)
     """Save points between two evaluations."""
+    simtrace: bool = field(default=False, metadata=FREE)
+    """Write each step into NAME.run/simtrace, in the folders and files that community log tools
+    read."""
     threads: int = 1
     """Threads of torch, on which the last bits depend; the evaluations take one more."""
     licence: str = "CC-BY-4.0"

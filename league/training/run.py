@@ -22,6 +22,8 @@ from league.envs import rewards
 from league.envs.driver import Driver
 from league.envs.rewards import Reward
 from league.errors import ConfigError, LeagueError, PolicyError, brief
+from league.racing import simtrace
+from league.racing.simtrace import TrainingTrace
 from league.track.track import Track
 from league.training import config, run_folder, track_selection
 from league.training.config import RunConfig
@@ -132,9 +134,16 @@ class Run:
         if self._reward is None:
             car = make_env.env_config(train).sim.car
             self._reward = rewards.built_in(cfg.reward, tracks, car)
+        self._simtrace: TrainingTrace | None = None
+        if cfg.simtrace and distributed.is_first():
+            sim = make_env.env_config(train).sim
+            traces = folder / run_folder.SIMTRACE
+            self._simtrace = TrainingTrace(self._reward, traces, train.action_space, sim)
         make = make_taught if train.teacher else make_learner
         with memory_explained():
-            self.learner = make(tracks, train, opponents=opponents, reward=self._reward)
+            self.learner = make(
+                tracks, train, opponents=opponents, reward=self._simtrace or self._reward
+            )
         if self._parent is not None:
             self.learner.load_weights(dict(self._parent.weights))
         self._submitted: dict[int, Checkpoint] = {}
@@ -168,6 +177,9 @@ class Run:
         if not distributed.is_first():
             return
         self._lock = run_folder.lock(self.folder)
+        if self._simtrace is not None:
+            self._simtrace.resume(notes.get("simtrace", (0, 0)))
+            self._write_simtrace_metadata()
         self.history.close()
         self.history = History.resumed(self.folder / "history.jsonl", self.learner.updates)
         if more and not self.over:
@@ -276,9 +288,26 @@ class Run:
         self._lock = run_folder.lock(self.folder)
         config.write(self.cfg, self.folder)
         run_folder.clear(self.folder)
+        if self._simtrace is not None:
+            self._write_simtrace_metadata()
         if self._self_play is not None:
             self._self_play.begin(self.learner)
         self.history = History(self.folder / "history.jsonl")
+
+    def _write_simtrace_metadata(self) -> None:
+        train, ppo = self.train, self.train.ppo
+        hyperparameters: dict[str, float | str] = {
+            "batch_size": train.samples // ppo.mini_batches,
+            "num_epochs": ppo.epochs,
+            "lr": ppo.learning_rate[0],
+            "beta_entropy": ppo.entropy[0],
+            "discount_factor": ppo.gamma,
+            "num_episodes_between_training": simtrace.EPISODES,
+            "exploration_type": "categorical",
+            "stack_size": 1,
+        }
+        folder = self.folder / run_folder.SIMTRACE
+        simtrace.write_metadata(folder, train.action_space, train.sensors, hyperparameters)
 
     def _progress(self) -> float:
         cfg = self.cfg
@@ -402,6 +431,9 @@ class Run:
             "complete": self._complete,
             "best": list(self._best or ()),
         }
+        if self._simtrace is not None:
+            self._simtrace.flush()
+            notes["simtrace"] = list(self._simtrace.position)
         if self._self_play is not None:
             notes["self_play"] = json.dumps(self._self_play.state())
         self.learner.save(self.folder / "state.pt", notes)

@@ -12,8 +12,10 @@ LEARNT = ("best.pt", "last.pt", "state.pt")
 """Files that only learning again would bring back."""
 PRINTED = "printed.txt"
 """The last lines that a reward function has printed."""
+SIMTRACE = "simtrace"
+"""The folder of traces that community log tools read."""
 _PICTURES = (PRINTED, "training.png", "win_matrix.json", "win_matrix.png", "pool/pool.json")
-_MANY = ("pool/*.pt", "tensorboard/events.out.tfevents.*")
+_MANY = ("pool/*.pt", "tensorboard/events.out.tfevents.*", f"{SIMTRACE}/**/*-iteration.csv")
 
 
 def lock(folder: Path) -> int | None:
