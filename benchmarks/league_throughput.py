@@ -1,4 +1,8 @@
-"""How many rated duels a league races in a day, with camera policies, and where the time goes."""
+"""How many rated duels a league races in a day, with camera policies, and where the time goes.
+
+The policies are those named on the command line, or the first two of the garage with a camera, by
+name; their names are printed with the figures.
+"""
 
 import cProfile
 import multiprocessing
@@ -195,6 +199,7 @@ def main() -> None:
     if len(drivers) < 2:
         note("not measured: there is no camera policy in garage/, name one: FILE.pt")
         return
+    note(f"The policies: {', '.join(one.card.name for one in drivers)}")
     with tempfile.TemporaryDirectory() as folder, league(Path(folder), drivers) as store:
         shares(store)
         batching(store)

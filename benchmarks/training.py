@@ -1,6 +1,6 @@
 """How long a driver takes to learn, and where the time of training goes.
 
-The rookie is measured as a user meets it: from the command to the prompt. The learner is measured
+The rookie is measured from the command to the prompt, with the simulator compiled before. The learner is measured
 against a plain loop: PPO written out on the same network, batch and number of passes, fed with
 stored random pictures, with nothing around it. Both loops and the shares are told in one core's own
 time, so that a busy machine changes nothing.
@@ -77,7 +77,7 @@ def rookies(seeds: tuple[int, ...] = (1, 2, 3)) -> None:
             note(f"  seed {seed}: {run.wall_s:.1f} s, {run.samples:,} decisions, {laps}")
         times = 1 if evaluations == 1 else evaluations
         middle = statistics.median(run.wall_s for run in runs)
-        name = f"rookie: command to prompt, 3 of 3 laps {times}x in a row"
+        name = f"rookie: command to prompt, compiled before, 3 of 3 laps {times}x in a row"
         figure(name, middle, "s", 25 if evaluations == 1 else None, most=True)
         samples = statistics.median(run.samples for run in runs)
         figure("rookie: decisions learnt from", samples, "")
