@@ -1,6 +1,7 @@
 """How long a driver takes to learn, and where the time of training goes.
 
-The rookie is measured from the command to the prompt, with the simulator compiled before. The learner is measured
+The rookie is measured from the command to the prompt, with the simulator compiled before. The
+learner is measured
 against a plain loop: PPO written out on the same network, batch and number of passes, fed with
 stored random pictures, with nothing around it. Both loops and the shares are told in one core's own
 time, so that a busy machine changes nothing.
