@@ -304,7 +304,7 @@ def test_a_comparison_reports_its_progress_and_a_verdict_without_a_terminal(
 def test_a_wrong_name_gives_the_nearest_ones(told, capsys):
     assert told("show", "centreline", code=2) == ""
     main(["show", "centreline"])
-    assert "did you mean centerline?" in capsys.readouterr().err
+    assert "nearest: centerline" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

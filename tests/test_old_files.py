@@ -1,6 +1,7 @@
 """Files written before the modules and settings were renamed still open and mean the same."""
 
 import gzip
+import re
 import tarfile
 from pathlib import Path
 
@@ -48,8 +49,8 @@ def test_an_old_league_has_the_same_standings_and_goes_on(run, capsys):
     assert "12 records begin the ledger" in capsys.readouterr().out
     assert run("standings") == 0
     out = capsys.readouterr().out
-    for row in ("centerline  league 1000", "4 races under rules c114134669dd"):
-        assert row in out
+    assert re.search(r"centerline +league +1000", out)
+    assert "4 races under rules c114134669dd" in out
     assert run("run", "--heats", "2", "--same-owner", "--plain") == 0
     assert run("audit", "--sample", "100%") == 0
 

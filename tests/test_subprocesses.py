@@ -158,12 +158,11 @@ def kill_servers(count):
     while len(killed) < count:
         pid = forkserver._forkserver._forkserver_pid
         if pid and pid not in killed:
-            time.sleep(0.05)
+            time.sleep(0.01)  # before it can have forked anything
             os.kill(pid, signal.SIGKILL)
             killed.add(pid)
         time.sleep(0.005)
 
-subprocesses.LOADED = ("league.errors",)
 threading.Thread(target=kill_servers, args=(3,), daemon=True).start()
 process = subprocesses.start(print, "started")
 process.join()

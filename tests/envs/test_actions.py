@@ -64,7 +64,7 @@ def test_anything_else_is_refused_with_a_sentence(action, sentence):
     [
         (
             {"car_0": [0, 0], "car_1": [0, 0], "car_2": [0, 0]},
-            "an action for 'car_2', which is no agent here: there are car_",
+            "an action for 'car_2', which is no agent here; nearest: car_",
         ),
         ({"car_0": [0, 0], "car_1": [0, 0], 0: [0, 0]}, "an action for 0"),
         ({"car_0": [0, 0]}, "no action for car_1"),

@@ -169,7 +169,7 @@ def test_an_entry_is_found_by_name_id_and_beginning_of_its_id(league):
 
 
 def test_an_unknown_entry_gives_the_nearest_names(league):
-    with pytest.raises(StoreError, match=r"no entry 'e11' .* did you mean e1"):
+    with pytest.raises(StoreError, match=r"no entry 'e11' .*; nearest: e1"):
         league.entry("e11")
 
 
