@@ -94,7 +94,7 @@ def test_models_that_cannot_be_checkpoints_are_refused(make, sensors, sentence):
 
 
 def test_mistakes_are_refused_with_a_sentence():
-    with pytest.raises(ConfigError, match="no option 'num_worlds'; nearest: "):
+    with pytest.raises(ConfigError, match="no option 'num_worlds'; there are "):
         SB3VecEnv(2, num_worlds=3)
     with pytest.raises(ConfigError, match="num_envs is 0"):
         SB3VecEnv(0)
