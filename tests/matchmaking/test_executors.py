@@ -96,9 +96,11 @@ def test_a_process_that_died_idle_is_replaced_before_it_is_given_a_job(job):
 
 
 def test_a_worker_that_dies_while_it_starts_costs_the_heat_no_try(job):
+    others = pids()  # of tests before this one
     with closing(ProcessExecutor(1)) as executor:
         executor.offer(job)
-        os.kill(pids()[0], signal.SIGKILL)  # it is only just beginning
+        (worker,) = set(pids()) - set(others)
+        os.kill(worker, signal.SIGKILL)  # it is only just beginning
         (done,) = reports(executor, 1)
         assert done.key == job.key and done.outcome is not None
 
