@@ -13,7 +13,7 @@ import numpy as np
 from league.agents import checkpoint
 from league.agents.policy import Policy
 from league.envs import step as stages
-from league.envs.config import EnvConfig, OpponentPlacement
+from league.envs.config import EnvConfig, Scenarios
 from league.envs.race_env import RaceEnv
 from league.envs.state import INDEX
 from league.portable_math import f32
@@ -47,7 +47,8 @@ def _sim(cars: int = 1, **settings) -> config.SimConfig:
 def races(rules: config.RaceRules = _SHORT) -> dict[str, tuple[EnvConfig, int, int]]:
     """Return the settings of each race, its worlds and its steps."""
     boxes, bots = config.ObstacleConfig(), config.ObstacleConfig(kind="bot", speed=1.0)
-    meeting = {"mode": "training", "episode_s": 4.0, "placement": OpponentPlacement()}
+    scenarios = Scenarios(shortest=2.0)
+    meeting = {"mode": "training", "episode_s": 4.0, "scenarios": scenarios}
     return {
         "race": (EnvConfig(sim=_sim(4, rules=rules, spread=_SPREAD), sensors=_SENSORS), 6, 240),
         "boxes": (EnvConfig(sim=_sim(rules=rules, obstacles=boxes), sensors=_SEEING), 6, 240),

@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from league.envs import episodes, rewards
+from league.envs import episodes, rewards, scenarios
 from league.envs import step as stages
-from league.envs.config import EnvConfig, OpponentPlacement
+from league.envs.config import EnvConfig, Scenarios
 from league.envs.race_env import RaceEnv
 from league.envs.state import INDEX
 from league.sim import records
@@ -33,7 +33,7 @@ from league.track.track import Track, TrackSet
 
 SETTINGS = (
     CameraConfig, CarConfig, ContactConfig, LidarConfig, VisualRandomization, ObstacleConfig,
-    OpponentPlacement, RaceRules, SensorConfig, SimConfig, DynamicsRandomization,
+    RaceRules, Scenarios, SensorConfig, SimConfig, DynamicsRandomization,
 )  # fmt: skip
 """All classes of settings of a world."""
 MOTION = ["x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate", "steering"]
@@ -225,6 +225,7 @@ class Stages:
             "contacts": touch(world),
             "verdicts": np.zeros(shape, records.VERDICT),
             "outcomes": np.zeros(shape, stages.OUTCOME),
+            "encounters": np.zeros(shape[0], scenarios.ENCOUNTER),
             "terms": np.zeros((*shape, len(rewards.TERMS)), np.float32),
             "motions": np.zeros((shape[1], shape[0], 5), np.float32),
             "weight": np.zeros(0, np.float32),

@@ -255,8 +255,6 @@ def test_last_line_after_a_run_without_a_complete_lap_says_how_to_go_on(league):
         (["--kind", "head_to_head"], "give either --opponents NAME ... or --self-play"),
         (["--bots"], "--bots means nothing without --kind obstacle_avoidance"),
         (["--obstacles", "3"], "--obstacles means nothing without --kind obstacle_avoidance"),
-        (["--scripted-share", "0.5"], "--scripted-share means nothing without --self-play"),
-        (["--no-handicap"], "--no-handicap means nothing without --self-play"),
         (["--cars", "3"], "--cars means nothing without --self-play"),
         (["--kind", "head_to_head", "--self-play", "--cars", "9"], "--cars is 9: give 2 to 8"),
         (["--dynamics-randomization", "3"], "dynamics_randomization is 3.0: give 0, which is none"),
@@ -278,10 +276,6 @@ def test_last_line_after_a_run_without_a_complete_lap_says_how_to_go_on(league):
         (["--bootstrap-on-failure", "--reward", "centerline"], "centerline takes nothing: omit it"),
         (["--teacher", "1"], "the teacher's share of the budget is 1"),
         (["--teacher", "0.2", "--init-from", "rookie"], "omit --teacher or --init-from"),
-        (
-            ["--teacher", "0.2", "--kind", "head_to_head", "--self-play"],
-            "omit --teacher or --self-play",
-        ),
         (["--epochs", "0"], "epochs is 0: give at least 1"),
         (["--mini-batches", "99999"], "cannot be split into 99999 mini-batches"),
         (["--rollout", "0"], "rollout is 0: give at least 1"),
@@ -399,14 +393,18 @@ def test_self_play_is_among_two_cars_or_as_many_as_are_asked_for():
 
 def test_racing_looks_farther_ahead_unless_asked_otherwise():
     racing = ("--kind", "head_to_head", "--self-play")
-    assert config(*racing).train.ppo.gamma == 0.97
+    assert config(*racing).train.ppo.gamma == 0.987
     assert config(*racing, "--gamma", "0.95").train.ppo.gamma == 0.95  # the default of others
 
 
-def test_past_selves_are_held_back_unless_that_is_switched_off():
+def test_self_play_begins_on_the_true_state_for_half_of_the_time():
     racing = ("--kind", "head_to_head", "--self-play")
-    assert config(*racing).handicap
-    assert not config(*racing, "--no-handicap").handicap
+    assert config(*racing).train.teacher == 0.5
+    assert config(*racing).reward == "race"
+    assert config(*racing, "--teacher", "0.3").train.teacher == 0.3
+    assert config(*racing, "--init-from", "rookie").train.teacher == 0.0
+    alone = config(*racing, "--sensors", "truth").train
+    assert (alone.teacher, alone.sensors.truth, alone.num_worlds) == (0.0, True, 768)
 
 
 def test_policy_to_begin_from_may_be_named_as_in_the_garage():

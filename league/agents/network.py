@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
+from league.envs import truth
 from league.envs.observations import MOTION_FIELDS
 from league.errors import ConfigError
 from league.sim.config import SensorConfig
@@ -85,6 +86,11 @@ def group_shapes(sensors: SensorConfig) -> dict[str, tuple[int, ...]]:
         shapes["stereo"] = sensors.camera.shape
     if sensors.lidar is not None:
         shapes["lidar"] = (sensors.lidar.size,)
+    if sensors.history:
+        reading = len(MOTION_FIELDS) + (sensors.lidar.size if sensors.lidar else 0)
+        shapes["history"] = (sensors.history * reading,)
+    if sensors.truth:
+        shapes["truth"] = (truth.SIZE,)
     shapes["motion"] = (len(MOTION_FIELDS),)
     return shapes
 

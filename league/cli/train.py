@@ -24,9 +24,9 @@ from league.training import config, run_folder
 from league.training.config import RunConfig
 
 if TYPE_CHECKING:
+    from league.racing.duels import Threshold
     from league.training.monitor.callback import TrainingCallback
     from league.training.run import Outcome, Run
-    from league.training.selfplay.payoff_matrix import PayoffMatrix
 
 OLD_FLAGS = {
     "--exam-track": "--eval-track",
@@ -295,8 +295,8 @@ def _report(command: Train, outcome: Outcome) -> None:
     if outcome.evaluation is not None:
         print_table(outcome.evaluation)
     _copy(outcome.best, command.out)
-    if outcome.matrix is not None:
-        print(_win_rates(outcome.matrix, command.folder))
+    if outcome.duels is not None:
+        print(_pace_of_rivals(outcome.duels))
     print(
         f"{outcome.samples} decisions in {outcome.time_s:.0f} s; stopped because {outcome.why}.\n"
         f"Best policy: {command.out}\n"
@@ -319,18 +319,11 @@ def _next_step(command: Train, outcome: Outcome) -> str:
     )
 
 
-def _win_rates(matrix: PayoffMatrix, folder: Path) -> str:
-    """Return which opponents the best policy of self-play beats, and which it does not."""
-    from league.training.selfplay.pool import PARENT
-
-    rates = {"its parent": matrix.against(PARENT), "centerline": matrix.against("centerline")}
-    rates = {opponent: rate for opponent, rate in rates.items() if rate is not None}
-    parts = [f"{100 * rate:.0f} % against {opponent}" for opponent, rate in rates.items()]
-    if matrix.smallest is not None:
-        parts.append(f"at least {100 * matrix.smallest:.0f} % against its past")
-    wins = f"It wins {', '.join(parts)}" if parts else "It has no opponent to be compared with"
-    lines = [f"{wins}, in mirrored races: {folder / 'win_matrix.png'}"]
-    lost = [opponent for opponent, rate in rates.items() if rate < 0.5]
-    if lost:
-        lines.append(f"It loses to {' and '.join(lost)}: give it more time, or another --reward.")
-    return "\n".join(lines)
+def _pace_of_rivals(found: Threshold) -> str:
+    """Return how fast rivals are that the best policy of self-play passes, and keeps behind."""
+    passes = f"{100 * found.pace:.0f} % of its own pace" if found.pace else "no pace that was tried"
+    holds = f"up to {100 * found.hold:.0f} %" if found.hold else "no pace that was tried"
+    return (
+        f"Against itself, slowed: it passes rivals of {passes} cleanly in half of the races, and "
+        f"keeps behind it rivals of {holds}"
+    )

@@ -62,6 +62,9 @@ def _new(command: Train) -> RunConfig:
         cars = 2 if cfg.self_play else 1 + len(cfg.opponents)
         train = replace(train, critic_hidden=(256, 256))
         ppo = ppo.racing()
+        if cfg.self_play:
+            cfg = replace(cfg, reward="race")
+            train = replace(train, teacher=0.0 if cfg.init_from or train.sensors.truth else 0.5)
     return replace(
         cfg,
         minutes=0.0 if cfg.steps else cfg.minutes,
@@ -81,10 +84,13 @@ def finished(command: Train) -> RunConfig:
     obstacles = cfg.train.obstacles
     if obstacles is None and cfg.train.bots:
         obstacles = USUAL_OBSTACLES
+    train = replace(cfg.train, save_every=_save_every(cfg.train), obstacles=obstacles)
+    if cfg.self_play and train.sensors.truth:
+        train = train.on_truth()
     return replace(
         cfg,
         name=command.out.stem,
-        train=replace(cfg.train, save_every=_save_every(cfg.train), obstacles=obstacles),
+        train=train,
         command="".join(sign if sign.isprintable() else " " for sign in line),
     )
 
@@ -93,7 +99,6 @@ def _check(cfg: RunConfig) -> None:
     """Refuse flags that would be ignored, or that contradict each other."""
     train, plain, racing = cfg.train, RunConfig(), cfg.train.kind == "head_to_head"
     obstacles = train.obstacles != plain.train.obstacles
-    share = cfg.scripted_share != plain.scripted_share
     cars = train.num_cars != 1 + racing * len(cfg.opponents)
     for needed, is_there, flags in (
         (
@@ -113,7 +118,7 @@ def _check(cfg: RunConfig) -> None:
         (
             "--self-play",
             cfg.self_play,
-            {"--scripted-share": share, "--no-handicap": not cfg.handicap, "--cars": cars},
+            {"--cars": cars},
         ),
     ):
         for flag, is_given in flags.items():

@@ -1,4 +1,4 @@
-"""Settings of the learning problem: world, sensors, reward, episodes, opponents' placement."""
+"""Settings of the learning problem: world, sensors, reward, episodes, scenarios."""
 
 from dataclasses import dataclass, field, fields
 from typing import Literal
@@ -23,15 +23,20 @@ class RewardConfig:
     lap: float = _weight(0.0)
     """For each complete lap."""
     overtake: float = _weight(0.0)
-    """For each car passed on the road."""
+    """For each car passed on the road, and against for each that passed; a faster car, by CAR's
+    top speed, does not count."""
     gain: float = _weight(0.0)
-    """For each metre gained on a car that is near, whether ahead or behind."""
+    """For each metre gained on a car that is near and no faster, whether ahead or behind."""
     off_track: float = _weight(-1.0)
-    """For leaving the road."""
+    """For leaving the road, unless pushed off it."""
     crash: float = _weight(-1.0)
-    """For a contact to blame for."""
+    """For a contact that a race penalises, or for pushing another car off the road."""
     contact: float = _weight(0.0)
     """For being hit by another car."""
+    touch: float = _weight(0.0)
+    """For each step of a contact with another car to blame for, however light."""
+    closing: float = _weight(0.0)
+    """For each step of such a contact, times the square of the closing speed [m^2/s^2]."""
 
     def __post_init__(self) -> None:
         check(self, "reward")
@@ -43,44 +48,46 @@ class RewardConfig:
 
 
 @dataclass(frozen=True)
-class OpponentPlacement:
-    """How the other cars are placed around car 0, the learner, in training.
+class Scenarios:
+    """Situations in which the cars of a world meet in training (league/envs/scenarios.py).
 
-    When an episode of car 0 begins, so do those of all others: near it, on the starting grid, or
-    out of the world, where no camera sees them. A car that ends its own episode, or that is left
-    behind, begins its next one near car 0, which drives on.
+    All cars begin together, and together they end: when time is up, when the attacker and its
+    target are far apart, or when one leaves the road. Each car has a top speed of its own. In each
+    group of cars that meet one is the fastest, and the others' top speeds are shares of its own.
     """
 
-    alone: float = ranged(0.2, 0.0, 1.0)
-    """Share of car 0's episodes that it drives alone."""
-    standing: float = ranged(0.35, 0.0, 1.0)
-    """Share that begins at rest on the starting grid, in any slot."""
-    rolling: float = ranged(0.9, 0.0, 1.0)
-    """Share of the rest that begins at speed; the others at rest."""
-    reach: float = ranged(1.5, 0.5, 1000.0)
-    """Largest distance of the others ahead of or behind car 0, along the track [m]."""
-    ahead: float = ranged(0.8, 0.0, 1.0)
-    """Share of those places that lie ahead: a car in the way teaches more."""
-    room: float = ranged(0.6, 0.5, 1000.0)
-    """Least distance to car 0 of a car that joins while car 0 is driving [m]."""
-    lost: float = ranged(2.5, 0.5, 1000.0)
-    """A car farther away than this along the track is placed near car 0 again [m]."""
-    top_speed: float = ranged(3.5, 0.0, 12.0)
-    """Fastest rolling start [m/s]; before bends it is what the grip allows."""
-    pace: float = ranged(0.15, 0.0, 0.5)
-    """Share by which each car's speed differs at a rolling start."""
+    alone: float = ranged(0.12, 0.0, 1.0)
+    """Share of scenarios in which the cars are spread over the lap."""
+    standing: float = ranged(0.15, 0.0, 1.0)
+    """Share in which they begin at rest, on a grid anywhere."""
+    abreast: float = ranged(0.15, 0.0, 1.0)
+    """Share in which they begin at speed side by side; in the rest one behind the other."""
+    attack: float = ranged(0.75, 0.0, 1.0)
+    """Share in which the fastest car begins last; in the rest it begins anywhere."""
+    limited: float = ranged(0.4, 0.0, 1.0)
+    """Share in which the fastest car is limited, too: to 0.85 to 1 of the car's top speed."""
+    roadblock: float = ranged(0.1, 0.0, 1.0)
+    """Share of rivals with a top speed of 0.3 to 0.6 of the fastest car's."""
+    slowest_rival: float = ranged(0.55, 0.0, 1.0)
+    """Least top speed of the other rivals, as a share of the fastest car's."""
+    fastest_rival: float = ranged(0.7, 0.0, 1.0)
+    """Largest top speed of rivals, likewise; what a curriculum raises."""
+    lost: float = ranged(3.5, 0.5, 1000.0)
+    """Distance along the track at which attacker and target have lost each other [m]."""
+    shortest: float = ranged(6.0, 0.1, 1e6)
+    """Shortest scenario [s]; the longest is that of episodes."""
 
     def __post_init__(self) -> None:
-        check(self, "placement")
-        if self.alone + self.standing > 1:
+        check(self, "scenarios")
+        if self.alone + self.standing + self.abreast > 1:
             raise ConfigError(
-                f"placement alone and standing are {self.alone} and {self.standing}: "
-                "give shares whose sum is at most 1"
+                f"scenarios alone, standing and abreast are {self.alone}, {self.standing} and "
+                f"{self.abreast}: give shares whose sum is at most 1"
             )
-        if not self.room < self.reach < self.lost:
+        if self.slowest_rival > self.fastest_rival:
             raise ConfigError(
-                f"placement room, reach and lost are {self.room}, {self.reach} and {self.lost}: "
-                "give metres that grow"
+                f"scenarios slowest_rival and fastest_rival are {self.slowest_rival} and "
+                f"{self.fastest_rival}: give the smaller one first"
             )
 
 
@@ -107,9 +114,9 @@ class EnvConfig:
     restarting: tuple[int, ...] | None = None
     """Cars that start their next episode by themselves, in training; None: all. Any other car is
     frozen where its episode ended, without contacts, until its world is reset."""
-    placement: OpponentPlacement | None = None
-    """Placement of the others around car 0, the learner, in training; None: each car begins its
-    episodes on a free stretch anywhere."""
+    scenarios: Scenarios | None = None
+    """Situations in which the cars meet, in training; None: each car begins its episodes on a free
+    stretch anywhere."""
 
     def __post_init__(self) -> None:
         check(self, "environment")
@@ -123,13 +130,17 @@ class EnvConfig:
                 f"{len(self.sensors)} sensor settings for {self.sim.num_cars} cars: "
                 "give one for all, or one for each"
             )
-        if self.placement is not None and (
+        if self.scenarios is not None and (
             self.mode != "training" or self.restarting is not None or self.sim.num_cars < 2
         ):
             raise ConfigError(
-                f"a placement of opponents is set in mode {self.mode!r} with "
-                f"{self.sim.num_cars} cars and restarting {self.restarting}: "
-                "give mode 'training', 2 to 8 cars and None"
+                f"scenarios are set in mode {self.mode!r} with {self.sim.num_cars} cars and "
+                f"restarting {self.restarting}: give mode 'training', 2 to 8 cars and None"
+            )
+        if self.scenarios is not None and self.scenarios.shortest > self.episode_s:
+            raise ConfigError(
+                f"the shortest scenario takes {self.scenarios.shortest:g} s, and the longest "
+                f"episode {self.episode_s:g} s: give the longer one more"
             )
         strangers = [car for car in self.restarting or () if not 0 <= car < self.sim.num_cars]
         if strangers:

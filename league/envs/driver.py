@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import Protocol
 
 import numpy as np
 
 from league.envs.config import EnvConfig
 from league.errors import ConfigError
 from league.sim.config import SensorConfig
-
-if TYPE_CHECKING:
-    from league.envs.race_env import Step
 
 
 class Driver(Protocol):
@@ -32,15 +29,6 @@ class Driver(Protocol):
 
     def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return actions [steering, speed] in [-1, 1], float32 (num_rows, 2)."""
-        ...
-
-
-@runtime_checkable
-class Watching(Protocol):
-    """A driver that observes each step, as self-play counts its wins."""
-
-    def watch(self, car: int, step: Step) -> None:
-        """Note a step, in which it drove this car."""
         ...
 
 
@@ -70,12 +58,6 @@ class Opponents:
         for car, driver in self._drivers.items():
             if began[:, car].any():
                 driver.reset(np.flatnonzero(began[:, car]))
-
-    def watch(self, step: Step) -> None:
-        """Show a step to the drivers that watch, before any of them forgets."""
-        for car, driver in self._drivers.items():
-            if isinstance(driver, Watching):
-                driver.watch(car, step)
 
     def act(
         self, actions: np.ndarray, observations: Sequence[Mapping[str, np.ndarray]]

@@ -37,7 +37,7 @@ Sensors = Carried | Mapping[str, Carried] | Sequence[SensorConfig]
 
 BOTH: tuple[Sensor, ...] = ("stereo", "lidar")
 """Default sensors of a car."""
-SENSOR_NAMES = "stereoWxH, monoWxH, leftWxH, stereo, lidar, sectors, discretised"
+SENSOR_NAMES = "stereoWxH, monoWxH, leftWxH, stereo, lidar, sectors, discretised, historyN, truth"
 
 
 class EnvOptions(TypedDict, total=False):
@@ -189,17 +189,30 @@ def sensors_of_car(sensors: Carried) -> SensorConfig:
         sensors = (sensors,)
     if not isinstance(sensors, Sequence):
         raise ConfigError(_no_sensor(sensors))
-    carried = [_named(sensor) if isinstance(sensor, str) else sensor for sensor in sensors]
+    truth = "truth" in sensors
+    kept = [re.fullmatch(r"history([0-9]{1,3})", str(sensor)) for sensor in sensors]
+    lengths = [int(match[1]) for match in kept if match]
+    named = [
+        sensor
+        for sensor, match in zip(sensors, kept, strict=True)
+        if sensor != "truth" and match is None
+    ]
+    carried = [_named(sensor) if isinstance(sensor, str) else sensor for sensor in named]
     cameras = [sensor for sensor in carried if isinstance(sensor, CameraConfig)]
     lidars = [sensor for sensor in carried if isinstance(sensor, LidarConfig)]
     strangers = [sensor for sensor in carried if sensor not in (*cameras, *lidars, None)]
     if strangers:
         raise ConfigError(_no_sensor(strangers[0]))
-    if len(cameras) > 1 or len(lidars) > 1:
+    if len(cameras) > 1 or len(lidars) > 1 or len(lengths) > 1:
         raise ConfigError(
             f"the sensors {brief(sensors)} hold two of a kind: give one camera and one lidar"
         )
-    return SensorConfig(camera=cameras[0] if cameras else None, lidar=lidars[0] if lidars else None)
+    return SensorConfig(
+        camera=cameras[0] if cameras else None,
+        lidar=lidars[0] if lidars else None,
+        history=lengths[0] if lengths else 0,
+        truth=truth,
+    )
 
 
 def _named(name: str) -> CameraConfig | LidarConfig | None:

@@ -2,6 +2,7 @@
 
 stereo  uint8 (channels, height, width)   the camera, if the car carries one
 lidar   float32 (size,)                   the rear scan, if the car carries one
+history float32 (history * (5 + size),)   motion and lidar of earlier steps, if the car keeps them
 motion  float32 (5,)                      own speed, yaw rate, steering and last action: always
 state   float32 (SIZE,)                   the truth, for critics and scripted drivers: always
 """
@@ -46,6 +47,13 @@ def motion(car, out):
     out[1] = car.yaw_rate / _YAW_RATE_SCALE
     out[2] = car.steering / _STEERING_SCALE
     out[3], out[4] = car.action_steering, car.action_speed
+
+
+@compiled
+def motions(cars, out) -> None:
+    """Write the `motion` group of some cars, float32 (num_cars, 5)."""
+    for row in range(len(cars)):
+        motion(cars[row], out[row])
 
 
 @compiled

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from league.envs import episodes, rewards
+from league.envs import episodes, rewards, scenarios
 from league.envs import step as stages
-from league.envs.config import EnvConfig, OpponentPlacement
+from league.envs.config import EnvConfig, RewardConfig, Scenarios
 from league.envs.rewards import Reward
 from league.envs.sensor_suite import SensorSuite
 from league.errors import ActionError, ConfigError, WorldError
@@ -50,6 +50,10 @@ class Step:
     """Each weighted reward term by name, float32."""
     began: np.ndarray
     """The car began another episode by the end of the step, bool."""
+    near: np.ndarray
+    """In training with scenarios: another car was within 1.5 m along the track, bool."""
+    attack: np.ndarray
+    """There: how the car's attack ended in this step, uint8; see scenarios.py."""
 
 
 class RaceEnv:
@@ -119,20 +123,23 @@ class RaceEnv:
         self._contacts = np.zeros(shape, records.CONTACT)
         self._verdicts = np.zeros(shape, records.VERDICT)
         self._outcomes = np.zeros(shape, stages.OUTCOME)
+        self._encounters = np.zeros(self.num_worlds, scenarios.ENCOUNTER)
         self._terms = np.zeros((*shape, len(rewards.TERMS)), np.float32)
         self._motions = np.zeros((sim.num_cars, self.num_worlds, 5), np.float32)
         self._settings, self._episodes = settings(sim), episodes.settings(self.cfg)
         self._places = np.array(sim.obstacles.places, np.float32).reshape(-1, 2)
-        weight = rewards.weights(self.cfg.reward)
+        weight = self._weight = rewards.weights(self.cfg.reward)
         course = (self.tracks.points, self.tracks.courses, self._places)
         self._step_arrays = (
             *(self._world.cars, self._before, self._world.obstacles, self._arrivals),
             *(self._world.worlds, self._controls, self._contacts, self._verdicts, self._outcomes),
-            *(self._terms, self._motions, weight if self._reward is None else weight[:0]),
+            *(self._encounters, self._terms, self._motions),
+            weight if self._reward is None else weight[:0],
             *(*course, planar.schedule(sim.num_cars), self._settings, self._episodes),
         )
         self._reset_arrays = (
-            *(self._world.cars, self._world.obstacles, self._world.worlds, self._motions),
+            *(self._encounters, self._world.cars, self._world.obstacles, self._world.worlds),
+            self._motions,
             *(*course, self._settings, self._episodes),
         )
 
@@ -149,6 +156,8 @@ class RaceEnv:
             verdicts=self._verdicts,
             log=built_in if self._reward is None else {},
             began=self._outcomes["began"],
+            near=self._outcomes["near"],
+            attack=self._outcomes["attack"],
         )
 
     @property
@@ -192,10 +201,15 @@ class RaceEnv:
         """Set the episodes' ages, so that not all end at the same time."""
         self._world.cars["episode_steps"] = steps
 
-    def place_opponents(self, placement: OpponentPlacement) -> None:
-        """Change `EnvConfig.placement` from the next episodes on."""
-        self.cfg = replace(self.cfg, placement=placement)
+    def change_scenarios(self, scenarios: Scenarios) -> None:
+        """Change `EnvConfig.scenarios` from the next episodes on."""
+        self.cfg = replace(self.cfg, scenarios=scenarios)
         self._episodes[:] = episodes.settings(self.cfg)
+
+    def change_weights(self, reward: RewardConfig) -> None:
+        """Change the weights of the built-in reward; the same terms count as before."""
+        self.cfg = replace(self.cfg, reward=reward)
+        self._weight[:] = rewards.weights(reward)
 
     @property
     def longest_episode(self) -> int:

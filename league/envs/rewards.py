@@ -23,12 +23,15 @@ from league.track.track import Track, TrackSet
 PRESETS = {
     "centerline": RewardConfig(progress=0.0, centerline=1.0, off_track=0.0, crash=0.0),
     "progress": RewardConfig(progress=3.0, off_track=-3.0, crash=-3.0),
-    "race": RewardConfig(progress=1.0, overtake=10.0, gain=4.0, off_track=-1.0, crash=-2.0),
+    "race": RewardConfig(
+        progress=1.0, gain=3.0, overtake=4.0, off_track=-12.0, crash=-2.0, touch=-0.5, closing=-6.0
+    ),
 }
-"""Ready weights by name: of order 1 for a step (4 m/s are 0.27 m, or 0.8), so that a learner
-that discounts by 0.99 sees returns of some tens; a mistake costs what a second of racing earns. In
-`race` progress earns little: a mistake ends the episode and forfeits what it would still have
-earned, and where that exceeds what a pass earns, no policy tries one (docs/self_play.md)."""
+"""Ready weights by name. `progress` is of order 1 for a step (4 m/s are 0.27 m, or 0.8), and a
+mistake costs what a second of racing earns. In `race` a metre gained on a rival nearby is worth
+three of the own way, a pass two seconds of racing, and leaving the road more than any pass;
+touching costs little and running into another car much, or passing is never learnt
+(docs/self_play.md)."""
 
 TERMS = tuple(item.name for item in fields(RewardConfig))
 """Names of the built-in terms, in order."""
@@ -238,11 +241,13 @@ def pay(cars, verdicts, terms, weight, points, course):
         terms[c, 0] = weight[0] * seen.advance
         terms[c, 1] = weight[1] * _centerline(cars[c], points, course) if weight[1] else _ZERO
         terms[c, 2] = weight[2] if seen.lap else _ZERO
-        terms[c, 3] = weight[3] * _overtake(c, verdicts) if weight[3] else _ZERO
+        terms[c, 3] = weight[3] * _overtake(c, cars, verdicts) if weight[3] else _ZERO
         terms[c, 4] = weight[4] * _gain(c, cars, verdicts, course) if weight[4] else _ZERO
         terms[c, 5] = weight[5] if seen.off_track else _ZERO
-        terms[c, 6] = weight[6] if seen.crashed else _ZERO
+        terms[c, 6] = weight[6] if seen.crashed or seen.pushed_off else _ZERO
         terms[c, 7] = weight[7] if seen.was_hit else _ZERO
+        terms[c, 8] = weight[8] if seen.to_blame else _ZERO
+        terms[c, 9] = weight[9] * seen.closing_speed * seen.closing_speed
 
 
 @inner
@@ -261,18 +266,29 @@ def _centerline(car, points, course):
 
 
 @inner
-def _overtake(c, verdicts):
-    """Return the cars passed on the road, minus cars that passed."""
+def _counts(c, other, cars):
+    """Return whether a rival counts for a car: one that is faster does not.
+
+    Where being passed by a faster car costs something, cars learn to block, and within 30 million
+    decisions no attack succeeds any more, even on cars of six tenths of the top speed.
+    """
+    return other != c and cars[other].top_speed <= cars[c].top_speed
+
+
+@inner
+def _overtake(c, cars, verdicts):
+    """Return the rivals passed on the road, minus those that passed."""
     won = 0
     for other in range(len(verdicts)):
-        won += (verdicts[c].overtook >> other) & 1
-        won -= (verdicts[other].overtook >> c) & 1
+        if _counts(c, other, cars):
+            won += (verdicts[c].overtook >> other) & 1
+            won -= (verdicts[other].overtook >> c) & 1
     return f32(won)
 
 
 @inner
 def _gain(c, cars, verdicts, course):
-    """Return the metres gained in this step on each car within NEAR, summed over them.
+    """Return the metres gained in this step on each rival within NEAR, summed over them.
 
     Exploration hardly ever finds a pass that pays only once it is complete; this pays on the way
     to it. After Fuchs et al., "Super-Human Performance in Gran Turismo Sport" (2021), and Song et
@@ -282,7 +298,7 @@ def _gain(c, cars, verdicts, course):
     if verdicts[c].released or not is_racing(cars[c]):
         return total
     for other in range(len(cars)):
-        if other == c or verdicts[other].released or not is_racing(cars[other]):
+        if not _counts(c, other, cars) or verdicts[other].released or not is_racing(cars[other]):
             continue
         if abs(signed_gap(course, cars[c].s, cars[other].s)) < NEAR:
             total += verdicts[c].advance - verdicts[other].advance

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from league.envs import observations, state
+from league.envs import observations, state, truth
 from league.envs.config import EnvConfig
 from league.envs.step import over_worlds
 from league.sim.config import CameraConfig
@@ -22,7 +22,10 @@ Reading = Callable[[World, int, np.ndarray | None], np.ndarray]
 
 
 class Groups(Mapping[str, np.ndarray]):
-    """One car's groups; `state` is computed on access, because racing policies do not use it."""
+    """One car's groups; `state` and `truth` are computed on access, as few policies use them.
+
+    `truth` is always there, and listed where the car carries it.
+    """
 
     def __init__(self, suite: SensorSuite, car: int, world: World, motions: np.ndarray) -> None:
         # References alone, so that the groups of a pickled environment are its own.
@@ -33,13 +36,16 @@ class Groups(Mapping[str, np.ndarray]):
             return self._motions[self._car]
         if name == "state":
             return self._suite.states(self._world)[self._car]
+        if name == "truth":
+            return self._suite.truths(self._world)[self._car]
         return self._suite.held[self._car][name]
 
     def __iter__(self) -> Iterator[str]:
-        return iter((*self._suite.held[self._car], "motion", "state"))
+        truth = ("truth",) if self._suite.sees_truth[self._car] else ()
+        return iter((*self._suite.held[self._car], *truth, "motion", "state"))
 
     def __len__(self) -> int:
-        return len(self._suite.held[self._car]) + 2
+        return sum(1 for _ in self)
 
 
 class SensorSuite:
@@ -54,9 +60,12 @@ class SensorSuite:
         ]
         self.held: list[dict[str, np.ndarray]] = [{} for _ in self._sensors]
         """The last readings of each car."""
-        self._carries = any(self._sensors)
+        self._history = [cfg.sensors_of(car).history for car in range(cfg.sim.num_cars)]
+        self._carries = any(self._sensors) or any(self._history)
+        self.sees_truth = [cfg.sensors_of(car).truth for car in range(cfg.sim.num_cars)]
         self._states: np.ndarray | None = None
-        self._states_fresh = False
+        self._truths: np.ndarray | None = None
+        self._states_fresh = self._truths_fresh = False
         self.reset()
 
     def reset(self) -> None:
@@ -64,6 +73,7 @@ class SensorSuite:
         for held in self.held:
             held.clear()
         self._stale: np.ndarray | None = None
+        self._last: dict[int, np.ndarray] = {}
 
     def refresh(self, cars: np.ndarray) -> None:
         """Read the sensors of these cars next time, due or not; bool, (num_worlds, num_cars)."""
@@ -88,17 +98,26 @@ class SensorSuite:
             self._states = np.empty((world.num_cars, world.num_worlds, state.SIZE), np.float32)
         if not self._states_fresh:
             self._states_fresh = True
-            tables = (self._tracks.points, self._tracks.courses)
-            over_worlds(
-                observations.states,
-                *(world.num_worlds, world.num_cars),
-                *(world.cars, world.obstacles, world.worlds, *tables, self._states),
-            )
+            self._write(observations.states, world, self._states)
         return self._states
+
+    def truths(self, world: World) -> np.ndarray:
+        """Return the `truth` groups of all cars, float32 (num_cars, num_worlds, truth.SIZE)."""
+        if self._truths is None:
+            self._truths = np.empty((world.num_cars, world.num_worlds, truth.SIZE), np.float32)
+        if not self._truths_fresh:
+            self._truths_fresh = True
+            self._write(truth.truths, world, self._truths)
+        return self._truths
+
+    def _write(self, loop: Callable[..., int], world: World, out: np.ndarray) -> None:
+        tables = (self._tracks.points, self._tracks.courses)
+        arrays = (world.cars, world.obstacles, world.worlds, *tables, out)
+        over_worlds(loop, world.num_worlds, world.num_cars, *arrays)
 
     def observe(self, world: World) -> None:
         """Read what is due, on each race's own clock: a race in a batch equals that race alone."""
-        self._states_fresh = False
+        self._states_fresh = self._truths_fresh = False
         if self._carries:
             self.read(world)
 
@@ -121,17 +140,48 @@ class SensorSuite:
                     fresh = held[name].copy()
                     fresh[rows] = read(world, car, rows)
                     held[name] = fresh
+        self._remember(world, self._stale)
         self._stale = None
         return tuple(self.held)
 
+    def _remember(self, world: World, moved: np.ndarray | None) -> None:
+        """Bring the `history` groups up to date, newest first.
+
+        A car that begins or was put elsewhere has no past: all of it is what it reads now.
+        """
+        for car, length in enumerate(self._history):
+            if not length:
+                continue
+            held = self.held[car]
+            now = self._reading(world, car)
+            past = np.tile(now, length)
+            if car in self._last:
+                kept = np.concatenate([self._last[car], held["history"]], axis=1)
+                kept = kept[:, : past.shape[1]]
+                past = kept if moved is None else np.where(moved[:, car : car + 1], past, kept)
+            held["history"], self._last[car] = past, now
+
+    def _reading(self, world: World, car: int) -> np.ndarray:
+        """Return motion and lidar of a car now, float32 (num_worlds, 5 + size)."""
+        motion = np.empty((world.num_worlds, len(observations.MOTION_FIELDS)), np.float32)
+        observations.motions(np.ascontiguousarray(world.cars[:, car]), motion)
+        lidar = self.held[car].get("lidar")
+        return motion if lidar is None else np.concatenate([motion, lidar], axis=1)
+
     def observe_again(self, world: World, rows: np.ndarray) -> None:
         """Read the sensors of these races, which have just been started again; not the others'."""
-        self._states_fresh, self._stale = False, None
+        self._states_fresh = self._truths_fresh = False
+        self._stale = None
         for car, sensors in enumerate(self._sensors):
             for name, (_, read) in sensors.items():
                 fresh = self.held[car][name].copy()
                 fresh[rows] = read(world, car, rows)
                 self.held[car][name] = fresh
+        for car, length in enumerate(self._history):
+            if length:
+                now, past = self._reading(world, car), self.held[car]["history"].copy()
+                past[rows] = np.tile(now[rows], length)
+                self.held[car]["history"], self._last[car] = past, now
 
     def _sensors_of(self, car: int) -> dict[str, tuple[float, Reading]]:
         carried = self._cfg.sensors_of(car)

@@ -18,7 +18,7 @@ from functools import cache
 import numpy as np
 
 from league.envs import episodes as episode_kernels
-from league.envs import observations, rewards
+from league.envs import observations, rewards, scenarios
 from league.jit import compiled, inner
 from league.portable_math import f32
 from league.sim import grid, referee
@@ -35,6 +35,8 @@ OUTCOME = np.dtype(
         ("terminated", np.bool_),  # a finish; in training any mistake too
         ("truncated", np.bool_),  # the time limit; in training also pushed off the road
         ("began", np.bool_),  # a new episode began in this step
+        ("near", np.bool_),  # in training where cars meet: another car is near
+        ("attack", np.uint8),  # there: how this car's attack ended in this step; see scenarios.py
     ],
     align=True,
 )
@@ -60,6 +62,7 @@ def step(
     contacts,
     verdicts,
     outcomes,
+    encounters,
     terms,
     motions,
     weight,
@@ -86,6 +89,7 @@ def step(
         contacts: CONTACT records (num_worlds, num_cars).
         verdicts: VERDICT records (num_worlds, num_cars).
         outcomes: OUTCOME records (num_worlds, num_cars).
+        encounters: ENCOUNTER records (num_worlds,), of training where cars meet.
         terms: weighted terms of the reward, float32 (num_worlds, num_cars, num_terms).
         motions: set to the `motion` group, float32 (num_cars, num_worlds, 5).
         weight: weights of the terms, float32 (num_terms,); of length 0: the reward is Python's.
@@ -117,7 +121,8 @@ def step(
                 # As actions.decode does.
                 controls[w, c, 0] = actions[w, c, 0] * sim.max_steering
                 share = (actions[w, c, 1] + _ONE) * _HALF
-                controls[w, c, 1] = sim.min_speed + share * (sim.max_speed - sim.min_speed)
+                speed = sim.min_speed + share * (sim.max_speed - sim.min_speed)
+                controls[w, c, 1] = min(speed, cars[w, c].top_speed)
             obstacle_kernels.aim(things, arrivals[w], world, points, course, places, sim)
         if phases & PHYSICS:
             planar.step_world(cars[w], things, course, controls[w], contacts[w], pairs, sim)
@@ -141,9 +146,15 @@ def step(
                 _sum_terms(terms[w], outcomes[w])
         if phases & SETTLE:
             if rules.training:
-                done = _end_episodes(cars[w], verdicts[w], outcomes[w], rules)
+                if rules.meeting:
+                    over = scenarios.judge(
+                        encounters[w], cars[w], verdicts[w], outcomes[w], course, sim, rules
+                    )
+                    done = (1 << num_cars) - 1 if over else 0
+                else:
+                    done = _end_episodes(cars[w], verdicts[w], outcomes[w], rules)
                 begins = episode_kernels.end_and_begin(
-                    done, cars[w], things, world, points, course, places, sim, rules
+                    done, encounters[w], cars[w], things, world, points, course, places, sim, rules
                 )
                 for c in range(num_cars):
                     outcomes[w, c].began = (begins >> c) & 1 == 1
@@ -156,7 +167,19 @@ def step(
 
 
 @compiled
-def reset(which, cars, obstacles, worlds, motions, points, courses, places, settings, episodes):
+def reset(
+    which,
+    encounters,
+    cars,
+    obstacles,
+    worlds,
+    motions,
+    points,
+    courses,
+    places,
+    settings,
+    episodes,
+):
     """Start the races of some worlds: on the grid, or in training wherever episodes begin.
 
     `which` holds these worlds, int64 (num_started,); their seeds and tracks have been set. For the
@@ -169,7 +192,7 @@ def reset(which, cars, obstacles, worlds, motions, points, courses, places, sett
         grid.start(cars[w], obstacles[w], world, points, course, places, sim)
         if rules.training:
             episode_kernels.begin_all(
-                cars[w], obstacles[w], world, points, course, places, sim, rules
+                encounters[w], cars[w], obstacles[w], world, points, course, places, sim, rules
             )
         for c in range(cars.shape[1]):
             episode_kernels.encode(cars[w, c], sim)

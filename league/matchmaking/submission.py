@@ -162,6 +162,11 @@ def check_sensors(sensors: SensorConfig, ruleset: Ruleset) -> None:
     Raises:
         PolicyError: they are not stock: a mount, lens, rate or scan of their own.
     """
+    if sensors.truth:
+        raise PolicyError(
+            "this policy is given the true state, which no car can measure: "
+            "submit one with cameras or a lidar"
+        )
     if ruleset.sensors == "any":
         return
     camera, lidar = sensors.camera, sensors.lidar

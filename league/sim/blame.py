@@ -40,7 +40,8 @@ _ZERO, _HALF, _ONE = f32(0.0), f32(0.5), f32(1.0)
 def begin(car, seen, touched):
     """Clear what is judged here of one car; return whether there is anything to judge."""
     seen.crashed_car, seen.crashed_obstacle = NOBODY, NOBODY
-    seen.touched, seen.was_hit, seen.forced_off, seen.pushed_off = False, False, False, False
+    seen.to_blame, seen.touched, seen.was_hit = False, False, False
+    seen.forced_off, seen.pushed_off = False, False
     seen.closing_speed, seen.penalty_s = _ZERO, _ZERO
     return touched.cars != 0 or touched.obstacles != 0 or car.pushed_steps > 0
 
@@ -112,6 +113,7 @@ def _judge_cars(before, cars, obstacles, verdicts, contacts, points, course, set
             passed_on = _was_just_pushed(cars[c], settings) and cars[c].pushed_by != other
             if passed_on and closing <= cars[c].pushed_speed:
                 continue
+            seen.to_blame = True
             seen.closing_speed = max(seen.closing_speed, closing)
             if closing < settings.light_contact:
                 seen.touched = seen.touched or began

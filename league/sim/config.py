@@ -220,6 +220,10 @@ class SensorConfig(Checked, what="sensor"):
     """Its camera, if any."""
     lidar: LidarConfig | None = None
     """Its lidar, if any."""
+    history: int = ranged(0, 0, 16)
+    """How many earlier readings of own motion and lidar it keeps, one of each control step."""
+    truth: bool = False
+    """Whether it is given the true state, as no real car is; leagues refuse such drivers."""
 
     @classmethod
     def full(cls, width: int = 160, height: int = 120) -> "SensorConfig":

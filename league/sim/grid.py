@@ -94,6 +94,7 @@ def draw_parameters(car, number, seed, episode, settings):
         episode: number that makes this draw differ from others.
         settings: SETTINGS record.
     """
+    car.top_speed = settings.max_speed
     half = settings.latency_spread_s * _HALF
     grip, mass = settings.grip_spread, settings.mass_spread
     car.grip = settings.grip * (_ONE + _drawn(seed, _GRIP, number, episode, grip))
@@ -129,7 +130,7 @@ def blank_book(car, distance, now_s):
     car.pushed_by, car.pushed_steps, car.pushed_speed, car.pace = 0, 0, _ZERO, _ZERO
     car.immobilised, car.reversed, car.overtakes = 0, 0, 0
     car.touching_cars, car.touching_obstacles = 0, 0
-    car.ghost, car.put_back, car.retired, car.parked = False, False, False, False
+    car.ghost, car.put_back, car.retired = False, False, False
 
 
 @inner

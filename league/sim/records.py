@@ -39,6 +39,7 @@ CAR = np.dtype(
         ("mass", _F4),  # [kg]; the moments of inertia grow with it
         ("latency_s", _F4),  # time from an action to the servos [s]
         ("steering_offset", _F4),  # added to each steering target [rad]
+        ("top_speed", _F4),  # largest speed command that it obeys [m/s]
         ("camera_up", _F4),  # added to the camera's height [m]
         ("camera_pitch", _F4),  # added to the camera's downward tilt [rad]
         # The referee's book.
@@ -73,7 +74,6 @@ CAR = np.dtype(
         ("ghost", _BOOL),  # whether the car cannot collide now
         ("put_back", _BOOL),  # whether it is put back on the road when its penalty ends
         ("retired", _BOOL),  # out of the race for good: frozen, a ghost, never released
-        ("parked", _BOOL),  # out of the world while another car trains alone
     ],
     align=True,
 )
@@ -122,6 +122,7 @@ VERDICT = np.dtype(
         ("overtook", _U1),  # cars passed on the road in this step
         ("off_track", _BOOL),  # all four wheels have left the road
         ("crashed", _BOOL),  # a contact this car is penalised for
+        ("to_blame", _BOOL),  # touches another car, and is to blame for it
         ("touched", _BOOL),  # a contact this car is to blame for began, too light for a penalty
         ("was_hit", _BOOL),  # a contact another car is to blame for
         ("forced_off", _BOOL),  # pushed off the road or into an obstacle by CAR.pushed_by

@@ -19,10 +19,13 @@ from league.agents.network import NetworkConfig
 from league.atomic_file import replacing
 from league.envs.actions import ActionSpace, ContinuousActions
 from league.envs.config import RewardConfig
+from league.envs.rewards import PRESETS
 from league.errors import ConfigError, PolicyError
 from league.racing.evaluate import MAX_TRIALS
 from league.sim.config import CameraConfig, RaceKind, RulesName, SensorConfig
 
+_RACING_ROWS = 1536
+"""Cars in all worlds, where all learn to race on the true state."""
 _T = TypeVar("_T")
 Hidden = Annotated[_T, tyro.conf.Fixed, tyro.conf.Suppress]
 """A setting without a flag."""
@@ -43,7 +46,7 @@ class PpoConfig:
     mini_batches: int = 16
     """Gradient steps in each pass."""
     gamma: float = 0.95
-    """Discount of each step (1/15 s); 0.97 by default in head_to_head."""
+    """Discount of each step (1/15 s); 0.987 by default in head_to_head."""
     lam: float = 0.9
     """Lambda of generalised advantage estimation."""
     bootstrap_on_failure: bool = False
@@ -86,8 +89,15 @@ class PpoConfig:
         return replace(self, learning_rate=(2e-3, 3e-4), noise=(0.3, 0.05))
 
     def racing(self) -> PpoConfig:
-        """Return the settings for racing others, where rewards come later: a pass takes 1 s."""
-        return replace(self, gamma=0.97)
+        """Return the settings for racing others, where rewards come later: a pass takes 3 s."""
+        return replace(
+            self,
+            epochs=3,
+            gamma=0.987,
+            lam=0.95,
+            bootstrap_on_failure=True,
+            learning_rate=(2e-3, 2e-4),
+        )
 
 
 @dataclass(frozen=True)
@@ -168,6 +178,33 @@ class TrainConfig:
         """Decisions between two updates."""
         return self.num_worlds * self.ppo.rollout
 
+    def on_truth(self) -> TrainConfig:
+        """Return the settings of learning to race on the true state, for a run with these."""
+        return replace(
+            self,
+            sensors=SensorConfig(truth=True),
+            network=NetworkConfig(hidden=(128, 128), activation="elu", normalise=True),
+            critic_hidden=(128, 128),
+            num_worlds=max(_RACING_ROWS // self.num_cars, 1),
+            reward=PRESETS["race"],
+            episode_s=18.0,
+            dynamics_randomization=max(self.dynamics_randomization, 0.5),
+            visual_randomization=False,
+            symmetry=False,
+            teacher=0.0,
+            save_every=24,
+            ppo=PpoConfig(
+                rollout=32,
+                epochs=2,
+                mini_batches=12,
+                gamma=0.987,
+                lam=0.95,
+                bootstrap_on_failure=True,
+                learning_rate=(3e-3, 3e-4),
+                noise=(0.4, 0.1),
+            ),
+        )
+
     def with_ppo(self, **changes: object) -> TrainConfig:
         """Return the settings with some of the learner's changed."""
         return replace(self, ppo=replace(self.ppo, **changes))  # type: ignore
@@ -192,12 +229,8 @@ class RunConfig:
     opponents: tuple[str, ...] = ()
     """Drivers or checkpoints to race against, in head_to_head."""
     self_play: bool = False
-    """Race against past selves, in head_to_head."""
-    scripted_share: float = 0.1
-    """Share of self-play against scripted drivers."""
-    handicap: bool = True
-    """Hold past selves back in self-play, since evenly matched cars hardly pass each other, and the
-    learner in some of its lone episodes."""
+    """Learn to race against itself, in head_to_head: first a network that sees the true state, in
+    --teacher of the budget, then the policy from it and by its own races."""
     init_from: str = ""
     """Start with the weights of this checkpoint, or policy of the garage."""
     train: Annotated[TrainConfig, tyro.conf.arg(name="")] = field(default_factory=TrainConfig)
@@ -321,6 +354,8 @@ _OLD_NAMES = {
     "ppo": {"steps": "rollout", "forgiving": "bootstrap_on_failure"},
 }
 """Names of settings in the files of older versions, and what they are called now."""
+_REMOVED = ("scripted_share", "handicap")
+"""Settings of a run that older versions had."""
 GRIP_SPREAD = 0.15
 """Largest deviation of grip where `dynamics_randomization` is 1."""
 
@@ -360,6 +395,8 @@ def _renamed(run: dict[str, Any]) -> dict[str, Any]:
         return {_OLD_NAMES[part].get(name, name): value for name, value in row.items()}
 
     run = named("run", run)
+    for name in _REMOVED:
+        run.pop(name, None)
     if "train" in run:
         train = run["train"] = named("train", run["train"])
         if "ppo" in train:

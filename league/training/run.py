@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,13 +16,16 @@ from league.agents import checkpoint, roster
 from league.agents.card import Card
 from league.agents.card import Reward as RewardCard
 from league.agents.checkpoint import Checkpoint
+from league.agents.policy import Policy
 from league.atomic_file import replacing
 from league.envs import rewards
 from league.envs.driver import Driver
 from league.envs.rewards import Reward
 from league.errors import ConfigError, LeagueError, PolicyError, brief
-from league.racing import simtrace
+from league.racing import duels, simtrace
+from league.racing.duels import DuelConfig, Threshold
 from league.racing.simtrace import TrainingTrace
+from league.sim.config import SimConfig
 from league.track.track import Track
 from league.training import config, run_folder, track_selection
 from league.training.config import RunConfig
@@ -38,9 +40,8 @@ from league.training.evaluator import (
 from league.training.monitor.history import History
 from league.training.ppo import distributed, make_env
 from league.training.ppo.learner import Update, check_device, make_learner, memory_explained
+from league.training.ppo.racer import Racer, RacingLearner, make_racing
 from league.training.ppo.teacher import make_taught
-from league.training.selfplay import SelfPlay, SelfPlayConfig, payoff_matrix
-from league.training.selfplay.payoff_matrix import FINAL, PayoffMatrix
 
 if TYPE_CHECKING:
     from league.racing.table import Evaluation
@@ -48,6 +49,8 @@ if TYPE_CHECKING:
     from league.training.monitor.callback import TrainingCallback
 
 
+_DUELS = 60
+"""Races at each pace, for the card of a policy of self-play."""
 CRITIC_FIRST = 4
 """Updates from which only the critic learns, where the actor starts as another policy."""
 
@@ -66,8 +69,8 @@ class Outcome:
     """Learning time, of earlier parts too [s]."""
     why: str
     """Why it stopped."""
-    matrix: PayoffMatrix | None = None
-    """Of self-play: which policy beats which."""
+    duels: Threshold | None = None
+    """Of self-play: how fast a rival the policy passes, and keeps behind."""
 
 
 class Run:
@@ -106,27 +109,16 @@ class Run:
                 f"self-play learns in one process, and torchrun has started {distributed.count()}: "
                 "start it without torchrun, or omit --self-play"
             )
-        if train.teacher and (cfg.self_play or cfg.init_from):
-            other = "--self-play" if cfg.self_play else "--init-from"
+        if train.teacher and cfg.init_from:
             raise ConfigError(
-                f"a teacher is for a policy that has learnt nothing yet: omit --teacher or {other}"
+                "a teacher is for a policy that has learnt nothing yet: omit --teacher or "
+                "--init-from"
             )
         tracks = track_selection.together(named_tracks, train.both_directions)
         self._parent = checkpoint.load(cfg.init_from) if cfg.init_from else None
         if self._parent is not None:
             self._parents = (self._parent.digest, *self._parent.card.parents)[:64]
-        self._self_play: SelfPlay | None = None
         opponents: Mapping[int, Driver | str] = dict(enumerate(cfg.opponents, 1))
-        if cfg.self_play:
-            self._self_play = SelfPlay(
-                self.folder,
-                tracks,
-                train,
-                self._card(),
-                cfg=SelfPlayConfig(handicap=cfg.handicap).with_scripted(cfg.scripted_share),
-                parent=self._parent,
-            )
-            opponents = self._self_play.drivers()
         # After what is refused at once, and before what takes seconds: it loads meanwhile.
         self._evaluator = Evaluator(
             self._eval_cfg, background=background and distributed.is_first()
@@ -139,18 +131,22 @@ class Run:
             sim = make_env.env_config(train).sim
             traces = folder / run_folder.SIMTRACE
             self._simtrace = TrainingTrace(self._reward, traces, train.action_space, sim)
-        make = make_taught if train.teacher else make_learner
+        reward = self._simtrace or self._reward
         with memory_explained():
-            self.learner = make(
-                tracks, train, opponents=opponents, reward=self._simtrace or self._reward
-            )
+            if cfg.self_play:
+                # The weights of a built-in reward are compiled, and the curriculum changes them.
+                own = reward if cfg.reward.endswith(".py") or cfg.simtrace else None
+                self.learner = make_racing(tracks, train, reward=own)
+            else:
+                make = make_taught if train.teacher else make_learner
+                self.learner = make(tracks, train, opponents=opponents, reward=reward)
         if self._parent is not None:
             self.learner.load_weights(dict(self._parent.weights))
         self._submitted: dict[int, Checkpoint] = {}
         self._best: tuple[float, ...] | None = None
         self._best_evaluation: Evaluation | None = None
         self.history = History()
-        self._matrix: PayoffMatrix | None = None
+        self._duels: Threshold | None = None
         self._lock: int | None = None
 
     def resume(self) -> None:
@@ -165,8 +161,6 @@ class Run:
                 "first save point, so start a new one, without --resume"
             )
         notes = self.learner.restore(self.folder / "state.pt")
-        if self._self_play is not None:
-            self._self_play.restore(json.loads(notes["self_play"]), self.learner)
         self._spent_s = float(notes["spent_s"])
         self._complete = int(notes["complete"])
         self._best = tuple(notes["best"]) or None
@@ -245,7 +239,7 @@ class Run:
             samples=self.learner.samples,
             time_s=self._spent_s,
             why=why,
-            matrix=self._matrix,
+            duels=self._duels,
         )
 
     def _after(self, update: Update, callbacks: Sequence[TrainingCallback]) -> None:
@@ -260,16 +254,10 @@ class Run:
 
     @memory_explained()
     def _updated(self) -> Update:
-        share = self._progress()
-        if self._self_play is not None:
-            share = self._self_play.schedule(share)
-        update = self.learner.update(share)
+        update = self.learner.update(self._progress())
         if self._parent is not None and self._is_parent(update.number):
             # An untrained critic would spoil what the parent has learnt.
             self.learner.load_weights(dict(self._parent.weights))
-        if self._self_play is not None:
-            self._self_play.after_update(self.learner, self._progress())
-            update = replace(update, log=update.log | self._self_play.log())
         return update
 
     def _is_parent(self, number: int) -> bool:
@@ -290,8 +278,6 @@ class Run:
         run_folder.clear(self.folder)
         if self._simtrace is not None:
             self._write_simtrace_metadata()
-        if self._self_play is not None:
-            self._self_play.begin(self.learner)
         self.history = History(self.folder / "history.jsonl")
 
     def _write_simtrace_metadata(self) -> None:
@@ -356,9 +342,8 @@ class Run:
         policy = self._submitted.pop(number)
         self._complete = self._complete + 1 if evaluation.all_complete else 0
         merit = _merit(evaluation)
-        if self._self_play is not None:
-            # Lap times do not decide duels: of those that come as far, the newest has learnt from
-            # racing all others.
+        if self.cfg.self_play:
+            # Laps alone do not decide duels: of those that come as far, the newest races best.
             merit = (*merit[:2], float(number))
         best = self._best is None or merit > self._best
         if best:
@@ -388,14 +373,12 @@ class Run:
         while self._submitted and not complete:
             self._take(callbacks, wait=True)
         best = self.folder / "best.pt"
-        if self._best_evaluation is None and self._self_play is None and best.exists():
+        if self._best_evaluation is None and best.exists():
             # It was evaluated before a resume, which keeps no table.
             self._best_evaluation = evaluate_policy(self._eval_cfg, checkpoint.load(best))
-        if self._self_play is not None:
-            for callback in callbacks:
-                callback.racing("racing the policy against its past for the win matrix")
-            self._race_past(self._self_play)
         self._note_clean_share(callbacks)
+        if self.cfg.self_play:
+            self._note_duels(callbacks)
         self._save()
 
     def _note_clean_share(self, callbacks: Sequence[TrainingCallback]) -> None:
@@ -409,23 +392,27 @@ class Run:
         card = best.card.model_copy(update={"results": best.card.results | {"clean_share": share}})
         checkpoint.save(self.folder / "best.pt", replace(best, card=card, text=""))
 
-    def _race_past(self, self_play: SelfPlay) -> None:
-        """Race the policy against its past; the one that wins most of these races is the best."""
-        policy, updates = self._checkpoint(), self.learner.updates
-        matrix = self._matrix = self_play.report(policy)
-        matrix.write(self.folder / "win_matrix.json")
-        payoff_matrix.draw(matrix, self.folder / "win_matrix.png")
-        if matrix.champion != FINAL:
-            updates, kept = self_play.snapshot(matrix.champion)
-            spent_s = next(row.time_s for row in self.history.updates if row.number == updates)
-            policy = replace(kept, card=self._card(kept.card.steps, spent_s), text="")
-        self._keep_best(policy, updates, evaluate_policy(self._eval_cfg, policy))
+    def _note_duels(self, callbacks: Sequence[TrainingCallback]) -> None:
+        """Write into the best policy's card how fast a rival it passes, and keeps behind."""
+        if self._best_evaluation is None or not self._best_evaluation.complete_laps:
+            return
+        for callback in callbacks:
+            callback.racing("racing it against itself, slowed, for the policy's card")
+        best = checkpoint.load(self.folder / "best.pt")
+        cfg = DuelConfig(self._eval_cfg.tracks[0], races=_DUELS)
+        car = SimConfig().car
+        self._duels = found = duels.threshold(cfg, Policy(best, car), Policy(best, car))
+        results = best.card.results | {"pass_pace": found.pace, "hold_pace": found.hold}
+        card = best.card.model_copy(update={"results": results})
+        checkpoint.save(self.folder / "best.pt", replace(best, card=card, text=""))
 
     def _save(self) -> None:
         if self.learner.updates == 0 or not distributed.is_first():
             return
         if self.learner.has_learnt:
             checkpoint.save(self.folder / "last.pt", self._checkpoint())
+        if isinstance(self.learner, RacingLearner):
+            checkpoint.save(self.folder / "truth.pt", self._racer(self.learner.racer))
         notes: dict[str, object] = {
             "spent_s": self._spent_s,
             "complete": self._complete,
@@ -434,8 +421,6 @@ class Run:
         if self._simtrace is not None:
             self._simtrace.flush()
             notes["simtrace"] = list(self._simtrace.position)
-        if self._self_play is not None:
-            notes["self_play"] = json.dumps(self._self_play.state())
         self.learner.save(self.folder / "state.pt", notes)
         printed = getattr(self._reward, "printed", ())  # of a reward file, not of a built-in one
         if printed:
@@ -445,6 +430,12 @@ class Run:
 
     def _checkpoint(self) -> Checkpoint:
         return Checkpoint(self._card(self.learner.samples), self.learner.weights())
+
+    def _racer(self, racer: Racer) -> Checkpoint:
+        """Return the network that sees the true state as a policy of its own."""
+        changes = {"sensors": racer.cfg.sensors, "network": racer.cfg.network}
+        card = self._card(racer.samples).model_copy(update=changes)
+        return Checkpoint(card, racer.weights())
 
     def _check_card(self) -> None:
         """Refuse settings that no checkpoint's card can hold, or no network be built from."""

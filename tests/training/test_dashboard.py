@@ -113,18 +113,18 @@ def test_where_nothing_can_be_drawn_lines_are_printed(monkeypatch):
     assert "\x1b" not in output(console)
 
 
-def test_self_play_is_shown_while_it_lasts_and_when_the_matrix_is_raced():
+def test_self_play_is_shown_while_it_lasts_and_when_its_duels_are_raced():
     console = terminal(real=False)
-    made, log = history(3), {"/selfplay/win_rate_newest": 0.5, "/selfplay/win_rate_smallest": 0.25}
+    made, log = history(3), {"/race/pace": 0.85, "/race/clean": 0.5}
     assert dashboard.self_play(made) == ""
-    made.updates[-1].log.update(log, **{"/selfplay/members": 7.0})
-    phrase = "wins 0.50 against itself, at least 0.25 against 7 in the pool"
+    made.updates[-1].log.update(log)
+    phrase = "50 % of attacks pass cleanly, on rivals of 0.85 of the top speed"
     assert dashboard.self_play(made) == phrase
     assert phrase in dashboard.update_line(made, None, None)
     assert any("self-play" in line for line in drawn(made, 100))
     shown = Dashboard(TrainConfig(), 60.0, None, "duelist", plain=True, console=console)
-    shown.racing("racing the policy against its past")
-    assert output(console).splitlines()[-1].strip() == "racing the policy against its past ..."
+    shown.racing("racing it against itself")
+    assert output(console).splitlines()[-1].strip() == "racing it against itself ..."
 
 
 def test_while_a_tutor_learns_that_is_shown():

@@ -9,20 +9,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 import small
-import small_play
 import torch
 from test_learner import CHOICES
 
 from league.agents import checkpoint
 from league.errors import ConfigError, PolicyError, RewardError
+from league.racing.duels import Threshold
 from league.racing.evaluate import evaluate
 from league.training import evaluator
 from league.training import run as run_room
-from league.training.config import read
+from league.training.config import TrainConfig, read
 from league.training.monitor import history
+from league.training.monitor.history import TUTORING
 from league.training.ppo.learner import Learner
+from league.training.ppo.racer import RacingLearner
 from league.training.run import Run
-from league.training.selfplay import SelfPlay
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 CHEERFUL = "def reward_function(params):\n    return 1.0\n"
@@ -61,7 +62,29 @@ def passed(exam, found):
     return evaluate("centerline", exam.tracks[0], laps=1, mode="episode", solver="planar")
 
 
-def test_in_self_play_the_newest_is_best_of_those_that_come_as_far(tmp_path, monkeypatch):
+def racing(**changes):
+    """Return settings of a run of self-play so small that it takes a second."""
+    train = small.train(kind="head_to_head", num_cars=2, **changes)
+    return small.cfg(6, train=train, reward="race", self_play=True)
+
+
+@pytest.fixture
+def small_racer(monkeypatch):
+    """Learning on the true state in four worlds, eight steps at a time."""
+    on_truth = TrainConfig.on_truth
+
+    def smaller(self):
+        cfg = on_truth(self)
+        ppo = replace(cfg.ppo, rollout=8, epochs=1, mini_batches=2)
+        return replace(cfg, num_worlds=4, save_every=2, ppo=ppo)
+
+    monkeypatch.setattr(TrainConfig, "on_truth", smaller)
+    monkeypatch.setattr(run_room, "_DUELS", 2)
+
+
+def test_in_self_play_the_newest_is_best_of_those_that_come_as_far(
+    tmp_path, monkeypatch, small_racer
+):
     exams = []
 
     def sat(exam, found):
@@ -70,16 +93,29 @@ def test_in_self_play_the_newest_is_best_of_those_that_come_as_far(tmp_path, mon
 
     judged = evaluator.evaluate_policy
     monkeypatch.setattr(evaluator, "evaluate_policy", sat)
-    short = small_play.SHORT
-    monkeypatch.setattr(run_room, "SelfPlayConfig", lambda **given: replace(short, **given))
-    cfg = small.cfg(6, train=small.train(kind="head_to_head", num_cars=2), self_play=True)
-    run, onlooker = small.run(tmp_path, cfg), small.CallbackRecorder()
+    run, onlooker = small.run(tmp_path, racing()), small.CallbackRecorder()
+    monkeypatch.setattr(run_room.duels, "threshold", lambda *_: Threshold(0.9, 1.0, {}))
     outcome = run.learn([onlooker])
     # The second leaves the road; the third laps as the first did.
     assert [row.complete_laps for row in run.history.evaluations] == [1, 0, 1]
     assert [row.best for row in run.history.evaluations] == [True, False, True]
-    assert outcome.matrix is not None
-    assert onlooker.races == ["racing the policy against its past for the win matrix"]
+    assert outcome.duels is not None
+    assert onlooker.races[-1] == "racing it against itself, slowed, for the policy's card"
+    card = checkpoint.load(tmp_path / "best.pt").card
+    assert (card.results["pass_pace"], card.results["hold_pace"]) == (0.9, 1.0)
+
+
+def test_self_play_goes_from_the_true_state_to_its_own_sensors(tmp_path, small_racer):
+    run = small.run(tmp_path, racing(sensors=small.CAMERA, teacher=0.5))
+    outcome = run.learn()
+    taught = [TUTORING in row.log for row in run.history.updates]
+    assert any(taught) and not all(taught)
+    assert checkpoint.load(outcome.best).card.sensors == small.CAMERA
+    assert checkpoint.load(tmp_path / "truth.pt").card.sensors.truth
+    # The racer drives both cars, and then the other one.
+    learner = run.learner
+    assert isinstance(learner, RacingLearner)
+    assert learner.env.learners == (0,) and learner.racer.env.learners == (0, 1)
 
 
 def test_who_learns_to_race_others_is_judged_by_racing_them(tmp_path):
@@ -293,21 +329,6 @@ def test_a_full_card_stops_training_in_a_sentence_and_the_checkpoint_is_kept(tmp
     ):
         run.learn()
     assert checkpoint.load(tmp_path / "last.pt").card.steps == 2 * small.SAMPLES
-
-
-@pytest.mark.parametrize("races", ["after_update", "report"])
-def test_a_card_that_is_full_as_past_selves_race_is_told_in_a_sentence(
-    tmp_path, monkeypatch, races
-):
-    def full(*_, **__):
-        raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 20 GiB.")
-
-    cfg = small.cfg(updates=1, train=small.train(kind="head_to_head", num_cars=2), self_play=True)
-    run = small.run(tmp_path, cfg)
-    monkeypatch.setattr(SelfPlay, races, full)
-    with pytest.raises(ConfigError, match="memory is full"):
-        run.learn()
-    assert checkpoint.load(tmp_path / "last.pt").card.steps == small.SAMPLES
 
 
 def test_reward_function_that_raises_stops_training_and_the_checkpoint_is_kept(tmp_path):

@@ -18,7 +18,7 @@ from league.track.track import TrackSet
 from league.training.config import TrainConfig
 from league.training.monitor import history
 from league.training.ppo import symmetry, teacher
-from league.training.ppo.teacher import GROUPS, NOISE_SHARE, TaughtLearner
+from league.training.ppo.teacher import NOISE_SHARE, TaughtLearner, Teacher
 
 
 def tutored(cfg: TrainConfig | None = None) -> TaughtLearner:
@@ -48,7 +48,7 @@ def test_a_teacher_is_told_the_truth_and_sees_nothing():
     made = tutored()._teacher
     assert "stereo" not in group_shapes(made.cfg.sensors)
     actor = made._alg.get_policy()
-    assert actor.obs_groups == list(GROUPS)
+    assert actor.obs_groups == list(Teacher.groups)
     assert actor.obs_dim == state.SIZE + 5
 
 
@@ -98,7 +98,7 @@ def test_the_policy_explores_less_than_its_teacher_did(noise, calm):
 def test_the_loss_is_the_divergence_from_what_the_teacher_asks_for():
     made = tutored(replace(settings(symmetry=False), teacher=0.5).with_ppo(noise=(0.5, 0.5)))
     found, actor = collected(made)
-    wanted = made._teacher.targets(found.observations.select(*GROUPS))
+    wanted = made._teacher.targets(found.observations.select(*Teacher.groups))
     assert wanted.abs().max() <= 1
     made._lesson.weight = 0.5
     loss = made._lesson.compute_loss(actor, found, 32)
@@ -141,7 +141,7 @@ def test_for_mirror_images_the_advice_is_mirrored():
 def test_choices_are_advised_by_their_log_probabilities():
     made = tutored(replace(settings(space=CHOICES), teacher=0.5))
     found, actor = collected(made)
-    wanted = made._teacher.targets(found.observations.select(*GROUPS))
+    wanted = made._teacher.targets(found.observations.select(*Teacher.groups))
     assert torch.allclose(wanted.exp().sum(dim=1), torch.ones(32), atol=1e-5)
     scores = actor.output_distribution_params[0]
     by_hand = (wanted.exp() * (wanted - scores)).sum(dim=1).mean()

@@ -14,18 +14,19 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from league.envs import make
-from league.envs.actions import SIZE, ActionSpace, encode, finite, to_actions
+from league.envs.actions import SIZE, ActionSpace, finite, to_actions
 from league.envs.adapters import load_drivers, load_reward
 from league.envs.config import EnvConfig, RewardConfig
 from league.envs.driver import Driver, Opponents, check_field
 from league.envs.make import EnvOptions
 from league.envs.race_env import RaceEnv, Step
+from league.envs.scenarios import CLEAN, NO_ATTACK, PASSED
 from league.errors import ConfigError
 from league.sim.config import RaceKind
 from league.sim.world import World
 from league.track.track import Track, TrackSet
 
-MISTAKES = ("off_track", "crashed", "immobilised", "reversed")
+MISTAKES = ("off_track", "crashed", "pushed_off", "immobilised", "reversed")
 
 
 class RacingVecEnv(VecEnv):
@@ -33,8 +34,9 @@ class RacingVecEnv(VecEnv):
 
     Row `world * num_learners + k` is the k-th learner of a world. Observation groups: `stereo`
     float32 in [0, 1] (the bytes over 255, because rsl-rl's networks take floats), `lidar`, `motion`
-    and `state`, the truth, meant for the critic. A row that has ended is restarted in the same step
-    and observes its new place; rows and worlds do not affect each other's episodes.
+    and `state`, the truth, meant for the critic; where cars meet in scenarios, `truth`, too. A row
+    that has ended is restarted in the same step and observes its new place. Worlds do not affect
+    each other's episodes, nor do rows unless they meet in scenarios.
     """
 
     def __init__(
@@ -119,9 +121,6 @@ class RacingVecEnv(VecEnv):
         self.num_actions = SIZE if action_space is None else action_space.size
         self.max_episode_length = self._env.longest_episode
         self.device = torch.device(device)
-        self.speed_limit: Callable[[RaceEnv], np.ndarray] | None = None
-        """Called before each step for each car's speed limit [m/s], (num_worlds, num_cars); the
-        last action that is observed is the limited one."""
         self.watch: Callable[[World], None] | None = None
         """Called with the worlds after each step, restarts included; it must not change them."""
         self.reset(seed)
@@ -158,9 +157,11 @@ class RacingVecEnv(VecEnv):
     def get_observations(self) -> TensorDict:
         """Return the rows' observations as they are now, without a step."""
         observed = self._env.observations
+        names = dict.fromkeys(observed[self.learners[0]])
+        if self._env.cfg.scenarios is not None:
+            names |= {"truth": None}
         groups = {
-            name: self._stacked([observed[car][name] for car in self.learners])
-            for name in observed[self.learners[0]]
+            name: self._stacked([observed[car][name] for car in self.learners]) for name in names
         }
         if not self._as_bytes:
             groups = {name: _scaled(group) for name, group in groups.items()}
@@ -186,12 +187,7 @@ class RacingVecEnv(VecEnv):
         driven = self._env.last_action
         driven[:, self._columns] = rows.clip(-1.0, 1.0).reshape(-1, len(self.learners), SIZE)
         driven = self._opponents.act(driven, self._env.observations)
-        if self.speed_limit is not None:
-            limit = self.speed_limit(self._env)
-            limited = encode(np.zeros_like(limit), limit, self.cfg.sim.car)[..., 1]
-            driven[..., 1] = np.minimum(driven[..., 1], limited)
         step = self._env.step(driven)
-        self._opponents.watch(step)
         if self.watch is not None:
             self.watch(self._env.world)
         self._opponents.forget(step.began)
@@ -233,6 +229,12 @@ class RacingVecEnv(VecEnv):
         log["/drive/speed"] = self._mean(seen["advance"]) * self._env.cfg.sim.step_hz
         log["/drive/laps"] = self._mean(seen["lap"])
         log["/episode/time_outs"] = self._mean(step.truncated)
+        if self._env.cfg.scenarios is not None:
+            log["/race/near"] = self._mean(step.near)
+            log["/race/blame"] = self._mean(seen["to_blame"])
+            log["/race/attacks"] = self._mean(step.attack > NO_ATTACK)
+            log["/race/passed"] = self._mean(step.attack >= PASSED)
+            log["/race/clean"] = self._mean(step.attack == CLEAN)
         return log
 
     def _mean(self, values: np.ndarray) -> Tensor:

@@ -355,15 +355,12 @@ def is_tutored(history: History) -> bool:
 
 
 def self_play(history: History) -> str:
-    """Return the win rates of self-play as a phrase; empty without self-play."""
+    """Return how self-play comes along as a phrase; empty without self-play."""
     log = history.updates[-1].log
-    newest, smallest = (log.get(f"/selfplay/win_rate_{name}") for name in ("newest", "smallest"))
-    if newest is None or smallest is None:
+    pace, clean = log.get("/race/pace"), log.get("/race/clean")
+    if pace is None or clean is None:
         return ""
-    members = int(log.get("/selfplay/members", 0.0))
-    return (
-        f"wins {newest:.2f} against itself, at least {smallest:.2f} against {members} in the pool"
-    )
+    return f"{100 * clean:.0f} % of attacks pass cleanly, on rivals of {pace:.2f} of the top speed"
 
 
 def resampled(

@@ -304,6 +304,10 @@ class Learner:
         else:
             self._alg.entropy_coef = ppo.entropy[0] + share * (ppo.entropy[1] - ppo.entropy[0])
 
+    def _critic_groups(self) -> list[str]:
+        meets = self.env.cfg.scenarios is not None
+        return ["state", "truth", "motion"] if meets else ["state"]
+
     def _settings(self) -> dict[str, Any]:
         """Return the settings from which rsl-rl builds its PPO."""
         cfg, ppo = self.cfg, self.cfg.ppo
@@ -311,7 +315,7 @@ class Learner:
         return {
             "num_steps_per_env": ppo.rollout,
             "multi_gpu": distributed.rsl_rl_settings(),
-            "obs_groups": {"actor": groups, "critic": ["state"]},
+            "obs_groups": {"actor": groups, "critic": self._critic_groups()},
             "actor": actor_settings(
                 cfg.network, cfg.action_space, "stereo" in groups, ppo.noise[0], ppo.pull
             ),

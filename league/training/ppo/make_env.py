@@ -10,7 +10,7 @@ import torch
 
 from league.agents.driver import Driver
 from league.envs.adapters.rsl_vec_env import RacingVecEnv
-from league.envs.config import EnvConfig, OpponentPlacement
+from league.envs.config import EnvConfig, Scenarios
 from league.envs.rewards import Reward
 from league.sim.config import (
     RULES,
@@ -46,8 +46,14 @@ def env_config(cfg: TrainConfig) -> EnvConfig:
         reward=cfg.reward,
         episode_s=cfg.episode_s,
         # Cars that start anywhere on a lap hardly ever meet.
-        placement=OpponentPlacement() if cfg.num_cars > 1 else None,
+        scenarios=_scenarios(cfg),
     )
+
+
+def _scenarios(cfg: TrainConfig) -> Scenarios | None:
+    if cfg.num_cars == 1:
+        return None
+    return Scenarios(shortest=min(Scenarios.shortest, cfg.episode_s))
 
 
 def _spread(share: float) -> DynamicsRandomization:
@@ -74,11 +80,12 @@ def make(
     opponents: Mapping[int, Driver | str] | None = None,
     reward: Reward | None = None,
 ) -> RacingVecEnv:
-    """Build the worlds: in each, car 0 learns and the others are driven."""
+    """Build the worlds: in each, the cars without an opponent's driver learn."""
     return RacingVecEnv(
         tracks,
         env_config(cfg),
         num_worlds=cfg.num_worlds,
+        learners=[car for car in range(cfg.num_cars) if car not in (opponents or {})],
         opponents=opponents,
         action_space=cfg.action_space,
         reward=reward,

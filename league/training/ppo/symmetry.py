@@ -7,12 +7,21 @@ from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 from torch import Tensor
 
+from league.envs import truth as truth_group
 from league.envs.actions import ActionSpace
 from league.envs.observations import MOTION_FIELDS
 from league.envs.state import FIELDS
-from league.sim.config import SensorConfig
+from league.sim.config import LidarConfig, SensorConfig
 
 _SIDEWAYS = ("lateral", "heading_error", "speed_left", "yaw_rate", "steering", "last_steering")
+_SWAPPED = [
+    truth_group.FIELDS.index(
+        name.replace("left", "right") if name.startswith("left") else name.replace("right", "left")
+    )
+    if name.startswith(("left", "right"))
+    else place
+    for place, name in enumerate(truth_group.FIELDS)
+]
 
 
 def motion(group: Tensor) -> Tensor:
@@ -29,6 +38,12 @@ def state(group: Tensor) -> Tensor:
     return flipped[:, order]
 
 
+def truth(group: Tensor) -> Tensor:
+    """Return the `truth` group of the mirrored car."""
+    sideways = torch.tensor(truth_group.SIDEWAYS, device=group.device)
+    return (group * torch.where(sideways, -1.0, 1.0))[:, _SWAPPED]
+
+
 def stereo(group: Tensor, num_eyes: int) -> Tensor:
     """Return the pictures of the mirrored car: each flipped, and the eyes swapped."""
     rows, channels, height, width = group.shape
@@ -42,6 +57,21 @@ def lidar(group: Tensor, beams: int) -> Tensor:
     return group.reshape(rows, beams, size // beams).flip(1).reshape(rows, size)
 
 
+def history(group: Tensor, sensors: SensorConfig) -> Tensor:
+    """Return the `history` group of the mirrored car: each reading of motion and lidar."""
+    readings = group.reshape(len(group) * sensors.history, -1)
+    own, scans = readings[:, : len(MOTION_FIELDS)], readings[:, len(MOTION_FIELDS) :]
+    mirrored = motion(own)
+    if sensors.lidar is not None:
+        mirrored = torch.cat([mirrored, lidar(scans, _parts(sensors.lidar))], dim=1)
+    return mirrored.reshape(group.shape)
+
+
+def _parts(sensor: LidarConfig) -> int:
+    """Return the beams, or sectors of several numbers, of a scan."""
+    return sensor.beams if sensor.form == "ranges" else sensor.sectors
+
+
 def observations(groups: TensorDict, sensors: SensorConfig) -> TensorDict:
     """Return all groups of the mirrored car; `applies` says which cars have one."""
     mirrored: dict[str, Tensor] = {}
@@ -52,10 +82,11 @@ def observations(groups: TensorDict, sensors: SensorConfig) -> TensorDict:
             mirrored[name] = stereo(group, sensors.camera.num_eyes)
         elif name == "lidar":
             assert sensors.lidar is not None
-            form = sensors.lidar
-            mirrored[name] = lidar(group, form.beams if form.form == "ranges" else form.sectors)
+            mirrored[name] = lidar(group, _parts(sensors.lidar))
+        elif name == "history":
+            mirrored[name] = history(group, sensors)
         else:
-            mirrored[name] = {"motion": motion, "state": state}[name](group)
+            mirrored[name] = {"motion": motion, "state": state, "truth": truth}[name](group)
     return TensorDict(mirrored, batch_size=groups.batch_size, device=groups.device)
 
 

@@ -32,8 +32,6 @@ from league.training.ppo import distributed, make_env, symmetry
 from league.training.ppo.learner import Learner, Update
 from league.training.ppo.statistics import EpisodeStatistics
 
-GROUPS = ("state", "motion")
-"""Observation groups of a teacher, and of its critic."""
 NOISE_SHARE = 0.375
 """Share of the first noise with which a taught policy starts: it need not find the way alone."""
 
@@ -52,6 +50,9 @@ def teacher_config(cfg: TrainConfig) -> TrainConfig:
 class Teacher(Learner):
     """PPO learner with the privileged state, else seen by the critic alone, as observation."""
 
+    groups = ("state", "motion")
+    """Its observation groups, and its critic's."""
+
     def targets(self, observations: TensorDict) -> Tensor:
         """Return its actions, or log probabilities of choices, without gradients."""
         with torch.no_grad():
@@ -61,7 +62,7 @@ class Teacher(Learner):
         return torch.log_softmax(actions, dim=-1)
 
     def _settings(self) -> dict[str, Any]:
-        groups = {"actor": list(GROUPS), "critic": list(GROUPS)}
+        groups = {"actor": list(self.groups), "critic": list(self.groups)}
         return super()._settings() | {"obs_groups": groups}
 
 
@@ -167,7 +168,7 @@ class _Lesson:
 
     def targets(self, observations: TensorDict) -> Tensor:
         """Return the teacher's actions; as it never sees mirrored tracks, they are turned back."""
-        observations = observations.select(*GROUPS)
+        observations = observations.select(*self._teacher.groups)
         if self._mirror is None or not self._mirror.turned:
             return self._teacher.targets(observations)
         turned = symmetry.observations(observations, self._cfg.sensors)

@@ -1,0 +1,263 @@
+"""Compiled: situations in which cars meet in training: how they begin, and when they are over.
+
+All cars of a world begin together and end together. In each group of cars one is the fastest of its
+group, and mostly starts last; the others obey lower top speeds, so that there is something to pass.
+Whether the attack of the first group succeeds is reported for the curriculum (training/racing).
+"""
+
+# Numba gives its types a meaning that the checker does not know.
+# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
+
+import math
+
+import numpy as np
+
+from league.jit import inner
+from league.portable_math import atan, clamp, f32, heading_of, wrap_angle
+from league.sim import grid
+from league.sim.records import NOBODY
+from league.sim.rng import uniform_of
+from league.sim.settings import GRAVITY
+from league.track.projection import curvature_at, frame_at, signed_gap
+
+ENCOUNTER = np.dtype(
+    [
+        ("attacker", np.int64),  # the fastest car of the first group, or the car behind another
+        ("target", np.int64),  # the car that it meets first
+        ("steps", np.int64),  # control steps so far
+        ("length", np.int64),  # control steps after which it is over
+        ("alone", np.bool_),  # cars are spread over the lap
+        ("attack", np.bool_),  # the fastest car starts behind its target
+        ("dirty", np.bool_),  # the attacker has left the road or made a hard contact
+    ],
+    align=True,
+)
+"""The running scenario of one world."""
+
+NO_ATTACK, FAILED, PASSED, CLEAN = 0, 1, 2, 3
+"""How an attack ended: none was made, not passed, passed with a mistake, passed without one."""
+NEAR = f32(1.5)
+"""Distance along the track within which another car counts as near [m]."""
+
+_BASE, _KIND, _GROUPS, _SHIFT, _LENGTH, _FIRST, _FAST, _SLOW, _WHICH = range(221, 230)
+_GAP, _LANE, _PACE, _OWN_PACE = range(231, 235)
+_ATTEMPTS, _CLEAR = 12, f32(0.8)
+_SIDE_LEAST, _SIDE_MORE, _SIDE_SHIFT, _ROW = f32(0.45), f32(0.2), f32(0.3), f32(1.0)
+_NEAREST_START, _FARTHEST_START, _LANES = f32(0.45), f32(1.8), f32(0.7)
+_PARTED = f32(0.4)
+"""An attacker starts this far behind its target, and has passed when this far ahead [m]."""
+_LEAST_FAST, _ROADBLOCK = f32(0.85), (f32(0.3), f32(0.6))
+_SLOWEST, _FASTER, _SPREAD = f32(0.3), f32(0.7), f32(0.15)
+_AT_REST = f32(0.3)
+"""Share of cars alone that begin at rest, as after a penalty."""
+_START, _END = f32(0.2), f32(0.5)
+_LEAST_BEND, _STEEPEST = f32(1e-3), f32(0.3)
+_LOOK = np.array((0.0, 0.4, 0.8, 1.2), np.float32)
+_GRAVITY, _FAR = f32(GRAVITY), f32(1e6)
+_ZERO, _HALF, _ONE, _TWO = f32(0.0), f32(0.5), f32(1.0), f32(2.0)
+
+
+@inner
+def begin(encounter, cars, obstacles, world, points, course, sim, rules):
+    """Draw a scenario of one world, and put all its cars at their places.
+
+    Args:
+        encounter: ENCOUNTER record; overwritten.
+        cars: CAR records (num_cars,); overwritten.
+        obstacles: OBSTACLE records (num_obstacles,), in their places.
+        world: WORLD record.
+        points: of the TrackSet.
+        course: COURSE record of the world's track.
+        sim: SETTINGS record.
+        rules: EPISODES record.
+    """
+    seed, step, num_cars = world.seed, world.step, len(cars)
+    kind = uniform_of(seed, _KIND, step)
+    encounter.alone = kind < rules.alone
+    standing = not encounter.alone and kind < rules.alone + rules.standing
+    abreast = not encounter.alone and not standing
+    abreast = abreast and kind < rules.alone + rules.standing + rules.abreast
+    size = num_cars
+    if encounter.alone:
+        size = 1
+    elif num_cars > 2 and course.closed and uniform_of(seed, _GROUPS, step) < _HALF:
+        size = 2
+    shift = np.int64(uniform_of(seed, _SHIFT, step) * f32(num_cars))
+    spots = np.empty((num_cars, 2), np.float32)
+    _find_spots(spots, size, standing, abreast, obstacles, world, points, course, sim)
+    first = _fastest(0, size, world, rules)
+    base = _ZERO
+    drawn = uniform_of(seed, _PACE, step)
+    if not standing and not (encounter.alone and drawn < _AT_REST):
+        base = (_SLOWEST + _FASTER * drawn) * sim.max_speed
+    for place in range(num_cars):
+        c = (place + shift) % num_cars
+        grid.stand(cars[c], points, course, spots[place, 0], spots[place, 1])
+        cars[c].zero_s = cars[c].s if course.closed else _ZERO
+        grid.blank_book(cars[c], cars[c].s - cars[c].zero_s, f32(step) * sim.step_dt)
+        grid.draw_parameters(cars[c], c, seed, step, sim)
+        cars[c].top_speed = _top_speed(place, size, world, sim, rules)
+        own = _TWO * uniform_of(seed, _OWN_PACE, step, c) - _ONE
+        limit = min(_allowed(cars[c], points, course, sim), cars[c].top_speed)
+        speed = min(base * (_ONE + _SPREAD * own), limit)
+        if speed > _ZERO:
+            _roll(cars[c], speed, points, course, sim)
+    target = first - 1 if first > 0 else min(1, num_cars - 1)
+    encounter.attacker = (first + shift) % num_cars
+    encounter.target = (target + shift) % num_cars
+    encounter.attack = size > 1 and first > 0
+    if encounter.attack:
+        gap = signed_gap(course, cars[encounter.target].s, cars[encounter.attacker].s)
+        encounter.attack = gap >= _PARTED
+    seconds = rules.shortest + uniform_of(seed, _LENGTH, step) * (rules.longest_s - rules.shortest)
+    encounter.length = np.int64(seconds * sim.step_hz)
+    encounter.steps, encounter.dirty = 0, False
+
+
+@inner
+def judge(encounter, cars, verdicts, outcomes, course, sim, rules):
+    """Set which cars' episodes end in this step, and how an attack ended; return whether all do.
+
+    A contact between cars ends nothing; a car that leaves the road, hits an obstacle, stands still
+    or drives backwards ends the episodes of all.
+    """
+    encounter.steps += 1
+    over = encounter.steps >= encounter.length
+    gap = signed_gap(course, cars[encounter.attacker].s, cars[encounter.target].s)
+    if not encounter.alone and abs(gap) > rules.lost:
+        over = True
+    for c in range(len(cars)):
+        seen = verdicts[c]
+        failed = seen.off_track or seen.immobilised or seen.reversed or seen.finished
+        failed = failed or (seen.crashed and seen.crashed_obstacle != NOBODY)
+        outcomes[c].terminated = failed
+        over = over or failed or seen.forced_off
+    mine = verdicts[encounter.attacker]
+    hard = mine.closing_speed >= sim.light_contact
+    if outcomes[encounter.attacker].terminated or mine.pushed_off or hard:
+        encounter.dirty = True
+    for c in range(len(cars)):
+        outcomes[c].truncated = over and not outcomes[c].terminated
+        outcomes[c].attack = NO_ATTACK
+        outcomes[c].near = _is_near(c, cars, course)
+    if over and encounter.attack:
+        # A target that has failed by itself was neither passed nor missed.
+        ended = FAILED
+        if gap >= _PARTED:
+            ended = PASSED if encounter.dirty else CLEAN
+        elif outcomes[encounter.target].terminated and not encounter.dirty:
+            ended = NO_ATTACK
+        outcomes[encounter.attacker].attack = ended
+    return over
+
+
+@inner
+def _is_near(c, cars, course):
+    for other in range(len(cars)):
+        if other != c and abs(signed_gap(course, cars[other].s, cars[c].s)) < NEAR:
+            return True
+    return False
+
+
+@inner
+def _find_spots(spots, size, standing, abreast, obstacles, world, points, course, sim):
+    """Draw s and lateral [m] of each place, front to back; clear of obstacles if a try finds it."""
+    best = -_ONE
+    chosen = 0
+    for attempt in range(_ATTEMPTS if len(obstacles) else 1):
+        _draw_spots(attempt, spots, size, standing, abreast, world, points, course, sim)
+        room = _FAR
+        for place in range(len(spots)):
+            for k in range(len(obstacles)):
+                room = min(room, abs(signed_gap(course, obstacles[k].s, spots[place, 0])))
+        if room > best:
+            best, chosen = room, attempt
+        if room >= _CLEAR:
+            return
+    if len(obstacles):
+        _draw_spots(chosen, spots, size, standing, abreast, world, points, course, sim)
+
+
+@inner
+def _draw_spots(attempt, spots, size, standing, abreast, world, points, course, sim):
+    seed, step, num_cars = world.seed, world.step, len(spots)
+    base = uniform_of(seed, _BASE, step, attempt) * course.length
+    groups = (num_cars + size - 1) // size
+    if not course.closed:
+        # The first place: all others lie behind it.
+        base = _START + (course.length - _START - _END) * uniform_of(seed, _BASE, step, attempt)
+        base = max(base, min(_FARTHEST_START * f32(num_cars), course.length - _END))
+    offset = _ZERO
+    for place in range(num_cars):
+        member = place % size
+        if member == 0:
+            offset = course.length / f32(groups) * f32(place // size)
+        frame = frame_at(points, course, base - offset)
+        side = _ONE if (place + attempt) % 2 == 0 else -_ONE
+        lane = uniform_of(seed, _LANE, step, place, attempt)
+        share = _LANES * (_TWO * lane - _ONE)
+        if standing:
+            offset += sim.grid_gap if member else _ZERO
+            share = side * _HALF
+        elif abreast:
+            if member and member % 2 == 0:
+                offset += _ROW
+            share = side * (_SIDE_LEAST + _SIDE_MORE * lane)
+        elif member:
+            offset += _NEAREST_START + (_FARTHEST_START - _NEAREST_START) * uniform_of(
+                seed, _GAP, step, place, attempt
+            )
+        s = base - offset
+        if abreast:
+            s += _SIDE_SHIFT * (uniform_of(seed, _GAP, step, place, attempt) - _HALF)
+        if not course.closed:
+            s = min(max(s, _START), course.length - _END)
+        frame = frame_at(points, course, s)
+        spots[place, 0], spots[place, 1] = frame.s, share * min(frame.left, frame.right)
+
+
+@inner
+def _fastest(group, size, world, rules):
+    """Return which place of a group the fastest car has: mostly the last."""
+    if uniform_of(world.seed, _FIRST, world.step, group) < rules.attack:
+        return size - 1
+    return np.int64(uniform_of(world.seed, _WHICH, world.step, group) * f32(size))
+
+
+@inner
+def _top_speed(place, size, world, sim, rules):
+    """Draw the top speed [m/s] of a place: the group's fastest, or a share of it."""
+    seed, step, group = world.seed, world.step, place // size
+    fast, drawn = sim.max_speed, uniform_of(seed, _FAST, step, group)
+    if drawn < rules.limited:
+        fast *= _LEAST_FAST + (_ONE - _LEAST_FAST) * drawn / rules.limited
+    if place % size == _fastest(group, size, world, rules):
+        return fast
+    drawn = uniform_of(seed, _SLOW, step, place)
+    if drawn < rules.roadblock:
+        return fast * (_ROADBLOCK[0] + (_ROADBLOCK[1] - _ROADBLOCK[0]) * drawn / rules.roadblock)
+    share = (drawn - rules.roadblock) / (_ONE - rules.roadblock)
+    return fast * (rules.slowest_rival + (rules.fastest_rival - rules.slowest_rival) * share)
+
+
+@inner
+def _allowed(car, points, course, sim):
+    """Return the speed that the next bend allows at a rolling start [m/s]."""
+    sharpest = _ZERO
+    for k in range(len(_LOOK)):
+        sharpest = max(sharpest, abs(curvature_at(points, course, car.s + _LOOK[k])))
+    return f32(math.sqrt(sim.grip * _GRAVITY / max(sharpest, _LEAST_BEND)))
+
+
+@inner
+def _roll(car, speed, points, course, sim):
+    """Set a car moving along the track, its wheels turned as the bend requires."""
+    frame = frame_at(points, course, car.s)
+    bend = curvature_at(points, course, car.s)
+    # Left of the centreline a left bend is tighter.
+    bend = bend / max(_ONE - bend * car.lateral, _STEEPEST)
+    turned = clamp(atan(sim.arm * _TWO * bend), -sim.max_steering, sim.max_steering)
+    car.yaw = wrap_angle(heading_of(frame.cos, frame.sin))
+    car.velocity_x, car.velocity_y = speed * frame.cos, speed * frame.sin
+    car.yaw_rate, car.steering = speed * bend, turned
+    car.target_steering, car.target_speed = turned, speed

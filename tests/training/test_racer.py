@@ -1,0 +1,127 @@
+"""Learning to race on the true state: a curriculum of rivals, and a policy that learns from it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import make_ring
+from test_learner import settings
+
+from league.envs.config import Scenarios
+from league.envs.rewards import PRESETS
+from league.sim.config import CameraConfig, SensorConfig
+from league.track.track import TrackSet
+from league.training.config import PpoConfig, TrainConfig
+from league.training.ppo import racer
+from league.training.ppo.learner import Update
+from league.training.ppo.racer import Curriculum, Racer, RacingLearner, make_racing
+
+RING = TrackSet(make_ring())
+SMALL = replace(
+    settings(),
+    kind="head_to_head",
+    num_cars=2,
+    num_worlds=4,
+    sensors=SensorConfig(camera=CameraConfig(width=24, height=18)),
+    teacher=0.5,
+    reward=PRESETS["race"],
+)
+
+
+@pytest.fixture
+def small(monkeypatch) -> TrainConfig:
+    monkeypatch.setattr("league.training.config._RACING_ROWS", 8)
+    on_truth = TrainConfig.on_truth
+
+    def smaller(self):
+        return replace(on_truth(self), ppo=PpoConfig(rollout=8, epochs=1, mini_batches=2))
+
+    monkeypatch.setattr(TrainConfig, "on_truth", smaller)
+    return SMALL
+
+
+def update(number: int, attacks: float, passed: float, clean: float) -> Update:
+    log = {"/race/attacks": attacks, "/race/passed": passed, "/race/clean": clean}
+    return Update(number, number * 500_000, 0.0, 0.0, 0.0, {}, log)
+
+
+def test_rivals_become_faster_while_attacks_succeed_and_slower_while_they_fail():
+    made = Curriculum()
+    made.add(update(1, 0.01, 0.01, 0.01))
+    assert made.pace == racer.FIRST_PACE  # the cars still learn to drive
+    for number in range(4, 8):
+        made.add(update(number, 0.01, 0.009, 0.009))
+    faster = made.pace
+    assert faster == pytest.approx(racer.FIRST_PACE + 4 * 0.5 * racer.PACE_STEP)
+    for number in range(8, 60):
+        made.add(update(number, 0.01, 0.002, 0.001))
+    assert made.pace == racer.LEAST_PACE
+    assert made.clean < racer.TOO_FEW
+
+
+def test_rivals_stay_as_fast_between_the_two_thresholds():
+    made = Curriculum()
+    for number in range(4, 30):
+        made.add(update(number, 0.01, 0.009, 0.0045))
+    assert made.pace == racer.FIRST_PACE
+    assert made.log()["/race/passed"] == pytest.approx(0.9)
+
+
+def test_the_pace_sets_the_top_speeds_of_rivals_and_the_budget_the_price_of_contacts():
+    made = Curriculum()
+    made.pace = 0.9
+    how = made.scenarios(Scenarios(alone=0.2))
+    assert (how.alone, how.fastest_rival) == (0.2, 0.9)
+    assert how.slowest_rival == pytest.approx(0.9 - racer.RANGE)
+    first, last = made.reward(0.0), made.reward(0.9)
+    assert first == PRESETS["race"]
+    assert last.touch == racer.DEAR * first.touch
+    assert last.off_track == first.off_track
+
+
+def test_a_curriculum_is_resumed():
+    made, other = Curriculum(), Curriculum()
+    made.add(update(9, 0.01, 0.009, 0.008))
+    other.restore(made.state())
+    assert other.state() == made.state() and other.log() == made.log()
+
+
+def test_all_cars_learn_from_the_true_state(small):
+    made = make_racing(RING, replace(small, sensors=SensorConfig(truth=True)))
+    assert isinstance(made, Racer)
+    assert made.env.learners == (0, 1) and made.env.num_envs == 8
+    before = made.weights()
+    log = made.update(0.0).log
+    assert {"/race/pace", "/race/clean", "/race/near"} <= log.keys()
+    after = made.weights()
+    assert any(not np.array_equal(before[name], after[name]) for name in before)
+
+
+def test_a_camera_driver_learns_from_the_racer_and_against_it(small):
+    made = make_racing(RING, small)
+    assert isinstance(made, RacingLearner)
+    own = made.weights()
+    made.update(0.0)
+    assert not made.has_learnt
+    assert all(np.array_equal(own[name], value) for name, value in made.weights().items())
+    made.racer.curriculum.pace = 0.8
+    made.update(0.6)
+    assert made.has_learnt
+    # Rivals are as fast as the racer's last ones, and touching is dear.
+    worlds = made.env.race_env
+    assert worlds.cfg.scenarios is not None and worlds.cfg.scenarios.fastest_rival == 0.8
+    assert worlds.cfg.reward.touch == racer.DEAR * PRESETS["race"].touch
+
+
+def test_the_racer_drives_the_other_cars(small):
+    made = make_racing(RING, small)
+    rival = racer.Rival(made.racer)
+    observed = made.env.race_env.observations[1]
+    groups = {name: observed[name] for name in Racer.groups}
+    actions = rival.act(groups)
+    assert actions.shape == (4, 2) and np.abs(actions).max() <= 1.0
+    last = made.racer._alg.get_policy().mlp[-1]
+    last.bias.data.fill_(0.9)
+    assert (rival.act(groups) > actions).all()
