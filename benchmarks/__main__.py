@@ -27,6 +27,7 @@ NAMES = (
     "league_throughput",
     "training",
     "garage",
+    "racing",
 )
 PAGE = Path(__file__).parents[1] / "docs" / "benchmarks.md"
 INTRODUCTION = """# Benchmarks

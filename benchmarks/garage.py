@@ -1,5 +1,7 @@
 """What the policies of the garage can do, each asked what it was trained for.
 
+The duelist is measured in racing.py.
+
     python -m benchmarks.garage [NAME=FILE ...]
 
 Without arguments all of garage/*.pt; with them, these files instead of the garage's own.
@@ -14,16 +16,12 @@ from pathlib import Path
 
 from benchmarks.lap_bound import lap_bound
 from benchmarks.report import figure, heading, note, table
-from league.agents import checkpoint, roster
-from league.agents.driver import Driver
 from league.errors import PolicyError
 from league.racing.evaluate import evaluate
 from league.racing.table import Evaluation
 from league.sim.config import CarConfig, ObstacleConfig
 from league.track import files, importer
-from league.track.track import Track, TrackSet
-from league.training.selfplay import matches
-from league.training.selfplay.settings import MatchConfig
+from league.track.track import Track
 
 ROOT = Path(__file__).parents[1]
 GARAGE = ROOT / "garage"
@@ -124,48 +122,6 @@ def novice(found: Found) -> None:
     _lap("novice: best flying lap", seen.best_flying_s)
 
 
-def duelist(found: Found, races: int = 200) -> None:
-    """Mirrored races against its parent, against the centreline, and against its own past."""
-    tracks, car = TrackSet(files.load(HOME)), CarConfig()
-    mine = roster.load(str(found["duelist"]), tracks, car)
-    rivals: dict[str, tuple[Driver, float]] = {}
-    if "novice" in found:  # its parent
-        rivals["novice"] = roster.load(str(found["novice"]), tracks, car), 0.65
-    rivals["centerline"] = roster.load("centerline", tracks, car), 0.95
-    for name, (rival, goal) in rivals.items():
-        won, score = _win_rate(tracks, mine, rival, races)
-        figure(f"duelist: won of {races} mirrored races against {name}", won, "of all", goal)
-        figure(f"duelist: contacts to blame for, against {name}", score.contacts_per_km, "per km")
-    rates = {}
-    for path in _past(found["duelist"]):
-        rival = roster.load(str(path), tracks, car)
-        rates[path.stem] = _win_rate(tracks, mine, rival, races)[0]
-    if rates:
-        worst = min(rates, key=rates.__getitem__)
-        note("against its past: " + ", ".join(f"{n} {rate:.2f}" for n, rate in rates.items()))
-        figure(f"duelist: smallest win rate against its past ({worst})", rates[worst], "", 0.45)
-    else:
-        note("The duelist's run is not there, so its past selves were not raced.")
-
-
-def _past(duelist: Path) -> list[Path]:
-    """Return the snapshots beside a duelist that are older than it, and its parent."""
-    taken = checkpoint.load(duelist).card.results.get("updates") or 0.0
-    found = sorted(duelist.with_suffix(".run").glob("pool/*.pt"))
-    return [path for path in found if not path.stem.isdigit() or int(path.stem) < taken]
-
-
-def _win_rate(
-    tracks: TrackSet, mine: Driver, rival: Driver, races: int
-) -> tuple[float, matches.Score]:
-    pairs = [(0, 1)]
-    results = matches.race_pairs(
-        tracks, CarConfig(), [mine, rival], pairs, MatchConfig(), races=races, solver="bullet"
-    )
-    score = results[0, 1][0]
-    return score.win_rate, score
-
-
 def _lap(name: str, time_s: float | None) -> None:
     if time_s is None:
         note(f"{name}: none")
@@ -178,7 +134,6 @@ ASKED: dict[str, Callable[[Found], None]] = {
     "racer": racer,
     "dodger": dodger,
     "novice": novice,
-    "duelist": duelist,
     "globetrotter": globetrotter,
 }
 

@@ -1,0 +1,102 @@
+"""Wheel to wheel: how fast rivals are that a driver passes and holds, and how cleanly it races.
+
+    python -m benchmarks.racing [--races 200] [--solver bullet] [--track NAME] [POLICY.pt ...]
+
+Without policies the garage's duelist. A pass threshold is the fastest pace of a defender, as a
+share of the attacker's own flying lap, against which at least half of the three-lap attacks from
+one place behind succeed without a contact to blame for and without leaving the road.
+"""
+
+import argparse
+
+import numpy as np
+
+from benchmarks.lap_bound import lap_bound
+from benchmarks.report import figure, heading, note, table
+from league.agents import roster
+from league.agents.driver import Driver
+from league.racing import duels
+from league.racing.duels import DuelConfig, Threshold
+from league.racing.evaluate import evaluate
+from league.sim.config import CarConfig
+from league.track import files
+from league.track.track import TrackSet
+
+CAR = CarConfig()
+HALF_PACE = 0.5
+
+
+def measure(path: str, cfg: DuelConfig) -> None:
+    """Measure one policy."""
+    tracks = TrackSet(cfg.track)
+
+    def load(name: str) -> Driver:
+        return roster.load(name, tracks, CAR)
+
+    policy = load(path)
+    goal = 0.93 if policy.sensors.truth else 0.90
+    heading(f"{policy.name} on {cfg.track.name}, {cfg.solver}, {cfg.races} races at each pace")
+    if cfg.track.closed:
+        solo = evaluate(load(path), cfg.track, laps=10, variation=0.0, solver=cfg.solver)
+        bound = lap_bound(cfg.track, CAR)
+        best = solo.best_flying_s or np.inf
+        figure("solo flying lap over the bound", best / bound, "x", 1.06, most=True)
+        figure("off-tracks in ten laps", solo.off_tracks, "", 0, most=True)
+    found = duels.threshold(cfg, load(path), load(path))
+    _show(found)
+    figure("pass threshold against itself, slowed", found.pace, "of its pace", goal)
+    figure("hold threshold", found.hold, "of its pace", 1.03)
+    tried = list(found.duels.values())
+    near = sum(one.near_km for one in tried)
+    contacts, hard = (
+        sum(getattr(one, name) for one in tried) for name in ("contacts", "hard_contacts")
+    )
+    figure("contacts to blame for per km near others", contacts / near, "", 1.0, most=True)
+    figure("... of these above 0.3 m/s", hard / near, "", 0.2, most=True)
+    passes = sum(one.passed * one.races for one in tried)
+    figure("off-tracks per pass", sum(one.off_tracks for one in tried) / max(passes, 1.0), "")
+    for rival in ("racing_line", "duelist"):
+        if rival == "duelist" and path == str(roster.garage()["duelist"]):
+            continue
+        against = duels.threshold(cfg, load(path), load(rival))
+        figure(f"pass threshold against {rival}, slowed", against.pace, "of its pace", goal)
+    grid = ["centerline"] * 3
+    last = duels.from_behind(cfg, [*map(load, grid), load(path)], [1.0] * 4)
+    figure("from last of four against three centerline: won", 100 * last.passed, "%", 90)
+    figure("... places gained", last.places, "of 3")
+    for name, rival, pace in (
+        ("today's duelist", "duelist", 1.0),
+        ("a roadblock at half pace", "racing_line", HALF_PACE),
+    ):
+        seen = duels.from_behind(cfg, (load(rival), load(path)), (pace, 1.0))
+        figure(f"from behind against {name}: won", 100 * seen.passed, "%", 90)
+
+
+def _show(found: Threshold) -> None:
+    row = table(
+        "pace of the defender", "passed", "cleanly", "held", "contacts/km", "hard/km", "off"
+    )
+    for pace, one in found.duels.items():
+        rates = (f"{share:.2f}" for share in (one.passed, one.clean, one.held))
+        per_km = (f"{rate:.1f}" for rate in (one.contacts_per_km, one.hard_contacts_per_km))
+        row(f"{pace:.3f}", *rates, *per_km, one.off_tracks)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Measure the given policies."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("policies", nargs="*", default=[str(roster.garage()["duelist"])])
+    parser.add_argument("--races", type=int, default=200)
+    parser.add_argument("--solver", choices=("bullet", "planar"), default="bullet")
+    parser.add_argument("--track", default="reinvent_2018")
+    given = parser.parse_args(arguments or [])
+    cfg = DuelConfig(files.load(given.track), races=given.races, solver=given.solver)
+    for path in given.policies:
+        measure(path, cfg)
+    note(f"Cars differ by {duels.VARIATION:g} times what they do in a league's heats.")
+
+
+if __name__ == "__main__":
+    import sys
+
+    main(sys.argv[1:])

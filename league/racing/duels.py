@@ -1,0 +1,202 @@
+"""Duels: how fast a rival a driver can pass, and how fast a one it can keep behind.
+
+As in the Indy Autonomous Challenge, the defender's pace changes until half of the attacks succeed.
+An attacker starts one place of the grid behind a defender that is held to a top speed; pace is that
+of a flying lap alone under this top speed, as a share of the attacker's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from league.agents.driver import Driver
+from league.agents.rollout import DriverPool, Rollout
+from league.envs.config import EnvConfig
+from league.envs.race_env import RaceEnv
+from league.errors import ConfigError
+from league.racing.race import dynamics
+from league.sim import rng
+from league.sim.config import DynamicsRandomization, RaceRules, SimConfig, SolverName
+from league.track.track import Track, TrackSet
+
+LAPS = 3
+NEAR = 1.5
+"""Distance along the track within which another car counts as near [m]."""
+LEAST, MOST = 0.5, 1.0
+"""Top speeds of a defender, as shares of the car's, between which a threshold is looked for."""
+RESOLUTION = 0.01
+VARIATION = 3.0
+"""How far cars differ, as a multiple of a league's heats: grip and mass by 6 %, the steering's zero
+by 0.015 rad; and they start at up to 0.5 m/s. With less, 200 races are a few."""
+_SEED = 501
+
+
+@dataclass(frozen=True)
+class DuelConfig:
+    """Where and how often duels are driven."""
+
+    track: Track
+    races: int = 200
+    solver: SolverName = "planar"
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Duels:
+    """Results of many races of an attacker that starts behind a defender."""
+
+    races: int
+    """Races driven."""
+    passed: float
+    """Share of races in which the attacker finished ahead of all."""
+    clean: float
+    """Share in which it did, without a contact to blame for or leaving the road."""
+    held: float
+    """Share in which the defender finished ahead, without a contact to blame for."""
+    places: float
+    """Mean number of places that the attacker gained."""
+    near_km: float
+    """Distance the attacker drove within 1.5 m of another car [km]."""
+    contacts: int
+    """Contacts the attacker was to blame for."""
+    hard_contacts: int
+    """Those hard enough for a penalty: from 0.3 m/s of closing speed on."""
+    off_tracks: int
+    """How often the attacker left the road."""
+
+    @property
+    def contacts_per_km(self) -> float:
+        """Contacts that the attacker was to blame for, for each km driven near others."""
+        return self.contacts / max(self.near_km, 1e-9)
+
+    @property
+    def hard_contacts_per_km(self) -> float:
+        """Hard ones, likewise."""
+        return self.hard_contacts / max(self.near_km, 1e-9)
+
+
+@dataclass(frozen=True)
+class Threshold:
+    """The pace at which half of the attacks succeed."""
+
+    pace: float
+    """Fastest pace of a defender that is passed cleanly in at least half of the races; 0: none."""
+    hold: float
+    """Fastest pace of an attacker, as a share of the defender's, that is kept behind in at least
+    half of the races; 0: none."""
+    duels: dict[float, Duels]
+    """Results by the defender's pace."""
+
+
+def from_behind(cfg: DuelConfig, field: Sequence[Driver], top_speeds: Sequence[float]) -> Duels:
+    """Race a driver from the last place of the grid.
+
+    Args:
+        cfg: track, number of races, solver and seed.
+        field: the drivers in the order of the grid, each another object; the last one attacks, and
+            the first one defends.
+        top_speeds: of their cars, as shares of what the car can be asked for.
+    """
+    env = _env(cfg, field, cfg.races)
+    seeds = rng.bits(cfg.seed, _SEED, np.arange(cfg.races)) & rng.SEED_MASK
+    rollout = Rollout(env, DriverPool([field] * cfg.races, strict=True), seeds.tolist())
+    cars, last = env.world.cars, len(field) - 1
+    cars["top_speed"] = np.array(top_speeds, np.float32) * env.cfg.sim.car.max_speed
+    over, near_m = np.zeros(cfg.races, np.bool_), 0.0
+    contacts, hard, off = (np.zeros(cars.shape, np.int64) for _ in range(3))
+    touching = np.zeros(cars.shape, np.bool_)
+    end = env.world.worlds["last_step"].max()
+    while not over.all() and env.world.worlds["step"].max() < end:
+        step = rollout.step()
+        seen, going = step.verdicts, ~over[:, None]
+        contacts += seen["to_blame"] & ~touching & going
+        hard += seen["crashed"] & going
+        off += (seen["off_track"] | seen["pushed_off"]) & going
+        touching = seen["to_blame"].copy()
+        gaps = env.tracks.signed_gap(env.world.track, cars["s"][:, :last], cars["s"][:, last:])
+        near = (np.abs(gaps) < NEAR).any(axis=1) & ~over
+        near_m += float(seen["advance"][near, last].clip(min=0.0).sum())
+        # The race is decided when the attacker, or all others, have finished.
+        home = step.terminated
+        over |= home[:, last] | home[:, :last].all(axis=1)
+    merit = np.where(np.isfinite(cars["finish_s"]), 1e6 - cars["finish_s"], cars["distance"])
+    ahead = merit[:, last:] > merit[:, :last]
+    clean = (contacts[:, last] == 0) & (off[:, last] == 0)
+    env.close()
+    return Duels(
+        races=cfg.races,
+        passed=float(ahead.all(axis=1).mean()),
+        clean=float((ahead.all(axis=1) & clean).mean()),
+        held=float((~ahead[:, 0] & (contacts[:, 0] == 0)).mean()),
+        places=float(ahead.sum(axis=1).mean()),
+        near_km=near_m / 1000.0,
+        contacts=int(contacts[:, last].sum()),
+        hard_contacts=int(hard[:, last].sum()),
+        off_tracks=int(off[:, last].sum()),
+    )
+
+
+def solo_lap(cfg: DuelConfig, driver: Driver, top_speed: float = 1.0) -> float:
+    """Return the time of a flying lap alone, without variation [s]; infinite: none.
+
+    The best of LAPS - 1 laps after the first.
+    """
+    env = _env(cfg, (driver,), 1)
+    rollout = Rollout(env, DriverPool([(driver,)], strict=True), [cfg.seed])
+    env.world.cars["top_speed"] = top_speed * env.cfg.sim.car.max_speed
+    best, laps = np.inf, 0
+    for _ in range(int(env.world.worlds["last_step"][0])):
+        step = rollout.step()
+        if step.verdicts["lap"][0, 0]:
+            laps += 1
+            if laps > 1:
+                best = min(best, float(env.world.cars["last_lap_s"][0, 0]))
+        if step.terminated.all():
+            break
+    env.close()
+    return best
+
+
+def threshold(cfg: DuelConfig, attacker: Driver, defender: Driver) -> Threshold:
+    """Find the fastest defender that is passed in half of the races, and the fastest that holds.
+
+    Raises:
+        ConfigError: the attacker drives no complete lap alone.
+    """
+    own = solo_lap(cfg, attacker)
+    if not np.isfinite(own):
+        raise ConfigError(
+            f"{attacker.name} drives no complete lap alone on {cfg.track.name}: "
+            "give a driver that does"
+        )
+    results: dict[float, Duels] = {}
+    low, high, best = LEAST, MOST, 0.0
+    while high - low > RESOLUTION:
+        share = 0.5 * (low + high)
+        pace = own / solo_lap(cfg, defender, share)
+        results[pace] = found = from_behind(cfg, (defender, attacker), (share, 1.0))
+        if found.clean >= 0.5:
+            low, best = share, max(best, pace)
+        else:
+            high = share
+    holding = [1.0 / pace for pace, found in results.items() if found.held >= 0.5 and pace > 0.0]
+    return Threshold(pace=best, hold=max(holding, default=0.0), duels=dict(sorted(results.items())))
+
+
+def _env(cfg: DuelConfig, drivers: Sequence[Driver], worlds: int) -> RaceEnv:
+    spread = dynamics(VARIATION, 0.5) if len(drivers) > 1 else DynamicsRandomization()
+    sim = SimConfig(
+        kind="head_to_head" if len(drivers) > 1 else "time_trial",
+        num_cars=len(drivers),
+        rules=RaceRules(laps=LAPS, max_time_s=20.0 + LAPS * cfg.track.length),
+        spread=spread,
+    )
+    return RaceEnv(
+        TrackSet(cfg.track),
+        EnvConfig(sim=sim, solver=cfg.solver, sensors=tuple(one.sensors for one in drivers)),
+        num_worlds=worlds,
+        seed=cfg.seed,
+    )

@@ -1,0 +1,89 @@
+"""Duels: the pace of a rival at which half of the attacks succeed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scenes import make_ring
+
+from league.agents import roster
+from league.errors import ConfigError
+from league.racing import duels
+from league.racing.duels import DuelConfig, Duels
+from league.sim.config import CarConfig, SensorConfig
+from league.track.track import TrackSet
+
+RING = make_ring(width=1.4)
+CFG = DuelConfig(RING, races=6)
+
+
+class Lane:
+    """Keeps a lane by the `state` group at one speed, whatever is on it."""
+
+    sensors = SensorConfig()
+
+    def __init__(self, lateral: float, speed: float = 0.2) -> None:
+        self.name, self._lateral, self._speed = f"lane {lateral}", lateral, speed
+
+    def reset(self, rows):
+        """Nothing: it remembers nothing."""
+
+    def act(self, observations):
+        state = observations["state"]
+        steering = 0.9 - 1.5 * (state[:, 1] - self._lateral) - 1.5 * state[:, 2]
+        return np.stack([steering.clip(-1, 1), np.full(len(state), self._speed)], axis=1)
+
+
+def test_who_is_faster_on_another_lane_passes_cleanly_and_who_is_not_does_not():
+    slow = duels.from_behind(CFG, (Lane(-0.3), Lane(0.3)), (0.4, 1.0))
+    assert (slow.races, slow.passed, slow.clean, slow.held) == (6, 1.0, 1.0, 0.0)
+    assert slow.contacts == slow.hard_contacts == slow.off_tracks == 0
+    assert slow.near_km > 0.0
+    fast = duels.from_behind(CFG, (Lane(-0.3, 0.3), Lane(0.3, -0.4)), (1.0, 1.0))
+    assert fast.passed == 0.0 and fast.held == 1.0
+
+
+def test_from_the_last_place_all_others_count():
+    field = Lane(-0.4), Lane(0.1), Lane(-0.3), Lane(0.4)
+    found = duels.from_behind(CFG, field, (0.35, 0.6, 0.3, 1.0))
+    assert found.places >= 2.0
+    assert found.passed <= found.places / 3
+
+
+def test_who_passes_by_ramming_does_not_pass_cleanly():
+    found = duels.from_behind(CFG, (Lane(0.0), Lane(0.0)), (0.4, 1.0))
+    assert found.contacts > 0 and found.hard_contacts > 0
+    assert found.clean == 0.0
+    assert found.contacts_per_km > 0.0
+
+
+def test_the_threshold_lies_between_what_succeeds_and_what_fails(monkeypatch):
+    tried = []
+
+    def raced(cfg, field, top_speeds):
+        tried.append(top_speeds[0])
+        clean = float(top_speeds[0] < 0.83)
+        return Duels(6, clean, clean, 1.0 - clean, clean, 0.1, 1, 0, 0)
+
+    monkeypatch.setattr(duels, "from_behind", raced)
+    monkeypatch.setattr(duels, "solo_lap", lambda cfg, driver, top_speed=1.0: 5.0 / top_speed)
+    found = duels.threshold(CFG, Lane(0.3), Lane(-0.3))
+    assert found.pace == pytest.approx(0.83, abs=0.01)
+    assert found.hold == pytest.approx(1 / 0.83, abs=0.02)
+    assert len(tried) <= 7 and sorted(found.duels) == list(found.duels)
+
+
+def test_a_lap_under_a_lower_top_speed_takes_longer():
+    tracks = TrackSet(RING)
+    driver = roster.load("centerline", tracks, CarConfig())
+    full, held = (duels.solo_lap(CFG, driver, share) for share in (1.0, 0.4))
+    assert held > 7.0 and full < held
+
+
+def test_who_drives_no_lap_has_no_pace():
+    class Standing(Lane):
+        def act(self, observations):
+            return np.tile([0.0, -1.0], (len(observations["state"]), 1))
+
+    with pytest.raises(ConfigError, match="drives no complete lap alone on ring"):
+        duels.threshold(CFG, Standing(0.0), Lane(0.0))
