@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The commands that made the policies in this folder, about 100 minutes in all on two cores.
+# The commands that made the policies in this folder, about two hours in all on two cores.
 # Usage: garage/train.sh [rookie racer dodger novice duelist globetrotter ...]
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -24,12 +24,12 @@ dodger() {  # six boxes at random places
     train dodger --kind obstacle_avoidance --action-space 0.5-3 --minutes 10 \
         --exam-trials 8 --exam-every 2
 }
-novice() {  # a minute of time trial: the duelist's parent
+novice() {  # a minute of time trial
     train novice --seed 2 --action-space 1-4 --minutes 1
 }
-duelist() {  # the novice, after half an hour of racing its own past
-    train duelist --seed 2 --kind head_to_head --self-play --init-from garage/novice.pt --reward race \
-        --action-space 1-4 --minutes 0 --steps 1750000 --exam-every 8
+duelist() {  # wheel to wheel: on the true state, then with cameras, lidar and a short memory
+    train duelist --kind head_to_head --self-play --cars 4 --teacher 0.4 --minutes 44 --threads 2 \
+        --sensors stereo64x48 sectors history4 --eval-every 8
 }
 globetrotter() {  # random tracks only, with random cars and looks: drives any track at first sight
     train globetrotter --track generated:768 --action-space 0.5-3 --num-worlds 128 \

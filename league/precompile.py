@@ -106,11 +106,11 @@ def _worlds() -> None:
     from league.sim import referee
     from league.sim.config import LidarConfig, SensorConfig, SimConfig
 
-    sensors = (SensorConfig(lidar=LidarConfig()),)
+    sensors = (SensorConfig(lidar=LidarConfig(), history=1, truth=True),)
     sim = SimConfig(kind="head_to_head", num_cars=2)
     env = RaceEnv(_tracks(), EnvConfig(sim=sim, sensors=sensors), num_worlds=1)
     env.step(np.zeros((1, 2, 2), np.float32))
-    assert "state" in dict(env.observations[0])
+    assert {"state", "truth"} <= dict(env.observations[0]).keys()
     referee.running_order(env.world.cars)
 
 

@@ -228,16 +228,16 @@ def _fastest(group, size, world, rules):
 def _top_speed(place, size, world, sim, rules):
     """Draw the top speed [m/s] of a place: the group's fastest, or a share of it."""
     seed, step, group = world.seed, world.step, place // size
-    fast, drawn = sim.max_speed, uniform_of(seed, _FAST, step, group)
+    top, drawn = sim.max_speed, uniform_of(seed, _FAST, step, group)
     if drawn < rules.limited:
-        fast *= _LEAST_FAST + (_ONE - _LEAST_FAST) * drawn / rules.limited
+        top *= _LEAST_FAST + (_ONE - _LEAST_FAST) * drawn / rules.limited
     if place % size == _fastest(group, size, world, rules):
-        return fast
+        return top
     drawn = uniform_of(seed, _SLOW, step, place)
     if drawn < rules.roadblock:
-        return fast * (_ROADBLOCK[0] + (_ROADBLOCK[1] - _ROADBLOCK[0]) * drawn / rules.roadblock)
+        return top * (_ROADBLOCK[0] + (_ROADBLOCK[1] - _ROADBLOCK[0]) * drawn / rules.roadblock)
     share = (drawn - rules.roadblock) / (_ONE - rules.roadblock)
-    return fast * (rules.slowest_rival + (rules.fastest_rival - rules.slowest_rival) * share)
+    return top * (rules.slowest_rival + (rules.fastest_rival - rules.slowest_rival) * share)
 
 
 @inner

@@ -188,7 +188,6 @@ class TrainConfig:
             num_worlds=max(_RACING_ROWS // self.num_cars, 1),
             reward=PRESETS["race"],
             episode_s=18.0,
-            dynamics_randomization=max(self.dynamics_randomization, 0.5),
             visual_randomization=False,
             symmetry=False,
             teacher=0.0,

@@ -36,6 +36,8 @@ FIRST_PACE, LEAST_PACE, RANGE = 0.70, 0.60, 0.25
 """Largest top speed of rivals at first and at least, and how far below it the smallest lies."""
 DEAR = 3.0
 """Price of a contact at the end of the run, as a multiple of its price at the beginning."""
+SPREAD = 0.5
+"""Least randomisation of the cars; see TrainConfig."""
 _MEMORY = 0.9
 """Share of what is known about attacks that is kept in an update."""
 
@@ -188,7 +190,9 @@ def make_racing(tracks: TrackSet, cfg: TrainConfig, *, reward: Reward | None = N
         cfg: settings of the run.
         reward: in Python, for the policy with its own sensors; None: the preset `race`.
     """
-    cfg = replace(cfg, reward=PRESETS["race"])
+    # Differences between the cars make other rivals than a top speed does.
+    spread = max(cfg.dynamics_randomization, SPREAD)
+    cfg = replace(cfg, reward=PRESETS["race"], dynamics_randomization=spread)
     racer = Racer(tracks, cfg.on_truth())
     if cfg.sensors.truth:
         return racer
