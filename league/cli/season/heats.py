@@ -18,7 +18,7 @@ import tyro
 
 from league import times
 from league.atomic_file import replacing
-from league.cli import flags, season, tables
+from league.cli import season, tables
 from league.cli.season import OnLeague, Reading
 from league.errors import ConfigError, StoreError, brief
 
@@ -57,7 +57,7 @@ class Heats(Reading):
         """Run the command."""
         from league.matchmaking import documents
 
-        flags.at_least(self, "limit", 1)
+        season.at_least(self, "limit", 1)
         with self.opened() as store:
             numbers = [store.entry(self.entry).number] if self.entry else []
             states = None if self.state == "all" else (self.state,)

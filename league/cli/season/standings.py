@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from league import times
-from league.cli import flags, season, tables
+from league.cli import season, tables
 from league.cli.season import Reading
 from league.errors import ConfigError, StoreError
 
@@ -31,7 +31,7 @@ class ShowStandings(Reading):
         """Run the command."""
         from league.matchmaking import documents, standings
 
-        flags.at_least(self, "top", 1)
+        season.at_least(self, "top", 1)
         with self.opened() as store:
             rated = standings.of(store)
         if self.json:
@@ -72,7 +72,7 @@ class HeadToHead(Reading):
 
     def run(self) -> int:
         """Run the command."""
-        flags.at_least(self, "top", 2)
+        season.at_least(self, "top", 2)
         if self.one and not self.other:
             raise ConfigError(
                 f"only {self.one!r} was given: name two entries to compare them, or none for the "
@@ -97,7 +97,7 @@ class History(Reading):
         """Run the command."""
         from league.matchmaking import standings
 
-        flags.at_least(self, "points", 1)
+        season.at_least(self, "points", 1)
         with self.opened() as store:
             entry = store.entry(self.entry)
             moments = standings.history(store, entry, points=self.points)
