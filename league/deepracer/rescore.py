@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,9 +22,6 @@ from league.race_spec import EventKind
 from league.replay import Replay
 from league.sim.records import NOBODY, VERDICT
 from league.sim.world import World
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,6 @@ class Dispatcher:
         store: Store,
         executor: Executor,
         *,
-        name: str = "",
         lease_s: float = LEASE_S,
         keep_replays: bool = True,
     ) -> None:
@@ -69,12 +68,12 @@ class Dispatcher:
         Args:
             store: the league.
             executor: races the heats.
-            name: unique among dispatchers; by default of the machine, the process and chance.
             lease_s: lease of a heat [s]; renewed every `lease_s / 6`.
             keep_replays: whether recordings are stored.
         """
         self._store, self._executor = store, executor
-        self.name = name or f"{socket.gethostname()[:60]}-{os.getpid()}-{secrets.token_hex(3)}"
+        self.name = f"{socket.gethostname()[:60]}-{os.getpid()}-{secrets.token_hex(3)}"
+        """Unique among dispatchers."""
         self._lease_s, self._keep_replays = lease_s, keep_replays
         self._renewed_s = time.monotonic()
         self._rulesets: dict[str, Ruleset] = {}
