@@ -271,7 +271,7 @@ def _print_classification(result: RaceResult) -> None:
 
 
 def _passes(result: RaceResult) -> list[str]:
-    """Return who passed whom and when, a line for each pair."""
+    """Return which driver passed which other and when, a line for each pair."""
     names = {car.car: car.name for car in result.order}
     passes: dict[tuple[int, int], list[str]] = {}
     for event in result.events:

@@ -161,7 +161,7 @@ def of(store: Store, ruleset: str | None = None) -> Standings:
     data = _data(results_of(races), entries)
     if data is None:
         raise StoreError(
-            "nobody is rated in this league yet: submit entries with `league submit`, then let "
+            "no entry is rated in this league yet: submit entries with `league submit`, then let "
             "them race with `league run`"
         )
     fitted = _fit(data, entries)

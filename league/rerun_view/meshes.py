@@ -136,7 +136,7 @@ def _spoke(angle: float) -> np.ndarray:
 
 
 def _polygon(corners: np.ndarray, colour: Rgb, *, inside: np.ndarray) -> Mesh:
-    """Return a convex polygon whose normal points away from a point inside the body."""
+    """Return a convex polygon with its normal pointing away from a point inside the body."""
     normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
     normal = normal / np.linalg.norm(normal)
     if normal @ (corners[0] - inside) < 0:

@@ -36,7 +36,7 @@ LIDAR_EVERY = 2
 def save(replay: Replay, path: str | os.PathLike[str], *, cameras: bool = True) -> Path:
     """Write a replay as a .rrd file, whole or not at all, and return its path.
 
-    Without the cars' cameras, whose films take most of the time, if `cameras` is False.
+    The films of the cars' cameras, which take most of the time, are omitted if `cameras` is False.
     """
     spec = replay.spec
     identity = f"{spec.track}-{spec.kind}-{spec.seed}-{int(replay.columns.checksum[-1]):08x}"

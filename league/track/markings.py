@@ -1,6 +1,6 @@
 """The floor of a room as a picture: field, road, white lines, dashes, start line.
 
-Pixel (row, col) shows the square of the floor whose middle is
+Pixel (row, col) shows the square of the floor with its middle at
 (origin_x + (col + 0.5) mpp, origin_y + (row + 0.5) mpp): rows grow with y, so seen as a picture it
 is upside down.
 """

@@ -67,7 +67,7 @@ class Heats(Reading):
             season.print_json([documents.heat_document(record, names) for record in records])
             return 0
         table = tables.table("Heats", "heat", "grid", "purpose", "state", "track", "done")
-        table.padding = (0, 0)  # the box leaves room enough between columns
+        table.padding = (0, 0)  # the box leaves space enough between columns
         table.columns[1].no_wrap = False  # eight names do not fit one line
         for record in records:
             half = record.heat.halves[0]

@@ -97,7 +97,7 @@ class Run(Work):
 
     same_owner: bool = False
     """Let entries of one owner meet, too. By default they race only entries of others and anchors,
-    so that nobody gains by entering many; a league of one person needs this."""
+    so that entering many gains nothing; a league of one person needs this."""
 
     def _season(self, store: Store) -> Season:
         from league.matchmaking.pairing.matchmaker import Season

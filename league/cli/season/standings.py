@@ -133,7 +133,7 @@ def standings_table(rated: Standings, limit: int | None = None) -> RenderableTyp
         "Standings", "", "entry", "owner", "Elo ± 95 %", "by", "state", "races", "DNF",
         "best lap", "ranks",
     )  # fmt: skip
-    drawn.padding = (0, 0)  # the box leaves room enough between columns
+    drawn.padding = (0, 0)  # the box leaves space enough between columns
     for row in rated.rows[:limit]:
         flags = "!" * row.one_sided + "~" * (not row.connected)
         ranks = f"{row.best_rank}-{row.worst_rank}" if row.best_rank < row.worst_rank else ""
@@ -175,7 +175,7 @@ def _notes(rated: Standings) -> list[str]:
     if rated.goodness.rejected:
         lines.append(
             "One number a driver does not explain these results (p = "
-            f"{rated.goodness.p_value:.1g}): `league h2h` shows who beats whom."
+            f"{rated.goodness.p_value:.1g}): `league h2h` shows who beats which other."
         )
     return lines
 

@@ -255,7 +255,7 @@ class _Roster:
     contenders: list[Contender] = field(default_factory=list)
     """Entries that may race."""
     newcomers: list[Contender] = field(default_factory=list)
-    """Those whose validation heats are to be planned."""
+    """Those that need validation heats."""
     states: dict[int, tuple[EntryState, str]] = field(default_factory=dict)
     """Where each entry stands, and why it was refused."""
     undecided: int = 0

@@ -99,7 +99,7 @@ def _row(
 def claim(
     connection: sa.Connection, now: float, secret: bytes, worker: str, limit: int, lease_s: float
 ) -> list[Claim]:
-    """Lend up to `limit` heats to a worker; heats whose lease has ended are first taken back."""
+    """Lend up to `limit` heats to a worker; heats with an expired lease are first taken back."""
     reap(connection, now)
     wanted = (
         sa.select(heats.c.number)
@@ -177,7 +177,7 @@ def fail(
 
 
 def reap(connection: sa.Connection, now: float) -> None:
-    """Plan the heats again whose lease has ended; their machine's end is no failed try."""
+    """Plan heats with an expired lease again; their machine's end is no failed try."""
     ended = (
         sa.select(heats.c.number, heats.c.attempts, heats.c.worker, heats.c.traceback)
         .where(heats.c.lease_s < now, heats.c.state == "claimed")

@@ -75,7 +75,7 @@ class Entry:
 
     @property
     def near_copy_of(self) -> str:
-        """Name of the earlier entry whose weights are nearly its own; empty for none."""
+        """Name of the earlier entry with nearly the same weights; empty for none."""
         return str(self.card.get("near_copy_of", ""))
 
 

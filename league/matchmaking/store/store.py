@@ -170,7 +170,7 @@ class Store:
     def claim(self, worker: str, limit: int = 1, *, lease_s: float = LEASE_S) -> list[Claim]:
         """Lend up to `limit` heats to a worker; its name must be unique.
 
-        Heats whose lease has ended are lent again.
+        Heats with an expired lease are lent again.
         """
         _check_worker(worker)
         with self._writing() as (connection, now):

@@ -38,7 +38,7 @@ class Executor(Protocol):
         ...
 
     def wait(self, timeout_s: float) -> list[HeatReport]:
-        """Return reports of jobs that ended, including those whose worker died."""
+        """Return reports of jobs that ended, including those of workers that died."""
         ...
 
     def close(self) -> None:
