@@ -80,19 +80,6 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Claim:
-    """A heat lent to a worker."""
-
-    heat: Heat
-    number: int
-    """Number of the heat within the league."""
-    seeds: tuple[int, ...]
-    """Seed of each race."""
-    attempt: int
-    """1 plus the number of races that failed."""
-
-
-@dataclass(frozen=True)
 class RaceOutcome:
     """How one race of a heat ended."""
 
@@ -153,7 +140,7 @@ class HeatRecord:
     traceback: str
     """Of the last failure."""
     seeds: tuple[int, ...] | None
-    """Seed of each race; secret (None) until the heat is over."""
+    """Seed of each race; secret (None) until the heat is over, but for its worker."""
     created_s: float
     """When it was planned [s since 1970]."""
     done_s: float | None

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 from league.errors import LeagueError
 from league.matchmaking.pairing.heat_spec import Ruleset
-from league.matchmaking.store import Claim, Entry, Store
+from league.matchmaking.store import Entry, HeatRecord, Store
 from league.matchmaking.store.store import LEASE_S
 from league.matchmaking.workers import Executor
 from league.matchmaking.workers.worker import HeatDriver, HeatJob, HeatReport, check_physics
@@ -31,7 +31,7 @@ _LOG = logging.getLogger(__name__)
 class RunningHeat:
     """A heat that a worker races."""
 
-    claim: Claim
+    claim: HeatRecord
     names: tuple[str, ...]
     """Names of the entries, in the grid order of the first race."""
     since_s: float
@@ -113,7 +113,7 @@ class Dispatcher:
             self.running[claim.heat.key] = RunningHeat(claim, names, time.monotonic())
         return finished
 
-    def _job(self, claim: Claim) -> HeatJob:
+    def _job(self, claim: HeatRecord) -> HeatJob:
         heat = claim.heat
         if heat.ruleset not in self._rulesets:
             self._rulesets = self._store.rulesets()
@@ -123,7 +123,7 @@ class Dispatcher:
             key=heat.key,
             number=claim.number,
             halves=heat.halves,
-            seeds=claim.seeds,
+            seeds=claim.seeds or (),
             ruleset=ruleset,
             drivers={id: self._driver(id) for id in heat.entries},
             keep_replays=self._keep_replays,
