@@ -287,8 +287,7 @@ def _fit_with(
         entries=np.concatenate([season.entries, np.array(grids, dtype=np.int64)]),
         places=np.concatenate([season.places, np.array(places, dtype=np.int64)]),
     )
-    raced = set(np.unique(both.entries).tolist())
-    anchor = min((e.number for e in entries if e.anchor and e.number in raced), default=None)
+    anchor = standings.anchor_of(both.entries, entries)
     fitted = ratings.fit(both, anchor=anchor)
     if fitted.prior_sd >= NEWCOMER_SD:
         return fitted

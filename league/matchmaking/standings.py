@@ -139,9 +139,13 @@ def _data(
 
 
 def _fit(data: RatingData, entries: Sequence[Entry]) -> Ratings:
-    known = set(data.entries.tolist())
-    pinned = min((e.number for e in entries if e.anchor and e.number in known), default=None)
-    return fit(data, anchor=pinned)
+    return fit(data, anchor=anchor_of(data.entries, entries))
+
+
+def anchor_of(numbers: np.ndarray, entries: Sequence[Entry]) -> int | None:
+    """Return the first of some entries (numbers) that is an anchor."""
+    known = set(numbers.ravel().tolist())
+    return min((e.number for e in entries if e.anchor and e.number in known), default=None)
 
 
 def of(store: Store, ruleset: str | None = None) -> Standings:
