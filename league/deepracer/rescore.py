@@ -176,9 +176,7 @@ def draw(replay: Replay, scores: Sequence[Score], path: Path) -> None:
             axis.set_axisbelow(True)
             figures.strip(axis, keep=("bottom",))
             axis.set_xlim(0.0, max(replay.duration_s, 1e-3))
-    spec = replay.spec
-    laps = "1 lap" if spec.laps == 1 else f"{spec.laps} laps"
-    title = f"{spec.kind.replace('_', ' ')} on {spec.track}, {laps}"
+    title = replay.spec.title
     note = "dots: a penalty begins, its stretch is dashed"
     figure.suptitle(f"{title}   ·   {note}", x=0.01, ha="left", fontsize=10, color="#6b7280")
     figures.save(figure, path, "the plot", ReplayError, dpi=120)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import rerun as rr
 
+from league import times
 from league.race_spec import RaceSpec
 from league.replay.story import PACK
 from league.rerun_view import blueprint, paths, record
@@ -63,7 +64,7 @@ class Live:
         self.address = ""
         """Where it can be watched."""
         self._writer = SceneWriter(recording, track, self._names, self._step_hz)
-        kind, laps = spec.kind.replace("_", " "), record.laps(spec.laps)
+        kind, laps = spec.kind.replace("_", " "), times.laps(spec.laps)
         self._title = f"# {track.title}\n\n**{kind}**, {laps}, live"
         self._order: tuple[int, ...] = ()
 
