@@ -18,6 +18,7 @@ from pydantic import (
     model_validator,
 )
 
+from league import times
 from league.errors import ConfigError, brief
 from league.sim.config import MAX_OBSTACLES, USUAL_OBSTACLES, RaceKind, RulesName, SolverName
 
@@ -106,6 +107,11 @@ class RaceSpec(FrozenModel):
     """How much cars of one kind differ, drawn from the seed; 0: not at all, 1: as in a league."""
     start_speed: float = Field(default=0.0, ge=0, le=12)
     """Largest speed at the start [m/s], drawn from the seed; 0: cars start at rest."""
+
+    @property
+    def title(self) -> str:
+        """Kind, track and laps for people, "time trial on reinvent_2018, 3 laps"."""
+        return f"{self.kind.replace('_', ' ')} on {self.track}, {times.laps(self.laps)}"
 
     @model_validator(mode="before")
     @classmethod

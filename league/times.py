@@ -1,4 +1,4 @@
-"""Times as people read them."""
+"""Times and laps as people read them."""
 
 from __future__ import annotations
 
@@ -9,6 +9,11 @@ def clock(seconds: float) -> str:
     """Return a time as people read it on a timing screen: m:ss.mmm."""
     minutes, rest = divmod(round(seconds * 1000), 60_000)
     return f"{minutes}:{rest / 1000:06.3f}"
+
+
+def laps(count: int) -> str:
+    """Return a number of laps in words."""
+    return f"{count} lap" if count == 1 else f"{count} laps"
 
 
 def day(seconds: float | None) -> str:

@@ -1,7 +1,8 @@
-"""The house keeps its plan: no arrow points up, no circle, heavy neighbours in their own rooms."""
+"""Imports follow docs/architecture.md: none goes up, none in a circle, heavy packages stay put."""
 
 import ast
 import json
+import re
 import subprocess
 import sys
 from functools import lru_cache
@@ -9,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-HOUSE = Path(__file__).parents[1] / "league"
+LEAGUE = Path(__file__).parents[1] / "league"
 LAYERS = {
     "league": 1, "errors": 1, "atomic_file": 1, "jit": 1, "portable_math": 1, "subprocesses": 1,
     "times": 1,
@@ -67,27 +68,27 @@ LOADED_LATE = (
 
 @lru_cache
 def modules() -> dict[str, ast.Module]:
-    """Return the tree of every room, by its name without `league.`."""
+    """Return the tree of every module, by its name without `league.`."""
     found = {}
-    for path in sorted(HOUSE.rglob("*.py")):
-        parts = path.relative_to(HOUSE).with_suffix("").parts
+    for path in sorted(LEAGUE.rglob("*.py")):
+        parts = path.relative_to(LEAGUE).with_suffix("").parts
         name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts) or "league"
         found[name] = ast.parse(path.read_text(encoding="utf-8"))
     return found
 
 
 def imports(tree: ast.AST, *, late: bool = True) -> set[str]:
-    """Return the full names a room imports; without `late` only those it needs to be loaded."""
-    found, rooms = set(), list(ast.iter_child_nodes(tree))
-    while rooms:
-        node = rooms.pop()
+    """Return the full names that a module imports; without `late` those it needs to be loaded."""
+    found, nodes = set(), list(ast.iter_child_nodes(tree))
+    while nodes:
+        node = nodes.pop()
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, "imports are written in full"
             found |= {f"{node.module}.{alias.name}" for alias in node.names}
         elif late or not _is_late(node):
-            rooms += ast.iter_child_nodes(node)
+            nodes += ast.iter_child_nodes(node)
     return found
 
 
@@ -97,34 +98,34 @@ def _is_late(node: ast.AST) -> bool:
 
 
 def arrows(*, late: bool = True) -> set[tuple[str, str]]:
-    """Return (room, room it imports) within the house."""
-    rooms = modules()
+    """Return (module, module it imports) within the league."""
+    known = modules()
     found = set()
-    for name, tree in rooms.items():
+    for name, tree in known.items():
         for target in imports(tree, late=late):
             if target.split(".")[0] != "league":
                 continue
             parts = target.split(".")[1:]
-            while parts and ".".join(parts) not in rooms:
-                parts = parts[:-1]  # a function or class in a room
+            while parts and ".".join(parts) not in known:
+                parts = parts[:-1]  # a function or class of a module
             found.add((name, ".".join(parts) or "league"))
     return found
 
 
-def wing(name: str) -> str:
-    """Return the part of the house that has a layer; adapters load drivers and viewers by name."""
+def package_of(name: str) -> str:
+    """Return the part with a layer that a module is in; adapters load drivers by name."""
     # `league.envs` itself only re-exports the adapters.
     is_adapter = name == "envs" or f"{name}.".startswith("envs.adapters.")
     return "envs.adapters" if is_adapter else name.split(".")[0]
 
 
 def upward(found: set[tuple[str, str]]) -> list[str]:
-    wings = [(wing(one), wing(other), one, other) for one, other in found]
-    return sorted(f"{a} -> {b}" for x, y, a, b in wings if LAYERS[y] > LAYERS[x])
+    packages = [(package_of(one), package_of(other), one, other) for one, other in found]
+    return sorted(f"{a} -> {b}" for x, y, a, b in packages if LAYERS[y] > LAYERS[x])
 
 
 def circle(found: set[tuple[str, str]]) -> list[str]:
-    """Return the rooms that remain when those that import nothing left are taken away."""
+    """Return the modules that remain when those that import nothing left are taken away."""
     left = {(a, b) for a, b in found if a != b}
     while True:
         free = {b for _, b in left} - {a for a, _ in left}
@@ -134,8 +135,18 @@ def circle(found: set[tuple[str, str]]) -> list[str]:
         left = fewer
 
 
-def test_every_room_has_a_layer():
-    assert {wing(name) for name in modules()} <= LAYERS.keys()
+def test_every_module_has_a_layer():
+    assert {package_of(name) for name in modules()} <= LAYERS.keys()
+
+
+def test_the_page_of_the_architecture_has_these_layers():
+    page = (LEAGUE.parent / "docs" / "architecture.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (\d+) \| (.*?) \|", page, re.MULTILINE)
+    drawn = {name: int(layer) for layer, cell in rows for name in re.findall(r"`([\w.]+)/?`", cell)}
+    unlisted = {"league", "__main__"}
+    assert {name: drawn.get(name) for name in LAYERS.keys() - unlisted} == {
+        name: layer for name, layer in LAYERS.items() if name not in unlisted
+    }
 
 
 def test_no_arrow_points_up():
@@ -146,19 +157,19 @@ def test_nothing_imports_in_a_circle():
     assert circle(arrows(late=False)) == []
 
 
-def test_no_wing_imports_in_a_circle_not_even_late():
-    wings = {(wing(one), wing(other)) for one, other in arrows()}
-    assert circle({(a, b) for a, b in wings if "league" not in (a, b)}) == []
+def test_no_package_imports_in_a_circle_not_even_late():
+    packages = {(package_of(one), package_of(other)) for one, other in arrows()}
+    assert circle({(a, b) for a, b in packages if "league" not in (a, b)}) == []
 
 
-@pytest.mark.parametrize("neighbour", HEAVY)
-def test_heavy_neighbour_is_met_only_in_its_own_rooms(neighbour):
+@pytest.mark.parametrize("package", HEAVY)
+def test_heavy_package_is_imported_only_where_it_belongs(package):
     met = {
         name
         for name, tree in modules().items()
-        if any(target.split(".")[0] == neighbour for target in imports(tree))
+        if any(target.split(".")[0] == package for target in imports(tree))
     }
-    own = HEAVY[neighbour]
+    own = HEAVY[package]
     assert {name for name in met if not f"{name}.".startswith(tuple(f"{o}." for o in own))} == set()
 
 
@@ -170,7 +181,7 @@ with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
 
 
 @pytest.mark.parametrize("program", ["import league", HELP], ids=["import", "help"])
-def test_first_steps_load_none_of_the_heavy_neighbours(program):
+def test_first_steps_load_none_of_the_heavy_packages(program):
     program += "\nimport json, sys; print(json.dumps(sorted(sys.modules)))"
     command = [sys.executable, "-c", program]
     ran = subprocess.run(command, capture_output=True, text=True, check=True)

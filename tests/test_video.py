@@ -14,7 +14,6 @@ from league.video import hud
 from league.video.film import Film
 from league.video.hud import clock
 from league.video.mp4 import Coding, Mp4
-from league.video.topview import TopView
 
 
 def driving(frames: int = 8):
@@ -145,7 +144,7 @@ def test_key_frames_come_often_and_no_picture_waits_for_a_later_one(tmp_path):
 @pytest.mark.parametrize("cars", [1, 2])
 def test_the_map_puts_a_car_where_it_is(cars):
     made = by_hand(1, lambda w, _: moved(w, x=[5.0] * cars, y=[0.7] * cars), cars)
-    top = TopView(made, 330, 230)
+    top = hud.TopView(made, 330, 230)
     picture = top.draw(made, made.worlds(), 0)
     assert picture.shape[:2] == top.size[::-1]
     y, x = np.nonzero(near(picture, CAR_COLOURS[0], 20))

@@ -128,7 +128,7 @@ def from_sb3(model: Any, *, name: str, sensors: make.Carried, **card: Any) -> Ch
     if extractors is None or not hasattr(policy, "mlp_extractor") or policy.squash_output:
         raise PolicyError(
             f"the model {name!r} is a {type(policy).__name__}: give a PPO or A2C model with a "
-            "MultiInputPolicy whose actions are not squashed"
+            "MultiInputPolicy and without squashed actions"
         )
     groups = list(extractors)
     expected = sorted(group_shapes(make.sensors_of_car(sensors)))

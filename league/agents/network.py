@@ -1,4 +1,4 @@
-"""The network of a policy: layers from a closed list, whose shapes follow from its settings alone.
+"""The network of a policy: layers from a closed list, with shapes that follow from its settings.
 
 Names and arithmetic are those of rsl-rl's CNNModel and MLPModel (5.5), so that weights learnt there
 drive here, without rsl-rl.

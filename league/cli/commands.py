@@ -17,7 +17,7 @@ from typing import Annotated, Any
 import tyro
 
 from league.cli import drivers, evaluate, race, replays, rewards, tracks
-from league.cli.season import entries, gauntlet, heats, run, serve, standings
+from league.cli.season import entries, gauntlet, heats, run, standings
 
 
 @dataclass
@@ -41,7 +41,7 @@ GROUPS: dict[str, dict[str, type]] = {
         **standings.COMMANDS,
         **heats.COMMANDS,
         **gauntlet.COMMANDS,
-        **serve.COMMANDS,
+        **run.SERVE,
     },
     "Tools": {name: drivers.COMMANDS[name] for name in ("card", "export")},
 }

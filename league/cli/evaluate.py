@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from league import times
-from league.cli import flags, tables
+from league.cli import tables
+from league.errors import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -101,7 +102,7 @@ def _check(command: Evaluate) -> None:
     """Refuse flags that contradict each other before anything is driven."""
     tracks, trace, replay = command.track, command.trace, command.replay
     several = len(tracks) > 1
-    flags.refuse(
+    for contradicts, sentence in (
         (not tracks, "no track was named: give --track NAME, `league tracks` lists them"),
         (
             trace is not None and several and not _is_folder(trace),
@@ -126,7 +127,9 @@ def _check(command: Evaluate) -> None:
             "--opponents were named for time_trial, which is driven alone: "
             "omit --kind for a head-to-head race",
         ),
-    )
+    ):
+        if contradicts:
+            raise ConfigError(sentence)
     _num_obstacles(command)
 
 

@@ -243,12 +243,8 @@ def _live(spec: RaceSpec, track: Track) -> Live:
 
 
 def _print_classification(result: RaceResult) -> None:
-    spec = result.spec
-    laps = "1 lap" if spec.laps == 1 else f"{spec.laps} laps"
-    title = f"{spec.kind.replace('_', ' ')} on {spec.track}, {laps}"
-    table = tables.table(
-        title, "", "driver", "laps", "total", "gap", "best lap", "off", "crash", "penalty"
-    )
+    heads = ("", "driver", "laps", "total", "gap", "best lap", "off", "crash", "penalty")
+    table = tables.table(result.spec.title, *heads)
     winner = result.order[0]
     for car in result.order:
         gap = car.total_s - winner.total_s
@@ -271,7 +267,7 @@ def _print_classification(result: RaceResult) -> None:
 
 
 def _passes(result: RaceResult) -> list[str]:
-    """Return who passed whom and when, a line for each pair."""
+    """Return which driver passed which other and when, a line for each pair."""
     names = {car.car: car.name for car in result.order}
     passes: dict[tuple[int, int], list[str]] = {}
     for event in result.events:

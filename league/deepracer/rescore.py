@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,9 +22,6 @@ from league.race_spec import EventKind
 from league.replay import Replay
 from league.sim.records import NOBODY, VERDICT
 from league.sim.world import World
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True)
@@ -180,9 +176,7 @@ def draw(replay: Replay, scores: Sequence[Score], path: Path) -> None:
             axis.set_axisbelow(True)
             figures.strip(axis, keep=("bottom",))
             axis.set_xlim(0.0, max(replay.duration_s, 1e-3))
-    spec = replay.spec
-    laps = "1 lap" if spec.laps == 1 else f"{spec.laps} laps"
-    title = f"{spec.kind.replace('_', ' ')} on {spec.track}, {laps}"
+    title = replay.spec.title
     note = "dots: a penalty begins, its stretch is dashed"
     figure.suptitle(f"{title}   ·   {note}", x=0.01, ha="left", fontsize=10, color="#6b7280")
     figures.save(figure, path, "the plot", ReplayError, dpi=120)

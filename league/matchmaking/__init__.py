@@ -1,1 +1,1 @@
-"""Who races whom, and who is better."""
+"""Matchmaking: which entries race each other, and which are better."""

@@ -121,7 +121,7 @@ def race(
 
     Args:
         executor: where they are raced.
-        store: the league whose rules count.
+        store: the league that sets the rules.
         heats: what is raced.
         field: the contestants, by id.
         watch: called with each outcome in the order of the heats; False ends it early.
@@ -203,7 +203,7 @@ def opponents(store: Store, *, most: int = 8) -> list[Entry]:
     except StoreError:
         ordered = list(entries.values())
     if not ordered:
-        raise StoreError("there is nobody to race in this league yet: submit entries first")
+        raise StoreError("there is no entry to race in this league yet: submit entries first")
     spread = np.unique(np.linspace(0, len(ordered) - 1, min(most, len(ordered))).round())
     return [ordered[int(index)] for index in spread]
 
@@ -287,8 +287,7 @@ def _fit_with(
         entries=np.concatenate([season.entries, np.array(grids, dtype=np.int64)]),
         places=np.concatenate([season.places, np.array(places, dtype=np.int64)]),
     )
-    raced = set(np.unique(both.entries).tolist())
-    anchor = min((e.number for e in entries if e.anchor and e.number in raced), default=None)
+    anchor = standings.anchor_of(both.entries, entries)
     fitted = ratings.fit(both, anchor=anchor)
     if fitted.prior_sd >= NEWCOMER_SD:
         return fitted

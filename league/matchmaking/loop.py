@@ -19,7 +19,7 @@ class Tally:
     """What a run has done so far."""
 
     heats: int = 0
-    """Heats whose results were taken in."""
+    """Heats with results that were taken in."""
     races: int = 0
     """Their races."""
     race_s: float = 0.0
@@ -31,7 +31,7 @@ class Tally:
     errors: int = 0
     """Heats given up after three tries."""
     quarantined: int = 0
-    """Heats whose results contradict each other."""
+    """Heats with results that contradict each other."""
     idle: bool = False
     """Whether there was nothing more to race."""
 

@@ -139,9 +139,13 @@ def _data(
 
 
 def _fit(data: RatingData, entries: Sequence[Entry]) -> Ratings:
-    known = set(data.entries.tolist())
-    pinned = min((e.number for e in entries if e.anchor and e.number in known), default=None)
-    return fit(data, anchor=pinned)
+    return fit(data, anchor=anchor_of(data.entries, entries))
+
+
+def anchor_of(numbers: np.ndarray, entries: Sequence[Entry]) -> int | None:
+    """Return the first of some entries (numbers) that is an anchor."""
+    known = set(numbers.ravel().tolist())
+    return min((e.number for e in entries if e.anchor and e.number in known), default=None)
 
 
 def of(store: Store, ruleset: str | None = None) -> Standings:
@@ -161,7 +165,7 @@ def of(store: Store, ruleset: str | None = None) -> Standings:
     data = _data(results_of(races), entries)
     if data is None:
         raise StoreError(
-            "nobody is rated in this league yet: submit entries with `league submit`, then let "
+            "no entry is rated in this league yet: submit entries with `league submit`, then let "
             "them race with `league run`"
         )
     fitted = _fit(data, entries)

@@ -212,7 +212,7 @@ def identity(policy: Checkpoint) -> str:
 
 
 def sketch(policy: Checkpoint) -> list[float]:
-    """Return a short vector whose distances are about those of the weights (a count sketch)."""
+    """Return a short vector with about the distances of the weights (a count sketch)."""
     weights = np.concatenate([policy.weights[name].ravel() for name in sorted(policy.weights)])
     generator = np.random.default_rng(0)  # the same signs and buckets for every policy
     signs = generator.integers(0, 2, len(weights)) * 2 - 1

@@ -58,7 +58,7 @@ def optimal_line(
     spacing: float = 0.12,
     curvature_rate: float = 6.0,
 ) -> RacingLine:
-    """Return the fastest line whose base keeps a margin to both borders.
+    """Return the fastest line on which the base keeps a margin to both borders.
 
     Args:
         track: the course.

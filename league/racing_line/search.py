@@ -1,6 +1,6 @@
 """Compiled: the search for the fastest line, a barrier method on offsets and speeds together.
 
-A line is a uniform cubic B-spline beside a smoothed centreline. Its control points are moved along
+A line is a uniform cubic B-spline along a smoothed centreline. Its control points are moved along
 the normals, so place, slope and bend at every point follow from three of them. The search
 minimises TIME, not curvature. Unknowns are the lateral offset of each control point and the
 squared speed e at each point. With curvature k and distance d to the next point, the longitudinal
@@ -34,9 +34,9 @@ ROAD = np.dtype(
         ("y", np.float64),
         ("normal_x", np.float64),  # unit normal of it to the left
         ("normal_y", np.float64),
-        ("low", np.float64),  # smallest lateral place beside it [m]
-        ("high", np.float64),  # largest lateral place beside it [m]
-        ("aside", np.float64),  # where the centreline itself lies beside it [m]
+        ("low", np.float64),  # smallest lateral place, from it [m]
+        ("high", np.float64),  # largest lateral place, from it [m]
+        ("aside", np.float64),  # where the centreline itself lies, from it [m]
     ]
 )
 """A point of the road. An open one has a point more before its start and after its end."""
@@ -48,12 +48,12 @@ ROUNDS = 120
 """Most steps of Newton's method."""
 _FIRST_BARRIER, _LAST_BARRIER, _LESS = 1e-2, 1e-6, 0.7
 _NEAREST = 0.05
-"""Part of its room that a step must leave to every rule."""
+"""Part of its distance to a bound that a step must leave for every rule."""
 _RISE, _BENT, _TURN, _ASIDE, _ENERGY, _DRIVE, _BRAKE, _RULES = 0, 1, 2, 3, 4, 5, 6, 7
 """Rules at a point, each on a value between two bounds: a, k, its change to the next point, the
-lateral place, e, and squared grip used beside drive (with y here) and beside braking (y there)."""
+lateral place, e, and squared grip used with drive (with y here) and with braking (y there)."""
 _CORNERING, _NEXT, _GAP, _ROWS = 7, 8, 9, 10
-"""Values without a rule, whose derivatives are needed: y here and at the next point, and d."""
+"""Values without a rule, with derivatives that are needed: y here and at the next point, and d."""
 _COLUMNS = 6
 """Offsets of the points -1, 0, 1, 2 and squared speeds of the points 0, 1."""
 _BAND = 14
@@ -104,7 +104,7 @@ def _along(points, course, s):
 
 @inner
 def measure(road, offset, closed, shape):
-    """Measure the B-spline whose control points lie at offsets [m] beside the road's points, (N,).
+    """Measure the B-spline with control points at offsets [m] from the road's points, (N,).
 
     `closed`: the last point is followed by the first; without, the outer two are not measured.
     `shape` takes BEND, SIZE and PLACE at each point, and their derivatives by the offsets of the
@@ -132,8 +132,8 @@ def measure(road, offset, closed, shape):
             turned = slope * (nx * bent_y - ny * bent_x) + bent * (slope_x * ny - slope_y * nx)
             one[SIZE, k + 1] = along
             one[BEND, k + 1] = turned / cube - 3.0 * bend * along / size
-            beside = bent * (nx * own.normal_x + ny * own.normal_y) / 6.0
-            one[PLACE, k + 1] = beside + 1.0 if k == 1 else beside
+            shift = bent * (nx * own.normal_x + ny * own.normal_y) / 6.0
+            one[PLACE, k + 1] = shift + 1.0 if k == 1 else shift
         if not closed and (i == 0 or i == count - 1):
             one[:] = 0.0
             one[SIZE, 0] = road[1].s - road[0].s
@@ -208,7 +208,7 @@ def _tighten(low, high, values, road, limits, turn):
 
 @inner
 def _is_inside(values, new_values, low, high):
-    """Return whether new values keep a part of the old ones' room to every bound."""
+    """Return whether new values keep a part of the old ones' distance to every bound."""
     for c in range(_RULES):
         for i in range(values.shape[1]):
             below = (new_values[c, i] - low[c, i]) / (values[c, i] - low[c, i])
@@ -344,7 +344,7 @@ def _factorise(matrix):
 
 @inner
 def _solve(matrix, step):
-    """Solve the equations whose matrix is factorised, in place."""
+    """Solve the equations of a factorised matrix, in place."""
     for row in range(len(matrix)):
         for k in range(1, min(_BAND, row + 1)):
             step[row] -= matrix[row, k] * step[row - k]

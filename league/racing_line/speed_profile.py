@@ -64,7 +64,7 @@ def _tangent(angle):
 
 @compiled
 def spare_grip(cornering, lateral, transfer):
-    """Return the drive or braking that tyres can give beside cornering y [m/s^2].
+    """Return the drive or braking that tyres can give while cornering with y [m/s^2].
 
     The axle that loses load carries (1 - t a) of its half and pushes a / 2 and y / 2 per mass:
     a^2 + y^2 = Y^2 (1 - t a)^2, solved for a, with the largest lateral acceleration Y [m/s^2] and
@@ -83,7 +83,7 @@ def speed_profile(curvature, distance, limits, closed):
     """Return the highest speed at each point that grip, drive and brakes allow [m/s].
 
     A forward pass (drive) and a backward pass (brakes) over the corner speeds, each with what the
-    friction ellipse leaves beside cornering. `distance` leads from each point to the next [m],
+    friction ellipse leaves while cornering. `distance` leads from each point to the next [m],
     float64 (N,), or (N - 1,) if open; on a closed line the last speed fits the first.
     """
     count, first = len(curvature), 0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from league import __version__
 from league.errors import ReplayError
 from league.race_spec import RaceResult, RaceSpec
 from league.replay.replay import PARAMETERS, Columns, Replay
+from league.sim.config import SimConfig
 from league.sim.version import PHYSICS
 from league.sim.world import World
 from league.track.track import TrackSet
@@ -29,24 +29,10 @@ _CHECKED = (*_KEPT, "retired")
 class Recorder:
     """Keeps copies of the steps of one race."""
 
-    def __init__(
-        self,
-        spec: RaceSpec,
-        tracks: TrackSet,
-        names: Sequence[str] | None = None,
-        step_hz: int = 15,
-    ) -> None:
-        """Start without a step.
-
-        Args:
-            spec: of the race.
-            tracks: which the world's `track` indexes.
-            names: of the drivers, by grid slot; by default the spec's entries.
-            step_hz: control steps per second.
-        """
+    def __init__(self, spec: RaceSpec, tracks: TrackSet) -> None:
+        """Start without a step; the world's `track` is an index of `tracks`."""
         self._tracks = tracks
-        self._names = tuple(names or [entry.name for entry in spec.entries])
-        self._step_hz = step_hz
+        self._names = tuple(entry.name for entry in spec.entries)
         self._first: World | None = None
         # Records as they are; all arithmetic waits for `finish`.
         self._cars: list[np.ndarray] = []
@@ -89,7 +75,7 @@ class Recorder:
             result=result,
             track=track,
             names=self._names,
-            step_hz=self._step_hz,
+            step_hz=SimConfig().step_hz,
             parameters=np.stack([world.cars[name][0] for name in PARAMETERS], axis=1),
             obstacle_sizes=np.stack(
                 [obstacles["half_length"][0], obstacles["half_width"][0]], axis=1

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import rerun as rr
 
+from league import times
 from league.race_spec import RaceSpec
 from league.replay.story import PACK
 from league.rerun_view import blueprint, paths, record
 from league.rerun_view.scene import SceneWriter, about_z, positions, speeds
 from league.rerun_view.viewer import Stream
 from league.sim.camera.scene import CAR_COLOURS
+from league.sim.config import SimConfig
 from league.sim.world import World
 from league.track.track import Track
 
@@ -42,9 +44,7 @@ class Live:
         track: Track,
         recording: rr.RecordingStream,
         *,
-        names: Sequence[str] | None = None,
         speed: float = 0.0,
-        step_hz: int = 15,
     ) -> None:
         """Send what never changes; `start` also opens a viewer.
 
@@ -52,21 +52,19 @@ class Live:
             spec: of the race.
             track: the course.
             recording: where to send.
-            names: of the drivers; by default the spec's entries.
             speed: race seconds per second at most; 0 as fast as the race runs.
-            step_hz: control steps per second.
         """
-        self._names = tuple(names or [entry.name for entry in spec.entries])
+        self._names = tuple(entry.name for entry in spec.entries)
         self._bots = spec.obstacle_kind == "bot"
-        self._speed, self._step_hz = speed, step_hz
+        self._speed, self._step_hz = speed, SimConfig().step_hz
         self._begin_s: float | None = None
         self._chase: np.ndarray | None = None
         self._laps = np.zeros(len(self._names), dtype=np.int64)
         self._stream: Stream | None = None
         self.address = ""
         """Where it can be watched."""
-        self._writer = SceneWriter(recording, track, self._names, step_hz)
-        kind, laps = spec.kind.replace("_", " "), record.laps(spec.laps)
+        self._writer = SceneWriter(recording, track, self._names, self._step_hz)
+        kind, laps = spec.kind.replace("_", " "), times.laps(spec.laps)
         self._title = f"# {track.title}\n\n**{kind}**, {laps}, live"
         self._order: tuple[int, ...] = ()
 
@@ -76,7 +74,6 @@ class Live:
         spec: RaceSpec,
         track: Track,
         *,
-        names: Sequence[str] | None = None,
         speed: float = 1.0,
         window: bool | None = None,
     ) -> Live:
@@ -85,16 +82,15 @@ class Live:
         Args:
             spec: of the race.
             track: the course.
-            names: of the drivers; by default the spec's entries.
             speed: race seconds per second at most; 0 as fast as the race runs.
             window: the native viewer rather than a web page; by default where there is a display.
         """
-        drivers = tuple(names or [entry.name for entry in spec.entries])
+        drivers = tuple(entry.name for entry in spec.entries)
         layout = blueprint.broadcast(len(drivers), drivers, track.room, cameras=False, live=True)
         # A race ends, so the viewer may keep all of it.
         stream = Stream(layout, window=window, memory=None)
         try:
-            live = cls(spec, track, stream.recording, names=names, speed=speed)
+            live = cls(spec, track, stream.recording, speed=speed)
         except BaseException:
             stream.close(leave_window=False)
             raise

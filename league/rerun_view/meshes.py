@@ -7,14 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from league.sim.camera.scene import BODY, BOX, PAINTS, WALL_HEIGHT, WHEEL_RADIUS, Model, Solid
-from league.track.markings import (
-    DASH_LENGTH,
-    DASH_PITCH,
-    DASH_WIDTH,
-    START_COLOURS,
-    START_DEPTH,
-    START_SQUARE,
-)
+from league.track import markings
 from league.track.track import Rgb, Track
 
 LIFT = 0.003
@@ -55,12 +48,13 @@ def floor(track: Track) -> Mesh:
     inner, outer = (-track.line_width, 0.0) if track.line_inside else (0.0, track.line_width)
     layers = [
         _field(track),
-        _road(track, outer, LIFT, colours.line),
-        _road(track, inner, 2 * LIFT, colours.road),
-        _dashes(track, 3 * LIFT, colours.dash),
+        _flat(markings.strip(track, outer), LIFT, colours.line),
+        _flat(markings.strip(track, inner), 2 * LIFT, colours.road),
+        _flat(markings.dashes(track), 3 * LIFT, colours.dash),
     ]
     if track.closed:
-        layers.append(_start_line(track, 4 * LIFT))
+        for squares, rgb in zip(markings.start_squares(track), markings.START_COLOURS, strict=True):
+            layers.append(_flat(squares, 4 * LIFT, rgb))
     return joined(*layers)
 
 
@@ -142,7 +136,7 @@ def _spoke(angle: float) -> np.ndarray:
 
 
 def _polygon(corners: np.ndarray, colour: Rgb, *, inside: np.ndarray) -> Mesh:
-    """Return a convex polygon whose normal points away from a point inside the body."""
+    """Return a convex polygon with its normal pointing away from a point inside the body."""
     normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
     normal = normal / np.linalg.norm(normal)
     if normal @ (corners[0] - inside) < 0:
@@ -173,68 +167,3 @@ def _field(track: Track) -> Mesh:
     x_min, y_min, x_max, y_max = track.room
     corners = np.array([[[x_min, y_min], [x_max, y_min], [x_max, y_max], [x_min, y_max]]])
     return _flat(corners, 0.0, track.colours.field)
-
-
-def _road(track: Track, wider: float, height: float, colour: Rgb) -> Mesh:
-    """Return the road with each border moved out by `wider` [m]."""
-    sides = []
-    for border in (track.left, track.right):
-        reach = border - track.center
-        length = np.linalg.norm(reach, axis=1, keepdims=True)
-        sides.append(track.center + reach * (np.maximum(length + wider, 0.01) / length))
-    left, right = sides
-    quads = np.stack(
-        [left, right, np.roll(right, -1, axis=0), np.roll(left, -1, axis=0)], axis=1
-    )  # (N, 4, 2)
-    return _flat(quads if track.closed else quads[:-1], height, colour)
-
-
-def _place(track: Track, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return points and unit directions of the centreline at these distances."""
-    count = len(track.center)
-    at = s / float(track.segment_lengths.mean())
-    low = np.minimum(at.astype(int), count - 1)
-    high = (low + 1) % count if track.closed else np.minimum(low + 1, count - 1)
-    part = (at - low)[:, None]
-    point = track.center[low] * (1 - part) + track.center[high] * part
-    along = track.tangent[low] * (1 - part) + track.tangent[high] * part
-    return point, along / np.linalg.norm(along, axis=1, keepdims=True)
-
-
-def _dashes(track: Track, height: float, colour: Rgb) -> Mesh:
-    s = np.arange(0.0, track.length - DASH_LENGTH, DASH_PITCH) + DASH_LENGTH / 2
-    point, along = _place(track, s)
-    return _flat(_rectangles(point, along, DASH_LENGTH, DASH_WIDTH), height, colour)
-
-
-def _start_line(track: Track, height: float) -> Mesh:
-    """Return the checkered strip across the road."""
-    point, along = track.center[0], track.tangent[0]
-    left, right = (float(np.linalg.norm(side[0] - point)) for side in (track.left, track.right))
-    columns = max(2, round((left + right) / START_SQUARE))
-    width = (left + right) / columns
-    rows = round(START_DEPTH / START_SQUARE)
-    row, column = np.indices((rows, columns)).reshape(2, -1)
-    ahead = (row + 0.5) * START_SQUARE - START_DEPTH / 2
-    aside = (column + 0.5) * width - right
-    centre = point + ahead[:, None] * along + aside[:, None] * _left_of(along)
-    squares = _rectangles(centre, np.broadcast_to(along, centre.shape), START_SQUARE, width)
-    dark = (row + column) % 2
-    return joined(
-        *(
-            _flat(squares[dark == index], height, colour)
-            for index, colour in enumerate(START_COLOURS)
-        )
-    )
-
-
-def _left_of(along: np.ndarray) -> np.ndarray:
-    """Return unit directions turned by 90 deg to the left, (..., 2)."""
-    return np.stack([-along[..., 1], along[..., 0]], axis=-1)
-
-
-def _rectangles(centre: np.ndarray, along: np.ndarray, length: float, width: float) -> np.ndarray:
-    """Return rectangles about centres, with their length along directions, (K, 4, 2)."""
-    ahead, aside = along * length / 2, _left_of(along) * width / 2
-    corners = (ahead + aside, aside - ahead, -ahead - aside, ahead - aside)
-    return centre[:, None] + np.stack(corners, axis=1)

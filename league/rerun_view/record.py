@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
+from league import times
 from league.atomic_file import replacing
 from league.errors import ReplayError
 from league.replay import Replay, story
@@ -36,7 +37,7 @@ LIDAR_EVERY = 2
 def save(replay: Replay, path: str | os.PathLike[str], *, cameras: bool = True) -> Path:
     """Write a replay as a .rrd file, whole or not at all, and return its path.
 
-    Without the cars' cameras, whose films take most of the time, if `cameras` is False.
+    The films of the cars' cameras, which take most of the time, are omitted if `cameras` is False.
     """
     spec = replay.spec
     identity = f"{spec.track}-{spec.kind}-{spec.seed}-{int(replay.columns.checksum[-1]):08x}"
@@ -166,7 +167,7 @@ def classification(replay: Replay) -> str:
         "|---:|:---|---:|---:|---:|",
     ]
     for car in result.order:
-        total = f"{car.total_s:.2f} s" if car.finished else laps(car.laps)
+        total = f"{car.total_s:.2f} s" if car.finished else times.laps(car.laps)
         best = f"{car.best_lap_s:.2f} s" if car.best_lap_s is not None else ""
         penalty = f"{car.penalty_s:g} s" if car.penalty_s else ""
         lines.append(f"| **{car.place}** | {escaped(car.name)} | {total} | {best} | {penalty} |")
@@ -184,13 +185,8 @@ def running_order(head: str, names: Sequence[str]) -> str:
 
 def _head(replay: Replay) -> str:
     spec = replay.spec
-    kind = spec.kind.replace("_", " ")
-    return f"**{replay.track.title}**: {kind}, {laps(spec.laps)}, {spec.solver}, seed {spec.seed}"
-
-
-def laps(count: int) -> str:
-    """Return a number of laps in words."""
-    return f"{count} lap" if count == 1 else f"{count} laps"
+    kind, laps = spec.kind.replace("_", " "), times.laps(spec.laps)
+    return f"**{replay.track.title}**: {kind}, {laps}, {spec.solver}, seed {spec.seed}"
 
 
 def escaped(name: str) -> str:

@@ -26,7 +26,7 @@ MIN_RADIUS = 0.2
 MIN_REACH = 0.14
 """Least room between the centreline and a border [m]; half a car is 0.1 m wide."""
 
-_MAX_MISSES = 0.1  # share of the rows whose normal may miss an explicit border
+_MAX_MISSES = 0.1  # share of the rows in which the normal may miss an explicit border
 
 
 def track(file: TrackFile, text: str, where: str) -> Track:
@@ -254,7 +254,7 @@ def first_crossing(
     """Return the first two segments that cross, of one polyline [m] or of two, by their rows."""
     begin, end = spline.segments(line, closed=closed)
     begin_2, end_2 = (begin, end) if other is None else spline.segments(other, closed=closed)
-    # Only segments whose middles are near enough can meet.
+    # Only segments with middles near enough can meet.
     longest = np.linalg.norm(end - begin, axis=1).max()
     longest_2 = np.linalg.norm(end_2 - begin_2, axis=1).max()
     radius = float(longest + longest_2) / 2 * (1 + 1e-9) + 1e-12

@@ -1,6 +1,6 @@
 """The floor of a room as a picture: field, road, white lines, dashes, start line.
 
-Pixel (row, col) shows the square of the floor whose middle is
+Pixel (row, col) shows the square of the floor with its middle at
 (origin_x + (col + 0.5) mpp, origin_y + (row + 0.5) mpp): rows grow with y, so seen as a picture it
 is upside down.
 """
@@ -84,12 +84,12 @@ def floor(track: Track, metres_per_pixel: float, *, colour: bool) -> Floor:
     colours, spill = track.colours, 0.5 * metres_per_pixel / _FINE
     inner, outer = (-track.line_width, 0.0) if track.line_inside else (0.0, track.line_width)
     for wider, colour_of_strip in ((outer, colours.line), (inner, colours.road)):
-        strip = _strip(track, wider, spill)  # filled polygons spill over by half a fine pixel
-        fill(strip, fine, colour_of_strip)
-        fill(strip, on_road, 255)
-    fill(_dashes(track), fine, colours.dash)
+        road = strip(track, wider, spill)  # filled polygons spill over by half a fine pixel
+        fill(road, fine, colour_of_strip)
+        fill(road, on_road, 255)
+    fill(dashes(track), fine, colours.dash)
     if track.closed:
-        for squares, rgb in zip(_start_squares(track), START_COLOURS, strict=True):
+        for squares, rgb in zip(start_squares(track), START_COLOURS, strict=True):
             fill(squares, fine, rgb)
     image = cv2.resize(fine, (columns, rows), interpolation=cv2.INTER_AREA)
     noise = np.tile(_noise_tile(), (rows // _TILE + 1, columns // _TILE + 1))[:rows, :columns]
@@ -107,8 +107,8 @@ def _noise_tile() -> np.ndarray:
     return soft / soft.std()
 
 
-def _strip(track: Track, wider: float, spill: float) -> np.ndarray:
-    """Return the road as quadrilaterals, shape (K, 4, 2), each border moved out by `wider` [m].
+def strip(track: Track, wider: float, spill: float = 0.0) -> np.ndarray:
+    """Return the road as quadrilaterals, (K, 4, 2), each border moved out by `wider - spill` [m].
 
     Quadrilaterals of the two halves are filled one by one, so that folds of a tight bend overlap
     harmlessly; the clipped reach of such bends is widened to its surroundings first.
@@ -138,7 +138,7 @@ def _unclipped(track: Track, reach: np.ndarray, side: float) -> np.ndarray:
     return np.where(bend * around > 0.5, around, reach)
 
 
-def _dashes(track: Track) -> np.ndarray:
+def dashes(track: Track) -> np.ndarray:
     """Return the dashes along the centreline as rectangles, shape (K, 4, 2)."""
     count = max(1, round(track.length / DASH_PITCH))
     s = (np.arange(count) + 0.5) * (track.length / count)
@@ -152,7 +152,7 @@ def _dashes(track: Track) -> np.ndarray:
     return _rectangles(middle, along, DASH_LENGTH, DASH_WIDTH)
 
 
-def _start_squares(track: Track) -> tuple[np.ndarray, np.ndarray]:
+def start_squares(track: Track) -> tuple[np.ndarray, np.ndarray]:
     """Return the dark and the bright squares of the start line, each of shape (K, 4, 2)."""
     along = track.tangent[0]
     across = np.array([-along[1], along[0]])
@@ -300,17 +300,10 @@ def _north(sheet: np.ndarray, middle: tuple[int, int]) -> None:
 def _write(
     sheet: np.ndarray, text: str, place: tuple[int, int], size: int, rgb: Rgb, *, bold: bool = False
 ) -> None:
-    """Write text with its base line at a place; OpenCV 5 has a real font, OpenCV 4 has not."""
-    if hasattr(cv2, "FontFace"):
-        cv2.putText(sheet, text, place, rgb, cv2.FontFace("sans"), size, 700 if bold else 400)
-        return
-    font, thickness = cv2.FONT_HERSHEY_DUPLEX, 2 if bold else 1
-    cv2.putText(sheet, text, place, font, size / 34, rgb, thickness, cv2.LINE_AA)
+    """Write text with its base line at a place."""
+    cv2.putText(sheet, text, place, rgb, cv2.FontFace("sans"), size, 700 if bold else 400)
 
 
 def _text_width(text: str, size: int, *, bold: bool = False) -> int:
-    if hasattr(cv2, "FontFace"):
-        font, weight = cv2.FontFace("sans"), 700 if bold else 400
-        return cv2.getTextSize((0, 0), text, (0, 0), font, size, weight)[2]
-    font, thickness = cv2.FONT_HERSHEY_DUPLEX, 2 if bold else 1
-    return cv2.getTextSize(text, font, size / 34, thickness)[0][0]
+    font, weight = cv2.FontFace("sans"), 700 if bold else 400
+    return cv2.getTextSize((0, 0), text, (0, 0), font, size, weight)[2]

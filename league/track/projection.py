@@ -68,7 +68,7 @@ class Frame(NamedTuple):
 
 @inner
 def _interpolated(points, course, s):
-    """Return the frame at s, whose cosine and sine may fall short of unit length."""
+    """Return the frame at s; its cosine and sine may fall short of unit length."""
     s = wrap(s, course.length) if course.closed else clamp(s, _ZERO, course.length)
     place = s / course.spacing
     # NaN has no row: it takes the first, and stays what it is.

@@ -68,7 +68,7 @@ def through(points: np.ndarray, *, closed: bool) -> Curve:
 def interpolate(wanted: np.ndarray, place: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return values at rising places, interpolated linearly and held at the ends.
 
-    Unlike np.interp, whose compiler may fuse a multiplication with an addition.
+    Unlike np.interp, in which a compiler may fuse a multiplication with an addition.
     """
     row = np.clip(np.searchsorted(place, wanted, side="right") - 1, 0, len(place) - 2)
     part = np.clip((wanted - place[row]) / (place[row + 1] - place[row]), 0.0, 1.0)

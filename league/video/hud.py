@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import cv2
@@ -9,9 +10,11 @@ import numpy as np
 
 from league.replay import Replay, story
 from league.sim.camera.scene import CAR_COLOURS
+from league.sim.camera.stage import Stage
+from league.sim.camera.top_view import draw_things
 from league.sim.world import World
+from league.track.markings import Plan
 from league.track.track import Rgb
-from league.video.topview import TopView
 
 WHITE: Rgb = (244, 246, 248)
 DIM: Rgb = (168, 178, 188)
@@ -25,6 +28,12 @@ FADE_S = 0.25
 SILENT = frozenset({"start", "contact", "put_back", "lead_change"})
 """Events without a caption: the picture shows them."""
 NAME_LETTERS = 18
+
+_MARGIN = 0.35
+"""How much of the field round the road the top view shows [m]."""
+_LARGER = 1.6
+"""Its cars are drawn this much larger than they are, to be seen."""
+_DIMMED = 0.62
 
 
 class Hud:
@@ -59,17 +68,7 @@ class Hud:
             width = text_width(name, px(16), 500) + px(26)
             left, top = x - width // 2, y - px(26)
             put_panel(picture, left, top, width, px(26), radius=px(8), opacity=0.55)
-            colour = CAR_COLOURS[car]
-            put_panel(
-                picture,
-                left + px(5),
-                top + px(6),
-                px(5),
-                px(14),
-                radius=px(2),
-                colour=colour,
-                opacity=1.0,
-            )
+            self._draw_chip(picture, car, left + px(5), top + px(6), 5, 14, 2)
             put_text(picture, name, left + px(16), top + px(1), px(16), weight=500)
 
     def draw_result(self, picture: np.ndarray) -> None:
@@ -87,19 +86,8 @@ class Hud:
             put_text(picture, name, left + x, top + px(58), px(17), DIM, right=True)
         for row, car in enumerate(result.order):
             y = top + px(90) + row * row_height
-            put_panel(
-                picture,
-                left + px(28),
-                y + px(4),
-                px(30),
-                px(30),
-                radius=px(7),
-                colour=CAR_COLOURS[car.car],
-                opacity=1.0,
-            )
-            number = str(car.place)
-            middle = left + px(43) - text_width(number, px(19), 800) // 2
-            put_text(picture, number, middle, y + px(6), px(19), (16, 18, 22), weight=800)
+            self._draw_chip(picture, car.car, left + px(28), y + px(4), 30, 30, 7)
+            self._draw_place(picture, car.place, left + px(43), y + px(6), px(19))
             put_text(picture, _short(car.name), left + px(76), y + px(4), px(22), weight=500)
             values = {
                 "total": clock(car.total_s) if car.finished else "not finished",
@@ -112,6 +100,27 @@ class Hud:
     def _px(self, units: float) -> int:
         """Return the pixels of a length in a picture 720 high."""
         return max(1, round(units * self._unit))
+
+    def _draw_chip(
+        self,
+        picture: np.ndarray,
+        car: int,
+        x: int,
+        y: int,
+        width: int,
+        height: int,
+        radius: int,
+        opacity: float = 1.0,
+    ) -> None:
+        """Draw a panel of a car's colour at a pixel; its sizes are those in a picture 720 high."""
+        size, colour = (self._px(width), self._px(height)), CAR_COLOURS[car]
+        put_panel(picture, x, y, *size, radius=self._px(radius), colour=colour, opacity=opacity)
+
+    @staticmethod
+    def _draw_place(picture: np.ndarray, place: int, middle: int, y: int, size: int) -> None:
+        """Write a place, dark, on a car's colour."""
+        x = middle - text_width(str(place), size, 800) // 2
+        put_text(picture, str(place), x, y, size, (16, 18, 22), weight=800)
 
     def _draw_head(self, picture: np.ndarray, frame: int, time_s: float) -> None:
         px = self._px
@@ -133,20 +142,8 @@ class Hud:
         put_panel(picture, px(24), top, width, rows * row_height + px(12), radius=px(10))
         for place, car in enumerate(self._places(frame, time_s)):
             y = top + px(6) + place * row_height
-            put_panel(
-                picture,
-                px(34),
-                y + px(5),
-                px(26),
-                px(26),
-                radius=px(6),
-                colour=CAR_COLOURS[car],
-                opacity=1.0,
-            )
-            dark = (16, 18, 22)
-            number = str(place + 1)
-            middle = px(47) - text_width(number, px(17), 800) // 2
-            put_text(picture, number, middle, y + px(6), px(17), dark, weight=800)
+            self._draw_chip(picture, car, px(34), y + px(5), 26, 26, 6)
+            self._draw_place(picture, place + 1, px(47), y + px(6), px(17))
             name = _short(self._replay.names[car])
             put_text(picture, name, px(72), y + px(4), px(19), weight=500)
             value, colour = self._value(frame, time_s, car, place)
@@ -186,16 +183,7 @@ class Hud:
             y = self._height - px(78) - line * px(54)
             width = text_width(text, px(22), 500) + px(48)
             put_panel(picture, px(24), y, width, px(46), radius=px(10), opacity=0.78 * opacity)
-            put_panel(
-                picture,
-                px(34),
-                y + px(10),
-                px(6),
-                px(26),
-                radius=px(3),
-                colour=CAR_COLOURS[event.car],
-                opacity=opacity,
-            )
+            self._draw_chip(picture, event.car, px(34), y + px(10), 6, 26, 3, opacity)
             put_text(picture, text, px(52), y + px(6), px(22), weight=500, opacity=opacity)
 
     def _draw_map(self, picture: np.ndarray, world: World, row: int) -> None:
@@ -215,6 +203,32 @@ class Hud:
             opacity=0.85,
         )
         put_picture(picture, inset, x, y, radius=px(11))
+
+
+class TopView:
+    """The whole track from above, small enough for a corner of the picture, with its cars."""
+
+    def __init__(self, replay: Replay, width: int, height: int) -> None:
+        """Paint the floor once, at most `width` pixels across and `height` down."""
+        track = replay.track
+        across, down = np.ptp(np.concatenate([track.left, track.right]), axis=0) + 2 * _MARGIN
+        # A tall track lies on its side: the inset is wide.
+        sideways = bool(down > 1.15 * across)
+        across, down = (down, across) if sideways else (across, down)
+        pixel = float(max(across / width, down / height))
+        plan = Plan.of(track, pixel, _MARGIN, sideways=sideways)
+        self._plan = replace(plan, picture=(plan.picture * _DIMMED).astype(np.uint8))
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the picture [px]."""
+        return self._plan.picture.shape[1], self._plan.picture.shape[0]
+
+    def draw(self, replay: Replay, world: World, row: int) -> np.ndarray:
+        """Return the picture of one world of a batch, RGB."""
+        plan = replace(self._plan, picture=self._plan.picture.copy())
+        draw_things(plan, Stage(replay.sim, world.row(row)), size=_LARGER)
+        return plan.picture
 
 
 def _short(name: str) -> str:

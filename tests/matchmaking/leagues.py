@@ -78,7 +78,7 @@ def race(seed: int, half: Half) -> store.RaceOutcome:
     return store.RaceOutcome(tuple(order), {"seed": seed, "track": half.track, "race_s": 12.5})
 
 
-def raced(claims: Sequence[store.Claim]) -> list[store.HeatOutcome]:
+def raced(claims: Sequence[store.HeatRecord]) -> list[store.HeatOutcome]:
     """Return the results of claimed heats."""
     return [
         store.HeatOutcome(

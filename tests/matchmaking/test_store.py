@@ -242,7 +242,7 @@ def test_a_claimed_heat_is_the_heat_that_was_planned(league):
     claims = league.claim("w", 5)
     assert [claim.heat for claim in claims] == heats
     assert [claim.heat.key for claim in claims] == [heat.key for heat in heats]
-    assert [claim.attempt for claim in claims] == [1, 1, 1]
+    assert [claim.attempts for claim in claims] == [1, 1, 1]
     assert league.claim("other", 5) == []
 
 
@@ -259,7 +259,7 @@ def test_a_heat_lost_with_its_machine_is_lent_again_and_has_not_failed(league, c
     key = leagues.duels(league, 1)[0].key
     for number in range(5):
         (claim,) = league.claim(f"w{number}", 1, lease_s=60)
-        assert claim.attempt == 1
+        assert claim.attempts == 1
         clock.now_s += 59
         assert league.claim("eager", 1) == []
         clock.now_s += 2
@@ -270,7 +270,7 @@ def test_a_heat_lost_with_its_machine_is_lent_again_and_has_not_failed(league, c
     states = [league.fail(league.claim("w", 1) and "w", key, "broken") for _ in range(3)]
     assert states == ["planned", "planned", "error"]
     assert league.retry(key)
-    assert league.claim("w6", 1)[0].attempt == 1
+    assert league.claim("w6", 1)[0].attempts == 1
 
 
 def test_a_heartbeat_keeps_only_the_workers_own_leases(league, clock):
@@ -280,7 +280,7 @@ def test_a_heartbeat_keeps_only_the_workers_own_leases(league, clock):
     assert league.heartbeat("w", lease_s=60) == [mine.heat.key]
     clock.now_s += 50
     (lost,) = league.claim("third", 1, lease_s=120)
-    assert lost.attempt == 1
+    assert lost.attempts == 1
     held = [record.heat for record in league.heats(["claimed"]) if record.worker == "w"]
     assert held == [mine.heat]
     clock.now_s += 50

@@ -18,8 +18,13 @@ from league.matchmaking.pairing.heat_spec import Half
 from league.matchmaking.ratings import Finish, places_of
 from league.matchmaking.store import Store, create
 from league.matchmaking.workers.dispatcher import MOST_LOSSES, Dispatcher, FinishedHeat, heat_driver
-from league.matchmaking.workers.machine import machine_class
-from league.matchmaking.workers.worker import HeatJob, HeatReport, RaceWorker, places
+from league.matchmaking.workers.worker import (
+    HeatJob,
+    HeatReport,
+    RaceWorker,
+    machine_class,
+    places,
+)
 from league.race_spec import CarResult, Entry, Event, RaceResult, RaceSpec
 from league.replay import format as replay_format
 from tests.matchmaking import leagues

@@ -1,4 +1,4 @@
-"""The commands of a league, and what they share: the league's address, and JSON."""
+"""The commands of a league, and what they share: address, checks of flags, workers, JSON."""
 
 from __future__ import annotations
 
@@ -9,7 +9,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from league.errors import ConfigError
+
 if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
     from league.matchmaking.store import Store
     from league.matchmaking.workers import Executor
 
@@ -42,6 +46,17 @@ class Reading(OnLeague):
 
     json: bool = False
     """Print JSON."""
+
+
+def at_least(command: DataclassInstance, name: str, least: int) -> None:
+    """Refuse a field that is smaller than what makes sense.
+
+    Raises:
+        ConfigError: it is.
+    """
+    value = getattr(command, name)
+    if value is not None and value < least:
+        raise ConfigError(f"--{name.replace('_', '-')} {value}: give {least} or more")
 
 
 @contextmanager

@@ -62,8 +62,8 @@ class Init(OnLeague):
         with create(self.address, name=self.name, ruleset=rules, blobs=self.blobs) as store:
             matchmaker.enter_anchors(store, self.anchors)
             print(f"League {self.name!r}: {store.url}")
-        laps = "1 lap" if rules.laps == 1 else f"{rules.laps} laps"
-        print(f"Rules {rules.hash[:12]}: {laps}, {rules.cars} cars, {', '.join(rules.tracks)}")
+        laps, tracks = times.laps(rules.laps), ", ".join(rules.tracks)
+        print(f"Rules {rules.hash[:12]}: {laps}, {rules.cars} cars, {tracks}")
         print(f"Anchors: {', '.join(self.anchors) or 'none'}")
         return 0
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from league.cli import flags, season, tables
+from league.cli import season, tables
 from league.cli.season import Reading
 from league.errors import ConfigError
 
@@ -43,8 +43,8 @@ class Gauntlet(Reading):
         from league.agents import checkpoint, roster
         from league.matchmaking import gauntlet
 
-        flags.at_least(self, "rounds", 1)
-        flags.at_least(self, "opponents", 1)
+        season.at_least(self, "rounds", 1)
+        season.at_least(self, "opponents", 1)
         newcomer = checkpoint.load(roster.checkpoint_path(self.checkpoint))
         quiet = self.json or not sys.stderr.isatty()
         with self.opened() as store:
@@ -106,7 +106,7 @@ class Compare(Reading):
         from league.matchmaking import gauntlet
         from league.matchmaking.ratings.sprt import SequentialSettings
 
-        flags.at_least(self, "heats", 1)
+        season.at_least(self, "heats", 1)
         quiet = self.json or not sys.stderr.isatty()
         printed_s = time.monotonic()
         with self.opened() as store:

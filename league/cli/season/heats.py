@@ -18,7 +18,7 @@ import tyro
 
 from league import times
 from league.atomic_file import replacing
-from league.cli import flags, season, tables
+from league.cli import season, tables
 from league.cli.season import OnLeague, Reading
 from league.errors import ConfigError, StoreError, brief
 
@@ -57,7 +57,7 @@ class Heats(Reading):
         """Run the command."""
         from league.matchmaking import documents
 
-        flags.at_least(self, "limit", 1)
+        season.at_least(self, "limit", 1)
         with self.opened() as store:
             numbers = [store.entry(self.entry).number] if self.entry else []
             states = None if self.state == "all" else (self.state,)
@@ -67,7 +67,7 @@ class Heats(Reading):
             season.print_json([documents.heat_document(record, names) for record in records])
             return 0
         table = tables.table("Heats", "heat", "grid", "purpose", "state", "track", "done")
-        table.padding = (0, 0)  # the box leaves room enough between columns
+        table.padding = (0, 0)  # the box leaves space enough between columns
         table.columns[1].no_wrap = False  # eight names do not fit one line
         for record in records:
             half = record.heat.halves[0]

@@ -1,6 +1,6 @@
-"""`league run` and `league work`: the matchmaker, the workers, and a page to watch them.
+"""`league run`, `work` and `serve`: the matchmaker, the workers, and pages to watch them.
 
-On a terminal there is a live page, otherwise a line for each heat.
+On a terminal `run` and `work` show a live page, otherwise a line for each heat.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Self
 
-from league.cli import flags, tables
+from league.cli import season, tables
 from league.cli.season import OnLeague
 from league.errors import ConfigError, LeagueError
 
@@ -58,14 +58,14 @@ class Work(OnLeague):
         from league.matchmaking import loop, workers
         from league.matchmaking.workers.dispatcher import Dispatcher
 
-        flags.at_least(self, "heats", 1)
+        season.at_least(self, "heats", 1)
         if self.minutes is not None and not self.minutes > 0:
             raise ConfigError(f"--minutes {self.minutes}: give more than 0")
         if not 1 <= self.lease_s <= 3600:
             raise ConfigError(f"--lease-s {self.lease_s}: give 1 to 3600 s")
         num_workers = self.workers or os.cpu_count() or 1
         with self.opened() as store, ExitStack() as stack:
-            season = self._season(store, num_workers)
+            matchmaker = self._season(store)
             executor = workers.make_executor(self.executor, num_workers)
             stack.callback(executor.close)
             dispatcher = Dispatcher(
@@ -77,7 +77,7 @@ class Work(OnLeague):
             tally = loop.run(
                 store,
                 dispatcher,
-                season,
+                matchmaker,
                 heats=self.heats,
                 seconds=None if self.minutes is None else 60 * self.minutes,
                 stop=stack.enter_context(_stopping()),
@@ -86,7 +86,7 @@ class Work(OnLeague):
         _print_tally(tally)
         return 0
 
-    def _season(self, store: Store, num_workers: int) -> Season | None:
+    def _season(self, store: Store) -> Season | None:
         """Return the matchmaker; None races what is in the queue."""
         return None
 
@@ -97,12 +97,36 @@ class Run(Work):
 
     same_owner: bool = False
     """Let entries of one owner meet, too. By default they race only entries of others and anchors,
-    so that nobody gains by entering many; a league of one person needs this."""
+    so that entering many gains nothing; a league of one person needs this."""
 
-    def _season(self, store: Store, num_workers: int) -> Season:
+    def _season(self, store: Store) -> Season:
         from league.matchmaking.pairing.matchmaker import Season
 
         return Season(store, same_owner=self.same_owner)
+
+
+@dataclass
+class Serve(OnLeague):
+    """Show the league in the browser, on this machine only: standings, drivers, heats, replays."""
+
+    port: int = 8018
+    """Port to listen on; 0 takes a free one."""
+    host: str = "127.0.0.1"
+    """Address to listen on; only 127.0.0.1 is possible yet."""
+
+    def run(self) -> int:
+        """Run the command."""
+        from league.web import server
+
+        with self.opened() as store:
+            name = store.settings.name
+            server.serve(
+                store,
+                self.port,
+                host=self.host,
+                ready=lambda url: print(f"{name}: {url}   (Ctrl-C ends it)", flush=True),
+            )
+        return 0
 
 
 @contextmanager
@@ -233,3 +257,4 @@ class Page:
 
 
 COMMANDS = {"run": Run, "work": Work}
+SERVE = {"serve": Serve}

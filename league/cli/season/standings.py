@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from league import times
-from league.cli import flags, season, tables
+from league.cli import season, tables
 from league.cli.season import Reading
 from league.errors import ConfigError, StoreError
 
@@ -31,7 +31,7 @@ class ShowStandings(Reading):
         """Run the command."""
         from league.matchmaking import documents, standings
 
-        flags.at_least(self, "top", 1)
+        season.at_least(self, "top", 1)
         with self.opened() as store:
             rated = standings.of(store)
         if self.json:
@@ -72,7 +72,7 @@ class HeadToHead(Reading):
 
     def run(self) -> int:
         """Run the command."""
-        flags.at_least(self, "top", 2)
+        season.at_least(self, "top", 2)
         if self.one and not self.other:
             raise ConfigError(
                 f"only {self.one!r} was given: name two entries to compare them, or none for the "
@@ -97,7 +97,7 @@ class History(Reading):
         """Run the command."""
         from league.matchmaking import standings
 
-        flags.at_least(self, "points", 1)
+        season.at_least(self, "points", 1)
         with self.opened() as store:
             entry = store.entry(self.entry)
             moments = standings.history(store, entry, points=self.points)
@@ -133,7 +133,7 @@ def standings_table(rated: Standings, limit: int | None = None) -> RenderableTyp
         "Standings", "", "entry", "owner", "Elo ± 95 %", "by", "state", "races", "DNF",
         "best lap", "ranks",
     )  # fmt: skip
-    drawn.padding = (0, 0)  # the box leaves room enough between columns
+    drawn.padding = (0, 0)  # the box leaves space enough between columns
     for row in rated.rows[:limit]:
         flags = "!" * row.one_sided + "~" * (not row.connected)
         ranks = f"{row.best_rank}-{row.worst_rank}" if row.best_rank < row.worst_rank else ""
@@ -175,7 +175,7 @@ def _notes(rated: Standings) -> list[str]:
     if rated.goodness.rejected:
         lines.append(
             "One number a driver does not explain these results (p = "
-            f"{rated.goodness.p_value:.1g}): `league h2h` shows who beats whom."
+            f"{rated.goodness.p_value:.1g}): `league h2h` shows who beats which other."
         )
     return lines
 

@@ -83,9 +83,9 @@ class Ruleset:
     @property
     def hash(self) -> str:
         """SHA-256 of the settings; those that older rulesets lack are left out as they imply."""
-        told = asdict(self)
-        told = {name: value for name, value in told.items() if _IMPLIED.get(name) != value}
-        return digest(canonical(told))
+        settings = asdict(self).items()
+        stated = {name: value for name, value in settings if _IMPLIED.get(name) != value}
+        return digest(canonical(stated))
 
     @classmethod
     def of(cls, settings: Mapping[str, Any]) -> Ruleset:
@@ -144,11 +144,6 @@ class Heat:
     def seeds(self, secret: bytes) -> tuple[int, ...]:
         """Return the seed of each race."""
         return tuple(seed(secret, self.audits or self.key, n) for n in range(len(self.halves)))
-
-
-def settings(ruleset: Ruleset) -> dict[str, Any]:
-    """Return a ruleset's settings as plain data; Ruleset.of reads them back."""
-    return asdict(ruleset)
 
 
 def mirrored(ruleset: str, tracks: tuple[str, str], grid: tuple[str, ...], draw: int = 0) -> Heat:

@@ -61,12 +61,7 @@ def entries_with_reasons(store: Store) -> list[Entry]:
 
 def _waits_for(store: Store, entry: Entry) -> str:
     """Return why an entry is not rated yet, and what to do about it."""
-    heats = [
-        record
-        for record in store.heats(entries=[entry.number])
-        if record.heat.purpose == "validation"
-        and record.heat.ruleset == store.settings.ruleset.hash
-    ]
+    heats = _validations(store, entry, store.settings.ruleset.hash)
     if not heats:
         return "its validation heats are not planned yet: `league run` plans and races them"
     for record in heats:
@@ -83,6 +78,15 @@ def _waits_for(store: Store, entry: Entry) -> str:
         listed = ", ".join(map(str, waiting))
         return f"it waits for its validation heats ({listed}): `league run` races them"
     return "its validation heats are done: `league run` rates it when it plans its next round"
+
+
+def _validations(store: Store, entry: Entry, ruleset: str) -> list[HeatRecord]:
+    """Return an entry's validation heats under a ruleset."""
+    return [
+        record
+        for record in store.heats(entries=[entry.number])
+        if record.heat.purpose == "validation" and record.heat.ruleset == ruleset
+    ]
 
 
 @dataclass(frozen=True)
@@ -205,7 +209,12 @@ class Season:
             field_size=rules.cars, tracks=rules.tracks, same_owner=self._same_owner
         )
         entries = self._store.entries()
-        roster = _Roster.of(entries, past, self._validations(entries, rules.hash))
+        validations = {
+            entry.number: _validations(self._store, entry, rules.hash)
+            for entry in entries
+            if entry.state in ("pending", "validating")
+        }
+        roster = _Roster.of(entries, past, validations)
         self._move(entries, roster)
         plans: list[HeatPlan] = []
         for newcomer in roster.newcomers:
@@ -222,18 +231,6 @@ class Season:
             _heat(plan, rules.hash, number * ROUND + index, id_of)
             for index, plan in enumerate(plans)
         ]
-
-    def _validations(self, entries: Sequence[Entry], ruleset: str) -> dict[int, list[HeatRecord]]:
-        """Return the validation heats of entries that are not rated yet, by entry number."""
-        return {
-            entry.number: [
-                record
-                for record in self._store.heats(entries=[entry.number])
-                if record.heat.purpose == "validation" and record.heat.ruleset == ruleset
-            ]
-            for entry in entries
-            if entry.state in ("pending", "validating")
-        }
 
     def _move(self, entries: Sequence[Entry], roster: _Roster) -> None:
         """Write into the store where entries stand, one lawful step at a time."""
@@ -255,7 +252,7 @@ class _Roster:
     contenders: list[Contender] = field(default_factory=list)
     """Entries that may race."""
     newcomers: list[Contender] = field(default_factory=list)
-    """Those whose validation heats are to be planned."""
+    """Those that need validation heats."""
     states: dict[int, tuple[EntryState, str]] = field(default_factory=dict)
     """Where each entry stands, and why it was refused."""
     undecided: int = 0

@@ -3,7 +3,7 @@
 Connection comes first: an entry without a chain of races to the pinned anchor gets one. Three
 lanes share the other heats. Coverage begins with the entry least sure, so that newcomers are rated
 soon. Informed asks the closest questions. Random ties the whole field together: without it a field
-raced only among near equals becomes a chain whose ends drift apart.
+raced only among near equals becomes a chain with ends that drift apart.
 """
 
 from __future__ import annotations
@@ -288,7 +288,7 @@ class _Grids:
         self.group[joined] = self.home if self.home in self.group[joined] else self.group[grid[0]]
 
     def _most_informative(self, first: int, candidates: np.ndarray) -> int:
-        """Return the opponent whose next duel is most informative about an entry.
+        """Return the opponent in the next duel that is most informative about an entry.
 
         A duel's information is w = E[p (1 - p)], over what the gap may be. But n duels against an
         opponent of variance v give no more than 1 / (1 / (n w) + v) in all, so the next one adds

@@ -19,7 +19,7 @@ from league.matchmaking.ratings.pair_counts import ELO, RatingData
 from league.matchmaking.ratings.results import Results
 
 LEAST_VARIANCE = 1.0
-"""Pairs whose score the model leaves less room than this [points^2] are too thin to be judged."""
+"""Pairs with a smaller variance of their score than this [points^2] are too thin to be judged."""
 
 
 @dataclass(frozen=True)

@@ -186,9 +186,9 @@ def slot_pairs(results: Results) -> list[tuple[int, int]]:
 
 
 def count(results: Results, num_entries: int) -> PairCounts:
-    """Count the pairs of some races, whose entries are indices already.
+    """Count the pairs of some races; their entries must be indices already.
 
-    A meeting is packed into one number, whose bits are, from the highest, the one, the other,
+    A meeting is packed into one number; its bits are, from the highest, the one, the other,
     their slots, and the one's half points; so one sort counts everything.
     """
     slots = results.entries.shape[1]

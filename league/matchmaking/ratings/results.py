@@ -102,6 +102,6 @@ class Results:
         return table.rows(~repeated) if repeated.any() else table
 
     def _orders(self, rows: np.ndarray) -> np.ndarray:
-        """Return who beat whom, (rows, slots, slots): places may be numbered differently."""
+        """Return which slot beat which, (rows, slots, slots): places may differ in numbering."""
         places = np.where(self.entries[rows] >= 0, self.places[rows], 0)
         return np.sign(places[:, :, None] - places[:, None, :])

@@ -36,7 +36,7 @@ class SequentialSettings:
     beta: float = 0.05
     """Chance to say "not better" though the lead is elo1."""
     races_per_heat: int = 2
-    """Races whose mean is one score; outcomes are the half points of these."""
+    """Races with a mean that is one score; outcomes are the half points of these."""
     slot_gap: float = 0.0
     """What the front of two slots is worth over the other, as the league's ratings say [Elo].
 
@@ -153,7 +153,7 @@ def ratio(counts: np.ndarray, settings: SequentialSettings) -> float:
 
 
 def heat_score(elo: float, slot_gap: float = 0.0) -> float:
-    """Return the mean score of a lead [Elo] over a heat whose slots are swapped half way."""
+    """Return the mean score of a lead [Elo] over a heat with slots swapped half way."""
     sides = expected_score(np.array([elo + slot_gap, elo - slot_gap]))
     return float(np.mean(sides))
 

@@ -121,7 +121,7 @@ class FolderBlobs:
         except (OSError, ValueError) as refusal:
             raise StoreError(
                 f"the file {digest[:12]} cannot be kept in {self._url} ({_reason(refusal)}): "
-                "give a place that can be written and has room"
+                "give a place that can be written and has free space"
             ) from refusal
         return digest
 

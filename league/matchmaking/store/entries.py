@@ -1,4 +1,4 @@
-"""Entries and their owners: submission, look-up and states.
+"""Entries and their owners: names, submission, look-up and states.
 
 Functions of a connection within a transaction; store.py owns the transactions.
 """
@@ -6,13 +6,14 @@ Functions of a connection within a transaction; store.py owns the transactions.
 from __future__ import annotations
 
 import json
+import unicodedata
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 import sqlalchemy as sa
 
 from league.errors import StoreError, brief, nearest_names
-from league.matchmaking.store import names, queue
+from league.matchmaking.store import queue
 from league.matchmaking.store.database import insert_new
 from league.matchmaking.store.records import NEXT, Entry, EntryState
 from league.matchmaking.store.schema import (
@@ -24,6 +25,26 @@ from league.matchmaking.store.schema import (
     log_event,
     owners,
 )
+
+INVISIBLE = {
+    *"\u034f\u115f\u1160\u17b4\u17b5\u2800\u3164\uffa0",
+    *map(chr, range(0x180B, 0x1810)),
+    *map(chr, range(0xFE00, 0xFE10)),
+    *map(chr, range(0xE0100, 0xE01F0)),
+}
+"""Characters that count as printable but show nothing: fillers and variation selectors."""
+
+TOGETHER = {"LATIN", "CJK", "IDEOGRAPHIC", "HIRAGANA", "KATAKANA", "HANGUL", "BOPOMOFO"}
+"""Scripts that are written together; letters of any other script stand alone."""
+
+_PAIRS = (
+    "\u0430a \u0432b \u0435e \u0455s \u0456i \u0458j \u043ak \u043cm \u043dh \u043eo \u0440p "
+    "\u0441c \u0442t \u0443y \u0445x \u04bbh \u0501d \u051bq \u051dw \u04cfl \u0131i "
+    "\u03b1a \u03b5e \u03b9i \u03bak \u03bdv \u03bfo \u03c1p \u03c4t \u03c5u \u03c7x \u03f2c "
+    "\u03f3j"
+)
+LOOKALIKES = {ord(pair[0]): pair[1] for pair in _PAIRS.split()}
+"""Cyrillic and Greek small letters, and the dotless i, with the Latin ones that they look like."""
 
 
 def submit(connection: sa.Connection, now: float, owner: str, row: Mapping[str, Any]) -> Entry:
@@ -44,17 +65,17 @@ def submit(connection: sa.Connection, now: float, owner: str, row: Mapping[str, 
                 "submit weights of your own"
             )
         return _entry(known)
-    names.check(name, "an entry's name")
-    names.check(owner, "an owner's name")
+    _check_name(name, "an entry's name")
+    _check_name(owner, "an owner's name")
     for taken, taken_id in connection.execute(sa.select(entries.c.name, entries.c.id)):
         if taken == name:
             raise StoreError(f"the name {name!r} is taken by entry {taken_id[:12]}: choose another")
-        if names.skeleton(taken) == names.skeleton(name):
+        if _skeleton(taken) == _skeleton(name):
             raise StoreError(
                 f"the name {name!r} looks like {taken!r} of entry {taken_id[:12]}: choose another"
             )
     for known_owner in connection.scalars(sa.select(owners.c.name)):
-        if known_owner != owner and names.skeleton(known_owner) == names.skeleton(owner):
+        if known_owner != owner and _skeleton(known_owner) == _skeleton(owner):
             raise StoreError(
                 f"the owner {owner!r} looks like {known_owner!r}: write it like that, or choose "
                 "another"
@@ -167,3 +188,35 @@ def with_owners() -> sa.Select[Any]:
 def _entry(row: Any) -> Entry:  # noqa: ANN401
     fields = {name: row._mapping[name] for name in Entry.__dataclass_fields__}
     return Entry(**{**fields, "owner": row.owner_name, "card": json.loads(row.card)})
+
+
+def _skeleton(name: str) -> str:
+    """Return what a name looks like: equal for names that a reader may confuse."""
+    folded = unicodedata.normalize("NFKC", name).casefold().translate(LOOKALIKES)
+    return " ".join(folded.split())
+
+
+def _check_name(name: str, what: str) -> None:
+    """Refuse a name that cannot be shown, or that passes for another.
+
+    Raises:
+        StoreError: it is too long, not printable, holds invisible characters or mixes scripts.
+    """
+    if not 1 <= len(name) <= 100 or not name.isprintable() or name != name.strip():
+        raise StoreError(
+            f"{what} is {brief(name)}: give 1 to 100 printable characters without spaces around"
+        )
+    if INVISIBLE & set(name) or not _skeleton(name):
+        raise StoreError(f"{what} is {name!a}: leave out characters that cannot be seen")
+    scripts = {_script(letter) for letter in name if letter.isalpha()}
+    if len(scripts) > 1 and not scripts <= TOGETHER:
+        raise StoreError(
+            f"{what} is {name!a}, which mixes letters of {', '.join(sorted(scripts))}: "
+            "use one script"
+        )
+
+
+def _script(letter: str) -> str:
+    """Return the script of a letter, by the first word of its Unicode name."""
+    plain = unicodedata.normalize("NFKC", letter)[:1]
+    return unicodedata.name(plain, "UNKNOWN").split()[0].split("-")[0]

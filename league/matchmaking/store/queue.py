@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import sqlalchemy as sa
@@ -14,7 +15,7 @@ import sqlalchemy as sa
 from league.errors import StoreError
 from league.matchmaking.pairing.heat_spec import Half, Heat, Purpose
 from league.matchmaking.store.database import insert_new
-from league.matchmaking.store.records import Claim, HeatRecord, HeatState
+from league.matchmaking.store.records import HeatRecord, HeatState
 from league.matchmaking.store.schema import (
     entries,
     heat_entries,
@@ -98,8 +99,8 @@ def _row(
 
 def claim(
     connection: sa.Connection, now: float, secret: bytes, worker: str, limit: int, lease_s: float
-) -> list[Claim]:
-    """Lend up to `limit` heats to a worker; heats whose lease has ended are first taken back."""
+) -> list[HeatRecord]:
+    """Lend up to `limit` heats to a worker; heats with an expired lease are first taken back."""
     reap(connection, now)
     wanted = (
         sa.select(heats.c.number)
@@ -123,15 +124,8 @@ def claim(
     )
     log_event(connection, now, worker, "claim", "", heats=numbers)
     lent = read(connection, heats.c.number.in_(numbers), secret)
-    return [
-        Claim(
-            heat=record.heat,
-            number=record.number,
-            seeds=record.heat.seeds(secret),
-            attempt=record.attempts,
-        )
-        for record in sorted(lent, key=lambda one: numbers.index(one.number))
-    ]
+    lent.sort(key=lambda record: numbers.index(record.number))
+    return [replace(record, seeds=record.heat.seeds(secret)) for record in lent]
 
 
 def heartbeat(connection: sa.Connection, now: float, worker: str, lease_s: float) -> list[str]:
@@ -177,7 +171,7 @@ def fail(
 
 
 def reap(connection: sa.Connection, now: float) -> None:
-    """Plan the heats again whose lease has ended; their machine's end is no failed try."""
+    """Plan heats with an expired lease again; their machine's end is no failed try."""
     ended = (
         sa.select(heats.c.number, heats.c.attempts, heats.c.worker, heats.c.traceback)
         .where(heats.c.lease_s < now, heats.c.state == "claimed")

@@ -75,21 +75,8 @@ class Entry:
 
     @property
     def near_copy_of(self) -> str:
-        """Name of the earlier entry whose weights are nearly its own; empty for none."""
+        """Name of the earlier entry with nearly the same weights; empty for none."""
         return str(self.card.get("near_copy_of", ""))
-
-
-@dataclass(frozen=True)
-class Claim:
-    """A heat lent to a worker."""
-
-    heat: Heat
-    number: int
-    """Number of the heat within the league."""
-    seeds: tuple[int, ...]
-    """Seed of each race."""
-    attempt: int
-    """1 plus the number of races that failed."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +140,7 @@ class HeatRecord:
     traceback: str
     """Of the last failure."""
     seeds: tuple[int, ...] | None
-    """Seed of each race; secret (None) until the heat is over."""
+    """Seed of each race; secret (None) until the heat is over, but for its worker."""
     created_s: float
     """When it was planned [s since 1970]."""
     done_s: float | None

@@ -160,8 +160,8 @@ def complete(
     """Take in results of heats; the caller must hold the database's lock.
 
     A known result changes nothing. One that differs from what is known puts its heat in
-    quarantine, unless it comes late or from an audit, and from another class of machine. One whose
-    lease was lost counts if no other came first. A quarantined heat that was
+    quarantine, unless it comes late or from an audit, and from another class of machine. One
+    with a lost lease counts if no other came first. A quarantined heat that was
     lent again is settled by a result that agrees with one it has.
     """
     query = sa.select(heats).order_by(heats.c.number).with_for_update()

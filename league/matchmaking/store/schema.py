@@ -10,6 +10,7 @@ import json
 import secrets
 import warnings
 from collections.abc import Iterable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -349,7 +350,7 @@ def add_ruleset(connection: sa.Connection, now: float, ruleset: Ruleset) -> int:
     query = sa.select(rulesets.c.number).where(rulesets.c.hash == ruleset.hash)
     number = connection.scalar(query)
     if number is None:
-        settings = heat_spec.canonical(heat_spec.settings(ruleset)).decode()
+        settings = heat_spec.canonical(asdict(ruleset)).decode()
         connection.execute(
             rulesets.insert().values(hash=ruleset.hash, settings=settings, created_s=now)
         )

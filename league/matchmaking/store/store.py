@@ -17,7 +17,6 @@ from league.matchmaking.store.blobs import Blobs, FolderBlobs, TableBlobs
 from league.matchmaking.store.database import Database
 from league.matchmaking.store.integrity import Integrity
 from league.matchmaking.store.records import (
-    Claim,
     Entry,
     EntryState,
     HeatOutcome,
@@ -167,10 +166,10 @@ class Store:
                 added += queue.plan(connection, now, planned[start : start + BATCH])
         return added
 
-    def claim(self, worker: str, limit: int = 1, *, lease_s: float = LEASE_S) -> list[Claim]:
+    def claim(self, worker: str, limit: int = 1, *, lease_s: float = LEASE_S) -> list[HeatRecord]:
         """Lend up to `limit` heats to a worker; its name must be unique.
 
-        Heats whose lease has ended are lent again.
+        Heats with an expired lease are lent again.
         """
         _check_worker(worker)
         with self._writing() as (connection, now):

@@ -6,7 +6,10 @@ An executor stores no results, and may lose any job at any time.
 from __future__ import annotations
 
 import os
-from typing import Literal, Protocol
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Generic, Literal, Protocol, TypeVar
 
 from league.errors import ConfigError, brief
 from league.matchmaking.workers.worker import HeatJob, HeatReport
@@ -35,12 +38,92 @@ class Executor(Protocol):
         ...
 
     def wait(self, timeout_s: float) -> list[HeatReport]:
-        """Return reports of jobs that ended, including those whose worker died."""
+        """Return reports of jobs that ended, including those of workers that died."""
         ...
 
     def close(self) -> None:
         """End the workers; jobs under way are lost. May be called twice."""
         ...
+
+
+@dataclass
+class Slot:
+    """One worker, or the one that replaces it."""
+
+    job: HeatJob | None = None
+    since_s: float = 0.0
+    """When the job began, on time.monotonic's clock [s]."""
+
+    @property
+    def worker(self) -> str:
+        """The worker, for messages."""
+        raise NotImplementedError
+
+
+AnySlot = TypeVar("AnySlot", bound=Slot)
+
+
+class SlotExecutor(Generic[AnySlot]):
+    """The part of an executor that does not depend on what its workers are."""
+
+    def __init__(self, slots: list[AnySlot], job_limit_s: float) -> None:
+        self._slots, self._limit_s = slots, job_limit_s
+
+    @property
+    def num_workers(self) -> int:
+        """Number of workers."""
+        return len(self._slots)
+
+    @property
+    def free(self) -> int:
+        """Number of workers without a job."""
+        return sum(slot.job is None for slot in self._slots)
+
+    def offer(self, job: HeatJob) -> None:
+        """Give a job to a worker that is free."""
+        slot = next((slot for slot in self._slots if slot.job is None), None)
+        if slot is None:
+            raise ValueError("no worker is free: ask `free` first")
+        slot.job, slot.since_s = job, time.monotonic()
+        self._begin(slot)
+
+    def wait(self, timeout_s: float) -> list[HeatReport]:
+        """Return reports of jobs that ended; the job of a worker that died failed.
+
+        Raises:
+            ConfigError: no worker can be started.
+        """
+        busy = [slot for slot in self._slots if slot.job]
+        if not busy:
+            time.sleep(timeout_s)
+            return []
+        reports = self._ended(busy, timeout_s)
+        now_s = time.monotonic()
+        stuck = [slot for slot in busy if slot.job and now_s - slot.since_s > self._limit_s]
+        return reports + [
+            self._lost(slot, f"took longer than {self._limit_s:.0f} s") for slot in stuck
+        ]
+
+    def _lost(self, slot: AnySlot, how: str, *, killed: bool = False) -> HeatReport:
+        """Replace a worker and return a report on its job."""
+        assert slot.job is not None
+        why = f"{slot.worker} {how} while it raced heat {slot.job.number}"
+        report = HeatReport(slot.job.key, None, why, time.monotonic() - slot.since_s, lost=killed)
+        slot.job = None
+        self._replace(slot)
+        return report
+
+    def _begin(self, slot: AnySlot) -> None:
+        """Send its job to a worker."""
+        raise NotImplementedError
+
+    def _ended(self, busy: Sequence[AnySlot], timeout_s: float) -> list[HeatReport]:
+        """Wait for reports of busy workers, and return them."""
+        raise NotImplementedError
+
+    def _replace(self, slot: AnySlot) -> None:
+        """Start another worker in a slot; the slot's job waits for it."""
+        raise NotImplementedError
 
 
 def make_executor(name: Literal["processes", "ray"], num_workers: int) -> Executor:

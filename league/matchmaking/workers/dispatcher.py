@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 from league.errors import LeagueError
 from league.matchmaking.pairing.heat_spec import Ruleset
-from league.matchmaking.store import Claim, Entry, Store
+from league.matchmaking.store import Entry, HeatRecord, Store
 from league.matchmaking.store.store import LEASE_S
 from league.matchmaking.workers import Executor
 from league.matchmaking.workers.worker import HeatDriver, HeatJob, HeatReport, check_physics
@@ -31,7 +31,7 @@ _LOG = logging.getLogger(__name__)
 class RunningHeat:
     """A heat that a worker races."""
 
-    claim: Claim
+    claim: HeatRecord
     names: tuple[str, ...]
     """Names of the entries, in the grid order of the first race."""
     since_s: float
@@ -60,7 +60,6 @@ class Dispatcher:
         store: Store,
         executor: Executor,
         *,
-        name: str = "",
         lease_s: float = LEASE_S,
         keep_replays: bool = True,
     ) -> None:
@@ -69,12 +68,12 @@ class Dispatcher:
         Args:
             store: the league.
             executor: races the heats.
-            name: unique among dispatchers; by default of the machine, the process and chance.
             lease_s: lease of a heat [s]; renewed every `lease_s / 6`.
             keep_replays: whether recordings are stored.
         """
         self._store, self._executor = store, executor
-        self.name = name or f"{socket.gethostname()[:60]}-{os.getpid()}-{secrets.token_hex(3)}"
+        self.name = f"{socket.gethostname()[:60]}-{os.getpid()}-{secrets.token_hex(3)}"
+        """Unique among dispatchers."""
         self._lease_s, self._keep_replays = lease_s, keep_replays
         self._renewed_s = time.monotonic()
         self._rulesets: dict[str, Ruleset] = {}
@@ -114,7 +113,7 @@ class Dispatcher:
             self.running[claim.heat.key] = RunningHeat(claim, names, time.monotonic())
         return finished
 
-    def _job(self, claim: Claim) -> HeatJob:
+    def _job(self, claim: HeatRecord) -> HeatJob:
         heat = claim.heat
         if heat.ruleset not in self._rulesets:
             self._rulesets = self._store.rulesets()
@@ -124,7 +123,7 @@ class Dispatcher:
             key=heat.key,
             number=claim.number,
             halves=heat.halves,
-            seeds=claim.seeds,
+            seeds=claim.seeds or (),
             ruleset=ruleset,
             drivers={id: self._driver(id) for id in heat.entries},
             keep_replays=self._keep_replays,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import signal
-import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from multiprocessing import connection
 from multiprocessing.connection import Connection
@@ -12,7 +12,8 @@ from multiprocessing.process import BaseProcess
 
 from league import subprocesses
 from league.errors import ConfigError
-from league.matchmaking.workers.worker import JOB_LIMIT_S, HeatJob, HeatReport, RaceWorker
+from league.matchmaking.workers import Slot, SlotExecutor
+from league.matchmaking.workers.worker import JOB_LIMIT_S, HeatReport, RaceWorker
 
 MODULES = (
     "league.agents.policy",
@@ -29,68 +30,29 @@ KILLED = (-signal.SIGKILL, -signal.SIGTERM, 255)
 """Exit codes of workers that were killed; 255 when the fork server died, and its children."""
 
 
-@dataclass
-class _Slot:
-    """One worker process, or the one that replaces it."""
+@dataclass(kw_only=True)
+class _Slot(Slot):
+    """One worker process."""
 
     process: BaseProcess
     pipe: Connection
     ready: bool = False
     """Whether it reads from the pipe: before, it gets no job, for a large one would block."""
-    job: HeatJob | None = None
-    since_s: float = 0.0
     failed_starts: int = 0
     """Consecutive processes that died before they were ready."""
 
+    @property
+    def worker(self) -> str:
+        """The worker, for messages."""
+        return f"worker process {self.process.pid}"
 
-class ProcessExecutor:
+
+class ProcessExecutor(SlotExecutor[_Slot]):
     """An executor of processes."""
 
     def __init__(self, num_workers: int, *, job_limit_s: float = JOB_LIMIT_S) -> None:
-        self._limit_s = job_limit_s
         subprocesses.prepare(MODULES)
-        self._slots = [_started() for _ in range(num_workers)]
-
-    @property
-    def num_workers(self) -> int:
-        """Number of workers."""
-        return len(self._slots)
-
-    @property
-    def free(self) -> int:
-        """Number of workers without a job."""
-        return sum(slot.job is None for slot in self._slots)
-
-    def offer(self, job: HeatJob) -> None:
-        """Give a job to a worker that is free."""
-        slot = next((slot for slot in self._slots if slot.job is None), None)
-        if slot is None:
-            raise ValueError("no worker is free: ask `free` first")
-        slot.job, slot.since_s = job, time.monotonic()
-        if slot.ready:
-            self._send(slot)
-
-    def wait(self, timeout_s: float) -> list[HeatReport]:
-        """Return reports of jobs that ended; the job of a worker that died failed.
-
-        Raises:
-            ConfigError: no worker can be started on this machine.
-        """
-        busy = {slot.pipe: slot for slot in self._slots if slot.job}
-        if not busy:
-            time.sleep(timeout_s)
-            return []
-        reports = []
-        for pipe in connection.wait(list(busy), timeout_s):
-            assert isinstance(pipe, Connection)
-            report = self._read(busy[pipe])
-            if report is not None:
-                reports.append(report)
-        now_s = time.monotonic()
-        stuck = [slot for slot in self._slots if slot.job and now_s - slot.since_s > self._limit_s]
-        return reports + [
-            self._lost(slot, f"took longer than {self._limit_s:.0f} s") for slot in stuck
-        ]
+        super().__init__([_started() for _ in range(num_workers)], job_limit_s)
 
     def close(self) -> None:
         """End the workers."""
@@ -100,6 +62,16 @@ class ProcessExecutor:
         for slot in self._slots:
             slot.process.join(5.0)
         self._slots = []
+
+    def _begin(self, slot: _Slot) -> None:
+        if slot.ready:
+            self._send(slot)
+
+    def _ended(self, busy: Sequence[_Slot], timeout_s: float) -> list[HeatReport]:
+        slot_of = {slot.pipe: slot for slot in busy}
+        pipes = connection.wait(list(slot_of), timeout_s)
+        reports = [self._read(slot_of[pipe]) for pipe in pipes if isinstance(pipe, Connection)]
+        return [report for report in reports if report is not None]
 
     def _send(self, slot: _Slot) -> None:
         try:
@@ -136,22 +108,7 @@ class ProcessExecutor:
             )
         self._replace(slot)
 
-    def _lost(self, slot: _Slot, how: str, *, killed: bool = False) -> HeatReport:
-        """Replace a worker and return a report on its job."""
-        assert slot.job is not None
-        report = HeatReport(
-            slot.job.key,
-            None,
-            f"worker process {slot.process.pid} {how} while it raced heat {slot.job.number}",
-            time.monotonic() - slot.since_s,
-            lost=killed,
-        )
-        slot.job = None
-        self._replace(slot)
-        return report
-
     def _replace(self, slot: _Slot) -> None:
-        """Start another process in a slot; the slot's job waits for it."""
         slot.pipe.close()
         slot.process.kill()
         slot.process.join(5.0)
@@ -163,7 +120,7 @@ def _started() -> _Slot:
     pipe, workers_end = subprocesses.CONTEXT.Pipe()
     process = subprocesses.start(_work, workers_end)
     workers_end.close()  # so that reading ends when the worker does
-    return _Slot(process, pipe)
+    return _Slot(process=process, pipe=pipe)
 
 
 def _work(pipe: Connection) -> None:

@@ -4,25 +4,29 @@ from __future__ import annotations
 
 import logging
 import os
-import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from league.errors import ConfigError
-from league.matchmaking.workers.worker import JOB_LIMIT_S, HeatJob, HeatReport, RaceWorker
+from league.matchmaking.workers import Slot, SlotExecutor
+from league.matchmaking.workers.worker import JOB_LIMIT_S, HeatReport, RaceWorker
 
 
-@dataclass
-class _Slot:
+@dataclass(kw_only=True)
+class _Slot(Slot):
     """One actor."""
 
     actor: Any
-    job: HeatJob | None = None
     answer: Any = None
-    since_s: float = 0.0
+
+    @property
+    def worker(self) -> str:
+        """The worker, for messages."""
+        return "a Ray actor"
 
 
-class RayExecutor:
+class RayExecutor(SlotExecutor[_Slot]):
     """An executor of Ray actors, one CPU each; one that dies is replaced.
 
     With RAY_ADDRESS set it joins that cluster, otherwise it starts one of its own on this machine.
@@ -31,7 +35,6 @@ class RayExecutor:
 
     def __init__(self, num_workers: int, *, job_limit_s: float = JOB_LIMIT_S) -> None:
         self._ray = _ray()
-        self._limit_s = job_limit_s
         self._own = not self._ray.is_initialized()
         if self._own:
             address = os.environ.get("RAY_ADDRESS")
@@ -43,39 +46,8 @@ class RayExecutor:
                 **({} if address else local),
             )
         self._kind = self._ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0)(RaceWorker)
-        self._slots = [_Slot(self._kind.remote()) for _ in range(num_workers)]
-
-    @property
-    def num_workers(self) -> int:
-        """Number of workers."""
-        return len(self._slots)
-
-    @property
-    def free(self) -> int:
-        """Number of workers without a job."""
-        return sum(slot.job is None for slot in self._slots)
-
-    def offer(self, job: HeatJob) -> None:
-        """Give a job to a worker that is free."""
-        slot = next((slot for slot in self._slots if slot.job is None), None)
-        if slot is None:
-            raise ValueError("no worker is free: ask `free` first")
-        slot.answer = slot.actor.race.remote(job)
-        slot.job, slot.since_s = job, time.monotonic()
-
-    def wait(self, timeout_s: float) -> list[HeatReport]:
-        """Return reports of jobs that ended; the job of an actor that died failed."""
-        busy = [slot for slot in self._slots if slot.job is not None]
-        if not busy:
-            time.sleep(timeout_s)
-            return []
-        ready, _ = self._ray.wait([slot.answer for slot in busy], num_returns=1, timeout=timeout_s)
-        reports = [self._read(slot) for slot in busy if slot.answer in ready]
-        now = time.monotonic()
-        stuck = [slot for slot in busy if slot.job and now - slot.since_s > self._limit_s]
-        return reports + [
-            self._lost(slot, f"took longer than {self._limit_s:.0f} s") for slot in stuck
-        ]
+        slots = [_Slot(actor=self._kind.remote()) for _ in range(num_workers)]
+        super().__init__(slots, job_limit_s)
 
     def close(self) -> None:
         """End the actors, and the cluster if it is our own."""
@@ -84,6 +56,13 @@ class RayExecutor:
         self._slots = []
         if self._own and self._ray.is_initialized():
             self._ray.shutdown()
+
+    def _begin(self, slot: _Slot) -> None:
+        slot.answer = slot.actor.race.remote(slot.job)
+
+    def _ended(self, busy: Sequence[_Slot], timeout_s: float) -> list[HeatReport]:
+        ready, _ = self._ray.wait([slot.answer for slot in busy], num_returns=1, timeout=timeout_s)
+        return [self._read(slot) for slot in busy if slot.answer in ready]
 
     def _read(self, slot: _Slot) -> HeatReport:
         try:
@@ -94,19 +73,9 @@ class RayExecutor:
         slot.job = slot.answer = None
         return report
 
-    def _lost(self, slot: _Slot, how: str, *, killed: bool = False) -> HeatReport:
-        assert slot.job is not None
-        report = HeatReport(
-            slot.job.key,
-            None,
-            f"a Ray actor {how} while it raced heat {slot.job.number}",
-            time.monotonic() - slot.since_s,
-            lost=killed,
-        )
+    def _replace(self, slot: _Slot) -> None:
         self._ray.kill(slot.actor)
-        slot.actor = self._kind.remote()
-        slot.job = slot.answer = None
-        return report
+        slot.actor, slot.answer = self._kind.remote(), None
 
 
 def _ray() -> Any:  # noqa: ANN401

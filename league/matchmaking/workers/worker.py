@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import math
+import platform
+import struct
 import traceback
 from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 
@@ -14,7 +20,6 @@ from league.errors import ConfigError
 from league.matchmaking.pairing.heat_spec import Half, Ruleset
 from league.matchmaking.ratings import Finish, places_of
 from league.matchmaking.store.records import HeatOutcome, RaceOutcome
-from league.matchmaking.workers.machine import machine_class
 from league.sim.version import PHYSICS
 
 if TYPE_CHECKING:
@@ -32,6 +37,9 @@ TOO_LATE_S = 2.0
 that whether an honest driver is late never depends on the machine."""
 JOB_LIMIT_S = 1800.0
 """A heat that takes longer than this is stuck: its worker is ended [s]."""
+FEATURES = ("avx", "avx2", "avx512f", "fma", "fma4")
+"""Features of a processor by which libm chooses how it computes."""
+_FUNCTIONS = (math.sin, math.cos, math.tan, math.asin, math.acos, math.atan, math.exp)
 
 
 @dataclass(frozen=True)
@@ -231,3 +239,22 @@ def places(result: RaceResult) -> tuple[int, ...]:
             for car in cars
         ]
     )
+
+
+@cache
+def machine_class() -> str:
+    """Return architecture, C library, features of the processor, and a hash of libm's answers.
+
+    Races in Bullet have the same bits on machines of one class. All else is computed in the same
+    order with portable functions; Bullet calls the machine's libm (docs/physics.md), which rounds
+    as its version and the processor's features have it.
+    """
+    flags: set[str] = set()
+    with contextlib.suppress(OSError):  # there is no such file but on Linux
+        flags = set(Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").split())
+    features = "+".join(name for name in FEATURES if name in flags) or platform.processor()
+    answers = [function(n / 4096) for n in range(-4095, 4096) for function in _FUNCTIONS]
+    answers += [math.atan2(n / 64, 1 - n / 97) for n in range(4096)]
+    libm = hashlib.sha256(struct.pack(f"<{len(answers)}d", *answers)).hexdigest()[:12]
+    library = "".join(platform.libc_ver()) or platform.system()
+    return f"{platform.machine()} {library} {features} libm:{libm}"[:200]

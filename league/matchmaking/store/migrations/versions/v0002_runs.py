@@ -46,8 +46,8 @@ def _packed(row: sa.Row, tracks: list[str]) -> str:
     name = halves[row.half][0] if row.half < len(halves) else ""
     track = min(tracks.index(name), 255) if name in tracks else 255
     runs = [0] * row.cars
-    told = json.loads(zlib.decompress(row.document))["result"] if row.document else {}
-    for car in told.get("order", ()):
+    result = json.loads(zlib.decompress(row.document))["result"] if row.document else {}
+    for car in result.get("order", ()):
         if {"car", "finished", "lap_times_s"} <= set(car) and car["car"] < row.cars:
             best_ms = min(round(1000 * min(car["lap_times_s"], default=0.0)), (1 << 30) - 1)
             runs[car["car"]] = (1 << 31) | (bool(car["finished"]) << 30) | best_ms
