@@ -113,7 +113,9 @@ def test_workers_race_by_the_format_of_the_ruleset(tmp_path, format):
         field = {entry.id: heat_driver(store, entry)}
         report = RaceWorker().race(HeatJob("0" * 64, 1, halves, (3,), rules, field))
     assert report.outcome is not None, report.traceback
-    replay = replay_format.decode(report.outcome.races[0].replay)
+    recording = report.outcome.races[0].replay
+    assert recording is not None
+    replay = replay_format.decode(recording)
     assert replay.spec.format == format
     gap = abs(replay.columns.distance[0, 0] - replay.columns.distance[0, 1])
     assert gap == pytest.approx(0.0 if format == "pursuit" else 0.75, abs=1e-3)
