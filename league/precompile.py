@@ -111,7 +111,7 @@ def _worlds() -> None:
     env = RaceEnv(_tracks(), EnvConfig(sim=sim, sensors=sensors), num_worlds=1)
     env.step(np.zeros((1, 2, 2), np.float32))
     assert {"state", "truth"} <= dict(env.observations[0]).keys()
-    referee.running_order(env.world.cars)
+    referee.running_order(env.world.cars, False)
 
 
 def _bullet() -> None:

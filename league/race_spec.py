@@ -20,7 +20,14 @@ from pydantic import (
 
 from league import times
 from league.errors import ConfigError, brief
-from league.sim.config import MAX_OBSTACLES, USUAL_OBSTACLES, RaceKind, RulesName, SolverName
+from league.sim.config import (
+    MAX_OBSTACLES,
+    USUAL_OBSTACLES,
+    RaceFormat,
+    RaceKind,
+    RulesName,
+    SolverName,
+)
 
 EventKind = Literal[
     "start",
@@ -91,6 +98,10 @@ class RaceSpec(FrozenModel):
     """Which rules: those of this league, or the original's, under which older races were driven."""
     entries: tuple[Entry, ...] = Field(min_length=1, max_length=8)
     """The field, in grid order."""
+    format: RaceFormat = "standing"
+    """How the cars line up: standing, in the order of a race's organiser; qualifying, the fastest
+    first; reverse, the fastest last; pursuit, spread evenly round the lap. `entries` are in the
+    order that this gave."""
     obstacles: int = Field(default=0, ge=0, le=MAX_OBSTACLES)
     """Boxes or bots; by default six in obstacle avoidance, and none in the other kinds."""
     obstacle_kind: Literal["box", "bot"] = "box"

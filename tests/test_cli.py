@@ -147,6 +147,7 @@ def test_tracks_and_drivers_are_listed(league):
         (["race", "centerline", "--bots", "--obstacles", "0"], "--bots and --fixed-obstacles mean"),
         (["race", "centerline", "--average-laps", "3"], "--ranking average"),
         (["init", "--bots"], "--bots means nothing without --obstacles"),
+        (["race", "centerline", "--format", "pursuit"], "means nothing for a driver alone"),
         (["race", *["centerline"] * 9], "give 1 to 8"),
         (["race", "centerline", "--laps", "0"], "laps"),
         (["race", "centerline", "--laps", "-3"], "laps"),
@@ -244,6 +245,27 @@ def test_ctrl_c_while_the_program_starts_is_no_traceback(after_s):
         time.sleep(after_s)
         process.send_signal(signal.SIGINT)
         assert "Traceback" not in process.stderr.read()
+
+
+def test_grid_follows_the_format_of_the_race(league):
+    drivers = ("cautious", "racing_line", "centerline")
+    for name, grid in (
+        ("standing", ["cautious", "racing_line", "centerline"]),
+        ("qualifying", ["racing_line", "cautious", "centerline"]),
+        ("reverse", ["centerline", "cautious", "racing_line"]),
+        ("pursuit", ["cautious", "racing_line", "centerline"]),
+    ):
+        code, out, err = league("race", *drivers, *SHORT, "--format", name, "--json")
+        assert (code, err) == (0, "")
+        spec = json.loads(out)["spec"]
+        assert spec["format"] == name
+        assert [entry["name"] for entry in spec["entries"]] == grid
+    code, out, err = league("race", *drivers, *SHORT, "--format", "reverse")
+    assert (code, err) == (0, "")
+    told = re.findall(r"Qualifying: (\w+)  (\S+)", out)
+    assert [name for name, _ in told] == ["racing_line", "cautious", "centerline"]
+    assert [lap for _, lap in told] == sorted(lap for _, lap in told)
+    assert "1 lap, reverse" in out
 
 
 def test_races_vary_with_the_seed_unless_that_is_switched_off(league):

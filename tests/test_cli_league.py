@@ -347,6 +347,16 @@ def test_without_a_league_its_commands_say_how_to_make_one(tmp_path, monkeypatch
     assert "league init" in capsys.readouterr().err
 
 
+def test_a_league_is_made_with_the_format_asked_for(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("LEAGUE_URL", f"sqlite:///{tmp_path / 'league.db'}")
+    assert main(["init", "--format", "pursuit", "--solver", "planar", "--laps", "1"]) == 0
+    assert "1 lap, 2 cars, reinvent_2018, pursuit" in capsys.readouterr().out
+    assert main(["run", "--workers", "1", "--heats", "1"]) == 0
+    assert main(["export", "--json", "-"]) == 0
+    out = capsys.readouterr().out
+    assert json.loads(out[out.index("{") :])["rules"]["format"] == "pursuit"
+
+
 def test_a_run_races_what_was_submitted_and_says_what_it_did(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("LEAGUE_URL", f"sqlite:///{tmp_path / 'league.db'}")
     made = ["init", "--laps", "1", "--solver", "planar", "--max-time-s", "0.6", "--anchors"]

@@ -1,12 +1,13 @@
-"""Actions of unknown origin at two doors, Gymnasium's and rsl-rl's; each steps or is refused."""
+"""Actions of unknown origin at three interfaces; each steps, or is refused and changes nothing."""
 
 import random
 
 import numpy as np
 import pytest
 import torch
-from scenes import make_ring
+from scenes import assert_same, make_ring
 
+from league.envs import parallel_env
 from league.envs.actions import ContinuousActions, grid
 from league.envs.adapters.gym_env import GymEnv
 from league.envs.adapters.rsl_vec_env import RacingVecEnv
@@ -21,6 +22,8 @@ JUNK = (
     np.zeros(0), np.zeros((3, 3)), np.array(["0", "1"]), np.ones(2, bool), np.ones(2, complex),
     torch.zeros(0), torch.zeros(2, 2, 2), torch.tensor(0.5),
 )  # fmt: skip
+NAMES = (None, 0, "", "car_2", "car_0 ", "CAR_0", b"car_0", "car_\n0", ("car_0",), 10**400, 1j)
+"""Keys that name no agent of a race of two."""
 STRANGE = (0.0, -0.0, 1.5, 5e-324, 1e30, 1e308, np.nan, np.inf, -np.inf)
 FORMATS = (torch.float32, torch.float64, torch.float16, torch.bfloat16, torch.int64, torch.uint8)
 NO_FORMATS = (torch.bool, torch.complex64, torch.float8_e4m3fn)
@@ -84,3 +87,67 @@ def test_thousand_random_actions_at_rsl_rls_door_step_or_are_refused(space):
         assert torch.isfinite(rewards).all() and (np.abs(driven) <= 1).all()
         assert torch.isfinite(obs["motion"]).all() and torch.isfinite(obs["state"]).all()
     assert steps > 250 and refused > 250
+
+
+def of_agents(dice, agents):
+    """Return something like a dict of actions: mostly right, or wrong in one or two ways."""
+    made = {}
+    for agent in agents:
+        action = numbers(dice, 2)
+        made[agent] = dice.choice(
+            [action, action.to(torch.float32), action.numpy(), action.tolist()]
+        )
+    if dice.random() < 0.3 and made:
+        made[dice.choice(list(made))] = dice.choice(JUNK)
+    if dice.random() < 0.1 and made:
+        del made[dice.choice(list(made))]
+    if dice.random() < 0.1:
+        made[dice.choice([*NAMES, "car_0", "car_1"])] = dice.choice([[0.0, 0.0], *JUNK])
+    if dice.random() < 0.1:
+        return dice.choice([*JUNK, list(made), list(made.items()), str(made), {}])
+    return made
+
+
+@pytest.mark.parametrize("mode", ["race", "training"])
+def test_two_thousand_random_dicts_at_pettingzoos_step_step_or_are_refused(mode):
+    env = parallel_env(make_ring(), mode=mode, solver="planar", sensors=(), laps=1, max_steps=40)
+    world = env.race_env.world
+    env.reset(seed=0)
+    dice = random.Random(0)
+    steps = refused = 0
+    for _ in range(2000):
+        if not env.agents:
+            env.reset()
+        before, agents = world.copy(), list(env.agents)
+        seen = {name: group.copy() for name, group in env.race_env.observations[0].items()}
+        action = of_agents(dice, agents)
+        try:
+            observations, rewards, *_ = env.step(action)
+        except ActionError as error:
+            assert readable(error), error
+            assert_same(before, world)
+            assert_same(seen, dict(env.race_env.observations[0]))
+            assert env.agents == agents
+            refused += 1
+            continue
+        steps += 1
+        assert list(observations) == list(rewards) == agents
+        assert np.isfinite(list(rewards.values())).all()
+        assert all(np.isfinite(told["motion"]).all() for told in observations.values())
+    assert steps > 300 and refused > 500
+    env.close()
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf, 1.5, "0", None, 10**400, 1j])
+@pytest.mark.parametrize("car", [0, 1])
+def test_pettingzoo_names_the_agent_of_an_action_that_is_none(car, wrong):
+    env = parallel_env(make_ring(), solver="planar", sensors=())
+    env.reset(seed=0)
+    before = env.race_env.world.copy()
+    with pytest.raises(ActionError, match=f"car_{car}") as caught:
+        env.step({f"car_{car}": [0.0, wrong], f"car_{1 - car}": [0.0, 0.0]})
+    assert readable(caught.value)
+    assert_same(before, env.race_env.world)
+    # The race goes on as if nothing had been asked.
+    env.step({"car_0": [0.0, 0.0], "car_1": [0.0, 0.0]})
+    assert env.race_env.world.worlds["step"].tolist() == [1]

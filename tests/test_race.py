@@ -11,7 +11,7 @@ from scenes import follow_center, make_ring, make_square, make_straight
 from league.agents import roster
 from league.errors import ConfigError, LeagueError
 from league.race_spec import CarResult, Entry, RaceResult, RaceSpec, checked
-from league.racing import race, race_log
+from league.racing import qualifying, race, race_log
 from league.sim.config import CameraConfig, CarConfig, LidarConfig, SensorConfig
 from league.track import files
 from league.track.track import TrackSet
@@ -192,6 +192,37 @@ def test_race_is_stopped_after_its_time_and_ranked_by_distance():
     assert [car.finished for car in result.order] == [False, False]
     assert result.order[0].distance > result.order[1].distance
     assert result.order[0].total_s == 12.0
+
+
+@pytest.mark.parametrize("solver", ["planar", "bullet"])
+def test_a_pursuit_is_won_by_who_drives_its_own_laps_first(solver):
+    # Half a lap, 6 m, is what the fast one gains in 24 m: it passes once and is home first.
+    slow, fast = beside()
+    result = raced(slow, fast, solver=solver, laps=3, format="pursuit")
+    assert [car.name for car in result.order] == ["fast", "slow"]
+    assert all(car.finished and len(car.lap_times_s) == 3 for car in result.order)
+    assert [car.overtakes for car in result.order] == [1, 0]
+    assert [event.other for event in result.events if event.kind == "overtake"] == [0]
+    # It led by its own laps long before it had caught the other.
+    lead = next(event for event in result.events if event.kind == "lead_change")
+    caught = next(event for event in result.events if event.kind == "overtake")
+    assert lead.car == 1 and lead.time_s < caught.time_s / 2
+
+
+def test_qualifying_orders_the_grid_by_the_best_lap_alone():
+    entries = tuple(Entry(name=name) for name in ("centerline", "racing_line", "cautious"))
+    spec = RaceSpec(entries=entries, solver="planar", format="qualifying", obstacles=3)
+    laps = qualifying.best_laps(spec, files.load("reinvent_2018"))
+    assert laps[1] < laps[2] < laps[0] < 12.0
+    assert [entry.name for entry in qualifying.line_up(spec, laps).entries] == [
+        "racing_line", "cautious", "centerline"
+    ]  # fmt: skip
+    backwards = spec.model_copy(update={"format": "reverse"})
+    names = [entry.name for entry in qualifying.line_up(backwards, laps).entries]
+    assert names == ["centerline", "cautious", "racing_line"]
+    # Who has no lap counts as slowest; equals stay as they were named.
+    level = qualifying.line_up(spec, [float("inf"), 5.0, 5.0]).entries
+    assert [entry.name for entry in level] == ["racing_line", "cautious", "centerline"]
 
 
 def test_open_track_is_raced_to_its_end():

@@ -240,6 +240,18 @@ def test_the_chase_follows_the_last_of_the_leading_pack():
     assert path.x[-1] == pytest.approx(10.0)  # 4 m behind: the leader alone
 
 
+def test_the_chase_of_a_pursuit_follows_the_winner_and_does_not_jump_round_the_lap():
+    def driven(world, number):
+        distance = [5.0, 5.0 + 0.1 * (-1) ** number]  # in turn ahead, half a lap apart
+        return moved(world, x=[10.0, 20.0], y=[0.0, 0.0], yaw=[0.0, 0.0], distance=distance)
+
+    made = by_hand(60, driven)
+    spec = made.result.spec.model_copy(update={"format": "pursuit"})
+    pursuit = replace(made, result=made.result.model_copy(update={"spec": spec}))
+    winner = pursuit.result.order[0].car
+    assert story.chase_path(pursuit).x == pytest.approx(10.0 + 10.0 * winner)
+
+
 # Files that are not sound replays.
 
 

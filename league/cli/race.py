@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shlex
 import sys
 from collections.abc import Sequence
@@ -49,6 +50,9 @@ class Race:
     """How many consecutive laps the mean of --ranking average is of."""
     rules: Literal["league", "deepracer"] = "league"
     """Who is to blame and what it costs: as docs/rules.md has it, or as in the original."""
+    format: Literal["standing", "reverse", "qualifying", "pursuit"] = "standing"
+    """How cars line up: standing, as named; qualifying, after a lap of each alone, the fastest
+    first; reverse, the fastest last; pursuit, as named, spread evenly round the lap."""
     obstacles: int | None = None
     """Boxes or bots on the track, among which any number of cars drives; by default 6 where --kind
     obstacle_avoidance or --bots asks for some, else none."""
@@ -85,7 +89,13 @@ def _race(command: Race) -> int:
         kind = "head_to_head"
     elif kind == "auto":
         kind = "obstacle_avoidance" if num_obstacles(command, avoiding=False) else "time_trial"
+    if command.format != "standing" and len(command.drivers) < 2:
+        raise ConfigError(
+            f"--format {command.format} means nothing for a driver alone: name two to eight"
+        )
     spec = race_spec(command, track.name, kind, command.drivers)
+    if spec.format in ("reverse", "qualifying"):
+        spec = _after_qualifying(spec, track, quiet=command.json)
     keep = command.replay != "none"
     path = replay_path(command.replay, spec, track) if keep else None
     if path is not None:
@@ -118,6 +128,18 @@ def _race(command: Race) -> int:
     return 0
 
 
+def _after_qualifying(spec: RaceSpec, track: Track, *, quiet: bool) -> RaceSpec:
+    """Return the spec with its entries in the order that qualifying laps gave, and print these."""
+    from league.racing import qualifying
+
+    laps = qualifying.best_laps(spec, track)
+    if not quiet:
+        for lap_s, entry in sorted(zip(laps, spec.entries, strict=True), key=lambda one: one[0]):
+            lap = "no complete lap" if math.isinf(lap_s) else times.clock(lap_s)
+            print(f"Qualifying: {entry.name}  {lap}")
+    return qualifying.line_up(spec, laps)
+
+
 def _print_result(command: Race, result: RaceResult, replay: Path | None) -> None:
     if command.json:
         document = {**result.model_dump(mode="json"), "replay": str(replay) if replay else None}
@@ -145,7 +167,7 @@ def race_spec(command: Race | Evaluate, track: str, kind: str, drivers: Sequence
             "solver": command.solver,
             **{
                 name: getattr(command, name)
-                for name in ("ranking", "average_laps", "rules", "variation")
+                for name in ("ranking", "average_laps", "rules", "format", "variation")
                 if hasattr(command, name)
             },
             "entries": entries(drivers),
@@ -244,7 +266,9 @@ def _live(spec: RaceSpec, track: Track) -> Live:
 
 def _print_classification(result: RaceResult) -> None:
     heads = ("", "driver", "laps", "total", "gap", "best lap", "off", "crash", "penalty")
-    table = tables.table(result.spec.title, *heads)
+    spec = result.spec
+    title = spec.title if spec.format == "standing" else f"{spec.title}, {spec.format}"
+    table = tables.table(title, *heads)
     winner = result.order[0]
     for car in result.order:
         gap = car.total_s - winner.total_s

@@ -22,6 +22,7 @@ from league.sim.config import (
     SensorConfig,
     SimConfig,
     SolverName,
+    StartName,
     VisualRandomization,
 )
 from league.track import files
@@ -47,6 +48,9 @@ class EnvOptions(TypedDict, total=False):
     """Physics: bullet, rigid bodies, or planar, for training at scale."""
     laps: int
     """Laps of a race, or of an episode in training."""
+    start: StartName
+    """Where a race starts: standing, one behind the other, or pursuit, spread evenly round the lap,
+    each with laps of its own; episodes of training begin elsewhere."""
     max_steps: int | None
     """Longest race or episode in steps of 1/15 s; None: by the length of the race, or 60 s."""
     reward: RewardConfig | Reward | str | os.PathLike[str] | None
@@ -116,7 +120,9 @@ def configure(
         obstacles = base.obstacles
     elif not isinstance(obstacles, ObstacleConfig):
         obstacles = replace(base.obstacles, count=obstacles)
-    rules, longest_s = replace(base.rules, laps=laps), EnvConfig.episode_s
+    start = options.get("start", base.rules.start)
+    _check_name("start", start, get_args(StartName))
+    rules, longest_s = replace(base.rules, laps=laps, start=start), EnvConfig.episode_s
     if max_steps is not None:
         _check_whole("max_steps", max_steps, 1)
         # Half a step early, so that rounding cannot add one.

@@ -92,6 +92,12 @@ class RaceEnv:
         """
         if num_worlds < 1:
             raise ValueError(f"num_worlds is {num_worlds}: give at least 1")
+        open_tracks = [track.name for track in tracks.tracks if not track.closed]
+        if cfg.sim.rules.start == "pursuit" and open_tracks:
+            raise ConfigError(
+                f"{open_tracks[0]} is an open track, and the cars of a pursuit start round a lap: "
+                "choose a closed track, or a standing start"
+            )
         self.tracks, self.cfg, self.num_worlds = tracks, cfg, num_worlds
         self._reward, self._closed = reward, False
         self._allocate()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -170,7 +170,7 @@ def of(store: Store, ruleset: str | None = None) -> Standings:
         )
     fitted = _fit(data, entries)
     return Standings(
-        rows=_rows(data, fitted, entries, _Runs.of(races, tracks)),
+        rows=_rows(data, fitted, entries, Runs.of(races, tracks)),
         ratings=fitted,
         results=results_of(races),
         goodness=goodness_of_fit(data, fitted),
@@ -195,7 +195,7 @@ def possible_ranks(fitted: Ratings) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _rows(
-    data: RatingData, fitted: Ratings, entries: Sequence[Entry], runs: _Runs
+    data: RatingData, fitted: Ratings, entries: Sequence[Entry], runs: Runs
 ) -> tuple[Row, ...]:
     by_number = {entry.number: entry for entry in entries}
     pairs, points = data.counts.points()
@@ -234,7 +234,7 @@ def _rows(
 
 
 @dataclass(frozen=True)
-class _Runs:
+class Runs:
     """How the races of each entry went, by its number."""
 
     tracks: tuple[str, ...]
@@ -248,8 +248,12 @@ class _Runs:
     """Best lap, infinite for none, (tracks, numbers)."""
 
     @classmethod
-    def of(cls, races: Races, tracks: tuple[str, ...]) -> _Runs:
-        """Count each entry's races, finishes and best laps."""
+    def of(cls, races: Races, tracks: tuple[str, ...], *, before: int | None = None) -> Runs:
+        """Count each entry's races, finishes and best laps, in heats with a smaller number."""
+        if before is not None:
+            counted = races.heat < before
+            parts = ("heat", "half", "track", "entries", "places", "runs")
+            races = replace(races, **{name: getattr(races, name)[counted] for name in parts})
         size = int(races.entries.max(initial=-1)) + 1
         first, known, finished = np.zeros(size), np.zeros(size), np.zeros(size)
         best_ms = np.full(len(tracks) * size, np.inf)

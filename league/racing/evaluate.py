@@ -280,7 +280,7 @@ def _step_records(
         cars["last_lap_s"],
         elapsed_s,
         share,
-        referee.running_order(world.cars)[:, 0] + 1,
+        referee.running_order(world.cars, sim.rules.start == "pursuit")[:, 0] + 1,
     )
     flags = zip(*(verdicts[name].tolist() for name in MISTAKES), strict=True)
     return [

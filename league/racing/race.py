@@ -77,6 +77,7 @@ def sim_config(spec: RaceSpec) -> SimConfig:
         rules=replace(
             RULES[spec.rules],
             laps=spec.laps,
+            start="pursuit" if spec.format == "pursuit" else "standing",
             ranking=spec.ranking,
             off_track_penalty_s=spec.off_track_penalty_s,
             crash_penalty_s=spec.crash_penalty_s,

@@ -56,13 +56,18 @@ def speeds(replay: Replay) -> np.ndarray:
 
 
 def chase_path(replay: Replay) -> ChasePath:
-    """Return where to chase from: the last of those close behind the leader, to see them all."""
+    """Return where to chase from: the last of those close behind the leader, to see them all.
+
+    In a pursuit, where a gap of nothing may be half a lap of road, the winner is followed.
+    """
     from scipy.ndimage import gaussian_filter1d  # late: SciPy takes a while
 
     columns = replay.columns
     distance = np.where(_watched(replay), columns.distance, -np.inf)
     gap = distance.max(axis=1, keepdims=True) - distance
     subject = np.where(gap <= PACK, columns.distance, np.inf).argmin(axis=1)
+    if replay.spec.format == "pursuit":
+        subject[:] = replay.result.order[0].car
     rows = np.arange(replay.num_frames)
     heading = columns.yaw[rows, subject]
     sigma = CHASE_SMOOTHING_S * replay.step_hz

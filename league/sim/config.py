@@ -14,6 +14,9 @@ from league.sim.validation import Checked, check, is_number, ranged
 RaceKind = Literal["time_trial", "obstacle_avoidance", "head_to_head"]
 SolverName = Literal["planar", "bullet"]
 RulesName = Literal["league", "deepracer"]
+RaceFormat = Literal["standing", "reverse", "qualifying", "pursuit"]
+"""How cars line up. Reverse and qualifying are standing grids in an order of their own."""
+StartName = Literal["standing", "pursuit"]
 MAX_CARS, MAX_OBSTACLES = 8, 32
 USUAL_OBSTACLES = 6
 """Boxes or bots in obstacle_avoidance, unless their number is given."""
@@ -292,6 +295,9 @@ class RaceRules:
     """Laps to drive."""
     ranking: Literal["total", "best", "average"] = "total"
     """Order by total time, best lap or best mean of consecutive laps (RaceSpec.average_laps)."""
+    start: StartName = "standing"
+    """Where cars start: one behind the other from the line, or, in a pursuit, spread evenly round
+    the lap, each with its laps counted from its own place."""
     room: bool = True
     """Whether cars owe each other room (docs/rules.md). Otherwise the rear car is to blame for each
     contact, whatever happened, and a pass counts even of or by a ghost, as in DeepRacer."""

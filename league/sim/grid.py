@@ -23,11 +23,12 @@ _ZERO, _HALF, _ONE, _TWO = f32(0.0), f32(0.5), f32(1.0), f32(2.0)
 
 @inner
 def start(cars, obstacles, world, points, course, places, settings):
-    """Put one world at the start of its race: cars on a staggered grid, at rest unless speeds vary.
+    """Put one world at the start of its race: cars on their grid, at rest unless speeds vary.
 
     The first car stands on the start line, each further one a grid gap behind, odd ones on the
     inner lane and even ones on the outer; a car alone stands on the centreline. On an open track
-    the whole grid stands just after the start.
+    the whole grid stands just after the start. In a pursuit cars stand evenly round the lap, on the
+    centreline, and each drives its laps from its own place.
 
     Args:
         cars: CAR records (num_cars,); overwritten.
@@ -48,17 +49,26 @@ def start(cars, obstacles, world, points, course, places, settings):
             frame = frame_at(points, course, distance)
             cars[c].velocity_x, cars[c].velocity_y = speed * frame.cos, speed * frame.sin
             cars[c].target_speed = speed
-        blank_book(cars[c], distance, _ZERO)
         cars[c].lateral, cars[c].zero_s = lateral, _ZERO
+        if settings.pursuers > 0:
+            distance, cars[c].zero_s = _ZERO, cars[c].s
+        blank_book(cars[c], distance, _ZERO)
+    for c in range(len(cars)):
         cars[c].ahead = 0
-        for other in range(c + 1, len(cars)):
-            cars[c].ahead |= np.uint8(1 << other)
+        for other in range(len(cars)):
+            first = c < other
+            if settings.pursuers > 0 and c != other:
+                first = signed_gap(course, cars[c].s, cars[other].s) > _ZERO
+            if first:
+                cars[c].ahead |= np.uint8(1 << other)
     obstacles_room.place(obstacles, world, points, course, places, settings)
 
 
 @inner
 def slot(place, num_cars, points, course, settings):
     """Return where a place of the grid is: distance from the line [m], and lateral [m]."""
+    if settings.pursuers > 0:
+        return -course.length * f32(place) / f32(num_cars), _ZERO
     distance = -settings.grid_gap * f32(place)
     if not course.closed:
         distance += settings.grid_gap * f32(num_cars - 1) + _OPEN_START

@@ -84,11 +84,26 @@ def _first_s(k, count, seed, course, places, settings):
     if not course.closed:
         first += settings.grid_length
     if not settings.random_places:
-        return first + f32(k) * (stretch / f32(max(count - 1, 1)))
+        s = first + f32(k) * (stretch / f32(max(count - 1, 1)))
+        return _off_the_starts(s, course, settings)
     # Each keeps to its own stretch, shortened so that two neighbours stay min_distance apart.
     spacing = stretch / f32(count)
     free = max(spacing - settings.min_distance, _ZERO)
-    return first + f32(k) * spacing + uniform_of(seed, _PLACE, k) * free
+    s = first + f32(k) * spacing + uniform_of(seed, _PLACE, k) * free
+    return _off_the_starts(s, course, settings)
+
+
+@inner
+def _off_the_starts(s, course, settings):
+    """Return a place along the track, moved off the nearest start of a pursuit where it is near."""
+    if settings.pursuers == 0:
+        return s
+    apart = course.length / f32(settings.pursuers)
+    room = min(_END_MARGIN, apart * _HALF)
+    start = f32(math.floor(s / apart + _HALF)) * apart
+    if abs(s - start) >= room:
+        return s
+    return start - room if s < start else start + room
 
 
 @inner

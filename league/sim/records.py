@@ -70,7 +70,9 @@ CAR = np.dtype(
         ("pace", _F4),  # largest share so far of the speed that the road allowed, 0 to 1
         ("touching_obstacles", _U4),  # obstacles touched in the last step
         ("touching_cars", _U1),  # cars touched in the last step
-        ("ahead", _U1),  # cars that this one leads; changes only when a pass is clear
+        # Cars that this one leads, in a pursuit those just behind it on the road; a pair changes
+        # only when a pass is clear.
+        ("ahead", _U1),
         ("ghost", _BOOL),  # whether the car cannot collide now
         ("put_back", _BOOL),  # whether it is put back on the road when its penalty ends
         ("retired", _BOOL),  # out of the race for good: frozen, a ghost, never released

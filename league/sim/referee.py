@@ -171,8 +171,10 @@ def _order(before, cars, world, verdicts, course, settings):
                     cars[c].overtakes += 1
         cars[c].ahead, verdicts[c].overtook = np.uint8(ahead), np.uint8(passed)
         # Of cars side by side nobody may be ahead of all: then the leader stays.
-        if num_cars > 1 and beaten == num_cars - 1 and not leads:
+        if num_cars > 1 and beaten == num_cars - 1 and not leads and settings.pursuers == 0:
             leads, world.leader = True, c
+    if settings.pursuers > 0:
+        world.leader = _leader_of_pursuit(cars, old_leader, settings)
     changed = world.leader != old_leader
     world.lead_changes += changed
     for c in range(num_cars):
@@ -180,18 +182,32 @@ def _order(before, cars, world, verdicts, course, settings):
 
 
 @inner
+def _leader_of_pursuit(cars, leader, settings):
+    """Return who is home first, or else has driven farthest, by a margin over the old leader."""
+    for c in range(len(cars)):
+        first, best = cars[c], cars[leader]
+        farther = first.finish_s == best.finish_s and (
+            first.distance > best.distance + settings.overtake_margin
+        )
+        if first.finish_s < best.finish_s or farther:
+            leader = c
+    return leader
+
+
+@inner
 def _lead(car, rival, course):
     """Return how far a car is ahead of another [m]."""
     if car.zero_s == rival.zero_s:
         return car.distance - rival.distance
-    # Episodes that began at different places are compared by who is ahead on the road.
+    # Cars whose laps begin at different places are compared by who is ahead on the road.
     return signed_gap(course, car.s, rival.s)
 
 
 @inner
 def _is_ahead(car, rival, was_ahead, course, settings):
     """Return whether a car is ahead of another; a pair changes only when the pass is clear."""
-    if car.finish_s != _INFINITE or rival.finish_s != _INFINITE:
+    home = car.finish_s != _INFINITE or rival.finish_s != _INFINITE
+    if home and settings.pursuers == 0:
         # Whoever is home first is ahead for good, whatever it does on its cooling lap.
         return car.finish_s < rival.finish_s or (car.finish_s == rival.finish_s and was_ahead)
     lead, margin = _lead(car, rival, course), settings.overtake_margin
@@ -305,11 +321,11 @@ def _put_behind(cars, obstacles, verdicts, points, course, settings):
 
 
 @compiled
-def running_order(cars):
+def running_order(cars, pursuit):
     """Return each car's place from 0, by finish, then by who is ahead; (num_worlds, num_cars).
 
     Of three cars side by side each may still be ahead of the next, in a ring; distance unties them,
-    and then the slot.
+    and then the slot. In a pursuit nobody is ahead: whoever has driven farther comes first.
     """
     num_worlds, num_cars = cars.shape
     out = np.zeros((num_worlds, num_cars), np.int64)
@@ -318,7 +334,10 @@ def running_order(cars):
         for c in range(num_cars):
             beaten[c] = 0
             for other in range(num_cars):
-                beaten[c] += (cars[w, c].ahead >> other) & 1
+                if pursuit:
+                    beaten[c] += cars[w, c].finish_s < cars[w, other].finish_s
+                else:
+                    beaten[c] += (cars[w, c].ahead >> other) & 1
         for c in range(num_cars):
             mine = cars[w, c].distance
             for other in range(num_cars):

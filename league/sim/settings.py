@@ -27,6 +27,7 @@ def _fields(sim: SimConfig) -> tuple[tuple[str, type, float], ...]:
     """Return name, type and value of each field of the record."""
     car, rules, spread, things = sim.car, sim.rules, sim.spread, sim.obstacles
     arm, bots = car.wheelbase / 2, things.kind == "bot"
+    pursuit = rules.start == "pursuit"
     # Inertia grows with mass, so min(mass, inertia / arm^2) is a fixed share of the mass.
     share = 0.5 * min(1.0, car.yaw_inertia / car.mass / arm**2)
 
@@ -90,7 +91,8 @@ def _fields(sim: SimConfig) -> tuple[tuple[str, type, float], ...]:
         ("reversed_penalty_s", _F4, seconds(rules.reversed_penalty_s)),
         ("overtake_margin", _F4, rules.overtake_margin),  # [m]
         ("grid_gap", _F4, rules.grid_gap),  # [m]
-        ("grid_length", _F4, rules.grid_gap * (sim.num_cars - 1)),  # first place to last [m]
+        ("grid_length", _F4, 0.0 if pursuit else rules.grid_gap * (sim.num_cars - 1)),  # [m]
+        ("pursuers", _I8, sim.num_cars if pursuit else 0),  # cars spread evenly round the lap
         ("put_back_behind", _F4, rules.put_back_behind),  # [m]
         ("bot_stop_s", _F4, rules.bot_stop_s),
         # Obstacles.

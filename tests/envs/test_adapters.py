@@ -101,6 +101,24 @@ def test_rsl_rl_takes_plain_words():
         RacingVecEnv("reinvent_2018", env.cfg, laps=2)
 
 
+def test_cars_start_round_the_lap_where_a_pursuit_is_asked_for():
+    duel = {"kind": "head_to_head", "solver": "planar", "sensors": ()}
+    duel |= {"start": "pursuit", "mode": "race"}
+    pettingzoo, single = parallel_env(**duel), GymEnv(**duel)
+    for adapter, env in ((pettingzoo, pettingzoo.race_env), (single, single.learner.env)):
+        adapter.reset(seed=1)
+        cars, length = env.world.cars, env.tracks.tracks[0].length
+        assert abs(cars["s"][0, 0] - cars["s"][0, 1]) == pytest.approx(length / 2, abs=1e-3)
+        assert not cars["distance"].any()
+    _, infos = pettingzoo.reset(seed=1)
+    assert [info["place"] for info in infos.values()] == [1, 2]
+    for _ in range(20):  # the second drives, the first does not: half a lap apart, and it leads
+        *_, infos = pettingzoo.step({"car_0": np.array([0, -1]), "car_1": np.array([0, 0.5])})
+    assert [info["place"] for info in infos.values()] == [2, 1]
+    with pytest.raises(ConfigError, match="start is 'rolling': choose one of standing, pursuit"):
+        parallel_env(**{**duel, "start": "rolling"})
+
+
 def test_pettingzoos_names_for_the_state_and_the_longest_episode():
     env = parallel_env(solver="planar", sensors=(), max_cycles=7)
     env.reset(seed=0)

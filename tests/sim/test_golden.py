@@ -72,7 +72,7 @@ def snapshot(kind: np.dtype, env: RaceEnv) -> np.ndarray:
     special = {
         "leader": world.worlds["leader"][:, None],
         "lead_changes": world.worlds["lead_changes"][:, None],
-        "place": referee.running_order(world.cars),
+        "place": referee.running_order(world.cars, False),
         "stopped_s": stopped.max(axis=1, keepdims=True) if stopped.size else 0.0,
         "wall": verdicts["wall"],
     }

@@ -48,6 +48,9 @@ class Init(OnLeague):
     """Boxes or bots on the track."""
     bots: bool = False
     """Slow bot cars that change lanes instead of boxes."""
+    format: Literal["standing", "reverse", "qualifying", "pursuit"] = "standing"
+    """How cars line up: standing, twice, with the grid swapped; reverse, the best rated last;
+    qualifying, the best lap so far first; pursuit, spread evenly round the lap."""
     anchors: tuple[str, ...] = ANCHORS
     """Scripted drivers that tie the scale; the first one is pinned to 1000."""
     blobs: str = ""
@@ -62,8 +65,9 @@ class Init(OnLeague):
         with create(self.address, name=self.name, ruleset=rules, blobs=self.blobs) as store:
             matchmaker.enter_anchors(store, self.anchors)
             print(f"League {self.name!r}: {store.url}")
-        laps, tracks = times.laps(rules.laps), ", ".join(rules.tracks)
-        print(f"Rules {rules.hash[:12]}: {laps}, {rules.cars} cars, {tracks}")
+        parts = [times.laps(rules.laps), f"{rules.cars} cars", *rules.tracks]
+        parts += [rules.format] if rules.format != "standing" else []
+        print(f"Rules {rules.hash[:12]}: {', '.join(parts)}")
         print(f"Anchors: {', '.join(self.anchors) or 'none'}")
         return 0
 
@@ -217,6 +221,11 @@ def _rules(command: Init) -> Ruleset:
                 f"the track {name!r} is a file: a league's workers know the tracks that ship "
                 "with the program, `league tracks` lists them"
             )
+        if command.format == "pursuit" and not track.closed:
+            raise ConfigError(
+                f"{name} is an open track, and the cars of a pursuit start round a lap: "
+                "choose closed tracks, or another --format"
+            )
         tracks.append(track.name)
     try:
         return Ruleset(
@@ -230,6 +239,7 @@ def _rules(command: Init) -> Ruleset:
             rules=command.rules,
             obstacles=command.obstacles,
             obstacle_kind="bot" if command.bots else "box",
+            format=command.format,
         )
     except ValueError as error:
         raise ConfigError(f"these rules are not possible: {error}") from error

@@ -108,6 +108,7 @@ class Infos:
         self._env, self._car, self._world = env, car, env.world
         self._terms = [(f"reward_{name}", name) for name in env.terms]
         self._step_dt = env.cfg.sim.step_dt
+        self._pursuit = env.cfg.sim.rules.start == "pursuit"
         sensors, step_hz = env.cfg.sensors_of(car), env.cfg.sim.step_hz
         # Own motion is read at every step.
         self._rates = {"motion_rate_hz": float(step_hz)}
@@ -152,7 +153,7 @@ class Infos:
         return info | self._rates
 
     def _places(self) -> np.ndarray:
-        return referee.running_order(self._world.cars)[:, self._car]
+        return referee.running_order(self._world.cars, self._pursuit)[:, self._car]
 
 
 def mixed(where: np.ndarray, one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:

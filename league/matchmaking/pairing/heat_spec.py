@@ -14,7 +14,14 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any, Literal
 
-from league.sim.config import MAX_CARS, MAX_OBSTACLES, RaceKind, RulesName, SolverName
+from league.sim.config import (
+    MAX_CARS,
+    MAX_OBSTACLES,
+    RaceFormat,
+    RaceKind,
+    RulesName,
+    SolverName,
+)
 from league.sim.version import PHYSICS
 
 Purpose = Literal["rated", "validation", "audit", "gauntlet"]
@@ -65,6 +72,8 @@ class Ruleset:
     """Boxes or bots on the track."""
     obstacle_kind: Literal["box", "bot"] = "box"
     """Standing boxes, or slow bot cars that change lanes."""
+    format: RaceFormat = "standing"
+    """How the cars of a race line up, see matchmaker.py."""
 
     def __post_init__(self) -> None:
         if not self.tracks:
@@ -93,7 +102,12 @@ class Ruleset:
         return cls(**{**_IMPLIED, **settings, "tracks": tuple(settings["tracks"])})
 
 
-_IMPLIED = {"rules": "deepracer", "obstacles": 0, "obstacle_kind": "box"}
+_IMPLIED = {
+    "rules": "deepracer",
+    "obstacles": 0,
+    "obstacle_kind": "box",
+    "format": "standing",
+}
 """Settings that rulesets of older leagues do not hold, and what they mean by that."""
 
 
@@ -109,7 +123,7 @@ class Half:
 
 @dataclass(frozen=True)
 class Heat:
-    """Races that belong together: as a rule two, with the grid slots swapped."""
+    """Races that belong together: as a rule two, lined up as the ruleset's format says."""
 
     ruleset: str
     """Hash of the ruleset."""

@@ -8,7 +8,8 @@ the same heats, and ends with the same ratings. A round's size depends on the fi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 
@@ -26,6 +27,8 @@ from league.matchmaking.pairing.schedule import (
 )
 from league.matchmaking.store import RATED, Entry, EntryState, HeatRecord, Races, Store
 
+LineUp = Callable[[int, str], float]
+"""What an entry's place on the grid of a track is decided by: its number and the track's name."""
 ROUND = 4096
 """Heats of a round at most; heat k of round n has the draw n * ROUND + k."""
 LEAST_ROUND = 8
@@ -225,10 +228,11 @@ class Season:
             size = 0  # a new league's first entries need not wait for its anchors to be sure
         plans = plans[: ROUND // 2]
         id_of = {entry.number: entry.id for entry in entries}
+        line_up = _line_up(rules, past, roster)
         meetings = past.meetings({id: number for number, id in id_of.items()})
         plans += next_heats(rated, meetings, settings, generator, heats=size)
         return [
-            _heat(plan, rules.hash, number * ROUND + index, id_of)
+            _heat(plan, rules.hash, number * ROUND + index, id_of, line_up)
             for index, plan in enumerate(plans)
         ]
 
@@ -297,11 +301,35 @@ class _Roster:
         return roster
 
 
-def _heat(plan: HeatPlan, ruleset: str, draw: int, id_of: dict[int, str]) -> Heat:
-    grid = tuple(id_of[number] for number in plan.grid)
-    halves = tuple(
-        Half(track, grid[::-1] if half % 2 else grid) for half, track in enumerate(plan.tracks)
-    )
+def _line_up(rules: Ruleset, past: _Past, roster: _Roster) -> LineUp | None:
+    """Return what the grid is sorted by, the smallest first; None where races swap their grids.
+
+    In a reverse grid the entry rated best starts last. In a qualifying format whoever has the best
+    lap of all earlier races on the track starts first, and who has none last.
+    """
+    if rules.format == "reverse":
+        elo = {one.entry: one.elo for one in roster.contenders}
+        return lambda entry, track: elo[entry]
+    if rules.format == "qualifying":
+        laps = standings.Runs.of(past.races, rules.tracks, before=past.before).best_ms
+        known = laps.shape[1]
+        return lambda entry, track: (
+            float(laps[rules.tracks.index(track), entry]) if entry < known else math.inf
+        )
+    return None
+
+
+def _heat(
+    plan: HeatPlan, ruleset: str, draw: int, id_of: dict[int, str], line_up: LineUp | None
+) -> Heat:
+    """Return the heat of a plan; without a line-up every second race has the grid reversed."""
+    halves = []
+    for number, track in enumerate(plan.tracks):
+        grid = plan.grid[::-1] if number % 2 and line_up is None else plan.grid
+        if line_up is not None:
+            grid = sorted(grid, key=lambda entry: line_up(entry, track))
+        halves.append(Half(track, tuple(id_of[entry] for entry in grid)))
+    halves = tuple(halves)
     return Heat(ruleset, halves, draw, "rated" if plan.rated else "validation")
 
 

@@ -91,12 +91,12 @@ class Contender:
 
 @dataclass(frozen=True)
 class HeatPlan:
-    """Races that belong together: two, the second with the grid reversed; one for a validation."""
+    """Races that belong together: two; one for a validation."""
 
     lane: Lane
     """Why it is run."""
     grid: tuple[int, ...]
-    """Entry numbers in grid order of the first race."""
+    """Entry numbers in random order."""
     tracks: tuple[str, ...]
     """Track of each race."""
     rated: bool = True

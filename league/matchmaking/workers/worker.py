@@ -154,6 +154,7 @@ class RaceWorker:
                 "obstacles": rules.obstacles,
                 "obstacle_kind": rules.obstacle_kind,
                 "variation": rules.variation,
+                "format": rules.format,
                 "entries": [
                     {
                         "name": driver.name,
