@@ -28,25 +28,32 @@ NAMES = (
     "training",
     "garage",
     "racing",
+    "mutants",
 )
+BY_NAME_ONLY = ("mutants",)
+"""Run only when they are named: they need a package of their own and an hour."""
 PAGE = Path(__file__).parents[1] / "docs" / "benchmarks.md"
 INTRODUCTION = """# Benchmarks
 
 `python -m benchmarks --write` writes this page; with names, `--write cameras races`, it replaces
-these sections only. Each benchmark in `benchmarks/` checks that its result is sane. Times are wall
-time unless a row says otherwise; ratios are taken side by side in one run. The machine is shared,
-and its pace drifts by 20 % and more, so a figure near its goal may fall on either side of it.
+these sections only. What stands under "Written by hand" is kept. Each benchmark in `benchmarks/`
+checks that its result is sane. Times are wall time unless a row says otherwise; ratios are taken
+side by side in one run. The machine is shared, and its pace drifts by 20 % and more, so a figure
+near its goal may fall on either side of it.
 """
+BY_HAND = "# Written by hand"
 MISSED = re.compile(r"^\| (.+?) \| (.+?) \| (.+?) \| not met \|$", re.MULTILINE)
 
 
-def sections(page: str) -> dict[str, str]:
-    """Return the sections of a page by the name of their benchmark."""
-    parts = re.split(r"^## (\w+)$", page, flags=re.MULTILINE)
-    return dict(zip(parts[1::2], (text.strip() for text in parts[2::2]), strict=True))
+def sections(page: str) -> tuple[dict[str, str], str]:
+    """Return the sections of a page by the name of their benchmark, and what is written by hand."""
+    generated, _, by_hand = page.partition(f"\n{BY_HAND}\n")
+    parts = re.split(r"^## (\w+)$", generated, flags=re.MULTILINE)
+    found = dict(zip(parts[1::2], (text.strip() for text in parts[2::2]), strict=True))
+    return found, by_hand.strip()
 
 
-def page_of(found: dict[str, str]) -> str:
+def page_of(found: dict[str, str], by_hand: str = "") -> str:
     """Return the page that is made of sections, with all goals that were missed at its head."""
     missed = [
         f"| {name} | {figure} | {measured} | {goal} |"
@@ -57,9 +64,11 @@ def page_of(found: dict[str, str]) -> str:
         ["| benchmark | figure | measured | goal |", "|---|---|--:|--:|"] if missed else ["None."]
     )
     bodies = [f"## {name}\n\n{found[name]}" for name in NAMES if name in found]
-    return "\n".join(
-        (INTRODUCTION, "# Goals that were missed\n", *head, *missed, "", "# Figures", "")
-    ) + "\n\n".join(("", *bodies, ""))
+    return (
+        "\n".join((INTRODUCTION, "# Goals that were missed\n", *head, *missed, "", "# Figures", ""))
+        + "\n\n".join(("", *bodies, *((BY_HAND, by_hand) if by_hand else ())))
+        + "\n"
+    )
 
 
 def write(name: str, text: str) -> None:
@@ -68,10 +77,11 @@ def write(name: str, text: str) -> None:
     summary = source.split("\n\n")[0].replace("\n", " ")
     command = f"`python -m benchmarks {name}`, {datetime.now(UTC):%Y-%m-%d}"
     head = f"{summary}\n\n{command}; {report.machine()}."
-    found = sections(PAGE.read_text(encoding="utf-8")) if PAGE.exists() else {}
+    page = PAGE.read_text(encoding="utf-8") if PAGE.exists() else ""
+    found, by_hand = sections(page)
     found[name] = f"{head}\n\n{text}"
     with replacing(PAGE, "the page", LeagueError) as new:
-        new.write_text(page_of(found), encoding="utf-8")
+        new.write_text(page_of(found, by_hand), encoding="utf-8")
 
 
 def main() -> None:
@@ -84,7 +94,7 @@ def main() -> None:
     if unknown:
         parser.error(f"unknown: {', '.join(sorted(unknown))}; choose from {', '.join(NAMES)}")
     print(report.machine())
-    for name in given.names or NAMES:
+    for name in given.names or (name for name in NAMES if name not in BY_NAME_ONLY):
         importlib.import_module(f"benchmarks.{name}").main()
         text = report.taken()
         if given.write:
