@@ -1,10 +1,10 @@
-# The workshop in a few words: make race | league | serve | test | sync | format | check | type | bench | clean
+# The workshop in a few words: make race | league | serve | test | sync | format | check | type | bench | mutants | clean
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 # Torch on a few cores: waiting threads must not spin.
 export OMP_WAIT_POLICY = PASSIVE
 
-.PHONY: race league serve test torchrl sync format check type bench clean
+.PHONY: race league serve test torchrl sync format check type bench mutants clean
 
 race: sync
 	$(BIN)/league race duelist racer --track reinvent_2018
@@ -55,6 +55,11 @@ type: sync
 
 bench: sync
 	$(BIN)/python -m benchmarks
+
+# An hour or more: how many small faults the tests catch, into docs/benchmarks.md.
+mutants: sync
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[dev,mutants]"
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks --write mutants
 
 clean:
 	rm -rf .venv dist build .pytest_cache .ruff_cache

@@ -1,0 +1,206 @@
+"""How many small faults in the code the tests catch: mutation testing with Cosmic Ray.
+
+A mutant is the code with one change: another comparison, another operator, a number one higher, a
+loop that never runs. The tests of its part should fail. Run it with `make mutants`; it takes an
+hour or more. Parts are chosen for what a fault in them would spoil: races, ratings and results.
+
+The compiled modules run as plain Python (benchmarks/plain_python.py). Tests that take longer than
+a second that way are left out, and so are those that fail without a mutant; types in annotations,
+decorators and changes that Python refuses to parse are no mutants.
+"""
+
+import ast
+import os
+import random
+import re
+import shlex
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import chdir
+from dataclasses import dataclass
+from pathlib import Path
+
+from benchmarks.report import figure, heading, note, table
+from league.errors import LeagueError
+
+ROOT = Path(__file__).parents[1]
+SAMPLE = 40
+"""Mutants of each part."""
+SEED = 0
+GOAL = 85.0
+"""Share that should be caught [%]."""
+LONGEST_S = 240.0
+"""A mutant that runs longer is caught: it does not end."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """Modules and the tests that should notice their faults."""
+
+    modules: tuple[str, ...]
+    """Files or folders of league/."""
+    tests: tuple[str, ...]
+    """Files of tests/."""
+    plain: bool = True
+    """Whether compiled functions run as plain Python."""
+
+
+PARTS = {
+    "referee": Part(("sim/referee.py",), ("sim/test_referee.py", "sim/test_blame.py")),
+    "blame": Part(("sim/blame.py",), ("sim/test_blame.py", "sim/test_referee.py")),
+    "collision": Part(("sim/physics/collision.py",), ("sim/test_contact.py", "sim/test_planar.py")),
+    "bullet": Part(("sim/physics/bullet.py",), ("sim/test_bullet.py",)),
+    "rewards": Part(("envs/rewards.py",), ("envs/test_rewards.py",)),
+    "observations": Part(
+        ("envs/observations.py", "envs/sensor_suite.py"),
+        ("envs/test_observations.py", "envs/test_sensor_suite.py"),
+    ),
+    "ratings": Part(
+        ("matchmaking/ratings/fit.py", "matchmaking/ratings/systems.py",
+         "matchmaking/ratings/pair_counts.py", "matchmaking/ratings/results.py"),
+        ("matchmaking/test_ratings.py",),
+        plain=False,
+    ),
+    "store": Part(
+        ("matchmaking/store",),
+        ("matchmaking/test_store.py", "matchmaking/test_store_blobs.py",
+         "matchmaking/test_store_disputes.py", "matchmaking/test_store_integrity.py",
+         "matchmaking/test_store_keys.py", "matchmaking/test_store_reliability.py"),
+        plain=False,
+    ),
+    "checkpoint": Part(
+        ("agents/checkpoint.py", "agents/torch_archive.py"),
+        ("agents/test_checkpoint.py", "agents/test_hostile_checkpoints.py"),
+        plain=False,
+    ),
+}  # fmt: skip
+_PAIRS = (
+    "Add_Sub", "Sub_Add", "Mul_Div", "Div_Mul", "FloorDiv_Div", "Mod_FloorDiv", "Pow_Mul",
+    "BitAnd_BitOr", "BitOr_BitAnd", "RShift_LShift", "LShift_RShift", "USub_UAdd", "Delete_Not",
+    "Lt_LtE", "Lt_GtE", "LtE_Lt", "LtE_Gt", "Gt_GtE", "Gt_LtE", "GtE_Gt", "GtE_Lt", "Eq_NotEq",
+    "NotEq_Eq", "Is_IsNot", "IsNot_Is", "In_NotIn", "NotIn_In",
+)  # fmt: skip
+"""Replaced operators. Others, as a shift of two floats, fail wherever they are reached."""
+_OTHERS = (
+    "AddNot", "ReplaceTrueWithFalse", "ReplaceFalseWithTrue", "ReplaceAndWithOr",
+    "ReplaceOrWithAnd", "ReplaceBreakWithContinue", "ReplaceContinueWithBreak",
+    "ExceptionReplacer", "NumberReplacer", "ZeroIterationForLoop",
+)  # fmt: skip
+WANTED = re.compile(rf"core/(Replace(\w+)Operator_({'|'.join(_PAIRS)})|{'|'.join(_OTHERS)})$")
+
+
+def annotated(source: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
+    """Return where annotations begin and end, as (line, column)."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        for name in ("annotation", "returns"):
+            if (one := getattr(node, name, None)) is not None:
+                ends = one.end_lineno, one.end_col_offset
+                found.append(((one.lineno, one.col_offset), ends))
+    return found
+
+
+def mutants(paths: list[Path]) -> list:
+    """Return Cosmic Ray's mutations of these files, in the order of files and places."""
+    from cosmic_ray.commands import init
+    from cosmic_ray.work_db import WorkDB, use_db
+
+    with use_db(":memory:", WorkDB.Mode.create) as session:
+        init(paths, session, {})
+        every = [item.mutations[0] for item in session.work_items]
+    spans = {path: annotated(path.read_text(encoding="utf-8")) for path in paths}
+    found = [
+        one
+        for one in every
+        if WANTED.match(one.operator_name)
+        and not any(first <= one.start_pos < last for first, last in spans[one.module_path])
+    ]
+    return sorted(
+        found, key=lambda m: (str(m.module_path), m.start_pos, m.operator_name, m.occurrence)
+    )
+
+
+def sampled(paths: list[Path], number: int) -> Iterator:
+    """Return some mutations that Python can parse, drawn with the fixed seed."""
+    import cosmic_ray.plugins
+    from cosmic_ray.mutating import use_mutation
+
+    drawn = mutants(paths)
+    random.Random(SEED).shuffle(drawn)
+    for one in drawn:
+        operator = cosmic_ray.plugins.get_operator(one.operator_name)()
+        with use_mutation(one.module_path, operator, one.occurrence) as (_, mutated):
+            try:
+                compile(mutated, "", "exec")
+            except SyntaxError:
+                continue
+        yield one
+        number -= 1
+        if number == 0:
+            return
+
+
+def tested(name: str, part: Part) -> tuple[int, int, int]:
+    """Return how many mutants a part has, how many were tried, and how many were caught.
+
+    The working folder is a copy of the repository; each mutant is written into it and taken back.
+    """
+    from cosmic_ray.mutating import mutate_and_test
+    from cosmic_ray.testing import run_tests
+    from cosmic_ray.work_item import TestOutcome
+
+    plugin = "benchmarks.plain_python"
+    os.environ["MUTANTS_RECORD"] = str(Path.cwd() / f"{name}.json")
+    os.environ["NUMBA_DISABLE_JIT"] = str(int(part.plain))
+    options = ["-x", "-p", "no:cacheprovider", "-p", plugin, "-W", "ignore::RuntimeWarning"]
+    options += ["-k", "not postgresql"]
+    files = [f"tests/{test}" for test in part.tests]
+    plain = shlex.join([sys.executable, "-m", "pytest", *options[1:], *files])
+    run_tests(plain, 1200)
+    command = shlex.join([sys.executable, "-m", "pytest", *options, *files])
+    outcome, said = run_tests(command, 1200)
+    if outcome is not TestOutcome.SURVIVED:
+        raise LeagueError(f"the tests of {name} fail without a mutant:\n{said}")
+    given = [Path("league", module) for module in part.modules]
+    paths = [
+        path for one in given for path in (sorted(one.glob("*.py")) if one.is_dir() else [one])
+    ]
+    tried = caught = 0
+    for one in sampled(paths, SAMPLE):
+        result = mutate_and_test([one], command, LONGEST_S)
+        tried, caught = tried + 1, caught + result.is_killed
+        if not result.is_killed:
+            changed = [line for line in (result.diff or "").splitlines() if line[:1] in "+-"]
+            print(f"survived: {one.module_path}:{one.start_pos[0]}", *changed[2:], sep="\n  ")
+        print(f"{name}: {caught} of {tried} caught", flush=True)
+    return len(mutants(paths)), tried, caught
+
+
+def main() -> None:
+    """Print the share of mutants caught, part by part."""
+    heading("Mutants caught by the tests")
+    note(
+        f"{SAMPLE} mutants of each part, drawn with seed {SEED}. Tests slower than a second "
+        "without compilation are left out; a test that they would fail counts as none."
+    )
+    rows = []
+    environment = dict(os.environ)
+    with tempfile.TemporaryDirectory() as folder:
+        for name in ("league", "tests", "tracks", "garage", "benchmarks", "examples"):
+            left = shutil.ignore_patterns("__pycache__", "*.run")
+            shutil.copytree(ROOT / name, Path(folder) / name, ignore=left)
+        shutil.copy(ROOT / "pyproject.toml", folder)
+        os.environ["PYTHONPATH"] = folder
+        try:
+            with chdir(folder):
+                rows = [(name, *tested(name, part)) for name, part in PARTS.items()]
+        finally:
+            os.environ.clear()
+            os.environ.update(environment)
+    row = table("part", "mutants", "tried", "caught", "share")
+    for name, number, tried, caught in rows:
+        row(name, number, tried, caught, f"{100 * caught / tried:.0f} %")
+    tried, caught = (sum(one[k] for one in rows) for k in (2, 3))
+    figure(f"caught of {tried} sampled mutants", 100 * caught / tried, "%", GOAL)

@@ -1,0 +1,65 @@
+"""Plugin of pytest for mutants.py: compiled modules as plain Python, and only fast, sound tests.
+
+The first run writes the tests that pass within a second to the file $MUTANTS_RECORD; later runs
+leave the others out and begin with the fastest.
+"""
+
+import json
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+SLOW_S = 1.0
+RECORD = Path(os.environ["MUTANTS_RECORD"])
+KNOWN: dict[str, float] | None = json.loads(RECORD.read_text()) if RECORD.exists() else None
+passed: dict[str, float] = {}
+"""Time of each test that passed, with its fixtures [s]."""
+failed: set[str] = set()
+
+
+def _plain(function):
+    function.py_func = function
+    return function
+
+
+if os.environ["NUMBA_DISABLE_JIT"] == "1":
+    import league.jit
+
+    league.jit.compiled = league.jit.inner = _plain
+    import league.agents.policy
+    import league.agents.scripted
+    import league.envs.race_env
+    import league.sim.physics.bullet
+
+    # Records of plain Python have their fields as attributes, as compiled code reads them.
+    for name, module in list(sys.modules.items()):
+        if name.startswith("league."):
+            for key, value in list(vars(module).items()):
+                if isinstance(value, np.dtype) and value.names:
+                    setattr(module, key, np.dtype((np.record, value)))
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Keep the tests that are known to pass fast, fastest first."""
+    if KNOWN is not None:
+        config.hook.pytest_deselected(items=[one for one in items if one.nodeid not in KNOWN])
+        items[:] = sorted(
+            (one for one in items if one.nodeid in KNOWN), key=lambda one: KNOWN[one.nodeid]
+        )
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """Note how long a test took, and whether it passed."""
+    passed[report.nodeid] = passed.get(report.nodeid, 0.0) + report.duration
+    if not report.passed:
+        failed.add(report.nodeid)
+
+
+def pytest_sessionfinish() -> None:
+    """Write the first run's tests."""
+    if KNOWN is None:
+        fast = {one: took for one, took in passed.items() if took <= SLOW_S and one not in failed}
+        RECORD.write_text(json.dumps(fast))
