@@ -101,6 +101,50 @@ def test_heats_fit_80_columns(told, monkeypatch):
     assert "validation" in text and "…" not in text and max(map(len, text.splitlines())) <= 80
 
 
+@pytest.mark.parametrize(
+    ("command", "heads"),
+    [
+        ("standings", "entry Elo by state races best lap placement"),
+        ("entries", "name owner state id kind submitted placement"),
+        ("heats --limit 100", "heat grid purpose state track validation rated reinvent_2018"),
+        ("heat 5", "entry slot laps time off crash passed"),
+        ("show ann", "entry owner Elo races points promised residual"),
+        ("h2h", "entry 1 2 3"),
+        ("history ann", "heat races Elo, between"),
+    ],
+)
+def test_tables_of_sixty_columns_have_all_their_words_whole(told, monkeypatch, command, heads):
+    monkeypatch.setenv("COLUMNS", "60")
+    text = told(*command.split())
+    assert "…" not in text
+    assert set(heads.split()) <= set(text.split()), text
+    assert any(name in text.split() for name in ("ann", "centerline")), text
+
+
+def test_standings_of_long_names_fit_60_columns(told, league, monkeypatch, capsys):
+    from league.cli.season.standings import standings_table
+    from league.matchmaking import standings
+    from league.matchmaking.store import Store
+
+    monkeypatch.setenv("COLUMNS", "60")
+    with Store(f"sqlite:///{league / 'league.db'}") as store:
+        table = standings.of(store)
+    wide = {"name": "n" * 30, "state": "provisional", "anchor": False, "connected": False}
+    far = {"listed_by": -123.0, "rank": 10, "races": 12345}
+    rows = [replace(row, **wide, **far, best_laps_s={"reinvent_2018": 59.0}) for row in table.rows]
+    tables.console().print(standings_table(replace(table, rows=tuple(rows))))
+    text = capsys.readouterr().out
+    assert "…" not in text and text.count("nnnnnnnn ") == 3
+    assert {"provisional", "12345", "-123", "0:59.000"} <= set(text.split())
+
+
+def test_matrix_shows_as_many_entries_as_there_is_room_for(told, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "36")
+    assert told("h2h").splitlines()[2].split() == ["entry", "1", "2"]
+    monkeypatch.setenv("COLUMNS", "60")
+    assert told("h2h").splitlines()[2].split() == ["entry", "1", "2", "3"]
+
+
 def test_a_rating_apart_from_the_anchor_has_its_sign_explained(told, tmp_path):
     url = f"sqlite:///{tmp_path / 'new.db'}"
     told("init", "--league", url, "--anchors", "centerline", "cautious")

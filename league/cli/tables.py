@@ -28,12 +28,16 @@ def console(*, stderr: bool = False) -> Console:
     return Console(stderr=stderr, markup=False, emoji=False, highlight=False)
 
 
+def is_narrow() -> bool:
+    """Return whether less than 80 columns are there: then tables leave out what is least needed."""
+    return console().width < 80
+
+
 def table(title: str, *columns: str) -> Table:
     """Return an empty table: columns of words are set to the left and wrap, numbers never do."""
     from rich import box
     from rich.table import Table
 
-    narrow = console().width < 80
     table = Table(
         title=spelled(title),
         title_justify="left",
@@ -41,7 +45,7 @@ def table(title: str, *columns: str) -> Table:
         header_style="dim",
         box=box.SIMPLE_HEAD,
         pad_edge=False,
-        padding=(0, 0) if narrow else (0, 1),
+        padding=(0, 0) if is_narrow() else (0, 1),
     )
     for number, column in enumerate(columns):
         if number < 2 or column in ("title", "driven", "how it drives"):

@@ -66,16 +66,16 @@ class Heats(Reading):
         if self.json:
             season.print_json([documents.heat_document(record, names) for record in records])
             return 0
-        table = tables.table("Heats", "heat", "grid", "purpose", "state", "track", "done")
+        when = () if tables.is_narrow() else ("done",)
+        table = tables.table("Heats", "heat", "grid", "purpose", "state", "track", *when)
         table.padding = (0, 0)  # the box leaves space enough between columns
         table.columns[1].no_wrap = False  # eight names do not fit one line
         for record in records:
             half = record.heat.halves[0]
             grid = " - ".join(names[id] for id in half.grid)
-            done = times.day(record.done_s)[5:]
-            table.add_row(
-                str(record.number), grid, record.heat.purpose, record.state, half.track, done
-            )
+            done = [times.day(record.done_s)[5:]] if when else []
+            what = record.heat.purpose, record.state, half.track
+            table.add_row(str(record.number), grid, *what, *done)
         tables.console().print(table)
         return 0
 

@@ -20,6 +20,12 @@ if TYPE_CHECKING:
     from league.matchmaking.store import Entry, Store
 
 
+WIDE_ONLY = ("owner", "DNF", "ranks")
+"""Columns of the standings that narrow terminals leave out."""
+NAMES_WIDTH, CELL_WIDTH = 18, 8
+"""Of the matrix of all against all, with the gaps between columns."""
+
+
 @dataclass
 class ShowStandings(Reading):
     """Rate all entries from all races, and print the table."""
@@ -68,7 +74,7 @@ class HeadToHead(Reading):
     other: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[B]")] = ""
     """Name or id."""
     top: int = 8
-    """Size of the matrix, where no names are given."""
+    """Largest size of the matrix, where no names are given; less where there is no room."""
 
     def run(self) -> int:
         """Run the command."""
@@ -127,17 +133,18 @@ def document(store: Store) -> dict[str, object] | None:
 
 
 def standings_table(rated: Standings, limit: int | None = None) -> RenderableType:
-    """Return the standings as a table that fits 80 columns; wider terminals show longer names."""
-    name_width = min(24, max(8, tables.console().width - 68))
-    drawn = tables.table(
-        "Standings", "", "entry", "owner", "Elo ± 95 %", "by", "state", "races", "DNF",
-        "best lap", "ranks",
+    """Return the standings as a table that fits 60 columns; in 80 it shows more."""
+    narrow, width = tables.is_narrow(), tables.console().width
+    name_width = min(24, max(8, width - (52 if narrow else 68)))
+    columns = (
+        "", "entry", "owner", "Elo ± 95 %", "by", "state", "races", "DNF", "best lap", "ranks",
     )  # fmt: skip
+    left_out = WIDE_ONLY if narrow else ()
+    drawn = tables.table("Standings", *(one for one in columns if one not in left_out))
     drawn.padding = (0, 0)  # the box leaves space enough between columns
     for row in rated.rows[:limit]:
         flags = "!" * row.one_sided + "~" * (not row.connected)
-        ranks = f"{row.best_rank}-{row.worst_rank}" if row.best_rank < row.worst_rank else ""
-        drawn.add_row(
+        cells = (
             str(row.rank),
             row.name[:name_width],
             row.owner[:6],
@@ -147,8 +154,10 @@ def standings_table(rated: Standings, limit: int | None = None) -> RenderableTyp
             str(row.races),
             "" if row.unfinished is None else f"{100 * row.unfinished:.0f}%",
             _best_lap(row, rated.tracks),
-            ranks,
+            f"{row.best_rank}-{row.worst_rank}" if row.best_rank < row.worst_rank else "",
         )
+        shown = zip(columns, cells, strict=True)
+        drawn.add_row(*(cell for column, cell in shown if column not in left_out))
     return drawn
 
 
@@ -166,7 +175,9 @@ def _notes(rated: Standings) -> list[str]:
         f"{front[0] - front[-1]:+.0f} Elo over its end.",
         "by: what the table is sorted by, Elo, or Elo - 2 sd while that is above 50 (or ~)",
         "! won or lost every pair",
-        "ranks: those the races allow   DNF: races not finished",
+        f"{', '.join(WIDE_ONLY)}: in 80 columns and more, and in `league show ENTRY`"
+        if tables.is_narrow()
+        else "ranks: those the races allow   DNF: races not finished",
     ]
     if len(rated.tracks) > 1:
         lines.append(f"best lap: on {rated.tracks[0]}; `league show ENTRY` shows those on others")
@@ -262,7 +273,7 @@ def _matrix(store: Store, top: int, as_json: bool) -> int:
     from league.matchmaking import documents, standings
 
     rated = standings.of(store)
-    rows = rated.rows[:top]
+    rows = rated.rows[: min(top, max(2, (tables.console().width - NAMES_WIDTH) // CELL_WIDTH))]
     pairs = list(combinations(rows, 2))
     forth = [standings.head_to_head(rated, one.number, other.number) for one, other in pairs]
     if as_json:
