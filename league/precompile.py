@@ -178,6 +178,23 @@ def _cameras() -> None:
         PaintRenderer(_tracks(), sim, camera, None).render(world, 0)
 
 
+def _videos() -> None:
+    """What films draw on whole pictures."""
+    import numpy as np
+
+    from league.sim.camera import raster
+    from league.sim.camera.stage import NEAR
+    from league.video.pixels import draw_floor, mix
+
+    texture = raster.Texture(np.zeros(4, np.uint32), 2, 0.0, 0.0, 0.1)
+    pose = raster.Pose(0.0, 0.0, 0.5, 1.0, 0.0, 1.0, 0.0)
+    optics = raster.Optics(1.0, 1.0, 1.0, np.zeros(1), 3, NEAR)
+    picture = np.zeros((4, 4, 3), np.uint8)
+    draw_floor(picture.reshape(4, -1), 3, 4, texture, optics, pose)
+    for paint in (picture.copy(), np.broadcast_to(picture[0, 0], picture.shape)):
+        mix(picture[:2, :2], paint[:2, :2], np.zeros((4, 4), np.uint8)[:2, :2], 256)
+
+
 def _places() -> None:
     """Places along tracks, as replays and evaluations look them up."""
     import numpy as np
@@ -206,6 +223,7 @@ PARTS: dict[str, Callable[[], None]] = {
     "worlds": _worlds,
     "scripted": _scripted,
     "cameras": _cameras,
+    "videos": _videos,
     "policies": _policies,
     "places": _places,
     "bullet": _bullet,
@@ -213,7 +231,7 @@ PARTS: dict[str, Callable[[], None]] = {
 }
 GROUPS = (
     ("worlds",),
-    ("scripted", "cameras", "policies", "places"),
+    ("scripted", "cameras", "videos", "policies", "places"),
     ("bullet", "reward_functions"),  # these need what `worlds` compiles
 )
 """Parts that one process compiles; on two cores the first two groups take equally long."""

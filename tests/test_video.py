@@ -9,11 +9,14 @@ from recorded import by_hand, moved, raced
 from league import video
 from league.errors import ReplayError
 from league.replay import story
+from league.sim.camera import raster
+from league.sim.camera.paint_renderer import Painter
 from league.sim.camera.scene import CAR_COLOURS
 from league.video import hud
 from league.video.film import Film
 from league.video.hud import clock
 from league.video.mp4 import Coding, Mp4
+from league.video.pixels import mix
 
 
 def driving(frames: int = 8):
@@ -175,3 +178,24 @@ def test_torch_threads_are_left_alone():
     before = torch.get_num_threads()
     video.still(driving(2), 0.0, size=(320, 180))
     assert torch.get_num_threads() == before
+
+
+@pytest.mark.parametrize("time_s", [0.0, 0.4])
+def test_floor_of_a_film_is_that_of_the_cameras_to_the_last_bit(time_s):
+    made = Film(driving(3), (640, 360))
+    pose = raster.Pose(*made._replay.track.center[round(30 * time_s)], 0.56, 0.8, 0.6, 0.96, 0.28)
+    wanted = np.empty((1, 360, 640, 3), np.uint8)
+    Painter.paint(made._painter, wanted, pose, made._painter._floor, [])
+    assert len(np.unique(wanted[0, 200:])) > 20
+    np.testing.assert_array_equal(made._painter.picture(pose, []), wanted[0])
+
+
+@pytest.mark.parametrize("opacity", [1.0, 0.72])
+def test_paint_is_mixed_by_the_share_that_covers(opacity):
+    draw = np.random.default_rng(0)
+    picture, paint = draw.integers(0, 256, (2, 40, 30, 3), np.uint8)
+    mask = draw.integers(0, 256, (40, 30), np.uint8)
+    before = picture.astype(int)
+    mix(picture, paint, mask, round(256 * opacity))
+    share = mask[..., None].astype(int) * round(256 * opacity) // 256
+    np.testing.assert_array_equal(picture, (share * paint + (255 - share) * before) // 255)

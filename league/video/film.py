@@ -8,18 +8,24 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 from av.error import FFmpegError
 
 from league.atomic_file import replacing
 from league.errors import ReplayError
 from league.replay import Replay, story
-from league.sim.camera.paint_renderer import PaintRenderer
+from league.sim.camera import raster
+from league.sim.camera.ground import Floor, floor_of
+from league.sim.camera.paint_renderer import Painter
+from league.sim.camera.stage import Lens, Stage, Thing
 from league.sim.config import CameraConfig
 from league.sim.records import CAR
 from league.sim.world import World
+from league.track.track import Rgb
 from league.video.hud import Hud
-from league.video.mp4 import Coding, Mp4, interleaved
+from league.video.mp4 import Coding, Mp4
+from league.video.pixels import draw_floor, packed
 
 SIZE = (1280, 720)
 FPS = 30
@@ -36,7 +42,8 @@ VIEW = 1.15
 WALL_GAP = 0.06
 """How near to the wall it goes [m]."""
 BATCH = 8
-CODING = Coding(crf=25, preset="veryfast")
+CODING = Coding(crf=25, preset="superfast")
+"""As fine as "veryfast" in three fifths of its time; the file is half as large again."""
 
 
 class Film:
@@ -68,7 +75,11 @@ class Film:
         )
         red, green, blue = (round(DARK * part) for part in replay.track.colours.wall)
         sky = (red, green, blue)
-        self._renderer = PaintRenderer(replay.tracks, replay.sim, camera, sky=sky)
+        lens = Lens.of(camera)
+        floor = floor_of(replay.track, lens, ABOVE, TILT, colour=True)
+        self._camera, self._painter = camera, _FloorFirst(lens, floor, sky)
+        # OpenCV's own threads cost more than they bring at these sizes.
+        cv2.setNumThreads(1)
         self._size = size
         self.ends_s = min(story.decided_s(replay) + story.AFTER_FINISH_S, replay.duration_s)
         """When the classification is shown: shortly after the last fight is decided [s]."""
@@ -79,10 +90,11 @@ class Film:
         """Return the pictures of these moments, RGB uint8, (height, width, 3) each."""
         world = self._replay.at(times_s)
         x, y, yaw = self._eye(np.clip(times_s, 0.0, self._replay.duration_s))
-        seen = self._renderer.render(_with_eye(world, x, y, yaw), self._replay.num_cars)
+        stage, eye = Stage(self._replay.sim, _with_eye(world, x, y, yaw)), self._replay.num_cars
         pictures = []
         for row, time_s in enumerate(times_s):
-            picture = interleaved(seen[row])
+            pose = stage.camera(row, eye, self._camera)
+            picture = self._painter.picture(pose, stage.things(row, without=eye))
             if time_s > self.ends_s:
                 self._hud.draw_result(picture)
             else:
@@ -124,6 +136,29 @@ class Film:
         x = np.clip(x, x_min + WALL_GAP, x_max - WALL_GAP)
         y = np.clip(y, y_min + WALL_GAP, y_max - WALL_GAP)
         return x, y, yaw
+
+
+class _FloorFirst(Painter):
+    """Paints whole pictures in colour of one track, the floor with the faster code."""
+
+    def __init__(self, lens: Lens, floor: Floor, sky: Rgb) -> None:
+        super().__init__(lens, gray=False, sky=sky)
+        # Whole rows are copied much faster than single pixels.
+        self._sky = np.full((lens.width, 3), sky, np.uint8)
+        self._floor = floor
+        self._levels = [packed(texture) for texture in floor.ground.levels]
+
+    def picture(self, pose: raster.Pose, things: list[Thing]) -> np.ndarray:
+        """Return what is seen from a place, RGB uint8, (height, width, 3)."""
+        lens, floor = self._lens, self._floor
+        picture = np.empty((lens.height, lens.width, 3), np.uint8)
+        top = self._first_floor_row(pose, floor.ground.room)
+        flat = picture.reshape(lens.height, -1)
+        for start, stop, level in floor.bands:
+            if stop > top:
+                draw_floor(flat, max(start, top), stop, self._levels[level], self._optics, pose)
+        self.paint(picture[None], pose, floor._replace(bands=()), things)
+        return picture
 
 
 def render(
@@ -172,7 +207,7 @@ def still(replay: Replay, time_s: float, *, size: tuple[int, int] = SIZE) -> np.
 def _with_eye(world: World, x: np.ndarray, y: np.ndarray, yaw: np.ndarray) -> World:
     """Return the worlds with one more, invisible car, which carries the chase camera.
 
-    So the renderer of the cars' own cameras draws the film.
+    So the film is drawn as the cars' own cameras are.
     """
     cars = np.zeros((world.num_worlds, world.num_cars + 1), CAR)
     cars[:, :-1] = world.cars

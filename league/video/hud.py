@@ -15,6 +15,7 @@ from league.sim.camera.top_view import draw_things
 from league.sim.world import World
 from league.track.markings import Plan
 from league.track.track import Rgb
+from league.video.pixels import mix
 
 WHITE: Rgb = (244, 246, 248)
 DIM: Rgb = (168, 178, 188)
@@ -318,9 +319,7 @@ def put_picture(picture: np.ndarray, inset: np.ndarray, x: int, y: int, *, radiu
     height, width = inset.shape[:2]
     mask = _rounded(width, height, radius)
     region = picture[y : y + height, x : x + width]
-    share = mask[: region.shape[0], : region.shape[1], None].astype(np.uint16)
-    visible = inset[: region.shape[0], : region.shape[1]]
-    region[:] = ((visible * share + region * (255 - share)) // 255).astype(np.uint8)
+    mix(region, inset[: region.shape[0], : region.shape[1]], mask, 256)
 
 
 def _blend(
@@ -333,8 +332,5 @@ def _blend(
     if left >= right or top >= bottom:
         return
     region = picture[top:bottom, left:right]
-    covered = mask[top - y : bottom - y, left - x : right - x, None].astype(np.uint16)
-    share = (covered * round(256 * opacity)) >> 8
-    region[:] = ((np.array(colour, np.uint16) * share + region * (255 - share)) // 255).astype(
-        np.uint8
-    )
+    paint = np.broadcast_to(np.array(colour, np.uint8), region.shape)
+    mix(region, paint, mask[top - y : bottom - y, left - x : right - x], round(256 * opacity))

@@ -74,7 +74,7 @@ class HeadToHead(Reading):
     other: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[B]")] = ""
     """Name or id."""
     top: int = 8
-    """Largest size of the matrix, where no names are given; less where there is no room."""
+    """Largest size of the matrix, where no names are given; less where there is no space."""
 
     def run(self) -> int:
         """Run the command."""
