@@ -332,6 +332,22 @@ def test_immobilised_fires_on_the_fifteenth_step_without_movement(straight, num_
     assert world.cars["immobilised"].tolist() == [[1]] * num_worlds
 
 
+@pytest.mark.parametrize(("step_m", "fires"), [(0.00028, True), (0.00032, False)])
+def test_who_creeps_by_more_than_a_third_of_a_millimetre_a_step_is_not_immobilised(
+    straight, step_m, fires
+):
+    # Standing still is at most 0.3 mm a step, 4.5 mm/s.
+    tracks = straight()
+    world = put_cars(tracks, ALONE, [(3.0, 0.3)])
+    world.cars["x"] = x = np.float32(3.0)
+    for _ in range(15):
+        after = world.copy()
+        after.cars["x"] = x = x + np.float32(step_m)
+        after.worlds["step"] += 1
+        verdict, world = Stages(tracks, ALONE).judge(world, after)
+    assert verdict["immobilised"].tolist() == [[fires]]
+
+
 def test_one_movement_starts_the_count_of_standing_again(straight):
     tracks = straight()
     world = put_cars(tracks, ALONE, [(3.0, 0.3)])
