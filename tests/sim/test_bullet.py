@@ -1,3 +1,4 @@
+import copy
 import hashlib
 import math
 import subprocess
@@ -153,6 +154,27 @@ def test_cars_that_meet_head_on_climb_each_other():
     assert floor.notes["cars"].any(axis=(0, 2)).all()
     assert (seen["z"].max(axis=(0, 2)) > 0.02).sum() >= 3
     assert (seen["pitch"].min(axis=(0, 2)) < -0.2).sum() >= 3
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3, 0.6])
+def test_friction_between_cars_is_the_coefficient_times_what_presses_them_together(friction):
+    sim = settings(2, contact=ContactConfig(friction=friction))
+    floor = Floor(sim).put(y=[0.0, 0.2], velocity_x=[2.0, 0.0], velocity_y=[1.0, 0.0], grip=0.05)
+    hit = floor.drive(1, speed=[2.0, 0.0])[0, 0, 1]
+    # Equal masses: speeds handed over are impulses; the other car's tyres take a little of them.
+    assert hit["velocity_y"] > 0.5
+    assert hit["velocity_x"] / hit["velocity_y"] == pytest.approx(friction, abs=0.06)
+
+
+@pytest.mark.parametrize(("gap", "touch"), [(2.0, False), (0.33, True)])
+def test_copy_goes_on_to_the_same_bits_unless_cars_touch(gap, touch):
+    floor = Floor(settings(2)).put(x=[-gap, 0.0], y=[0.0, 0.03])
+    floor.drive(15, speed=[2.0, 0.5])
+    other = copy.deepcopy(floor)
+    one, two = floor.drive(1, speed=[2.0, 0.5]), other.drive(1, speed=[2.0, 0.5])
+    assert floor.notes["cars"].any() == touch
+    assert all((one[name] == two[name]).all() for name in one.dtype.names) != touch
+    assert np.abs(one["roll_rate"] - two["roll_rate"]).max() < 0.01
 
 
 def test_car_that_lands_on_another_stands_on_it_and_both_know():

@@ -196,7 +196,11 @@ class BulletSolver:
                 pybullet.disconnect(physicsClientId=self._clients.pop())
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what a copy or a pickle keeps: it gets simulations of its own."""
+        """Return what a copy or a pickle keeps: it gets simulations of its own.
+
+        These remember no contacts, from which Bullet begins its next solution: cars that touch go
+        on a little otherwise, all others to the same bits.
+        """
         state = {**vars(self), "num_worlds": len(self._clients)}
         del state["_clients"], state["_stages"]
         return state
