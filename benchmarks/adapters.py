@@ -11,6 +11,7 @@ by a driver that follows the centreline, so no driver is in the figures.
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import os
 import subprocess
@@ -19,6 +20,7 @@ import time
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -181,6 +183,38 @@ def gymnasium_vector(num_envs: int = 64, steps: int = 30) -> Drive:
     return Drive(num_envs * steps, lambda: env.reset(seed=1), run, lambda: last[0])
 
 
+def sb3(batched: bool, num_envs: int = 16, steps: int = 30) -> Drive:
+    """Drive time trials with cameras as SB3 does: in one batch, or as single environments."""
+    from stable_baselines3.common.vec_env import DummyVecEnv
+
+    from league.envs import SB3VecEnv
+    from league.envs.adapters.gym_env import GymEnv
+
+    guide = SB3VecEnv(num_envs, sensors=(), privileged=True, laps=100)
+    if batched:
+        env: Any = SB3VecEnv(num_envs, sensors=(_camera(),), laps=100)
+    else:
+        env = DummyVecEnv([lambda: GymEnv(sensors=(_camera(),), laps=100)] * num_envs)
+    guide.seed(1)
+    told: Any = guide.reset()
+    actions = []
+    for _ in range(steps):
+        actions.append(follow(told["state"]))
+        told = guide.step(actions[-1])[0]
+    last: Any = None
+
+    def start() -> None:
+        env.seed(1)
+        env.reset()
+
+    def run() -> None:
+        nonlocal last
+        for action in actions:
+            last = env.step(action)
+
+    return Drive(num_envs * steps, start, run, lambda: last[0])
+
+
 def decision(times: int = 300) -> Drive:
     """Have a policy with cameras of 64x48 decide for one car."""
     from league.agents import roster
@@ -219,6 +253,8 @@ class Row:
     """Least rate [1/s]."""
     unit: str = "steps/s"
     threads: int = 1
+    needs: str = ""
+    """A package that may be missing; then the row is left out."""
 
 
 CARS, WORLDS = (1, 2, 4, 8), (1, 4, 16, 64, 256, 1024, 4096, 16384)
@@ -236,6 +272,12 @@ ROWS = (
     Row("Gymnasium, time trial without cameras", lambda: gymnasium_env(()), 15_000),
     Row("Gymnasium, time trial with 64x48 stereo", lambda: gymnasium_env((_camera(),)), 7_000),
     Row("Gymnasium, 64 worlds with 64x48 stereo", gymnasium_vector, 25_000, "car-steps/s"),
+    Row("SB3VecEnv, 16 worlds, 64x48 stereo", partial(sb3, True), needs="stable_baselines3"),
+    Row(
+        "SB3's DummyVecEnv of 16 single environments, 64x48 stereo",
+        partial(sb3, False),
+        needs="stable_baselines3",
+    ),
     Row("4,096 x 2, one core", lambda: race_env(4096, 2, 10), 1_200_000, "car-steps/s"),
     Row("4,096 x 2, two cores", lambda: race_env(4096, 2, 10), 2_200_000, "car-steps/s", 2),
     Row(
@@ -336,12 +378,15 @@ def main(arguments: Sequence[str] = ()) -> None:
     if given.row:
         print(json.dumps(measure(rows[given.row])))
         return
-    from benchmarks.report import figure, heading
+    from benchmarks.report import figure, heading, note
 
     heading("Worlds through each interface")
     costs: dict[str, float] = {}
     for name, row in rows.items():
         if given.only and not any(word in name for word in given.only):
+            continue
+        if row.needs and importlib.util.find_spec(row.needs) is None:
+            note(f"{name}: not measured, for {row.needs} is not installed.")
             continue
         found = show(row, given.against, given.rounds)
         if found is not None:
