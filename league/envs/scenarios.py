@@ -192,7 +192,6 @@ def _draw_spots(attempt, spots, size, standing, abreast, world, points, course, 
         member = place % size
         if member == 0:
             offset = course.length / f32(groups) * f32(place // size)
-        frame = frame_at(points, course, base - offset)
         side = _ONE if (place + attempt) % 2 == 0 else -_ONE
         lane = uniform_of(seed, _LANE, step, place, attempt)
         share = _LANES * (_TWO * lane - _ONE)

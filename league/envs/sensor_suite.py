@@ -12,6 +12,7 @@ from league.envs import observations, state, truth
 from league.envs.config import EnvConfig
 from league.envs.step import over_worlds
 from league.sim.config import CameraConfig
+from league.sim.records import NOBODY
 from league.sim.world import World
 from league.track.track import TrackSet
 
@@ -83,7 +84,8 @@ class SensorSuite:
     def refresh_after(self, verdicts: np.ndarray) -> None:
         """Read the sensors of the cars that the referee has moved next time, due or not."""
         if self._carries:
-            self.refresh(verdicts["crashed"] | verdicts["released"])
+            thrown = verdicts["forced_off"] & (verdicts["crashed_obstacle"] != NOBODY)
+            self.refresh(verdicts["crashed"] | verdicts["released"] | thrown)
 
     def groups(self, world: World, motions: np.ndarray) -> tuple[Groups, ...]:
         """Return each car's groups, views of the last readings and of the live worlds.

@@ -15,6 +15,7 @@ from league.envs.make import sensors_of_car
 from league.envs.race_env import RaceEnv
 from league.errors import ConfigError
 from league.sim.config import LidarConfig, SensorConfig, SimConfig
+from league.sim.records import NOBODY, VERDICT
 from league.track.track import TrackSet
 from league.training.ppo import symmetry
 
@@ -124,3 +125,27 @@ def test_it_is_named_on_the_command_line():
         sensors_of_car("history99")
     with pytest.raises(ConfigError, match="history"):
         replace(CARRIED, history=-1)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "moved"),
+    [
+        ({"crashed": True}, True),
+        ({"released": True}, True),
+        ({"forced_off": True, "crashed_obstacle": 1}, True),  # put behind the obstacle
+        ({"forced_off": True}, False),
+        ({"off_track": True}, False),
+    ],
+)
+def test_a_car_that_the_referee_has_moved_forgets(verdict, moved):
+    env = make(num_worlds=1)
+    for _ in range(4):
+        env.step(drive(env))
+    verdicts = np.zeros((1, 2), VERDICT)
+    verdicts["crashed_obstacle"] = NOBODY
+    for name, value in verdict.items():
+        verdicts[name][0, 0] = value
+    env._sensors.refresh_after(verdicts)
+    env._sensors.observe(env.world)
+    past = env.observations[0]["history"]
+    assert np.array_equal(past, np.tile(reading(env), 3)) == moved

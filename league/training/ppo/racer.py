@@ -32,7 +32,7 @@ ENOUGH, TOO_FEW = 0.5, 0.4
 """Shares of clean attacks above which rivals become faster, and below which slower."""
 PACE_STEP = 0.05
 """How much the rivals' largest top speed changes in a million decisions."""
-FIRST_PACE, LEAST_PACE, RANGE = 0.70, 0.60, 0.25
+FIRST_PACE, LEAST_PACE, RANGE = 0.70, 0.60, 0.15
 """Largest top speed of rivals at first and at least, and how far below it the smallest lies."""
 DEAR = 3.0
 """Price of a contact at the end of the run, as a multiple of its price at the beginning."""
