@@ -1,4 +1,4 @@
-"""The web application: routes, security headers and errors; the pages' data is in pages.py."""
+"""The web application: routes, security headers and errors; the pages are listed in routes.py."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import json
 from collections.abc import Callable
 from http import HTTPStatus
 from importlib import resources
-from typing import Any
 
 import jinja2
 from starlette.applications import Starlette
@@ -25,7 +24,8 @@ from league.errors import LeagueError
 from league.matchmaking.documents import plain
 from league.matchmaking.store import Store
 from league.web import charts
-from league.web.pages import NotFoundError, Pages
+from league.web.reader import NotFoundError, Reader
+from league.web.routes import PAGES, Page
 
 HOSTS = ["127.0.0.1", "localhost"]
 """Names a browser may know this server by; others are web sites that point their name here."""
@@ -45,34 +45,11 @@ STATIC = {
     "icon.svg": "image/svg+xml",
 }
 """All static files, with their types; they are read once, when the program starts."""
-PAGES: dict[str, tuple[str, Callable[[Pages, Request], Any]]] = {
-    "/": ("home.html", lambda pages, _: pages.home()),
-    "/standings": (
-        "standings.html",
-        lambda pages, request: pages.standings(
-            owner=request.query_params.get("owner", ""),
-            kind=request.query_params.get("kind", ""),
-        ),
-    ),
-    "/drivers/{number:int}": (
-        "driver.html",
-        lambda pages, request: pages.driver(request.path_params["number"]),
-    ),
-    "/heats": ("heats.html", lambda pages, _: pages.heats()),
-    "/heats/{number:int}": (
-        "heat.html",
-        lambda pages, request: pages.heat(
-            request.path_params["number"], request.query_params.get("race", "1")
-        ),
-    ),
-    "/tracks": ("tracks.html", lambda pages, _: pages.tracks()),
-}
-"""Template and data of each page; the data alone is at /api/v1 and the same path."""
 
 
 def make_app(store: Store) -> ASGIApp:
     """Return the application that shows a league; it only reads."""
-    pages = Pages(store)
+    reader = Reader(store)
     templates = jinja2.Environment(
         loader=jinja2.PackageLoader("league.web"),
         autoescape=True,
@@ -83,17 +60,17 @@ def make_app(store: Store) -> ASGIApp:
     templates.filters |= {"clock": times.clock, "day": times.day}
     templates.globals["league_name"] = store.settings.name
 
-    def page(template: str, document: Callable[[Pages, Request], Any]) -> Callable:
+    def page(one: Page) -> Callable[[Request], Response]:
         def respond(request: Request) -> Response:
-            content = templates.get_template(template).render(
-                path=request.url.path, query=request.url.query, **document(pages, request)
-            )
-            return HTMLResponse(content)
+            document = one.read(reader, request)
+            path, query = request.url.path, request.url.query
+            template = templates.get_template(one.template)
+            return HTMLResponse(template.render(path=path, query=query, **document))
 
         return respond
 
-    def data(document: Callable[[Pages, Request], Any]) -> Callable:
-        return lambda request: _json(_without_drawings(document(pages, request)))
+    def data(one: Page) -> Callable[[Request], Response]:
+        return lambda request: _json(_without_drawings(one.read(reader, request)))
 
     def failed(request: Request, error: Exception) -> Response:
         status, sentence = _status(error)
@@ -104,16 +81,9 @@ def make_app(store: Store) -> ASGIApp:
         )
         return HTMLResponse(content, status)
 
-    routes = [Route(path, page(*about)) for path, about in PAGES.items()]
-    routes += [
-        Route(f"/api/v1{path.rstrip('/') or '/home'}", data(document))
-        for path, (_, document) in PAGES.items()
-    ]
-    routes += [
-        Route(
-            "/api/v1/heats/{number:int}/races/{race:int}/replay",
-            data(lambda pages, request: pages.replay(**request.path_params)),
-        ),
+    routes = [
+        *(Route(one.path, page(one)) for one in PAGES if one.template),
+        *(Route(one.api_path, data(one)) for one in PAGES),
         *(Route(f"/static/{name}", _static(name)) for name in STATIC),
         Route("/favicon.ico", lambda _: RedirectResponse("/static/icon.svg", 308)),
     ]

@@ -1,0 +1,55 @@
+"""The pages by their addresses: template, data, and what may be asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from starlette.requests import Request
+
+from league.web.pages import driver, heat, heats, home, table, tracks
+from league.web.reader import Document, Reader
+
+
+@dataclass(frozen=True)
+class Page:
+    """One page; its data alone is at /api/v1 and the same path."""
+
+    path: str
+    """As Starlette writes routes."""
+    summary: str
+    """What it shows, in a few words."""
+    document: Callable[..., Document]
+    """Returns its data, from a Reader and the parameters of path and query by their names."""
+    template: str = ""
+    """File of the page; empty for data without a page."""
+    query: Mapping[str, str] = field(default_factory=dict)
+    """Parameters after the question mark, all of them text, each with its meaning."""
+
+    @property
+    def api_path(self) -> str:
+        """Address of its data."""
+        return f"/api/v1{self.path.rstrip('/') or '/home'}"
+
+    def read(self, reader: Reader, request: Request) -> Document:
+        """Return the data that a request asks for."""
+        asked: dict[str, Any] = {name: request.query_params.get(name, "") for name in self.query}
+        return self.document(reader, **request.path_params, **asked)
+
+
+PAGES = (
+    Page("/", "The most contested recent race and the top of the standings", home.document,
+         "home.html"),
+    Page("/standings", "The standings", table.document, "standings.html",
+         {"owner": "Only entries of this owner", "kind": "Only anchor, policy or scripted"}),
+    Page("/drivers/{number:int}", "A driver: rating, history, records, heats, card",
+         driver.document, "driver.html"),
+    Page("/heats", "The newest heats", heats.document, "heats.html"),
+    Page("/heats/{number:int}", "A heat, and one of its races", heat.document, "heat.html",
+         {"race": "Number of the race within the heat, from 1"}),
+    Page("/heats/{number:int}/races/{race:int}/replay", "What the player draws of a race",
+         heat.replay),
+    Page("/tracks", "The tracks, and the fastest laps on each", tracks.document, "tracks.html"),
+)  # fmt: skip
+"""All pages, and data without a page."""
