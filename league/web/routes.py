@@ -8,7 +8,7 @@ from typing import Any
 
 from starlette.requests import Request
 
-from league.web.pages import driver, heat, heats, home, table, tracks
+from league.web.pages import driver, heat, heats, home, matchup, table, tracks
 from league.web.reader import Document, Reader
 
 
@@ -42,9 +42,14 @@ PAGES = (
     Page("/", "The most contested recent race and the top of the standings", home.document,
          "home.html"),
     Page("/standings", "The standings", table.document, "standings.html",
-         {"owner": "Only entries of this owner", "kind": "Only anchor, policy or scripted"}),
+         {"owner": "Only entries of this owner", "kind": "Only anchor, policy or scripted",
+          "track": "Track of the best laps",
+          "against": "Number of a driver: everyone's record against it"}),
     Page("/drivers/{number:int}", "A driver: rating, history, records, heats, card",
          driver.document, "driver.html"),
+    Page("/matchups/{one:int}/{other:int}", "Two drivers: their heats, expected and actual score",
+         matchup.document, "matchup.html",
+         {"before": "Number of a heat: only earlier ones are listed"}),
     Page("/heats", "The newest heats", heats.document, "heats.html"),
     Page("/heats/{number:int}", "A heat, and one of its races", heat.document, "heat.html",
          {"race": "Number of the race within the heat, from 1"}),

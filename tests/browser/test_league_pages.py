@@ -12,8 +12,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 
 from tests.browser import chromium
 from tests.matchmaking.season_kit import Store
-from tests.test_web import rated_heat
-from tests.web_league import raced_league
+from tests.web.small_league import NAME, raced_league, rated_heat
 
 pytestmark = [
     pytest.mark.browser,
@@ -23,7 +22,10 @@ pytestmark = [
     ),
 ]
 PHONE = {"width": 390, "height": 800}
-PATHS = ("/", "/standings", "/drivers/1", "/drivers/3", "/heats", "/heats/{heat}", "/tracks")
+PATHS = (
+    "/", "/standings", "/standings?against=3", "/drivers/1", "/drivers/3", "/matchups/3/1",
+    "/heats", "/heats/{heat}", "/tracks",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -141,13 +143,30 @@ def test_names_with_html_do_nothing_and_phones_need_no_sideways_scroll(
     assert complaints == []
 
 
+def test_a_driver_chosen_in_the_standings_leads_to_its_meetings(browser, origin, complaints):
+    page = opened(browser, origin, complaints, java_script_enabled=False)
+    page.goto("/standings")
+    page.get_by_label("Record against").select_option(label=NAME)
+    page.get_by_role("button", name="Show").click()
+    assert page.locator("tr.chosen td.name").inner_text() == NAME
+    rival = page.locator("tr", has_text="racing_line")
+    points = rival.locator("a[href^='/matchups/']")
+    won = points.inner_text()
+    points.click()
+    assert page.get_by_role("heading", level=1).inner_text() == f"racing_line – {NAME}"
+    assert page.locator(".figures div", has_text="Points").locator("dd").inner_text() == won
+    page.locator("tbody a").first.click()
+    assert "Heat" in page.locator(".lead").inner_text()
+    assert complaints == []
+
+
 def test_everything_but_the_player_works_without_javascript(browser, origin, complaints, store):
     page = opened(browser, origin, complaints, java_script_enabled=False)
     page.goto("/standings")
     page.get_by_label("Kind").select_option("anchor")
-    page.get_by_role("button", name="Filter").click()
+    page.get_by_role("button", name="Show").click()
     assert page.locator("tbody tr").count() == 2
-    page.get_by_role("link", name="racing_line").click()
+    page.get_by_role("link", name="racing_line", exact=True).click()
     assert page.get_by_role("heading", level=1).inner_text() == "racing_line"
     page.goto(f"/heats/{rated_heat(store)}")
     assert page.get_by_text("Classification").is_visible()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from league.matchmaking.documents import heat_document, names_of
-from league.web import charts
+from league.web import charts, race_charts
 from league.web.reader import Document, NotFoundError, Reader, accepted
 from league.web.replay_data import player_data
 
@@ -44,7 +44,7 @@ def document(reader: Reader, number: int, race: str = "") -> Document:
         "recording": result.replay if result else None,
         "disputed": len(results) > len(record.heat.halves),
         "map": charts.track_map(replay.track) if replay else None,
-        "gaps": charts.gap_chart(replay) if replay else None,
+        "gaps": race_charts.gap_chart(replay) if replay else None,
         "events": player_data(replay)["events"] if replay else [],
         "physics": replay.physics if replay else None,
         "league_version": replay.league_version if replay else None,

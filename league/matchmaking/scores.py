@@ -1,0 +1,63 @@
+"""Scores of single races: what an entry made in each, and what the ratings promised."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from league.matchmaking.ratings.fit import expected_score
+from league.matchmaking.standings import Standings
+
+
+@dataclass(frozen=True)
+class RaceScore:
+    """An entry's rated race."""
+
+    heat: int
+    """Number of the heat."""
+    race: int
+    """Number of the race within the heat, from 1."""
+    track: str
+    """Name of the track; empty if it is none of the ruleset's."""
+    points: float
+    """Opponents it came in ahead of, ties half."""
+    expected: float
+    """Points that the ratings promise it, grid slots included."""
+
+
+def race_scores(rated: Standings, number: int, other: int | None = None) -> list[RaceScore]:
+    """Return an entry's rated races, by heat and race.
+
+    Args:
+        rated: the standings.
+        number: of the entry.
+        other: number of the only opponent that counts; by default all count.
+    """
+    races, ratings = rated.races, rated.ratings
+    mine = races.entries == number
+    rows = np.flatnonzero(mine.any(axis=1))
+    if other is not None:
+        rows = rows[(races.entries[rows] == other).any(axis=1)]
+    rows = rows[np.lexsort((races.half[rows], races.heat[rows]))]
+    slot = mine[rows].argmax(axis=1)[:, None]
+    entries, places = races.entries[rows], races.places[rows].astype(int)
+    known = np.searchsorted(ratings.entries, entries).clip(max=len(ratings.entries) - 1)
+    strengths = ratings.elo[known] + ratings.slot_advantages[: entries.shape[1]]
+    counts = (entries >= 0) & (entries != number)
+    if other is not None:
+        counts &= entries == other
+    place = np.take_along_axis(places, slot, axis=1)
+    points = (place < places) + 0.5 * (place == places)
+    expected = expected_score(np.take_along_axis(strengths, slot, axis=1) - strengths)
+    names = dict(enumerate(rated.tracks))
+    return [
+        RaceScore(
+            heat=int(races.heat[row]),
+            race=int(races.half[row]) + 1,
+            track=names.get(int(races.track[row]), ""),
+            points=float(points[at][counts[at]].sum()),
+            expected=float(np.asarray(expected)[at][counts[at]].sum()),
+        )
+        for at, row in enumerate(rows)
+    ]
