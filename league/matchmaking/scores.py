@@ -1,4 +1,4 @@
-"""Scores of single races: what an entry made in each, and what the ratings promised."""
+"""What single races tell: points against those that the ratings promised, and best laps."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from league.matchmaking.ratings.fit import expected_score
 from league.matchmaking.standings import Standings
+from league.matchmaking.store import BEST_MS, KNOWN
 
 
 @dataclass(frozen=True)
@@ -61,3 +62,44 @@ def race_scores(rated: Standings, number: int, other: int | None = None) -> list
         )
         for at, row in enumerate(rows)
     ]
+
+
+@dataclass(frozen=True)
+class BestLap:
+    """An entry's fastest complete lap on a track, penalties included."""
+
+    number: int
+    """Number of the entry."""
+    lap_s: float
+    """[s]."""
+    heat: int
+    """Number of the heat."""
+    race: int
+    """Number of the race within the heat, from 1."""
+
+
+def best_laps(rated: Standings) -> dict[str, list[BestLap]]:
+    """Return the fastest lap of each entry on each track of the ruleset, the fastest first.
+
+    Among equal laps the earlier one counts.
+    """
+    races = rated.races
+    lap_ms = (races.runs & BEST_MS).astype(np.int64)
+    row, slot = np.nonzero(((races.runs & KNOWN) > 0) & (lap_ms > 0))
+    order = np.lexsort((races.half[row], races.heat[row], lap_ms[row, slot]))
+    row, slot = row[order], slot[order]
+    entry, track = races.entries[row, slot], races.track[row]
+    found: dict[str, list[BestLap]] = {}
+    for index, name in enumerate(rated.tracks):
+        on_track = np.flatnonzero(track == index)
+        first = np.sort(np.unique(entry[on_track], return_index=True)[1])
+        found[name] = [
+            BestLap(
+                number=int(entry[at]),
+                lap_s=float(lap_ms[row[at], slot[at]]) / 1000,
+                heat=int(races.heat[row[at]]),
+                race=int(races.half[row[at]]) + 1,
+            )
+            for at in on_track[first]
+        ]
+    return found

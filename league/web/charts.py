@@ -12,8 +12,8 @@ from league.matchmaking.standings import HistoryPoint, Row
 from league.track.track import Track
 
 WIDTH, HEIGHT = 520, 180
-"""Size of a line chart; margins of 44 on the left and 22 below hold the axes' numbers."""
-LEFT, BOTTOM, TOP, RIGHT = 44, 22, 10, 8
+"""Size of a line chart; margins of 50 on the left and 22 below hold the axes' numbers."""
+LEFT, BOTTOM, TOP, RIGHT = 50, 22, 10, 8
 
 
 @dataclass(frozen=True)

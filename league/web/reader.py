@@ -13,7 +13,10 @@ from league.matchmaking import standings
 from league.matchmaking.documents import heat_document, names_of
 from league.matchmaking.standings import Row, Standings
 from league.matchmaking.store import Entry, HeatRecord, Store, StoredResult
+from league.racing_line.lap_bound import lap_bound
 from league.replay import Replay, format
+from league.sim.config import CarConfig
+from league.track.track import Track
 
 FRESH_S = 2.0
 """Standings are computed again when they are older than this [s] and asked for."""
@@ -80,6 +83,12 @@ class Reader:
     def replay(self, digest: str) -> Replay:
         """Return a recording by the hash of its file."""
         return self.kept(("replay", digest), lambda: format.decode(self.store.blobs.get(digest)))
+
+    def bound_s(self, track: Track) -> float | None:
+        """Return the time that no flying lap can beat [s]; None where a track is no loop."""
+        if not track.closed:
+            return None
+        return self.kept(("bound", track.name), lambda: lap_bound(track, CarConfig()))
 
     def kept(self, key: Hashable, make: Callable[[], T]) -> T:
         """Return what `make` returns, made once for each key that was asked for lately.

@@ -160,6 +160,17 @@ def test_a_driver_chosen_in_the_standings_leads_to_its_meetings(browser, origin,
     assert complaints == []
 
 
+def test_a_drivers_best_lap_leads_to_the_race_it_was_driven_in(browser, origin, complaints):
+    page = opened(browser, origin, complaints)
+    page.goto("/drivers/2")
+    laps = page.locator("section", has_text="Best laps")
+    lap = laps.locator("tbody td.number").first.inner_text()
+    laps.locator("tbody a").last.click()
+    page.locator("canvas").wait_for()
+    assert lap in page.locator("section", has_text="Penalties included").inner_text()
+    assert complaints == []
+
+
 def test_everything_but_the_player_works_without_javascript(browser, origin, complaints, store):
     page = opened(browser, origin, complaints, java_script_enabled=False)
     page.goto("/standings")
