@@ -8,6 +8,7 @@ from http import HTTPStatus
 from importlib import resources
 
 import jinja2
+from markupsafe import Markup
 from starlette.applications import Starlette
 from starlette.datastructures import MutableHeaders
 from starlette.exceptions import HTTPException
@@ -42,6 +43,7 @@ HEADERS = {
 STATIC = {
     "style.css": "text/css",
     "player.js": "text/javascript",
+    "heat.js": "text/javascript",
     "icon.svg": "image/svg+xml",
 }
 """All static files, with their types; they are read once, when the program starts."""
@@ -58,14 +60,15 @@ def make_app(store: Store) -> ASGIApp:
         lstrip_blocks=True,
     )
     templates.filters |= {"clock": times.clock, "day": times.day}
-    templates.globals["league_name"] = store.settings.name
+    templates.globals |= {"league_name": store.settings.name, "static": _static_text}
 
     def page(one: Page) -> Callable[[Request], Response]:
         def respond(request: Request) -> Response:
             document = one.read(reader, request)
             path, query = request.url.path, request.url.query
             template = templates.get_template(one.template)
-            return HTMLResponse(template.render(path=path, query=query, **document))
+            content = template.render(path=path, query=query, **document)
+            return HTMLResponse(content, headers=_headers(one, request))
 
         return respond
 
@@ -83,7 +86,7 @@ def make_app(store: Store) -> ASGIApp:
 
     routes = [
         *(Route(one.path, page(one)) for one in PAGES if one.template),
-        *(Route(one.api_path, data(one)) for one in PAGES),
+        *(Route(one.api_path, data(one)) for one in PAGES if not one.file),
         *(Route(f"/static/{name}", _static(name)) for name in STATIC),
         Route("/favicon.ico", lambda _: RedirectResponse("/static/icon.svg", 308)),
     ]
@@ -108,6 +111,11 @@ def _status(error: Exception) -> tuple[int, str]:
     return 503, f"{error}."
 
 
+def _headers(page: Page, request: Request) -> dict[str, str]:
+    name = page.file.format(**request.path_params)
+    return {"Content-Disposition": f'attachment; filename="{name}"'} if name else {}
+
+
 def _json(document: object, status: int = 200) -> Response:
     content = json.dumps(plain(document), ensure_ascii=False, separators=(",", ":"))
     return Response(content, status, media_type="application/json")
@@ -124,8 +132,17 @@ def _without_drawings(value: object) -> object:
     return [_without_drawings(item) for item in value] if isinstance(value, list) else value
 
 
+def _static_text(name: str) -> Markup:
+    """Return a static file to be written into a page."""
+    return Markup(_static_bytes(name).decode())
+
+
+def _static_bytes(name: str) -> bytes:
+    return resources.files("league.web").joinpath("static", name).read_bytes()
+
+
 def _static(name: str) -> Callable[[Request], Response]:
-    content = resources.files("league.web").joinpath("static", name).read_bytes()
+    content = _static_bytes(name)
     # A new version of the program must not meet an old one's script in the browser's cache.
     headers = {"Cache-Control": "no-cache"}
     return lambda _: Response(content, media_type=STATIC[name], headers=headers)

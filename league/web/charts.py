@@ -59,8 +59,12 @@ class Chart:
     height: int = HEIGHT
     left: int = LEFT
     top: int = TOP
-    bottom: int = HEIGHT - BOTTOM
     right: int = WIDTH - RIGHT
+
+    @property
+    def bottom(self) -> int:
+        """Where the axis of x lies."""
+        return self.height - BOTTOM
 
 
 @dataclass(frozen=True)
@@ -83,6 +87,7 @@ def plot(
     down: bool = False,
     whole_x: bool = False,
     whole_y: bool = False,
+    height: int = HEIGHT,
 ) -> Chart:
     """Return a chart of curves.
 
@@ -92,11 +97,12 @@ def plot(
         down: whether y grows downwards.
         whole_x: whether x has whole numbers only.
         whole_y: whether y has.
+        height: of the whole chart.
     """
     xs = [curve.x for curve in curves]
     ys = [*(curve.y for curve in curves), *(band or ())]
     x, x_ticks = _axis(np.concatenate(xs), LEFT, WIDTH - RIGHT, whole=whole_x)
-    ends = (TOP, HEIGHT - BOTTOM) if down else (HEIGHT - BOTTOM, TOP)
+    ends = (TOP, height - BOTTOM) if down else (height - BOTTOM, TOP)
     y, y_ticks = _axis(np.concatenate(ys), *ends, whole=whole_y)
     x_parts = np.split(x, np.cumsum([len(part) for part in xs])[:-1])
     y_parts = np.split(y, np.cumsum([len(part) for part in ys])[:-1])
@@ -104,16 +110,17 @@ def plot(
     if band:
         low, high = y_parts[-2:]
         edges = [np.stack([x_parts[0], high], 1), np.stack([x_parts[0], low], 1)[::-1]]
-        area = f"{_path(np.concatenate(edges), flip=False)}Z"
+        area = f"{path(np.concatenate(edges), flip=False)}Z"
     return Chart(
         lines=tuple(
-            Line(curve.label, _path(np.stack([at, value], 1), flip=False), curve.kind)
+            Line(curve.label, path(np.stack([at, value], 1), flip=False), curve.kind)
             for curve, at, value in zip(curves, x_parts, y_parts, strict=False)
         ),
         x_ticks=x_ticks,
         y_ticks=y_ticks,
         x_range=(min(float(part.min()) for part in xs), max(float(part.max()) for part in xs)),
         band=area,
+        height=height,
     )
 
 
@@ -124,13 +131,13 @@ def track_map(track: Track) -> TrackMap:
     margin = 0.03 * max(width, height)
     box = (x - margin, -(y + height) - margin, width + 2 * margin, height + 2 * margin)
     if track.closed:
-        road = f"{_path(track.left[::2])}Z{_path(track.right[::2])}Z"
+        road = f"{path(track.left[::2])}Z{path(track.right[::2])}Z"
     else:
-        road = f"{_path(np.concatenate([track.left, track.right[::-1]])[::2])}Z"
+        road = f"{path(np.concatenate([track.left, track.right[::-1]])[::2])}Z"
     return TrackMap(
         view_box=" ".join(f"{number:.2f}" for number in box),
         road=road,
-        start=_path(np.stack([track.left[0], track.right[0]])),
+        start=path(np.stack([track.left[0], track.right[0]])),
     )
 
 
@@ -179,11 +186,12 @@ def _axis(
     ticks = np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step
     decimals = max(0, -int(np.floor(np.log10(step))))
     return start + (values - low) * scale, tuple(
-        Tick(round(start + (tick - low) * scale, 1), f"{tick:.{decimals}f}") for tick in ticks
+        Tick(round(start + (tick - low) * scale, 1), f"{round(tick, decimals) + 0.0:.{decimals}f}")
+        for tick in ticks
     )
 
 
-def _path(points: np.ndarray, *, flip: bool = True) -> str:
+def path(points: np.ndarray, *, flip: bool = True) -> str:
     """Return the SVG path along some points; `flip` turns y downwards, as pictures have it."""
     sign = -1 if flip else 1
     return "M" + "L".join(f"{x:.2f} {sign * y:.2f}" for x, y in points)

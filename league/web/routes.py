@@ -24,6 +24,8 @@ class Page:
     """Returns its data, from a Reader and the parameters of path and query by their names."""
     template: str = ""
     """File of the page; empty for data without a page."""
+    file: str = ""
+    """Name under which browsers save the page instead of showing it; may hold path parameters."""
     query: Mapping[str, str] = field(default_factory=dict)
     """Parameters after the question mark, all of them text, each with its meaning."""
 
@@ -42,19 +44,22 @@ PAGES = (
     Page("/", "The most contested recent race and the top of the standings", home.document,
          "home.html"),
     Page("/standings", "The standings", table.document, "standings.html",
-         {"owner": "Only entries of this owner", "kind": "Only anchor, policy or scripted",
+         query={"owner": "Only entries of this owner", "kind": "Only anchor, policy or scripted",
           "track": "Track of the best laps",
           "against": "Number of a driver: everyone's record against it"}),
     Page("/drivers/{number:int}", "A driver: rating, history, records, heats, card",
          driver.document, "driver.html"),
     Page("/matchups/{one:int}/{other:int}", "Two drivers: their heats, expected and actual score",
          matchup.document, "matchup.html",
-         {"before": "Number of a heat: only earlier ones are listed"}),
+         query={"before": "Number of a heat: only earlier ones are listed"}),
     Page("/heats", "The newest heats", heats.document, "heats.html"),
     Page("/heats/{number:int}", "A heat, and one of its races", heat.document, "heat.html",
-         {"race": "Number of the race within the heat, from 1"}),
+         query={"race": "Number of the race within the heat, from 1",
+          "lap": "Number of the lap to compare, from 1; empty for each car's best one"}),
     Page("/heats/{number:int}/races/{race:int}/replay", "What the player draws of a race",
          heat.replay),
+    Page("/heats/{number:int}/races/{race:int}/file", "A file that plays a race without a server",
+         heat.one_file, "one_file.html", file="heat_{number}_race_{race}.html"),
     Page("/tracks", "The tracks, and the fastest laps on each", tracks.document, "tracks.html"),
 )  # fmt: skip
 """All pages, and data without a page."""

@@ -143,6 +143,50 @@ def test_names_with_html_do_nothing_and_phones_need_no_sideways_scroll(
     assert complaints == []
 
 
+def test_keys_lead_to_events_and_charts_follow(browser, origin, complaints, store):
+    page = opened(browser, origin, complaints)
+    page.goto(f"/heats/{rated_heat(store)}")
+    slider = page.locator(".scrub input")
+    slider.wait_for()
+    page.keyboard.press("End")
+    page.keyboard.press("p")
+    before = float(slider.input_value())
+    page.keyboard.press("p")
+    assert 0 <= float(slider.input_value()) < before
+    page.keyboard.press("n")
+    assert float(slider.input_value()) == pytest.approx(before, abs=0.03)
+    chart = page.locator("svg[data-time-from]")
+    now = float(chart.locator(".now").get_attribute("x1"))
+    box = chart.bounding_box()
+    chart.click(position={"x": 0.3 * box["width"], "y": 0.5 * box["height"]})
+    assert (
+        float(chart.locator(".now").get_attribute("x1")) == pytest.approx(0.3 * 520, abs=4) != now
+    )
+    assert page.locator(".events [aria-current=step]").count() == 1
+    assert complaints == []
+
+
+def test_the_downloaded_file_plays_without_a_server(browser, origin, complaints, store, tmp_path):
+    page = opened(browser, origin, complaints)
+    page.goto(f"/heats/{rated_heat(store)}")
+    with page.expect_download() as download:
+        page.get_by_role("link", name="Download as one HTML file").click()
+    path = tmp_path / download.value.suggested_filename
+    download.value.save_as(path)
+    alone = browser.new_context(offline=True).new_page()
+    alone.on("console", lambda message: complaints.append(message.text))
+    alone.on("pageerror", lambda error: complaints.append(str(error)))
+    alone.goto(path.as_uri())
+    canvas = alone.locator("canvas")
+    canvas.wait_for()
+    first = canvas.screenshot()
+    alone.keyboard.press(" ")
+    alone.wait_for_timeout(700)
+    assert canvas.screenshot() != first
+    assert alone.evaluate("window.name") == ""
+    assert complaints == []
+
+
 def test_a_driver_chosen_in_the_standings_leads_to_its_meetings(browser, origin, complaints):
     page = opened(browser, origin, complaints, java_script_enabled=False)
     page.goto("/standings")

@@ -27,3 +27,12 @@ def raced_league(url: str, *, heats: int = 24) -> Store:
 def rated_heat(store: Store) -> int:
     """Return the number of the first heat that counts."""
     return next(one.number for one in store.heats(("done",)) if one.heat.purpose == "rated")
+
+
+def lapped_heat(store: Store) -> int:
+    """Return the number of the first rated heat in whose first race a lap was completed."""
+    for record in store.heats(("done",)):
+        first = store.results(record.number)[0]
+        if record.heat.purpose == "rated" and first.result["order"][0]["lap_times_s"]:
+            return record.number
+    raise AssertionError("no lap was completed")

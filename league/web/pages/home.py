@@ -21,7 +21,7 @@ def document(reader: Reader) -> Document:
         "rules": reader.rules(),
         "counts": counts,
         "races": rated.num_races if rated else 0,
-        "featured": heat.document(reader, *featured) if featured else None,
+        "featured": heat.summary(reader, *featured) if featured else None,
         "scale": charts.interval_scale(rated.rows) if rated else None,
         "rows": rated.rows[:TOP] if rated else (),
         "entries": len(reader.store.entries()),
