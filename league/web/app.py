@@ -44,6 +44,7 @@ STATIC = {
     "style.css": "text/css",
     "player.js": "text/javascript",
     "heat.js": "text/javascript",
+    "live.js": "text/javascript",
     "icon.svg": "image/svg+xml",
 }
 """All static files, with their types; they are read once, when the program starts."""

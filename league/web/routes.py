@@ -8,7 +8,7 @@ from typing import Any
 
 from starlette.requests import Request
 
-from league.web.pages import driver, heat, heats, home, matchup, table, tracks
+from league.web.pages import driver, heat, heats, home, live, matchup, table, tracks
 from league.web.reader import Document, Reader
 
 
@@ -61,5 +61,6 @@ PAGES = (
     Page("/heats/{number:int}/races/{race:int}/file", "A file that plays a race without a server",
          heat.one_file, "one_file.html", file="heat_{number}_race_{race}.html"),
     Page("/tracks", "The tracks, and the fastest laps on each", tracks.document, "tracks.html"),
+    Page("/live", "Running heats, queue, workers, heats per minute", live.document, "live.html"),
 )  # fmt: skip
 """All pages, and data without a page."""

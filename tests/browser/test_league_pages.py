@@ -8,10 +8,13 @@ import sys
 from collections.abc import Iterator
 
 import pytest
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page, expect, sync_playwright
 
+from league.matchmaking import loop
+from league.matchmaking.pairing.matchmaker import Season
+from league.matchmaking.workers.dispatcher import Dispatcher
 from tests.browser import chromium
-from tests.matchmaking.season_kit import Store
+from tests.matchmaking.season_kit import Here, Store
 from tests.web.small_league import NAME, raced_league, rated_heat
 
 pytestmark = [
@@ -24,7 +27,7 @@ pytestmark = [
 PHONE = {"width": 390, "height": 800}
 PATHS = (
     "/", "/standings", "/standings?against=3", "/drivers/1", "/drivers/3", "/matchups/3/1",
-    "/heats", "/heats/{heat}", "/tracks",
+    "/heats", "/heats/{heat}", "/tracks", "/live",
 )  # fmt: skip
 
 
@@ -212,6 +215,16 @@ def test_a_drivers_best_lap_leads_to_the_race_it_was_driven_in(browser, origin, 
     laps.locator("tbody a").last.click()
     page.locator("canvas").wait_for()
     assert lap in page.locator("section", has_text="Penalties included").inner_text()
+    assert complaints == []
+
+
+def test_the_live_page_shows_what_was_raced_since_it_was_opened(browser, origin, store, complaints):
+    page = opened(browser, origin, complaints)
+    page.goto("/live")
+    done = page.locator(".figures div", has_text="Done in all").locator("dd")
+    before = int(done.inner_text())
+    loop.run(store, Dispatcher(store, Here()), Season(store, same_owner=True), heats=1)
+    expect(done).to_have_text(str(before + 1), timeout=20_000)
     assert complaints == []
 
 

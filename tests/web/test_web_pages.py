@@ -26,7 +26,7 @@ from tests.web.small_league import NAME, ORIGIN, OWNER, RULES, new_league, rated
 
 PAGES = (
     "/", "/standings", "/standings?against=3", "/drivers/1", "/drivers/3", "/matchups/1/3",
-    "/heats", "/heats/1", "/tracks",
+    "/heats", "/heats/1", "/tracks", "/live",
 )  # fmt: skip
 
 
@@ -188,7 +188,7 @@ def test_pages_of_a_league_without_races_say_what_to_do(tmp_path):
         new_league(f"sqlite:///{tmp_path / 'league.db'}", anchors=(), rules=RULES) as store,
         TestClient(make_app(store), base_url=ORIGIN) as client,
     ):
-        for path in ("/", "/standings", "/heats", "/tracks"):
+        for path in ("/", "/standings", "/heats", "/live", "/tracks"):
             answer = client.get(path)
             assert answer.status_code == 200
             assert "league run" in answer.text or path == "/tracks"
