@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from datetime import UTC, datetime
 from http import HTTPStatus
 from importlib import resources
 
@@ -24,7 +25,7 @@ from league import times
 from league.errors import LeagueError
 from league.matchmaking.documents import plain
 from league.matchmaking.store import Store
-from league.web import charts
+from league.web import charts, openapi
 from league.web.reader import NotFoundError, Reader
 from league.web.routes import PAGES, Page
 
@@ -50,8 +51,13 @@ STATIC = {
 """All static files, with their types; they are read once, when the program starts."""
 
 
-def make_app(store: Store) -> ASGIApp:
-    """Return the application that shows a league; it only reads."""
+def make_app(store: Store, *, exported: bool = False) -> ASGIApp:
+    """Return the application that shows a league; it only reads.
+
+    Args:
+        store: the league.
+        exported: whether its answers become files, which have no forms and no JSON.
+    """
     reader = Reader(store)
     templates = jinja2.Environment(
         loader=jinja2.PackageLoader("league.web"),
@@ -60,16 +66,22 @@ def make_app(store: Store) -> ASGIApp:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    templates.filters |= {"clock": times.clock, "day": times.day}
-    templates.globals |= {"league_name": store.settings.name, "static": _static_text}
+    templates.filters |= {"clock": times.clock, "day": times.day, "iso": _iso}
+    templates.globals |= {
+        "league_name": store.settings.name,
+        "static": _static_text,
+        "exported": exported,
+    }
 
     def page(one: Page) -> Callable[[Request], Response]:
         def respond(request: Request) -> Response:
             document = one.read(reader, request)
             path, query = request.url.path, request.url.query
             template = templates.get_template(one.template)
-            content = template.render(path=path, query=query, **document)
-            return HTMLResponse(content, headers=_headers(one, request))
+            content = template.render(
+                path=path, query=query, origin=str(request.base_url), **document
+            )
+            return Response(content, media_type=one.media_type, headers=_headers(one, request))
 
         return respond
 
@@ -87,7 +99,8 @@ def make_app(store: Store) -> ASGIApp:
 
     routes = [
         *(Route(one.path, page(one)) for one in PAGES if one.template),
-        *(Route(one.api_path, data(one)) for one in PAGES if not one.file),
+        *(Route(one.api_path, data(one)) for one in PAGES if one.has_api),
+        Route(openapi.PATH, lambda _: _json(openapi.document(store.settings.name))),
         *(Route(f"/static/{name}", _static(name)) for name in STATIC),
         Route("/favicon.ico", lambda _: RedirectResponse("/static/icon.svg", 308)),
     ]
@@ -110,6 +123,10 @@ def _status(error: Exception) -> tuple[int, str]:
         known = {404: "There is no such page.", 405: "This server answers GET and HEAD only."}
         return error.status_code, known.get(error.status_code, error.detail)
     return 503, f"{error}."
+
+
+def _iso(seconds: float) -> str:
+    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="seconds")
 
 
 def _headers(page: Page, request: Request) -> dict[str, str]:

@@ -8,6 +8,9 @@ from typing import Any
 
 from starlette.requests import Request
 
+from league.matchmaking.ratings.fit import Difference
+from league.matchmaking.standings import HeadToHead, HistoryPoint, Row
+from league.matchmaking.store import Entry
 from league.web.pages import driver, heat, heats, home, live, matchup, table, tracks
 from league.web.reader import Document, Reader
 
@@ -26,8 +29,17 @@ class Page:
     """File of the page; empty for data without a page."""
     file: str = ""
     """Name under which browsers save the page instead of showing it; may hold path parameters."""
+    media_type: str = "text/html"
+    """Of the page."""
     query: Mapping[str, str] = field(default_factory=dict)
     """Parameters after the question mark, all of them text, each with its meaning."""
+    parts: Mapping[str, Any] = field(default_factory=dict)
+    """Types of those parts of the data that are frozen data, by their names."""
+
+    @property
+    def has_api(self) -> bool:
+        """Whether its data is to be had as JSON."""
+        return not self.file and self.media_type == "text/html"
 
     @property
     def api_path(self) -> str:
@@ -46,13 +58,20 @@ PAGES = (
     Page("/standings", "The standings", table.document, "standings.html",
          query={"owner": "Only entries of this owner", "kind": "Only anchor, policy or scripted",
           "track": "Track of the best laps",
-          "against": "Number of a driver: everyone's record against it"}),
+          "against": "Number of a driver: everyone's record against it"},
+         parts={"rows": list[Row], "against": Row | None, "records": dict[int, HeadToHead]}),
     Page("/drivers/{number:int}", "A driver: rating, history, records, heats, card",
-         driver.document, "driver.html"),
+         driver.document, "driver.html",
+         parts={"entry": Entry, "standing": Row | None, "history": list[HistoryPoint],
+                "against": list[tuple[Row, HeadToHead | None]]}),
     Page("/matchups/{one:int}/{other:int}", "Two drivers: their heats, expected and actual score",
          matchup.document, "matchup.html",
-         query={"before": "Number of a heat: only earlier ones are listed"}),
+         query={"before": "Number of a heat: only earlier ones are listed"},
+         parts={"one": Entry, "other": Entry, "difference": Difference | None,
+                "record": HeadToHead | None}),
     Page("/heats", "The newest heats", heats.document, "heats.html"),
+    Page("/feed.atom", "The newest heats as a feed", heats.document, "feed.xml",
+         media_type="application/atom+xml"),
     Page("/heats/{number:int}", "A heat, and one of its races", heat.document, "heat.html",
          query={"race": "Number of the race within the heat, from 1",
           "lap": "Number of the lap to compare, from 1; empty for each car's best one"}),

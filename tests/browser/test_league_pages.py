@@ -190,6 +190,25 @@ def test_the_downloaded_file_plays_without_a_server(browser, origin, complaints,
     assert complaints == []
 
 
+def test_an_exported_heat_plays_from_disk(browser, complaints, store, tmp_path):
+    command = [sys.executable, "-m", "league.cli", "site", str(tmp_path / "season")]
+    subprocess.run([*command, "--heats", "1", "--league", store.url], check=True)
+    page = browser.new_context(offline=True).new_page()
+    page.on("console", lambda message: complaints.append(message.text))
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.goto((tmp_path / "season" / "index.html").as_uri())
+    page.get_by_role("link", name="Heats", exact=True).click()
+    page.locator("td.number a").first.click()
+    canvas = page.locator("canvas")
+    canvas.wait_for()
+    first = canvas.screenshot()
+    page.keyboard.press("End")
+    assert canvas.screenshot() != first
+    page.get_by_role("link", name="Standings").click()
+    assert page.get_by_role("heading", level=1).inner_text() == "Standings"
+    assert complaints == []
+
+
 def test_a_driver_chosen_in_the_standings_leads_to_its_meetings(browser, origin, complaints):
     page = opened(browser, origin, complaints, java_script_enabled=False)
     page.goto("/standings")
