@@ -190,6 +190,36 @@ def test_the_downloaded_file_plays_without_a_server(browser, origin, complaints,
     assert complaints == []
 
 
+def test_a_driver_is_reached_by_keyboard_alone(browser, origin, complaints):
+    page = opened(browser, origin, complaints)
+    page.goto("/standings")
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.textContent") == "To the content"
+    page.keyboard.press("Enter")
+    for _ in range(8):
+        page.keyboard.press("Tab")
+        if page.evaluate("document.activeElement.matches('td.name a')"):
+            break
+    assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
+    name = page.evaluate("document.activeElement.textContent")
+    page.keyboard.press("Enter")
+    page.wait_for_url("**/drivers/*")
+    assert page.get_by_role("heading", level=1).inner_text() == name
+    assert complaints == []
+
+
+def test_every_scrolling_table_and_control_has_a_name(browser, origin, complaints, store):
+    page = opened(browser, origin, complaints)
+    for path in PATHS:
+        page.goto(path.format(heat=rated_heat(store)))
+        unnamed = page.evaluate(
+            """[...document.querySelectorAll("button, select, input, a[href], section")].filter(
+                (one) => !(one.textContent.trim() || one.ariaLabel || one.labels?.length)
+            ).map((one) => one.outerHTML.slice(0, 80))"""
+        )
+        assert unnamed == [], path
+
+
 def test_an_exported_heat_plays_from_disk(browser, complaints, store, tmp_path):
     command = [sys.executable, "-m", "league.cli", "site", str(tmp_path / "season")]
     subprocess.run([*command, "--heats", "1", "--league", store.url], check=True)
