@@ -10,7 +10,7 @@ from pydantic import TypeAdapter
 from league import __version__
 from league.web.routes import PAGES, Page
 
-PARAMETER = re.compile(r"\{(\w+):int\}")
+PARAMETER = re.compile(r"\{(\w+):number\}")
 PATH = "/api/v1/openapi.json"
 """Address of the document."""
 _REF = "#/components/schemas/{model}"

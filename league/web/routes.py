@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from starlette.convertors import Convertor, register_url_convertor
 from starlette.requests import Request
 
 from league.matchmaking.ratings.fit import Difference
@@ -13,6 +14,21 @@ from league.matchmaking.standings import HeadToHead, HistoryPoint, Row
 from league.matchmaking.store import Entry
 from league.web.pages import driver, heat, heats, home, live, matchup, table, tracks
 from league.web.reader import Document, Reader
+
+
+class _Number(Convertor[int]):
+    """Numbers in addresses: no longer than any that a league has."""
+
+    regex = "[0-9]{1,15}"
+
+    def convert(self, value: str) -> int:
+        return int(value)
+
+    def to_string(self, value: int) -> str:
+        return str(value)
+
+
+register_url_convertor("number", _Number())
 
 
 @dataclass(frozen=True)
@@ -60,11 +76,12 @@ PAGES = (
           "track": "Track of the best laps",
           "against": "Number of a driver: everyone's record against it"},
          parts={"rows": list[Row], "against": Row | None, "records": dict[int, HeadToHead]}),
-    Page("/drivers/{number:int}", "A driver: rating, history, records, heats, card",
+    Page("/drivers/{number:number}", "A driver: rating, history, records, heats, card",
          driver.document, "driver.html",
          parts={"entry": Entry, "standing": Row | None, "history": list[HistoryPoint],
                 "against": list[tuple[Row, HeadToHead | None]]}),
-    Page("/matchups/{one:int}/{other:int}", "Two drivers: their heats, expected and actual score",
+    Page("/matchups/{one:number}/{other:number}",
+         "Two drivers: their heats, expected and actual score",
          matchup.document, "matchup.html",
          query={"before": "Number of a heat: only earlier ones are listed"},
          parts={"one": Entry, "other": Entry, "difference": Difference | None,
@@ -72,12 +89,13 @@ PAGES = (
     Page("/heats", "The newest heats", heats.document, "heats.html"),
     Page("/feed.atom", "The newest heats as a feed", heats.document, "feed.xml",
          media_type="application/atom+xml"),
-    Page("/heats/{number:int}", "A heat, and one of its races", heat.document, "heat.html",
+    Page("/heats/{number:number}", "A heat, and one of its races", heat.document, "heat.html",
          query={"race": "Number of the race within the heat, from 1",
           "lap": "Number of the lap to compare, from 1; empty for each car's best one"}),
-    Page("/heats/{number:int}/races/{race:int}/replay", "What the player draws of a race",
+    Page("/heats/{number:number}/races/{race:number}/replay", "What the player draws of a race",
          heat.replay),
-    Page("/heats/{number:int}/races/{race:int}/file", "A file that plays a race without a server",
+    Page("/heats/{number:number}/races/{race:number}/file",
+         "A file that plays a race without a server",
          heat.one_file, "one_file.html", file="heat_{number}_race_{race}.html"),
     Page("/tracks", "The tracks, and the fastest laps on each", tracks.document, "tracks.html"),
     Page("/live", "Running heats, queue, workers, heats per minute", live.document, "live.html"),
