@@ -1,10 +1,10 @@
-# The workshop in a few words: make race | league | serve | test | sync | format | check | type | bench | mutants | clean
+# The workshop in a few words: make race | league | serve | pages | test | sync | format | check | type | bench | mutants | clean
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 # Torch on a few cores: waiting threads must not spin.
 export OMP_WAIT_POLICY = PASSIVE
 
-.PHONY: race league serve test torchrl sync format check type bench mutants clean
+.PHONY: race league serve pages test torchrl sync format check type bench mutants clean
 
 race: sync
 	$(BIN)/league race duelist racer --track reinvent_2018
@@ -23,6 +23,10 @@ league: sync
 # Its web pages, on this machine only.
 serve: league
 	$(BIN)/league serve --league $(LEAGUE)
+
+# Pictures of all its pages, wide and on a phone, in light and dark mode; needs Chromium.
+pages: league
+	$(BIN)/python -m tests.browser.pages $(LEAGUE) runs/pages
 
 # In the order of the files: sorted by number of tests, the few that take longest would come last.
 test: sync

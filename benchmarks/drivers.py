@@ -1,9 +1,9 @@
 """How good the scripted drivers are: lap times against the bound, and in the two solvers."""
 
-from benchmarks.lap_bound import lap_bound
 from benchmarks.report import figure, heading, table
 from league.race_spec import CarResult, Entry, RaceSpec
 from league.racing import race
+from league.racing_line.lap_bound import lap_bound
 from league.sim.config import CarConfig
 from league.track import files
 from league.track.track import Track

@@ -23,8 +23,8 @@ import numpy as np
 from numba import njit
 from scipy.interpolate import CubicSpline
 
-from benchmarks.lap_bound import lap_bound
 from benchmarks.report import heading, note, table
+from league.racing_line.lap_bound import lap_bound
 from league.racing_line.racing_line import road_of
 from league.sim import records
 from league.sim.config import CarConfig, SimConfig

@@ -89,6 +89,8 @@ class Standings:
     """Hash of the ruleset they belong to."""
     num_races: int
     """Rated races that count."""
+    races: Races
+    """The races as the store has them."""
     tracks: tuple[str, ...] = ()
     """Tracks of the ruleset."""
 
@@ -176,6 +178,7 @@ def of(store: Store, ruleset: str | None = None) -> Standings:
         goodness=goodness_of_fit(data, fitted),
         ruleset=ruleset,
         num_races=len(data.results),
+        races=races,
         tracks=tracks,
     )
 

@@ -1,14 +1,15 @@
-"""The web application: routes, security headers and errors; the pages' data is in pages.py."""
+"""The web application: routes, security headers and errors; the pages are listed in routes.py."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from datetime import UTC, datetime
 from http import HTTPStatus
 from importlib import resources
-from typing import Any
 
 import jinja2
+from markupsafe import Markup
 from starlette.applications import Starlette
 from starlette.datastructures import MutableHeaders
 from starlette.exceptions import HTTPException
@@ -24,8 +25,9 @@ from league import times
 from league.errors import LeagueError
 from league.matchmaking.documents import plain
 from league.matchmaking.store import Store
-from league.web import charts
-from league.web.pages import NotFoundError, Pages
+from league.web import charts, openapi
+from league.web.reader import NotFoundError, Reader
+from league.web.routes import PAGES, Page
 
 HOSTS = ["127.0.0.1", "localhost"]
 """Names a browser may know this server by; others are web sites that point their name here."""
@@ -42,37 +44,21 @@ HEADERS = {
 STATIC = {
     "style.css": "text/css",
     "player.js": "text/javascript",
+    "heat.js": "text/javascript",
+    "live.js": "text/javascript",
     "icon.svg": "image/svg+xml",
 }
 """All static files, with their types; they are read once, when the program starts."""
-PAGES: dict[str, tuple[str, Callable[[Pages, Request], Any]]] = {
-    "/": ("home.html", lambda pages, _: pages.home()),
-    "/standings": (
-        "standings.html",
-        lambda pages, request: pages.standings(
-            owner=request.query_params.get("owner", ""),
-            kind=request.query_params.get("kind", ""),
-        ),
-    ),
-    "/drivers/{number:int}": (
-        "driver.html",
-        lambda pages, request: pages.driver(request.path_params["number"]),
-    ),
-    "/heats": ("heats.html", lambda pages, _: pages.heats()),
-    "/heats/{number:int}": (
-        "heat.html",
-        lambda pages, request: pages.heat(
-            request.path_params["number"], request.query_params.get("race", "1")
-        ),
-    ),
-    "/tracks": ("tracks.html", lambda pages, _: pages.tracks()),
-}
-"""Template and data of each page; the data alone is at /api/v1 and the same path."""
 
 
-def make_app(store: Store) -> ASGIApp:
-    """Return the application that shows a league; it only reads."""
-    pages = Pages(store)
+def make_app(store: Store, *, exported: bool = False) -> ASGIApp:
+    """Return the application that shows a league; it only reads.
+
+    Args:
+        store: the league.
+        exported: whether its answers become files, which have no forms and no JSON.
+    """
+    reader = Reader(store)
     templates = jinja2.Environment(
         loader=jinja2.PackageLoader("league.web"),
         autoescape=True,
@@ -80,20 +66,27 @@ def make_app(store: Store) -> ASGIApp:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    templates.filters |= {"clock": times.clock, "day": times.day}
-    templates.globals["league_name"] = store.settings.name
+    templates.filters |= {"clock": times.clock, "day": times.day, "iso": _iso}
+    templates.globals |= {
+        "league_name": store.settings.name,
+        "static": _static_text,
+        "exported": exported,
+    }
 
-    def page(template: str, document: Callable[[Pages, Request], Any]) -> Callable:
+    def page(one: Page) -> Callable[[Request], Response]:
         def respond(request: Request) -> Response:
-            content = templates.get_template(template).render(
-                path=request.url.path, query=request.url.query, **document(pages, request)
+            document = one.read(reader, request)
+            path, query = request.url.path, request.url.query
+            template = templates.get_template(one.template)
+            content = template.render(
+                path=path, query=query, origin=str(request.base_url), **document
             )
-            return HTMLResponse(content)
+            return Response(content, media_type=one.media_type, headers=_headers(one, request))
 
         return respond
 
-    def data(document: Callable[[Pages, Request], Any]) -> Callable:
-        return lambda request: _json(_without_drawings(document(pages, request)))
+    def data(one: Page) -> Callable[[Request], Response]:
+        return lambda request: _json(_without_drawings(one.read(reader, request)))
 
     def failed(request: Request, error: Exception) -> Response:
         status, sentence = _status(error)
@@ -104,16 +97,10 @@ def make_app(store: Store) -> ASGIApp:
         )
         return HTMLResponse(content, status)
 
-    routes = [Route(path, page(*about)) for path, about in PAGES.items()]
-    routes += [
-        Route(f"/api/v1{path.rstrip('/') or '/home'}", data(document))
-        for path, (_, document) in PAGES.items()
-    ]
-    routes += [
-        Route(
-            "/api/v1/heats/{number:int}/races/{race:int}/replay",
-            data(lambda pages, request: pages.replay(**request.path_params)),
-        ),
+    routes = [
+        *(Route(one.path, page(one)) for one in PAGES if one.template),
+        *(Route(one.api_path, data(one)) for one in PAGES if one.has_api),
+        Route(openapi.PATH, lambda _: _json(openapi.document(store.settings.name))),
         *(Route(f"/static/{name}", _static(name)) for name in STATIC),
         Route("/favicon.ico", lambda _: RedirectResponse("/static/icon.svg", 308)),
     ]
@@ -138,6 +125,15 @@ def _status(error: Exception) -> tuple[int, str]:
     return 503, f"{error}."
 
 
+def _iso(seconds: float) -> str:
+    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="seconds")
+
+
+def _headers(page: Page, request: Request) -> dict[str, str]:
+    name = page.file.format(**request.path_params)
+    return {"Content-Disposition": f'attachment; filename="{name}"'} if name else {}
+
+
 def _json(document: object, status: int = 200) -> Response:
     content = json.dumps(plain(document), ensure_ascii=False, separators=(",", ":"))
     return Response(content, status, media_type="application/json")
@@ -154,8 +150,17 @@ def _without_drawings(value: object) -> object:
     return [_without_drawings(item) for item in value] if isinstance(value, list) else value
 
 
+def _static_text(name: str) -> Markup:
+    """Return a static file to be written into a page."""
+    return Markup(_static_bytes(name).decode())
+
+
+def _static_bytes(name: str) -> bytes:
+    return resources.files("league.web").joinpath("static", name).read_bytes()
+
+
 def _static(name: str) -> Callable[[Request], Response]:
-    content = resources.files("league.web").joinpath("static", name).read_bytes()
+    content = _static_bytes(name)
     # A new version of the program must not meet an old one's script in the browser's cache.
     headers = {"Cache-Control": "no-cache"}
     return lambda _: Response(content, media_type=STATIC[name], headers=headers)

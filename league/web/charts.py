@@ -7,15 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from league.matchmaking.scores import RaceScore
 from league.matchmaking.standings import HistoryPoint, Row
-from league.replay import Replay, story
 from league.track.track import Track
 
 WIDTH, HEIGHT = 520, 180
-"""Size of a line chart; margins of 44 on the left and 22 below hold the axes' numbers."""
-LEFT, BOTTOM, TOP, RIGHT = 44, 22, 10, 8
-GAP_POINTS = 300
-"""Most points of a line of the gap chart."""
+"""Size of a line chart; margins of 50 on the left and 22 below hold the axes' numbers."""
+LEFT, BOTTOM, TOP, RIGHT = 50, 22, 10, 8
 
 
 @dataclass(frozen=True)
@@ -31,10 +29,12 @@ class TrackMap:
 
 @dataclass(frozen=True)
 class Line:
-    """One curve of a chart."""
+    """One curve of a chart or map."""
 
     label: str
     path: str
+    kind: str
+    """Class of its style sheet: car-1 to car-8, rating or expected."""
 
 
 @dataclass(frozen=True)
@@ -52,12 +52,76 @@ class Chart:
     lines: tuple[Line, ...]
     x_ticks: tuple[Tick, ...]
     y_ticks: tuple[Tick, ...]
+    x_range: tuple[float, float]
+    """Values at the left and at the right end."""
     band: str = ""
     width: int = WIDTH
     height: int = HEIGHT
     left: int = LEFT
-    bottom: int = HEIGHT - BOTTOM
+    top: int = TOP
     right: int = WIDTH - RIGHT
+
+    @property
+    def bottom(self) -> int:
+        """Where the axis of x lies."""
+        return self.height - BOTTOM
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Values to be drawn as a line."""
+
+    label: str
+    kind: str
+    """See Line.kind."""
+    x: np.ndarray
+    """(points,)."""
+    y: np.ndarray
+    """(points,)."""
+
+
+def plot(
+    curves: Sequence[Curve],
+    *,
+    band: tuple[np.ndarray, np.ndarray] | None = None,
+    down: bool = False,
+    whole_x: bool = False,
+    whole_y: bool = False,
+    height: int = HEIGHT,
+) -> Chart:
+    """Return a chart of curves.
+
+    Args:
+        curves: at least one.
+        band: lower and upper end of the first curve's interval, (points,) both.
+        down: whether y grows downwards.
+        whole_x: whether x has whole numbers only.
+        whole_y: whether y has.
+        height: of the whole chart.
+    """
+    xs = [curve.x for curve in curves]
+    ys = [*(curve.y for curve in curves), *(band or ())]
+    x, x_ticks = _axis(np.concatenate(xs), LEFT, WIDTH - RIGHT, whole=whole_x)
+    ends = (TOP, height - BOTTOM) if down else (height - BOTTOM, TOP)
+    y, y_ticks = _axis(np.concatenate(ys), *ends, whole=whole_y)
+    x_parts = np.split(x, np.cumsum([len(part) for part in xs])[:-1])
+    y_parts = np.split(y, np.cumsum([len(part) for part in ys])[:-1])
+    area = ""
+    if band:
+        low, high = y_parts[-2:]
+        edges = [np.stack([x_parts[0], high], 1), np.stack([x_parts[0], low], 1)[::-1]]
+        area = f"{path(np.concatenate(edges), flip=False)}Z"
+    return Chart(
+        lines=tuple(
+            Line(curve.label, path(np.stack([at, value], 1), flip=False), curve.kind)
+            for curve, at, value in zip(curves, x_parts, y_parts, strict=False)
+        ),
+        x_ticks=x_ticks,
+        y_ticks=y_ticks,
+        x_range=(min(float(part.min()) for part in xs), max(float(part.max()) for part in xs)),
+        band=area,
+        height=height,
+    )
 
 
 def track_map(track: Track) -> TrackMap:
@@ -67,48 +131,36 @@ def track_map(track: Track) -> TrackMap:
     margin = 0.03 * max(width, height)
     box = (x - margin, -(y + height) - margin, width + 2 * margin, height + 2 * margin)
     if track.closed:
-        road = f"{_path(track.left[::2])}Z{_path(track.right[::2])}Z"
+        road = f"{path(track.left[::2])}Z{path(track.right[::2])}Z"
     else:
-        road = f"{_path(np.concatenate([track.left, track.right[::-1]])[::2])}Z"
+        road = f"{path(np.concatenate([track.left, track.right[::-1]])[::2])}Z"
     return TrackMap(
         view_box=" ".join(f"{number:.2f}" for number in box),
         road=road,
-        start=_path(np.stack([track.left[0], track.right[0]])),
+        start=path(np.stack([track.left[0], track.right[0]])),
     )
 
 
 def rating_history(points: Sequence[HistoryPoint]) -> Chart:
     """Return an entry's rating over its races, with its 95 % interval."""
-    races = np.array([point.races for point in points], float)
-    low, elo, high = (
-        np.array([getattr(point, name) for point in points]) for name in ("low95", "elo", "high95")
+    races, low, elo, high = (
+        np.array([getattr(point, name) for point in points], float)
+        for name in ("races", "low95", "elo", "high95")
     )
-    x, x_ticks = _axis(races, LEFT, WIDTH - RIGHT, whole=True)
-    y, y_ticks = _axis(np.concatenate([low, elo, high]), HEIGHT - BOTTOM, TOP)
-    low_y, elo_y, high_y = np.split(y, 3)
-    band = np.concatenate([np.stack([x, high_y], 1), np.stack([x, low_y], 1)[::-1]])
-    return Chart(
-        lines=(Line("rating", _path(np.stack([x, elo_y], 1), flip=False)),),
-        x_ticks=x_ticks,
-        y_ticks=y_ticks,
-        band=f"{_path(band, flip=False)}Z",
-    )
+    return plot([Curve("rating", "rating", races, elo)], band=(low, high), whole_x=True)
 
 
-def gap_chart(replay: Replay) -> Chart:
-    """Return each car's gap to the leader [s] over the race, the leader on top."""
-    every = max(1, replay.num_frames // GAP_POINTS)
-    gaps = np.minimum(story.gaps_s(replay)[::every], replay.duration_s)
-    x, x_ticks = _axis(replay.times_s[::every], LEFT, WIDTH - RIGHT)
-    y, y_ticks = _axis(gaps.ravel(), TOP, HEIGHT - BOTTOM)
-    y = y.reshape(gaps.shape)
-    return Chart(
-        lines=tuple(
-            Line(name, _path(np.stack([x, y[:, car]], 1), flip=False))
-            for car, name in enumerate(replay.names)
-        ),
-        x_ticks=x_ticks,
-        y_ticks=y_ticks,
+def points_chart(scores: Sequence[RaceScore]) -> Chart:
+    """Return the points made in some races and those promised, both added up race by race."""
+    races = np.arange(len(scores) + 1.0)
+    points, expected = (
+        np.concatenate([[0.0], np.cumsum([getattr(score, name) for score in scores])])
+        for name in ("points", "expected")
+    )
+    return plot(
+        [Curve("expected", "expected", races, expected), Curve("points", "rating", races, points)],
+        whole_x=True,
+        whole_y=True,
     )
 
 
@@ -134,11 +186,12 @@ def _axis(
     ticks = np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step
     decimals = max(0, -int(np.floor(np.log10(step))))
     return start + (values - low) * scale, tuple(
-        Tick(round(start + (tick - low) * scale, 1), f"{tick:.{decimals}f}") for tick in ticks
+        Tick(round(start + (tick - low) * scale, 1), f"{round(tick, decimals) + 0.0:.{decimals}f}")
+        for tick in ticks
     )
 
 
-def _path(points: np.ndarray, *, flip: bool = True) -> str:
+def path(points: np.ndarray, *, flip: bool = True) -> str:
     """Return the SVG path along some points; `flip` turns y downwards, as pictures have it."""
     sign = -1 if flip else 1
     return "M" + "L".join(f"{x:.2f} {sign * y:.2f}" for x, y in points)

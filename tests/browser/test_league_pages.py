@@ -8,12 +8,14 @@ import sys
 from collections.abc import Iterator
 
 import pytest
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page, expect, sync_playwright
 
+from league.matchmaking import loop
+from league.matchmaking.pairing.matchmaker import Season
+from league.matchmaking.workers.dispatcher import Dispatcher
 from tests.browser import chromium
-from tests.matchmaking.season_kit import Store
-from tests.test_web import rated_heat
-from tests.web_league import raced_league
+from tests.matchmaking.season_kit import Here, Store
+from tests.web.small_league import NAME, raced_league, rated_heat
 
 pytestmark = [
     pytest.mark.browser,
@@ -23,7 +25,10 @@ pytestmark = [
     ),
 ]
 PHONE = {"width": 390, "height": 800}
-PATHS = ("/", "/standings", "/drivers/1", "/drivers/3", "/heats", "/heats/{heat}", "/tracks")
+PATHS = (
+    "/", "/standings", "/standings?against=3", "/drivers/1", "/drivers/3", "/matchups/3/1",
+    "/heats", "/heats/{heat}", "/tracks", "/live",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -141,13 +146,144 @@ def test_names_with_html_do_nothing_and_phones_need_no_sideways_scroll(
     assert complaints == []
 
 
+def test_keys_lead_to_events_and_charts_follow(browser, origin, complaints, store):
+    page = opened(browser, origin, complaints)
+    page.goto(f"/heats/{rated_heat(store)}")
+    slider = page.locator(".scrub input")
+    slider.wait_for()
+    page.keyboard.press("End")
+    page.keyboard.press("p")
+    before = float(slider.input_value())
+    page.keyboard.press("p")
+    assert 0 <= float(slider.input_value()) < before
+    page.keyboard.press("n")
+    assert float(slider.input_value()) == pytest.approx(before, abs=0.03)
+    chart = page.locator("svg[data-time-from]")
+    now = float(chart.locator(".now").get_attribute("x1"))
+    box = chart.bounding_box()
+    chart.click(position={"x": 0.3 * box["width"], "y": 0.5 * box["height"]})
+    assert (
+        float(chart.locator(".now").get_attribute("x1")) == pytest.approx(0.3 * 520, abs=4) != now
+    )
+    assert page.locator(".events [aria-current=step]").count() == 1
+    assert complaints == []
+
+
+def test_the_downloaded_file_plays_without_a_server(browser, origin, complaints, store, tmp_path):
+    page = opened(browser, origin, complaints)
+    page.goto(f"/heats/{rated_heat(store)}")
+    with page.expect_download() as download:
+        page.get_by_role("link", name="Download as one HTML file").click()
+    path = tmp_path / download.value.suggested_filename
+    download.value.save_as(path)
+    alone = browser.new_context(offline=True).new_page()
+    alone.on("console", lambda message: complaints.append(message.text))
+    alone.on("pageerror", lambda error: complaints.append(str(error)))
+    alone.goto(path.as_uri())
+    canvas = alone.locator("canvas")
+    canvas.wait_for()
+    first = canvas.screenshot()
+    alone.keyboard.press(" ")
+    alone.wait_for_timeout(700)
+    assert canvas.screenshot() != first
+    assert alone.evaluate("window.name") == ""
+    assert complaints == []
+
+
+def test_a_driver_is_reached_by_keyboard_alone(browser, origin, complaints):
+    page = opened(browser, origin, complaints)
+    page.goto("/standings")
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.textContent") == "To the content"
+    page.keyboard.press("Enter")
+    for _ in range(8):
+        page.keyboard.press("Tab")
+        if page.evaluate("document.activeElement.matches('td.name a')"):
+            break
+    assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
+    name = page.evaluate("document.activeElement.textContent")
+    page.keyboard.press("Enter")
+    page.wait_for_url("**/drivers/*")
+    assert page.get_by_role("heading", level=1).inner_text() == name
+    assert complaints == []
+
+
+def test_every_scrolling_table_and_control_has_a_name(browser, origin, complaints, store):
+    page = opened(browser, origin, complaints)
+    for path in PATHS:
+        page.goto(path.format(heat=rated_heat(store)))
+        unnamed = page.evaluate(
+            """[...document.querySelectorAll("button, select, input, a[href], section")].filter(
+                (one) => !(one.textContent.trim() || one.ariaLabel || one.labels?.length)
+            ).map((one) => one.outerHTML.slice(0, 80))"""
+        )
+        assert unnamed == [], path
+
+
+def test_an_exported_heat_plays_from_disk(browser, complaints, store, tmp_path):
+    command = [sys.executable, "-m", "league.cli", "site", str(tmp_path / "season")]
+    subprocess.run([*command, "--heats", "1", "--league", store.url], check=True)
+    page = browser.new_context(offline=True).new_page()
+    page.on("console", lambda message: complaints.append(message.text))
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.goto((tmp_path / "season" / "index.html").as_uri())
+    page.get_by_role("link", name="Heats", exact=True).click()
+    page.locator("td.number a").first.click()
+    canvas = page.locator("canvas")
+    canvas.wait_for()
+    first = canvas.screenshot()
+    page.keyboard.press("End")
+    assert canvas.screenshot() != first
+    page.get_by_role("link", name="Standings").click()
+    assert page.get_by_role("heading", level=1).inner_text() == "Standings"
+    assert complaints == []
+
+
+def test_a_driver_chosen_in_the_standings_leads_to_its_meetings(browser, origin, complaints):
+    page = opened(browser, origin, complaints, java_script_enabled=False)
+    page.goto("/standings")
+    page.get_by_label("Record against").select_option(label=NAME)
+    page.get_by_role("button", name="Show").click()
+    assert page.locator("tr.chosen td.name").inner_text() == NAME
+    rival = page.locator("tr", has_text="racing_line")
+    points = rival.locator("a[href^='/matchups/']")
+    won = points.inner_text()
+    points.click()
+    assert page.get_by_role("heading", level=1).inner_text() == f"racing_line – {NAME}"
+    assert page.locator(".figures div", has_text="Points").locator("dd").inner_text() == won
+    page.locator("tbody a").first.click()
+    assert "Heat" in page.locator(".lead").inner_text()
+    assert complaints == []
+
+
+def test_a_drivers_best_lap_leads_to_the_race_it_was_driven_in(browser, origin, complaints):
+    page = opened(browser, origin, complaints)
+    page.goto("/drivers/2")
+    laps = page.locator("section", has_text="Best laps")
+    lap = laps.locator("tbody td.number").first.inner_text()
+    laps.locator("tbody a").last.click()
+    page.locator("canvas").wait_for()
+    assert lap in page.locator("section", has_text="Penalties included").inner_text()
+    assert complaints == []
+
+
+def test_the_live_page_shows_what_was_raced_since_it_was_opened(browser, origin, store, complaints):
+    page = opened(browser, origin, complaints)
+    page.goto("/live")
+    done = page.locator(".figures div", has_text="Done in all").locator("dd")
+    before = int(done.inner_text())
+    loop.run(store, Dispatcher(store, Here()), Season(store, same_owner=True), heats=1)
+    expect(done).to_have_text(str(before + 1), timeout=20_000)
+    assert complaints == []
+
+
 def test_everything_but_the_player_works_without_javascript(browser, origin, complaints, store):
     page = opened(browser, origin, complaints, java_script_enabled=False)
     page.goto("/standings")
     page.get_by_label("Kind").select_option("anchor")
-    page.get_by_role("button", name="Filter").click()
+    page.get_by_role("button", name="Show").click()
     assert page.locator("tbody tr").count() == 2
-    page.get_by_role("link", name="racing_line").click()
+    page.get_by_role("link", name="racing_line", exact=True).click()
     assert page.get_by_role("heading", level=1).inner_text() == "racing_line"
     page.goto(f"/heats/{rated_heat(store)}")
     assert page.get_by_text("Classification").is_visible()

@@ -1,4 +1,4 @@
-"""`league run`, `work` and `serve`: the matchmaker, the workers, and pages to watch them.
+"""`league run`, `work`, `serve` and `site`: the matchmaker, the workers, and pages to watch them.
 
 On a terminal `run` and `work` show a live page, otherwise a line for each heat.
 """
@@ -13,7 +13,10 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Self
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal, Self
+
+import tyro
 
 from league.cli import season, tables
 from league.cli.season import OnLeague
@@ -126,6 +129,29 @@ class Serve(OnLeague):
                 host=self.host,
                 ready=lambda url: print(f"{name}: {url}   (Ctrl-C ends it)", flush=True),
             )
+        return 0
+
+
+@dataclass
+class Site(OnLeague):
+    """Write a league's pages as files, for any web space; they need no server."""
+
+    folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FOLDER")]
+    """A new folder."""
+    heats: int = 200
+    """So many of the newest heats get pages, with their races to watch."""
+
+    def run(self) -> int:
+        """Run the command."""
+        from league.web import site
+
+        season.at_least(self, "heats", 0)
+        with self.opened() as store:
+            written = site.export(store, self.folder, heats=self.heats)
+        print(
+            f"{written.pages} pages, {written.heats} of them with a race to watch: "
+            f"{self.folder / 'index.html'}"
+        )
         return 0
 
 
@@ -257,4 +283,4 @@ class Page:
 
 
 COMMANDS = {"run": Run, "work": Work}
-SERVE = {"serve": Serve}
+SERVE = {"serve": Serve, "site": Site}

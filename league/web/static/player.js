@@ -3,6 +3,7 @@
 
 const TRAIL_S = 1.5;
 const CAPTION_S = 2.5;
+const LEAD_S = 1; // events are shown from this long before they happen
 const LATEST = 9;
 const PANEL_HZ = 6;
 const JUMP_CM = 50; // a car that moved farther in one frame was put back: nothing lies between
@@ -205,6 +206,7 @@ class Player {
     order.sort((a, b) => states[a].distance - states[b].distance);
     for (const index of order) this.drawCar(states[index], index, zoom);
     this.showPanel(states, order.reverse());
+    this.root.dispatchEvent(new CustomEvent("racetime", { detail: this.time }));
   }
 
   drawTrack() {
@@ -349,6 +351,13 @@ class Player {
     return Boolean(match);
   }
 
+  /** Go to the next event, or the one before; a moment earlier, so that it is seen happening. */
+  seekToEvent(direction) {
+    const moments = this.race.events.map((event) => Math.max(event.time_s - LEAD_S, 0));
+    const later = moments.filter((moment) => direction * (moment - this.time) > 0.05);
+    if (later.length) this.seek(direction > 0 ? Math.min(...later) : Math.max(...later));
+  }
+
   watch(number) {
     this.follow = number <= this.race.cars.length ? number : this.follow;
     this.subject.value = this.follow;
@@ -381,6 +390,8 @@ class Player {
       ".": () => this.seek(this.time + frame),
       Home: () => this.seek(0),
       End: () => this.seek(this.race.duration_s),
+      n: () => this.seekToEvent(1),
+      p: () => this.seekToEvent(-1),
       f: () => this.fullScreen(),
     };
     const action = /^\d$/.test(event.key) ? () => this.watch(Number(event.key)) : actions[event.key];
@@ -391,11 +402,17 @@ class Player {
 }
 
 for (const root of document.querySelectorAll("[data-replay]")) {
-  fetch(root.dataset.replay)
-    .then((answer) => {
-      if (!answer.ok) throw new Error(`The recording cannot be read (${answer.status}).`);
-      return answer.json();
+  const inline = document.getElementById("race-data");
+  const record = inline
+    ? Promise.resolve(JSON.parse(inline.textContent))
+    : fetch(root.dataset.replay).then((answer) => {
+        if (!answer.ok) throw new Error(`The recording cannot be read (${answer.status}).`);
+        return answer.json();
+      });
+  record
+    .then((race) => {
+      const player = new Player(root, race);
+      root.addEventListener("seekto", (event) => player.seek(event.detail));
     })
-    .then((record) => new Player(root, record))
     .catch((error) => root.append(element("p", { role: "alert" }, error.message)));
 }

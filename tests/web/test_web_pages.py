@@ -18,32 +18,16 @@ from starlette.testclient import TestClient
 from league.cli import main
 from league.errors import ConfigError
 from league.matchmaking import standings
-from league.matchmaking.store import Store
 from league.replay import format
 from league.web import server
 from league.web.app import make_app
 from league.web.replay_data import player_data
-from tests.web_league import NAME, OWNER, RULES, new_league, raced_league
+from tests.web.small_league import NAME, ORIGIN, OWNER, RULES, new_league, rated_heat
 
-ORIGIN = "http://127.0.0.1"
-PAGES = ("/", "/standings", "/drivers/1", "/drivers/3", "/heats", "/heats/1", "/tracks")
-
-
-@pytest.fixture(scope="module")
-def store(tmp_path_factory) -> Store:
-    folder = tmp_path_factory.mktemp("league")
-    with raced_league(f"sqlite:///{folder / 'league.db'}") as store:
-        yield store
-
-
-@pytest.fixture(scope="module")
-def client(store) -> TestClient:
-    with TestClient(make_app(store), base_url=ORIGIN) as client:
-        yield client
-
-
-def rated_heat(store: Store) -> int:
-    return next(one.number for one in store.heats(("done",)) if one.heat.purpose == "rated")
+PAGES = (
+    "/", "/standings", "/standings?against=3", "/drivers/1", "/drivers/3", "/matchups/1/3",
+    "/heats", "/heats/1", "/tracks", "/live",
+)  # fmt: skip
 
 
 class Elements(HTMLParser):
@@ -81,7 +65,18 @@ def test_every_page_has_a_title_a_language_and_names_for_its_pictures(client, pa
     assert all(attributes.get("aria-label") for tag, attributes in elements if tag == "svg")
 
 
-@pytest.mark.parametrize("path", ["/", "/standings", "/drivers/3", "/heats/1", "/heats"])
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/",
+        "/standings",
+        "/standings?against=3",
+        "/drivers/3",
+        "/matchups/3/1",
+        "/heats/1",
+        "/heats",
+    ],
+)
 def test_names_with_html_in_them_are_text(client, path):
     elements = Elements(client.get(path).text).found
     assert not any(tag == "img" for tag, _ in elements)
@@ -161,6 +156,8 @@ def test_a_minute_of_eight_cars_reaches_the_player_in_60_kb():
     [
         "/nothing", "/drivers/99", "/drivers/x", "/heats/999", "/heats/1?race=3", "/heats/1?race=x",
         "/heats/99999999999999999999999", "/drivers/99999999999999999999999",
+        "/matchups/1/99", "/matchups/1/1", "/matchups/1/2?before=x", "/standings?against=x",
+        "/standings?against=99", "/standings?track=nowhere",
         "/static/../app.py", "/static/%2e%2e/app.py", "/static/app.py", "/etc/passwd",
         "/api/v1/heats/1/races/0/replay", "/api/v1/heats/1/races/9/replay", "/api/v1/none",
     ],
@@ -191,7 +188,7 @@ def test_pages_of_a_league_without_races_say_what_to_do(tmp_path):
         new_league(f"sqlite:///{tmp_path / 'league.db'}", anchors=(), rules=RULES) as store,
         TestClient(make_app(store), base_url=ORIGIN) as client,
     ):
-        for path in ("/", "/standings", "/heats", "/tracks"):
+        for path in ("/", "/standings", "/heats", "/live", "/tracks"):
             answer = client.get(path)
             assert answer.status_code == 200
             assert "league run" in answer.text or path == "/tracks"

@@ -9,15 +9,30 @@ from league.matchmaking.store import Store
 from league.matchmaking.workers.dispatcher import Dispatcher
 from tests.matchmaking.season_kit import Here, new_league
 
+ORIGIN = "http://127.0.0.1"
 RULES = Ruleset(solver="planar", laps=1, max_time_s=8.0)
 NAME = "<img src=x onerror=name='owned'>"
 OWNER = "</td><script>name='owned'</script>"
 
 
-def raced_league(url: str, *, heats: int = 12) -> Store:
+def raced_league(url: str, *, heats: int = 24) -> Store:
     """Return a league in which that many heats were raced."""
     store = new_league(url, anchors=("centerline", "racing_line"), rules=RULES)
     store.submit(NAME, OWNER, scripted="cautious")
     dispatcher = Dispatcher(store, Here())
     loop.run(store, dispatcher, Season(store, same_owner=True), heats=heats)
     return store
+
+
+def rated_heat(store: Store) -> int:
+    """Return the number of the first heat that counts."""
+    return next(one.number for one in store.heats(("done",)) if one.heat.purpose == "rated")
+
+
+def lapped_heat(store: Store) -> int:
+    """Return the number of the first rated heat in whose first race a lap was completed."""
+    for record in store.heats(("done",)):
+        first = store.results(record.number)[0]
+        if record.heat.purpose == "rated" and first.result["order"][0]["lap_times_s"]:
+            return record.number
+    raise AssertionError("no lap was completed")

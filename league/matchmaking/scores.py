@@ -1,0 +1,105 @@
+"""What single races tell: points against those that the ratings promised, and best laps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from league.matchmaking.ratings.fit import expected_score
+from league.matchmaking.standings import Standings
+from league.matchmaking.store import BEST_MS, KNOWN
+
+
+@dataclass(frozen=True)
+class RaceScore:
+    """An entry's rated race."""
+
+    heat: int
+    """Number of the heat."""
+    race: int
+    """Number of the race within the heat, from 1."""
+    track: str
+    """Name of the track; empty if it is none of the ruleset's."""
+    points: float
+    """Opponents it came in ahead of, ties half."""
+    expected: float
+    """Points that the ratings promise it, grid slots included."""
+
+
+def race_scores(rated: Standings, number: int, other: int | None = None) -> list[RaceScore]:
+    """Return an entry's rated races, by heat and race.
+
+    Args:
+        rated: the standings.
+        number: of the entry.
+        other: number of the only opponent that counts; by default all count.
+    """
+    races, ratings = rated.races, rated.ratings
+    mine = races.entries == number
+    rows = np.flatnonzero(mine.any(axis=1))
+    if other is not None:
+        rows = rows[(races.entries[rows] == other).any(axis=1)]
+    rows = rows[np.lexsort((races.half[rows], races.heat[rows]))]
+    slot = mine[rows].argmax(axis=1)[:, None]
+    entries, places = races.entries[rows], races.places[rows].astype(int)
+    known = np.searchsorted(ratings.entries, entries).clip(max=len(ratings.entries) - 1)
+    strengths = ratings.elo[known] + ratings.slot_advantages[: entries.shape[1]]
+    counts = (entries >= 0) & (entries != number)
+    if other is not None:
+        counts &= entries == other
+    place = np.take_along_axis(places, slot, axis=1)
+    points = (place < places) + 0.5 * (place == places)
+    expected = expected_score(np.take_along_axis(strengths, slot, axis=1) - strengths)
+    names = dict(enumerate(rated.tracks))
+    return [
+        RaceScore(
+            heat=int(races.heat[row]),
+            race=int(races.half[row]) + 1,
+            track=names.get(int(races.track[row]), ""),
+            points=float(points[at][counts[at]].sum()),
+            expected=float(np.asarray(expected)[at][counts[at]].sum()),
+        )
+        for at, row in enumerate(rows)
+    ]
+
+
+@dataclass(frozen=True)
+class BestLap:
+    """An entry's fastest complete lap on a track, penalties included."""
+
+    number: int
+    """Number of the entry."""
+    lap_s: float
+    """[s]."""
+    heat: int
+    """Number of the heat."""
+    race: int
+    """Number of the race within the heat, from 1."""
+
+
+def best_laps(rated: Standings) -> dict[str, list[BestLap]]:
+    """Return the fastest lap of each entry on each track of the ruleset, the fastest first.
+
+    Among equal laps the earlier one counts.
+    """
+    races = rated.races
+    lap_ms = (races.runs & BEST_MS).astype(np.int64)
+    row, slot = np.nonzero(((races.runs & KNOWN) > 0) & (lap_ms > 0))
+    order = np.lexsort((races.half[row], races.heat[row], lap_ms[row, slot]))
+    row, slot = row[order], slot[order]
+    entry, track = races.entries[row, slot], races.track[row]
+    found: dict[str, list[BestLap]] = {}
+    for index, name in enumerate(rated.tracks):
+        on_track = np.flatnonzero(track == index)
+        first = np.sort(np.unique(entry[on_track], return_index=True)[1])
+        found[name] = [
+            BestLap(
+                number=int(entry[at]),
+                lap_s=float(lap_ms[row[at], slot[at]]) / 1000,
+                heat=int(races.heat[row[at]]),
+                race=int(races.half[row[at]]) + 1,
+            )
+            for at in on_track[first]
+        ]
+    return found

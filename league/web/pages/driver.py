@@ -1,0 +1,147 @@
+"""A driver: its rating and how it came about, its record, its heats, its card."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+from collections.abc import Mapping
+from typing import Any
+
+from league.matchmaking import standings
+from league.matchmaking.scores import best_laps, race_scores
+from league.matchmaking.standings import HeadToHead, Row, Standings
+from league.matchmaking.store import Entry
+from league.track import files
+from league.web import charts, family
+from league.web.medals import medal
+from league.web.reader import Document, Reader
+
+HEATS = 14
+"""Newest heats that are listed."""
+NEIGHBOURS = 10
+"""Entries above, and below, in the standings whose records are shown."""
+EXTREMES = 5
+"""Best, and worst, heats that are listed."""
+HISTORY_POINTS = 24
+"""Moments of the rating's history."""
+
+
+def document(reader: Reader, number: int) -> Document:
+    """Return an entry: its rating and how it came about, its record, its heats, its card."""
+    entry, entries, rated = reader.entry(number), reader.store.entries(), reader.standings()
+    row, raced = reader.row(number), reader.store.heats(entries=[number])
+    over = [record for record in raced if record.state not in ("planned", "claimed")]
+    history = _history(reader, entry, rated.num_races) if rated and row and row.races else []
+    heats = _heat_scores(rated, number) if rated and row else []
+    best = heapq.nlargest(EXTREMES, heats, key=_surplus)
+    worst = heapq.nsmallest(EXTREMES, heats, key=_surplus)
+    return {
+        "entry": entry,
+        "standing": row,
+        "history": history,
+        "chart": charts.rating_history(history) if len(history) > 1 else None,
+        "against": _neighbours(rated, row) if rated and row else [],
+        "best": _named(reader, [heat for heat in best if _surplus(heat) > 0]),
+        "worst": _named(reader, [heat for heat in worst if _surplus(heat) < 0]),
+        "laps": _laps(reader, rated, number) if rated and row else [],
+        "heats": reader.listed(over[-HEATS:][::-1]),
+        "waiting": len(raced) - len(over),
+        "card": _card(entry),
+        "ancestors": family.ancestors(entries, entry),
+        "children": [
+            {"number": one.number, "name": one.name} for one in family.children(entries, entry)
+        ],
+    }
+
+
+def _neighbours(rated: Standings, row: Row) -> list[tuple[Row, HeadToHead | None]]:
+    """Return the entries around one in the standings, and its record against each."""
+    first = max(0, row.rank - 1 - NEIGHBOURS)
+    return [
+        (other, standings.head_to_head(rated, row.number, other.number))
+        if other.number != row.number
+        else (other, None)
+        for other in rated.rows[first : row.rank + NEIGHBOURS]
+    ]
+
+
+def _heat_scores(rated: Standings, number: int) -> list[Document]:
+    """Return what an entry made in each of its rated heats, and what the ratings promised."""
+    by_heat = itertools.groupby(race_scores(rated, number), key=lambda score: score.heat)
+    scores = []
+    for heat, races in by_heat:
+        points, expected = zip(*((race.points, race.expected) for race in races), strict=True)
+        scores.append({"number": heat, "points": sum(points), "expected": sum(expected)})
+    return scores
+
+
+def _surplus(score: Document) -> float:
+    return score["points"] - score["expected"]
+
+
+def _named(reader: Reader, scores: list[Document]) -> list[Document]:
+    """Return heats with their grids and tracks."""
+    listed = reader.listed([reader.record(score["number"]) for score in scores])
+    return [{**heat, **score} for heat, score in zip(listed, scores, strict=True)]
+
+
+def _laps(reader: Reader, rated: Standings, number: int) -> list[Document]:
+    """Return an entry's best lap on each track: its place among all, its medal, its race."""
+    lines = []
+    for name, laps in best_laps(rated).items():
+        place = next((at for at, lap in enumerate(laps) if lap.number == number), None)
+        if place is None:
+            continue
+        lap, bound_s = laps[place], reader.bound_s(files.load(name))
+        lines.append(
+            {
+                "track": name,
+                "lap_s": lap.lap_s,
+                "place": place + 1,
+                "over_bound": lap.lap_s / bound_s if bound_s else None,
+                "medal": medal(lap.lap_s, bound_s),
+                "heat": lap.heat,
+                "race": lap.race,
+            }
+        )
+    return lines
+
+
+def _history(reader: Reader, entry: Entry, num_races: int) -> list[standings.HistoryPoint]:
+    return reader.kept(
+        ("history", entry.number, num_races),
+        lambda: standings.history(reader.store, entry, points=HISTORY_POINTS),
+    )
+
+
+def _card(entry: Entry) -> dict[str, str]:
+    """Return what a checkpoint's card says, in the words of the page."""
+    card = entry.card
+    if entry.kind == "scripted":
+        return {"driver": str(card.get("driver", entry.name)), "kind": "scripted"}
+    network = _mapping(card.get("network"))
+    shape = [f"{name}: {size}" for name, size in network.items() if name != "normalise"]
+    sensors = _mapping(card.get("sensors"))
+    actions = [
+        f"{name.replace('_', ' ')} {value}"
+        for name, value in _mapping(card.get("action_space")).items()
+    ]
+    lines = {
+        "trained for": card.get("kind"),
+        "sensors": ", ".join(name for name in sensors if isinstance(sensors[name], Mapping)),
+        "network": "; ".join(shape),
+        "actions": ", ".join(actions),
+        "reward": _mapping(card.get("reward")).get("name"),
+        "tracks": ", ".join(map(str, card.get("tracks") or ())),
+        "decisions": f"{card['steps']:,}" if isinstance(card.get("steps"), int) else None,
+        "licence": card.get("licence"),
+        "made": card.get("created"),
+        "league": card.get("league_version"),
+        "command": card.get("command"),
+        "nearly a copy of": entry.near_copy_of,
+    }
+    return {name: str(value) for name, value in lines.items() if value}
+
+
+def _mapping(value: object) -> Mapping[str, Any]:
+    return value if isinstance(value, Mapping) else {}

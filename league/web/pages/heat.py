@@ -1,0 +1,128 @@
+"""A heat, and one of its races: classification, laps, gaps, events, and what proves them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from league.matchmaking.documents import heat_document, names_of
+from league.matchmaking.store import HeatRecord, RaceOutcome, StoredResult
+from league.replay import Replay
+from league.web import charts, lap_charts, race_charts
+from league.web.reader import Document, NotFoundError, Reader, accepted
+from league.web.replay_data import player_data
+
+
+def document(reader: Reader, number: int, race: str = "", lap: str = "") -> Document:
+    """Return a heat, and all about one of its races.
+
+    Args:
+        reader: reads the league.
+        number: of the heat.
+        race: number of the race within the heat, from 1; empty for the first.
+        lap: number of the lap whose speeds and lines are compared, from 1; empty for each car's
+            best one.
+    """
+    at = _race(reader, number, race)
+    order = at.result.result["order"] if at.result else []
+    laps_s = [one for car in order for one in car["lap_times_s"]]
+    laps = max((len(car["lap_times_s"]) for car in order), default=0)
+    if lap and lap not in map(str, range(1, laps + 1)):
+        raise NotFoundError(f"This race has the laps 1 to {laps}.")
+    shown, replay = _summary(reader, at), at.replay
+    names = [car["name"] for car in shown["cars"]]
+    return {
+        **shown,
+        "seed": at.record.seeds[at.half] if at.record.seeds else None,
+        "ruleset": at.record.heat.ruleset,
+        "best_lap_s": min(laps_s, default=None),
+        "positions": race_charts.position_chart(order, names) if laps else None,
+        "gaps": race_charts.gap_chart(replay) if replay else None,
+        "laps": laps,
+        "lap": int(lap) if lap else None,
+        "compared": lap_charts.of(replay, int(lap) if lap else None) if replay else None,
+        "events": player_data(replay)["events"] if replay else [],
+        **_proof(reader, at),
+        "spec": replay.spec.model_dump(exclude={"entries"}) if replay else None,
+        "physics": replay.physics if replay else None,
+        "league_version": replay.league_version if replay else None,
+    }
+
+
+def summary(reader: Reader, number: int, race: str = "") -> Document:
+    """Return a heat, and the cars, the map and the classification of one of its races."""
+    return _summary(reader, _race(reader, number, race))
+
+
+def replay(reader: Reader, number: int, race: int) -> Document:
+    """Return what the player draws of a race."""
+    reader.record(number)
+    result = accepted(reader.store.results(number), race - 1)
+    if result is None or not result.replay:
+        raise NotFoundError(f"Heat {number} has no recording of a race {race}.")
+    return player_data(reader.replay(result.replay))
+
+
+def one_file(reader: Reader, number: int, race: int) -> Document:
+    """Return what a file needs that plays a race without a server."""
+    return {**summary(reader, number, str(race)), "player_data": replay(reader, number, race)}
+
+
+@dataclass(frozen=True)
+class _Race:
+    record: HeatRecord
+    half: int
+    """Number of the race, from 0."""
+    result: StoredResult | None
+    replay: Replay | None
+
+
+def _race(reader: Reader, number: int, race: str) -> _Race:
+    record = reader.record(number)
+    valid = [str(half + 1) for half in range(len(record.heat.halves))]
+    if (race or "1") not in valid:
+        raise NotFoundError(f"Heat {number} has the races {' and '.join(valid)}.")
+    half = int(race or "1") - 1
+    result = accepted(reader.store.results(number), half)
+    return _Race(
+        record, half, result, reader.replay(result.replay) if result and result.replay else None
+    )
+
+
+def _summary(reader: Reader, at: _Race) -> Document:
+    entries, race = reader.store.entries(), at.record.heat.halves[at.half]
+    by_id = {entry.id: entry for entry in entries}
+    return {
+        "heat": heat_document(at.record, names_of(entries)),
+        "race": at.half + 1,
+        "track": race.track,
+        "cars": [
+            {"number": slot + 1, "entry": by_id[id].number, "name": by_id[id].name}
+            for slot, id in enumerate(race.grid)
+        ],
+        "result": at.result.result if at.result else None,
+        "places": at.result.places if at.result else (),
+        "recording": at.result.replay if at.result else None,
+        "map": charts.track_map(at.replay.track) if at.replay else None,
+    }
+
+
+def _proof(reader: Reader, at: _Race) -> Document:
+    """Return what speaks for a result: its hash, who raced it, and whether others found it, too."""
+    record, result = at.record, at.result
+    numbers = [one.number for one in reader.store.entries() if one.id in record.heat.entries]
+    later = reader.store.heats(entries=numbers, since=record.number)
+    audits = [one for one in later if one.heat.audits == record.heat.key]
+    results = reader.store.results(record.number)
+    halves = {one.half for one in results}
+    return {
+        "hash": result.hash if result else None,
+        "intact": bool(result and RaceOutcome(result.places, result.result).hash == result.hash),
+        "worker": result.worker if result else None,
+        "machine": result.machine if result else None,
+        "disputed": len([one for one in results if not one.rejected]) > len(halves),
+        "rejected": sum(one.rejected for one in results),
+        "audits": [
+            {"number": one.number, "state": one.state, "worker": one.worker, "done_s": one.done_s}
+            for one in audits
+        ],
+    }

@@ -1,0 +1,103 @@
+"""The pages by their addresses: template, data, and what may be asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from starlette.convertors import Convertor, register_url_convertor
+from starlette.requests import Request
+
+from league.matchmaking.ratings.fit import Difference
+from league.matchmaking.standings import HeadToHead, HistoryPoint, Row
+from league.matchmaking.store import Entry
+from league.web.pages import driver, heat, heats, home, live, matchup, table, tracks
+from league.web.reader import Document, Reader
+
+
+class _Number(Convertor[int]):
+    """Numbers in addresses: no longer than any that a league has."""
+
+    regex = "[0-9]{1,15}"
+
+    def convert(self, value: str) -> int:
+        return int(value)
+
+    def to_string(self, value: int) -> str:
+        return str(value)
+
+
+register_url_convertor("number", _Number())
+
+
+@dataclass(frozen=True)
+class Page:
+    """One page; its data alone is at /api/v1 and the same path."""
+
+    path: str
+    """As Starlette writes routes."""
+    summary: str
+    """What it shows, in a few words."""
+    document: Callable[..., Document]
+    """Returns its data, from a Reader and the parameters of path and query by their names."""
+    template: str = ""
+    """File of the page; empty for data without a page."""
+    file: str = ""
+    """Name under which browsers save the page instead of showing it; may hold path parameters."""
+    media_type: str = "text/html"
+    """Of the page."""
+    query: Mapping[str, str] = field(default_factory=dict)
+    """Parameters after the question mark, all of them text, each with its meaning."""
+    parts: Mapping[str, Any] = field(default_factory=dict)
+    """Types of those parts of the data that are frozen data, by their names."""
+
+    @property
+    def has_api(self) -> bool:
+        """Whether its data is to be had as JSON."""
+        return not self.file and self.media_type == "text/html"
+
+    @property
+    def api_path(self) -> str:
+        """Address of its data."""
+        return f"/api/v1{self.path.rstrip('/') or '/home'}"
+
+    def read(self, reader: Reader, request: Request) -> Document:
+        """Return the data that a request asks for."""
+        asked: dict[str, Any] = {name: request.query_params.get(name, "") for name in self.query}
+        return self.document(reader, **request.path_params, **asked)
+
+
+PAGES = (
+    Page("/", "The most contested recent race and the top of the standings", home.document,
+         "home.html"),
+    Page("/standings", "The standings", table.document, "standings.html",
+         query={"owner": "Only entries of this owner", "kind": "Only anchor, policy or scripted",
+          "track": "Track of the best laps",
+          "against": "Number of a driver: everyone's record against it"},
+         parts={"rows": list[Row], "against": Row | None, "records": dict[int, HeadToHead]}),
+    Page("/drivers/{number:number}", "A driver: rating, history, records, heats, card",
+         driver.document, "driver.html",
+         parts={"entry": Entry, "standing": Row | None, "history": list[HistoryPoint],
+                "against": list[tuple[Row, HeadToHead | None]]}),
+    Page("/matchups/{one:number}/{other:number}",
+         "Two drivers: their heats, expected and actual score",
+         matchup.document, "matchup.html",
+         query={"before": "Number of a heat: only earlier ones are listed"},
+         parts={"one": Entry, "other": Entry, "difference": Difference | None,
+                "record": HeadToHead | None}),
+    Page("/heats", "The newest heats", heats.document, "heats.html"),
+    Page("/feed.atom", "The newest heats as a feed", heats.document, "feed.xml",
+         media_type="application/atom+xml"),
+    Page("/heats/{number:number}", "A heat, and one of its races", heat.document, "heat.html",
+         query={"race": "Number of the race within the heat, from 1",
+          "lap": "Number of the lap to compare, from 1; empty for each car's best one"}),
+    Page("/heats/{number:number}/races/{race:number}/replay", "What the player draws of a race",
+         heat.replay),
+    Page("/heats/{number:number}/races/{race:number}/file",
+         "A file that plays a race without a server",
+         heat.one_file, "one_file.html", file="heat_{number}_race_{race}.html"),
+    Page("/tracks", "The tracks, and the fastest laps on each", tracks.document, "tracks.html"),
+    Page("/live", "Running heats, queue, workers, heats per minute", live.document, "live.html"),
+)  # fmt: skip
+"""All pages, and data without a page."""

@@ -1,0 +1,23 @@
+"""A small league whose races are over, and its pages."""
+
+from collections.abc import Iterator
+
+import pytest
+from starlette.testclient import TestClient
+
+from league.matchmaking.store import Store
+from league.web.app import make_app
+from tests.web.small_league import ORIGIN, raced_league
+
+
+@pytest.fixture(scope="session")
+def store(tmp_path_factory) -> Iterator[Store]:
+    folder = tmp_path_factory.mktemp("league")
+    with raced_league(f"sqlite:///{folder / 'league.db'}") as store:
+        yield store
+
+
+@pytest.fixture(scope="session")
+def client(store) -> Iterator[TestClient]:
+    with TestClient(make_app(store), base_url=ORIGIN) as client:
+        yield client

@@ -1,0 +1,81 @@
+"""The tracks with their records and speeds, and what happens now."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from league.matchmaking import standings
+from league.racing_line.lap_bound import lap_bound
+from league.replay import format
+from league.sim.config import CarConfig
+from league.track import files
+from league.web import lap_charts
+from tests.web.small_league import lapped_heat
+
+
+def test_records_are_the_best_laps_of_the_standings(client, store):
+    (track,) = client.get("/api/v1/tracks").json()["tracks"]
+    best = {
+        row.number: row.best_laps_s[track["name"]]
+        for row in standings.of(store).rows
+        if track["name"] in row.best_laps_s
+    }
+    assert {record["entry"]: record["lap_s"] for record in track["records"]} == best
+    laps = [record["lap_s"] for record in track["records"]]
+    assert laps == sorted(laps) and laps
+    assert f'href="/heats/{track["records"][0]["heat"]}?race=' in client.get("/tracks").text
+
+
+def test_medals_are_by_the_lap_bound_of_the_track(client):
+    (track,) = client.get("/api/v1/tracks").json()["tracks"]
+    bound_s = lap_bound(files.load(track["name"]), CarConfig())
+    assert track["medals"]["silver"] == pytest.approx(1.2 * bound_s)
+    for record in track["records"]:
+        assert (record["medal"] == "") == (record["lap_s"] > 1.35 * bound_s)
+
+
+def test_a_speed_map_has_the_whole_lap_and_its_slowest_and_fastest_part(store):
+    number = lapped_heat(store)
+    replay = format.decode(store.blobs.get(store.results(number)[0].replay))
+    lap = lap_charts.lap_of(replay, replay.result.order[0].car, 1)
+    shown = lap_charts.speed_map(lap)
+    assert sum(line.path.count("M") for line in shown.lines) == len(lap.points) - 1
+    middle = (lap.speed[1:] + lap.speed[:-1]) / 2
+    assert (shown.low, shown.high) == (middle.min(), middle.max())
+    slowest, fastest = (shown.lines[at].path.count("M") for at in (0, -1))
+    width = (shown.high - shown.low) / len(shown.lines)
+    assert slowest == np.count_nonzero(middle < shown.low + width)
+    assert fastest == np.count_nonzero(middle >= shown.high - width)
+
+
+def test_a_lap_begins_at_the_start_line_and_ends_there(store):
+    replay = format.decode(store.blobs.get(store.results(lapped_heat(store))[0].replay))
+    car = replay.result.order[0]
+    lap = lap_charts.lap_of(replay, car.car, 1)
+    assert lap.place[-1] == pytest.approx(replay.track.length, abs=0.4)
+    assert lap.time_s[-1] == pytest.approx(car.lap_times_s[0], abs=1 / replay.step_hz)
+
+
+def test_a_running_heat_its_worker_and_the_queue_are_live(client, store):
+    before = client.get("/api/v1/live").json()
+    (claim,) = store.claim("a worker", 1)
+    try:
+        now = client.get("/api/v1/live").json()
+        assert [heat["number"] for heat in now["running"]] == [claim.number]
+        assert now["counts"]["planned"] == before["counts"]["planned"] - 1
+        worker = next(one for one in now["workers"] if one["name"] == "a worker")
+        assert (worker["racing"], worker["done"]) == (1, 0)
+        assert "1 heat is racing" in client.get("/live").text
+    finally:
+        store.fail("a worker", claim.heat.key, "", lost=True)
+
+
+def test_the_pace_is_of_the_last_five_minutes(client, store, monkeypatch):
+    done = [heat.done_s for heat in store.heats(("done",))]
+    monkeypatch.setattr("league.web.pages.live.time.time", lambda: max(done) + 1.0)
+    recent = sum(max(done) + 1.0 - one < 300 for one in done)
+    assert client.get("/api/v1/live").json()["per_minute"] == pytest.approx(recent / 5)
+    monkeypatch.setattr("league.web.pages.live.time.time", lambda: max(done) + 301.0)
+    later = client.get("/api/v1/live").json()
+    assert later["per_minute"] == 0 and later["wait_minutes"] is None
