@@ -44,10 +44,11 @@ def test_who_is_faster_on_another_lane_passes_cleanly_and_who_is_not_does_not():
 
 
 def test_from_the_last_place_all_others_count():
-    field = Lane(-0.4), Lane(0.1), Lane(-0.3), Lane(0.4)
-    found = duels.from_behind(CFG, field, (0.35, 0.6, 0.3, 1.0))
-    assert found.places >= 2.0
-    assert found.passed <= found.places / 3
+    field = Lane(-0.3), Lane(-0.3), Lane(-0.3), Lane(0.3)
+    found = duels.from_behind(CFG, field, (0.45, 0.4, 0.35, 1.0))
+    assert found.passed == 1.0 and found.places == 3.0
+    found = duels.from_behind(CFG, (Lane(-0.3), Lane(-0.3), Lane(0.3)), (1.0, 0.3, 0.42))
+    assert found.passed == 0.0 and found.places == 1.0
 
 
 def test_who_passes_by_ramming_does_not_pass_cleanly():

@@ -21,12 +21,12 @@ from league.agents import inference
 from league.envs import step as stages
 
 RECORDED = {
-    "bots": "c31e21d42de2996e",
-    "boxes": "6f1610bf54f07343",
-    "crowd": "c8d3670e9190c87b",
-    "meeting": "b84dfe97ec8c4cfc",
+    "bots": "8d9ee09ee568b667",
+    "boxes": "69e210c2700aabb3",
+    "crowd": "a67c27bc490a824b",
+    "meeting": "4d708f2691b26380",
     "policy": "9bbdda3c3ab6207c",
-    "race": "7f8d9130485c80fc",
+    "race": "96c91b85d3b9b5be",
 }
 """SHA-256 over the hashes of all fields of a race, in the order of their names, shortened.
 

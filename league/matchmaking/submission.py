@@ -203,6 +203,12 @@ def identity(policy: Checkpoint) -> str:
     results, command, ...) nor how its file is laid out makes it another entry.
     """
     card = policy.card.model_dump(mode="json", include=DRIVING)
+    # Settings that came later do not change the id of a policy that does without them.
+    card["sensors"] = {
+        name: value
+        for name, value in card["sensors"].items()
+        if value or name not in ("history", "truth")
+    }
     content = hashlib.sha256(b"league policy 1\n" + heat_spec.canonical(card))
     for name in sorted(policy.weights):
         weight = policy.weights[name]

@@ -46,7 +46,7 @@ def test_two_cameras_are_refused():
     [
         ("sensor", "nearest: .*sensors"),
         ("rewards", "nearest: .*reward"),
-        ("restarting", "there are .*reward"),
+        ("gravity", "there are .*reward"),
     ],
 )
 def test_a_wrong_keyword_is_refused_with_the_nearest(make_env, name, names):

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import load as safetensors_load
 
-from league.agents import checkpoint
+from league.agents import checkpoint, roster
 from league.agents.network import NetworkConfig
 from league.errors import LeagueError, PolicyError, StoreError
 from league.matchmaking import submission
@@ -28,6 +28,7 @@ from tests.matchmaking.season_kit import SHORT, new_league
 
 GIVEN = make_checkpoint("lidar", network=NetworkConfig(hidden=(8,)))
 SOUND = submission.pack(GIVEN)
+NOVICE = "3d416ae4e3cdf452bfa43fd6f2fb0f229bc18ce1670d4074a45c8db1b8421b05"
 
 
 def split(content: bytes) -> tuple[dict, bytes]:
@@ -334,3 +335,16 @@ def test_names_that_pass_for_others_are_refused(tmp_path, name, reason):
             "racer 2",
         ):
             assert store.submit(fine, "bob", weights=fine.encode()).name == fine
+
+
+def test_settings_of_sensors_that_came_later_do_not_change_older_ids():
+    novice = checkpoint.load(roster.garage()["novice"])
+    # As the versions before `history` and `truth` had it.
+    assert submission.identity(novice) == NOVICE
+    card = novice.card.model_copy(update={"sensors": replace(novice.card.sensors, history=2)})
+    assert submission.identity(checkpoint.Checkpoint(card, novice.weights)) != NOVICE
+
+
+def test_a_policy_that_is_given_the_true_state_is_refused():
+    with pytest.raises(PolicyError, match="no car can measure"):
+        submission.check_sensors(SensorConfig(truth=True), Ruleset(sensors="any"))
