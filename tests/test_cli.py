@@ -292,7 +292,11 @@ def test_classification_says_who_passed_whom_and_the_penalties(league):
     code, out, _ = league("race", "centerline", "racing_line", *SHORT)
     assert code == 0
     assert "penalty" in out
-    assert re.search(r"^racing_line passed centerline at 0:\d\d\.\d(, 0:\d\d\.\d)*$", out, re.M)
+    passed = r"^lap 1, 0:\d\d\.\d: racing_line passes centerline( back)? for the lead$"
+    assert re.search(passed, out, re.M)
+    assert re.search(r"^lap 1, .*: \w+ wins, \d+\.\d\d s before \w+$", out, re.M)
+    assert "closest fight: centerline and racing_line" in " ".join(out.split())
+    assert len(re.findall(r"^lap \d", out, re.M)) <= 12
 
 
 @pytest.mark.parametrize("name", ["tracks", "drivers"])

@@ -72,7 +72,9 @@ class Director:
         best = _best(gaps, cars, time_s)
         decided = time_s - self._open_s >= HOLD_S
         other = {best.front, best.rear} != {shot.front, shot.rear}
-        closer = gap is not None and gaps.get((best.front, best.rear), np.inf) <= CLOSER * gap
+        # Nobody turns away from an attack, and what happened at its end is still shown.
+        dull = gap is not None and ATTACK < gap <= PACK
+        closer = dull and gaps.get((best.front, best.rear), np.inf) <= CLOSER * (gap or 0.0)
         if other and time_s - shot.since_s >= SHORTEST_S and (decided or closer):
             shot, self._open_s = best, time_s
         self.shot = shot

@@ -25,7 +25,9 @@ _LETTERS = 200  # longest text drawn; a longer one would not fit anyway
 CAPTION_S = 2.6
 """How long an event stays [s]."""
 FADE_S = 0.25
-SILENT = frozenset({"start", "contact", "put_back", "lead_change", "attack", "closest_fight"})
+SILENT = frozenset(
+    {"start", "contact", "put_back", "lead_change", "attack", "side_by_side", "closest_fight"}
+)
 """Lines of the story without a caption: the picture shows them."""
 FIGHT_HZ = 5
 """How often the gap of a fight changes: faster, it could not be read."""
