@@ -33,7 +33,9 @@ def is_one_sentence(complaint: str) -> bool:
 def test_race_prints_a_classification_and_succeeds(league):
     code, out, err = league("race", "centerline", "centerline", *SHORT)
     assert (code, err) == (0, "")
-    first, second = [line for line in out.splitlines() if "centerline" in line]
+    first, second = [
+        line for line in out.split("Lead changes")[0].splitlines() if "centerline" in line
+    ]
     assert re.search(r"\b1 .*centerline.*\b0:\d\d\.\d{3}", first)
     assert re.search(r"\b2 .*centerline.*\+\d+\.\d{3}", second)
     assert "Lead changes: 0" in out

@@ -309,8 +309,8 @@ def _print_story(lines: Sequence[Line]) -> None:
     """Print what mattered, a line each, and how much more there is to see."""
     from league.replay import commentary
 
-    told = commentary.shortened(lines, STORY_LINES)
-    for line in told:
+    kept = commentary.shortened(lines, STORY_LINES)
+    for line in kept:
         print(textwrap.fill(line.stamped, tables.console().width, subsequent_indent="    "))
 
 

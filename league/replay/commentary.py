@@ -28,7 +28,7 @@ CLOSING = 0.1
 QUIET_S = 5.0
 """The same pair is not mentioned as attacking or level again for so long [s]."""
 AFTER_START_S = 1.5
-"""On the grid everybody is close to somebody [s]."""
+"""On the grid all cars are close to each other [s]."""
 BACK_S = 10.0
 """A pass so soon after being passed takes the place back [s]."""
 
@@ -281,9 +281,9 @@ def gap_s(cars: Cars, front: int, rear: int) -> float:
 
 def shortened(lines: Sequence[Line], most: int = 12) -> list[Line]:
     """Return the lines that matter most, in order of time; of equal ones the later."""
-    told = [line for line in lines if line.kind in _WEIGHT]
-    told.sort(key=lambda line: (_WEIGHT[line.kind], -line.time_s))
-    return sorted(told[:most], key=lambda line: line.time_s)
+    kept = [line for line in lines if line.kind in _WEIGHT]
+    kept.sort(key=lambda line: (_WEIGHT[line.kind], -line.time_s))
+    return sorted(kept[:most], key=lambda line: line.time_s)
 
 
 def _is_news(fight: _Fight, kind: str, time_s: float) -> bool:
@@ -294,7 +294,7 @@ def _is_news(fight: _Fight, kind: str, time_s: float) -> bool:
 
 
 def _is_said(event: Event, events: Sequence[Event]) -> bool:
-    """Return whether another event of the step says it: a crash names whom it hit."""
+    """Return whether another event of the step says it: a crash names the car it hit."""
     if event.kind == "contact":
         return any(one.kind in ("crash", "touch") and one.other == event.car for one in events)
     return any(one.kind == "overtake" and one.car == event.car for one in events)

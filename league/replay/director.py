@@ -33,7 +33,7 @@ class Shot:
     """When the shot began [s]."""
 
     def sentence(self, names: tuple[str, ...], cars: Cars) -> str:
-        """Return who attacks and the gap in seconds; empty where nobody is near."""
+        """Return who attacks and the gap in seconds; empty where no car is near."""
         gap = abs(float(cars["distance"][self.front] - cars["distance"][self.rear]))
         if self.front == self.rear or gap > APART:
             return ""
@@ -72,7 +72,7 @@ class Director:
         best = _best(gaps, cars, time_s)
         decided = time_s - self._open_s >= HOLD_S
         other = {best.front, best.rear} != {shot.front, shot.rear}
-        # Nobody turns away from an attack, and what happened at its end is still shown.
+        # The camera does not leave an attack, and what happened at its end is still shown.
         dull = gap is not None and ATTACK < gap <= PACK
         closer = dull and gaps.get((best.front, best.rear), np.inf) <= CLOSER * (gap or 0.0)
         if other and time_s - shot.since_s >= SHORTEST_S and (decided or closer):
@@ -106,7 +106,7 @@ class ChasePath:
     take: np.ndarray
     """Number of the take: between two of them the picture cuts, int64."""
     fights: tuple[str, ...]
-    """Who attacks whom and by how much, empty where nobody does."""
+    """Who attacks, which car and the gap; empty where there is no fight."""
 
     def at(self, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return x, y and yaw between frames; no camera travels from one take to the next."""

@@ -79,7 +79,7 @@ def _send_race(writer: SceneWriter, replay: Replay) -> None:
 
 
 def _send_order(writer: SceneWriter, replay: Replay, fights: Sequence[str]) -> None:
-    """Send who is where and attacks whom, and the classification when they have raced."""
+    """Send the order and the fight shown, and the classification when they have raced."""
     head, names = _head(replay), replay.names
     texts = [
         running_order(head, [names[slot] for slot in order], fight)
@@ -185,7 +185,7 @@ def classification(replay: Replay) -> str:
 
 
 def running_order(head: str, names: Sequence[str], fight: str = "") -> str:
-    """Return who is where as Markdown, the leader first, and who attacks whom."""
+    """Return who is where as Markdown, the leader first, and the fight that is shown."""
     places = [f"{place}. {escaped(name)}" for place, name in enumerate(names, 1)]
     return "\n".join([head, "", *places, *(["", escaped(fight)] if fight else [])])
 

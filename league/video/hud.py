@@ -194,7 +194,7 @@ class Hud:
             put_text(picture, text, px(52), y + px(6), px(22), weight=500, opacity=opacity)
 
     def _draw_fight(self, picture: np.ndarray, frame: int) -> None:
-        """Write who attacks whom, and the gap in seconds, at the top of the picture."""
+        """Write who attacks which car and the gap in seconds, at the top of the picture."""
         every = max(1, self._replay.step_hz // FIGHT_HZ)
         text = self._fights[frame - frame % every] if self._fights else ""
         if not text:
