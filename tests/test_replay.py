@@ -12,8 +12,8 @@ from recorded import by_hand, finish, first_world, moved, raced, recorder_of
 from league import __version__, replay
 from league.errors import LeagueError, ReplayError
 from league.racing import race
+from league.replay import director, story
 from league.replay import format as file_format
-from league.replay import story
 from league.replay.format import PREFIX, decode, encode
 from league.sim.camera.paint_renderer import PaintRenderer
 from league.sim.config import CameraConfig
@@ -230,12 +230,12 @@ def test_gaps_are_given_in_metres_and_in_seconds():
     assert story.running_order(made)[9].tolist() == [0, 1]
 
 
-def test_the_chase_follows_the_last_of_the_leading_pack():
+def test_the_chase_follows_the_rear_car_of_a_fight_and_then_the_leader():
     def driven(world, number):
         distance = [5.0, 3.0 if number < 30 else 1.0]
         return moved(world, x=[10.0, 20.0], y=[0.0, 0.0], yaw=[0.0, 0.0], distance=distance)
 
-    path = story.chase_path(by_hand(60, driven))
+    path = director.chase_path(by_hand(60, driven))
     assert path.x[0] == pytest.approx(20.0)  # 2 m behind: both in the picture
     assert path.x[-1] == pytest.approx(10.0)  # 4 m behind: the leader alone
 

@@ -6,6 +6,7 @@ import json
 import math
 import shlex
 import sys
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,9 +23,13 @@ from league.sim.config import USUAL_OBSTACLES
 if TYPE_CHECKING:
     from league.cli.evaluate import Evaluate
     from league.race_spec import RaceResult, RaceSpec
+    from league.replay.commentary import Line
     from league.rerun_view import Live
     from league.sim.world import World
     from league.track.track import Track
+
+STORY_LINES = 12
+"""Lines of the race's story that are printed at most."""
 
 
 @dataclass
@@ -110,17 +115,26 @@ def _race(command: Race) -> int:
             if live is not None:
                 live.add(world)
 
-        finished = race.run(spec, track=track, record=keep, watch=watch)
+        listen = None if live is None else live.note
+        # Without a file, too, the story is of the recording.
+        record = keep or not command.json
+        finished = race.run(spec, track=track, record=record, watch=watch, listen=listen)
+    lines = []
+    if finished.replay is not None and not command.json and len(spec.entries) > 1:
+        from league.replay import commentary
+
+        lines = commentary.of_replay(finished.replay)
     try:
         if finished.replay is not None and path is not None:
             from league import replay as replays
 
             replays.write(finished.replay, path)
     except ReplayError:
-        _print_result(command, finished.result, None)  # a full disk does not undo the race
+        _print_result(command, finished.result, lines, None)  # a full disk undoes no race
         raise
-    _print_result(command, finished.result, path)
+    _print_result(command, finished.result, lines, path)
     if live is not None:
+        live.end(finished.result)
         sys.stdout.flush()
         print(f"The race is over. {live.how_to_end}", file=sys.stderr, flush=True)
         live.wait()
@@ -140,12 +154,15 @@ def _after_qualifying(spec: RaceSpec, track: Track, *, quiet: bool) -> RaceSpec:
     return qualifying.line_up(spec, laps)
 
 
-def _print_result(command: Race, result: RaceResult, replay: Path | None) -> None:
+def _print_result(
+    command: Race, result: RaceResult, lines: Sequence[Line], replay: Path | None
+) -> None:
     if command.json:
         document = {**result.model_dump(mode="json"), "replay": str(replay) if replay else None}
         print(json.dumps(document, indent=2))
         return
     _print_classification(result)
+    _print_story(lines)
     if replay is not None:
         print(replay_line(replay))
 
@@ -286,22 +303,15 @@ def _print_classification(result: RaceResult) -> None:
     tables.console().print(table)
     if len(result.order) > 1:
         print(f"Lead changes: {result.lead_changes}")
-        for line in _passes(result):
-            print(line)
 
 
-def _passes(result: RaceResult) -> list[str]:
-    """Return which driver passed which other and when, a line for each pair."""
-    names = {car.car: car.name for car in result.order}
-    passes: dict[tuple[int, int], list[str]] = {}
-    for event in result.events:
-        if event.kind == "overtake" and event.other is not None:
-            passes.setdefault((event.car, event.other), []).append(times.clock(event.time_s)[:-2])
-    return [
-        f"{names[car]} passed {names[other]} at {', '.join(at[:5])}"
-        + (f" and {len(at) - 5} times more" if len(at) > 5 else "")
-        for (car, other), at in passes.items()
-    ]
+def _print_story(lines: Sequence[Line]) -> None:
+    """Print what mattered, a line each, and how much more there is to see."""
+    from league.replay import commentary
+
+    kept = commentary.shortened(lines, STORY_LINES)
+    for line in kept:
+        print(textwrap.fill(line.stamped, tables.console().width, subsequent_indent="    "))
 
 
 COMMANDS = {"race": Race}

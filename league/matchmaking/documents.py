@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, is_dataclass
 from typing import Any
 
-from league.matchmaking.standings import Standings
+from league.matchmaking.standings import Standings, pole
 from league.matchmaking.store import Entry, HeatRecord
 
 
@@ -37,6 +37,7 @@ def standings_document(rated: Standings, top: int | None = None) -> dict[str, ob
         "races": rated.num_races,
         "prior_sd": rated.ratings.prior_sd,
         "slot_advantages": rated.ratings.slot_advantages.tolist(),
+        "pole": plain(pole(rated)),
         "fit": {
             "chi_square": goodness.chi_square,
             "freedom": goodness.freedom,

@@ -291,6 +291,59 @@ class Runs:
 
 
 @dataclass(frozen=True)
+class Pole:
+    """How much of the results the first slot of the grid decides."""
+
+    races: int
+    """Rated races of two cars or more."""
+    won: float
+    """Share of them won from the first slot, a shared win in part."""
+    low95: float
+    """Lower end of its 95 % interval (Wilson, as if races were independent)."""
+    high95: float
+    """Upper end of it."""
+    even: float
+    """The share that a slot without any advantage wins: one over the number of cars."""
+    elo: float
+    """What the first slot is worth over the mean of all slots, drivers being equal [Elo]."""
+    elo_low95: float
+    """Lower end of its 95 % interval [Elo]."""
+    elo_high95: float
+    """Upper end of it [Elo]."""
+
+
+def pole(standings: Standings) -> Pole | None:
+    """Return what the first slot of the grid decides; None without a race of two cars."""
+    results = standings.results.distinct()
+    present = results.entries >= 0
+    cars = present.sum(axis=1)
+    results, present, cars = results.rows(cars > 1), present[cars > 1], cars[cars > 1]
+    races = len(results)
+    if not races:
+        return None
+    first = (results.places == results.places.min(axis=1, where=present, initial=255)[:, None]) & (
+        present
+    )
+    won = float((first[:, 0] / first.sum(axis=1)).mean())
+    # Wilson's interval stays within 0 and 1, also where every race was won from one slot.
+    squared = SIGMAS_95**2 / races
+    middle = (won + squared / 2) / (1 + squared)
+    half = np.sqrt(squared * (won * (1 - won) + squared / 4)) / (1 + squared)
+    fitted = standings.ratings
+    elo, reach = float(fitted.slot_advantages[0]), SIGMAS_95 * float(fitted.slot_sd[0])
+    return Pole(
+        races=races,
+        won=won,
+        low95=float(middle - half),
+        high95=float(middle + half),
+        even=float((1 / cars).mean()),
+        elo=elo,
+        elo_low95=elo - reach,
+        elo_high95=elo + reach,
+    )
+
+
+@dataclass(frozen=True)
 class HeadToHead:
     """Record of one entry against another."""
 

@@ -16,7 +16,7 @@ from league.envs.config import EnvConfig, RewardConfig
 from league.envs.race_env import Observations, RaceEnv, Step
 from league.envs.sensor_suite import SensorSuite
 from league.errors import ConfigError, PolicyError
-from league.race_spec import Entry, RaceResult, RaceSpec
+from league.race_spec import Entry, Event, RaceResult, RaceSpec
 from league.racing.race_log import RaceLog, classify
 from league.sim.config import RULES, CarConfig, DynamicsRandomization, ObstacleConfig, SimConfig
 from league.sim.world import World
@@ -47,6 +47,8 @@ class RaceJob:
     record: bool = True
     """Whether to keep a replay; it changes nothing in the race."""
     watch: WorldCallback | None = None
+    listen: Callable[[Event], None] | None = None
+    """Called with each event of the log as it happens, before `watch` of that step."""
 
 
 @dataclass(frozen=True)
@@ -110,13 +112,14 @@ def run(
     drivers: Sequence[Driver] | None = None,
     record: bool = True,
     watch: WorldCallback | None = None,
+    listen: Callable[[Event], None] | None = None,
 ) -> FinishedRace:
     """Run a race from the grid to the classification; see RaceJob for the arguments.
 
     Raises:
         LeagueError: unknown drivers or track, or settings that contradict each other.
     """
-    return run_together([RaceJob(spec, track, drivers, record, watch)])[0]
+    return run_together([RaceJob(spec, track, drivers, record, watch, listen)])[0]
 
 
 def run_together(jobs: Sequence[RaceJob], *, patience_s: float = math.inf) -> list[FinishedRace]:
@@ -233,7 +236,7 @@ class _RunningRace:
         self.result: RaceResult | None = None
         self.readings: Observations = ()
         self._sensing = SensorSuite(tracks, cfg)
-        self._log = RaceLog(cfg.sim.step_dt, cfg.sim.num_cars)
+        self._log = RaceLog(cfg.sim.step_dt, cfg.sim.num_cars, listen=job.listen)
         self._faults = [0] * cfg.sim.num_cars
         self._recorder = None
         if job.record:

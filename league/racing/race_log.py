@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from statistics import fmean
 
@@ -22,11 +23,12 @@ class RaceLog:
     laps: list[list[float]] = field(default_factory=list)
     penalties: list[float] = field(default_factory=list)
     steps: int = 0
+    listen: Callable[[Event], None] | None = None
 
     def __post_init__(self) -> None:
         self.laps = [[] for _ in range(self.num_cars)]
         self.penalties = [0.0] * self.num_cars
-        self.events.append(Event(time_s=0.0, kind="start", car=0))
+        self.add("start", 0)
 
     def add(
         self, kind: EventKind, car: int, other: int | None = None, value: float | None = None
@@ -34,6 +36,8 @@ class RaceLog:
         """Log an event at the current time."""
         time_s = round(self.steps * self.step_dt, 4)
         self.events.append(Event(time_s=time_s, kind=kind, car=car, other=other, value=value))
+        if self.listen is not None:
+            self.listen(self.events[-1])
 
     def note(self, verdicts: np.ndarray, scraped: np.ndarray, world: World) -> None:
         """Log the referee's verdicts on a step of one race.

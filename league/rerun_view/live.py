@@ -10,12 +10,12 @@ import numpy as np
 import rerun as rr
 
 from league import times
-from league.race_spec import RaceSpec
-from league.replay.story import PACK
+from league.race_spec import Event, RaceResult, RaceSpec
+from league.replay.commentary import Commentator
+from league.replay.director import PACK, Director
 from league.rerun_view import blueprint, paths, record
 from league.rerun_view.scene import SceneWriter, about_z, positions, speeds
 from league.rerun_view.viewer import Stream
-from league.sim.camera.scene import CAR_COLOURS
 from league.sim.config import SimConfig
 from league.sim.world import World
 from league.track.track import Track
@@ -59,14 +59,15 @@ class Live:
         self._speed, self._step_hz = speed, SimConfig().step_hz
         self._begin_s: float | None = None
         self._chase: np.ndarray | None = None
-        self._laps = np.zeros(len(self._names), dtype=np.int64)
+        self._commentator = Commentator(spec, self._names, closed=track.closed)
+        self._director, self._events = Director(), list[Event]()
         self._stream: Stream | None = None
         self.address = ""
         """Where it can be watched."""
         self._writer = SceneWriter(recording, track, self._names, self._step_hz)
         kind, laps = spec.kind.replace("_", " "), times.laps(spec.laps)
         self._title = f"# {track.title}\n\n**{kind}**, {laps}, live"
-        self._order: tuple[int, ...] = ()
+        self._shown = ""
 
     @classmethod
     def start(
@@ -112,27 +113,34 @@ class Live:
         self._writer.send_charts(times, charts)
         if world.num_obstacles:
             self._writer.send_obstacles(times, world.obstacles[:1], bots=self._bots)
-        laps = cars["laps"][0]
-        for slot in np.flatnonzero(laps > self._laps):
-            text = f"{self._names[slot]} completes lap {laps[slot]}"
-            self._writer.send_event(times[0], text, CAR_COLOURS[slot])
-        self._laps = laps.copy()
-        order = tuple(np.argsort(gaps[0], kind="stable").tolist())
-        if order != self._order:
-            self._order = order
-            text = record.running_order(self._title, [self._names[slot] for slot in order])
+        for line in self._commentator.add(float(times[0]), cars[0], self._events):
+            record.send_line(self._writer, line)
+        self._events.clear()
+        order = [self._names[slot] for slot in np.argsort(gaps[0], kind="stable")]
+        shot = self._director.add(float(times[0]), cars[0])
+        text = record.running_order(self._title, order, shot.sentence(self._names, cars[0]))
+        if text != self._shown:
+            self._shown = text
             self._writer.send_text(paths.TITLE, times, [text])
-        self._follow(times, cars[0], gaps[0])
+        self._follow(times, cars[0, shot.rear])
         now = time.monotonic()
         if self._begin_s is None:
             self._begin_s = now
         if self._speed > 0:
             time.sleep(max(0.0, self._begin_s + times[0] / self._speed - now))
 
-    def _follow(self, times: np.ndarray, cars: np.ndarray, gaps: np.ndarray) -> None:
-        subject = cars[np.where(gaps <= PACK, gaps, -1.0).argmax()]
+    def note(self, event: Event) -> None:
+        """Take an event of the race's log; the commentary of the next step is about it."""
+        self._events.append(event)
+
+    def end(self, result: RaceResult) -> None:
+        """Send how the race ended."""
+        for line in self._commentator.end(result):
+            record.send_line(self._writer, line)
+
+    def _follow(self, times: np.ndarray, subject: np.void) -> None:
         target = np.array([subject["x"], subject["y"], subject["yaw"]], np.float64)
-        if self._chase is None:
+        if self._chase is None or np.hypot(*(target - self._chase)[:2]) > PACK:
             self._chase = target
         turn = (target[2] - self._chase[2] + np.pi) % (2 * np.pi) - np.pi
         # Position follows faster than heading: a late camera would lose the car.

@@ -14,7 +14,7 @@ import rerun as rr
 from league import times
 from league.atomic_file import replacing
 from league.errors import ReplayError
-from league.replay import Replay, story
+from league.replay import Replay, commentary, director, story
 from league.rerun_view import blueprint, paths
 from league.rerun_view.scene import EYE_CAMERA, NEUTRAL, SceneWriter, about_z, positions
 from league.sim import lidar
@@ -66,7 +66,7 @@ def _send_race(writer: SceneWriter, replay: Replay) -> None:
         paths.PLOT_STEERING: np.degrees(columns.steering),
     }
     writer.send_charts(times, charts)
-    chase = story.chase_path(replay)
+    chase = director.chase_path(replay)
     writer.send_poses(paths.CHASE, times, positions(chase.x, chase.y), about_z(chase.yaw))
     for slot in range(replay.num_cars):
         # A car that stands a penalty is transparent.
@@ -75,19 +75,20 @@ def _send_race(writer: SceneWriter, replay: Replay) -> None:
         factors = np.full((len(changes), 4), 255, np.uint8)
         factors[frozen[changes], 3] = round(255 * FROZEN_OPACITY)
         writer.send(paths.body(slot), times[changes], rr.Mesh3D.columns(albedo_factor=factors))
-    _send_order(writer, replay)
+    _send_order(writer, replay, chase.fights)
 
 
-def _send_order(writer: SceneWriter, replay: Replay) -> None:
-    """Send who is where while they race, and the classification when they have raced."""
-    order = story.running_order(replay)
-    changes = np.flatnonzero(np.any(np.diff(order, axis=0, prepend=-1), axis=1))
+def _send_order(writer: SceneWriter, replay: Replay, fights: Sequence[str]) -> None:
+    """Send the order and the fight shown, and the classification when they have raced."""
     head, names = _head(replay), replay.names
-    texts = [running_order(head, [names[slot] for slot in order[frame]]) for frame in changes]
+    texts = [
+        running_order(head, [names[slot] for slot in order], fight)
+        for order, fight in zip(story.running_order(replay), fights, strict=True)
+    ]
     # The last frame is the classification's, also where the order changed in it.
-    earlier = [text for frame, text in zip(changes, texts, strict=True) if frame + 1 < len(order)]
-    times = [*replay.times_s[changes[: len(earlier)]], replay.times_s[-1]]
-    writer.send_text(paths.TITLE, np.array(times), [*earlier, classification(replay)])
+    texts[-1] = classification(replay)
+    changes = [k for k in range(len(texts)) if k == 0 or texts[k] != texts[k - 1]]
+    writer.send_text(paths.TITLE, replay.times_s[changes], [texts[k] for k in changes])
 
 
 def _send_obstacles(writer: SceneWriter, replay: Replay) -> None:
@@ -103,9 +104,15 @@ def _send_obstacles(writer: SceneWriter, replay: Replay) -> None:
 
 
 def _send_events(writer: SceneWriter, replay: Replay) -> None:
-    for event, text in story.captions(replay):
-        colour = NEUTRAL if event.kind == "start" else CAR_COLOURS[event.car]
-        writer.send_event(event.time_s, text, colour, EVENT_LEVELS.get(event.kind, "INFO"))
+    for line in commentary.of_replay(replay):
+        send_line(writer, line)
+
+
+def send_line(writer: SceneWriter, line: commentary.Line) -> None:
+    """Add a line of the race's story to the list of events."""
+    colour = NEUTRAL if line.kind == "start" else CAR_COLOURS[line.car]
+    level = EVENT_LEVELS.get(line.kind, "INFO")
+    writer.send_event(line.time_s, line.stamped, colour, level)
 
 
 def _send_lidar(writer: SceneWriter, replay: Replay) -> None:
@@ -177,10 +184,10 @@ def classification(replay: Replay) -> str:
     return "\n".join(lines)
 
 
-def running_order(head: str, names: Sequence[str]) -> str:
-    """Return who is where as Markdown, the leader first."""
+def running_order(head: str, names: Sequence[str], fight: str = "") -> str:
+    """Return who is where as Markdown, the leader first, and the fight that is shown."""
     places = [f"{place}. {escaped(name)}" for place, name in enumerate(names, 1)]
-    return "\n".join([head, "", *places])
+    return "\n".join([head, "", *places, *(["", escaped(fight)] if fight else [])])
 
 
 def _head(replay: Replay) -> str:

@@ -14,7 +14,7 @@ from av.error import FFmpegError
 
 from league.atomic_file import replacing
 from league.errors import ReplayError
-from league.replay import Replay, story
+from league.replay import Replay, director, story
 from league.sim.camera import raster
 from league.sim.camera.ground import Floor, floor_of
 from league.sim.camera.paint_renderer import Painter
@@ -83,8 +83,8 @@ class Film:
         self._size = size
         self.ends_s = min(story.decided_s(replay) + story.AFTER_FINISH_S, replay.duration_s)
         """When the classification is shown: shortly after the last fight is decided [s]."""
-        self._hud = Hud(replay, width, height)
-        self._path = story.chase_path(replay)
+        self._path = director.chase_path(replay)
+        self._hud = Hud(replay, width, height, self._path.fights)
 
     def pictures(self, times_s: np.ndarray) -> list[np.ndarray]:
         """Return the pictures of these moments, RGB uint8, (height, width, 3) each."""
@@ -127,11 +127,8 @@ class Film:
 
     def _eye(self, times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the chase camera's position and heading, inside the walls."""
-        at = self._replay.times_s
-        path = self._path
-        yaw = np.interp(times_s, at, path.yaw)
-        x = np.interp(times_s, at, path.x) - BEHIND * np.cos(yaw)
-        y = np.interp(times_s, at, path.y) - BEHIND * np.sin(yaw)
+        x, y, yaw = self._path.at(times_s * self._replay.step_hz)
+        x, y = x - BEHIND * np.cos(yaw), y - BEHIND * np.sin(yaw)
         x_min, y_min, x_max, y_max = self._replay.track.room
         x = np.clip(x, x_min + WALL_GAP, x_max - WALL_GAP)
         y = np.clip(y, y_min + WALL_GAP, y_max - WALL_GAP)

@@ -26,8 +26,12 @@ _LETTERS = 200  # longest text drawn; a longer one would not fit anyway
 CAPTION_S = 2.6
 """How long an event stays [s]."""
 FADE_S = 0.25
-SILENT = frozenset({"start", "contact", "put_back", "lead_change"})
-"""Events without a caption: the picture shows them."""
+SILENT = frozenset(
+    {"start", "contact", "put_back", "lead_change", "attack", "side_by_side", "closest_fight"}
+)
+"""Lines of the story without a caption: the picture shows them."""
+FIGHT_HZ = 5
+"""How often the gap of a fight changes: faster, it could not be read."""
 NAME_LETTERS = 18
 
 _MARGIN = 0.35
@@ -40,8 +44,10 @@ _DIMMED = 0.62
 class Hud:
     """Draws the broadcast's graphics for one replay at one size."""
 
-    def __init__(self, replay: Replay, width: int, height: int) -> None:
-        self._replay = replay
+    def __init__(
+        self, replay: Replay, width: int, height: int, fights: tuple[str, ...] = ()
+    ) -> None:
+        self._replay, self._fights = replay, fights
         self._width, self._height = width, height
         self._unit = height / 720
         self._order = story.running_order(replay)
@@ -59,6 +65,7 @@ class Hud:
         self._draw_head(picture, frame, time_s)
         self._draw_order(picture, frame, time_s)
         self._draw_caption(picture, time_s)
+        self._draw_fight(picture, frame)
         self._draw_map(picture, world, row)
 
     def draw_names(self, picture: np.ndarray, places: list[tuple[int, int, int]]) -> None:
@@ -186,6 +193,18 @@ class Hud:
             put_panel(picture, px(24), y, width, px(46), radius=px(10), opacity=0.78 * opacity)
             self._draw_chip(picture, event.car, px(34), y + px(10), 6, 26, 3, opacity)
             put_text(picture, text, px(52), y + px(6), px(22), weight=500, opacity=opacity)
+
+    def _draw_fight(self, picture: np.ndarray, frame: int) -> None:
+        """Write who attacks which car and the gap in seconds, at the top of the picture."""
+        every = max(1, self._replay.step_hz // FIGHT_HZ)
+        text = self._fights[frame - frame % every] if self._fights else ""
+        if not text:
+            return
+        px = self._px
+        width = text_width(text, px(22), 600) + px(40)
+        left = (self._width - width) // 2
+        put_panel(picture, left, px(24), width, px(46), radius=px(10))
+        put_text(picture, text, left + px(20), px(30), px(22), weight=600)
 
     def _draw_map(self, picture: np.ndarray, world: World, row: int) -> None:
         px = self._px

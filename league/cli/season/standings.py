@@ -169,10 +169,23 @@ def _best_lap(row: Row, tracks: Sequence[str]) -> str:
 
 def _notes(rated: Standings) -> list[str]:
     """Return the lines that explain the table."""
+    from league.matchmaking import standings
+
     front = rated.ratings.slot_advantages
+    pole = standings.pole(rated)
     lines = [
         f"{rated.num_races} races under rules {rated.ruleset[:12]}; the front of the grid is worth "
         f"{front[0] - front[-1]:+.0f} Elo over its end.",
+        *(
+            [
+                f"Pole: {100 * pole.won:.0f} % of {pole.races} races were won from it "
+                f"({100 * pole.low95:.0f} to {100 * pole.high95:.0f}; {100 * pole.even:.0f} if "
+                f"slots decided nothing), worth {pole.elo:+.0f} Elo "
+                f"({pole.elo_low95:+.0f} to {pole.elo_high95:+.0f}) over the mean slot."
+            ]
+            if pole
+            else []
+        ),
         "by: what the table is sorted by, Elo, or Elo - 2 sd while that is above 50 (or ~)",
         "! won or lost every pair",
         f"{', '.join(WIDE_ONLY)}: in 80 columns and more, and in `league show ENTRY`"

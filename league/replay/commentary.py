@@ -1,0 +1,329 @@
+"""The story of a race as sentences: attacks, passes, contacts, gaps at the line, the winner."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+
+from league import times
+from league.race_spec import Event, RaceResult, RaceSpec
+from league.replay.replay import Replay
+from league.sim.config import CarConfig
+
+Cars = Mapping[str, np.ndarray] | np.ndarray
+"""One moment's cars: records, or columns by name, (num_cars,) each; FIELDS are read."""
+FIELDS = ("x", "y", "velocity_x", "velocity_y", "distance", "laps", "ghost")
+
+ATTACK = 0.7
+"""An attacker is at most this far behind along the track, between the bases [m]."""
+APART = 1.5
+"""From here on a fight is over [m]."""
+LEVEL = 0.75 * CarConfig().length
+"""Two cars closer than this overlap by a quarter of their length: side by side [m]."""
+CLOSING = 0.1
+"""An attacker comes closer at least this fast [m/s]."""
+QUIET_S = 5.0
+"""The same pair is not mentioned as attacking or level again for so long [s]."""
+AFTER_START_S = 1.5
+"""On the grid all cars are close to each other [s]."""
+BACK_S = 10.0
+"""A pass so soon after being passed takes the place back [s]."""
+
+_WEIGHT = {
+    "winner": 0,
+    "closest_fight": 0,
+    "overtake": 1,
+    "forced_off": 1,
+    "crash": 2,
+    "lead_change": 2,
+    "defended": 3,
+    "gap": 4,
+    "off_track": 5,
+    "obstacle_contact": 5,
+    "touch": 6,
+    "side_by_side": 7,
+    "attack": 8,
+}
+"""What a short story keeps first; what is not named here it leaves out."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """One sentence of the story."""
+
+    time_s: float
+    """Race time [s]."""
+    kind: str
+    """An event's kind, or attack, side_by_side, defended, gap, winner, closest_fight."""
+    car: int
+    """Grid slot of the car it is about."""
+    lap: int
+    """Lap that this car was on, from 1."""
+    text: str
+    """The sentence, without lap and time."""
+
+    @property
+    def stamped(self) -> str:
+        """Lap, time and sentence."""
+        return f"lap {self.lap}, {times.clock(self.time_s)[:-2]}: {self.text}"
+
+
+@dataclass
+class _Fight:
+    """What two cars have between them."""
+
+    near_s: float = 0.0
+    """How long they have been close, in the whole race [s]."""
+    attacker: int | None = None
+    """Who attacks and has neither passed nor fallen back."""
+    said_s: dict[str, float] = field(default_factory=dict)
+    """When each kind of line was last said [s]."""
+    passed: tuple[int, float] | None = None
+    """Who passed last, and when [s]."""
+
+
+class Commentator:
+    """Follows one race step by step; what it says depends on nothing later."""
+
+    def __init__(self, spec: RaceSpec, names: Sequence[str], *, closed: bool = True) -> None:
+        """Begin before the start.
+
+        Args:
+            spec: of the race.
+            names: of the drivers, by grid slot.
+            closed: whether the track is a loop; on an open one a race is one lap.
+        """
+        self._spec, self._names = spec, names
+        self._laps = spec.laps if closed else 1
+        self._before: tuple[float, np.ndarray] | None = None  # time, distances
+        self._moving: tuple[np.ndarray, np.ndarray] | None = None  # places, velocities
+        self._fights: dict[frozenset[int], _Fight] = {}
+        self._lap_times_s: list[list[float]] = [[] for _ in names]
+        self._crossings: dict[int, list[tuple[float, int]]] = {}
+        self._won = False
+
+    def add(self, time_s: float, cars: Cars, events: Iterable[Event] = ()) -> list[Line]:
+        """Return what is to be said about one step.
+
+        Args:
+            time_s: race time after it [s].
+            cars: after it.
+            events: of this step, in order.
+        """
+        events = tuple(events)
+        laps = np.asarray(cars["laps"])
+        lines = [
+            Line(event.time_s, kind, car, 1 + int(laps[car]) - (event.kind == "lap"), text)
+            for event in events
+            for kind, car, text in self._about(event, events, cars)
+        ]
+        for kind, car, text in self._about_fights(time_s, cars):
+            lines.append(Line(time_s, kind, car, 1 + int(laps[car]), text))
+        self._before = time_s, np.array(cars["distance"], dtype=np.float64)
+        self._moving = (
+            np.stack([cars["x"], cars["y"]], axis=1).astype(np.float64),
+            np.stack([cars["velocity_x"], cars["velocity_y"]], axis=1).astype(np.float64),
+        )
+        return [_on_lap(line, self._laps) for line in lines]
+
+    def end(self, result: RaceResult) -> list[Line]:
+        """Return what is said when the race is over."""
+        lines, first = [], result.order[0]
+        if not self._won and len(result.order) > 1:
+            lines.append(Line(result.race_s, "winner", first.car, first.laps, _won(result)))
+        fights = [(fight.near_s, pair) for pair, fight in self._fights.items() if fight.near_s]
+        if fights:
+            near_s, pair = max(fights, key=lambda one: (one[0], -min(one[1])))
+            one, other = sorted(pair)
+            text = (
+                f"closest fight: {self._names[one]} and {self._names[other]}, within {ATTACK} m "
+                f"for {near_s:.1f} s"
+            )
+            lines.append(Line(result.race_s, "closest_fight", one, first.laps, text))
+        return [_on_lap(line, self._laps) for line in lines]
+
+    def _about_fights(self, time_s: float, cars: Cars) -> Iterable[tuple[str, int, str]]:
+        """Yield kind, car and text of what happens between neighbours in the running order."""
+        # In a pursuit a gap of nothing may be half a lap of road.
+        if self._before is None or time_s < AFTER_START_S or self._spec.format == "pursuit":
+            return
+        step_s, gaps = time_s - self._before[0], gaps_m(cars)
+        near = set(map(frozenset, gaps))
+        for pair, fight in self._fights.items():
+            if pair not in near:
+                fight.attacker = None
+        for (front, rear), gap in gaps.items():
+            before = float(self._before[1][front] - self._before[1][rear])
+            fight = self._fights.setdefault(frozenset((front, rear)), _Fight())
+            behind_s = gap_s(cars, front, rear)
+            if gap > APART:
+                if fight.attacker == rear:
+                    yield "defended", front, f"{self._of(front)} defends against {self._of(rear)}"
+                fight.attacker = None
+            elif gap < ATTACK:
+                fight.near_s += step_s
+                closing = (before - gap) / step_s
+                yield from self._close(fight, time_s, front, rear, gap, behind_s, closing)
+
+    def _close(
+        self,
+        fight: _Fight,
+        time_s: float,
+        front: int,
+        rear: int,
+        gap: float,
+        behind_s: float,
+        closing: float,
+    ) -> Iterable[tuple[str, int, str]]:
+        """Yield what is said of two cars that are close: an attack, or that they are level."""
+        if gap >= LEVEL and closing > CLOSING and fight.attacker is None:
+            fight.attacker = rear
+            if _is_news(fight, "attack", time_s):
+                text = f"{self._of(rear)} attacks {self._of(front)}, {behind_s:.2f} s behind"
+                yield "attack", rear, text
+        if gap < LEVEL and _is_news(fight, "side_by_side", time_s):
+            first, second = sorted((front, rear))
+            yield "side_by_side", rear, f"{self._of(first)} and {self._of(second)} side by side"
+
+    def _about(
+        self, event: Event, events: Sequence[Event], cars: Cars
+    ) -> Iterable[tuple[str, int, str]]:
+        """Yield kind, car and text of what an event of the log says."""
+        if event.kind in ("contact", "lead_change") and _is_said(event, events):
+            return
+        if event.kind == "overtake" and event.other is not None:
+            yield "overtake", event.car, self._passes(event, event.other, cars)
+            return
+        yield event.kind, event.car, self._sentence(event)
+        if event.kind == "lap" and event.value is not None:
+            yield from self._gap_at_line(event.car, event.value)
+
+    def _passes(self, event: Event, other: int, cars: Cars) -> str:
+        fight = self._fights.setdefault(frozenset((event.car, other)), _Fight())
+        again = fight.passed is not None and fight.passed[0] == other
+        back = again and fight.passed is not None and event.time_s - fight.passed[1] < BACK_S
+        fight.passed, fight.attacker = (event.car, event.time_s), None
+        place = 1 + int((np.asarray(cars["distance"]) > cars["distance"][event.car]).sum())
+        prize = "the lead" if place == 1 else f"place {place}"
+        return f"{self._of(event.car)} passes {self._of(other)}{' back' * back} for {prize}"
+
+    def _gap_at_line(self, car: int, lap_s: float) -> Iterable[tuple[str, int, str]]:
+        """Yield the gap of the first two at the end of a lap, and the winner's at the last."""
+        driven = self._lap_times_s[car]
+        driven.append(lap_s)
+        lap = len(driven)
+        crossed = self._crossings.setdefault(lap, [])
+        crossed.append((sum(driven), car))
+        if len(crossed) != 2:
+            return
+        # Of two in one step, the one with the larger slot may have been first.
+        (first_s, first), (second_s, second) = sorted(crossed)
+        margin = f"{second_s - first_s:.2f} s"
+        if lap < self._laps:
+            text = f"{self._of(first)} leads {self._of(second)} by {margin} at the line"
+            yield "gap", first, text
+        elif self._spec.ranking == "total":
+            self._won = True
+            yield "winner", first, f"{self._of(first)} wins, {margin} before {self._of(second)}"
+
+    def _of(self, car: int | None) -> str:
+        known = car is not None and 0 <= car < len(self._names)
+        return self._names[car] if known and car is not None else "another car"
+
+    def _sentence(self, event: Event) -> str:
+        name, other, value = self._of(event.car), self._of(event.other), event.value
+        penalty = f", {value:.1f} s penalty" if value else ""
+        sentences = {
+            "start": "The race is on",
+            "lap": f"{name} completes a lap" + (f" in {value:.2f} s" if value else ""),
+            "finish": f"{name} finishes" + (f" after {value:.2f} s" if value else ""),
+            "off_track": f"{name} leaves the track{penalty}",
+            "crash": f"{name} runs into {other}{self._impact(event)}{penalty}",
+            "touch": f"{name} touches {other} lightly" + (f" at {value:.1f} m/s" if value else ""),
+            "forced_off": f"{name} pushes {other} off the road{penalty}",
+            "contact": f"{name} is hit" + (f" by {other}" if event.other is not None else ""),
+            "obstacle_contact": f"{name} hits an obstacle{penalty}",
+            "wall_contact": f"{name} hits the wall{penalty}",
+            "immobilised": f"{name} is stuck{penalty}",
+            "reversed": f"{name} drives backwards{penalty}",
+            "put_back": f"{name} is back on the track",
+            "lead_change": f"{name} takes the lead",
+            "driver_fault": f"{name} gives no valid action",
+        }
+        return sentences.get(event.kind, event.kind)
+
+    def _impact(self, event: Event) -> str:
+        """Return how fast two cars came together, by their motion one step before a contact."""
+        other = event.other
+        if self._moving is None or other is None or not 0 <= other < len(self._names):
+            return ""
+        places, velocities = self._moving
+        way = places[other] - places[event.car]
+        closing = (velocities[event.car] - velocities[other]) @ way / max(np.hypot(*way), 1e-6)
+        return f" at {closing:.1f} m/s" if closing >= 0.05 else ""
+
+
+def gaps_m(cars: Cars) -> dict[tuple[int, int], float]:
+    """Return the gaps of neighbours in the running order that race, by (front, rear) [m]."""
+    distance, ghost = np.asarray(cars["distance"]), np.asarray(cars["ghost"]).astype(bool)
+    order = [car for car in np.argsort(-distance, kind="stable").tolist() if not ghost[car]]
+    return {(one, other): float(distance[one] - distance[other]) for one, other in pairwise(order)}
+
+
+def gap_s(cars: Cars, front: int, rear: int) -> float:
+    """Return the time that the rear car needs at its speed to where the front one is [s]."""
+    speed = float(np.hypot(cars["velocity_x"][rear], cars["velocity_y"][rear]))
+    return float(cars["distance"][front] - cars["distance"][rear]) / max(speed, 0.5)
+
+
+def shortened(lines: Sequence[Line], most: int = 12) -> list[Line]:
+    """Return the lines that matter most, in order of time; of equal ones the later."""
+    kept = [line for line in lines if line.kind in _WEIGHT]
+    kept.sort(key=lambda line: (_WEIGHT[line.kind], -line.time_s))
+    return sorted(kept[:most], key=lambda line: line.time_s)
+
+
+def _is_news(fight: _Fight, kind: str, time_s: float) -> bool:
+    """Return whether a line of this kind may be said now, and note that it is."""
+    news = time_s - fight.said_s.get(kind, -np.inf) >= QUIET_S
+    fight.said_s[kind] = time_s  # while it goes on, it stays old
+    return news
+
+
+def _is_said(event: Event, events: Sequence[Event]) -> bool:
+    """Return whether another event of the step says it: a crash names the car it hit."""
+    if event.kind == "contact":
+        return any(one.kind in ("crash", "touch") and one.other == event.car for one in events)
+    return any(one.kind == "overtake" and one.car == event.car for one in events)
+
+
+def _on_lap(line: Line, laps: int) -> Line:
+    """Return a line of the cooling lap, or of before the start, with a lap of the race."""
+    lap = min(max(line.lap, 1), laps)
+    return replace(line, lap=lap)
+
+
+def _won(result: RaceResult) -> str:
+    first, second = result.order[:2]
+    if not first.finished:
+        return f"{first.name} comes first with {times.laps(first.laps)} and {first.distance:.1f} m"
+    if result.spec.ranking == "total":
+        return f"{first.name} wins, the only one to finish"
+    return f"{first.name} wins by its {result.spec.ranking} lap time, before {second.name}"
+
+
+def of_replay(replay: Replay) -> list[Line]:
+    """Return the whole story of a recorded race, in order of time."""
+    columns = {name: getattr(replay.columns, name) for name in FIELDS}
+    events: dict[int, list[Event]] = {}
+    for event in replay.result.events:
+        events.setdefault(round(event.time_s * replay.step_hz), []).append(event)
+    commentator = Commentator(replay.spec, replay.names, closed=replay.track.closed)
+    lines: list[Line] = []
+    for frame, time_s in enumerate(replay.times_s.tolist()):
+        cars = {name: column[frame] for name, column in columns.items()}
+        lines += commentator.add(time_s, cars, events.get(frame, ()))
+    return lines + commentator.end(replay.result)
