@@ -7,7 +7,7 @@ export OMP_WAIT_POLICY = PASSIVE
 .PHONY: race league serve pages test torchrl sync format check type bench mutants clean
 
 race: sync
-	$(BIN)/league race duelist racer --track reinvent_2018
+	$(BIN)/league race racing_line duelist blocker --seed 2
 
 # A league in runs/league/: the garage and the scripted drivers, raced for two minutes. All policies
 # of the garage are one owner's, whose entries meet only with --same-owner.

@@ -249,7 +249,7 @@ def test_the_chase_of_a_pursuit_follows_the_winner_and_does_not_jump_round_the_l
     spec = made.result.spec.model_copy(update={"format": "pursuit"})
     pursuit = replace(made, result=made.result.model_copy(update={"spec": spec}))
     winner = pursuit.result.order[0].car
-    assert story.chase_path(pursuit).x == pytest.approx(10.0 + 10.0 * winner)
+    assert director.chase_path(pursuit).x == pytest.approx(10.0 + 10.0 * winner)
 
 
 # Files that are not sound replays.

@@ -146,6 +146,7 @@ def test_a_minute_of_eight_cars_reaches_the_player_in_60_kb():
         columns[name] = np.cumsum(steps, axis=0)
     for name in ("penalty_s", "laps", "velocity_x", "velocity_y"):
         columns[name] = np.zeros((frames, cars))
+    columns["ghost"] = np.zeros((frames, cars), np.bool_)
     columns["checksum"] = np.zeros(frames, np.uint32)
     eight = replace(replay, columns=replace(replay.columns, **columns), names=("driver",) * cars)
     content = json.dumps(player_data(eight), separators=(",", ":")).encode()
