@@ -172,10 +172,13 @@ def _cameras() -> None:
         np.zeros((1, 2), records.CAR),
         np.zeros((1, 0), records.OBSTACLE),
     )
-    sim = SimConfig(kind="head_to_head", num_cars=2)
+    world.cars["roll"][:, 1] = 0.1  # the floor has a loop of its own for a camera that rolls
+    sim = SimConfig(kind="head_to_head", num_cars=2, leaning_cameras=True)
     for colour in (False, True):
         camera = CameraConfig(width=32, height=24, colour=colour)
-        PaintRenderer(_tracks(), sim, camera, None).render(world, 0)
+        renderer = PaintRenderer(_tracks(), sim, camera, None)
+        for car in range(2):
+            renderer.render(world, car)
 
 
 def _videos() -> None:

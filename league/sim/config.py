@@ -393,6 +393,8 @@ class SimConfig(Checked):
     """The rules."""
     spread: DynamicsRandomization = field(default_factory=DynamicsRandomization)
     """Randomisation of the cars."""
+    leaning_cameras: bool = False
+    """Whether cameras roll and pitch with the chassis; else they stay level."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from league.sim.config import SimConfig
+from league.errors import ConfigError
+from league.sim.config import CarConfig, SimConfig
 
 GRAVITY = 9.81
 """[m/s^2]."""
@@ -23,11 +24,49 @@ def settings(sim: SimConfig) -> np.ndarray:
     return np.array([tuple(value for _, _, value in _fields(sim))], SETTINGS)
 
 
+def lean_per_acceleration(car: CarConfig, half_span: float) -> float:
+    """Return how far a car leans at rest on its springs, per acceleration [rad per m/s^2].
+
+    Tyres push at the road, h = mass_height below the centre of mass: an acceleration a turns the
+    chassis by m a h. Four springs of m (2 pi ride_hz)^2 / 4 each, `half_span` d [m] to either side
+    of the middle (half a wheel track for roll, half a wheelbase for pitch), resist a lean by
+    m (2 pi ride_hz)^2 d^2 of torque per radian, of which the weight, now off the middle, takes
+    m g h back. The mass cancels:
+
+        lean / a = h / ((2 pi ride_hz)^2 d^2 - g h).
+
+    Raises:
+        ConfigError: springs so soft that the weight tips the car over.
+    """
+    stiffness = (2 * math.pi * car.ride_hz * half_span) ** 2 - GRAVITY * car.mass_height
+    if stiffness <= 0:
+        raise ConfigError(
+            f"springs of {car.ride_hz} Hz do not hold up a centre of mass {car.mass_height} m high "
+            "on this wheelbase and wheel_track: raise ride_hz, or leave leaning_cameras off"
+        )
+    return car.mass_height / stiffness
+
+
+def _leans(sim: SimConfig) -> tuple[float, float, float]:
+    """Return roll and pitch per acceleration [rad per m/s^2], and the share of a physics step.
+
+    A step brings the chassis by this share nearer to where it would rest: a lag of
+    2 damping_ratio / (2 pi ride_hz), dampers over springs. All are 0 where cameras stay level.
+    """
+    if not sim.leaning_cameras:
+        return 0.0, 0.0, 0.0
+    car = sim.car
+    lag = car.damping_ratio / (math.pi * car.ride_hz)
+    roll, pitch = (lean_per_acceleration(car, d / 2) for d in (car.wheel_track, car.wheelbase))
+    return roll, pitch, sim.physics_dt / (lag + sim.physics_dt)
+
+
 def _fields(sim: SimConfig) -> tuple[tuple[str, type, float], ...]:
     """Return name, type and value of each field of the record."""
     car, rules, spread, things = sim.car, sim.rules, sim.spread, sim.obstacles
     arm, bots = car.wheelbase / 2, things.kind == "bot"
     pursuit = rules.start == "pursuit"
+    roll, pitch, lean_share = _leans(sim)
     # Inertia grows with mass, so min(mass, inertia / arm^2) is a fixed share of the mass.
     share = 0.5 * min(1.0, car.yaw_inertia / car.mass / arm**2)
 
@@ -62,6 +101,10 @@ def _fields(sim: SimConfig) -> tuple[tuple[str, type, float], ...]:
         ("transfer_of_mass", _F4, car.mass_height / car.wheelbase),
         ("slope_of_grip", _F4, car.cornering_stiffness / 3),  # [1/rad]
         ("cap_of_mass", _F4, share / sim.physics_dt),  # largest force per speed, over mass [1/s]
+        # How far it leans for its cameras, and how soon; 0 where they stay level.
+        ("roll_of_left", _F4, roll),  # [rad per m/s^2]
+        ("pitch_of_brakes", _F4, pitch),  # [rad per m/s^2]
+        ("lean_share", _F4, lean_share),
         # The car and its latency without variation, and how far cars vary.
         ("grip", _F4, car.grip),
         ("mass", _F4, car.mass),  # [kg]

@@ -29,8 +29,9 @@ def room(*, half: float = 6.0) -> TrackSet:
     return TrackSet(ring)
 
 
-def settings(num_cars: int = 2) -> SimConfig:
-    return SimConfig(kind="head_to_head" if num_cars > 1 else "time_trial", num_cars=num_cars)
+def settings(num_cars: int = 2, *, leaning: bool = False) -> SimConfig:
+    kind = "head_to_head" if num_cars > 1 else "time_trial"
+    return SimConfig(kind=kind, num_cars=num_cars, leaning_cameras=leaning)
 
 
 def world(

@@ -1,5 +1,6 @@
 """What cars see: the geometry of the pictures, worked by hand."""
 
+import itertools
 import math
 
 import numpy as np
@@ -9,15 +10,16 @@ from looking import FOCAL, random_scenes, room, settings, world
 from league.sim.camera.paint_renderer import PaintRenderer
 from league.sim.camera.raycast import RayRenderer
 from league.sim.camera.stage import Lens
-from league.sim.config import CameraConfig
+from league.sim.config import CameraConfig, SimConfig
 from league.track.track import TrackSet
 
 RENDERERS = [PaintRenderer, RayRenderer]
 FAR_AWAY = (-5.0, -5.0, 0.0)
 
 
-def pictures(renderer, now, tracks=None, **camera) -> np.ndarray:
-    made = renderer(tracks or room(), settings(now.num_cars), CameraConfig(**camera))
+def pictures(renderer, now, tracks=None, *, leaning=False, **camera) -> np.ndarray:
+    sim = settings(now.num_cars, leaning=leaning)
+    made = renderer(tracks or room(), sim, CameraConfig(**camera))
     return made.render(now, 0)
 
 
@@ -50,6 +52,82 @@ def test_foot_of_a_box_straight_ahead_is_at_the_hand_worked_row(renderer):
     filled = pictures(renderer, world(room(), [(0, 0, 0)], [box]), eyes="mono")[0, 0]
     changed = np.nonzero((empty != filled)[:, 70:90].any(axis=1))[0]
     assert abs(changed.max() + 0.5 - 42.68) <= 1.0
+
+
+def pixel_of(point, car, cfg: CameraConfig, eye: float) -> tuple[float, float]:
+    """Return column and row of a point of the world, by rotation matrices."""
+    yaw, pitch, roll = (float(car[name]) for name in ("yaw", "pitch", "roll"))
+    body = about("z", yaw) @ about("y", pitch) @ about("x", roll)
+    base = np.array([car["x"], car["y"], car["z"]])
+    place = base + body @ (cfg.forward, eye, cfg.up)
+    ahead, left, up = (body @ about("y", cfg.pitch)).T @ (np.array(point) - place)
+    return 79.5 - FOCAL * left / ahead, 59.5 - FOCAL * up / ahead
+
+
+def about(axis: str, angle: float) -> np.ndarray:
+    cos, sin = math.cos(angle), math.sin(angle)
+    if axis == "x":
+        return np.array([(1, 0, 0), (0, cos, -sin), (0, sin, cos)])
+    if axis == "y":
+        return np.array([(cos, 0, sin), (0, 1, 0), (-sin, 0, cos)])
+    return np.array([(cos, -sin, 0), (sin, cos, 0), (0, 0, 1)])
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+@pytest.mark.parametrize("roll", [0.0, 0.15, -0.4])
+@pytest.mark.parametrize("pitch", [0.0, 0.06, -0.1])
+def test_picture_follows_the_height_roll_and_pitch_of_the_chassis(renderer, roll, pitch):
+    tracks, cfg = room(), CameraConfig()
+    empty = world(tracks, [(1.0, -0.5, 0.6)])
+    # A box 10 cm across, 1.2 m ahead of the base.
+    x, y = 1.0 + 1.2 * math.cos(0.6), -0.5 + 1.2 * math.sin(0.6)
+    filled = world(tracks, [(1.0, -0.5, 0.6)], [(x, y, 0.0, 0.05, 0.05)])
+    seen = []
+    for now in (empty, filled):
+        now.cars["z"], now.cars["roll"], now.cars["pitch"] = 0.03, roll, pitch
+        seen.append(pictures(renderer, now, tracks, leaning=True)[0].astype(int))
+    height = SimConfig().obstacles.height
+    corners = itertools.product((x - 0.05, x + 0.05), (y - 0.05, y + 0.05), (0.0, height))
+    outline = np.array(list(corners))
+    for picture, eye in enumerate((0.03, -0.03)):
+        pixels = [pixel_of(corner, filled.cars[0, 0], cfg, eye) for corner in outline]
+        rows, columns = np.nonzero(seen[0][picture] != seen[1][picture])
+        for found, wished in zip((columns, rows), zip(*pixels, strict=True), strict=True):
+            assert found.min() == pytest.approx(min(wished), abs=1.5)
+            assert found.max() == pytest.approx(max(wished), abs=1.5)
+
+
+def test_body_that_rises_moves_the_camera_and_no_more():
+    # 5 cm higher on its wheels is a camera 5 cm higher on its mast.
+    now = world(room(), [(0, 0, 0.3), (1, 0.2, 1.0)])
+    now.cars["z"] = 0.05
+    raised = pictures(PaintRenderer, now, leaning=True)
+    now.cars["z"], now.cars["camera_up"] = 0.0, 0.05
+    assert (raised == pictures(PaintRenderer, now, leaning=True)).all()
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_cameras_stay_level_unless_they_are_to_lean(renderer):
+    now = world(room(), [(0, 0, 0.3), (1, 0.2, 1.0)])
+    upright = pictures(renderer, now)
+    assert (upright == pictures(renderer, now, leaning=True)).all()
+    now.cars["z"], now.cars["roll"], now.cars["pitch"] = 0.03, 0.15, -0.1
+    assert (upright == pictures(renderer, now)).all()
+    assert (upright != pictures(renderer, now, leaning=True)).any()
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+@pytest.mark.parametrize("roll", [0.1, -0.1])
+def test_horizon_of_a_car_that_rolls_tilts_by_the_roll(renderer, roll):
+    # A camera without tilt turns about its view, and with it the level top of the wall ahead.
+    tracks, cfg = room(half=3.0), CameraConfig(pitch=0.0)
+    now = world(tracks, [(0.0, 0.0, 0.0)])
+    now.cars["roll"] = roll
+    made = renderer(tracks, settings(1, leaning=True), cfg)
+    picture = made.render(now, 0)[0, 0].astype(int)
+    rim = (picture[:, 20:140] != picture[0, 0]).argmax(axis=0)  # the first row below the sky
+    slope = np.polyfit(np.arange(20, 140), rim, 1)[0]
+    assert slope == pytest.approx(-math.tan(roll), abs=0.005)
 
 
 @pytest.mark.parametrize("renderer", RENDERERS)

@@ -15,7 +15,8 @@ spread by less than this, in every channel."""
 
 
 def both(now, tracks, looks=None, **camera) -> tuple[np.ndarray, np.ndarray]:
-    parts = (tracks, settings(now.num_cars), CameraConfig(**camera), looks)
+    # Level cars, too, are seen so: without roll and pitch it makes no difference.
+    parts = (tracks, settings(now.num_cars, leaning=True), CameraConfig(**camera), looks)
     painted = PaintRenderer(*parts).render(now, 0)
     cast = RayRenderer(*parts).render(now, 0)
     return painted, cast
@@ -90,6 +91,26 @@ def test_things_in_a_row_hide_one_another_alike():
     painted, cast = both(now, tracks, width=320, height=240)
     away = away_from_edges(cast)
     assert np.abs(painted.astype(int) - cast)[away].mean() < 0.3
+
+
+@pytest.mark.parametrize("colour", [False, True])
+def test_pictures_of_cars_that_lean_pitch_and_rise_agree(colour):
+    tracks = room(half=3.0)
+    now = random_scenes(tracks, 24, seed=3)
+    draw = np.random.default_rng(5)
+    level, _ = both(now, tracks, colour=colour)
+    now.cars["roll"] = draw.uniform(-0.5, 0.5, now.cars.shape)
+    now.cars["pitch"] = draw.uniform(-0.3, 0.3, now.cars.shape)
+    now.cars["z"] = draw.uniform(-0.02, 0.2, now.cars.shape)
+    # One climbs, one lies on its side, one on its roof, one stands on its tail.
+    now.cars["roll"][:4, 0], now.cars["pitch"][:4, 0] = (0.0, 1.5, 3.0, 0.2), (-0.4, 0.1, 0.0, -1.3)
+    painted, cast = both(now, tracks, colour=colour)
+    away = away_from_edges(cast)
+    off = np.abs(painted.astype(int) - cast)
+    each = [off[k][away[k]].mean() for k in range(len(off))]
+    assert max(each) < 2
+    assert off[away].mean() < 0.5
+    assert np.abs(painted.astype(int) - level).mean() > 10
 
 
 def test_randomised_pictures_agree_too():

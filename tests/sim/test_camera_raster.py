@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from league.sim.camera import raster
+from league.sim.camera import floor_raster, raster
 from league.sim.camera.paint_renderer import MODELS, models
 from league.sim.camera.scene import CAR, DECK, FAR_CAR
 
@@ -29,7 +29,7 @@ def room(colours=(10, 20, 30, 40), half=5.0, height=2.0):
 def drawn(things=(), walls=None, size=10, channels=1, pose=None, **lens) -> np.ndarray:
     pictures = np.full((1, size, size * channels), 99, np.uint8)
     table = np.array(things, float).reshape(-1, raster.THING_COLUMNS)
-    raster.draw(
+    raster.draw_room(
         pictures,
         optics(channels, **lens),
         pose or level(),
@@ -93,7 +93,7 @@ def test_floor_is_the_bilinear_mean_of_four_texels(channels):
     texture = raster.Texture(image.reshape(-1), 20, 0.0, 0.0, 0.1)
     down = raster.Pose(1.025, 1.05, 1.0, 1.0, 0.0, 0.0, 1.0)
     pictures = np.zeros((1, 9, 9 * channels), np.uint8)
-    raster.warp(pictures, 0, 9, texture, optics(channels, cx=4.0, cy=4.0), down)
+    floor_raster.draw_floor(pictures, 0, 9, texture, optics(channels, cx=4.0, cy=4.0), down)
     # Row 4, column 4 is the camera's own foot: texel (1.025 / 0.1 - 0.5, 1.05 / 0.1 - 0.5). Rows go
     # towards -x and columns towards -y.
     got = pictures.reshape(9, 9, channels)
@@ -109,8 +109,8 @@ def test_floor_beyond_the_texture_repeats_its_rim_and_reads_nothing_outside():
     texture = raster.Texture(image.reshape(-1), 4, 0.0, 0.0, 0.1)
     pictures = np.zeros((1, 10, 10), np.uint8)
     level_ = level(1.0)
-    raster.warp(pictures, 5, 10, texture, optics(), level_._replace(x=1e7, y=-1e7))
-    raster.warp(pictures, 0, 5, texture, optics(), level_)  # above the horizon
+    floor_raster.draw_floor(pictures, 5, 10, texture, optics(), level_._replace(x=1e7, y=-1e7))
+    floor_raster.draw_floor(pictures, 0, 5, texture, optics(), level_)  # above the horizon
     assert (pictures == 77).all()
 
 

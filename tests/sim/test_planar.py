@@ -284,3 +284,51 @@ def test_eight_cars_in_a_pile_up_end_apart():
     assert gaps.min() > 0.196 - 0.01
     assert np.isfinite(x).all()
     assert abs(last["yaw_rate"]).max() < 20
+
+
+def leaning(name, sim, asked, start):
+    """Drive a car; return its roll and pitch after each step, (num_steps, 2) [rad]."""
+    now = open_floor.world(sim, velocity_x=[start])
+    physics, seen = open_floor.make(name, sim), []
+    for steering, speed in asked:
+        control = open_floor.control(now, [steering], [speed])
+        outcome = physics(now, control)
+        car = outcome.cars[0, 0]
+        seen.append((float(car["roll"]), float(car["pitch"])))
+        now = open_floor.later(now, outcome, control)
+    return np.array(seen)
+
+
+@pytest.mark.parametrize(
+    ("axis", "asked"),
+    [
+        pytest.param(0, [(0.1 if k > 8 else 0.0, 2.5) for k in range(40)], id="bend"),
+        pytest.param(0, [(0.12 * math.sin(k / 4), 2.5) for k in range(40)], id="slalom"),
+        pytest.param(1, [(0.0, 4.0 if k < 14 else 1.0) for k in range(40)], id="brakes"),
+        pytest.param(
+            1,
+            [(0.12 * math.sin(k / 7), 2.5 + math.sin(k / 5)) for k in range(60)],
+            id="both",
+        ),
+    ],
+)
+def test_cameras_lean_as_on_bullets_springs(axis, asked):
+    sim = open_floor.settings(leaning_cameras=True)
+    flat, sprung = (leaning(name, sim, asked, start=2.5)[:, axis] for name in ("planar", "bullet"))
+    assert np.abs(sprung).max() > math.radians(0.8)
+    assert np.abs(flat).max() == pytest.approx(np.abs(sprung).max(), rel=0.2)
+    # The root of the mean square of how far they are apart.
+    assert np.sqrt(np.square(flat - sprung).mean()) < 0.2 * np.sqrt(np.square(sprung).mean())
+
+
+def test_leaning_changes_nothing_but_roll_and_pitch(same):
+    level, now, asked = random_worlds(20, 3)
+    sim = open_floor.settings(3, leaning_cameras=True)
+    upright = open_floor.make("planar", level, 20)(now, asked).cars
+    leaning = open_floor.make("planar", sim, 20)(now, asked).cars
+    assert not upright["roll"].any()
+    assert not upright["pitch"].any()
+    assert leaning["roll"].any()
+    assert leaning["pitch"].any()
+    leaning["roll"], leaning["pitch"] = 0.0, 0.0
+    same(leaning, upright)

@@ -14,7 +14,7 @@ from functools import cache, cached_property
 import cv2
 import numpy as np
 
-from league.sim.camera import raster, visual_randomization
+from league.sim.camera import floor_raster, raster, visual_randomization
 from league.sim.camera.ground import Floor, floor_of
 from league.sim.camera.scene import (
     BOX,
@@ -132,19 +132,22 @@ class Painter:
     ) -> None:
         """Draw over all of (num_eyes, height, width) or (..., 3) pictures, uint8, contiguous."""
         ground = floor.ground
-        top = self._first_floor_row(pose, ground.room)
-        pictures[:, :top] = self._sky
+        level = pose.roll_cos == 1 and pose.roll_sin == 0
+        top = self._first_floor_row(pose, ground.room) if level else 0
+        draw_floor = floor_raster.draw_floor if level else floor_raster.draw_tilted_floor
+        # Of a camera that rolls the horizon is a slope, and the sky lies beside the floor, too.
+        pictures[:, : top if level else self._lens.height] = self._sky
         flat = pictures.reshape(len(pictures), self._lens.height, -1)
-        for start, stop, level in floor.bands:
+        for start, stop, number in floor.bands:
             if stop > top:
-                texture = ground.levels[level]
-                raster.warp(flat, max(start, top), stop, texture, self._optics, pose)
+                texture = ground.levels[number]
+                draw_floor(flat, max(start, top), stop, texture, self._optics, pose)
         rows = [
             (MODELS.index(model), *place, *scale, *lit(colour, self._gray))
             for model, *place, colour, scale in things
         ]
         table = np.array(rows).reshape(-1, raster.THING_COLUMNS)
-        raster.draw(flat, self._optics, pose, ground.room, table, self._far, self._models)
+        raster.draw_room(flat, self._optics, pose, ground.room, table, self._far, self._models)
 
     def _first_floor_row(self, pose: raster.Pose, room: raster.Room) -> int:
         """Return the row of the farthest floor in view: no floor lies beyond the room's corners."""

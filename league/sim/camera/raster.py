@@ -1,4 +1,4 @@
-"""Compiled painting: a floor from its texture, then walls and things as convex polygons.
+"""Compiled painting: walls and things as convex polygons; the floor is in floor_raster.py.
 
 All that other files know (shapes, colours, sizes) comes as an argument, so that a change of theirs
 compiles nothing again (league/jit.py). A pixel belongs to a polygon if its centre lies inside:
@@ -12,7 +12,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import int32, uint8, uint32
+from numba import uint8
 
 from league.jit import compiled, inner
 from league.portable_math import f32, sincos
@@ -26,7 +26,8 @@ MOST_CORNERS = 16
 """Of a face."""
 
 
-# Machine code on disk names the classes below: rename `warp` and `draw` with a class or a field.
+# Machine code on disk names the classes below: rename what is compiled for them with a class or a
+# field (draw_room, and floor_raster.py).
 
 
 class Pose(NamedTuple):
@@ -46,6 +47,10 @@ class Pose(NamedTuple):
     """Cosine of the downward tilt."""
     pitch_sin: float
     """Sine of the downward tilt."""
+    roll_cos: float = 1.0
+    """Cosine of the turn about the view."""
+    roll_sin: float = 0.0
+    """Sine of that turn, positive when the camera leans to the right."""
 
 
 class Optics(NamedTuple):
@@ -125,86 +130,6 @@ class Models(NamedTuple):
 # Pixels --------------------------------------------------------------------------------------
 
 
-@compiled
-def warp(pictures, start, stop, texture, optics, view):
-    """Draw the floor into rows start to stop, below the horizon, of each eye's picture, bilinear.
-
-    Pictures are (num_eyes, height, width * channels) uint8. A camera never rolls, so along a row
-    the place in the texture moves by equal steps: 16 bits of fraction in whole numbers, which
-    processors do many at a time.
-    """
-    channels, columns, texels = optics.channels, texture.columns, texture.texels
-    width = pictures.shape[2] // channels
-    corner, share = np.empty(width, np.uint32), np.empty(width, np.uint32)
-    last_column = int32(columns - 2)
-    last_row = int32(texels.size // (columns * channels) - 2)
-    across_texels = int32(columns)
-    unit = 65536.0 / texture.size
-    for row in range(start, stop):
-        down = row - optics.cy
-        fall = max(optics.focal * view.pitch_sin + down * view.pitch_cos, 1e-6)
-        ahead = view.z * (optics.focal * view.pitch_cos - down * view.pitch_sin) / fall
-        across = view.z / fall
-        dx, dy = _fixed(unit * view.sin * across), _fixed(-unit * view.cos * across)
-        for eye, beside in enumerate(optics.eyes):
-            left = beside + across * optics.cx
-            world_x = view.x + view.cos * ahead - view.sin * left
-            world_y = view.y + view.sin * ahead + view.cos * left
-            x = _fixed(unit * (world_x - texture.origin_x) - 32768)
-            y = _fixed(unit * (world_y - texture.origin_y) - 32768)
-            for u in range(width):
-                here_x, here_y = int32(x + int32(u) * dx), int32(y + int32(u) * dy)
-                column = min(max(int32(here_x >> 16), int32(0)), last_column)
-                line = min(max(int32(here_y >> 16), int32(0)), last_row)
-                corner[u] = uint32(line * across_texels + column)
-                share[u] = uint32((here_x >> 8) & 255) | (uint32((here_y >> 8) & 255) << uint32(16))
-            _blend(pictures[eye, row], channels, texels, columns, corner, share)
-
-
-@inner
-def _fixed(number):
-    """Return a number as int32; floor so far away that it does not fit lies behind a wall."""
-    return int32(min(max(number, -2147483000.0), 2147483000.0))
-
-
-@inner
-def _blend(out, channels, texels, columns, corner, share):
-    """Mix four texels for each pixel of a row; gather them first, as only the rest vectorises."""
-    if channels == 1:
-        for u in range(len(corner)):
-            corner[u] = _four(texels, corner[u], uint32(columns), uint32(1))
-        for u in range(len(corner)):
-            out[u] = _mixed(corner[u], share[u])
-        return
-    four, step = np.empty(len(corner), np.uint32), uint32(channels)
-    for channel in range(channels):
-        for u in range(len(corner)):
-            four[u] = _four(texels[channel:], corner[u] * step, uint32(columns) * step, step)
-        for u in range(len(corner)):
-            out[u * channels + channel] = _mixed(four[u], share[u])
-
-
-@inner
-def _four(texels, here, stride, step):
-    """Return a texel, those to its right and above it, and the one to its upper right."""
-    return (
-        uint32(texels[here])
-        | (uint32(texels[here + step]) << uint32(8))
-        | (uint32(texels[here + stride]) << uint32(16))
-        | (uint32(texels[here + stride + step]) << uint32(24))
-    )
-
-
-@inner
-def _mixed(four, share):
-    """Return the mean of four bytes, weighted by 8 bits across and 8 bits upwards."""
-    right, up = share & uint32(255), share >> uint32(16)
-    left_pair, right_pair = four & uint32(0x00FF00FF), (four >> uint32(8)) & uint32(0x00FF00FF)
-    pair = left_pair * (uint32(256) - right) + right_pair * right
-    low, high = pair & uint32(0xFFFF), pair >> uint32(16)
-    return uint8((low * (uint32(256) - up) + high * up + uint32(32768)) >> uint32(16))
-
-
 @inner
 def _fill(picture, channels, points, count, colour, spans):
     """Fill a convex polygon of (u, v) pixels; (height, width * channels), spans (height, 2)."""
@@ -272,7 +197,7 @@ def _polygon(pictures, eye, points, count, colour, optics, scratch):
 
 
 @compiled
-def draw(pictures, optics, view, room, things, far, models):
+def draw_room(pictures, optics, view, room, things, far, models):
     """Draw the walls round a room, then the things in it, far to near.
 
     Args:
@@ -289,7 +214,9 @@ def draw(pictures, optics, view, room, things, far, models):
     feet = np.empty((len(things), 6))
     chosen = np.empty(len(things), np.int64)
     seen = 0
-    slope = pictures.shape[2] / optics.channels / 2 / optics.focal
+    # Half of the picture's extent to either side of a level camera with the same view.
+    width = pictures.shape[2] / optics.channels * abs(view.roll_cos)
+    slope = (width + pictures.shape[1] * abs(view.roll_sin)) / 2 / optics.focal
     for number in range(len(things)):
         if _stand(feet[seen], things[number], view, optics, slope, models):
             chosen[seen] = number
@@ -318,9 +245,16 @@ def _camera(points, k, x, y, z, view):
     """Write a point of the world as X, Y, Z of the camera's frame."""
     dx, dy = x - view.x, y - view.y
     ahead, up = view.cos * dx + view.sin * dy, z - view.z
-    points[k, 0] = view.sin * dx - view.cos * dy
-    points[k, 1] = -ahead * view.pitch_sin - up * view.pitch_cos
-    points[k, 2] = ahead * view.pitch_cos - up * view.pitch_sin
+    _see(points[k], ahead, view.cos * dy - view.sin * dx, up, view)
+
+
+@inner
+def _see(point, ahead, left, up, view):
+    """Write X, Y, Z of the camera's frame of a place in the frame of its yaw, from the camera."""
+    down = -ahead * view.pitch_sin - up * view.pitch_cos
+    point[0] = view.roll_sin * down - view.roll_cos * left
+    point[1] = view.roll_sin * left + view.roll_cos * down
+    point[2] = ahead * view.pitch_cos - up * view.pitch_sin
 
 
 @inner
@@ -352,7 +286,9 @@ def _stand(foot, thing, view, optics, slope, models):
     depth = x * view.pitch_cos + view.z * view.pitch_sin
     widest = max(abs(optics.eyes[0]), abs(optics.eyes[-1]))
     aside = abs(y) - widest - reach * math.sqrt(1 + slope * slope)
-    return depth + reach >= optics.near and aside <= slope * depth
+    # To a camera that looks up what is higher is deeper: there the foot does not decide.
+    looks_up = view.pitch_sin < 0
+    return looks_up or (depth + reach >= optics.near and aside <= slope * depth)
 
 
 @inner
@@ -369,10 +305,11 @@ def _thing(pictures, optics, view, thing, foot, far, models, scratch):
     points, colour = np.empty((MOST_CORNERS, 3)), np.empty(3, np.uint8)
     for eye, beside in enumerate(optics.eyes):
         # The eye in the frame of the unstretched model.
-        dx, dy = -foot[0], beside - foot[1]
+        dx = beside * view.roll_sin * view.pitch_sin - foot[0]
+        dy = beside * view.roll_cos - foot[1]
         ahead = (foot[2] * dx + foot[3] * dy) / thing[ALONG]
         left = (foot[2] * dy - foot[3] * dx) / thing[ACROSS]
-        up = view.z / thing[UPWARD]
+        up = (view.z + beside * view.roll_sin * view.pitch_cos) / thing[UPWARD]
         for number in _order(first, last, ahead, left, up, models):
             solid = first + number
             eye_x, eye_y, sun_cos, sun_sin = ahead, left, thing[COS], thing[SIN]
@@ -412,9 +349,7 @@ def _project(place, base, solid, thing, foot, view, models):
             x, y = x + models.pivots[solid, 0], y + models.pivots[solid, 1]
         x, y, up = x * thing[ALONG], y * thing[ACROSS], row[2] * thing[UPWARD] - view.z
         ahead = foot[0] + foot[2] * x - foot[3] * y
-        place[vertex - base, 0] = -(foot[1] + foot[3] * x + foot[2] * y)
-        place[vertex - base, 1] = -ahead * view.pitch_sin - up * view.pitch_cos
-        place[vertex - base, 2] = ahead * view.pitch_cos - up * view.pitch_sin
+        _see(place[vertex - base], ahead, foot[1] + foot[3] * x + foot[2] * y, up, view)
 
 
 # What hides what -----------------------------------------------------------------------------

@@ -155,15 +155,20 @@ class RayRenderer(Renderer):
 
     def _rays(self, poses: Tensor) -> _Rays:
         lens = self._lens
-        height, pitch_cos, pitch_sin = (poses[:, index].reshape(-1, 1, 1, 1) for index in (2, 5, 6))
-        across = (torch.arange(lens.width, device=self._device) - lens.cx) / lens.focal
-        down = (torch.arange(lens.height, device=self._device) - lens.cy) / lens.focal
-        down = down.reshape(1, 1, -1, 1)
+        height, pitch_cos, pitch_sin, roll_cos, roll_sin = (
+            poses[:, index].reshape(-1, 1, 1, 1) for index in (2, 5, 6, 7, 8)
+        )
+        column = (torch.arange(lens.width, device=self._device) - lens.cx) / lens.focal
+        row = (torch.arange(lens.height, device=self._device) - lens.cy) / lens.focal
+        row = row.reshape(1, 1, -1, 1)
+        # To the right and down in the picture of a camera that does not roll.
+        across, down = column * roll_cos - row * roll_sin, column * roll_sin + row * roll_cos
+        eyes = self._tensor(lens.eyes).reshape(1, -1, 1, 1)
         shape = (len(poses), len(lens.eyes), lens.height, lens.width)
         parts = (
-            self._tensor([0.0]),
-            self._tensor(lens.eyes).reshape(1, -1, 1, 1),
-            height,
+            eyes * roll_sin * pitch_sin,
+            eyes * roll_cos,
+            height + eyes * roll_sin * pitch_cos,
             pitch_cos - down * pitch_sin,
             -across,
             -pitch_sin - down * pitch_cos,

@@ -3,8 +3,9 @@
 Plain floats, because at a hundred numbers a picture they are faster than arrays, and because a
 picture made one world at a time cannot depend on its batch.
 
-Camera frame: X to the right, Y down, Z along the view. A camera never rolls, so all floor points
-seen in one pixel row lie at the same depth. Pixel (0, 0) has its centre at (0, 0), row 0 on top.
+Camera frame: X to the right, Y down, Z along the view. Pixel (0, 0) has its centre at (0, 0), row 0
+on top. With SimConfig.leaning_cameras a camera is bolted to its car's chassis and rises, rolls and
+pitches with it; else it stays level at its height. What it sees is drawn upright on the floor.
 """
 
 import math
@@ -23,7 +24,7 @@ from league.sim.world import World, is_frozen
 NEAR = 0.02
 """Nothing nearer to a camera's plane than this is seen [m]."""
 MIN_HEIGHT = 0.01
-"""No camera sinks lower than this above the floor [m]."""
+"""No eye of a camera sinks lower than this above the floor [m]."""
 
 _FADED = tuple(faded(colour) for colour in CAR_COLOURS)
 _UNSTRETCHED = (1.0, 1.0, 1.0)
@@ -112,6 +113,7 @@ class Stage:
             cars[name].tolist()
             for name in ("x", "y", "yaw", "steering", "camera_up", "camera_pitch")
         )
+        self._z, self._roll, self._pitch = (cars[name].tolist() for name in ("z", "roll", "pitch"))
         self._obstacles = [
             obstacles[name].tolist() for name in ("x", "y", "yaw", "half_length", "half_width")
         ]
@@ -121,15 +123,21 @@ class Stage:
     def camera(self, row: int, car: int, cfg: CameraConfig) -> Pose:
         """Return where a car's camera is in the world at `row`."""
         x, y, yaw = self.base(row, car)
+        z = roll = pitch = 0.0
+        if self._sim.leaning_cameras:
+            z, roll, pitch = self._z[row][car], self._roll[row][car], self._pitch[row][car]
         cos, sin = direction(yaw)
-        return Pose(
-            x + cos * cfg.forward,
-            y + sin * cfg.forward,
-            max(cfg.up + self._up[row][car], MIN_HEIGHT),
-            cos,
-            sin,
-            *direction(cfg.pitch + self._tilt[row][car]),
-        )
+        up, tilt = cfg.up + self._up[row][car], cfg.pitch + self._tilt[row][car]
+        if roll == 0 and pitch == 0:
+            x, y = x + cos * cfg.forward, y + sin * cfg.forward
+            return Pose(x, y, max(up + z, MIN_HEIGHT), cos, sin, *direction(tilt))
+        body = _axes(roll, pitch)
+        left_up = body[2][1]
+        ahead, left, rise = (cfg.forward * a + up * u for a, _, u in body)
+        x, y = x + cos * ahead - sin * left, y + sin * ahead + cos * left
+        turns = _turned(cos, sin, body, direction(tilt))
+        sink = cfg.baseline / 2 * abs(left_up)  # of the lower eye below the middle
+        return Pose(x, y, max(z + rise, MIN_HEIGHT + sink), *turns)
 
     def base(self, row: int, car: int) -> tuple[float, float, float]:
         """Return x, y, yaw of a car's base in the world at `row`."""
@@ -152,6 +160,48 @@ class Stage:
             tints = [tint for slot, tint in enumerate(self._tints[row]) if slot != without]
             things = [_tinted(thing, tint) for thing, tint in zip(things, tints, strict=True)]
         return things
+
+
+_Row = tuple[float, float, float]
+
+
+def _axes(roll: float, pitch: float) -> tuple[_Row, _Row, _Row]:
+    """Return the body's axes (columns: x, y, z) in the frame of its yaw (rows: ahead, left, up)."""
+    (roll_cos, roll_sin), (cos, sin) = direction(roll), direction(pitch)
+    return (
+        (cos, sin * roll_sin, sin * roll_cos),
+        (0.0, roll_cos, -roll_sin),
+        (-sin, cos * roll_sin, cos * roll_cos),
+    )
+
+
+def _turned(
+    cos: float, sin: float, body: tuple[_Row, _Row, _Row], tilt: tuple[float, float]
+) -> tuple[float, float, float, float, float, float]:
+    """Return cosine and sine of a camera's yaw, downward tilt and roll about its view.
+
+    Args:
+        cos: cosine of the body's yaw.
+        sin: sine of the body's yaw.
+        body: axes of the body, as _axes returns them.
+        tilt: cosine and sine of the camera's tilt on the body.
+    """
+    ahead, aside, rise = (tilt[0] * x - tilt[1] * z for x, _, z in body)  # the view
+    flat = math.sqrt(ahead * ahead + aside * aside)
+    # The yaw of a view straight up or down is that of the body.
+    turn_cos, turn_sin = (ahead / flat, aside / flat) if flat > 1e-6 else (1.0, 0.0)
+    # The body's left axis lies across the view: in the plane of a level camera's left and up.
+    x, y, z = (left for _, left, _ in body)
+    roll_cos = y * turn_cos - x * turn_sin
+    roll_sin = z * flat - (x * turn_cos + y * turn_sin) * rise
+    return (
+        cos * turn_cos - sin * turn_sin,
+        sin * turn_cos + cos * turn_sin,
+        flat,
+        -rise,
+        roll_cos,
+        roll_sin,
+    )
 
 
 def _tinted(thing: Thing, tint: list[float]) -> Thing:

@@ -9,7 +9,7 @@ Semi-implicit Euler: forces change velocities, contacts mend them, velocities mo
 import numpy as np
 
 from league.jit import inner
-from league.portable_math import f32, wrap_angle
+from league.portable_math import f32, sincos, wrap_angle
 from league.sim.physics.collision import part
 from league.sim.physics.vehicle import frozen, late_steps, push
 from league.sim.settings import HALF_WALL
@@ -110,6 +110,21 @@ def _accelerate(car, control, settings, k):
     car.velocity_y += acting.force_y * ease
     car.yaw_rate += acting.torque * (ease / settings.inertia_of_mass)
     car.steering = acting.steering
+    if settings.lean_share > _ZERO:
+        _lean(car, acting, settings)
+
+
+@inner
+def _lean(car, acting, settings):
+    """Lean the chassis as its springs would under the tyres' forces; only cameras read it.
+
+    See settings.lean_per_acceleration. Contacts do not lean it.
+    """
+    sin, cos = sincos(car.yaw)
+    ahead = (cos * acting.force_x + sin * acting.force_y) / car.mass
+    left = (cos * acting.force_y - sin * acting.force_x) / car.mass
+    car.roll += (settings.roll_of_left * left - car.roll) * settings.lean_share
+    car.pitch += (-settings.pitch_of_brakes * ahead - car.pitch) * settings.lean_share
 
 
 @inner
