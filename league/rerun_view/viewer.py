@@ -187,6 +187,7 @@ class Server(ThreadingHTTPServer):
         self.origin = f"http://{HOST}:{self.port}"
         self.url = f"{self.origin}/?{query.format(origin=quote(self.origin, safe=''))}&{OPTIONS}"
         """Address that opens the viewer with the race."""
+        self._closing = threading.Lock()
         self._thread = threading.Thread(target=self.serve_forever, args=(0.1,), daemon=True)
         self._thread.start()
 
@@ -199,9 +200,12 @@ class Server(ThreadingHTTPServer):
 
     def close(self) -> None:
         """Stop serving."""
-        self.shutdown()
-        self.server_close()
-        self._thread.join()
+        # One at a time: of two threads the second would find the socket marked as closed, and go
+        # on before it is.
+        with self._closing:
+            self.shutdown()
+            self.server_close()
+            self._thread.join()
 
     def __exit__(self, *_: object) -> None:
         self.close()
