@@ -259,6 +259,10 @@ def test_last_line_after_a_run_without_a_complete_lap_says_how_to_go_on(league):
         (["--bots"], "--bots means nothing without --kind obstacle_avoidance"),
         (["--obstacles", "3"], "--obstacles means nothing without --kind obstacle_avoidance"),
         (["--cars", "3"], "--cars means nothing without --self-play"),
+        (
+            ["--kind", "head_to_head", "--self-play", "--reward", "progress"],
+            "learns with the reward race, not progress: omit --reward",
+        ),
         (["--kind", "head_to_head", "--self-play", "--cars", "9"], "--cars is 9: give 2 to 8"),
         (["--dynamics-randomization", "3"], "dynamics_randomization is 3.0: give 0, which is none"),
         (["--threads", "0"], "threads is 0: give 1 to 1024"),

@@ -128,6 +128,12 @@ def _check(cfg: RunConfig) -> None:
         raise ConfigError(
             "--kind head_to_head needs opponents: give either --opponents NAME ... or --self-play"
         )
+    own = cfg.reward.endswith(".py") and not train.sensors.truth
+    if cfg.self_play and cfg.reward != "race" and not own:
+        raise ConfigError(
+            f"--self-play on the true state learns with the reward race, not {cfg.reward}: omit "
+            "--reward, or give a reward file (FILE.py) to a policy with sensors of its own"
+        )
     if cfg.self_play and not 2 <= train.num_cars <= 8:
         raise ConfigError(f"--cars is {train.num_cars}: give 2 to 8")
     if train.ppo.bootstrap_on_failure and cfg.reward == "centerline":
