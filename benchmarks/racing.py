@@ -8,6 +8,7 @@ one place behind succeed without a contact to blame for and without leaving the 
 """
 
 import argparse
+from pathlib import Path
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from benchmarks.report import figure, heading, note, table
 from league.agents import roster
 from league.agents.driver import Driver
 from league.racing import duels
-from league.racing.duels import DuelConfig, Threshold
+from league.racing.duels import RESOLUTION, DuelConfig, Threshold
 from league.racing.evaluate import evaluate
 from league.sim.config import CarConfig
 from league.track import files
@@ -24,6 +25,8 @@ from league.track.track import TrackSet
 
 CAR = CarConfig()
 HALF_PACE = 0.5
+BEFORE = Path(__file__).parent / "rivals" / "duelist_2026.pt"
+"""The duelist that the garage had until it learned wheel to wheel, which goals name."""
 
 
 def measure(path: str, cfg: DuelConfig) -> None:
@@ -55,21 +58,30 @@ def measure(path: str, cfg: DuelConfig) -> None:
     figure("... of these above 0.3 m/s", hard / near, "", 0.2, most=True)
     passes = sum(one.passed * one.races for one in tried)
     figure("off-tracks per pass", sum(one.off_tracks for one in tried) / max(passes, 1.0), "")
-    for rival in ("racing_line", "duelist"):
-        if rival == "duelist" and path == str(roster.garage()["duelist"]):
-            continue
+    for name, rival in (("racing_line", "racing_line"), ("the duelist of before", str(BEFORE))):
         against = duels.threshold(cfg, load(path), load(rival))
-        figure(f"pass threshold against {rival}, slowed", against.pace, "of its pace", goal)
+        figure(f"pass threshold against {name}, slowed", against.pace, "of its pace", goal)
     grid = ["centerline"] * 3
     last = duels.from_behind(cfg, [*map(load, grid), load(path)], [1.0] * 4)
     figure("from last of four against three centerline: won", 100 * last.passed, "%", 90)
     figure("... places gained", last.places, "of 3")
-    for name, rival, pace in (
-        ("today's duelist", "duelist", 1.0),
-        ("a roadblock at half pace", "racing_line", HALF_PACE),
+    twice_s = duels.solo_lap(cfg, load(path)) / HALF_PACE
+    half = _top_speed(cfg, load("racing_line"), twice_s)
+    for name, rival, top_speed in (
+        ("the duelist of before", str(BEFORE), 1.0),
+        ("a roadblock at half pace", "racing_line", half),
     ):
-        seen = duels.from_behind(cfg, (load(rival), load(path)), (pace, 1.0))
+        seen = duels.from_behind(cfg, (load(rival), load(path)), (top_speed, 1.0))
         figure(f"from behind against {name}: won", 100 * seen.passed, "%", 90)
+
+
+def _top_speed(cfg: DuelConfig, driver: Driver, lap_s: float) -> float:
+    """Return the share of the top speed under which a driver laps in this time, to a hundredth."""
+    low, high = 0.1, 1.0
+    while high - low > RESOLUTION:
+        share = 0.5 * (low + high)
+        low, high = (share, high) if duels.solo_lap(cfg, driver, share) > lap_s else (low, share)
+    return low
 
 
 def _show(found: Threshold) -> None:
