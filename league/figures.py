@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-INK, FAINT, GRID = "#1d2733", "#8a94a0", "#e0e4e8"
+INK, GRID = "#1d2733", "#e0e4e8"
 """Colours of text, of less important text, and of grid lines."""
 
 

@@ -36,7 +36,7 @@ touching costs little and running into another car much, or passing is never lea
 TERMS = tuple(item.name for item in fields(RewardConfig))
 """Names of the built-in terms, in order."""
 NEAR = f32(1.5)
-"""Distance along the track within which gaining on another car pays [m]."""
+"""Distance along the track within which another car is near, and gaining on it pays [m]."""
 RACING_LINE = "racing_line"
 """Name of the reward that is no preset, and of its term."""
 MOST_TRACKS = 64

@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from league.envs.rewards import NEAR
 from league.jit import inner
 from league.portable_math import atan, clamp, f32, heading_of, wrap_angle
 from league.sim import grid
@@ -36,8 +37,6 @@ ENCOUNTER = np.dtype(
 
 NO_ATTACK, FAILED, PASSED, CLEAN = 0, 1, 2, 3
 """How an attack ended: none was made, not passed, passed with a mistake, passed without one."""
-NEAR = f32(1.5)
-"""Distance along the track within which another car counts as near [m]."""
 
 _BASE, _KIND, _GROUPS, _SHIFT, _LENGTH, _FIRST, _FAST, _SLOW, _WHICH = range(221, 230)
 _GAP, _LANE, _PACE, _OWN_PACE = range(231, 235)

@@ -16,6 +16,7 @@ from league.agents.driver import Driver
 from league.agents.rollout import DriverPool, Rollout
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
+from league.envs.rewards import NEAR
 from league.errors import ConfigError
 from league.racing.race import dynamics
 from league.sim import rng
@@ -23,8 +24,6 @@ from league.sim.config import DynamicsRandomization, RaceRules, SimConfig, Solve
 from league.track.track import Track, TrackSet
 
 LAPS = 3
-NEAR = 1.5
-"""Distance along the track within which another car counts as near [m]."""
 LEAST, MOST = 0.5, 1.0
 """Top speeds of a defender, as shares of the car's, between which a threshold is looked for."""
 RESOLUTION = 0.01

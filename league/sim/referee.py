@@ -325,7 +325,7 @@ def running_order(cars, pursuit):
     """Return each car's place from 0, by finish, then by who is ahead; (num_worlds, num_cars).
 
     Of three cars side by side each may still be ahead of the next, in a ring; distance unties them,
-    and then the slot. In a pursuit nobody is ahead: whoever has driven farther comes first.
+    and then the slot. In a pursuit no car is ahead of another, and the distance driven decides.
     """
     num_worlds, num_cars = cars.shape
     out = np.zeros((num_worlds, num_cars), np.int64)

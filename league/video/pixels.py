@@ -1,7 +1,7 @@
 """Compiled: a floor in colour over a whole picture, and paint mixed into a part of one.
 
-`draw_floor` gives the bits of `raster.warp`, three times faster where pictures are large: the
-three colours of a texel lie in one number, which is read once and mixed in vector units.
+`draw_floor` gives the bits of the one in floor_raster.py, three times faster where pictures are
+large: the three colours of a texel lie in one number, which is read once and mixed in vector units.
 """
 
 # Numba gives its types a meaning that the checker does not know.
@@ -11,6 +11,7 @@ import numpy as np
 from numba import int32, uint8, uint32
 
 from league.jit import compiled, inner
+from league.sim.camera.floor_raster import fixed, shares_at, texel_at
 from league.sim.camera.raster import Texture
 
 
@@ -42,18 +43,16 @@ def draw_floor(picture, start, stop, texture, optics, view):
         fall = max(optics.focal * view.pitch_sin + down * view.pitch_cos, 1e-6)
         ahead = view.z * (optics.focal * view.pitch_cos - down * view.pitch_sin) / fall
         across = view.z / fall
-        dx, dy = _fixed(unit * view.sin * across), _fixed(-unit * view.cos * across)
+        dx, dy = fixed(unit * view.sin * across), fixed(-unit * view.cos * across)
         left = optics.eyes[0] + across * optics.cx
         world_x = view.x + view.cos * ahead - view.sin * left
         world_y = view.y + view.sin * ahead + view.cos * left
-        x = _fixed(unit * (world_x - texture.origin_x) - 32768)
-        y = _fixed(unit * (world_y - texture.origin_y) - 32768)
+        x = fixed(unit * (world_x - texture.origin_x) - 32768)
+        y = fixed(unit * (world_y - texture.origin_y) - 32768)
         for u in range(width):
             here_x, here_y = int32(x + int32(u) * dx), int32(y + int32(u) * dy)
-            column = min(max(int32(here_x >> 16), int32(0)), last_column)
-            line = min(max(int32(here_y >> 16), int32(0)), last_row)
-            corner[u] = uint32(line * stride + column)
-            share[u] = uint32((here_x >> 8) & 255) | (uint32((here_y >> 8) & 255) << uint32(16))
+            corner[u] = texel_at(here_x, here_y, last_column, last_row, stride)
+            share[u] = shares_at(here_x, here_y)
         for u in range(width):
             four[0, u], four[1, u] = texels[corner[u]], texels[corner[u] + uint32(1)]
             above = corner[u] + uint32(stride)
@@ -65,12 +64,6 @@ def draw_floor(picture, start, stop, texture, optics, view):
             picture[row, 3 * u] = uint8(corner[u])
             picture[row, 3 * u + 1] = uint8(corner[u] >> uint32(8))
             picture[row, 3 * u + 2] = uint8(corner[u] >> uint32(16))
-
-
-@inner
-def _fixed(number):
-    """Return a number as int32; floor so far away that it does not fit lies behind a wall."""
-    return int32(min(max(number, -2147483000.0), 2147483000.0))
 
 
 @inner

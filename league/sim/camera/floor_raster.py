@@ -34,19 +34,17 @@ def draw_floor(pictures, start, stop, texture, optics, view):
         fall = max(optics.focal * view.pitch_sin + down * view.pitch_cos, _LEAST_FALL)
         ahead = view.z * (optics.focal * view.pitch_cos - down * view.pitch_sin) / fall
         across = view.z / fall
-        dx, dy = _fixed(unit * view.sin * across), _fixed(-unit * view.cos * across)
-        for eye, beside in enumerate(optics.eyes):
-            left = beside + across * optics.cx
+        dx, dy = fixed(unit * view.sin * across), fixed(-unit * view.cos * across)
+        for eye, shift in enumerate(optics.eyes):
+            left = shift + across * optics.cx
             world_x = view.x + view.cos * ahead - view.sin * left
             world_y = view.y + view.sin * ahead + view.cos * left
-            x = _fixed(unit * (world_x - texture.origin_x) - 32768)
-            y = _fixed(unit * (world_y - texture.origin_y) - 32768)
+            x = fixed(unit * (world_x - texture.origin_x) - 32768)
+            y = fixed(unit * (world_y - texture.origin_y) - 32768)
             for u in range(width):
                 here_x, here_y = int32(x + int32(u) * dx), int32(y + int32(u) * dy)
-                column = min(max(int32(here_x >> 16), int32(0)), last_column)
-                line = min(max(int32(here_y >> 16), int32(0)), last_row)
-                corner[u] = uint32(line * across_texels + column)
-                share[u] = uint32((here_x >> 8) & 255) | (uint32((here_y >> 8) & 255) << uint32(16))
+                corner[u] = texel_at(here_x, here_y, last_column, last_row, across_texels)
+                share[u] = shares_at(here_x, here_y)
             _blend(pictures[eye, row], channels, texels, columns, corner, share)
 
 
@@ -77,21 +75,19 @@ def draw_tilted_floor(pictures, start, stop, texture, optics, view):
         way_x, way_y = view.cos * ahead + view.sin * right, view.sin * ahead - view.cos * right
         ways_x = view.cos * recedes + view.sin * view.roll_cos
         ways_y = view.sin * recedes - view.cos * view.roll_cos
-        for eye, beside in enumerate(optics.eyes):
-            eye_ahead = beside * view.roll_sin * view.pitch_sin
-            eye_left = beside * view.roll_cos
-            height = unit * (view.z + beside * view.roll_sin * view.pitch_cos)
+        for eye, shift in enumerate(optics.eyes):
+            eye_ahead = shift * view.roll_sin * view.pitch_sin
+            eye_left = shift * view.roll_cos
+            height = unit * (view.z + shift * view.roll_sin * view.pitch_cos)
             eye_x = view.x + view.cos * eye_ahead - view.sin * eye_left
             eye_y = view.y + view.sin * eye_ahead + view.cos * eye_left
             x, y = unit * (eye_x - texture.origin_x), unit * (eye_y - texture.origin_y)
             for u in range(first, last):
                 far = height / max(fall + u * falls, _LEAST_FALL)
-                here_x = _fixed(x + far * (way_x + u * ways_x) - 32768)
-                here_y = _fixed(y + far * (way_y + u * ways_y) - 32768)
-                column = min(max(int32(here_x >> 16), int32(0)), last_column)
-                line = min(max(int32(here_y >> 16), int32(0)), last_row)
-                corner[u] = uint32(line * across_texels + column)
-                share[u] = uint32((here_x >> 8) & 255) | (uint32((here_y >> 8) & 255) << uint32(16))
+                here_x = fixed(x + far * (way_x + u * ways_x) - 32768)
+                here_y = fixed(y + far * (way_y + u * ways_y) - 32768)
+                corner[u] = texel_at(here_x, here_y, last_column, last_row, across_texels)
+                share[u] = shares_at(here_x, here_y)
             out = pictures[eye, row, first * channels : last * channels]
             _blend(out, channels, texels, columns, corner[first:last], share[first:last])
 
@@ -108,7 +104,21 @@ def _falling(fall, falls, width):
 
 
 @inner
-def _fixed(number):
+def texel_at(x, y, last_column, last_row, columns):
+    """Return the number of the texel at a place with 16 bits of fraction, inside the texture."""
+    column = min(max(int32(x >> 16), int32(0)), last_column)
+    line = min(max(int32(y >> 16), int32(0)), last_row)
+    return uint32(line * columns + column)
+
+
+@inner
+def shares_at(x, y):
+    """Return how far a place lies beyond its texel: 8 bits across, and from bit 16 on 8 bits up."""
+    return uint32((x >> 8) & 255) | (uint32((y >> 8) & 255) << uint32(16))
+
+
+@inner
+def fixed(number):
     """Return a number as int32; floor so far away that it does not fit lies behind a wall."""
     return int32(min(max(number, -2147483000.0), 2147483000.0))
 

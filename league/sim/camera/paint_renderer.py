@@ -135,7 +135,7 @@ class Painter:
         level = pose.roll_cos == 1 and pose.roll_sin == 0
         top = self._first_floor_row(pose, ground.room) if level else 0
         draw_floor = floor_raster.draw_floor if level else floor_raster.draw_tilted_floor
-        # Of a camera that rolls the horizon is a slope, and the sky lies beside the floor, too.
+        # Of a camera that rolls the horizon is a slope, and the sky lies next to the floor, too.
         pictures[:, : top if level else self._lens.height] = self._sky
         flat = pictures.reshape(len(pictures), self._lens.height, -1)
         for start, stop, number in floor.bands:

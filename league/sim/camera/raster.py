@@ -303,13 +303,13 @@ def _thing(pictures, optics, view, thing, foot, far, models, scratch):
     for solid in range(first, last):
         _project(place, base, solid, thing, foot, view, models)
     points, colour = np.empty((MOST_CORNERS, 3)), np.empty(3, np.uint8)
-    for eye, beside in enumerate(optics.eyes):
+    for eye, shift in enumerate(optics.eyes):
         # The eye in the frame of the unstretched model.
-        dx = beside * view.roll_sin * view.pitch_sin - foot[0]
-        dy = beside * view.roll_cos - foot[1]
+        dx = shift * view.roll_sin * view.pitch_sin - foot[0]
+        dy = shift * view.roll_cos - foot[1]
         ahead = (foot[2] * dx + foot[3] * dy) / thing[ALONG]
         left = (foot[2] * dy - foot[3] * dx) / thing[ACROSS]
-        up = (view.z + beside * view.roll_sin * view.pitch_cos) / thing[UPWARD]
+        up = (view.z + shift * view.roll_sin * view.pitch_cos) / thing[UPWARD]
         for number in _order(first, last, ahead, left, up, models):
             solid = first + number
             eye_x, eye_y, sun_cos, sun_sin = ahead, left, thing[COS], thing[SIN]
@@ -429,7 +429,7 @@ def _bearings(foot):
         for b in (-1, 1):
             slope = (foot[1] + a * ahead_y + b * left_y) / (foot[0] + a * ahead_x + b * left_x)
             low, high = min(low, slope), max(high, slope)
-    spare = 0.05 / foot[0]  # the eyes sit beside the middle
+    spare = 0.05 / foot[0]  # the eyes are off the middle
     return low - spare, high + spare
 
 
