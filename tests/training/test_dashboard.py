@@ -127,14 +127,14 @@ def test_self_play_is_shown_while_it_lasts_and_when_its_duels_are_raced():
     assert output(console).splitlines()[-1].strip() == "racing it against itself ..."
 
 
-def test_while_a_tutor_learns_that_is_shown():
+def test_while_a_teacher_learns_that_is_shown():
     made = history(3)
-    tutored = update(len(made.updates) + 1)
-    made.add_update(replace(tutored, log=tutored.log | {TUTORING: 1.0}), episodes(0.5), 9.0)
-    assert "the tutor learns" in dashboard.update_line(made, None, None)
+    taught = update(len(made.updates) + 1)
+    made.add_update(replace(taught, log=taught.log | {TUTORING: 1.0}), episodes(0.5), 9.0)
+    assert "the teacher learns" in dashboard.update_line(made, None, None)
     assert any("it learns first, from the truth" in row for row in drawn(made))
-    made.add_update(update(tutored.number + 1), episodes(0.5), 9.5)
-    assert "tutor" not in dashboard.update_line(made, None, None)
+    made.add_update(update(taught.number + 1), episodes(0.5), 9.5)
+    assert "teacher" not in dashboard.update_line(made, None, None)
 
 
 def test_plain_lines_can_be_asked_for_in_a_terminal():

@@ -1,8 +1,10 @@
 from __future__ import annotations
 
+from itertools import pairwise
+
 import cv2
 import pytest
-from metrics import evaluation, history, update
+from metrics import evaluation, history, self_play, update
 
 from league.errors import PolicyError
 from league.training.monitor import plot
@@ -10,23 +12,38 @@ from league.training.monitor.history import TUTORING, History
 from league.training.monitor.plot import TrainingPlot
 
 
-def test_the_three_curves_are_drawn_over_samples():
+def test_the_three_curves_are_drawn_over_time():
     made = history(20)
     completion, reward, upper = plot.figure(made).axes
     found = {line.get_label(): line for axes in (completion, reward) for line in axes.lines}
-    samples = [row.samples for row in made.updates]
-    assert list(found["average reward (training)"].get_xdata()) == samples
-    assert list(found["average % completion (training)"].get_xdata()) == samples
+    times_s = [row.time_s for row in made.updates]
+    assert list(found["average reward (training)"].get_xdata()) == times_s
+    assert list(found["average % completion (training)"].get_xdata()) == times_s
     driven = found["average % completion (training)"].get_ydata()
     assert driven[-1] == pytest.approx(100.0)
     judged = found["average % completion (evaluation)"]
-    assert list(judged.get_xdata()) == [400, 800, 1200, 1600, 2000]
+    # Each half a second after its policy had been learnt.
+    assert list(judged.get_xdata()) == [8, 16, 24, 32, 40]
     assert judged.get_ydata()[0] == pytest.approx(50 / 3, abs=0.01)
-    assert completion.get_xlim() == (0, 2000)
-    # 2 s an update: 40 s, by tens of seconds; a tick lies where the time was so late.
-    labels = [label.get_text() for label in upper.get_xticklabels()]
+    assert completion.get_xlim() == upper.get_xlim() == (0, 40)
+    labels = [label.get_text() for label in completion.get_xticklabels()]
     assert labels == ["0:00", "0:05", "0:10", "0:15", "0:20", "0:25", "0:30", "0:35", "0:40"]
-    assert list(upper.get_xticks())[2] == pytest.approx(500.0)  # 10 s are 5 updates
+    # 100 samples in 2 s.
+    samples = [label.get_text() for label in upper.get_xticklabels()]
+    assert samples == ["0", "250", "500", "750", "1k", "1.25k", "1.5k", "1.75k", "2k"]
+
+
+def test_a_teacher_of_many_samples_has_the_width_of_its_time():
+    made = self_play(400)
+    completion, reward, upper = plot.figure(made).axes
+    (shade,) = reward.patches
+    assert shade.get_extents().width == pytest.approx(0.5 * completion.bbox.width, rel=0.01)
+    assert made.updates[199].samples > 0.95 * made.samples
+    for axes in (completion, upper):
+        axes.figure.canvas.draw()
+        labels = [label.get_window_extent() for label in axes.get_xticklabels()]
+        for left, right in pairwise(labels):
+            assert left.x1 < right.x0
 
 
 def test_the_best_model_is_marked():
@@ -35,22 +52,22 @@ def test_the_best_model_is_marked():
     best = made.best
     assert best is not None
     assert best.samples == 1600
-    assert list(star.get_xdata()) == [1600]
+    assert list(star.get_xdata()) == [32]  # 2 s for 100 samples
     assert list(star.get_ydata()) == [best.completion]
 
 
-def test_the_tutors_time_is_shaded_behind_the_curves():
+def test_the_teachers_time_is_shaded_behind_the_curves():
     made = history(20)
     for row in made.updates[:5]:
         row.log[TUTORING] = 1.0
     completion, reward, _ = plot.figure(made).axes
     (shade,) = reward.patches
     assert shade.get_extents().width == pytest.approx(
-        reward.transData.transform((500, 0))[0] - reward.transData.transform((0, 0))[0]
+        reward.transData.transform((10, 0))[0] - reward.transData.transform((0, 0))[0]
     )
     assert shade.get_zorder() < reward.lines[0].get_zorder()
     assert not completion.patches  # it lies before the reward
-    assert any(text.get_text() == "the tutor learns" for text in reward.texts)
+    assert any(text.get_text() == "the teacher learns" for text in reward.texts)
     assert not plot.figure(history(20)).axes[1].patches
 
 

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from league.training.monitor.callback import TrainingCallback
-from league.training.monitor.history import TUTORING
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
 
     from league.racing.table import Evaluation
     from league.training.config import TrainConfig
-    from league.training.monitor.history import EvaluationRow, History
+    from league.training.monitor.history import EvaluationRow, History, Row
     from league.training.ppo.learner import Update
 
 PLAIN_EVERY_S = 5.0
@@ -167,17 +166,15 @@ def _charts(history: History, width: int) -> RenderableType:
     narrow = width < _NARROW
     across = max(width if narrow else (width - 4) // 3, 8)
     height = 2 if narrow else _HEIGHT
-    rewards = _curve([(row.samples, row.earned) for row in history.updates], across)
+    rewards = _curve(history, history.updates, "earned", across)
     known = [value for value in rewards if value is not None]
     low, high = min(known, default=0.0), max(known, default=1.0)
     if 0 < low < 0.5 * high:
         low = 0.0
-    driven = _curve([(row.samples, row.completion) for row in history.updates], across)
-    # The same axis as training's: to the last update.
-    points = [(row.samples, row.completion) for row in history.evaluations]
-    evaluated = _curve([*points, (history.samples, None)], across)
+    driven = _curve(history, history.updates, "completion", across)
+    evaluated = _curve(history, history.evaluations, "completion", across)
     last = history.updates[-1]
-    evaluation = percent(points[-1][1] if points else None)
+    evaluation = percent(history.evaluations[-1].completion if history.evaluations else None)
     charts = [
         _chart("reward", figure(last.earned), bars(rewards, low, high, height), "magenta", across),
         _chart(
@@ -205,9 +202,10 @@ def _charts(history: History, width: int) -> RenderableType:
     return grid
 
 
-def _curve(points: Sequence[tuple[float, float | None]], width: int) -> list[float | None]:
-    at, values = [x for x, _ in points], [y for _, y in points]
-    return resampled(at, values, at[-1], width)
+def _curve(history: History, rows: Sequence[Row], name: str, width: int) -> list[float | None]:
+    """Return a metric over the time of training, in so many columns."""
+    values = [getattr(row, name) for row in rows]
+    return resampled(history.learnt_s(rows), values, history.updates[-1].time_s, width)
 
 
 def _chart(
@@ -229,7 +227,8 @@ def _best_mark(history: History, width: int) -> str:
     best = history.best
     if best is None:
         return ""
-    column = min(int(best.samples / max(history.samples, 1) * width), width - 1)
+    (best_s,) = history.learnt_s([best])
+    column = min(int(best_s / max(history.updates[-1].time_s, 1e-9) * width), width - 1)
     lap = "" if best.best_lap_s is None else f" {seconds(best.best_lap_s)}"
     right, left = f"★ best{lap}", f"best{lap} ★"
     if column + len(right) <= width:
@@ -263,8 +262,8 @@ def _figures(history: History) -> RenderableType:
     grid.add_row("laps", laps)
     samples = (f"{history.samples:,}", "bold"), ("   at ", "dim"), f"{speed(history):,.0f}/s"
     grid.add_row("samples", Text.assemble(*samples))
-    if is_tutored(history):
-        grid.add_row("tutor", "it learns first, from the truth; the policy will learn from it")
+    if history.teacher_learns:
+        grid.add_row("teacher", "it learns first, from the truth; the policy will learn from it")
     if text := self_play(history):
         grid.add_row("self-play", text)
     parts = shares(history).items()
@@ -283,8 +282,8 @@ def update_line(history: History, budget_s: float | None, budget_steps: int | No
         f"reward {figure(row.earned)}",
         f"completion {percent(row.completion)}",
     ]
-    if is_tutored(history):
-        parts.append("the tutor learns")
+    if history.teacher_learns:
+        parts.append("the teacher learns")
     if history.evaluations:
         last = history.evaluations[-1]
         parts.append(f"evaluation {percent(last.completion)}")
@@ -347,11 +346,6 @@ def shares(history: History) -> dict[str, float]:
     whole = max(history.time_s, sum(spent.values()), 1e-9)
     spent["other"] = whole - sum(spent.values())
     return {name: part / whole for name, part in spent.items()}
-
-
-def is_tutored(history: History) -> bool:
-    """Return whether the last update was the tutor's."""
-    return TUTORING in history.updates[-1].log
 
 
 def self_play(history: History) -> str:

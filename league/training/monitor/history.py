@@ -26,8 +26,10 @@ if TYPE_CHECKING:
     from league.training.ppo.statistics import EpisodeStatistics
 
 FORMAT = 1
-TUTORING = "/tutor/learning"
-"""Logged as 1 while a tutor learns (ppo/teacher.py)."""
+TUTORING = "/teacher/learning"
+"""Logged as 1 while a teacher learns (ppo/teacher.py)."""
+_OLD_TUTORING = "/tutor/learning"
+"""Its name in the files of older versions."""
 _Number = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
 """JSON has no NaN: it is written as null."""
 
@@ -153,6 +155,19 @@ class History:
         """Updates so far."""
         return self.updates[-1].number if self.updates else 0
 
+    @property
+    def teacher_learns(self) -> bool:
+        """Whether the last update was a teacher's."""
+        return bool(self.updates) and TUTORING in self.updates[-1].log
+
+    def learnt_s(self, rows: Iterable[Row]) -> list[float]:
+        """Return the wall time at which the policy of each row had been learnt [s].
+
+        An evaluation takes a while, so its row is that much later.
+        """
+        times = {row.number: row.time_s for row in self.updates}
+        return [times.get(row.number, row.time_s) for row in rows]
+
     def add_update(self, update: Update, episodes: EpisodeStatistics, time_s: float) -> UpdateRow:
         """Add an update; `time_s` is the wall time of the run, before a resume too [s]."""
         row = UpdateRow(
@@ -260,12 +275,15 @@ def read(path: Path) -> list[Row]:
     # The text after the last line feed is a torn line, or empty.
     for number, line in enumerate(lines[1:-1], start=2):
         try:
-            rows.append(_ROW.validate_json(line))
+            row = _ROW.validate_json(line)
         except ValueError as error:
             raise PolicyError(
                 f"line {number} of {path} is no row of a training's history "
                 f"({type(error).__name__}): remove the line, or start a new run with another --out"
             ) from error
+        if isinstance(row, UpdateRow) and _OLD_TUTORING in row.log:
+            row.log[TUTORING] = row.log.pop(_OLD_TUTORING)
+        rows.append(row)
     return rows
 
 

@@ -1,8 +1,9 @@
-"""The plot of a run: reward and completion over samples, with the best model marked."""
+"""The plot of a run: reward and completion over time, with the best model marked."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from league.racing.table import Evaluation
-    from league.training.monitor.history import History
+    from league.training.monitor.history import History, Row
     from league.training.ppo.learner import Update
 
 EVERY_S = 60.0
@@ -62,7 +63,11 @@ def draw(history: History, path: Path) -> None:
 
 
 def figure(history: History) -> Figure:
-    """Return the three curves over samples, with minutes along the upper edge."""
+    """Return the three curves over the time of training, with samples along the upper edge.
+
+    Time and not samples, since a teacher may decide 20 times as often in the same time as the
+    policy that learns from it.
+    """
     drawn = figures.figure(10.0, 5.4)
     completion = drawn.add_subplot()
     reward = completion.twinx()
@@ -70,7 +75,7 @@ def figure(history: History) -> Figure:
     completion.set_zorder(reward.get_zorder() + 1)
     completion.patch.set_visible(False)
     lines = _lines(history, completion, reward)
-    _shade_tutor(history, reward)
+    _shade_teacher(history, reward)
     _mark_best(history, completion)
     _label_axes(history, completion, reward)
     drawn.legend(
@@ -86,20 +91,23 @@ def figure(history: History) -> Figure:
 
 def _lines(history: History, completion: Axes, reward: Axes) -> list:
     updates, evaluations = history.updates, history.evaluations
-    curves: tuple[tuple[Axes, list, dict[str, Any]], ...] = (
+    curves: tuple[tuple[Axes, Sequence[Row], str, dict[str, Any]], ...] = (
         (
             reward,
-            [(row.samples, row.earned) for row in updates],
+            updates,
+            "earned",
             {"label": "average reward (training)", "color": _EARNED, "alpha": 0.9},
         ),
         (
             completion,
-            [(row.samples, row.completion) for row in updates],
+            updates,
+            "completion",
             {"label": "average % completion (training)", "color": _DRIVEN},
         ),
         (
             completion,
-            [(row.samples, row.completion) for row in evaluations],
+            evaluations,
+            "completion",
             {
                 "label": "average % completion (evaluation)",
                 "color": _EVALUATED,
@@ -111,27 +119,27 @@ def _lines(history: History, completion: Axes, reward: Axes) -> list:
         ),
     )
     lines = []
-    for axes, points, style in curves:
-        known = [point for point in points if point[1] is not None]
-        x, y = zip(*known, strict=True) if known else ((), ())
-        lines += axes.plot(x, y, linewidth=1.8, **style)
-    completion.set_xlim(0, max(history.samples, 1))
+    for axes, rows, name, style in curves:
+        known = [row for row in rows if getattr(row, name) is not None]
+        values = [getattr(row, name) for row in known]
+        lines += axes.plot(history.learnt_s(known), values, linewidth=1.8, **style)
+    completion.set_xlim(0, max(history.updates[-1].time_s, 1e-9))
     return lines
 
 
-def _shade_tutor(history: History, axes: Axes) -> None:
-    """Shade the time in which the tutor learnt: until then the curves are the tutor's."""
-    tutored = [row.samples for row in history.updates if TUTORING in row.log]
-    if not tutored:
+def _shade_teacher(history: History, axes: Axes) -> None:
+    """Shade the time in which the teacher learnt: until then the curves are the teacher's."""
+    taught_s = [row.time_s for row in history.updates if TUTORING in row.log]
+    if not taught_s:
         return
-    axes.axvspan(0, tutored[-1], color=GRID, alpha=0.6, linewidth=0, zorder=0)
+    axes.axvspan(0, taught_s[-1], color=GRID, alpha=0.6, linewidth=0, zorder=0)
     axes.annotate(
-        "the tutor learns",
-        (tutored[-1] / 2, 0.5),
-        xycoords=axes.get_xaxis_transform(),
-        rotation=90,
-        ha="center",
-        va="center",
+        "the teacher learns",
+        (0.0, 1.0),
+        xytext=(6, -22),
+        xycoords="axes fraction",
+        textcoords="offset points",
+        va="top",
         color=INK,
         fontsize=10,
     )
@@ -141,9 +149,10 @@ def _mark_best(history: History, axes: Axes) -> None:
     best = history.best
     if best is None:
         return
-    axes.axvline(best.samples, color=_BEST, linewidth=1.2, linestyle=(0, (4, 3)), zorder=1)
+    (best_s,) = history.learnt_s([best])
+    axes.axvline(best_s, color=_BEST, linewidth=1.2, linestyle=(0, (4, 3)), zorder=1)
     axes.plot(
-        best.samples,
+        best_s,
         best.completion,
         marker="*",
         markersize=19,
@@ -156,11 +165,11 @@ def _mark_best(history: History, axes: Axes) -> None:
     label = "best model"
     if best.best_lap_s is not None:
         label += f": {best.best_lap_s:.2f} s a lap"
-    right = best.samples < 0.6 * max(history.samples, 1)
+    right = best_s < 0.6 * axes.get_xlim()[1]
     # At the foot, below the curves: where a policy is good they are high.
     axes.annotate(
         label,
-        (best.samples, 0.0),
+        (best_s, 0.0),
         xytext=(9 if right else -9, 12),
         textcoords="offset points",
         ha="left" if right else "right",
@@ -173,14 +182,12 @@ def _mark_best(history: History, axes: Axes) -> None:
 
 
 def _label_axes(history: History, completion: Axes, reward: Axes) -> None:
-    from matplotlib.ticker import EngFormatter, MaxNLocator, PercentFormatter
+    from matplotlib.ticker import PercentFormatter
 
     completion.set_ylim(0, 104)
     completion.set_yticks(range(0, 101, 20))
     completion.yaxis.set_major_formatter(PercentFormatter(decimals=0))
-    completion.xaxis.set_major_formatter(EngFormatter(sep=""))
-    completion.xaxis.set_major_locator(MaxNLocator(8, integer=True))
-    completion.set_xlabel("samples (decisions learnt from)", color=INK)
+    completion.set_xlabel("time of training [min:s]", color=INK)
     completion.set_ylabel("average % completion", color=_DRIVEN)
     reward.set_ylabel("average reward of an episode", color=_EARNED)
     if not any(row.earned is not None for row in history.updates):
@@ -189,24 +196,27 @@ def _label_axes(history: History, completion: Axes, reward: Axes) -> None:
     completion.set_axisbelow(True)
     figures.strip(completion)
     figures.strip(reward)
-    if len(history.updates) > 1:
-        _minutes(history, completion)
+    _ticks(history, completion)
 
 
-def _minutes(history: History, axes: Axes) -> None:
-    """Mark the wall time along the upper edge, which is not proportional to the samples."""
+def _ticks(history: History, axes: Axes) -> None:
+    """Mark round times along the lower edge, and the samples by then along the upper one."""
     import numpy as np
+    from matplotlib.ticker import EngFormatter
 
+    last_s = axes.get_xlim()[1]
+    round_steps_s = (5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400)
+    step_s = next((step for step in round_steps_s if last_s / step <= 9), last_s / 6)
+    ticks_s = np.arange(0.0, last_s + 1e-9, step_s)
+    axes.set_xticks(ticks_s, [clock(tick) for tick in ticks_s])
+    axes.tick_params(axis="x", pad=8)
     rows = history.updates
-    samples = np.array([0, *(row.samples for row in rows)], dtype=float)
-    minutes = np.array([0.0, *(row.time_s for row in rows)]) / 60.0
-    round_steps = (1 / 12, 1 / 6, 0.25, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 240)
-    last = minutes[-1]
-    step = next((step for step in round_steps if last / step <= 9), last / 6)
-    ticks = np.arange(0.0, last + 1e-9, step)
+    samples = np.interp(
+        ticks_s, [0.0, *(row.time_s for row in rows)], [0, *(row.samples for row in rows)]
+    )
+    written = EngFormatter(sep="")
     upper = axes.twiny()
     upper.set_xlim(axes.get_xlim())
-    # Minutes never fall, so samples can be looked up by them.
-    upper.set_xticks(np.interp(ticks, minutes, samples), [clock(60.0 * tick) for tick in ticks])
-    upper.set_xlabel("time of training [min:s]", color=INK)
+    upper.set_xticks(ticks_s, [written.format_eng(float(f"{sample:.3g}")) for sample in samples])
+    upper.set_xlabel("samples (decisions learnt from)", color=INK)
     figures.strip(upper)

@@ -22,7 +22,7 @@ class LiveView(TrainingCallback):
         """Open the viewer and watch every step.
 
         Args:
-            envs: the worlds, and a tutor's; they are of one kind.
+            envs: the learner's worlds and, if it has a teacher, the teacher's; all of one kind.
             window: the native viewer rather than a web page; by default where there is a display.
 
         Raises:
