@@ -173,7 +173,7 @@ def _cameras() -> None:
         np.zeros((1, 0), records.OBSTACLE),
     )
     world.cars["roll"][:, 1] = 0.1  # the floor has a loop of its own for a camera that rolls
-    sim = SimConfig(kind="head_to_head", num_cars=2, leaning_cameras=True)
+    sim = SimConfig(kind="head_to_head", num_cars=2)
     for colour in (False, True):
         camera = CameraConfig(width=32, height=24, colour=colour)
         renderer = PaintRenderer(_tracks(), sim, camera, None)

@@ -120,7 +120,6 @@ def test_racing_line_fills_the_column_of_the_trace(league, tmp_path):
         (["centerline", "--trace", "t.csv", "--track", "peanut", "reinvent_2018"], "one track"),
         (["centerline", "--replay", "t.race", "--track", "peanut", "reinvent_2018"], "one track"),
         (["centerline", "--replay", "replays", "--episode"], "--episode"),
-        (["centerline", "--replay", "replays", "--leaning-cameras"], "--leaning-cameras"),
         (["centerline", "--reward", "race"], "--trace"),
         (["centerline", "--reward", "nothing", "--trace", "t.csv"], "centerline"),
         (["centerline", "--kind", "time_trial", "--opponents", "cautious"], "--kind"),

@@ -20,7 +20,6 @@ from league.envs.actions import ContinuousActions, DiscreteActions
 from league.errors import ConfigError, LeagueError
 from league.training.config import PpoConfig, RunConfig, read, write
 from league.training.monitor import history
-from league.training.ppo import make_env
 
 TINY = (
     *("--track", "reinvent_2018", "--reward", "centerline", "--action-space", "0.5-1"),
@@ -80,7 +79,6 @@ def test_flags_reach_the_settings(league, tmp_path):
         *("--visual-randomization", "--no-symmetry", "--bootstrap-on-failure"),
         *("--gamma", "0.9", "--lam", "0.8", "--learning-rate", "0.001", "0.0001"),
         *("--noise", "0.4", "0.1", "--licence", "CC0-1.0", "--reward", "progress"),
-        "--leaning-cameras",
     )
     code, _, err = league("train", *TINY, "--steps", "32", "--out", "a.pt", *flags)
     assert (code, err) == (0, "")
@@ -92,7 +90,6 @@ def test_flags_reach_the_settings(league, tmp_path):
     assert cfg.train.ppo.noise == (0.4, 0.1)
     assert cfg.train.dynamics_randomization == 1.0
     assert cfg.train.visual_randomization
-    assert make_env.env_config(cfg.train).sim.leaning_cameras
     assert checkpoint.load(tmp_path / "a.pt").card.licence == "CC0-1.0"
 
 
@@ -289,6 +286,10 @@ def test_last_line_after_a_run_without_a_complete_lap_says_how_to_go_on(league):
         (["--eval-trials", "0"], "an evaluation needs at least 1"),
         (["--eval-every", "0"], "an evaluation needs at least 1"),
         (["--licence", ""], "licence"),
+        (["--scripted-share", "0.2"], "--scripted-share has been removed, because self-play"),
+        (["--scripted_share=0.2"], "omit it, or give --opponents NAME ... instead of --self-play"),
+        (["--no-handicap"], "--no-handicap has been removed, because the pace of the other cars"),
+        (["--handicap"], "--handicap has been removed"),
     ],
 )
 def test_mistake_in_a_flag_is_told_in_one_sentence(league, tmp_path, flags, said):

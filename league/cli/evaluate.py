@@ -48,8 +48,6 @@ class Evaluate:
     """Seed of obstacles and noise of the first run."""
     solver: Literal["bullet", "planar"] = "bullet"
     """Physics."""
-    leaning_cameras: bool = False
-    """Let cameras roll and pitch with the chassis."""
     obstacles: int | None = None
     """Boxes or bots on the track; by default 6 where --kind obstacle_avoidance or --bots asks for
     some, else none."""
@@ -120,10 +118,6 @@ def _check(command: Evaluate) -> None:
             "--replay keeps a race, and with --episode there is none: omit one of the two",
         ),
         (
-            replay != "none" and command.leaning_cameras,
-            "--replay keeps a race, and cameras of races stay level: omit it, or --leaning-cameras",
-        ),
-        (
             command.reward != "progress" and trace is None,
             f"--reward {command.reward} fills a column of the trace, and none was asked for: "
             "give --trace FILE.csv as well",
@@ -168,7 +162,6 @@ def _one(command: Evaluate, track: str) -> tuple[Evaluation, Trace | None]:
         variation=command.variation,
         obstacles=_obstacles(command),
         opponents=opponents,
-        leaning_cameras=command.leaning_cameras,
         reward=None if trace is None else _reward(command.reward, tracks, car),
         watch=None if trace is None else trace.add,
     )

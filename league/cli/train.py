@@ -41,6 +41,14 @@ OLD_FLAGS = {
     "--no-mirror": "--no-symmetry",
 }
 """Flags of older versions, and what they are called now."""
+_PACE = "the pace of the other cars in self-play now follows success: omit it"
+REMOVED_FLAGS = {
+    "--scripted-share": "self-play no longer meets scripted drivers: omit it, or give "
+    "--opponents NAME ... instead of --self-play",
+    "--handicap": _PACE,
+    "--no-handicap": _PACE,
+}
+"""Flags of older versions that are gone, with the reason and what to do."""
 
 
 @dataclass(frozen=True)
@@ -122,10 +130,16 @@ def _parsed(arguments: list[str], default: Train) -> Train:
 
 
 def _with_new_names(arguments: list[str]) -> list[str]:
-    """Return arguments with today's names of flags."""
+    """Return arguments with today's names of flags.
+
+    Raises:
+        ConfigError: a flag has been removed.
+    """
     flags = [argument.partition("=")[0].replace("_", "-") for argument in arguments]
     renamed = []
     for argument, flag in zip(arguments, flags, strict=True):
+        if flag in REMOVED_FLAGS:
+            raise ConfigError(f"{flag} has been removed, because {REMOVED_FLAGS[flag]}")
         if flag in OLD_FLAGS:
             if flag == "--random-cars" and "--car-spread" in flags:
                 continue  # which says how much

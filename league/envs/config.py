@@ -66,8 +66,8 @@ class Scenarios:
     """Share in which the fastest car begins last; in the rest it begins anywhere."""
     limited: float = ranged(0.4, 0.0, 1.0)
     """Share in which the fastest car is limited, too: to 0.85 to 1 of the car's top speed."""
-    roadblock: float = ranged(0.1, 0.0, 1.0)
-    """Share of rivals with a top speed of 0.3 to 0.6 of the fastest car's."""
+    roadblock: float = ranged(0.25, 0.0, 1.0)
+    """Share of rivals with a top speed of 0.15 to 0.75 of the fastest car's."""
     slowest_rival: float = ranged(0.55, 0.0, 1.0)
     """Least top speed of the other rivals, as a share of the fastest car's."""
     fastest_rival: float = ranged(0.7, 0.0, 1.0)

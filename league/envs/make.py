@@ -38,7 +38,9 @@ Sensors = Carried | Mapping[str, Carried] | Sequence[SensorConfig]
 
 BOTH: tuple[Sensor, ...] = ("stereo", "lidar")
 """Default sensors of a car."""
-SENSOR_NAMES = "stereoWxH, monoWxH, leftWxH, stereo, lidar, sectors, discretised, historyN, truth"
+SENSOR_NAMES = (
+    "stereoWxH, monoWxH, leftWxH, stereo, lidar, sectors, discretised, historyN, framesN, truth"
+)
 
 
 class EnvOptions(TypedDict, total=False):
@@ -196,28 +198,29 @@ def sensors_of_car(sensors: Carried) -> SensorConfig:
     if not isinstance(sensors, Sequence):
         raise ConfigError(_no_sensor(sensors))
     truth = "truth" in sensors
-    kept = [re.fullmatch(r"history([0-9]{1,3})", str(sensor)) for sensor in sensors]
-    lengths = [int(match[1]) for match in kept if match]
-    named = [
-        sensor
-        for sensor, match in zip(sensors, kept, strict=True)
-        if sensor != "truth" and match is None
-    ]
+    named: list[Sensor] = []
+    numbers: dict[str, list[int]] = {"history": [], "frames": []}
+    for sensor in sensors:
+        match = re.fullmatch(r"(history|frames)([0-9]{1,3})", str(sensor))
+        if match is not None:
+            numbers[match[1]].append(int(match[2]))
+        elif sensor != "truth":
+            named.append(sensor)
     carried = [_named(sensor) if isinstance(sensor, str) else sensor for sensor in named]
     cameras = [sensor for sensor in carried if isinstance(sensor, CameraConfig)]
     lidars = [sensor for sensor in carried if isinstance(sensor, LidarConfig)]
     strangers = [sensor for sensor in carried if sensor not in (*cameras, *lidars, None)]
     if strangers:
         raise ConfigError(_no_sensor(strangers[0]))
-    if len(cameras) > 1 or len(lidars) > 1 or len(lengths) > 1:
+    if any(len(given) > 1 for given in (cameras, lidars, *numbers.values())):
         raise ConfigError(
             f"the sensors {brief(sensors)} hold two of a kind: give one camera and one lidar"
         )
     return SensorConfig(
         camera=cameras[0] if cameras else None,
         lidar=lidars[0] if lidars else None,
-        history=lengths[0] if lengths else 0,
         truth=truth,
+        **{name: given[0] for name, given in numbers.items() if given},
     )
 
 

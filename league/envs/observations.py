@@ -1,6 +1,7 @@
 """Observations: named groups of one car, leading axis num_worlds.
 
-stereo  uint8 (channels, height, width)   the camera, if the car carries one
+stereo  uint8 (channels, height, width)   the camera, if the car carries one: its newest picture,
+                                          then earlier ones, if the car keeps them
 lidar   float32 (size,)                   the rear scan, if the car carries one
 history float32 (history * (5 + size),)   motion and lidar of earlier steps, if the car keeps them
 motion  float32 (5,)                      own speed, yaw rate, steering and last action: always
@@ -20,6 +21,7 @@ import numpy as np
 from league.envs.state import ABSENT_GAP, INDEX, LOOKAHEADS, NEAR_OBSTACLES, NEIGHBOURS
 from league.jit import compiled, inner
 from league.portable_math import f32, heading_of, sincos, wrap_angle
+from league.sim.config import SensorConfig
 from league.sim.physics.vehicle import frozen
 from league.track.projection import curvature_at, frame_at, lap_length, signed_gap
 
@@ -37,6 +39,12 @@ _FIRST_CURVATURE = INDEX[f"curvature_{LOOKAHEADS[0]:g}m"]
 _LARGEST_DIVISOR = 10**6  # of a sensor's rate as a fraction [1/s]
 _ZERO, _ONE = f32(0.0), f32(1.0)
 _INFINITE = f32(np.inf)
+
+
+def history_size(sensors: SensorConfig) -> int:
+    """Return the numbers in the `history` group of a car with these sensors."""
+    reading = len(MOTION_FIELDS) + (sensors.lidar.size if sensors.lidar else 0)
+    return sensors.history * reading
 
 
 @inner

@@ -28,7 +28,7 @@ ENCOUNTER = np.dtype(
         ("steps", np.int64),  # control steps so far
         ("length", np.int64),  # control steps after which it is over
         ("alone", np.bool_),  # cars are spread over the lap
-        ("attack", np.bool_),  # the fastest car starts behind its target
+        ("attack", np.bool_),  # the fastest car starts behind a target that is no roadblock
         ("dirty", np.bool_),  # the attacker has left the road or made a hard contact
     ],
     align=True,
@@ -45,7 +45,7 @@ _SIDE_LEAST, _SIDE_MORE, _SIDE_SHIFT, _ROW = f32(0.45), f32(0.2), f32(0.3), f32(
 _NEAREST_START, _FARTHEST_START, _LANES = f32(0.45), f32(1.8), f32(0.7)
 _PARTED = f32(0.4)
 """An attacker starts this far behind its target, and has passed when this far ahead [m]."""
-_LEAST_FAST, _ROADBLOCK = f32(0.85), (f32(0.3), f32(0.6))
+_LEAST_FAST, _ROADBLOCK = f32(0.85), (f32(0.15), f32(0.75))
 _SLOWEST, _FASTER, _SPREAD = f32(0.3), f32(0.7), f32(0.15)
 _AT_REST = f32(0.3)
 """Share of cars alone that begin at rest, as after a penalty."""
@@ -107,7 +107,12 @@ def begin(encounter, cars, obstacles, world, points, course, sim, rules):
     encounter.attack = size > 1 and first > 0
     if encounter.attack:
         gap = signed_gap(course, cars[encounter.target].s, cars[encounter.attacker].s)
-        encounter.attack = gap >= _PARTED
+        # Anyone passes a roadblock: it says nothing about how fast rivals may be.
+        slow = (
+            cars[encounter.target].top_speed
+            < rules.slowest_rival * cars[encounter.attacker].top_speed
+        )
+        encounter.attack = gap >= _PARTED and not slow
     seconds = rules.shortest + uniform_of(seed, _LENGTH, step) * (rules.longest_s - rules.shortest)
     encounter.length = np.int64(seconds * sim.step_hz)
     encounter.steps, encounter.dirty = 0, False

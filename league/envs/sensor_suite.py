@@ -11,7 +11,7 @@ import numpy as np
 from league.envs import observations, state, truth
 from league.envs.config import EnvConfig
 from league.envs.step import over_worlds
-from league.sim.config import CameraConfig
+from league.sim.config import FRAME_STEPS, CameraConfig
 from league.sim.records import NOBODY
 from league.sim.world import World
 from league.track.track import TrackSet
@@ -59,9 +59,11 @@ class SensorSuite:
         self._sensors: list[dict[str, tuple[float, Reading]]] = [
             self._sensors_of(car) for car in range(cfg.sim.num_cars)
         ]
+        self._readings: list[dict[str, np.ndarray]] = [{} for _ in self._sensors]
         self.held: list[dict[str, np.ndarray]] = [{} for _ in self._sensors]
-        """The last readings of each car."""
+        """What each car is given: its last readings, with the earlier ones that it keeps."""
         self._history = [cfg.sensors_of(car).history for car in range(cfg.sim.num_cars)]
+        self._frames = [cfg.sensors_of(car).frames for car in range(cfg.sim.num_cars)]
         self._carries = any(self._sensors) or any(self._history)
         self.sees_truth = [cfg.sensors_of(car).truth for car in range(cfg.sim.num_cars)]
         self._states: np.ndarray | None = None
@@ -71,10 +73,11 @@ class SensorSuite:
 
     def reset(self) -> None:
         """Forget all readings."""
-        for held in self.held:
+        for held in (*self.held, *self._readings):
             held.clear()
         self._stale: np.ndarray | None = None
         self._last: dict[int, np.ndarray] = {}
+        self._pictures: dict[int, list[np.ndarray]] = {}  # of the steps before, newest first
 
     def refresh(self, cars: np.ndarray) -> None:
         """Read the sensors of these cars next time, due or not; bool, (num_worlds, num_cars)."""
@@ -127,7 +130,7 @@ class SensorSuite:
         """Return the readings of each car's sensors, without own motion and the truth."""
         step_hz = self._cfg.sim.step_hz
         for car, sensors in enumerate(self._sensors):
-            held = self.held[car]
+            held = self._readings[car]
             for name, (rate_hz, read) in sensors.items():
                 if rate_hz >= step_hz:
                     held[name] = read(world, car, None)  # due at every step
@@ -139,22 +142,23 @@ class SensorSuite:
                     held[name] = read(world, car, None)
                 elif new.any():
                     rows = np.flatnonzero(new)
-                    fresh = held[name].copy()
-                    fresh[rows] = read(world, car, rows)
-                    held[name] = fresh
+                    held[name] = _with(held[name], rows, read(world, car, rows))
         self._remember(world, self._stale)
         self._stale = None
         return tuple(self.held)
 
     def _remember(self, world: World, moved: np.ndarray | None) -> None:
-        """Bring the `history` groups up to date, newest first.
+        """Bring the groups with earlier readings up to date, newest first.
 
         A car that begins or was put elsewhere has no past: all of it is what it reads now.
         """
         for car, length in enumerate(self._history):
+            held = self.held[car]
+            held.update(self._readings[car])
+            if self._frames[car] > 1:
+                held["stereo"] = self._stack(car, None if moved is None else moved[:, car])
             if not length:
                 continue
-            held = self.held[car]
             now = self._reading(world, car)
             past = np.tile(now, length)
             if car in self._last:
@@ -162,6 +166,15 @@ class SensorSuite:
                 kept = kept[:, : past.shape[1]]
                 past = kept if moved is None else np.where(moved[:, car : car + 1], past, kept)
             held["history"], self._last[car] = past, now
+
+    def _stack(self, car: int, moved: np.ndarray | None) -> np.ndarray:
+        """Return a car's pictures, newest first, and keep the newest one for later."""
+        now = self._readings[car]["stereo"]
+        past = self._pictures.get(car, [now] * FRAME_STEPS * (self._frames[car] - 1))
+        if moved is not None and moved.any():
+            past = [np.where(moved[:, None, None, None], now, picture) for picture in past]
+        self._pictures[car] = [now, *past[:-1]]
+        return np.concatenate([now, *past[FRAME_STEPS - 1 :: FRAME_STEPS]], axis=1)
 
     def _reading(self, world: World, car: int) -> np.ndarray:
         """Return motion and lidar of a car now, float32 (num_worlds, 5 + size)."""
@@ -176,10 +189,17 @@ class SensorSuite:
         self._stale = None
         for car, sensors in enumerate(self._sensors):
             for name, (_, read) in sensors.items():
-                fresh = self.held[car][name].copy()
-                fresh[rows] = read(world, car, rows)
-                self.held[car][name] = fresh
+                self._readings[car][name] = _with(
+                    self._readings[car][name], rows, read(world, car, rows)
+                )
         for car, length in enumerate(self._history):
+            given = {} | self._readings[car]
+            if self._frames[car] > 1:
+                now, given["stereo"] = given["stereo"][rows], self.held[car]["stereo"].copy()
+                given["stereo"][rows] = np.tile(now, (1, self._frames[car], 1, 1))
+                # Earlier pictures belong to observations already handed out: not in place.
+                self._pictures[car] = [_with(kept, rows, now) for kept in self._pictures[car]]
+            self.held[car].update(given)
             if length:
                 now, past = self._reading(world, car), self.held[car]["history"].copy()
                 past[rows] = np.tile(now[rows], length)
@@ -209,3 +229,10 @@ class SensorSuite:
 
                 self._renderers[camera] = PaintRenderer(*arguments)
         return self._renderers[camera]
+
+
+def _with(array: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return a copy of an array with other values in some rows."""
+    changed = array.copy()
+    changed[rows] = values
+    return changed

@@ -96,7 +96,6 @@ def evaluate(
     obstacles: ObstacleConfig | None = None,
     opponents: Sequence[Driver | str] = (),
     rules: RaceRules | None = None,
-    leaning_cameras: bool = False,
     reward: Callable[[int], Reward] | None = None,
     watch: EvalCallback | None = None,
 ) -> Evaluation:
@@ -120,7 +119,6 @@ def evaluate(
         obstacles: boxes or bots; None: six boxes in obstacle avoidance, else none.
         opponents: drivers that start behind it on the grid.
         rules: penalties and time limit of a run; its number of laps is not read.
-        leaning_cameras: whether cameras roll and pitch with the chassis.
         reward: makes the reward of so many worlds; None: progress.
         watch: called after each step.
 
@@ -143,7 +141,6 @@ def evaluate(
         obstacles=obstacles or ObstacleConfig(),
         rules=replace(rules or RaceRules(), laps=laps),
         spread=dynamics(variation, start_speed(variation, 1 + len(opponents))),
-        leaning_cameras=leaning_cameras,
     )
     drivers = [_loaded(one, tracks, sim) for one in (driver, *opponents)]
     cfg = EnvConfig(sim=sim, solver=solver, sensors=tuple(one.sensors for one in drivers))

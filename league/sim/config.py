@@ -18,6 +18,8 @@ RaceFormat = Literal["standing", "reverse", "qualifying", "pursuit"]
 """How cars line up. Reverse and qualifying are standing grids in an order of their own."""
 StartName = Literal["standing", "pursuit"]
 MAX_CARS, MAX_OBSTACLES = 8, 32
+GRAVITY = 9.81
+"""[m/s^2]."""
 USUAL_OBSTACLES = 6
 """Boxes or bots in obstacle_avoidance, unless their number is given."""
 
@@ -88,6 +90,13 @@ class CarConfig(Checked, what="car"):
             raise ConfigError(
                 f"car clearance of {self.clearance} m leaves no body: "
                 f"it must lie below height ({self.height} m)"
+            )
+        # Else the weight tips the chassis over: settings.lean_per_acceleration.
+        stiffness = (math.pi * self.ride_hz * min(self.wheel_track, self.wheelbase)) ** 2
+        if stiffness <= GRAVITY * self.mass_height:
+            raise ConfigError(
+                f"springs of {self.ride_hz} Hz do not hold up a centre of mass "
+                f"{self.mass_height} m high on this wheelbase and wheel_track: raise ride_hz"
             )
         # Less than any body has (a uniform one: 1 / 12), and forces would turn it without bound.
         least = 0.001 * self.mass * (self.length**2 + self.width**2 + self.wheelbase**2)
@@ -215,6 +224,10 @@ class LidarConfig(Checked, what="lidar"):
         return sizes.get(self.form, self.sectors * self.bins)
 
 
+FRAME_STEPS = 3
+"""Control steps from one of a driver's pictures to the one before: 0.2 s."""
+
+
 @dataclass(frozen=True)
 class SensorConfig(Checked, what="sensor"):
     """What one car carries; own motion (speed, yaw rate, last action) is always there."""
@@ -225,8 +238,25 @@ class SensorConfig(Checked, what="sensor"):
     """Its lidar, if any."""
     history: int = ranged(0, 0, 16)
     """How many earlier readings of own motion and lidar it keeps, one of each control step."""
+    frames: int = ranged(1, 1, 8)
+    """Pictures of the camera that it is given: the newest one, and earlier ones, each FRAME_STEPS
+    control steps before the next. From one alone it cannot see how fast a car ahead is."""
     truth: bool = False
     """Whether it is given the true state, as no real car is; leagues refuse such drivers."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.frames > 1 and self.camera is None:
+            raise ConfigError(
+                f"sensor frames is {self.frames} without a camera: give a camera, or 1"
+            )
+
+    @property
+    def picture_shape(self) -> tuple[int, int, int]:
+        """Shape of all its pictures, channels first: frames times the camera's, height, width."""
+        assert self.camera is not None
+        channels, height, width = self.camera.shape
+        return self.frames * channels, height, width
 
     @classmethod
     def full(cls, width: int = 160, height: int = 120) -> "SensorConfig":
@@ -393,8 +423,6 @@ class SimConfig(Checked):
     """The rules."""
     spread: DynamicsRandomization = field(default_factory=DynamicsRandomization)
     """Randomisation of the cars."""
-    leaning_cameras: bool = False
-    """Whether cameras roll and pitch with the chassis; else they stay level."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

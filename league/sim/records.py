@@ -22,7 +22,7 @@ CAR = np.dtype(
         ("velocity_y", _F4),  # world frame [m/s]
         ("yaw_rate", _F4),  # about the car's own z [rad/s]
         ("steering", _F4),  # angle of the front wheels, positive to the left [rad]
-        # Motion out of the plane; in the planar solver 0, but roll and pitch for leaning cameras.
+        # Motion out of the plane; in the planar solver only roll and pitch, for the cameras.
         ("z", _F4),  # height of the base above where it stands at rest [m]
         ("roll", _F4),  # about the car's own x, positive when it leans to the right [rad]
         ("pitch", _F4),  # about the car's own y, positive when the nose is down [rad]

@@ -6,11 +6,8 @@ import math
 
 import numpy as np
 
-from league.errors import ConfigError
-from league.sim.config import CarConfig, SimConfig
+from league.sim.config import GRAVITY, CarConfig, SimConfig
 
-GRAVITY = 9.81
-"""[m/s^2]."""
 HALF_WALL = 5.0
 """Half the thickness of a wall [m]."""
 RESTITUTION_FROM = 0.05
@@ -34,16 +31,8 @@ def lean_per_acceleration(car: CarConfig, half_span: float) -> float:
     m g h back. The mass cancels:
 
         lean / a = h / ((2 pi ride_hz)^2 d^2 - g h).
-
-    Raises:
-        ConfigError: springs so soft that the weight tips the car over.
     """
     stiffness = (2 * math.pi * car.ride_hz * half_span) ** 2 - GRAVITY * car.mass_height
-    if stiffness <= 0:
-        raise ConfigError(
-            f"springs of {car.ride_hz} Hz do not hold up a centre of mass {car.mass_height} m high "
-            "on this wheelbase and wheel_track: raise ride_hz, or leave leaning_cameras off"
-        )
     return car.mass_height / stiffness
 
 
@@ -51,10 +40,8 @@ def _leans(sim: SimConfig) -> tuple[float, float, float]:
     """Return roll and pitch per acceleration [rad per m/s^2], and the share of a physics step.
 
     A step brings the chassis by this share nearer to where it would rest: a lag of
-    2 damping_ratio / (2 pi ride_hz), dampers over springs. All are 0 where cameras stay level.
+    2 damping_ratio / (2 pi ride_hz), dampers over springs.
     """
-    if not sim.leaning_cameras:
-        return 0.0, 0.0, 0.0
     car = sim.car
     lag = car.damping_ratio / (math.pi * car.ride_hz)
     roll, pitch = (lean_per_acceleration(car, d / 2) for d in (car.wheel_track, car.wheelbase))

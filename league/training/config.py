@@ -141,8 +141,6 @@ class TrainConfig:
     do, less in proportion; 0: not at all."""
     visual_randomization: bool = False
     """Draw light, colours, noise and blur of the pictures."""
-    leaning_cameras: bool = False
-    """Let cameras roll and pitch with the chassis, in training and in its evaluations."""
     rules: RulesName = "league"
     """Which car is to blame and what it costs: as docs/rules.md has it, or as in the original."""
     obstacles: int | None = None

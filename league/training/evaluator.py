@@ -43,8 +43,6 @@ class EvalConfig:
     """Bot cars instead of boxes."""
     opponents: tuple[str, ...] = ()
     """Drivers that race against it, behind it on the grid."""
-    leaning_cameras: bool = False
-    """Whether cameras roll and pitch with the chassis."""
     seed: int = 1_000
     """Seed of the first run; training draws others."""
 
@@ -75,7 +73,6 @@ def evaluate_policy(cfg: EvalConfig, checkpoint: Checkpoint) -> Evaluation:
             seed=cfg.seed,
             obstacles=ObstacleConfig(count=cfg.obstacles, kind="bot" if cfg.bots else "box"),
             opponents=[roster.load(name, TrackSet(track), car) for name in cfg.opponents],
-            leaning_cameras=cfg.leaning_cameras,
         )
         for track in cfg.tracks
     ]

@@ -498,7 +498,6 @@ def _eval_config(cfg: RunConfig) -> EvalConfig:
         obstacles=cfg.train.obstacles,
         bots=cfg.train.bots,
         opponents=opponents,
-        leaning_cameras=cfg.train.leaning_cameras,
     )
 
 

@@ -29,9 +29,9 @@ def room(*, half: float = 6.0) -> TrackSet:
     return TrackSet(ring)
 
 
-def settings(num_cars: int = 2, *, leaning: bool = False) -> SimConfig:
+def settings(num_cars: int = 2) -> SimConfig:
     kind = "head_to_head" if num_cars > 1 else "time_trial"
-    return SimConfig(kind=kind, num_cars=num_cars, leaning_cameras=leaning)
+    return SimConfig(kind=kind, num_cars=num_cars)
 
 
 def world(

@@ -17,8 +17,8 @@ RENDERERS = [PaintRenderer, RayRenderer]
 FAR_AWAY = (-5.0, -5.0, 0.0)
 
 
-def pictures(renderer, now, tracks=None, *, leaning=False, **camera) -> np.ndarray:
-    sim = settings(now.num_cars, leaning=leaning)
+def pictures(renderer, now, tracks=None, **camera) -> np.ndarray:
+    sim = settings(now.num_cars)
     made = renderer(tracks or room(), sim, CameraConfig(**camera))
     return made.render(now, 0)
 
@@ -85,7 +85,7 @@ def test_picture_follows_the_height_roll_and_pitch_of_the_chassis(renderer, roll
     seen = []
     for now in (empty, filled):
         now.cars["z"], now.cars["roll"], now.cars["pitch"] = 0.03, roll, pitch
-        seen.append(pictures(renderer, now, tracks, leaning=True)[0].astype(int))
+        seen.append(pictures(renderer, now, tracks)[0].astype(int))
     height = SimConfig().obstacles.height
     corners = itertools.product((x - 0.05, x + 0.05), (y - 0.05, y + 0.05), (0.0, height))
     outline = np.array(list(corners))
@@ -101,19 +101,9 @@ def test_body_that_rises_moves_the_camera_and_no_more():
     # 5 cm higher on its wheels is a camera 5 cm higher on its mast.
     now = world(room(), [(0, 0, 0.3), (1, 0.2, 1.0)])
     now.cars["z"] = 0.05
-    raised = pictures(PaintRenderer, now, leaning=True)
+    raised = pictures(PaintRenderer, now)
     now.cars["z"], now.cars["camera_up"] = 0.0, 0.05
-    assert (raised == pictures(PaintRenderer, now, leaning=True)).all()
-
-
-@pytest.mark.parametrize("renderer", RENDERERS)
-def test_cameras_stay_level_unless_they_are_to_lean(renderer):
-    now = world(room(), [(0, 0, 0.3), (1, 0.2, 1.0)])
-    upright = pictures(renderer, now)
-    assert (upright == pictures(renderer, now, leaning=True)).all()
-    now.cars["z"], now.cars["roll"], now.cars["pitch"] = 0.03, 0.15, -0.1
-    assert (upright == pictures(renderer, now)).all()
-    assert (upright != pictures(renderer, now, leaning=True)).any()
+    assert (raised == pictures(PaintRenderer, now)).all()
 
 
 @pytest.mark.parametrize("renderer", RENDERERS)
@@ -123,7 +113,7 @@ def test_horizon_of_a_car_that_rolls_tilts_by_the_roll(renderer, roll):
     tracks, cfg = room(half=3.0), CameraConfig(pitch=0.0)
     now = world(tracks, [(0.0, 0.0, 0.0)])
     now.cars["roll"] = roll
-    made = renderer(tracks, settings(1, leaning=True), cfg)
+    made = renderer(tracks, settings(1), cfg)
     picture = made.render(now, 0)[0, 0].astype(int)
     rim = (picture[:, 20:140] != picture[0, 0]).argmax(axis=0)  # the first row below the sky
     slope = np.polyfit(np.arange(20, 140), rim, 1)[0]

@@ -15,8 +15,7 @@ spread by less than this, in every channel."""
 
 
 def both(now, tracks, looks=None, **camera) -> tuple[np.ndarray, np.ndarray]:
-    # Level cars, too, are seen so: without roll and pitch it makes no difference.
-    parts = (tracks, settings(now.num_cars, leaning=True), CameraConfig(**camera), looks)
+    parts = (tracks, settings(now.num_cars), CameraConfig(**camera), looks)
     painted = PaintRenderer(*parts).render(now, 0)
     cast = RayRenderer(*parts).render(now, 0)
     return painted, cast

@@ -48,10 +48,10 @@ def test_world_in_a_batch_equals_the_world_alone_bit_for_bit(num_cars):
     assert touched > 40  # so the bits above went through contacts
 
 
-def test_physics_changes_nothing_but_motion(same):
+def test_physics_changes_nothing_but_motion_and_lean(same):
     sim, now, asked = random_worlds(20, 3)
     outcome = open_floor.make("planar", sim, 20)(now, asked)
-    others = [name for name in now.cars.dtype.names if name not in MOTION]
+    others = [name for name in now.cars.dtype.names if name not in (*MOTION, "roll", "pitch")]
     same(outcome.cars[others], now.cars[others])
     assert not np.array_equal(outcome.cars["x"], now.cars["x"])
 
@@ -313,22 +313,9 @@ def leaning(name, sim, asked, start):
     ],
 )
 def test_cameras_lean_as_on_bullets_springs(axis, asked):
-    sim = open_floor.settings(leaning_cameras=True)
+    sim = open_floor.settings()
     flat, sprung = (leaning(name, sim, asked, start=2.5)[:, axis] for name in ("planar", "bullet"))
     assert np.abs(sprung).max() > math.radians(0.8)
     assert np.abs(flat).max() == pytest.approx(np.abs(sprung).max(), rel=0.2)
     # The root of the mean square of how far they are apart.
     assert np.sqrt(np.square(flat - sprung).mean()) < 0.2 * np.sqrt(np.square(sprung).mean())
-
-
-def test_leaning_changes_nothing_but_roll_and_pitch(same):
-    level, now, asked = random_worlds(20, 3)
-    sim = open_floor.settings(3, leaning_cameras=True)
-    upright = open_floor.make("planar", level, 20)(now, asked).cars
-    leaning = open_floor.make("planar", sim, 20)(now, asked).cars
-    assert not upright["roll"].any()
-    assert not upright["pitch"].any()
-    assert leaning["roll"].any()
-    assert leaning["pitch"].any()
-    leaning["roll"], leaning["pitch"] = 0.0, 0.0
-    same(leaning, upright)

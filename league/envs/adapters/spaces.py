@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium.spaces import Box, Dict, Space
 from gymnasium.vector.utils import batch_space
 
-from league.envs import actions, observations, state
+from league.envs import actions, observations, state, truth
 from league.envs.race_env import RaceEnv, Step
 from league.sim import referee
 from league.sim.config import SensorConfig
@@ -49,10 +49,16 @@ def observation_space(sensors: SensorConfig, privileged: bool) -> Dict:
     """Return the space of one car's observations; with the group `state` if privileged."""
     groups: dict[str, Space] = {}
     if sensors.camera is not None:
-        groups["stereo"] = Box(0, 255, sensors.camera.shape, np.uint8)
+        groups["stereo"] = Box(0, 255, sensors.picture_shape, np.uint8)
     if (lidar := sensors.lidar) is not None:
         low, high = (lidar.min_range, lidar.max_range) if lidar.form == "ranges" else (0, 1)
         groups["lidar"] = Box(low, high, (lidar.size,), np.float32)
+    if sensors.history:
+        most = max(MOTION_LIMIT, lidar.max_range if lidar is not None else 0.0)
+        shape = (observations.history_size(sensors),)
+        groups["history"] = Box(-MOTION_LIMIT, most, shape, np.float32)
+    if sensors.truth:
+        groups["truth"] = Box(-STATE_LIMIT, STATE_LIMIT, (truth.SIZE,), np.float32)
     size = len(observations.MOTION_FIELDS)
     groups["motion"] = Box(-MOTION_LIMIT, MOTION_LIMIT, (size,), np.float32)
     if privileged:

@@ -4,8 +4,8 @@ Plain floats, because at a hundred numbers a picture they are faster than arrays
 picture made one world at a time cannot depend on its batch.
 
 Camera frame: X to the right, Y down, Z along the view. Pixel (0, 0) has its centre at (0, 0), row 0
-on top. With SimConfig.leaning_cameras a camera is bolted to its car's chassis and rises, rolls and
-pitches with it; else it stays level at its height. What it sees is drawn upright on the floor.
+on top. A camera is bolted to its car's chassis and rises, rolls and pitches with it. What it sees
+is drawn upright on the floor.
 """
 
 import math
@@ -123,9 +123,7 @@ class Stage:
     def camera(self, row: int, car: int, cfg: CameraConfig) -> Pose:
         """Return where a car's camera is in the world at `row`."""
         x, y, yaw = self.base(row, car)
-        z = roll = pitch = 0.0
-        if self._sim.leaning_cameras:
-            z, roll, pitch = self._z[row][car], self._roll[row][car], self._pitch[row][car]
+        z, roll, pitch = self._z[row][car], self._roll[row][car], self._pitch[row][car]
         cos, sin = direction(yaw)
         up, tilt = cfg.up + self._up[row][car], cfg.pitch + self._tilt[row][car]
         if roll == 0 and pitch == 0:

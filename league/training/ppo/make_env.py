@@ -35,7 +35,6 @@ def env_config(cfg: TrainConfig) -> EnvConfig:
         obstacles=ObstacleConfig(count=cfg.obstacles, kind="bot" if cfg.bots else "box"),
         rules=replace(RULES[cfg.rules], laps=_ENDLESS),
         spread=_spread(cfg.dynamics_randomization),
-        leaning_cameras=cfg.leaning_cameras,
     )
     return EnvConfig(
         sim=sim,
