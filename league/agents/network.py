@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from league.envs import truth
-from league.envs.observations import MOTION_FIELDS
+from league.envs.observations import MOTION_FIELDS, history_size
 from league.errors import ConfigError
 from league.sim.config import SensorConfig
 
@@ -83,12 +83,11 @@ def group_shapes(sensors: SensorConfig) -> dict[str, tuple[int, ...]]:
     """Return the shape of each observation group of an actor with these sensors, in its order."""
     shapes: dict[str, tuple[int, ...]] = {}
     if sensors.camera is not None:
-        shapes["stereo"] = sensors.camera.shape
+        shapes["stereo"] = sensors.picture_shape
     if sensors.lidar is not None:
         shapes["lidar"] = (sensors.lidar.size,)
     if sensors.history:
-        reading = len(MOTION_FIELDS) + (sensors.lidar.size if sensors.lidar else 0)
-        shapes["history"] = (sensors.history * reading,)
+        shapes["history"] = (history_size(sensors),)
     if sensors.truth:
         shapes["truth"] = (truth.SIZE,)
     shapes["motion"] = (len(MOTION_FIELDS),)

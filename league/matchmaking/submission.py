@@ -204,10 +204,11 @@ def identity(policy: Checkpoint) -> str:
     """
     card = policy.card.model_dump(mode="json", include=DRIVING)
     # Settings that came later do not change the id of a policy that does without them.
+    later = {"history": 0, "truth": False, "frames": 1}
     card["sensors"] = {
         name: value
         for name, value in card["sensors"].items()
-        if value or name not in ("history", "truth")
+        if name not in later or value != later[name]
     }
     content = hashlib.sha256(b"league policy 1\n" + heat_spec.canonical(card))
     for name in sorted(policy.weights):

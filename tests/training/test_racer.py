@@ -9,7 +9,6 @@ import pytest
 from scenes import make_ring
 from test_learner import settings
 
-from league.envs.config import Scenarios
 from league.envs.rewards import PRESETS
 from league.sim.config import CameraConfig, SensorConfig
 from league.track.track import TrackSet
@@ -42,50 +41,71 @@ def small(monkeypatch) -> TrainConfig:
     return SMALL
 
 
-def update(number: int, attacks: float, passed: float, clean: float) -> Update:
+ROWS = 1000
+
+
+def update(attacks: float, passed: float, clean: float) -> Update:
     log = {"/race/attacks": attacks, "/race/passed": passed, "/race/clean": clean}
-    return Update(number, number * 500_000, 0.0, 0.0, 0.0, {}, log)
+    return Update(1, ROWS, 0.0, 0.0, 0.0, {}, log)
+
+
+def run(made: Curriculum, shares: np.ndarray, clean: float) -> dict[str, float]:
+    """Add updates with 50 attacks each; return the last log."""
+    log: dict[str, float] = {}
+    for share in shares.tolist():
+        log = made.add(update(0.05, 0.05 * max(clean, 0.9), 0.05 * clean), share).log
+    return log
 
 
 def test_rivals_become_faster_while_attacks_succeed_and_slower_while_they_fail():
-    made = Curriculum()
-    made.add(update(1, 0.01, 0.01, 0.01))
+    made = Curriculum(ROWS)
+    run(made, np.array([0.0, 0.02]), 0.9)
     assert made.pace == racer.FIRST_PACE  # the cars still learn to drive
-    for number in range(4, 8):
-        made.add(update(number, 0.01, 0.009, 0.009))
-    faster = made.pace
-    assert faster == pytest.approx(racer.FIRST_PACE + 4 * 0.5 * racer.PACE_STEP)
-    for number in range(8, 60):
-        made.add(update(number, 0.01, 0.002, 0.001))
-    assert made.pace == racer.LEAST_PACE
-    assert made.clean < racer.TOO_FEW
+    run(made, np.array([0.05, 0.1]), 0.9)
+    assert made.pace == pytest.approx(racer.FIRST_PACE + (0.1 - 0.02) * racer.PACE_STEP)
+    log = run(made, np.linspace(0.1, 0.6, 40), 0.1)
+    assert made.pace == racer.LEAST_PACE == log["/race/pace"]
+    assert log["/race/clean"] < racer.ENOUGH - racer.SLACK
 
 
 def test_rivals_stay_as_fast_between_the_two_thresholds():
-    made = Curriculum()
-    for number in range(4, 30):
-        made.add(update(number, 0.01, 0.009, 0.0045))
+    made = Curriculum(ROWS)
+    log = run(made, np.linspace(0.05, 0.2, 20), racer.ENOUGH - 0.02)
     assert made.pace == racer.FIRST_PACE
-    assert made.log()["/race/passed"] == pytest.approx(0.9)
+    assert log["/race/passed"] == pytest.approx(0.9)
 
 
-def test_the_pace_sets_the_top_speeds_of_rivals_and_the_budget_the_price_of_contacts():
-    made = Curriculum()
+def test_attacks_must_be_cleaner_towards_the_end_of_a_stage():
+    made = Curriculum(ROWS)
     made.pace = 0.9
-    how = made.scenarios(Scenarios(alone=0.2))
-    assert (how.alone, how.fastest_rival) == (0.2, 0.9)
+    run(made, np.linspace(0.9, 1.0, 20), racer.ENOUGH + 0.05)
+    assert made.pace < 0.9
+
+
+def test_the_pace_sets_the_top_speeds_of_rivals_and_the_budget_the_price_of_contacts(small):
+    made = make_racing(RING, replace(small, sensors=SensorConfig(truth=True)))
+    assert isinstance(made, Racer)
+    worlds = made.env.race_env
+    made.curriculum.pace = 0.9
+    made.curriculum.prepare(worlds, 0.0)
+    how = worlds.cfg.scenarios
+    assert how is not None and how.fastest_rival == 0.9
     assert how.slowest_rival == pytest.approx(0.9 - racer.RANGE)
-    first, last = made.reward(0.0), made.reward(0.9)
-    assert first == PRESETS["race"]
+    assert worlds.cfg.reward == PRESETS["race"]
+    made.curriculum.prepare(worlds, 0.9)
+    last, first = worlds.cfg.reward, PRESETS["race"]
     assert last.touch == racer.DEAR * first.touch
     assert last.off_track == first.off_track
+    # Hitting a car to pass it does not pay in the end.
+    assert last.crash + last.overtake < 0.0
 
 
 def test_a_curriculum_is_resumed():
-    made, other = Curriculum(), Curriculum()
-    made.add(update(9, 0.01, 0.009, 0.008))
+    made, other = Curriculum(ROWS), Curriculum(ROWS)
+    run(made, np.linspace(0.05, 0.1, 9), 0.8)
     other.restore(made.state())
-    assert other.state() == made.state() and other.log() == made.log()
+    assert other.state() == made.state()
+    assert run(other, np.array([0.2]), 0.3) == run(made, np.array([0.2]), 0.3)
 
 
 def test_all_cars_learn_from_the_true_state(small):
@@ -109,10 +129,11 @@ def test_a_camera_driver_learns_from_the_racer_and_against_it(small):
     made.racer.curriculum.pace = 0.8
     made.update(0.6)
     assert made.has_learnt
-    # Rivals are as fast as the racer's last ones, and touching is dear.
+    # Its rivals follow its own success, and for it contacts are cheap at first.
     worlds = made.env.race_env
-    assert worlds.cfg.scenarios is not None and worlds.cfg.scenarios.fastest_rival == 0.8
-    assert worlds.cfg.reward.touch == racer.DEAR * PRESETS["race"].touch
+    assert worlds.cfg.scenarios is not None
+    assert worlds.cfg.scenarios.fastest_rival == racer.FIRST_PACE
+    assert worlds.cfg.reward.touch > 2.5 * PRESETS["race"].touch
 
 
 def test_the_racer_drives_the_other_cars(small):

@@ -50,7 +50,7 @@ def in_a_mirror(world: World) -> World:
     for name in ("y", "yaw", "velocity_y", "lateral"):
         world.cars[name] *= -1
         world.obstacles[name] *= -1
-    for name in ("yaw_rate", "steering", "action_steering"):
+    for name in ("yaw_rate", "roll", "steering", "action_steering"):
         world.cars[name] *= -1
     return world
 

@@ -17,7 +17,7 @@ import torch
 from tensordict import TensorDict
 
 from league.envs.actions import to_actions
-from league.envs.config import RewardConfig, Scenarios
+from league.envs.race_env import RaceEnv
 from league.envs.rewards import PRESETS, Reward
 from league.sim.config import SensorConfig
 from league.track.track import TrackSet
@@ -26,71 +26,71 @@ from league.training.ppo import make_env
 from league.training.ppo.learner import Learner, Update
 from league.training.ppo.teacher import TaughtLearner, Teacher
 
-FIRST_DECISIONS = 2_000_000
-"""Decisions before rivals become faster or slower: the cars learn to drive."""
-ENOUGH, TOO_FEW = 0.5, 0.4
-"""Shares of clean attacks above which rivals become faster, and below which slower."""
-PACE_STEP = 0.05
-"""How much the rivals' largest top speed changes in a million decisions."""
-FIRST_PACE, LEAST_PACE, RANGE = 0.70, 0.60, 0.15
+WARM_UP = 0.04
+"""Share of a stage before rivals become faster or slower: the cars learn to drive."""
+ENOUGH, AT_LAST = 0.45, 0.7
+"""Share of clean attacks above which rivals become faster, at the start and the end of a stage."""
+SLACK = 0.1
+"""How far below that share rivals become slower."""
+PACE_STEP = 2.5
+"""How much the rivals' largest top speed would change over a whole stage of success."""
+FIRST_PACE, LEAST_PACE, RANGE = 0.70, 0.60, 0.25
 """Largest top speed of rivals at first and at least, and how far below it the smallest lies."""
-DEAR = 3.0
-"""Price of a contact at the end of the run, as a multiple of its price at the beginning."""
+DEAR = 6.0
+"""Price of a contact at the end of a stage, as a multiple of its price at the start: more than a
+pass earns."""
 SPREAD = 0.5
 """Least randomisation of the cars; see TrainConfig."""
-_MEMORY = 0.9
-"""Share of what is known about attacks that is kept in an update."""
+_LATELY = 100.0
+"""Attacks after which what is known about earlier ones counts half."""
 
 
 class Curriculum:
-    """Rivals as fast as can just be passed, and contacts that become dear."""
+    """Rivals as fast as can just be passed, and contacts that become dear, over one stage."""
 
-    def __init__(self) -> None:
-        """Start with slow rivals and cheap contacts."""
+    def __init__(self, rows: int) -> None:
+        """Start with slow rivals and cheap contacts, for updates of so many decisions."""
+        self._rows = rows
         self.pace = FIRST_PACE
         """Largest top speed of rivals, as a share of the fastest car's."""
-        self._attacks = self._passed = self._clean = 0.0
+        self._share = self._attacks = self._passed = self._clean = 0.0
 
-    def add(self, update: Update) -> None:
-        """Move the rivals' pace after an update, by how many attacks succeeded lately."""
-        log = update.log
-        self._attacks = _MEMORY * self._attacks + log["/race/attacks"]
-        self._passed = _MEMORY * self._passed + log["/race/passed"]
-        self._clean = _MEMORY * self._clean + log["/race/clean"]
-        if update.samples < FIRST_DECISIONS:
-            return
-        rows = update.samples / max(update.number, 1)
-        step = PACE_STEP * rows / 1e6
-        if self.clean > ENOUGH:
-            self.pace = min(self.pace + step, 1.0)
-        elif self.clean < TOO_FEW:
-            self.pace = max(self.pace - step, LEAST_PACE)
-
-    @property
-    def clean(self) -> float:
-        """Share of the last attacks that succeeded without a mistake."""
-        return self._clean / self._attacks if self._attacks > 0.0 else 0.0
-
-    def scenarios(self, before: Scenarios) -> Scenarios:
-        """Return scenarios with rivals of today's pace."""
+    def prepare(self, worlds: RaceEnv, share: float) -> None:
+        """Set rivals' top speeds and the price of contacts, at a share of the stage."""
+        assert worlds.cfg.scenarios is not None
         least = max(self.pace - RANGE, 0.45)
-        return replace(before, fastest_rival=self.pace, slowest_rival=least)
+        worlds.change_scenarios(
+            replace(worlds.cfg.scenarios, fastest_rival=self.pace, slowest_rival=least)
+        )
+        first, dear = PRESETS["race"], 1.0 + (DEAR - 1.0) * min(share / 0.8, 1.0)
+        worlds.change_weights(replace(first, touch=dear * first.touch, crash=dear * first.crash))
 
-    def reward(self, share: float) -> RewardConfig:
-        """Return the weights at a share of the budget: touching becomes dear until four fifths."""
-        dear = 1.0 + (DEAR - 1.0) * min(share / 0.8, 1.0)
-        first = PRESETS["race"]
-        return replace(first, touch=dear * first.touch, crash=dear * first.crash)
-
-    def log(self) -> dict[str, float]:
-        """Return metrics: the pace, and how many of the last attacks ended how."""
-        passed = self._passed / self._attacks if self._attacks > 0.0 else 0.0
-        return {"/race/pace": self.pace, "/race/clean": self.clean, "/race/passed": passed}
+    def add(self, update: Update, share: float) -> Update:
+        """Move the rivals' pace after an update; return it with the shares of lately in its log."""
+        attacks, passed, clean = (
+            self._rows * update.log[f"/race/{name}"] for name in ("attacks", "passed", "clean")
+        )
+        kept = 0.5 ** (attacks / _LATELY)
+        self._attacks = kept * self._attacks + attacks
+        self._passed = kept * self._passed + passed
+        self._clean = kept * self._clean + clean
+        enough = ENOUGH + (AT_LAST - ENOUGH) * share
+        step = PACE_STEP * max(share - self._share, 0.0)
+        self._share = share
+        succeeded = self._clean / max(self._attacks, 1.0)
+        if share > WARM_UP and succeeded > enough:
+            self.pace = min(self.pace + step, 1.0)
+        elif share > WARM_UP and succeeded < enough - SLACK:
+            self.pace = max(self.pace - step, LEAST_PACE)
+        shares = {"clean": succeeded, "passed": self._passed / max(self._attacks, 1.0)}
+        log = {f"/race/{name}": value for name, value in {"pace": self.pace, **shares}.items()}
+        return replace(update, log=update.log | log)
 
     def state(self) -> dict[str, float]:
         """Return what a resumed run goes on from."""
         return {
             "pace": self.pace,
+            "share": self._share,
             "attacks": self._attacks,
             "passed": self._passed,
             "clean": self._clean,
@@ -98,7 +98,8 @@ class Curriculum:
 
     def restore(self, state: dict[str, float]) -> None:
         """Take over what `state` returned."""
-        self.pace, self._attacks = float(state["pace"]), float(state["attacks"])
+        self.pace, self._share = float(state["pace"]), float(state["share"])
+        self._attacks = float(state["attacks"])
         self._passed, self._clean = float(state["passed"]), float(state["clean"])
 
 
@@ -136,17 +137,12 @@ class Racer(Teacher):
         """
         super().__init__(make_env.make(tracks, cfg), cfg)
         self.car = self.env.cfg.sim.car
-        self.curriculum = Curriculum()
+        self.curriculum = Curriculum(self.env.num_envs * cfg.ppo.rollout)
 
     def update(self, share: float) -> Update:
         """Collect one round of steps and learn from it; see Learner."""
-        worlds = self.env.race_env
-        assert worlds.cfg.scenarios is not None
-        worlds.change_scenarios(self.curriculum.scenarios(worlds.cfg.scenarios))
-        worlds.change_weights(self.curriculum.reward(share))
-        update = super().update(share)
-        self.curriculum.add(update)
-        return replace(update, log=update.log | self.curriculum.log())
+        self.curriculum.prepare(self.env.race_env, share)
+        return self.curriculum.add(super().update(share), share)
 
     def _state(self) -> dict[str, Any]:
         return super()._state() | {"curriculum": self.curriculum.state()}
@@ -172,14 +168,19 @@ class RacingLearner(TaughtLearner):
         super().__init__(make_env.make(tracks, cfg, opponents=rivals, **settings), cfg, racer)
         self.racer = racer
         """The network that sees the true state."""
+        self.curriculum = Curriculum(self.env.num_envs * cfg.ppo.rollout)
 
-    def update(self, share: float) -> Update:
-        """Update the racer, or the policy; see Learner."""
-        worlds, curriculum = self.env.race_env, self.racer.curriculum
-        assert worlds.cfg.scenarios is not None
-        worlds.change_scenarios(curriculum.scenarios(worlds.cfg.scenarios))
-        worlds.change_weights(curriculum.reward(1.0))
-        return super().update(share)
+    def _learn(self, share: float) -> Update:
+        """Collect and learn at a share of its own stage, with rivals as fast as it can pass."""
+        self.curriculum.prepare(self.env.race_env, share)
+        return self.curriculum.add(super()._learn(share), share)
+
+    def _state(self) -> dict[str, Any]:
+        return super()._state() | {"curriculum": self.curriculum.state()}
+
+    def _load_state(self, state: dict[str, Any]) -> None:
+        super()._load_state(state)
+        self.curriculum.restore(state["curriculum"])
 
 
 def make_racing(tracks: TrackSet, cfg: TrainConfig, *, reward: Reward | None = None) -> Learner:

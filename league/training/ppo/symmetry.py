@@ -44,11 +44,12 @@ def truth(group: Tensor) -> Tensor:
     return (group * torch.where(sideways, -1.0, 1.0))[:, _SWAPPED]
 
 
-def stereo(group: Tensor, num_eyes: int) -> Tensor:
+def stereo(group: Tensor, num_eyes: int, frames: int = 1) -> Tensor:
     """Return the pictures of the mirrored car: each flipped, and the eyes swapped."""
     rows, channels, height, width = group.shape
-    eyes = group.reshape(rows, num_eyes, channels // num_eyes, height, width)
-    return eyes.flip((1, 4)).reshape(group.shape)
+    colours = channels // (frames * num_eyes)
+    eyes = group.reshape(rows, frames, num_eyes, colours, height, width)
+    return eyes.flip((2, 5)).reshape(group.shape)
 
 
 def lidar(group: Tensor, beams: int) -> Tensor:
@@ -79,7 +80,7 @@ def observations(groups: TensorDict, sensors: SensorConfig) -> TensorDict:
         group = groups[name]
         if name == "stereo":
             assert sensors.camera is not None
-            mirrored[name] = stereo(group, sensors.camera.num_eyes)
+            mirrored[name] = stereo(group, sensors.camera.num_eyes, sensors.frames)
         elif name == "lidar":
             assert sensors.lidar is not None
             mirrored[name] = lidar(group, _parts(sensors.lidar))

@@ -118,9 +118,13 @@ class TaughtLearner(Learner):
             super().restart_rows()  # as after a resume from here
         done = max(share - until, 0.0) / (1.0 - until)
         self._lesson.weight = max(0.0, 1.0 - done)
-        update = super().update(done)
+        update = self._learn(done)
         losses = {"advice" if name == "symmetry" else name: v for name, v in update.losses.items()}
         return replace(update, losses=losses)
+
+    def _learn(self, share: float) -> Update:
+        """Collect and learn at a share of the policy's own stage."""
+        return super().update(share)
 
     def restart_rows(self) -> None:
         """Restart all episodes of the one that learns."""
