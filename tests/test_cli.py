@@ -78,13 +78,14 @@ def test_json_of_a_race_is_its_result(league):
 
 
 def test_race_leaves_a_replay_and_says_where(league, tmp_path):
-    code, out, _ = league("race", "centerline", "--laps", "1", "--solver", "planar")
+    deepracer = ("--rules", "deepracer")
+    code, out, _ = league("race", "centerline", "--laps", "1", "--solver", "planar", *deepracer)
     assert code == 0
     (left,) = (tmp_path / "replays").iterdir()
     assert f"Replay: {left.relative_to(tmp_path)}" in out
     assert "(watch it: league view)" in out
     code, out, _ = league("verify", str(left))
-    assert code == 0
+    assert code == 0 and "under the rules 'deepracer'" in out
 
 
 def test_races_that_differ_have_replays_of_their_own_and_the_same_race_has_one(league, tmp_path):

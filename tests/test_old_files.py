@@ -10,6 +10,7 @@ import pytest
 from league import replay
 from league.agents import checkpoint
 from league.cli import main
+from league.matchmaking.store import Store
 from league.training.config import read
 
 DATA = Path(__file__).parent / "data"
@@ -51,14 +52,23 @@ def test_an_old_league_has_the_same_standings_and_goes_on(run, capsys):
     out = capsys.readouterr().out
     assert re.search(r"centerline +league +1000", out)
     assert "4 races under rules c114134669dd" in out
+    # Races of an earlier physics are not driven again, and nothing is planned that cannot be raced.
+    assert run("run", "--heats", "2", "--same-owner", "--plain") == 2
+    assert "league upgrade --physics" in capsys.readouterr().err
+    with Store("sqlite:///league.db") as league:
+        assert set(league.counts()) <= {"done", "planned"}
+    assert run("upgrade", "--physics") == 0
+    assert "ratings begin again" in capsys.readouterr().out
+    assert run("upgrade", "--physics") == 0
+    assert "ratings begin again" not in capsys.readouterr().out
     assert run("run", "--heats", "2", "--same-owner", "--plain") == 0
     assert run("audit", "--sample", "100%") == 0
 
 
-def test_an_old_replay_is_read_and_raced_again(capsys):
+def test_an_old_replay_is_read_but_not_raced_again(capsys):
     old = replay.read(DATA / "version_2.race")
     assert [entry.name for entry in old.spec.entries] == ["centerline", "cautious"]
     # It names no rules: it was driven under the original's, and still is.
     assert (old.spec.rules, old.spec.obstacles, old.spec.average_laps) == ("deepracer", 0, 1)
-    assert main(["verify", str(DATA / "version_2.race")]) == 0
-    assert "under the rules 'deepracer'" in capsys.readouterr().out
+    assert main(["verify", str(DATA / "version_2.race")]) == 2
+    assert "was raced with physics 4" in capsys.readouterr().err

@@ -130,9 +130,9 @@ class Verify:
         if recorded.physics != PHYSICS:
             then = f"physics {recorded.physics}" if recorded.physics else "an earlier physics"
             raise ReplayError(
-                f"{self.replay} was raced with {then}, and this league has physics {PHYSICS}, so "
-                "the race cannot be run again here: watch it with `league view`, or verify it "
-                f"with league {recorded.league_version or 'of its time'}"
+                f"{self.replay} was raced with {then}, and this program has physics {PHYSICS}, so "
+                "the race cannot be run again here: watch it with `league view`, or verify it with "
+                "a version of the program that has the same physics"
             )
         agreement = replays.compare(recorded, race.rerun(recorded, self.policies))
         print(agreement.sentence)

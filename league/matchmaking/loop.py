@@ -68,7 +68,7 @@ def run(
         store: the league.
         dispatcher: claims and races heats.
         season: the matchmaker; without one the heats in the queue are raced.
-        heats: end after so many.
+        heats: end after so many, those that were given up included.
         seconds: begin no heat after this time [s].
         stop: called at each step; once it returns True no heat is begun.
         watch: called after each step.
@@ -78,7 +78,8 @@ def run(
     while True:
         now_s = time.monotonic()
         over = stop() or (seconds is not None and now_s - began_s > seconds)
-        wanted = None if heats is None else max(0, heats - tally.heats - len(dispatcher.running))
+        ended = tally.heats + tally.errors
+        wanted = None if heats is None else max(0, heats - ended - len(dispatcher.running))
         if season is not None and not over and (due or now_s - planned_s > PLAN_EVERY_S):
             season.plan()
             planned_s = time.monotonic()
@@ -90,7 +91,7 @@ def run(
             watch(tally, finished)
         if dispatcher.running or due:
             continue
-        if over or (heats is not None and tally.heats >= heats):
+        if over or (heats is not None and tally.heats + tally.errors >= heats):
             return tally
         if season is not None and _nothing_to_race(store, season):
             tally.idle = True

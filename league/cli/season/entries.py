@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -169,13 +169,31 @@ class Retire(OnLeague):
 class Upgrade(OnLeague):
     """Bring the tables of a league that an older version made up to date; make a backup first."""
 
+    physics: bool = False
+    """Also race with this program's physics from now on: heats that wait are cancelled, and ratings
+    begin again, because results of different physics cannot be compared."""
+
     def run(self) -> int:
         """Run the command."""
         from league.matchmaking import store
+        from league.sim.version import PHYSICS
 
         for step in store.upgrade(self.address):
             print(step)
         with self.opened() as league:
+            rules = league.settings.ruleset
+            if rules.physics != PHYSICS and not self.physics:
+                print(
+                    f"Its races were driven with physics {rules.physics}, and this program has "
+                    f"{PHYSICS}: `league upgrade --physics` lets it go on, with ratings that begin "
+                    "again."
+                )
+            elif rules.physics != PHYSICS:
+                cancelled = league.set_ruleset(replace(rules, physics=PHYSICS))
+                print(
+                    f"Races are driven with physics {PHYSICS} now, no longer {rules.physics}: "
+                    f"ratings begin again, and {cancelled} waiting heats are cancelled."
+                )
             print(f"The league in {league.url} is up to date.")
         return 0
 

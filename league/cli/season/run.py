@@ -60,6 +60,7 @@ class Work(OnLeague):
         """Run the command."""
         from league.matchmaking import loop, workers
         from league.matchmaking.workers.dispatcher import Dispatcher
+        from league.matchmaking.workers.worker import check_physics
 
         season.at_least(self, "heats", 1)
         if self.minutes is not None and not self.minutes > 0:
@@ -68,6 +69,7 @@ class Work(OnLeague):
             raise ConfigError(f"--lease-s {self.lease_s}: give 1 to 3600 s")
         num_workers = self.workers or os.cpu_count() or 1
         with self.opened() as store, ExitStack() as stack:
+            check_physics(store.settings.ruleset, f"the league in {store.url}")
             matchmaker = self._season(store)
             executor = workers.make_executor(self.executor, num_workers)
             stack.callback(executor.close)

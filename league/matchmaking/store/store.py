@@ -97,6 +97,19 @@ class Store:
             rows = connection.execute(sa.select(rulesets).order_by(rulesets.c.number)).all()
         return {row.hash: Ruleset.of(json.loads(row.settings)) for row in rows}
 
+    def set_ruleset(self, ruleset: Ruleset) -> int:
+        """Race under other rules from now on; return how many waiting heats this cancels."""
+        with self._writing(lock=True) as (connection, now):
+            number = schema.add_ruleset(connection, now, ruleset)
+            connection.execute(league.update().values(ruleset=number))
+            cancelled = connection.execute(
+                heats.update()
+                .where(heats.c.state == "planned", heats.c.ruleset != number)
+                .values(state="cancelled")
+            ).rowcount
+            schema.log_event(connection, now, "league", "rules", ruleset.hash, cancelled=cancelled)
+            return cancelled
+
     @property
     def blobs(self) -> Blobs:
         """Where weights and recordings are kept."""

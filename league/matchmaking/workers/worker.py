@@ -96,8 +96,9 @@ def check_physics(rules: Ruleset, what: str) -> None:
     """Raise a ConfigError if the rules are of another version of the physics."""
     if rules.physics != PHYSICS:
         raise ConfigError(
-            f"{what} is raced by physics {rules.physics}, this program has {PHYSICS}: "
-            "use the version of the program that the league was made with"
+            f"{what} is raced with physics {rules.physics}, and this program has {PHYSICS}: use "
+            "the version of the program that the league was made with, or go on under this one's "
+            "with `league upgrade --physics`, where ratings begin again"
         )
 
 
