@@ -81,22 +81,24 @@ def race_env(
     cfg = problem.configure(kind=kind, num_cars=num_cars, sensors=(), mode=mode, laps=100)
     env = RaceEnv(problem.course(TRACK), cfg, num_worlds=num_worlds)
     like = _maker(env.last_action)
-    told, actions = env.reset(seed=1), []
+    observations, actions = env.reset(seed=1), []
     for _ in range(steps):
-        each = [follow(np.asarray(groups["state"]), car) for car, groups in enumerate(told)]
+        each = [follow(np.asarray(groups["state"]), car) for car, groups in enumerate(observations)]
         actions.append(like(np.stack(each, axis=1)))
-        told = env.step(actions[-1]).observations
+        observations = env.step(actions[-1]).observations
 
     def run() -> None:
         for action in actions:
-            told = env.step(action).observations
+            observations = env.step(action).observations
             if truth:
-                for groups in told:
+                for groups in observations:
                     groups["state"]
 
     def seen() -> dict[str, np.ndarray]:
-        told = env.step(actions[-1]).observations
-        return {f"{k} {name}": groups[name] for k, groups in enumerate(told) for name in groups}
+        observations = env.step(actions[-1]).observations
+        return {
+            f"{k} {name}": groups[name] for k, groups in enumerate(observations) for name in groups
+        }
 
     return Drive(num_worlds * num_cars * steps, lambda: env.reset(seed=1), run, seen)
 
@@ -115,11 +117,13 @@ def pettingzoo(steps: int = 300) -> Drive:
     from league.envs import parallel_env
 
     guide, env = (parallel_env(sensors=(), privileged=one, **_RACE) for one in (True, False))
-    told, _ = guide.reset(seed=1)
+    observations, _ = guide.reset(seed=1)
     rows = []
     for _ in range(steps):
-        rows.append({a: follow(told[a]["state"][None], int(a[-1]))[0] for a in told})
-        told, *_ = guide.step(rows[-1])
+        rows.append(
+            {a: follow(observations[a]["state"][None], int(a[-1]))[0] for a in observations}
+        )
+        observations, *_ = guide.step(rows[-1])
     last: Any = None
 
     def run() -> None:
@@ -144,11 +148,11 @@ def gymnasium_env(sensors: Sequence[Any], steps: int = 300) -> Drive:
     name = "league/TimeTrial-v0"
     guide = gymnasium.make(name, sensors=(), privileged=True, laps=100).unwrapped
     env = gymnasium.make(name, sensors=sensors, laps=100).unwrapped
-    told, _ = guide.reset(seed=1)
+    observations, _ = guide.reset(seed=1)
     actions = []
     for _ in range(steps):
-        actions.append(follow(told["state"][None])[0])
-        told, *_ = guide.step(actions[-1])
+        actions.append(follow(observations["state"][None])[0])
+        observations, *_ = guide.step(actions[-1])
     last: Any = None
 
     def run() -> None:
@@ -168,11 +172,11 @@ def gymnasium_vector(num_envs: int = 64, steps: int = 30) -> Drive:
     name = "league/TimeTrial-v0"
     guide = gymnasium.make_vec(name, num_envs=num_envs, sensors=(), privileged=True, laps=100)
     env = gymnasium.make_vec(name, num_envs=num_envs, sensors=(_camera(),), laps=100)
-    told, _ = guide.reset(seed=1)
+    observations, _ = guide.reset(seed=1)
     actions = []
     for _ in range(steps):
-        actions.append(follow(told["state"]))
-        told, *_ = guide.step(actions[-1])
+        actions.append(follow(observations["state"]))
+        observations, *_ = guide.step(actions[-1])
     last: Any = None
 
     def run() -> None:
@@ -196,11 +200,11 @@ def sb3(batched: bool, num_envs: int = 16, steps: int = 30) -> Drive:
     else:
         env = DummyVecEnv([lambda: GymEnv(sensors=(_camera(),), laps=100)] * num_envs)
     guide.seed(1)
-    told: Any = guide.reset()
+    observations: Any = guide.reset()
     actions = []
     for _ in range(steps):
-        actions.append(follow(told["state"]))
-        told = guide.step(actions[-1])[0]
+        actions.append(follow(observations["state"]))
+        observations = guide.step(actions[-1])[0]
     last: Any = None
 
     def start() -> None:
@@ -226,15 +230,17 @@ def decision(times: int = 300) -> Drive:
     policy = roster.load(str(ROOT / "garage" / "novice.pt"), tracks, CarConfig())
     assert policy.sensors.camera is not None and policy.sensors.camera.width == 64
     env = RaceEnv(tracks, problem.configure(sensors=policy.sensors))
-    told = env.reset(seed=1)[0]
+    observations = env.reset(seed=1)[0]
     actions: Any = None
 
     def run() -> None:
         nonlocal actions
         for _ in range(times):
-            actions = policy.act(told)
+            actions = policy.act(observations)
 
-    return Drive(times, lambda: None, run, lambda: {"stereo": told["stereo"], "actions": actions})
+    return Drive(
+        times, lambda: None, run, lambda: {"stereo": observations["stereo"], "actions": actions}
+    )
 
 
 def _camera() -> Any:

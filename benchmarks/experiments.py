@@ -51,7 +51,7 @@ class Variation:
     alter: Alter = field(default=lambda _: None)
     """A change that no setting makes, done to the learner."""
     critic_sees: str = "state"
-    """What the critic is told: the true state, or the actor's senses."""
+    """What the critic sees: the true state, or the actor's senses."""
 
 
 @dataclass(frozen=True)
@@ -147,8 +147,8 @@ class _Doubling(symmetry.Symmetry):
 
     def augment_batch(self, batch: RolloutStorage.Batch, original_batch_size: int) -> None:
         """Append the mirror images."""
-        told = symmetry.observations(batch.observations, self._sensors)  # type: ignore
-        batch.observations = torch.cat([batch.observations, told])  # type: ignore
+        mirrored = symmetry.observations(batch.observations, self._sensors)  # type: ignore
+        batch.observations = torch.cat([batch.observations, mirrored])  # type: ignore
         batch.actions = torch.cat([batch.actions, self._space.mirror(batch.actions)])  # type: ignore
         for name in ("old_actions_log_prob", "values", "advantages", "returns"):
             value: Tensor = getattr(batch, name)
@@ -241,7 +241,7 @@ _settings_as_they_are = Learner._settings
 
 
 def _blindfolded(learner: Learner) -> dict:
-    """Return rsl-rl's settings with a critic of the actor's layers, which is told no more."""
+    """Return rsl-rl's settings with a critic of the actor's layers, which sees no more."""
     settings = _settings_as_they_are(learner)
     critic = dict(settings["actor"])
     del critic["distribution_cfg"]

@@ -56,11 +56,11 @@ def policies(paths: list[str]) -> list[Checkpoint]:
 def league(
     folder: Path, drivers: list[Checkpoint], solver: Literal["planar", "bullet"] = "bullet"
 ) -> Store:
-    """Return a league in which the drivers wait to be paired, and nobody else."""
+    """Return a league in which the drivers wait to be paired, and no others."""
     store = create(f"sqlite:///{folder / f'{solver}.db'}", ruleset=Ruleset(laps=3, solver=solver))
     for number, one in enumerate(drivers):
-        told = {**one.card.model_dump(), "name": f"{one.card.name} {number}"}
-        renamed = Checkpoint(type(one.card)(**told), one.weights)
+        card = {**one.card.model_dump(), "name": f"{one.card.name} {number}"}
+        renamed = Checkpoint(type(one.card)(**card), one.weights)
         submission.accept(store, submission.pack(renamed), f"policy {number}", f"owner {number}")
     matchmaker.enter_anchors(store, ())
     return store
@@ -84,11 +84,11 @@ def shares(store: Store) -> None:
     total = time.process_time() - start
     assert report.outcome is not None, report.traceback
     stats = pstats.Stats(profile).stats  # pyright: ignore[reportAttributeAccessIssue]
-    whole = max(told[3] for told in stats.values())
+    whole = max(timing[3] for timing in stats.values())
     note(f"one race of {report.race_s:.1f} s in {total:.2f} s of one core, under a profiler:")
     for name, file, function in SHARES.values():
         spent = sum(
-            told[3] for (path, _, called), told in stats.items()
+            timing[3] for (path, _, called), timing in stats.items()
             if path.endswith(file) and called == function and "league" in path
         )  # fmt: skip
         figure(f"  share of {name}", 100 * spent / whole, "%")
@@ -140,8 +140,8 @@ def throughput(store: Store, seconds: float, workers: int, goal: float) -> None:
 
 def _memory(pid: int) -> float:
     """Return the memory of a process, of what it shares its part [MB]."""
-    told = Path(f"/proc/{pid}/smaps_rollup").read_text()
-    return float(told.split("Pss:")[1].split()[0]) / 1024
+    text = Path(f"/proc/{pid}/smaps_rollup").read_text()
+    return float(text.split("Pss:")[1].split()[0]) / 1024
 
 
 def _parent(pid: int) -> int:
@@ -171,7 +171,7 @@ def _started(count: int, start: Callable[..., BaseProcess]) -> tuple[float, floa
 
 
 def starting(workers: int = 4) -> None:
-    """Print how soon workers are ready, beside processes that each load torch for themselves."""
+    """Print how soon workers are ready, next to processes that each load torch for themselves."""
     spawning = multiprocessing.get_context("spawn")
 
     def alone(target: Callable[..., None], pipe: Connection) -> BaseProcess:

@@ -44,19 +44,21 @@ def stereo_rate(
     cfg = EnvConfig(sim=sim, solver=solver, sensors=(sensors,))
     env = RaceEnv(tracks, cfg, num_worlds=num_worlds)
     drivers = [roster.load(name, tracks, sim.car) for name in ("racing_line", "centerline")]
-    told = env.reset(seed=1)
+    observations = env.reset(seed=1)
     tiny = TinyScene(tracks, one_ahead(tracks, 1)[1], camera) if by_pybullet else None
 
     def drive() -> None:
-        nonlocal told
+        nonlocal observations
         for _ in range(steps):
             if tiny is not None:
                 tiny.pair(), tiny.pair()
-            actions = np.stack([d.act(o) for d, o in zip(drivers, told, strict=True)], axis=1)
-            told = env.step(actions).observations
+            actions = np.stack(
+                [d.act(o) for d, o in zip(drivers, observations, strict=True)], axis=1
+            )
+            observations = env.step(actions).observations
 
     taken = seconds(drive, repeats=3)
-    picture = told[0]["stereo"] if tiny is None else tiny.pair()[0]
+    picture = observations[0]["stereo"] if tiny is None else tiny.pair()[0]
     assert picture.std() > 5, "the picture is blank"
     assert env.world.cars["distance"].min() > 1.0, "the cars did not drive"
     env.close()

@@ -12,7 +12,7 @@ from league.matchmaking.ratings.goodness_of_fit import goodness_of_fit
 from league.matchmaking.ratings.pair_counts import ELO
 
 RACES = 1_000_000
-"""Races of the league whose refit is timed."""
+"""Races of the league that is fitted again against the clock."""
 
 
 def league_of(entries: int, cars: int = 2) -> tuple[Results, np.ndarray]:
@@ -23,7 +23,7 @@ def league_of(entries: int, cars: int = 2) -> tuple[Results, np.ndarray]:
     strengths = generator.normal(0, 200, entries)
     heats = RACES // 2
     one = generator.integers(0, entries, heats)
-    # Offsets that differ within a heat: nobody stands in it twice.
+    # Offsets that differ within a heat: no entry is in it twice.
     steps = np.sort(generator.integers(0, entries - cars, (heats, cars - 1)), axis=1)
     grids = np.concatenate([np.zeros((heats, 1), int), 1 + steps + np.arange(cars - 1)], axis=1)
     return raced(generator, strengths, (one[:, None] + grids) % entries, front=150), strengths
@@ -35,15 +35,15 @@ def speed() -> None:
     for entries, goal in ((100, None), (1000, 1.0), (5000, 2.0)):
         results, strengths = league_of(entries)
         start = time.process_time()
-        told = fit(results, anchor=0)
+        fitted = fit(results, anchor=0)
         taken = time.process_time() - start
         figure(f"{entries:,} entries, {RACES:,} duels, processor time", taken, "s", goal, most=True)
-        miss = (told.elo - told.elo.mean()) - (strengths - strengths.mean())
-        inside = np.abs(miss) <= 1.96 * told.sd
+        miss = (fitted.elo - fitted.elo.mean()) - (strengths - strengths.mean())
+        inside = np.abs(miss) <= 1.96 * fitted.sd
         assert abs(inside.mean() - 0.95) < 0.08, "the intervals are not honest"
     results, _ = league_of(1000)
-    told, start = fit(results), time.process_time()
-    goodness_of_fit(results, told)
+    fitted, start = fit(results), time.process_time()
+    goodness_of_fit(results, fitted)
     figure("1,000 entries, test of fit, processor time", time.process_time() - start, "s")
 
 
@@ -64,9 +64,9 @@ def truth() -> None:
             strengths = generator.normal(0, 200, 16)
             grids = random_grids(generator, 16, cars, 800 // cars)
             results = raced(generator, strengths, grids, noise=noise, front=front)
-            told = fit(results)
-            squares.append((misses(told, strengths) ** 2).mean())
-            inside.append(covered(told, strengths).mean())
+            fitted = fit(results)
+            squares.append((misses(fitted, strengths) ** 2).mean())
+            inside.append(covered(fitted, strengths).mean())
             if cars == 2:
                 bounds.append(least_square(results, strengths, front))
         name = f"{cars} cars, {noise}, front slot worth {front}"
@@ -90,8 +90,8 @@ def least_square(results: Results, strengths: np.ndarray, front: float) -> float
     turns[np.arange(len(results)), other] = -1.0
     turns[:, size] = 1.0  # the front slot's lead, with its prior of 300 Elo
     prior = np.diag([*[(ELO / 200) ** 2] * size, (ELO / 300) ** 2])
-    told = (turns * (chance * (1 - chance))[:, None]).T @ turns
-    inverse = np.linalg.inv(told + prior)[:size, :size]
+    information = (turns * (chance * (1 - chance))[:, None]).T @ turns
+    inverse = np.linalg.inv(information + prior)[:size, :size]
     return float(ELO**2 * (np.trace(inverse) - inverse.sum() / size) / size)
 
 
@@ -112,10 +112,10 @@ def seasons() -> None:
     races = [newcomer_races(3000 + seed)[0] for seed in range(30)]
     figure("newcomer to sd 50 against 20 rated: median", np.median(races), "duels", 54, most=True)
     figure("the slowest tenth of them", float(np.percentile(races, 90)), "duels")
-    told = [dense_field(3000 + seed) for seed in range(40)]
-    miss = float(np.sqrt(np.mean([square for square, _ in told])))
+    fields = [dense_field(3000 + seed) for seed in range(40)]
+    miss = float(np.sqrt(np.mean([square for square, _ in fields])))
     figure("dense field (sd 120), 40 races each: miss", miss, "Elo", 55, most=True)
-    figure("its coverage", float(np.mean([inside for _, inside in told])), "", 0.92)
+    figure("its coverage", float(np.mean([inside for _, inside in fields])), "", 0.92)
 
 
 def main() -> None:

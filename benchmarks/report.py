@@ -1,4 +1,4 @@
-"""What all benchmarks print: headings, figures beside their goals, tables; and as Markdown."""
+"""What all benchmarks print: headings, figures next to their goals, tables; and as Markdown."""
 
 import math
 import os
@@ -28,7 +28,7 @@ def note(text: str) -> None:
 def figure(
     name: str, value: float, unit: str, goal: float | None = None, *, most: bool = False
 ) -> bool:
-    """Print one figure beside its goal; return whether the goal is met.
+    """Print one figure next to its goal; return whether the goal is met.
 
     Args:
         name: what was measured.

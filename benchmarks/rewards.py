@@ -1,4 +1,4 @@
-"""What a reward function costs beside its own code: params made, handed out, answers checked."""
+"""What a reward function costs on top of its own code: making params and checking answers."""
 
 import tempfile
 from pathlib import Path
@@ -23,14 +23,14 @@ class _Kept:
     terms = ()
 
     def __init__(self):
-        self.told = None
+        self.given = None
 
     def restart(self, world, who):
         pass
 
-    def __call__(self, *told):
-        self.told = told
-        return np.zeros(told[-1].shape, np.float32), {}
+    def __call__(self, *given):
+        self.given = given
+        return np.zeros(given[-1].shape, np.float32), {}
 
 
 def overhead_us(kind: RaceKind, num_worlds: int, path: Path) -> float:
@@ -47,7 +47,7 @@ def overhead_us(kind: RaceKind, num_worlds: int, path: Path) -> float:
 
     def call() -> None:
         for _ in range(CALLS):
-            reward(*kept.told)
+            reward(*kept.given)
 
     return 1e6 * fastest(call) / CALLS / num_worlds
 

@@ -37,7 +37,7 @@ def open_floor() -> TrackSet:
 
 
 class Floor:
-    """Worlds whose physics is stepped alone: no referee, no penalties."""
+    """Worlds of which only the physics is stepped: no referee, no penalties."""
 
     def __init__(self, solver: SolverName, sim: SimConfig, num_worlds: int) -> None:
         self.name = solver

@@ -103,8 +103,8 @@ def _races(
             places = ((1, 2) if first else (2, 1))[::turn]
             runs = [KNOWN | FINISHED | lap_ms for lap_ms in laps[half]]
             packed = results.packed(number, half, grid[::turn], places, track=0, runs=runs)
-            told = {"heat": number, "half": half, "ruleset": 1, "rated": True, "cars": 2}
-            races.append({**told, "packed": packed})
+            row = {"heat": number, "half": half, "ruleset": 1, "rated": True, "cars": 2}
+            races.append({**row, "packed": packed})
     return races
 
 
@@ -156,11 +156,13 @@ def million(url: str, name: str) -> None:
 
 def _check(table: standings.Standings, strengths: np.ndarray) -> None:
     """Fail unless the standings are those of the strengths that the races were drawn from."""
-    told = table.ratings
-    miss = told.elo - told.elo.mean() - (strengths - strengths.mean())
-    assert np.corrcoef(told.elo, strengths)[0, 1] > 0.98, "the ratings do not follow the strengths"
-    assert abs((np.abs(miss) <= 1.96 * told.sd).mean() - 0.95) < 0.03, "intervals are not honest"
-    lead = told.slot_advantages[0] - told.slot_advantages[1]
+    fitted = table.ratings
+    miss = fitted.elo - fitted.elo.mean() - (strengths - strengths.mean())
+    assert np.corrcoef(fitted.elo, strengths)[0, 1] > 0.98, (
+        "the ratings do not follow the strengths"
+    )
+    assert abs((np.abs(miss) <= 1.96 * fitted.sd).mean() - 0.95) < 0.03, "intervals are not honest"
+    lead = fitted.slot_advantages[0] - fitted.slot_advantages[1]
     assert abs(lead - FRONT_WORTH) < 5, "the front slot's worth is wrong"
     assert len(table.rows) == ENTRIES and table.num_races == 1_000_000, "standings lost something"
     assert not table.goodness.rejected, "there is no cycle in these races"

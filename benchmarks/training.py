@@ -3,7 +3,7 @@
 The rookie is measured from the command to the prompt: once in an installation that has compiled
 nothing yet, then with the simulator compiled before. The learner is measured against a plain
 loop: PPO written out on the same network, batch and number of passes, fed with stored random
-pictures, with nothing around it. Both loops and the shares are told in one core's own time, so
+pictures, with nothing around it. Both loops and the shares are counted in one core's own time, so
 that a busy machine changes nothing.
 """
 
@@ -106,10 +106,10 @@ def rookies(seeds: tuple[int, ...] = (1, 2, 3)) -> None:
 class Plain:
     """PPO on stored random observations, without rsl-rl and without the league's learner."""
 
-    def __init__(self, cfg: TrainConfig, told: dict[str, Tensor], state: Tensor) -> None:
+    def __init__(self, cfg: TrainConfig, groups: dict[str, Tensor], state: Tensor) -> None:
         """Build actor, critic and optimiser of the same shapes."""
-        self.cfg, self.told, self.state = cfg, told, state
-        shapes = {name: tuple(group.shape[1:]) for name, group in told.items()}
+        self.cfg, self.groups, self.state = cfg, groups, state
+        shapes = {name: tuple(group.shape[1:]) for name, group in groups.items()}
         self.actor = Actor(cfg.network, shapes, cfg.action_space.size)
         sizes = [state.shape[1], *cfg.critic_hidden]
         layers: list[nn.Module] = []
@@ -129,18 +129,18 @@ class Plain:
         return collected - began, time.process_time() - collected
 
     def _collect(self) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]:
-        pictures: dict[str, list[Tensor]] = {name: [] for name in self.told}
+        pictures: dict[str, list[Tensor]] = {name: [] for name in self.groups}
         actions, odds, values = [], [], []
         with torch.inference_mode():
             for _ in range(self.cfg.ppo.rollout):
-                spread = torch.distributions.Normal(self.actor(_floats(self.told)), self.noise)
+                spread = torch.distributions.Normal(self.actor(_floats(self.groups)), self.noise)
                 chosen = spread.sample()
                 actions.append(chosen)
                 odds.append(spread.log_prob(chosen).sum(-1))
                 values.append(self.critic(self.state)[:, 0])
-                for name, group in self.told.items():
+                for name, group in self.groups.items():
                     pictures[name].append(group.clone())
-        told = {name: torch.cat(groups) for name, groups in pictures.items()}
+        groups = {name: torch.cat(groups) for name, groups in pictures.items()}
         paid = torch.rand(len(values), len(self.state))
         returns, ahead = [], values[-1]
         for number in reversed(range(len(values))):
@@ -149,20 +149,20 @@ class Plain:
         worth = torch.cat(returns[::-1])
         gain = worth - torch.cat(values)
         gain = (gain - gain.mean()) / (gain.std() + 1e-8)
-        return told, torch.cat(actions), torch.cat(odds), worth, gain
+        return groups, torch.cat(actions), torch.cat(odds), worth, gain
 
     def _learn(
-        self, told: dict[str, Tensor], actions: Tensor, odds: Tensor, worth: Tensor, gain: Tensor
+        self, groups: dict[str, Tensor], actions: Tensor, odds: Tensor, worth: Tensor, gain: Tensor
     ) -> None:
         ppo = self.cfg.ppo
-        told, actions, odds, worth, gain = (
-            {name: group.clone() for name, group in told.items()},
+        groups, actions, odds, worth, gain = (
+            {name: group.clone() for name, group in groups.items()},
             *(value.clone() for value in (actions, odds, worth, gain)),
         )
         state = self.state.repeat(ppo.rollout, 1)
         for _ in range(ppo.epochs):
             for part in torch.randperm(len(gain)).chunk(ppo.mini_batches):
-                means = self.actor(_floats({name: group[part] for name, group in told.items()}))
+                means = self.actor(_floats({name: group[part] for name, group in groups.items()}))
                 spread = torch.distributions.Normal(means, self.noise)
                 ratio = (spread.log_prob(actions[part]).sum(-1) - odds[part]).exp()
                 cut = ratio.clamp(1.0 - ppo.clip, 1.0 + ppo.clip)
@@ -175,10 +175,10 @@ class Plain:
                 self.adam.step()
 
 
-def _floats(told: dict[str, Tensor]) -> dict[str, Tensor]:
+def _floats(groups: dict[str, Tensor]) -> dict[str, Tensor]:
     return {
         name: group.to(torch.float32) / 255.0 if group.dtype == torch.uint8 else group
-        for name, group in told.items()
+        for name, group in groups.items()
     }
 
 
@@ -225,8 +225,8 @@ def loops(rounds: int = 5) -> None:
         shares.timed("policy", learner._alg, method)
     for method in ("compute_returns", "update"):
         shares.timed("learning", learner._alg, method)
-    told = {name: group.clone() for name, group in learner._obs.items() if name != "state"}
-    plain = Plain(cfg, told, learner._obs["state"].clone())
+    groups = {name: group.clone() for name, group in learner._obs.items() if name != "state"}
+    plain = Plain(cfg, groups, learner._obs["state"].clone())
     learner.update(0.0)
     plain.run()
     shares.spent = dict.fromkeys(shares.spent, 0.0)

@@ -2,7 +2,7 @@
 
 Numba's own cache looks for changes in a function's own file alone, so a changed helper in another
 file would go unnoticed. Here the cache is keyed by a hash of every compiled source of the package,
-of the files whose constants they take, and of Numba's version: any change compiles everything
+of the files that they take constants from, and of Numba's version: any change compiles everything
 again, once.
 
 Results are the same bits on every machine: no fast-math, so LLVM neither fuses a multiplication

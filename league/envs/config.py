@@ -82,7 +82,7 @@ class Scenarios:
         if self.alone + self.standing + self.abreast > 1:
             raise ConfigError(
                 f"scenarios alone, standing and abreast are {self.alone}, {self.standing} and "
-                f"{self.abreast}: give shares whose sum is at most 1"
+                f"{self.abreast}: give shares that add up to at most 1"
             )
         if self.slowest_rival > self.fastest_rival:
             raise ConfigError(

@@ -51,8 +51,8 @@ def judge_contacts(before, cars, obstacles, world, verdicts, contacts, points, c
     """Judge the contacts of one world in a control step; see referee.judge for the arguments.
 
     Contact with a box is the car's own fault; with a bot car it is if the bot was ahead. Of several
-    obstacles that were hit at once, the rearmost is named; of several cars, the one whose contact
-    costs most.
+    obstacles that were hit at once, the rearmost is named; of several cars, the one where the
+    contact costs most.
     """
     met = False
     for c in range(len(cars)):

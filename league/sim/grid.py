@@ -125,7 +125,7 @@ def _drawn(seed, purpose, number, episode, reach):
 
 @inner
 def blank_book(car, distance, now_s):
-    """Begin the referee's book of a car anew.
+    """Reset the referee's book of a car.
 
     Args:
         car: CAR record, already at its place.
@@ -161,7 +161,7 @@ def move(car, points, course, shift, lateral):
 
 @inner
 def release(car, points, course):
-    """Put a car whose penalty ended on the nearer lane where it left the road, if it asked for it.
+    """Put a car after its penalty on the nearer lane where it left the road, if it asked for it.
 
     After a crash the car has been moved already.
     """
@@ -230,7 +230,7 @@ def is_clear(c, cars, obstacles, solid, wanting, settings):
 
 @inner
 def retire(car):
-    """Take a car out of the race for good: frozen, and in nobody's way."""
+    """Take a car out of the race for good: frozen, and in no one's way."""
     car.retired, car.ghost = True, True
 
 

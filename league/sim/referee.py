@@ -1,7 +1,7 @@
 """Compiled: the referee: laps, off-track, contacts, penalties, running order.
 
 `judge` looks at a world before and after physics, writes down what happened (VERDICT) and keeps the
-cars' book; it moves nobody. `penalise` applies the race's penalties; in training a mistake ends the
+cars' book; it moves no car. `penalise` applies the race's penalties; in training a mistake ends the
 episode instead. Who is to blame for a contact: blame.py. The rules: docs/rules.md.
 """
 
@@ -151,7 +151,7 @@ def _lap(old, car, world, seen, course, settings):
 
 @inner
 def _order(before, cars, world, verdicts, course, settings):
-    """Find who is ahead of whom, who passed whom on the road, and who leads."""
+    """Find which cars each car is ahead of, which it passed on the road, and who leads."""
     num_cars, old_leader = len(cars), world.leader
     leads = False
     for c in range(num_cars):
@@ -170,7 +170,7 @@ def _order(before, cars, world, verdicts, course, settings):
                     passed |= 1 << other
                     cars[c].overtakes += 1
         cars[c].ahead, verdicts[c].overtook = np.uint8(ahead), np.uint8(passed)
-        # Of cars side by side nobody may be ahead of all: then the leader stays.
+        # Of cars side by side none may be ahead of all: then the leader stays.
         if num_cars > 1 and beaten == num_cars - 1 and not leads and settings.pursuers == 0:
             leads, world.leader = True, c
     if settings.pursuers > 0:
@@ -199,7 +199,7 @@ def _lead(car, rival, course):
     """Return how far a car is ahead of another [m]."""
     if car.zero_s == rival.zero_s:
         return car.distance - rival.distance
-    # Cars whose laps begin at different places are compared by who is ahead on the road.
+    # Cars with laps that begin at different places are compared by who is ahead on the road.
     return signed_gap(course, car.s, rival.s)
 
 

@@ -40,7 +40,7 @@ def document(name: str) -> dict[str, Any]:
             "title": f"League {name}",
             "version": __version__,
             "description": "What the pages show, as JSON. Lengths are metres, speeds m/s, times "
-            "whose names end in _s seconds, ratings Elo. Only GET and HEAD are answered.",
+            "with names that end in _s seconds, ratings Elo. Only GET and HEAD are answered.",
         },
         "paths": paths,
         "components": {"schemas": schemas},

@@ -7,7 +7,7 @@ from dataclasses import replace
 import torch
 
 from league.racing.table import Evaluation, Trial
-from league.training.monitor.history import TUTORING, History
+from league.training.monitor.history import TEACHING, History
 from league.training.ppo.learner import Update
 from league.training.ppo.statistics import EpisodeStatistics
 
@@ -89,7 +89,7 @@ def self_play(updates: int, *, update_s: float = 8.0) -> History:
         taught, stage = number <= updates // 2, 2 * number / updates % 1.0
         samples += 49_152 if taught else 2_048
         row = replace(update(number), samples=samples)
-        row = replace(row, log=row.log | {TUTORING: 1.0}) if taught else row
+        row = replace(row, log=row.log | {TEACHING: 1.0}) if taught else row
         made.add_update(row, episodes(0.2 + 0.7 * stage), update_s * number)
         if not taught and number % 16 == 0:
             made.add_evaluation(

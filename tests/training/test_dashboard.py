@@ -10,7 +10,7 @@ from rich.console import Console
 from league.training.config import TrainConfig
 from league.training.monitor import dashboard
 from league.training.monitor.dashboard import Dashboard
-from league.training.monitor.history import TUTORING, History
+from league.training.monitor.history import TEACHING, History
 
 
 def terminal(width: int = 100, *, real: bool = True) -> Console:
@@ -130,7 +130,7 @@ def test_self_play_is_shown_while_it_lasts_and_when_its_duels_are_raced():
 def test_while_a_teacher_learns_that_is_shown():
     made = history(3)
     taught = update(len(made.updates) + 1)
-    made.add_update(replace(taught, log=taught.log | {TUTORING: 1.0}), episodes(0.5), 9.0)
+    made.add_update(replace(taught, log=taught.log | {TEACHING: 1.0}), episodes(0.5), 9.0)
     assert "the teacher learns" in dashboard.update_line(made, None, None)
     assert any("it learns first, from the truth" in row for row in drawn(made))
     made.add_update(update(taught.number + 1), episodes(0.5), 9.5)

@@ -8,7 +8,7 @@ from metrics import evaluation, history, self_play, update
 
 from league.errors import PolicyError
 from league.training.monitor import plot
-from league.training.monitor.history import TUTORING, History
+from league.training.monitor.history import TEACHING, History
 from league.training.monitor.plot import TrainingPlot
 
 
@@ -59,7 +59,7 @@ def test_the_best_model_is_marked():
 def test_the_teachers_time_is_shaded_behind_the_curves():
     made = history(20)
     for row in made.updates[:5]:
-        row.log[TUTORING] = 1.0
+        row.log[TEACHING] = 1.0
     completion, reward, _ = plot.figure(made).axes
     (shade,) = reward.patches
     assert shade.get_extents().width == pytest.approx(

@@ -20,7 +20,7 @@ from league.training import evaluator
 from league.training import run as run_room
 from league.training.config import TrainConfig, read
 from league.training.monitor import history
-from league.training.monitor.history import TUTORING
+from league.training.monitor.history import TEACHING
 from league.training.ppo.learner import Learner
 from league.training.ppo.racer import RacingLearner
 from league.training.run import Run
@@ -108,7 +108,7 @@ def test_in_self_play_the_newest_is_best_of_those_that_come_as_far(
 def test_self_play_goes_from_the_true_state_to_its_own_sensors(tmp_path, small_racer):
     run = small.run(tmp_path, racing(sensors=small.CAMERA, teacher=0.5))
     outcome = run.learn()
-    taught = [TUTORING in row.log for row in run.history.updates]
+    taught = [TEACHING in row.log for row in run.history.updates]
     assert any(taught) and not all(taught)
     assert checkpoint.load(outcome.best).card.sensors == small.CAMERA
     assert checkpoint.load(tmp_path / "truth.pt").card.sensors.truth

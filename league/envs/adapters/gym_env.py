@@ -262,7 +262,7 @@ class GymVectorEnv(VectorEnv[Observation, np.ndarray, np.ndarray]):
     ) -> None:
         """Set up the races, by the arguments of GymEnv.
 
-        `track` may also be a TrackSet, whose tracks the races take in turn; a driver in `opponents`
+        `track` may also be a TrackSet: the races take its tracks in turn; a driver in `opponents`
         serves all races; `max_episode_steps` is Gymnasium's name for `max_steps`. A batch is not
         drawn, so `render_mode` is None. With `autoreset_mode` SAME_STEP a race that has ended is
         restarted at once, its last observation and info in the info's `final_obs` and

@@ -67,7 +67,7 @@ def parallel_env(
 
 
 class RaceParallelEnv(ParallelEnv[str, Any, np.ndarray]):
-    """One race; an agent whose race or episode has ended leaves, until the next reset.
+    """One race; an agent leaves when its race or episode ends, until the next reset.
 
     Observations are dicts of the groups its car carries (docs/observations.md), actions are
     float32 [steering, speed] in [-1, 1].

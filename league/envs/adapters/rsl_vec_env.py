@@ -58,8 +58,8 @@ class RacingVecEnv(VecEnv):
         """Build the worlds and reset them.
 
         Args:
-            track: name of a track, path of its .yaml file, a Track, or a TrackSet, whose tracks the
-                worlds take in turn.
+            track: name of a track, path of its .yaml file, a Track, or a TrackSet: the worlds
+                take its tracks in turn.
             cfg: settings, in mode "training"; opponents' cars carry what their drivers need. None:
                 by `kind`, `sensors` and `options`.
             num_worlds: races in the batch.
@@ -72,8 +72,8 @@ class RacingVecEnv(VecEnv):
             device: of the rows' tensors; the worlds themselves stay on the CPU.
             kind: time_trial, obstacle_avoidance or head_to_head.
             sensors: of the learners, such as "stereo64x48" or ("stereo64x48", "lidar").
-            options: see league.envs.make.EnvOptions; of these `reward` is allowed with a `cfg`,
-                too, whose weights count without it.
+            options: see league.envs.make.EnvOptions; `reward` is allowed with a `cfg`, too;
+                without it the weights of `cfg` count.
 
         Raises:
             ConfigError: settings that contradict each other.

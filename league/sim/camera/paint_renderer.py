@@ -1,7 +1,7 @@
 """Renderer, what makes the pictures of a car's camera, and PaintRenderer, which paints on the CPU.
 
-Painting one scene: the sky, the floor from its textures, then walls and things (raster.py), whose
-models become the tables that compiled code draws from.
+Painting one scene: the sky, the floor from its textures, then walls and things (raster.py) from
+tables of their models.
 """
 
 from __future__ import annotations

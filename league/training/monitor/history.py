@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from league.training.ppo.statistics import EpisodeStatistics
 
 FORMAT = 1
-TUTORING = "/teacher/learning"
+TEACHING = "/teacher/learning"
 """Logged as 1 while a teacher learns (ppo/teacher.py)."""
-_OLD_TUTORING = "/tutor/learning"
+_OLD_TEACHING = "/tutor/learning"
 """Its name in the files of older versions."""
 _Number = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
 """JSON has no NaN: it is written as null."""
@@ -158,7 +158,7 @@ class History:
     @property
     def teacher_learns(self) -> bool:
         """Whether the last update was a teacher's."""
-        return bool(self.updates) and TUTORING in self.updates[-1].log
+        return bool(self.updates) and TEACHING in self.updates[-1].log
 
     def learnt_s(self, rows: Iterable[Row]) -> list[float]:
         """Return the wall time at which the policy of each row had been learnt [s].
@@ -281,8 +281,8 @@ def read(path: Path) -> list[Row]:
                 f"line {number} of {path} is no row of a training's history "
                 f"({type(error).__name__}): remove the line, or start a new run with another --out"
             ) from error
-        if isinstance(row, UpdateRow) and _OLD_TUTORING in row.log:
-            row.log[TUTORING] = row.log.pop(_OLD_TUTORING)
+        if isinstance(row, UpdateRow) and _OLD_TEACHING in row.log:
+            row.log[TEACHING] = row.log.pop(_OLD_TEACHING)
         rows.append(row)
     return rows
 

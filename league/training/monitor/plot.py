@@ -12,7 +12,7 @@ from league.errors import PolicyError
 from league.figures import GRID, INK
 from league.training.monitor.callback import TrainingCallback
 from league.training.monitor.dashboard import clock
-from league.training.monitor.history import TUTORING
+from league.training.monitor.history import TEACHING
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -129,7 +129,7 @@ def _lines(history: History, completion: Axes, reward: Axes) -> list:
 
 def _shade_teacher(history: History, axes: Axes) -> None:
     """Shade the time in which the teacher learnt: until then the curves are the teacher's."""
-    taught_s = [row.time_s for row in history.updates if TUTORING in row.log]
+    taught_s = [row.time_s for row in history.updates if TEACHING in row.log]
     if not taught_s:
         return
     axes.axvspan(0, taught_s[-1], color=GRID, alpha=0.6, linewidth=0, zorder=0)

@@ -27,7 +27,7 @@ from league.envs.adapters.rsl_vec_env import RacingVecEnv
 from league.sim.config import SensorConfig
 from league.track.track import TrackSet
 from league.training.config import TrainConfig
-from league.training.monitor.history import TUTORING
+from league.training.monitor.history import TEACHING
 from league.training.ppo import distributed, make_env, symmetry
 from league.training.ppo.learner import Learner, Update
 from league.training.ppo.statistics import EpisodeStatistics
@@ -113,7 +113,7 @@ class TaughtLearner(Learner):
                 update = self._teacher.update(share / until)
             finally:  # Ctrl-C may come after it has counted
                 self.updates, self.samples = self._teacher.updates, self._teacher.samples
-            return replace(update, log=update.log | {TUTORING: 1.0})
+            return replace(update, log=update.log | {TEACHING: 1.0})
         if not self.has_learnt:
             super().restart_rows()  # as after a resume from here
         done = max(share - until, 0.0) / (1.0 - until)

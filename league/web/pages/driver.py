@@ -19,7 +19,7 @@ from league.web.reader import Document, Reader
 HEATS = 14
 """Newest heats that are listed."""
 NEIGHBOURS = 10
-"""Entries above, and below, in the standings whose records are shown."""
+"""Entries above, and below, in the standings; the records against them are shown."""
 EXTREMES = 5
 """Best, and worst, heats that are listed."""
 HISTORY_POINTS = 24

@@ -19,7 +19,7 @@ def document(reader: Reader, number: int, race: str = "", lap: str = "") -> Docu
         reader: reads the league.
         number: of the heat.
         race: number of the race within the heat, from 1; empty for the first.
-        lap: number of the lap whose speeds and lines are compared, from 1; empty for each car's
+        lap: number of the lap of which speeds and lines are compared, from 1; empty for each car's
             best one.
     """
     at = _race(reader, number, race)
