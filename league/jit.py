@@ -41,10 +41,12 @@ def sources() -> dict[str, bytes]:
     files = {
         path.relative_to(package).as_posix(): path.read_bytes() for path in package.rglob("*.py")
     }
-    found = {name for name, content in files.items() if _MARK in content} | {Path(__file__).name}
-    for name in list(found):
-        rooms = _CONSTANTS.findall(files[name])
-        found |= {f"{room.decode().replace('.', '/')}.py" for room in rooms}
+    found: set[str] = set()
+    new = {name for name, content in files.items() if _MARK in content} | {Path(__file__).name}
+    while new:
+        found |= new
+        rooms = [room.decode() for name in new for room in _CONSTANTS.findall(files[name])]
+        new = {f"{room.replace('.', '/')}.py" for room in rooms} - found
     return {name: files[name] for name in sorted(found)}
 
 

@@ -144,7 +144,7 @@ def attack(env: RaceEnv, ahead_m: float, *, hit: bool = False, off: bool = False
 
 
 def test_attacks_are_judged_when_the_scenario_ends():
-    how = replace(ROLLING, attack=1.0)
+    how = replace(ROLLING, attack=1.0, roadblock=0.0)
 
     def results(*args, **given) -> set[int]:
         return set(attack(make(how, num_worlds=8), *args, **given).tolist())
