@@ -28,7 +28,7 @@ novice() {  # a minute of time trial
     train novice --seed 2 --action-space 1-4 --minutes 1
 }
 duelist() {  # wheel to wheel: on the true state, then with cameras, lidar and a short memory
-    train duelist --kind head_to_head --self-play --cars 4 --teacher 0.4 --minutes 44 --threads 2 \
+    train duelist --kind head_to_head --self-play --cars 4 --teacher 0.4 --minutes 52 --threads 2 \
         --sensors stereo64x48 sectors history4 frames2 --eval-every 8
 }
 globetrotter() {  # random tracks only, with random cars and looks: drives any track at first sight

@@ -67,12 +67,12 @@ class Scenarios:
     limited: float = ranged(0.4, 0.0, 1.0)
     """Share in which the fastest car is limited, too: to 0.85 to 1 of the car's top speed."""
     roadblock: float = ranged(0.25, 0.0, 1.0)
-    """Share of rivals with a top speed of 0.15 to 0.75 of the fastest car's."""
+    """Share of groups in which all rivals are slow: 0.15 to 0.75 of the fastest car's top speed."""
     slowest_rival: float = ranged(0.55, 0.0, 1.0)
     """Least top speed of the other rivals, as a share of the fastest car's."""
     fastest_rival: float = ranged(0.7, 0.0, 1.0)
     """Largest top speed of rivals, likewise; what a curriculum raises."""
-    lost: float = ranged(3.5, 0.5, 1000.0)
+    lost: float = ranged(4.5, 0.5, 1000.0)
     """Distance along the track at which attacker and target have lost each other [m]."""
     shortest: float = ranged(6.0, 0.1, 1e6)
     """Shortest scenario [s]; the longest is that of episodes."""

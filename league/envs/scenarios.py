@@ -39,7 +39,7 @@ NO_ATTACK, FAILED, PASSED, CLEAN = 0, 1, 2, 3
 """How an attack ended: none was made, not passed, passed with a mistake, passed without one."""
 
 _BASE, _KIND, _GROUPS, _SHIFT, _LENGTH, _FIRST, _FAST, _SLOW, _WHICH = range(221, 230)
-_GAP, _LANE, _PACE, _OWN_PACE = range(231, 235)
+_GAP, _LANE, _PACE, _OWN_PACE, _QUEUE, _QUEUE_PACE = range(231, 237)
 _ATTEMPTS, _CLEAR = 12, f32(0.8)
 _SIDE_LEAST, _SIDE_MORE, _SIDE_SHIFT, _ROW = f32(0.45), f32(0.2), f32(0.3), f32(1.0)
 _NEAREST_START, _FARTHEST_START, _LANES = f32(0.45), f32(1.8), f32(0.7)
@@ -237,10 +237,12 @@ def _top_speed(place, size, world, sim, rules):
     if place % size == _fastest(group, size, world, rules):
         return top
     drawn = uniform_of(seed, _SLOW, step, place)
-    if drawn < rules.roadblock:
-        return top * (_ROADBLOCK[0] + (_ROADBLOCK[1] - _ROADBLOCK[0]) * drawn / rules.roadblock)
-    share = (drawn - rules.roadblock) / (_ONE - rules.roadblock)
-    return top * (rules.slowest_rival + (rules.fastest_rival - rules.slowest_rival) * share)
+    if uniform_of(seed, _QUEUE, step, group) < rules.roadblock:
+        # Slow cars come in queues: who passes one must not run into the next.
+        slow = uniform_of(seed, _QUEUE_PACE, step, group)
+        slow = _ROADBLOCK[0] + (_ROADBLOCK[1] - _ROADBLOCK[0]) * slow
+        return top * slow * (_ONE + _SPREAD * (_TWO * drawn - _ONE))
+    return top * (rules.slowest_rival + (rules.fastest_rival - rules.slowest_rival) * drawn)
 
 
 @inner

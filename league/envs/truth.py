@@ -19,7 +19,7 @@ BORDERS = (1.0, 2.0)
 """Distances ahead at which the borders are given [m]."""
 RIVALS, THINGS = 2, 2
 """Nearest other cars and obstacles that are given; cars that cannot collide now are not."""
-REACH = 3.0
+REACH = 4.0
 """Distance along the track beyond which they are not [m]. Scenarios end when cars are somewhat
 farther apart, so that a network has learnt what follows."""
 _RIVAL = ("present", "gap", "x", "y", "lateral", "heading", "speed_ahead", "speed_left")

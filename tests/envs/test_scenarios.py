@@ -42,11 +42,22 @@ def drive(env: RaceEnv, steering: float = 0.0, speed: float = 0.0) -> np.ndarray
 @pytest.mark.parametrize("kind", ["alone", "standing", "abreast", None])
 def test_all_begin_on_the_road_and_touch_no_car(kind, num_cars):
     shares = {name: float(name == kind) for name in ("alone", "standing", "abreast")}
-    env = make(Scenarios(**shares), num_worlds=200, num_cars=num_cars)
+    # A roadblock 0.45 m ahead can be hit within the first decision.
+    env = make(Scenarios(**shares, roadblock=0.0), num_worlds=200, num_cars=num_cars)
     # 0.7 of the half width of 0.4 m.
     assert abs(env.world.cars["lateral"]).max() <= 0.281
     step = env.step(drive(env))
     assert not step.verdicts["mistake"].any() and not step.verdicts["to_blame"].any()
+
+
+def test_roadblocks_come_in_queues():
+    how = replace(ROLLING, roadblock=0.5, limited=0.0, slowest_rival=0.95, fastest_rival=1.0)
+    top = make(how, num_worlds=600, num_cars=4).world.cars["top_speed"] / FULL
+    slow = np.where(top < 0.9, top, np.nan)
+    queues = slow[np.isfinite(slow).sum(axis=1) == 3]
+    # Half the worlds have one group of four, the others two pairs.
+    assert len(queues) / 600 == pytest.approx(0.25, abs=0.05)
+    assert (np.nanmax(queues, axis=1) / np.nanmin(queues, axis=1)).max() < 1.15 / 0.85
 
 
 def test_alone_means_as_far_apart_as_the_lap_allows():
