@@ -61,7 +61,7 @@ def test_a_rival_ahead_and_to_the_left_is_where_it_is():
 def test_a_rival_out_of_reach_is_not_there():
     world = env()
     place(world.world.cars[:, 0], 0.0, 0.0)
-    place(world.world.cars[:, 1], 3.1, 0.0)
+    place(world.world.cars[:, 1], truth.REACH + 0.1, 0.0)
     found = seen(world, 0)
     assert all(value == 0.0 for name, value in found.items() if name.startswith("car_"))
 
