@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -18,7 +18,7 @@ def replacing(
     error: type[LeagueError],
     *,
     also: tuple[type[Exception], ...] = (),
-) -> Iterator[Path]:
+) -> Generator[Path]:
     """Yield a temporary file to write; it takes the name `path` when the block succeeds.
 
     Folders are made as needed. After an error the earlier file stays.

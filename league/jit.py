@@ -21,13 +21,13 @@ import tempfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numba
 from numba import njit
 from numba.core import caching
 
-_Function = TypeVar("_Function", bound=Callable)
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 _MARK = b"from league.jit import"
 # Machine code holds the value of a constant, whatever file it is from.
 _CONSTANTS = re.compile(
@@ -77,25 +77,25 @@ def cache_folder() -> Path | None:
     return None
 
 
-class _Locator(caching._CacheLocator):
+class _Locator(caching._CacheLocator):  # pyright: ignore[reportPrivateUsage]
     """Tells Numba where machine code is kept and which sources it was made from."""
 
-    def __init__(self, py_func: Callable, py_file: str) -> None:
+    def __init__(self, py_func: Callable[..., Any], py_file: str) -> None:
         self._line = py_func.__code__.co_firstlineno
         # The Numba of today also asks for the file's name to write messages.
         self._py_file = py_file
 
-    def get_cache_path(self) -> str:
+    def get_cache_path(self) -> str:  # pyright: ignore[reportIncompatibleMethodOverride]
         return str(cache_folder())
 
-    def get_source_stamp(self) -> str:
+    def get_source_stamp(self) -> str:  # pyright: ignore[reportIncompatibleMethodOverride]
         return source_digest()
 
-    def get_disambiguator(self) -> str:
+    def get_disambiguator(self) -> str:  # pyright: ignore[reportIncompatibleMethodOverride]
         return str(self._line)
 
     @classmethod
-    def from_function(cls, py_func: Callable, py_file: str) -> _Locator:
+    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> _Locator:
         return cls(py_func, py_file)
 
 

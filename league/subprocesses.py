@@ -15,7 +15,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from multiprocessing import resource_tracker
 from multiprocessing.process import BaseProcess
 
@@ -112,7 +112,7 @@ def _ensure_server() -> None:
 
 
 @contextlib.contextmanager
-def _failing_in_one_sentence() -> Iterator[None]:
+def _failing_in_one_sentence() -> Generator[None]:
     try:
         yield
     except (EOFError, OSError) as error:
@@ -123,7 +123,7 @@ def _failing_in_one_sentence() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def sigint_blocked() -> Iterator[None]:
+def sigint_blocked() -> Generator[None]:
     """Block SIGINT while children start, so that they inherit the mask; it is delivered after.
 
     Python's resource tracker, which begins with the first process, would undo that: it goes first.
@@ -137,7 +137,7 @@ def sigint_blocked() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _safe_path() -> Iterator[None]:
+def _safe_path() -> Generator[None]:
     """Start Python without the working folder among the places that modules come from."""
     before = os.environ.get("PYTHONSAFEPATH")
     os.environ["PYTHONSAFEPATH"] = "1"

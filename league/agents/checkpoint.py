@@ -8,7 +8,7 @@ import os
 import re
 import stat
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -121,7 +121,7 @@ def digest(checkpoint: str | os.PathLike[str] | Checkpoint) -> str:
 
 
 @contextmanager
-def refusing(what: str, advice: str) -> Iterator[None]:
+def refusing(what: str, advice: str) -> Generator[None]:
     """Turn a RefusedError into the PolicyError of a file or checkpoint.
 
     Args:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -83,18 +84,15 @@ def from_modules(
         linear, dense = _passing(linear, dense, vector, activations[0])
     dense = linear + dense
     network = NetworkConfig(
-        hidden=tuple(len(bias) for _, bias in dense[:-1]),
-        activation=activations[0],
-        **(
-            {
-                "channels": tuple(len(weight) for weight in kernels),
-                "kernels": tuple(weight.shape[2] for weight in kernels),
-                "strides": seen,
-            }
-            if kernels
-            else {}
-        ),
+        hidden=tuple(len(bias) for _, bias in dense[:-1]), activation=activations[0]
     )
+    if kernels:
+        network = replace(
+            network,
+            channels=tuple(len(weight) for weight in kernels),
+            kernels=tuple(weight.shape[2] for weight in kernels),
+            strides=seen,
+        )
     weights: dict[str, np.ndarray] = {}
     for prefix, layers in (("cnns.stereo", convolutions[: len(kernels)]), ("mlp", dense)):
         for number, (weight, bias) in enumerate(layers):

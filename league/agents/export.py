@@ -171,7 +171,7 @@ def _motion_notes() -> list[dict[str, Any]]:
 class _Graph:
     def __init__(self) -> None:
         self.nodes: list[NodeProto] = []
-        self.constants: list = []
+        self.constants: list[Any] = []
 
     def constant(self, name: str, value: np.ndarray) -> str:
         from onnx import numpy_helper

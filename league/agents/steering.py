@@ -170,8 +170,8 @@ def gains(car: CarConfig) -> np.ndarray:
     q[:, 0, 0], q[:, 1, 1] = _LATERAL, _COURSE
     q[:, 1, 2] = q[:, 2, 1] = _COURSE / speeds
     q[:, 2, 2] = _COURSE / (speeds * speeds)
-    p, closed, before = q, a, np.zeros_like(q)
-    while np.abs(p - before).max() > _SETTLED:
+    p = q
+    while True:
         before = p
         weighted = _product(_turned(b), p)
         weight = price + _product(weighted, b)
@@ -179,6 +179,8 @@ def gains(car: CarConfig) -> np.ndarray:
         closed = a - _product(b, gain)
         p = q + _product(_turned(a), _product(p, closed))
         p = (p + _turned(p)) / 2
+        if np.abs(p - before).max() <= _SETTLED:
+            break
     out, ahead = np.empty((5 + STEPS, len(speeds))), _product(p, bend)
     out[:5] = -gain[:, 0].T
     for step in range(STEPS):

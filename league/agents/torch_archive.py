@@ -15,6 +15,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -236,7 +237,7 @@ def _unpickled(content: bytes) -> object:
 
 def _run(content: bytes) -> object:
     """Run the opcodes that build plain data on a stack; no opcode calls anything."""
-    stack: list = []
+    stack: list[Any] = []
     memo: dict[int, object] = {}
     for number, (opcode, argument, place) in enumerate(pickletools.genops(content)):
         if number == MAX_OPCODES:
@@ -282,7 +283,7 @@ def _run(content: bytes) -> object:
     raise RefusedError("its head is cut short")
 
 
-def _popped(stack: list, count: int) -> list:
+def _popped(stack: list[Any], count: int) -> list[Any]:
     if len(stack) < count:
         raise RefusedError("its head is damaged")
     values = stack[-count:]
@@ -290,13 +291,13 @@ def _popped(stack: list, count: int) -> list:
     return values
 
 
-def _popped_to_mark(stack: list) -> list:
+def _popped_to_mark(stack: list[Any]) -> list[Any]:
     depth = next(depth for depth, value in enumerate(reversed(stack)) if value is _MARK)
     values = _popped(stack, depth + 1)
     return values[1:]
 
 
-def _set_items(pairs: list, target: object) -> None:
+def _set_items(pairs: list[Any], target: object) -> None:
     if not isinstance(target, dict):
         raise RefusedError("its head is damaged")
     for key, value in zip(pairs[::2], pairs[1::2], strict=True):

@@ -6,8 +6,9 @@ import os
 import statistics
 import threading
 import time
-from collections.abc import ItemsView, Iterator, Sequence, ValuesView
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,6 +24,9 @@ from league.sim.config import RULES, ObstacleConfig, RaceKind, SimConfig
 from league.sim.world import World
 from league.track import files
 from league.track.track import Track, TrackSet
+
+if TYPE_CHECKING:
+    from _collections_abc import dict_items, dict_values
 
 TIME_LIMIT_S = 5.0
 """Longest call, as in the original's validator [s]."""
@@ -81,7 +85,7 @@ class Report:
         return () if self.needs_objects else tuple(one for one in self.drives if one.failure)
 
 
-class _Watched(dict):
+class _Watched(dict[str, Any]):
     """Params that note the keys that are read, except those the user's own code has set."""
 
     def __init__(self, params: Params, read: set[str]) -> None:
@@ -111,15 +115,15 @@ class _Watched(dict):
         # Not dict's own, or `dict(params)` would copy all values without a call of __getitem__.
         return iter(super().keys())
 
-    def items(self) -> ItemsView:
+    def items(self) -> dict_items[str, Any]:
         self._note(*self)
         return super().items()
 
-    def values(self) -> ValuesView:
+    def values(self) -> dict_values[str, Any]:
         self._note(*self)
         return super().values()
 
-    def copy(self) -> dict:
+    def copy(self) -> dict[str, Any]:
         return dict(self)
 
 

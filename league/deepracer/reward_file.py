@@ -50,7 +50,7 @@ _LONGEST_LINE = 2000
 TERM = "user"
 """Name under which the reward is logged."""
 
-Function = Callable[[dict], object]
+Function = Callable[[dict[str, Any]], object]
 
 _MODULE_NUMBERS = itertools.count()
 _LOG = logging.getLogger("league")

@@ -7,7 +7,7 @@ import signal
 import sys
 import threading
 import weakref
-from types import TracebackType
+from types import FrameType, TracebackType
 
 from league.errors import RewardError
 
@@ -115,7 +115,7 @@ def _watch(reference: weakref.ref[Watchdog], over: threading.Event, pause_s: flo
 
 def stuck(path: str, thread: int, limit_s: float) -> RewardError:
     """Return the error for a thread that is still in a call of the user's file."""
-    frame, line = sys._current_frames().get(thread), None
+    frame, line = _frame(thread), None
     while frame is not None and line is None:
         if frame.f_code.co_filename == path:
             line = frame.f_lineno
@@ -126,6 +126,10 @@ def stuck(path: str, thread: int, limit_s: float) -> RewardError:
     )
 
 
+def _frame(thread: int) -> FrameType | None:
+    return sys._current_frames().get(thread)  # pyright: ignore[reportPrivateUsage]
+
+
 def end(thread: int) -> None:
     """Throw `Stopped` into a thread."""
     _throw(thread, Stopped)
@@ -133,7 +137,7 @@ def end(thread: int) -> None:
 
 def is_debugged(thread: int) -> bool:
     """Return whether a debugger steps through the thread."""
-    frame = sys._current_frames().get(thread)
+    frame = _frame(thread)
     while frame is not None:
         if frame.f_globals.get("__name__") == "bdb":
             return True

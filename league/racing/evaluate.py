@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -298,7 +299,7 @@ class LapRun:
     laps: int
     mode: Mode
     varied: bool = False
-    rows: list[dict] = field(default_factory=list)
+    rows: list[dict[str, Any]] = field(default_factory=list)
     place: int = 0
     over: bool = False
     restart: bool = False

@@ -13,6 +13,7 @@ import time
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -79,8 +80,8 @@ class TrainingTrace:
         """
         self._reward, self._folder, self._sim = reward, folder / TRAINING, sim
         self._step_rows = StepRows(space)
-        self._running: list[list[dict]] = []
-        self._ended: list[list[dict]] = []
+        self._running: list[list[dict[str, Any]]] = []
+        self._ended: list[list[dict[str, Any]]] = []
         self._episodes = self._steps = 0
 
     @property
@@ -185,9 +186,9 @@ class TrainingTrace:
         write_rows(self._folder / f"{number}-iteration.csv", rows)
 
 
-def _read(path: Path, episodes: int) -> list[list[dict]]:
+def _read(path: Path, episodes: int) -> list[list[dict[str, Any]]]:
     """Return the rows of each episode of a file, of those below a number."""
-    by_episode: dict[int, list[dict]] = {}
+    by_episode: dict[int, list[dict[str, Any]]] = {}
     with path.open(newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):
             if int(row["episode"]) < episodes:

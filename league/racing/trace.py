@@ -11,6 +11,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -67,7 +68,7 @@ class StepRows:
         before: np.ndarray,
         world: World,
         rewards: np.ndarray,
-    ) -> list[dict]:
+    ) -> list[dict[str, Any]]:
         """Return a row for each world.
 
         Args:
@@ -86,7 +87,7 @@ class StepRows:
             row["action"] = self._action(row["steer"], row["throttle"])
         return rows
 
-    def _lap_columns(self, track: Track, index: int, row: Mapping[str, float]) -> dict:
+    def _lap_columns(self, track: Track, index: int, row: Mapping[str, float]) -> dict[str, Any]:
         """Return the columns that say where on the lap the car is."""
         roads = self._roads
         assert roads is not None
@@ -132,7 +133,7 @@ class Trace:
         self.space, self.started_s = space or ContinuousActions(), started_s
         self.sensors = sensors or SensorConfig()
         self._step_rows = StepRows(space)
-        self._rows: dict[int, list[dict]] = {}
+        self._rows: dict[int, list[dict[str, Any]]] = {}
         self._crashes: dict[tuple[int, int], int] = {}
         self._step_dt = 0.0
 
@@ -196,7 +197,7 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, object]]) -> Path:
 
 def _columns(
     tracks: TrackSet, car: CarConfig, before: np.ndarray, world: World, rewards: np.ndarray
-) -> dict[str, list]:
+) -> dict[str, list[Any]]:
     """Return numbers of car 0 of each world after a step, by name."""
     now, track = world.cars[:, 0], world.track
     x = now["x"] + np.float32(car.nose) * np.cos(now["yaw"])
@@ -214,7 +215,7 @@ def _columns(
         "throttle": now["target_speed"],
         # No reward is paid during a penalty.
         "reward": np.where(is_frozen(before), 0.0, rewards),
-        "all_wheels_on_track": on.all(axis=1),
+        "all_wheels_on_track": np.all(on, axis=1),
         "distance": now["distance"],
         "laps": before["laps"],
         "lap_length": tracks.lap_length(track),
@@ -224,7 +225,7 @@ def _columns(
     return {name: _plain(values) for name, values in columns.items()}
 
 
-def _plain(values: np.ndarray) -> list:
+def _plain(values: np.ndarray) -> list[Any]:
     if values.dtype.kind == "f":
         return [round(value, 6) for value in values.astype(np.float64).tolist()]
     return values.tolist()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import rerun.blueprint as rrb
 
@@ -41,7 +41,7 @@ def broadcast(
         active_tab=0,
         name="Race",
     )
-    left: list = [scenes]
+    left: list[Any] = [scenes]
     if cameras:
         left.append(_eyes(num_cars, names))
     charts = rrb.Vertical(

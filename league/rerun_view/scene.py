@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -104,7 +105,7 @@ class SceneWriter:
             static=True,
         )
 
-    def style_chart(self, path: str, names: Sequence[str], colours: Sequence) -> None:
+    def style_chart(self, path: str, names: Sequence[str], colours: Sequence[Any]) -> None:
         """Name and colour the lines of a chart."""
         lines = rr.SeriesLines(colors=list(colours), names=list(names), widths=1.8)
         self.recording.log(path, lines, static=True)

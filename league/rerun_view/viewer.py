@@ -77,7 +77,7 @@ def free_port() -> int:
         return probe.getsockname()[1]
 
 
-def _launch(command: list[str], home: str | None) -> subprocess.Popen:
+def _launch(command: list[str], home: str | None) -> subprocess.Popen[bytes]:
     """Start the viewer program, without our Ctrl-C, in a home folder of its own if one is given.
 
     With such a home it is a server, and ends with this program; a window may stay open. In the
@@ -123,7 +123,7 @@ def assets() -> dict[str, bytes]:
     return {name: content for name, content in files.items() if content}
 
 
-def wait_until_open(port: int, child: subprocess.Popen) -> None:
+def wait_until_open(port: int, child: subprocess.Popen[bytes]) -> None:
     """Wait until the viewer program listens on its port."""
     deadline = time.monotonic() + START_LIMIT_S
     while time.monotonic() < deadline and child.poll() is None:
@@ -218,7 +218,7 @@ class Server(ThreadingHTTPServer):
 
 class _Handler(SimpleHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
-    server: Server
+    server: Server  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def send_head(self) -> BinaryIO | None:
         """Send the headers of a known file and return the file, or send an error."""

@@ -8,6 +8,7 @@ is upside down.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -161,7 +162,7 @@ def start_squares(track: Track) -> tuple[np.ndarray, np.ndarray]:
     count = max(2, round(width / START_SQUARE))
     side = width / count
     lateral = reach - (np.arange(count) + 0.5) * side
-    squares: tuple[list, list] = ([], [])
+    squares: tuple[list[Any], list[Any]] = ([], [])
     for row in range(2):
         forward = (row - 0.5) * START_DEPTH / 2
         middle = track.center[0] + along * forward + across * lateral[:, None]

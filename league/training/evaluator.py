@@ -8,6 +8,7 @@ import os
 import queue
 import time
 from dataclasses import dataclass, replace
+from typing import Any
 
 from league import subprocesses
 from league.agents import roster
@@ -209,7 +210,9 @@ def _evaluated(cfg: EvalConfig, number: int, checkpoint: Checkpoint) -> EvalResu
     return EvalResult(number, evaluation, time.perf_counter() - started)
 
 
-def _work(cfg: EvalConfig, policies: multiprocessing.Queue, answers: multiprocessing.Queue) -> None:
+def _work(
+    cfg: EvalConfig, policies: multiprocessing.Queue[Any], answers: multiprocessing.Queue[Any]
+) -> None:
     """Evaluate until stopped."""
     os.nice(10)  # where cores are few, learning goes first
     while True:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from http import HTTPStatus
 from importlib import resources
+from typing import Any
 
 import jinja2
 from markupsafe import Markup
@@ -67,11 +68,12 @@ def make_app(store: Store, *, exported: bool = False) -> ASGIApp:
         lstrip_blocks=True,
     )
     templates.filters |= {"clock": times.clock, "day": times.day, "iso": _iso}
-    templates.globals |= {
+    names: dict[str, Any] = {
         "league_name": store.settings.name,
         "static": _static_text,
         "exported": exported,
     }
+    templates.globals.update(names)
 
     def page(one: Page) -> Callable[[Request], Response]:
         def respond(request: Request) -> Response:

@@ -122,16 +122,13 @@ def _with_data(text: str, data: str) -> str:
 async def _get(app: ASGIApp, address: str) -> bytes:
     """Return what the application answers to a request."""
     url = urlsplit(address)
-    parts: list[bytes] = []
-    status = 0
+    answers: list[Message] = []
 
     async def receive() -> Message:
         return {"type": "http.request", "body": b"", "more_body": False}
 
     async def send(message: Message) -> None:
-        nonlocal status
-        status = message.get("status", status)
-        parts.append(message.get("body", b""))
+        answers.append(message)
 
     scope = {
         "type": "http",
@@ -145,6 +142,7 @@ async def _get(app: ASGIApp, address: str) -> bytes:
         "server": ("localhost", 80),
     }
     await app(scope, receive, send)
+    status = answers[0]["status"]
     if status != 200:
         raise ConfigError(f"the page {address} cannot be exported (status {status})")
-    return b"".join(parts)
+    return b"".join(answer["body"] for answer in answers[1:])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -60,7 +60,7 @@ def at_least(command: DataclassInstance, name: str, least: int) -> None:
 
 
 @contextmanager
-def local_workers(num_workers: int) -> Iterator[Executor]:
+def local_workers(num_workers: int) -> Generator[Executor]:
     """Start worker processes, one for each core if 0 were asked for, and end them afterwards."""
     from league.matchmaking import workers
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -273,7 +273,7 @@ def export_json(store: Store, path: Path, standings: object) -> None:
 
 
 @contextmanager
-def _output(path: Path) -> Iterator[TextIO]:
+def _output(path: Path) -> Generator[TextIO]:
     """Yield a file to write, which appears when it is whole; "-" is the standard output."""
     if str(path) == "-":
         yield sys.stdout

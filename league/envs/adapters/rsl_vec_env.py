@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Unpack
+from typing import Any, Unpack
 
 import numpy as np
 import torch
@@ -167,7 +167,7 @@ class RacingVecEnv(VecEnv):
             groups = {name: _scaled(group) for name, group in groups.items()}
         return TensorDict(groups, batch_size=[self.num_envs], device=self.device)
 
-    def step(self, actions: Tensor) -> tuple[TensorDict, Tensor, Tensor, dict]:
+    def step(self, actions: Tensor) -> tuple[TensorDict, Tensor, Tensor, dict[str, Any]]:
         """Drive for 1/15 s; actions beyond [-1, 1] are cut off there.
 
         Args:

@@ -112,7 +112,13 @@ class SB3VecEnv(VecEnv):
         """Races are one batch, so none has attributes of its own."""
         raise ConfigError(f"{attr_name} cannot be set in some races: they are one batch")
 
-    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list:  # noqa: ANN401
+    def env_method(
+        self,
+        method_name: str,
+        *args: Any,  # noqa: ANN401
+        indices: Any = None,  # noqa: ANN401
+        **kwargs: Any,  # noqa: ANN401
+    ) -> list[Any]:
         """Races are one batch, so none has methods of its own."""
         raise ConfigError(f"{method_name} cannot be called in some races: they are one batch")
 

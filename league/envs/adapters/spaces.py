@@ -47,7 +47,7 @@ def action_space() -> Box:
 
 def observation_space(sensors: SensorConfig, privileged: bool) -> Dict:
     """Return the space of one car's observations; with the group `state` if privileged."""
-    groups: dict[str, Space] = {}
+    groups: dict[str, Space[Any]] = {}
     if sensors.camera is not None:
         groups["stereo"] = Box(0, 255, sensors.picture_shape, np.uint8)
     if (lidar := sensors.lidar) is not None:
@@ -99,7 +99,10 @@ class Reader:
         return arrays
 
 
-def _getter(record: np.dtype, names: tuple[str, ...]) -> Callable[[tuple], tuple]:
+_Row = tuple[Any, ...]
+
+
+def _getter(record: np.dtype, names: tuple[str, ...]) -> Callable[[_Row], _Row]:
     """Return a function that takes some fields out of a record given as a tuple."""
     return itemgetter(*(list(record.names or ()).index(name) for name in names))
 

@@ -99,10 +99,11 @@ class Ruleset:
     @classmethod
     def of(cls, settings: Mapping[str, Any]) -> Ruleset:
         """Return the ruleset that was stored as these settings."""
-        return cls(**{**_IMPLIED, **settings, "tracks": tuple(settings["tracks"])})
+        stated: dict[str, Any] = {**_IMPLIED, **settings, "tracks": tuple(settings["tracks"])}
+        return cls(**stated)
 
 
-_IMPLIED = {
+_IMPLIED: dict[str, Any] = {
     "rules": "deepracer",
     "obstacles": 0,
     "obstacle_kind": "box",

@@ -14,7 +14,7 @@ import random
 import re
 import sqlite3
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -87,7 +87,7 @@ class Database:
         return Path(self.url.database or "") if self.is_sqlite else None
 
     @contextmanager
-    def reading(self) -> Iterator[sa.Connection]:
+    def reading(self) -> Generator[sa.Connection]:
         """Yield a connection that sees one state of the database throughout."""
         with self._translated(), self._engine.connect() as connection:
             if not self.is_sqlite:
@@ -96,7 +96,7 @@ class Database:
                 yield connection
 
     @contextmanager
-    def writing(self) -> Iterator[sa.Connection]:
+    def writing(self) -> Generator[sa.Connection]:
         """Yield a connection; all its changes are on the disk when this ends without an error."""
         with self._translated(), self._engine.connect() as connection:
             connection = connection.execution_options(writes=True)
@@ -153,7 +153,7 @@ class Database:
             raw.execute("PRAGMA busy_timeout = 10000")
 
     @contextmanager
-    def _translated(self) -> Iterator[None]:
+    def _translated(self) -> Generator[None]:
         if os.getpid() != self._pid:
             raise StoreError(
                 f"{self.shown} was opened before this process was forked: "

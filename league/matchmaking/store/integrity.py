@@ -136,7 +136,7 @@ def _check_heats(
     last = 0
     while rows := connection.execute(query.where(heats.c.number > last)).all():
         last, numbers = rows[-1].number, [row.number for row in rows]
-        stored, counted = defaultdict[int, list](list), defaultdict[int, list](list)
+        stored, counted = defaultdict[int, list[Any]](list), defaultdict[int, list[Any]](list)
         for row in chunked(connection, sa.select(results.results), results.results.c.heat, numbers):
             stored[row.heat].append(row)
         for row in chunked(connection, sa.select(races), races.c.heat, numbers):

@@ -255,7 +255,7 @@ def read(
     return [_record(row, halves, id_of, secret) for row, halves in zip(rows, drawn, strict=True)]
 
 
-def _record(row: Any, halves: list, id_of: dict[int, str], secret: bytes) -> HeatRecord:  # noqa: ANN401
+def _record(row: Any, halves: list[Any], id_of: dict[int, str], secret: bytes) -> HeatRecord:  # noqa: ANN401
     heat = Heat(
         ruleset=row.rules,
         halves=tuple(Half(track, tuple(id_of[n] for n in grid)) for track, grid in halves),

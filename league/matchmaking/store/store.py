@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, Self
 
@@ -317,7 +317,7 @@ class Store:
             return {state: number for state, number in connection.execute(query)}
 
     @contextmanager
-    def _writing(self, *, lock: bool = False) -> Iterator[tuple[sa.Connection, float]]:
+    def _writing(self, *, lock: bool = False) -> Generator[tuple[sa.Connection, float]]:
         """Begin a transaction that writes; yield its connection and the time [s since 1970]."""
         with self._database.writing() as connection:
             if lock:

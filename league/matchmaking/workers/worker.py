@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from league.errors import ConfigError
 from league.matchmaking.pairing.heat_spec import Half, Ruleset
@@ -195,7 +195,7 @@ class RaceWorker:
         return self._drivers[key]
 
 
-def _trim(kept: OrderedDict) -> None:
+def _trim(kept: OrderedDict[Any, Any]) -> None:
     while len(kept) > KEPT:
         kept.popitem(last=False)
 

@@ -7,6 +7,7 @@ clipping or painting, so that each can be held against the other.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -128,7 +129,7 @@ class RayRenderer(Renderer):
         pictures = pictures.permute(0, 1, 4, 2, 3).reshape(-1, *cfg.shape)
         return torch.clamp(torch.floor(pictures + 0.5), 0, 255).to(torch.uint8)
 
-    def _tensor(self, values: Sequence | np.ndarray) -> Tensor:
+    def _tensor(self, values: Sequence[Any] | np.ndarray) -> Tensor:
         return torch.tensor(values, dtype=torch.float32, device=self._device)
 
     def _developed(self, pictures: Tensor, look: Look, rows: range) -> Tensor:

@@ -9,6 +9,7 @@ import itertools
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -109,7 +110,7 @@ _Plane = tuple[float, float, float, float]
 _Planes = tuple[_Plane, _Plane]
 
 
-def _hexahedron(ends: _Planes, sides: _Planes, levels: _Planes, paints: tuple) -> Solid:
+def _hexahedron(ends: _Planes, sides: _Planes, levels: _Planes, paints: tuple[Any, ...]) -> Solid:
     """Return the solid between planes n . p = d: front, back; left, right; bottom, top."""
     corners = [np.array(planes) for planes in itertools.product(ends, sides, levels)]
     vertices = [np.linalg.solve(planes[:, :3], planes[:, 3]) for planes in corners]
@@ -117,7 +118,7 @@ def _hexahedron(ends: _Planes, sides: _Planes, levels: _Planes, paints: tuple) -
 
 
 def _block(
-    front: float, back: float, half_width: float, low: float, high: float, paints: tuple
+    front: float, back: float, half_width: float, low: float, high: float, paints: tuple[Any, ...]
 ) -> Solid:
     """Return an upright box from `back` to `front` and from `low` to `high`."""
     return _hexahedron(

@@ -11,7 +11,7 @@ is drawn upright on the floor.
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -209,5 +209,5 @@ def _tinted(thing: Thing, tint: list[float]) -> Thing:
     return thing._replace(colour=(red, green, blue))
 
 
-def _car(x: float, y: float, yaw: float, steering: float, colour: tuple) -> Thing:
+def _car(x: float, y: float, yaw: float, steering: float, colour: tuple[Any, ...]) -> Thing:
     return Thing(CAR, x, y, *direction(yaw), steering, colour, _UNSTRETCHED)

@@ -219,8 +219,8 @@ class BulletSolver:
         obstacles: np.ndarray,
         worlds: np.ndarray,
         frozen: np.ndarray,
-        placed: list,
-        boxes: list,
+        placed: list[Any],
+        boxes: list[Any],
     ) -> list[_Stage]:
         """Build what changed in kind, and put every body where the records say."""
         ghosts = cars["ghost"].tolist()
@@ -351,7 +351,7 @@ def _state(client: int, body: int) -> tuple[float, ...]:
     return place + turn + velocity + spin
 
 
-def _note(stage: _Stage, points: tuple, contacts: np.ndarray) -> None:
+def _note(stage: _Stage, points: tuple[Any, ...], contacts: np.ndarray) -> None:
     for point in points:
         first, second, distance, force = point[1], point[2], point[8], point[9]
         if distance > 0 and force <= 0:

@@ -89,7 +89,7 @@ def figure(history: History) -> Figure:
     return drawn
 
 
-def _lines(history: History, completion: Axes, reward: Axes) -> list:
+def _lines(history: History, completion: Axes, reward: Axes) -> list[Any]:
     updates, evaluations = history.updates, history.evaluations
     curves: tuple[tuple[Axes, Sequence[Row], str, dict[str, Any]], ...] = (
         (

@@ -10,7 +10,7 @@ import contextlib
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from typing import Any, TypeVar
 
 import numpy as np
@@ -136,7 +136,7 @@ def wait() -> None:
 
 
 @contextlib.contextmanager
-def exchange() -> Iterator[None]:
+def exchange() -> Generator[None]:
     """Report in a sentence that a rank has ended while others wait for it.
 
     Raises:
@@ -155,7 +155,7 @@ def exchange() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def failing_together() -> Iterator[None]:
+def failing_together() -> Generator[None]:
     """Raise an error of one rank in all of them, so that none blocks on one that has ended.
 
     Raises:
@@ -177,7 +177,7 @@ def failing_together() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def interrupted_together() -> Iterator[Callable[[], None]]:
+def interrupted_together() -> Generator[Callable[[], None]]:
     """Let Ctrl-C and SIGTERM stop all ranks at the same place; a single rank stops at once.
 
     Yields:

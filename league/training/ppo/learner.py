@@ -6,7 +6,7 @@ import contextlib
 import io
 import pickle
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -203,7 +203,7 @@ class Learner:
             torch.save(state, buffer)
             file.write_bytes(buffer.getbuffer())
 
-    def restore(self, path: Path) -> dict:
+    def restore(self, path: Path) -> dict[str, Any]:
         """Load a saved state; return its notes. Only weights are unpickled.
 
         Raises:
@@ -343,7 +343,7 @@ class Learner:
 
 
 @contextlib.contextmanager
-def threads(number: int) -> Iterator[None]:
+def threads(number: int) -> Generator[None]:
     """Set torch's threads; waiting ones must not spin (OMP_WAIT_POLICY)."""
     before = torch.get_num_threads()
     torch.set_num_threads(max(1, number))
@@ -382,7 +382,7 @@ def check_device(name: str) -> None:
 
 
 @contextlib.contextmanager
-def memory_explained() -> Iterator[None]:
+def memory_explained() -> Generator[None]:
     """Report a GPU's full memory in a sentence.
 
     Raises:

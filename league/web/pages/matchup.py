@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
+from typing import Any
 
 from league.matchmaking import standings
 from league.matchmaking.scores import RaceScore, race_scores
@@ -71,7 +72,7 @@ def _by_track(scores: Sequence[RaceScore]) -> list[Document]:
 
 
 def _races(
-    reader: Reader, pair: tuple[Entry, Entry], records: list, scores: Sequence[RaceScore]
+    reader: Reader, pair: tuple[Entry, Entry], records: list[Any], scores: Sequence[RaceScore]
 ) -> list[Document]:
     """Return each race of some heats: who came in ahead, by how much, and what was promised."""
     results = defaultdict(list)

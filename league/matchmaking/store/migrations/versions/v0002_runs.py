@@ -2,6 +2,7 @@
 
 import json
 import zlib
+from typing import Any
 
 import sqlalchemy as sa
 from alembic import op
@@ -40,7 +41,7 @@ def upgrade() -> None:
         )
 
 
-def _packed(row: sa.Row, tracks: list[str]) -> str:
+def _packed(row: sa.Row[Any], tracks: list[str]) -> str:
     """Return a race with its track after heat and half, and how each car's race went at the end."""
     halves = json.loads(row.halves)
     name = halves[row.half][0] if row.half < len(halves) else ""
