@@ -33,6 +33,7 @@ EPISODES = np.dtype(
         ("standing", f32),
         ("abreast", f32),
         ("attack", f32),
+        ("learner", f32),
         ("limited", f32),
         ("roadblock", f32),
         ("slowest_rival", f32),
