@@ -14,7 +14,7 @@ from av.error import FFmpegError
 
 from league.atomic_file import replacing
 from league.errors import ReplayError
-from league.replay import Replay, director, story
+from league.replay import Replay, director
 from league.sim.camera import raster
 from league.sim.camera.ground import Floor, floor_of
 from league.sim.camera.paint_renderer import Painter
@@ -29,6 +29,8 @@ from league.video.pixels import draw_floor, packed
 
 SIZE = (1280, 720)
 FPS = 30
+AFTER_FINISH_S = 2.0
+"""How long a car that has finished is still followed [s]."""
 HOLD_S = 4.0
 """Time at the end for the classification [s]."""
 DARK = 0.3
@@ -81,7 +83,7 @@ class Film:
         # OpenCV's own threads cost more than they bring at these sizes.
         cv2.setNumThreads(1)
         self._size = size
-        self.ends_s = min(story.decided_s(replay) + story.AFTER_FINISH_S, replay.duration_s)
+        self.ends_s = min(replay.decided_s + AFTER_FINISH_S, replay.duration_s)
         """When the classification is shown: shortly after the last fight is decided [s]."""
         self._path = director.chase_path(replay)
         self._hud = Hud(replay, width, height, self._path.fights)
