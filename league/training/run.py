@@ -46,7 +46,7 @@ from league.training.ppo.teacher import make_taught
 if TYPE_CHECKING:
     from league.racing.table import Evaluation
     from league.sim.config import RaceKind
-    from league.training.monitor.callback import TrainingCallback
+    from league.training.monitor.history import TrainingCallback
 
 
 _DUELS = 60

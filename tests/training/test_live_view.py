@@ -19,7 +19,7 @@ from league.sim.config import SensorConfig
 from league.track.track import TrackSet
 from league.training.config import TrainConfig
 from league.training.monitor.history import History
-from league.training.monitor.viewer import LiveView
+from league.training.monitor.sinks import LiveView
 from league.training.ppo import make_env
 
 

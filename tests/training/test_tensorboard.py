@@ -9,7 +9,7 @@ from metrics import episodes, evaluation, update
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from league.training.monitor.history import History
-from league.training.monitor.tensorboard import TensorBoard
+from league.training.monitor.sinks import TensorBoard
 
 
 def points(folder: Path) -> dict[str, list[tuple[int, float]]]:
