@@ -165,7 +165,7 @@ def _cameras() -> None:
     from league.sim import records
     from league.sim.camera.paint_renderer import PaintRenderer
     from league.sim.config import CameraConfig, SimConfig
-    from league.sim.world import World
+    from league.sim.records import World
 
     world = World(
         np.zeros(1, records.WORLD),

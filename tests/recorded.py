@@ -11,7 +11,7 @@ from league.race_spec import CarResult, Entry, Event, RaceResult, RaceSpec
 from league.racing import race
 from league.replay import Recorder, Replay
 from league.sim.config import ObstacleConfig, SimConfig
-from league.sim.world import World
+from league.sim.records import World
 from league.track import files
 from league.track.track import TrackSet
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from league.race_spec import RaceResult, RaceSpec
     from league.replay.commentary import Line
     from league.rerun_view import Live
-    from league.sim.world import World
+    from league.sim.records import World
     from league.track.track import Track
 
 STORY_LINES = 12

@@ -16,7 +16,7 @@ import numpy as np
 from league.deepracer import params_kernels
 from league.errors import ConfigError
 from league.sim.config import CameraConfig, CarConfig, SimConfig
-from league.sim.world import World
+from league.sim.records import World
 from league.track.track import Track, TrackSet
 
 WAYPOINT_SPACING = 0.15

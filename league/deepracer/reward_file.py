@@ -32,7 +32,7 @@ from league.deepracer.params import KEYS, Params, ParamsBuilder
 from league.deepracer.watchdog import NOT_ITS_OWN, TIME_LIMIT_S, Watchdog
 from league.errors import RewardError, brief, nearest_names
 from league.sim.config import SimConfig
-from league.sim.world import World
+from league.sim.records import World
 from league.track.track import TrackSet
 
 NAME = "reward_function"

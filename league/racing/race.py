@@ -19,7 +19,7 @@ from league.errors import ConfigError, PolicyError
 from league.race_spec import Entry, Event, RaceResult, RaceSpec
 from league.racing.race_log import RaceLog, classify
 from league.sim.config import RULES, CarConfig, DynamicsRandomization, ObstacleConfig, SimConfig
-from league.sim.world import World
+from league.sim.records import World
 from league.track.track import Track, TrackSet
 
 if TYPE_CHECKING:

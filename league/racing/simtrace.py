@@ -24,8 +24,7 @@ from league.envs.rewards import Reward
 from league.errors import PolicyError
 from league.racing.trace import StepRows, Trace, mistakes, write_rows
 from league.sim.config import SensorConfig, SimConfig
-from league.sim.records import NOBODY
-from league.sim.world import World
+from league.sim.records import NOBODY, World
 from league.track.track import TrackSet
 
 EPISODES = 20

@@ -23,8 +23,7 @@ from league.errors import ConfigError
 from league.racing.evaluate import MISTAKES, EvalStep
 from league.sim import referee
 from league.sim.config import CarConfig, SensorConfig, SimConfig
-from league.sim.records import NOBODY
-from league.sim.world import World, is_frozen
+from league.sim.records import NOBODY, World, is_frozen
 from league.track.track import Track, TrackSet
 
 COLUMNS = (

@@ -11,7 +11,7 @@ import numpy as np
 from league.race_spec import RaceResult, RaceSpec
 from league.sim import records
 from league.sim.config import ObstacleConfig, SimConfig
-from league.sim.world import World
+from league.sim.records import World
 from league.track.track import Track, TrackSet
 
 PARAMETERS = ("grip", "mass", "latency_s", "steering_offset", "camera_up", "camera_pitch")

@@ -17,7 +17,7 @@ from league.rerun_view import blueprint, paths, record
 from league.rerun_view.scene import SceneWriter, about_z, positions, speeds
 from league.rerun_view.viewer import Stream
 from league.sim.config import SimConfig
-from league.sim.world import World
+from league.sim.records import World
 from league.track.track import Track
 
 CHASE_SHARE = 0.18

@@ -20,8 +20,7 @@ from league.sim.camera.ground import Floor, floor_of
 from league.sim.camera.paint_renderer import Painter
 from league.sim.camera.stage import Lens, Stage, Thing
 from league.sim.config import CameraConfig
-from league.sim.records import CAR
-from league.sim.world import World
+from league.sim.records import CAR, World
 from league.track.track import Rgb
 from league.video.hud import Hud
 from league.video.mp4 import Coding, Mp4

@@ -12,7 +12,7 @@ from league.replay import Replay, commentary
 from league.sim.camera.scene import CAR_COLOURS
 from league.sim.camera.stage import Stage
 from league.sim.camera.top_view import draw_things
-from league.sim.world import World
+from league.sim.records import World
 from league.track.markings import Plan
 from league.track.track import Rgb
 from league.video.pixels import mix

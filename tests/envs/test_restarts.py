@@ -6,7 +6,7 @@ from scenes import MOTION, Stages, assert_same, make_ring, put_cars, start
 
 from league.sim import records
 from league.sim.config import DynamicsRandomization, ObstacleConfig, SimConfig
-from league.sim.world import World
+from league.sim.records import World
 from league.track.track import TrackSet
 
 

@@ -7,7 +7,7 @@ from scenes import start
 
 from league.sim import records
 from league.sim.config import SimConfig
-from league.sim.world import World
+from league.sim.records import World
 from league.track.track import Track, TrackSet
 
 COLUMNS, LINES = 160, 120

@@ -9,7 +9,7 @@ from scenes import Stages, start, touch
 
 from league.sim import records
 from league.sim.config import SimConfig
-from league.sim.world import World
+from league.sim.records import World
 from league.track.track import Track, TrackSet
 
 WALL = 21.24

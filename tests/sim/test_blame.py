@@ -11,8 +11,7 @@ from scenes import Stages, go_to, make_straight, put_cars, start, touch
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
 from league.sim.config import RULES, ObstacleConfig, RaceRules, SimConfig
-from league.sim.records import NOBODY
-from league.sim.world import members
+from league.sim.records import NOBODY, members
 from league.track.track import TrackSet
 
 

@@ -5,7 +5,7 @@ import pytest
 from scenes import assert_same, make_straight, start
 
 from league.sim.config import CarConfig, DynamicsRandomization, SimConfig
-from league.sim.world import members
+from league.sim.records import members
 from league.track.track import TrackSet
 
 

@@ -12,7 +12,7 @@ from league.envs.race_env import RaceEnv
 from league.errors import ConfigError
 from league.sim import referee
 from league.sim.config import ObstacleConfig, RaceRules, SimConfig
-from league.sim.world import World, members
+from league.sim.records import World, members
 from league.track.track import TrackSet
 
 

@@ -12,8 +12,7 @@ from scenes import MOTION, Stages, assert_same, go_to, make_ring, put_cars, touc
 
 from league.sim import referee
 from league.sim.config import RULES, ObstacleConfig, RaceRules, SimConfig
-from league.sim.records import NOBODY
-from league.sim.world import World, members
+from league.sim.records import NOBODY, World, members
 from league.track.track import TrackSet
 
 ALONE = SimConfig(kind="time_trial", num_cars=1)

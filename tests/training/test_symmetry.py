@@ -13,7 +13,7 @@ from league.envs.race_env import RaceEnv
 from league.envs.sensor_suite import SensorSuite
 from league.envs.state import INDEX
 from league.sim.config import CameraConfig, LidarConfig, ObstacleConfig, SensorConfig, SimConfig
-from league.sim.world import World
+from league.sim.records import World
 from league.track.track import Track, TrackSet
 from league.training.ppo import symmetry
 

@@ -19,7 +19,7 @@ from league.portable_math import direction
 from league.sim.camera.raster import Pose
 from league.sim.camera.scene import BOT_COLOUR, BOX, BOX_COLOUR, CAR, CAR_COLOURS, Model, faded
 from league.sim.config import CameraConfig, SimConfig
-from league.sim.world import World, is_frozen
+from league.sim.records import World, is_frozen
 
 NEAR = 0.02
 """Nothing nearer to a camera's plane than this is seen [m]."""
