@@ -169,7 +169,7 @@ class Replay:
     league_version: str = ""
     """Version of the league that drove the race; empty in the oldest replays."""
     physics: str = ""
-    """Version of the physics that drove it (league/sim/version.py); empty before version 4."""
+    """Version of the physics that drove it (league/sim/__init__.py); empty before version 4."""
 
     @property
     def spec(self) -> RaceSpec:
