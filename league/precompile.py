@@ -145,8 +145,8 @@ def _policies() -> None:
     """The forward pass of policies."""
     import numpy as np
 
-    from league.agents.inference import Network
     from league.agents.network import NetworkConfig, group_shapes, weight_shapes
+    from league.agents.policy import Network
     from league.sim.config import SensorConfig
 
     cfg, shapes = NetworkConfig(), group_shapes(SensorConfig.full(64, 48))
