@@ -97,7 +97,7 @@ def shares(store: Store) -> None:
 class OneByOne(RaceWorker):
     """A worker that races the halves of a heat one after the other."""
 
-    def _races(self, job: HeatJob) -> list[race.Finished]:
+    def _races(self, job: HeatJob) -> list[race.FinishedRace]:
         contests = [self._contest(job, *one) for one in zip(job.halves, job.seeds, strict=True)]
         return [race.run_together([contest])[0] for contest in contests]
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import lru_cache
 
-from scenes import start
-
 from league.race_spec import CarResult, Entry, Event, RaceResult, RaceSpec
 from league.racing import race
 from league.replay import Recorder, Replay
@@ -14,6 +12,7 @@ from league.sim.config import ObstacleConfig, SimConfig
 from league.sim.records import World
 from league.track import files
 from league.track.track import TrackSet
+from tests.scenes import start
 
 Change = Callable[[World, int], World]
 

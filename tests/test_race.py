@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from scenes import follow_center, make_ring, make_square, make_straight
 
 from league.agents import roster
 from league.errors import ConfigError, LeagueError
@@ -15,6 +14,7 @@ from league.racing import race, race_log
 from league.sim.config import CameraConfig, CarConfig, LidarConfig, SensorConfig
 from league.track import files
 from league.track.track import TrackSet
+from tests.scenes import follow_center, make_ring, make_square, make_straight
 
 
 @dataclass

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded import by_hand, finish, first_world, moved, raced, recorder_of
 
 from league import __version__, replay
 from league.errors import LeagueError, ReplayError
@@ -19,6 +18,7 @@ from league.sim.camera.paint_renderer import PaintRenderer
 from league.sim.config import CameraConfig
 from league.track import files
 from league.track.track import TrackSet
+from tests.recorded import by_hand, finish, first_world, moved, raced, recorder_of
 
 
 def assert_equal_columns(one, other):

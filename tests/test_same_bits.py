@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import same_bits
 from numba import njit
 
 from league.agents import policy
 from league.envs import step as stages
+from tests import same_bits
 
 RECORDED = {
     "bots": "b9b1aaa07903f5c3",

@@ -4,7 +4,6 @@ import av
 import numpy as np
 import pytest
 import torch
-from recorded import by_hand, moved, raced
 
 from league import video
 from league.errors import ReplayError
@@ -16,6 +15,7 @@ from league.video.film import Film
 from league.video.hud import clock
 from league.video.mp4 import Coding, Mp4
 from league.video.pixels import mix
+from tests.recorded import by_hand, moved, raced
 
 
 def driving(frames: int = 8):

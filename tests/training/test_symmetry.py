@@ -3,7 +3,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from scenes import Stages, make_square, taken
 from tensordict import TensorDict
 
 from league.envs.actions import ContinuousActions, DiscreteActions, grid
@@ -16,6 +15,7 @@ from league.sim.config import CameraConfig, LidarConfig, ObstacleConfig, SensorC
 from league.sim.records import World
 from league.track.track import Track, TrackSet
 from league.training.ppo import symmetry
+from tests.scenes import Stages, make_square, taken
 
 LIDARS = {
     "ranges": LidarConfig(beams=16, noise=0.0),
