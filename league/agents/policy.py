@@ -72,12 +72,9 @@ class Network:
 
     @classmethod
     def of(cls, cfg: NetworkConfig, shapes: Shapes, weights: Mapping[str, np.ndarray]) -> Network:
-        """Put the weights of a checkpoint into tables.
+        """Put weights, float32 by the names of `network.weight_shapes`, into tables.
 
-        Args:
-            cfg: the layers.
-            shapes: shape of one row of each group.
-            weights: by the names of `network.weight_shapes`, float32.
+        `shapes` are those of one row of each group.
         """
         activation = _ACTIVATIONS.index(cfg.activation)
         flat = sum(shape[0] for shape in shapes.values() if len(shape) == 1)
@@ -277,13 +274,7 @@ class Policy:
     """
 
     def __init__(self, checkpoint: Checkpoint, car: CarConfig, *, name: str | None = None) -> None:
-        """Build the network.
-
-        Args:
-            checkpoint: card and weights.
-            car: the car it will drive.
-            name: what to call it; by default what its card says.
-        """
+        """Build the network; without `name` the policy is called as its card says."""
         self.name = name or checkpoint.card.name
         self.sensors = checkpoint.card.sensors
         self.card = checkpoint.card

@@ -278,14 +278,7 @@ class UserReward:
         *,
         time_limit_s: float = TIME_LIMIT_S,
     ) -> None:
-        """Run the file once for each paid car.
-
-        Args:
-            source: the file.
-            sim: the world's settings.
-            num_worlds: races in the batch.
-            cars: the paid cars.
-            time_limit_s: longest time of a call [s].
+        """Run the file once for each paid car; a call may last `time_limit_s` at most.
 
         Raises:
             RewardError: the file fails, or takes too long.

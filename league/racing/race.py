@@ -257,12 +257,9 @@ class _RunningRace:
         return self._faults[car] >= FAULTS_TO_END
 
     def follow(self, world: World, news: tuple[np.ndarray, np.ndarray] | None, over: bool) -> None:
-        """Log a step.
+        """Log a step, after which the race is `world`.
 
-        Args:
-            world: after it.
-            news: verdicts, and which cars came to the wall in this step, if there was anything.
-            over: whether it was the last one.
+        `news`, if there are any, are the verdicts and which cars came to the wall in this step.
         """
         self._log.steps += 1
         if news is not None:

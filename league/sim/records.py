@@ -4,6 +4,10 @@ The environment owns these arrays, and the compiled stages write into them in a 
 of cars have shape (num_worlds, num_cars), of obstacles (num_worlds, num_obstacles), of worlds
 (num_worlds,). World frame: x, y [m], yaw [rad] counter-clockwise from +x. Body frame: x ahead, y
 left. A set of cars or obstacles is a bit mask: bit k stands for car k or obstacle k.
+
+Compiled functions of one world take its `cars`, CAR (num_cars,), its `obstacles`, OBSTACLE
+(num_obstacles,), and its `world`, a WORLD; `points` are those of the TrackSet, `course` is the
+COURSE record of the world's track, `settings` a SETTINGS record.
 """
 
 from __future__ import annotations

@@ -82,10 +82,7 @@ class Run:
     def __init__(self, cfg: RunConfig, folder: Path, *, background: bool = True) -> None:
         """Build worlds, learner and evaluator; nothing is written before the first update.
 
-        Args:
-            cfg: settings.
-            folder: of this run alone.
-            background: whether to evaluate in a process of its own, or between updates.
+        The folder is this run's alone; without `background` evaluations come between updates.
 
         Raises:
             LeagueError: unknown tracks, rewards or drivers, or settings that contradict.

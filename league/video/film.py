@@ -51,12 +51,7 @@ class Film:
     """Pictures of one replay at any moment."""
 
     def __init__(self, replay: Replay, size: tuple[int, int] = SIZE) -> None:
-        """Prepare the camera and the graphics.
-
-        Args:
-            replay: the race.
-            size: width and height [px], both even.
-        """
+        """Prepare the camera and the graphics; `size` is width and height [px], both even."""
         width, height = size
         if width % 2 or height % 2 or not (320 <= width <= 1920 and 180 <= height <= 1080):
             raise ReplayError(

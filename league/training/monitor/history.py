@@ -198,12 +198,8 @@ class History:
     ) -> EvaluationRow:
         """Add an evaluation of the policy as it was after update `number`, by default the last.
 
-        Args:
-            evaluation: the table of trials.
-            time_s: wall time of the run so far [s].
-            took_s: how long learning waited for it [s].
-            best: whether the policy is the best so far.
-            number: updates before it.
+        `time_s` is the wall time of the run so far, `took_s` how long learning waited for it [s];
+        `best` says whether the policy is the best so far.
         """
         number = self.number if number is None else number
         samples = next((row.samples for row in self.updates if row.number == number), 0)

@@ -94,11 +94,9 @@ class LiveView(TrainingCallback):
     """Shows some cars as they learn; learning does not wait for it."""
 
     def __init__(self, *envs: RacingVecEnv, window: bool | None = None) -> None:
-        """Open the viewer and watch every step.
+        """Open the viewer and watch every step of a learner's worlds, and its teacher's.
 
-        Args:
-            envs: the learner's worlds and, if it has a teacher, the teacher's; all of one kind.
-            window: the native viewer rather than a web page; by default where there is a display.
+        `window` is by default whether there is a display.
 
         Raises:
             ReplayError: the viewer does not start.
