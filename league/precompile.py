@@ -145,8 +145,8 @@ def _policies() -> None:
     """The forward pass of policies."""
     import numpy as np
 
-    from league.agents.inference import Network
     from league.agents.network import NetworkConfig, group_shapes, weight_shapes
+    from league.agents.policy import Network
     from league.sim.config import SensorConfig
 
     cfg, shapes = NetworkConfig(), group_shapes(SensorConfig.full(64, 48))
@@ -165,7 +165,7 @@ def _cameras() -> None:
     from league.sim import records
     from league.sim.camera.paint_renderer import PaintRenderer
     from league.sim.config import CameraConfig, SimConfig
-    from league.sim.world import World
+    from league.sim.records import World
 
     world = World(
         np.zeros(1, records.WORLD),

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import same_bits
 from numba import njit
 
-from league.agents import inference
+from league.agents import policy
 from league.envs import step as stages
+from tests import same_bits
 
 RECORDED = {
     "bots": "b9b1aaa07903f5c3",
@@ -157,7 +157,7 @@ def test_bits_do_not_depend_on_processor_features(environment):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("entry", [stages.step, stages.reset, inference._decide])
+@pytest.mark.parametrize("entry", [stages.step, stages.reset, policy._decide])
 def test_no_sum_is_fused_or_reordered(entry):
     here()
     dispatcher = njit(nogil=True, error_model="numpy")(entry.py_func)

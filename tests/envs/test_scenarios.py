@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import make_ring
 
 from league.envs import scenarios
 from league.envs.config import EnvConfig, Scenarios
@@ -14,6 +13,7 @@ from league.envs.race_env import RaceEnv
 from league.errors import ConfigError
 from league.sim.config import ObstacleConfig, SimConfig
 from league.track.track import TrackSet
+from tests.scenes import make_ring
 
 RING = TrackSet(make_ring())
 ROLLING = Scenarios(alone=0.0, standing=0.0, abreast=0.0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from scenes import make_ring
 
 from league.envs import truth
 from league.envs.config import EnvConfig, Scenarios
@@ -13,6 +12,7 @@ from league.envs.race_env import RaceEnv
 from league.sim.config import ObstacleConfig, SensorConfig, SimConfig
 from league.track.track import TrackSet
 from league.training.ppo import symmetry
+from tests.scenes import make_ring
 
 RING = TrackSet(make_ring())
 AT = {name: place for place, name in enumerate(truth.FIELDS)}

@@ -176,7 +176,7 @@ class Upgrade(OnLeague):
     def run(self) -> int:
         """Run the command."""
         from league.matchmaking import store
-        from league.sim.version import PHYSICS
+        from league.sim import PHYSICS
 
         for step in store.upgrade(self.address):
             print(step)

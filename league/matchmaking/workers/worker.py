@@ -20,7 +20,7 @@ from league.errors import ConfigError
 from league.matchmaking.pairing.heat_spec import Half, Ruleset
 from league.matchmaking.ratings import Finish, places_of
 from league.matchmaking.store.records import HeatOutcome, RaceOutcome
-from league.sim.version import PHYSICS
+from league.sim import PHYSICS
 
 if TYPE_CHECKING:
     from league.agents.checkpoint import Checkpoint
