@@ -170,7 +170,7 @@ def shadow_of(thing: Thing) -> np.ndarray:
 
     It is the hull of all corners, each moved along the light down to the floor: (sides, 3).
     """
-    model = FAR_CAR if thing.model is CAR_MODEL else thing.model  # whose wheels are one block
+    model = FAR_CAR if thing.model is CAR_MODEL else thing.model  # with wheels as one block
     corners = np.concatenate([solid.vertices for solid in model.solids]) * thing.scale
     across = [-thing.sin, thing.cos]
     places = corners[:, :2] @ np.array([[thing.cos, thing.sin], across]) + (thing.x, thing.y)
