@@ -37,7 +37,7 @@ from league.training.ppo.learner import Learner
 
 ROOT = Path(__file__).parents[1]
 ROOKIE = (
-    *("train", "--reward", "centerline", "--action-space", "0.5-1", "--num-worlds", "16"),
+    *("train", "--reward", "centerline", "--action-space", "0.5-1"),
     *("--minutes", "1", "--plain", "--no-tensorboard"),
 )
 
