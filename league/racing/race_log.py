@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from statistics import fmean
 
 import numpy as np
 
@@ -137,7 +136,7 @@ def merit(spec: RaceSpec, car: CarResult) -> tuple[float, ...]:
     if window is not None:
         laps = car.lap_times_s
         stretches = [laps[first : first + window] for first in range(len(laps) - window + 1)]
-        time_s = min(map(fmean, stretches), default=None)
+        time_s = min(map(sum, stretches), default=None)  # all as long: the best mean, times that
     counts = time_s is not None
     mistakes = car.off_tracks + car.crashes
     return (0.0 if counts else 1.0, time_s or 0.0, -car.distance, float(mistakes), float(car.car))

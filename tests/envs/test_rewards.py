@@ -1,6 +1,8 @@
 """The built-in reward terms, each by hand."""
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,6 +27,14 @@ def paid(tracks, cfg, start, end, pairs=(), num_worlds=1):
     after = go_to(tracks, before, end)
     verdicts, after = Stages(tracks, TWO).judge(before, after, touch(after, *pairs))
     return pay(tracks, cfg, after, verdicts)
+
+
+def test_the_page_gives_the_weights_of_the_ready_rewards():
+    page = (Path(__file__).parents[2] / "docs" / "rewards.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", page, re.MULTILINE)[:4])
+    for name, weights in rewards.PRESETS.items():
+        written = {float(number) for number in re.findall(r"-?[0-9.]*[0-9]", rows[name])}
+        assert {getattr(weights, term) for term in weights.terms} <= written, name
 
 
 @pytest.mark.parametrize("num_worlds", [1, 3])
