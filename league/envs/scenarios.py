@@ -17,7 +17,7 @@ from league.jit import inner
 from league.portable_math import atan, clamp, f32, heading_of, wrap_angle
 from league.sim import grid
 from league.sim.records import NOBODY
-from league.sim.rng import uniform_of
+from league.sim.rng import purposes, uniform_of
 from league.sim.settings import GRAVITY
 from league.track.projection import curvature_at, frame_at, signed_gap
 
@@ -38,8 +38,8 @@ ENCOUNTER = np.dtype(
 NO_ATTACK, FAILED, PASSED, CLEAN = 0, 1, 2, 3
 """How an attack ended: none was made, not passed, passed with a mistake, passed without one."""
 
-_BASE, _KIND, _GROUPS, _SHIFT, _LENGTH, _FIRST, _FAST, _SLOW, _WHICH = range(221, 230)
-_GAP, _LANE, _PACE, _OWN_PACE, _QUEUE, _QUEUE_PACE, _LEARNER = range(231, 238)
+_BASE, _KIND, _GROUPS, _SHIFT, _LENGTH, _FIRST, _FAST, _SLOW, _WHICH = purposes(221, 230)
+_GAP, _LANE, _PACE, _OWN_PACE, _QUEUE, _QUEUE_PACE, _LEARNER = purposes(231, 238)
 _ATTEMPTS, _CLEAR = 12, f32(0.8)
 _SIDE_LEAST, _SIDE_MORE, _SIDE_SHIFT, _ROW = f32(0.45), f32(0.2), f32(0.3), f32(1.0)
 _NEAREST_START, _FARTHEST_START, _LANES = f32(0.45), f32(1.8), f32(0.7)
@@ -179,7 +179,7 @@ def _is_near(c, cars, course, reach):
 def _find_spots(spots, size, standing, abreast, obstacles, world, points, course, sim, rules):
     """Draw s and lateral [m] of each place, front to back; clear of obstacles if a try finds it."""
     best = -_ONE
-    chosen = 0
+    chosen = np.int64(0)
     for attempt in range(_ATTEMPTS if len(obstacles) else 1):
         _draw_spots(attempt, spots, size, standing, abreast, world, points, course, sim, rules)
         room = _FAR

@@ -14,10 +14,10 @@ from league.jit import inner
 from league.portable_math import f32, heading_of, wrap_angle
 from league.sim import obstacles as obstacles_room
 from league.sim.physics.vehicle import frozen
-from league.sim.rng import uniform_of
+from league.sim.rng import purposes, uniform_of
 from league.track.projection import frame_at, signed_gap
 
-_GRIP, _MASS, _LATENCY, _STEERING, _CAMERA_UP, _CAMERA_PITCH, _START_SPEED = range(201, 208)
+_GRIP, _MASS, _LATENCY, _STEERING, _CAMERA_UP, _CAMERA_PITCH, _START_SPEED = purposes(201, 208)
 _SLACK = f32(0.07)
 _OPEN_START = f32(0.2)
 _INFINITE = f32(np.inf)
@@ -40,7 +40,7 @@ def start(cars, obstacles, world, points, course, places, settings):
     for c in range(len(cars)):
         distance, lateral = slot(c, len(cars), points, course, settings)
         stand(cars[c], points, course, distance, lateral)
-        draw_parameters(cars[c], c, world.seed, 0, settings)
+        draw_parameters(cars[c], c, world.seed, np.int64(0), settings)
         if settings.start_speed > _ZERO:
             speed = settings.start_speed * uniform_of(world.seed, _START_SPEED, c)
             frame = frame_at(points, course, distance)

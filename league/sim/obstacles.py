@@ -12,10 +12,10 @@ import numpy as np
 
 from league.jit import inner
 from league.portable_math import atan, clamp, f32, heading_of, wrap_angle
-from league.sim.rng import uniform_of
+from league.sim.rng import purposes, uniform_of
 from league.track.projection import frame_at
 
-_PLACE, _LANE, _PERIOD = 101, 102, 103
+_PLACE, _LANE, _PERIOD = purposes(101, 104)
 _LANE_CHANGE_DISTANCE = f32(1.0)
 _END_MARGIN = f32(1.0)
 _ZERO, _HALF, _ONE, _TWO, _THREE, _SIX = (f32(n) for n in (0.0, 0.5, 1.0, 2.0, 3.0, 6.0))
