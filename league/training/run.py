@@ -376,7 +376,8 @@ class Run:
         if self._best_evaluation is None and best.exists():
             # It was evaluated before a resume, which keeps no table.
             self._best_evaluation = evaluate_policy(self._eval_cfg, checkpoint.load(best))
-        self._note_clean_share(callbacks)
+        if not complete:  # who stops at the first laps is in a hurry
+            self._note_clean_share(callbacks)
         if self.cfg.self_play:
             self._note_duels(callbacks)
         self._save()
