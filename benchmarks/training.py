@@ -88,7 +88,7 @@ def first_rookie() -> None:
     figure(name if run.complete else f"{name}: NOT COMPLETE", run.wall_s, "s")
 
 
-def rookies(seeds: tuple[int, ...] = (1, 2, 3)) -> None:
+def rookies(seeds: tuple[int, ...] = (0, 1, 2, 3, 4)) -> None:
     """Print what the rookie takes, each seed and the median."""
     for evaluations in (1, 2):
         runs = [rookie(seed, evaluations) for seed in seeds]
@@ -98,7 +98,7 @@ def rookies(seeds: tuple[int, ...] = (1, 2, 3)) -> None:
         times = 1 if evaluations == 1 else evaluations
         middle = statistics.median(run.wall_s for run in runs)
         name = f"rookie: command to prompt, compiled before, 3 of 3 laps {times}x in a row"
-        figure(name, middle, "s", 25 if evaluations == 1 else None, most=True)
+        figure(name, middle, "s", 15 if evaluations == 1 else None, most=True)
         samples = statistics.median(run.samples for run in runs)
         figure("rookie: decisions learnt from", samples, "")
 

@@ -372,7 +372,8 @@ class Run:
             # It was evaluated before a resume, which keeps no table.
             self._best_evaluation = evaluate_policy(self._eval_cfg, checkpoint.load(best))
         if self._best_evaluation is not None and self._best_evaluation.complete_laps:
-            self._note_clean_share(callbacks)
+            if not complete:  # who stops at the first laps is in a hurry
+                self._note_clean_share(callbacks)
             if self.cfg.self_play:
                 self._note_duels(callbacks)
         self._save()

@@ -289,6 +289,14 @@ def test_card_says_how_many_of_twenty_runs_are_clean(tmp_path, monkeypatch):
     assert checkpoint.load(tmp_path / "best.pt").card.results["clean_share"] == 1.0
 
 
+def test_run_that_stops_at_the_first_laps_is_over_without_twenty_more(tmp_path, monkeypatch):
+    monkeypatch.setattr(evaluator, "evaluate_policy", passed)
+    monkeypatch.setattr(run_room, "evaluate_policy", passed)
+    outcome = small.run(tmp_path, small.cfg(updates=9, stop_when_complete=1)).learn()
+    assert outcome.why == "every lap was complete"
+    assert "clean_share" not in checkpoint.load(tmp_path / "best.pt").card.results
+
+
 def test_card_says_no_share_where_no_lap_was_complete(tmp_path):
     small.run(tmp_path, small.cfg(updates=2)).learn()
     assert "clean_share" not in checkpoint.load(tmp_path / "best.pt").card.results
