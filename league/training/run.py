@@ -397,7 +397,7 @@ class Run:
 
     def _save_best(self, policy: Checkpoint, results: Mapping[str, float | None]) -> None:
         """Write the best policy, with these results on its card, too."""
-        card = policy.card.model_copy(update={"results": policy.card.results | results})
+        card = policy.card.model_copy(update={"results": {**policy.card.results, **results}})
         checkpoint.save(self.folder / "best.pt", replace(policy, card=card, text=""))
 
     def _save(self) -> None:
