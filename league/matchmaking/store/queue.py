@@ -27,7 +27,13 @@ from league.matchmaking.store.schema import (
 
 ATTEMPTS = 3
 """Failed races before a heat is marked as an error."""
-PRIORITY: dict[Purpose, int] = {"validation": 0, "gauntlet": 1, "rated": 2, "audit": 3}
+PRIORITY: dict[Purpose, int] = {
+    "validation": 0,
+    "gauntlet": 1,
+    "cup": 1,
+    "rated": 2,
+    "audit": 3,
+}
 """Small numbers are claimed first."""
 TRACEBACK_CHARS = 8000
 """The end of a traceback that is kept."""
