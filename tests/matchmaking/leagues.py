@@ -15,6 +15,7 @@ from league.matchmaking.store.database import Database
 TRACKS = ("ring", "square")
 RULES = Ruleset(tracks=TRACKS, laps=2)
 FIRST_VERSION = (
+    "DROP TABLE tokens",
     "DROP TABLE divisions",
     "DROP TABLE cups",
     "DROP TABLE seasons",

@@ -23,11 +23,13 @@ from league.matchmaking.store.records import (
     HeatRecord,
     HeatState,
     LeagueSettings,
+    Quota,
     Races,
     Received,
     StoredResult,
 )
 from league.matchmaking.store.schema import heat_entries, heats, league, rulesets
+from league.matchmaking.store.tokens import Tokens
 
 LEASE_S = 60.0
 """Lease of a heat [s]; dispatchers renew it every 10 s."""
@@ -115,6 +117,11 @@ class Store:
         """Where weights and recordings are kept."""
         return FolderBlobs(self._blobs_url) if self._blobs_url else TableBlobs(self._database)
 
+    @property
+    def tokens(self) -> Tokens:
+        """The secrets by which owners and workers are known over HTTP."""
+        return Tokens(self._database)
+
     # Entries
 
     def submit(
@@ -127,11 +134,12 @@ class Store:
         anchor: bool = False,
         card: Mapping[str, Any] | None = None,
         id: str = "",
+        quota: Quota | None = None,
     ) -> Entry:
         """Enter a driver: a policy's weights, or the name of a scripted driver.
 
         The same driver submitted again by its owner is the entry it was. A policy is known by its
-        `id`, by default the hash of its file.
+        `id`, by default the hash of its file. A `quota` is refused with a QuotaError.
         """
         if (weights is None) == (scripted is None):
             raise ValueError("give either weights or the name of a scripted driver")
@@ -147,7 +155,7 @@ class Store:
             "card": heat_spec.canonical(card).decode(),
         }
         with self._writing(lock=True) as (connection, now):
-            entry = entries.submit(connection, now, owner, row)
+            entry = entries.submit(connection, now, owner, row, quota)
             if weights is not None and not self._blobs_url and entry.blob == blob:
                 blobs.insert(connection, now, weights)
             return entry
