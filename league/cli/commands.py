@@ -55,6 +55,7 @@ _SIMULATING = (
     replays.Verify,
     entries.Submit,
     run.Work,
+    run.Serve,
     heats.Audit,
     gauntlet.Gauntlet,
     gauntlet.Compare,

@@ -112,23 +112,41 @@ class Run(Work):
 
 @dataclass
 class Serve(OnLeague):
-    """Show the league in the browser, on this machine only: standings, drivers, heats, replays."""
+    """Show the league in the browser, and take submissions there: standings, drivers, replays."""
 
     port: int = 8018
     """Port to listen on; 0 takes a free one."""
     host: str = "127.0.0.1"
-    """Address to listen on; only 127.0.0.1 is possible yet."""
+    """Address to listen on; another one is possible once there are tokens (`league token`)."""
+    name: tuple[str, ...] = ()
+    """Names under which browsers reach this server, apart from 127.0.0.1 and localhost."""
+    entries: int = 4
+    """Entries that an owner may have."""
+    per_day: int = 5
+    """Submissions that an owner may make within 24 hours."""
+    audit: str = "5%"
+    """Share of the heats of remote workers that are run again by others, in percent."""
 
     def run(self) -> int:
         """Run the command."""
+        from league.matchmaking.store import Quota
         from league.web import server
+        from league.web.security import Access
 
+        for field in ("entries", "per_day"):
+            season.at_least(self, field, 0)
+        access = Access(
+            hosts=("127.0.0.1", "localhost", *self.name),
+            quota=Quota(self.entries, self.per_day),
+            audited=season.share(self.audit, "--audit"),
+        )
         with self.opened() as store:
             name = store.settings.name
             server.serve(
                 store,
                 self.port,
                 host=self.host,
+                access=access,
                 ready=lambda url: print(f"{name}: {url}   (Ctrl-C ends it)", flush=True),
             )
         return 0

@@ -27,12 +27,13 @@ from league.matchmaking.store.schema import (
 )
 
 INVISIBLE = {
-    *"\u034f\u115f\u1160\u17b4\u17b5\u2800\u3164\uffa0",
+    *"\u034f\u115f\u1160\u17b4\u17b5\u2800\u3164\uffa0\ufffc\ufffd",
     *map(chr, range(0x180B, 0x1810)),
     *map(chr, range(0xFE00, 0xFE10)),
     *map(chr, range(0xE0100, 0xE01F0)),
 }
-"""Characters that count as printable but show nothing: fillers and variation selectors."""
+"""Characters that count as printable but show nothing: fillers, variation selectors, and what
+stands for text that was lost."""
 
 DAY_S = 86400.0
 
@@ -255,7 +256,8 @@ def _check_name(name: str, what: str) -> None:
         raise StoreError(
             f"{what} is {brief(name)}: give 1 to 100 printable characters without spaces around"
         )
-    if INVISIBLE & set(name) or not _skeleton(name):
+    begins_with_mark = unicodedata.category(name[0]).startswith("M")  # an accent without a letter
+    if INVISIBLE & set(name) or begins_with_mark or not _skeleton(name):
         raise StoreError(f"{what} is {name!a}: leave out characters that cannot be seen")
     scripts = {_script(letter) for letter in name if letter.isalpha()}
     if len(scripts) > 1 and not scripts <= TOGETHER:

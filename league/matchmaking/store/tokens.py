@@ -1,4 +1,4 @@
-"""Tokens, by which owners and workers are known over HTTP: 256 random bits, of which the hash is kept.
+"""Tokens, by which owners and workers are known over HTTP: 256 random bits, kept as their hash.
 
 A hash without salt is enough, because 2^256 secrets cannot be tried.
 """
