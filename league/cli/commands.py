@@ -54,7 +54,7 @@ _SIMULATING = (
     rewards.Rewards,
     replays.Verify,
     entries.Submit,
-    run.Work,
+    run.Racing,
     run.Serve,
     heats.Audit,
     gauntlet.Gauntlet,

@@ -139,8 +139,10 @@ def _status(error: Exception) -> tuple[int, str]:
     if isinstance(error, NotFoundError):
         return 404, str(error)
     if isinstance(error, HTTPException):
+        # Starlette's own two words, as sentences; others are sentences already.
         known = {404: "There is no such page.", 405: "This address does not answer that method."}
-        return error.status_code, known.get(error.status_code, error.detail)
+        usual = error.detail == HTTPStatus(error.status_code).phrase
+        return error.status_code, known.get(error.status_code, "") if usual else error.detail
     return 503, f"{error}."
 
 

@@ -8,20 +8,21 @@ from typing import Any, Literal
 from pydantic import TypeAdapter
 
 from league import __version__
-from league.web import submit
+from league.web import submit, worker_api
 from league.web.protected import Protected
 from league.web.routes import PAGES, Page
 
 PARAMETER = re.compile(r"\{(\w+):number\}")
 PATH = "/api/v1/openapi.json"
 """Address of the document."""
-PROTECTED = (*submit.ADDRESSES,)
+PROTECTED = (*submit.ADDRESSES, *worker_api.ADDRESSES)
 """All addresses that need a token."""
 REFUSALS = {
     "401": "The token is missing, not known, or has ended.",
     "403": "The token does not allow this.",
     "404": "There is no such thing.",
     "408": "The body took too long.",
+    "409": "The program is of another version.",
     "413": "The body is too large.",
     "422": "The league refuses it; the sentence says why.",
     "429": "This is more than one client, or owner, may have; Retry-After says when to try again.",

@@ -95,6 +95,8 @@ class Protected:
             value = self.handle(replace(asked, body=self._parsed(asked.body)))
         if isinstance(value, bytes):
             return Response(value, media_type="application/octet-stream")
+        if isinstance(value, BaseModel):
+            value = value.model_dump(mode="json")
         content = json.dumps(plain(value), ensure_ascii=False, separators=(",", ":"))
         return Response(content, media_type="application/json")
 

@@ -18,11 +18,11 @@ from league.web.app import make_app
 from league.web.security import Access, Limit, Limits
 from tests.agents.trained import make_checkpoint
 from tests.matchmaking.test_submission import HOSTILE
+from tests.web.serving import FREE
 from tests.web.small_league import ORIGIN, RULES, new_league
 
 ENTRIES = "/api/v1/entries"
 SAME = {"sec-fetch-site": "same-origin"}
-FREE = Limits(Limit(1e6, 1e6), Limit(1e6, 1e6), Limit(1e6, 1e6), Limit(1e6, 1e6))
 
 
 def packed(seed: int = 0) -> bytes:

@@ -187,20 +187,36 @@ class Store:
                 added += queue.plan(connection, now, planned[start : start + BATCH])
         return added
 
-    def claim(self, worker: str, limit: int = 1, *, lease_s: float = LEASE_S) -> list[HeatRecord]:
+    def claim(
+        self, worker: str, limit: int = 1, *, lease_s: float = LEASE_S, lender: str = ""
+    ) -> list[HeatRecord]:
         """Lend up to `limit` heats to a worker; its name must be unique.
 
-        Heats with an expired lease are lent again.
+        Heats with an expired lease are lent again. Workers of an owner (`lender`) race neither
+        heats of the owner's entries nor again what a worker of the owner has raced.
         """
         _check_worker(worker)
+        limit = min(limit, BATCH)
         with self._writing() as (connection, now):
-            return queue.claim(connection, now, self._secret, worker, min(limit, BATCH), lease_s)
+            return queue.claim(connection, now, self._secret, worker, limit, lease_s, lender)
 
-    def heartbeat(self, worker: str, *, lease_s: float = LEASE_S) -> list[str]:
-        """Renew a worker's leases; return the keys of the heats it still holds."""
+    def heartbeat(
+        self, worker: str, *, lease_s: float = LEASE_S, keys: Sequence[str] | None = None
+    ) -> list[str]:
+        """Renew a worker's leases, or those of these heats; return the keys of what it holds."""
         _check_worker(worker)
         with self._writing() as (connection, now):
-            return queue.heartbeat(connection, now, worker, lease_s)
+            return queue.heartbeat(connection, now, worker, lease_s, keys)
+
+    def seeds(self, heat: Heat) -> tuple[int, ...]:
+        """Return the seed of each race of a heat; a secret until it is over."""
+        return heat.seeds(self._secret)
+
+    def audit(self, keys: Sequence[str], share: float) -> int:
+        """Plan a share of these heats again, drawn with the league's secret; return how many."""
+        drawn = [k for k in keys if heat_spec.seed(self._secret, f"audit {k}", 0) < share * 2**63]
+        records = [record for record in map(self.heat, drawn) if record.heat.purpose == "rated"]
+        return self.plan([heat_spec.audit_of(record.heat) for record in records])
 
     def complete(self, worker: str, outcomes: Sequence[HeatOutcome]) -> Received:
         """Take in the results of heats, each once, however often they are sent."""
