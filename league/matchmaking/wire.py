@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Annotated, Any, cast
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from league.errors import LeagueError, StoreError
 from league.matchmaking.pairing.heat_spec import Half, Heat, Purpose, Ruleset, canonical
@@ -21,7 +21,7 @@ from league.matchmaking.store import (
     Received,
 )
 from league.matchmaking.workers.worker import outcome_in
-from league.race_spec import CarResult, FrozenModel
+from league.race_spec import CarResult, FrozenModel, printable
 from league.sim.config import MAX_CARS
 
 MOST_HEATS = 64
@@ -143,7 +143,7 @@ class SentHeat(FrozenModel):
 
     key: Key
     races: Annotated[tuple[SentRace, ...], Field(min_length=1, max_length=16)]
-    machine: Annotated[str, Field(max_length=200)] = ""
+    machine: Annotated[str, Field(max_length=200), AfterValidator(printable)] = ""
     """Class of the machine; empty where races have the same bits on all."""
 
 

@@ -23,7 +23,7 @@ from league.web.security import Access, bearer, body_of, client_of, drain
 
 UPLOADS = 4
 """Uploads that are read and checked at the same time; each may take 16 MiB."""
-REQUESTS = 16
+REQUESTS = 8
 """Other requests at the same time, for each address."""
 
 

@@ -111,10 +111,10 @@ class Access:
         Raises:
             HTTPException: 401 for no active token, 403 for another scope, 429 after many of both.
         """
-        self.limits.refusals.check(client)
         token = store.tokens.find(secret) if secret else None
         if token is not None and token.allows(scope):
-            return token
+            return token  # others behind the same address cannot lock it out
+        self.limits.refusals.check(client)
         self.limits.refusals.take(client)
         if token is not None:
             raise HTTPException(

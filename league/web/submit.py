@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from email.message import Message
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
@@ -18,6 +18,7 @@ from starlette.routing import Route
 from league.agents.checkpoint import MAX_SIZE_CAMERA
 from league.matchmaking import submission
 from league.matchmaking.store import Entry, EntryState, Store, Token
+from league.race_spec import printable
 from league.web.protected import UPLOADS, Asked, Protected, refusing
 from league.web.security import Access, body_of, check_origin, client_of
 
@@ -52,9 +53,9 @@ class Retirement(BaseModel):
     """Which driver leaves the league."""
 
     model_config = ConfigDict(extra="forbid")
-    entry: Annotated[str, Field(min_length=1, max_length=100)]
+    entry: Annotated[str, Field(min_length=1, max_length=100), AfterValidator(printable)]
     """Name or id of the entry."""
-    reason: Annotated[str, Field(max_length=300)] = ""
+    reason: Annotated[str, Field(max_length=300), AfterValidator(printable)] = ""
     """Why, for people to read."""
 
 

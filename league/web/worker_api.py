@@ -15,7 +15,7 @@ from league.web.protected import Asked, Protected
 WORK = "/api/v1/work"
 MOST_HELD = 64
 """Heats that all workers of a token hold at a time."""
-MOST_RESULTS = 32 << 20
+MOST_RESULTS = 16 << 20
 """Bytes of a message with results and recordings."""
 
 

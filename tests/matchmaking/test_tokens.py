@@ -139,3 +139,53 @@ def test_an_owner_makes_so_many_submissions_within_24_hours(league, clock):
     entered(league, "c", quota)
     with pytest.raises(QuotaError, match="try again in 1 h"):
         entered(league, "d", quota)
+
+
+@pytest.fixture
+def raced(url):
+    """Return a league whose heats a worker of owner 1 has raced but for the last two."""
+    with leagues.founded(url) as league:
+        for owner in ("owner 1", "owner 1", "lender"):
+            league.tokens.create(owner, ("worker",))
+        league.plan(leagues.duels(league, 6))
+        league.complete("3/lender/w", leagues.raced(league.claim("3/lender/w", 4)))
+        yield league
+
+
+def test_an_owners_workers_are_not_lent_heats_of_own_entries(raced):
+    own = {record.number for record in raced.heats(entries=[raced.entry("e3").number])}
+    waiting = {record.number for record in raced.heats(("planned",))}
+    assert own & waiting and waiting - own
+    lent = raced.claim("9/owner 3/w", 99, lender="owner 3")
+    assert {record.number for record in lent} == waiting - own
+
+
+def test_an_owners_workers_do_not_audit_what_the_owners_workers_raced(raced):
+    done = raced.heats(("done",))
+    assert raced.audit([record.heat.key for record in done], 1.0) == 4
+    lent = raced.claim("3/lender/v", 99, lender="lender")
+    assert len(lent) == 2 and not any(record.heat.audits for record in lent)
+    # 13 is no token of the lender, although its name begins like one; an owner of no entries.
+    others = raced.claim("13/other/w", 99, lender="other")
+    assert [record.heat.audits for record in others] == [record.heat.key for record in done]
+    assert raced.complete("13/other/w", leagues.raced(others)).accepted
+
+
+def test_audits_are_raced_in_turn_with_rated_heats(raced):
+    done = raced.heats(("done",))[0]
+    raced.audit([done.heat.key], 1.0)
+    raced.plan(leagues.duels(raced, 2, first=50))
+    purposes = [record.heat.purpose for record in raced.claim("w", 99)]
+    assert purposes == ["rated", "rated", "audit", "rated", "rated"]
+
+
+def test_a_heartbeat_renews_only_the_heats_that_it_names(url, clock):
+    leagues.founded(url).close()
+    with Store(url, clock=clock) as league:
+        league.plan(leagues.duels(league, 3))
+        keys = [claim.heat.key for claim in league.claim("w", 3, lease_s=10.0)]
+        clock.now_s += 6.0
+        assert league.heartbeat("w", lease_s=10.0, keys=keys[:1]) == keys[:1]
+        assert league.heartbeat("w", lease_s=10.0, keys=[]) == []
+        clock.now_s += 6.0
+        assert {claim.heat.key for claim in league.claim("v", 9)} == set(keys[1:])

@@ -283,6 +283,36 @@ def test_a_form_of_another_kind_is_refused(store, kind):
     assert answer.status_code in (401, 422)
 
 
+HOSTILE_HEADERS = (
+    {"authorization": "Bearer"}, {"authorization": "Bearer " + "\t" * 50}, {"authorization": "é"},
+    {"authorization": "Bearer league_\ud800"}, {"authorization": "Negotiate " + "A" * 60_000},
+    {"content-type": ""}, {"content-type": "multipart/form-data; boundary=" + "-" * 70},
+    {"content-type": "multipart/form-data; boundary=\"\\\""}, {"content-type": "a/b;" * 5000},
+    {"content-type": "application/x-python-pickle"}, {"content-encoding": "gzip"},
+    {"content-length": "0"}, {"content-length": "99999999999"}, {"transfer-encoding": "chunked"},
+    {"expect": "100-continue"}, {"origin": "https://evil.example", "sec-fetch-site": "cross-site"},
+    {"x-forwarded-for": "127.0.0.1, <script>"}, {"x-forwarded-proto": "gopher"},
+    {"x-forwarded-host": "evil.example"}, {"forwarded": "for=127.0.0.1;host=evil.example"},
+    {"x-http-method-override": "DELETE"}, {"x-original-url": "/admin"}, {"x-rewrite-url": "/"},
+    {"cookie": "token=" + "x" * 8000}, {"referer": "javascript:alert(1)"}, {"te": "trailers"},
+    {"upgrade": "websocket", "connection": "upgrade"}, {"accept": "text/html;q=nan"},
+    {"accept-encoding": "gzip;q=9,br;q=-1"}, {"sec-fetch-site": "same-origin\x00"},
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("headers", HOSTILE_HEADERS)
+def test_hostile_headers_enter_nothing_and_make_no_internal_error(store, headers):
+    hostile = [
+        (name.encode(), value.encode("utf-8", "surrogatepass")) for name, value in headers.items()
+    ]
+    with served(store) as client:
+        for path in (f"{ENTRIES}?name=a", f"{ENTRIES}/retire", "/submit"):
+            answer = client.post(path, content=b"{}", headers=hostile)
+            assert 400 <= answer.status_code < 500, (path, answer.text)
+            assert "evil" not in answer.text and "content-security-policy" in answer.headers
+    assert len(store.entries()) == 1
+
+
 def test_many_requests_of_one_client_are_told_to_wait(store):
     limits = Limits(Limit(0.5, 3), Limit(0.5, 2), Limit(1, 1), Limit(1, 1))
     with served(store, limits=limits) as client:
