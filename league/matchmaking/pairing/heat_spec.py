@@ -24,7 +24,7 @@ from league.sim.config import (
     SolverName,
 )
 
-Purpose = Literal["rated", "validation", "audit", "gauntlet"]
+Purpose = Literal["rated", "validation", "audit", "gauntlet", "cup"]
 
 
 def canonical(value: object) -> bytes:

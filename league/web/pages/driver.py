@@ -8,14 +8,18 @@ from collections.abc import Mapping
 from typing import Any
 
 from league.matchmaking import standings
+from league.matchmaking.pairing import matchmaker
 from league.matchmaking.scores import best_laps, race_scores
 from league.matchmaking.standings import HeadToHead, Row, Standings
-from league.matchmaking.store import Entry
+from league.matchmaking.store import Entry, HeatRecord
 from league.track import files
 from league.web import charts, family
 from league.web.medals import medal
 from league.web.reader import Document, Reader
 
+FIRST_HEATS = 8
+"""Heats of a new entry that are followed live."""
+OVER = ("done", "error", "quarantined", "cancelled")
 HEATS = 14
 """Newest heats that are listed."""
 NEIGHBOURS = 10
@@ -46,12 +50,23 @@ def document(reader: Reader, number: int) -> Document:
         "laps": _laps(reader, rated, number) if rated and row else [],
         "heats": reader.listed(over[-HEATS:][::-1]),
         "waiting": len(raced) - len(over),
+        "joining": _joining(reader, entry, raced),
         "card": _card(entry),
         "ancestors": family.ancestors(entries, entry),
         "children": [
             {"number": one.number, "name": one.name} for one in family.children(entries, entry)
         ],
     }
+
+
+def _joining(reader: Reader, entry: Entry, raced: list[HeatRecord]) -> Document | None:
+    """Return how far a new entry is: what it waits for, and its first heats; None for others."""
+    first = raced[:FIRST_HEATS]
+    over = len(first) == FIRST_HEATS and all(one.state in OVER for one in first)
+    if entry.anchor or over or entry.state not in ("pending", "validating", "placement"):
+        return None
+    waits = "" if entry.state == "placement" else matchmaker.waits_for(reader.store, entry)
+    return {"waits_for": waits, "heats": reader.listed(first)}
 
 
 def _neighbours(rated: Standings, row: Row) -> list[tuple[Row, HeadToHead | None]]:
