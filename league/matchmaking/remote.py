@@ -18,7 +18,7 @@ from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.store import Entry, HeatOutcome, HeatRecord, HeatState, Received
 from league.race_spec import FrozenModel
-from league.sim.version import PHYSICS
+from league.sim import PHYSICS
 
 WORK = "/api/v1/work"
 IDLE_S = 2.0

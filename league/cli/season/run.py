@@ -99,7 +99,9 @@ class Racing(OnLeague):
                 stop=stack.enter_context(_stopping()),
                 watch=watch,
             )
-        _print_tally(tally)
+            seasons = store.seasons() if store else []
+        over = seasons[-1].name if seasons and seasons[-1].until is not None else ""
+        _print_tally(tally, over)
 
     def _season(self, store: Store) -> Season | None:
         """Return the matchmaker; None races what is in the queue."""
@@ -229,7 +231,11 @@ def _stopping() -> Generator[Callable[[], bool]]:
             signal.signal(number, handler)
 
 
-def _print_tally(tally: Tally) -> None:
+def _print_tally(tally: Tally, over: str) -> None:
+    """Print what was raced; `over` is the name of the season if it has ended."""
+    if tally.idle and not tally.heats and over:
+        print(f"The season {over!r} is over: begin the next one with `league season start`.")
+        return
     if tally.idle and not tally.heats:
         print(
             "There is nothing to race: submit an entry with `league submit FILE.pt`; "
