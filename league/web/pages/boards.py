@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from league.matchmaking.scores import BestLap, time_attack
+from league.sim.config import RaceKind
 from league.track import files
 from league.web import medals
 from league.web.reader import Document, NotFoundError, Reader
@@ -18,7 +19,7 @@ TITLES = {
 
 def document(reader: Reader, kind: str = "") -> Document:
     """Return the boards of one kind of race; by default that of the present rules."""
-    kinds = sorted({rules.kind for rules in reader.store.rulesets().values()})
+    kinds: list[RaceKind] = sorted({rules.kind for rules in reader.store.rulesets().values()})
     asked = kind or reader.store.settings.ruleset.kind
     shown = next((one for one in kinds if one == asked), None)
     if shown is None:
