@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
-from league.sim.version import PHYSICS
 from starlette.testclient import TestClient
 
 from league.errors import ConfigError, StoreError
@@ -20,6 +19,7 @@ from league.matchmaking.remote import RemoteQueue
 from league.matchmaking.store import Store
 from league.matchmaking.workers.dispatcher import Dispatcher
 from league.matchmaking.workers.worker import RaceWorker
+from league.sim import PHYSICS
 from league.web.app import make_app
 from league.web.security import Access
 from tests.matchmaking.season_kit import SHORT, Here, new_league, submitted

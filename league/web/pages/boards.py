@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 from league.matchmaking.scores import BestLap, time_attack
 from league.sim.config import RaceKind
 from league.track import files
@@ -19,10 +21,10 @@ TITLES = {
 
 def document(reader: Reader, kind: str = "") -> Document:
     """Return the boards of one kind of race; by default that of the present rules."""
-    kinds: list[RaceKind] = sorted({rules.kind for rules in reader.store.rulesets().values()})
+    kinds = sorted({rules.kind for rules in reader.store.rulesets().values()})
     asked = kind or reader.store.settings.ruleset.kind
-    shown = next((one for one in kinds if one == asked), None)
-    if shown is None:
+    shown = cast(RaceKind, asked)
+    if shown not in kinds:
         raise NotFoundError(f"This league has races of the kinds {', '.join(kinds)}.")
     done = reader.store.counts().get("done", 0)
     boards = reader.kept(("boards", shown, done), lambda: time_attack(reader.store, shown))
