@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -33,14 +34,16 @@ def ensure() -> None:
     if folder is None or (folder / _COMPLETE).exists():
         return
     done: list[str] = []
+    one_at_a_time = threading.Lock()
     began = time.monotonic()
     _show(0, began)
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
 
         def compile_group(parts: tuple[str, ...]) -> None:
             for part in _compiled(parts):
-                done.append(part)
-                _show(len(done), began)
+                with one_at_a_time:
+                    done.append(part)
+                    _show(len(done), began)
 
         for group in [pool.submit(compile_group, parts) for parts in GROUPS]:
             group.result()
