@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from tensordict import TensorDict
 
+from league.agents.driver import Driver
 from league.envs.actions import to_actions
 from league.envs.race_env import RaceEnv
 from league.envs.rewards import PRESETS, Reward
@@ -41,6 +42,8 @@ DEAR = 6.0
 pass earns."""
 SPREAD = 0.5
 """Least randomisation of the cars; see TrainConfig."""
+SLOW_DRIVER = "centerline"
+"""Scripted driver of the last car, where a policy with its own sensors meets two or more."""
 _LATELY = 100.0
 """Attacks after which what is known about earlier ones counts half."""
 
@@ -164,7 +167,10 @@ class RacingLearner(TaughtLearner):
             racer: in worlds of its own.
             settings: of make_env.make.
         """
-        rivals = {car: Rival(racer) for car in range(1, cfg.num_cars)}
+        rivals: dict[int, Driver | str] = {car: Rival(racer) for car in range(1, cfg.num_cars)}
+        if cfg.num_cars > 2:
+            # The racer drives slow cars well; others brake for bends and keep to the middle.
+            rivals[cfg.num_cars - 1] = SLOW_DRIVER
         super().__init__(make_env.make(tracks, cfg, opponents=rivals, **settings), cfg, racer)
         self.racer = racer
         """The network that sees the true state."""
