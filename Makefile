@@ -9,15 +9,23 @@ export OMP_WAIT_POLICY = PASSIVE
 race: sync
 	$(BIN)/league race racing_line duelist blocker --seed 2
 
-# A league in runs/league/: the garage and the scripted drivers, raced for two minutes. All policies
-# of the garage are one owner's, whose entries meet only with --same-owner.
+# A league in runs/league/: the garage and the scripted drivers, raced for two minutes: a season that
+# is over, with a cup, and one that is running. All policies of the garage are one owner's, whose
+# entries meet only with --same-owner. With a league there, its season is raced on.
 LEAGUE := sqlite:///runs/league/league.db
 league: sync
 	@test -e runs/league/league.db || $(BIN)/league init --league $(LEAGUE) --name garage
 	@for policy in garage/*.pt; do \
 		test ! -e "$$policy" || $(BIN)/league submit "$$policy" --owner garage --league $(LEAGUE) || exit 1; \
 	done
-	$(BIN)/league run --same-owner --minutes 2 --league $(LEAGUE)
+	@$(BIN)/league season --json --league $(LEAGUE) | grep -q number || { \
+		$(BIN)/league season start "First season" --division-size 4 --league $(LEAGUE) && \
+		$(BIN)/league run --same-owner --minutes 0.6 --league $(LEAGUE) && \
+		$(BIN)/league cup start "Garage Cup" --anchors --league $(LEAGUE) && \
+		$(BIN)/league run --same-owner --minutes 0.6 --league $(LEAGUE) && \
+		$(BIN)/league season end --league $(LEAGUE) && \
+		$(BIN)/league season start "Second season" --division-size 4 --league $(LEAGUE); }
+	$(BIN)/league run --same-owner --minutes 0.8 --league $(LEAGUE)
 	$(BIN)/league standings --league $(LEAGUE)
 
 # Its web pages, on this machine only.

@@ -39,7 +39,7 @@ GARAGE = ("garage/duelist.pt", "garage/racer.pt")
 SHARES = {
     "physics": ("solver", "bullet.py", "step"),
     "referee": ("controls, referee and penalties", "step.py", "step"),
-    "sensors": ("cameras and lidars", "sensing.py", "read"),
+    "sensors": ("cameras and lidars", "sensor_suite.py", "read"),
     "inference": ("inference", "policy.py", "act"),
     "recording": ("recording", "recording.py", "add"),
 }
@@ -97,9 +97,9 @@ def shares(store: Store) -> None:
 class OneByOne(RaceWorker):
     """A worker that races the halves of a heat one after the other."""
 
-    def _races(self, job: HeatJob) -> list[race.Finished]:
-        contests = [self._contest(job, *one) for one in zip(job.halves, job.seeds, strict=True)]
-        return [race.run_together([contest])[0] for contest in contests]
+    def _races(self, job: HeatJob) -> list[race.FinishedRace]:
+        races = [self._race_job(job, *one) for one in zip(job.halves, job.seeds, strict=True)]
+        return [race.run_together([one])[0] for one in races]
 
 
 def batching(store: Store, repeats: int = 3) -> None:

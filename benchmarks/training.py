@@ -26,7 +26,6 @@ import torch
 from torch import Tensor, nn
 
 from benchmarks.report import figure, heading, note
-from league.agents.network import Actor
 from league.envs import rewards
 from league.envs.actions import ContinuousActions
 from league.track import files
@@ -34,6 +33,7 @@ from league.track.track import TrackSet
 from league.training.config import TrainConfig
 from league.training.ppo import make_env
 from league.training.ppo.learner import Learner
+from tests.actor import Actor
 
 ROOT = Path(__file__).parents[1]
 ROOKIE = (

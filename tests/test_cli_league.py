@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from league.cli import main, tables
+from tests.matchmaking import leagues
 
 
 @pytest.fixture(scope="module")
@@ -435,10 +436,8 @@ def test_upgrade_brings_an_older_league_up_to_date_and_makes_none(tmp_path, monk
     assert list(tmp_path.iterdir()) == []
     assert main(["init", "--anchors", "centerline"]) == 0
     with sqlite3.connect("league.db") as database:
-        database.execute("ALTER TABLE results DROP COLUMN rejected")
-        database.execute("ALTER TABLE results DROP COLUMN machine")
-        database.execute("DROP TABLE ledger")
-        database.execute("UPDATE alembic_version SET version_num = '0001'")
+        for statement in leagues.FIRST_VERSION:
+            database.execute(statement)
     assert main(["standings"]) == 2
     assert "bring it up to date with `league upgrade`" in capsys.readouterr().err
     assert main(["upgrade"]) == 0

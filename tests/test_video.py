@@ -4,11 +4,9 @@ import av
 import numpy as np
 import pytest
 import torch
-from recorded import by_hand, moved, raced
 
 from league import video
 from league.errors import ReplayError
-from league.replay import story
 from league.sim.camera import raster
 from league.sim.camera.paint_renderer import Painter
 from league.sim.camera.scene import BOX, BOX_COLOUR, CAR, CAR_COLOURS
@@ -18,6 +16,7 @@ from league.video.film import SHADOW_EDGE, SHADOW_KEPT, Film, shadow_of
 from league.video.hud import clock
 from league.video.mp4 import Coding, Mp4
 from league.video.pixels import mix
+from tests.recorded import by_hand, moved, raced
 
 
 def driving(frames: int = 8):
@@ -75,13 +74,13 @@ def test_film_ends_shortly_after_the_last_fight_is_decided():
     first, last = made.result.order
     assert first.finished and made.result.spec.ranking == "total"
     # Who is last has no rival once the other has finished.
-    assert story.decided_s(made) == min(first.total_s, made.duration_s)
+    assert made.decided_s == min(first.total_s, made.duration_s)
     best = made.result.spec.model_copy(update={"ranking": "best"})
     result = made.result.model_copy(update={"spec": best})
-    assert story.decided_s(replace(made, result=result)) == made.duration_s
+    assert replace(made, result=result).decided_s == made.duration_s
     order = (first.model_copy(update={"finished": False}), last)
     result = made.result.model_copy(update={"order": order})
-    assert story.decided_s(replace(made, result=result)) == made.duration_s
+    assert replace(made, result=result).decided_s == made.duration_s
 
 
 def test_end_card_covers_the_race_and_names_stand_at_the_cars():

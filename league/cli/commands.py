@@ -17,7 +17,7 @@ from typing import Annotated, Any
 import tyro
 
 from league.cli import drivers, evaluate, race, replays, rewards, tracks
-from league.cli.season import entries, gauntlet, heats, run, standings
+from league.cli.season import cups, entries, gauntlet, heats, run, seasons, standings, tokens
 
 
 @dataclass
@@ -39,9 +39,12 @@ GROUPS: dict[str, dict[str, type]] = {
         **entries.COMMANDS,
         **run.COMMANDS,
         **standings.COMMANDS,
+        **seasons.COMMANDS,
+        **cups.COMMANDS,
         **heats.COMMANDS,
         **gauntlet.COMMANDS,
         **run.SERVE,
+        **tokens.COMMANDS,
     },
     "Tools": {name: drivers.COMMANDS[name] for name in ("card", "export")},
 }
@@ -53,7 +56,8 @@ _SIMULATING = (
     rewards.Rewards,
     replays.Verify,
     entries.Submit,
-    run.Work,
+    run.Racing,
+    run.Serve,
     heats.Audit,
     gauntlet.Gauntlet,
     gauntlet.Compare,

@@ -17,6 +17,7 @@ from league.matchmaking.pairing.heat_spec import Heat
 from league.matchmaking.ratings import Ratings, Results, sprt
 from league.matchmaking.ratings.fit import SIGMAS_95
 from league.matchmaking.ratings.sprt import Comparison, SequentialSettings
+from league.matchmaking.scope import Scope, scope
 from league.matchmaking.store import RATED, Entry, HeatOutcome, Store
 from league.matchmaking.workers import Executor
 from league.matchmaking.workers.dispatcher import heat_driver
@@ -243,8 +244,8 @@ def _placed(
     entries = store.entries()
     number_of = {entry.id: entry.number for entry in entries}
     own = number_of[newcomer] = max(number_of.values()) + 1
-    season = standings.results_of(store.races())
-    fitted = _fit_with(season, heats[: len(outcomes)], outcomes, number_of, entries)
+    within = scope(store)
+    fitted = _fit_with(within, heats[: len(outcomes)], outcomes, number_of, entries)
     points: dict[str, list[float]] = {entry.id: [] for entry in field}
     for one, outcome in zip(heats, outcomes, strict=False):
         other = next(id for id in one.heat.entries if id != newcomer)
@@ -266,13 +267,14 @@ def _placed(
 
 
 def _fit_with(
-    season: Results,
+    within: Scope,
     heats: Sequence[SeededHeat],
     outcomes: Sequence[HeatOutcome],
     number_of: dict[str, int],
     entries: Sequence[Entry],
 ) -> Ratings:
     """Return the fit of a season with some heats more, of at least a newcomer's spread."""
+    season = standings.results_of(within.races)
     width = season.entries.shape[1]
     numbers, grids, places = [], [], []
     for number, (one, outcome) in enumerate(
@@ -288,10 +290,11 @@ def _fit_with(
         places=np.concatenate([season.places, np.array(places, dtype=np.int64)]),
     )
     anchor = standings.anchor_of(both.entries, entries)
-    fitted = ratings.fit(both, anchor=anchor)
+    fitted = ratings.fit(both, anchor=anchor, carried=within.carried)
     if fitted.prior_sd >= NEWCOMER_SD:
         return fitted
-    return ratings.fit(both, ratings.RatingSettings(prior_sd=NEWCOMER_SD), anchor=anchor)
+    wide = ratings.RatingSettings(prior_sd=NEWCOMER_SD)
+    return ratings.fit(both, wide, anchor=anchor, carried=within.carried)
 
 
 def compare(

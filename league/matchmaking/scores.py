@@ -1,14 +1,16 @@
-"""What single races tell: points against those that the ratings promised, and best laps."""
+"""What single races tell: points against those that the ratings promised, best and clean laps."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from league.matchmaking.ratings.fit import expected_score
 from league.matchmaking.standings import Standings
-from league.matchmaking.store import BEST_MS, KNOWN
+from league.matchmaking.store import BEST_MS, KNOWN, Store
+from league.sim.config import RaceKind
 
 
 @dataclass(frozen=True)
@@ -84,21 +86,64 @@ def best_laps(rated: Standings) -> dict[str, list[BestLap]]:
     Among equal laps the earlier one counts.
     """
     races = rated.races
-    lap_ms = (races.runs & BEST_MS).astype(np.int64)
-    row, slot = np.nonzero(((races.runs & KNOWN) > 0) & (lap_ms > 0))
-    order = np.lexsort((races.half[row], races.heat[row], lap_ms[row, slot]))
-    row, slot = row[order], slot[order]
-    entry, track = races.entries[row, slot], races.track[row]
+    row, slot = np.nonzero((races.runs & KNOWN) > 0)
+    laps = (races.runs & BEST_MS).astype(np.int64)[row, slot]
+    return _fastest(
+        rated.tracks, races.track[row], races.entries[row, slot], laps, races.heat[row],
+        races.half[row],
+    )  # fmt: skip
+
+
+def time_attack(store: Store, kind: RaceKind) -> dict[str, list[BestLap]]:
+    """Return the fastest clean lap of each entry in all races of a kind, by track.
+
+    Races under all rules count that have the present physics, those of cups included. A lap is
+    clean in a race without a fault: no leaving of the track, no contact to blame for, no standing
+    still, no driving backwards.
+    """
     found: dict[str, list[BestLap]] = {}
-    for index, name in enumerate(rated.tracks):
-        on_track = np.flatnonzero(track == index)
+    physics = store.settings.ruleset.physics
+    for hash, rules in store.rulesets().items():
+        if (rules.kind, rules.physics) == (kind, physics):
+            drives = store.drives(hash, rated=False)
+            laps = _fastest(
+                rules.tracks, drives.track, drives.entry, drives.clean_ms, drives.heat, drives.half
+            )
+            for track, own in laps.items():
+                found[track] = _best_of(found.get(track, []) + own)
+    return found
+
+
+def _best_of(laps: list[BestLap]) -> list[BestLap]:
+    """Return the best one of each entry's laps, the fastest first."""
+    ordered = sorted(laps, key=lambda lap: (lap.lap_s, lap.heat, lap.race))
+    best: dict[int, BestLap] = {}
+    for lap in ordered:
+        best.setdefault(lap.number, lap)
+    return list(best.values())
+
+
+def _fastest(
+    tracks: Sequence[str],
+    track: np.ndarray,
+    entry: np.ndarray,
+    lap_ms: np.ndarray,
+    heat: np.ndarray,
+    half: np.ndarray,
+) -> dict[str, list[BestLap]]:
+    """Return the fastest lap of each entry on each track; all arrays (laps,), 0 ms for no lap."""
+    order = np.lexsort((half, heat, lap_ms))
+    order = order[lap_ms[order] > 0]
+    found: dict[str, list[BestLap]] = {}
+    for index, name in enumerate(tracks):
+        on_track = order[track[order] == index]
         first = np.sort(np.unique(entry[on_track], return_index=True)[1])
         found[name] = [
             BestLap(
                 number=int(entry[at]),
-                lap_s=float(lap_ms[row[at], slot[at]]) / 1000,
-                heat=int(races.heat[row[at]]),
-                race=int(races.half[row[at]]) + 1,
+                lap_s=float(lap_ms[at]) / 1000,
+                heat=int(heat[at]),
+                race=int(half[at]) + 1,
             )
             for at in on_track[first]
         ]

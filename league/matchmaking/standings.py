@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from league.errors import StoreError, brief
-from league.matchmaking.ratings import RatingData, Ratings, Results, fit
+from league.matchmaking.ratings import Carried, RatingData, Ratings, Results, fit
 from league.matchmaking.ratings.fit import SIGMAS_95
 from league.matchmaking.ratings.goodness_of_fit import Goodness, goodness_of_fit
+from league.matchmaking.scope import scope
 from league.matchmaking.store import (
     BEST_MS,
     FINISHED,
@@ -19,6 +20,7 @@ from league.matchmaking.store import (
     Entry,
     EntryState,
     Races,
+    Season,
     Store,
 )
 
@@ -93,6 +95,8 @@ class Standings:
     """The races as the store has them."""
     tracks: tuple[str, ...] = ()
     """Tracks of the ruleset."""
+    season: Season | None = None
+    """The season whose races these are; None in a league without seasons."""
 
     def row(self, number: int, name: str = "") -> Row:
         """Return an entry's line by its number; its name is for the error only.
@@ -120,16 +124,22 @@ def results_of(races: Races, *, before: int | None = None) -> Results:
     )
 
 
-def rated(results: Results, entries: Sequence[Entry], also: Collection[int] = ()) -> Ratings | None:
+def rated(
+    results: Results,
+    entries: Sequence[Entry],
+    also: Collection[int] = (),
+    carried: Carried | None = None,
+) -> Ratings | None:
     """Return the fit of a league's results, pinned to its first anchor; None without an entry.
 
     Args:
         results: the races.
         entries: all entries of the league.
         also: numbers of entries to rate besides those in a rated state and those that raced.
+        carried: what is known from an earlier season.
     """
     data = _data(results, entries, also)
-    return None if data is None else _fit(data, entries)
+    return None if data is None else _fit(data, entries, carried)
 
 
 def _data(
@@ -140,8 +150,8 @@ def _data(
     return data if len(data.entries) else None
 
 
-def _fit(data: RatingData, entries: Sequence[Entry]) -> Ratings:
-    return fit(data, anchor=anchor_of(data.entries, entries))
+def _fit(data: RatingData, entries: Sequence[Entry], carried: Carried | None) -> Ratings:
+    return fit(data, anchor=anchor_of(data.entries, entries), carried=carried)
 
 
 def anchor_of(numbers: np.ndarray, entries: Sequence[Entry]) -> int | None:
@@ -150,27 +160,55 @@ def anchor_of(numbers: np.ndarray, entries: Sequence[Entry]) -> int | None:
     return min((e.number for e in entries if e.anchor and e.number in known), default=None)
 
 
-def of(store: Store, ruleset: str | None = None) -> Standings:
+def of(store: Store, ruleset: str | None = None, season: Season | None = None) -> Standings:
     """Return the standings of a league as they are now.
 
     Args:
         store: the league.
         ruleset: hash; by default the present one.
+        season: by default the last one under this ruleset.
 
     Raises:
         StoreError: no entry is rated yet.
     """
     ruleset = ruleset or store.settings.ruleset.hash
     known = store.rulesets().get(ruleset)
-    entries, races = store.entries(), store.races(ruleset)
+    within = scope(store, ruleset, season)
     tracks = known.tracks if known else ()
-    data = _data(results_of(races), entries)
-    if data is None:
+    found = table(
+        store.entries(), within.races, ruleset, tracks, season=within.season, carried=within.carried
+    )
+    if found is None:
         raise StoreError(
             "no entry is rated in this league yet: submit entries with `league submit`, then let "
             "them race with `league run`"
         )
-    fitted = _fit(data, entries)
+    return found
+
+
+def table(
+    entries: Sequence[Entry],
+    races: Races,
+    ruleset: str,
+    tracks: tuple[str, ...],
+    *,
+    season: Season | None = None,
+    carried: Carried | None = None,
+) -> Standings | None:
+    """Return the standings that follow from some races; None if no entry is rated.
+
+    Args:
+        entries: all of the league.
+        races: of one ruleset; those that count.
+        ruleset: its hash.
+        tracks: its tracks.
+        season: whose races they are.
+        carried: what was known before it.
+    """
+    data = _data(results_of(races), entries)
+    if data is None:
+        return None
+    fitted = _fit(data, entries, carried)
     return Standings(
         rows=_rows(data, fitted, entries, Runs.of(races, tracks)),
         ratings=fitted,
@@ -180,6 +218,7 @@ def of(store: Store, ruleset: str | None = None) -> Standings:
         num_races=len(data.results),
         races=races,
         tracks=tracks,
+        season=season,
     )
 
 
@@ -254,9 +293,7 @@ class Runs:
     def of(cls, races: Races, tracks: tuple[str, ...], *, before: int | None = None) -> Runs:
         """Count each entry's races, finishes and best laps, in heats with a smaller number."""
         if before is not None:
-            counted = races.heat < before
-            parts = ("heat", "half", "track", "entries", "places", "runs")
-            races = replace(races, **{name: getattr(races, name)[counted] for name in parts})
+            races = races.where(races.heat < before)
         size = int(races.entries.max(initial=-1)) + 1
         first, known, finished = np.zeros(size), np.zeros(size), np.zeros(size)
         best_ms = np.full(len(tracks) * size, np.inf)
@@ -400,41 +437,12 @@ class HistoryPoint:
     heat: int
     """Number of the last heat counted."""
     races: int
-    """Races of the entry up to then."""
+    """Races of the entry up to then, those of earlier seasons under the same rules included."""
     elo: float
     """Strength [Elo]."""
     low95: float
     """Lower end of the 95 % interval [Elo]."""
     high95: float
     """Upper end of the 95 % interval [Elo]."""
-
-
-def history(store: Store, entry: Entry, *, points: int = 20) -> list[HistoryPoint]:
-    """Return an entry's rating as it was after evenly many of its heats, and last as it is now.
-
-    Each is fitted to the races up to then, so later corrections of results count.
-    """
-    races, entries = store.races(), store.entries()
-    mine = np.unique(races.heat[(races.entries == entry.number).any(axis=1)])
-    if not len(mine):
-        raise StoreError(
-            f"{brief(entry.name)} has not raced for its rating yet: let the league run first"
-        )
-    picked = np.unique(np.linspace(0, len(mine) - 1, min(points, len(mine))).round().astype(int))
-    # Others may have raced since its last heat, and their races move its rating too.
-    moments_at = [*mine[picked[:-1]].tolist(), int(races.heat.max())]
-    moments = []
-    for heat in moments_at:
-        fitted = rated(results_of(races, before=heat + 1), entries)
-        assert fitted is not None
-        at = fitted.index(entry.number)
-        moments.append(
-            HistoryPoint(
-                heat=heat,
-                races=int(fitted.races[at]),
-                elo=float(fitted.elo[at]),
-                low95=float(fitted.low95[at]),
-                high95=float(fitted.high95[at]),
-            )
-        )
-    return moments
+    season: int = 0
+    """Number of the season; 0 in a league without seasons."""

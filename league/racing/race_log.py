@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from league.race_spec import CarResult, Event, EventKind, RaceResult, RaceSpec
-from league.sim.records import NOBODY
-from league.sim.world import World, members
+from league.sim.records import NOBODY, World, members
 
 
 @dataclass

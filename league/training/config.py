@@ -300,12 +300,7 @@ class RunConfig:
 
 
 def check_resumed(cfg: RunConfig, stored: RunConfig, folder: Path) -> None:
-    """Check that a run may go on with some settings.
-
-    Args:
-        cfg: settings to go on with.
-        stored: settings that the run was started with.
-        folder: of the run.
+    """Check that a run, started with the settings `stored`, may go on with others.
 
     Raises:
         ConfigError: a setting differs that may not, or the budget is smaller.

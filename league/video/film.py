@@ -14,7 +14,7 @@ from av.error import FFmpegError
 
 from league.atomic_file import replacing
 from league.errors import ReplayError
-from league.replay import Replay, director, story
+from league.replay import Replay, director
 from league.sim.camera import raster
 from league.sim.camera.ground import Floor, floor_of
 from league.sim.camera.paint_renderer import Painter
@@ -22,8 +22,7 @@ from league.sim.camera.scene import CAR as CAR_MODEL
 from league.sim.camera.scene import FAR_CAR, SUN
 from league.sim.camera.stage import Lens, Stage, Thing
 from league.sim.config import CameraConfig
-from league.sim.records import CAR
-from league.sim.world import World
+from league.sim.records import CAR, World
 from league.track.track import Rgb
 from league.video.hud import Hud
 from league.video.mp4 import Coding, Mp4
@@ -31,6 +30,8 @@ from league.video.pixels import draw_floor, draw_shadow, packed
 
 SIZE = (1280, 720)
 FPS = 30
+AFTER_FINISH_S = 2.0
+"""How long a car that has finished is still followed [s]."""
 HOLD_S = 4.0
 """Time at the end for the classification [s]."""
 DARK = 0.3
@@ -54,12 +55,7 @@ class Film:
     """Pictures of one replay at any moment."""
 
     def __init__(self, replay: Replay, size: tuple[int, int] = SIZE) -> None:
-        """Prepare the camera and the graphics.
-
-        Args:
-            replay: the race.
-            size: width and height [px], both even.
-        """
+        """Prepare the camera and the graphics; `size` is width and height [px], both even."""
         width, height = size
         if width % 2 or height % 2 or not (320 <= width <= 1920 and 180 <= height <= 1080):
             raise ReplayError(
@@ -85,7 +81,7 @@ class Film:
         # OpenCV's own threads cost more than they bring at these sizes.
         cv2.setNumThreads(1)
         self._size = size
-        self.ends_s = min(story.decided_s(replay) + story.AFTER_FINISH_S, replay.duration_s)
+        self.ends_s = min(replay.decided_s + AFTER_FINISH_S, replay.duration_s)
         """When the classification is shown: shortly after the last fight is decided [s]."""
         self._path = director.chase_path(replay)
         self._hud = Hud(replay, width, height, self._path.fights)

@@ -27,13 +27,7 @@ def packed(texture: Texture) -> Texture:
 def draw_floor(picture, start, stop, texture, optics, view):
     """Draw the floor into rows start to stop, below the horizon, of the first eye's picture.
 
-    Args:
-        picture: (height, width * 3) uint8.
-        start: the first row.
-        stop: one past the last row.
-        texture: of `packed`.
-        optics: the lens, raster.Optics.
-        view: where the camera is, raster.Pose.
+    The picture is uint8 (height, width * 3), and the texture one of `packed`.
     """
     columns, texels, width = texture.columns, texture.texels, picture.shape[1] // 3
     last_column, last_row = int32(columns - 2), int32(texels.size // columns - 2)

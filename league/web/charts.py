@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -46,6 +46,17 @@ class Tick:
 
 
 @dataclass(frozen=True)
+class Mark:
+    """A moment on the axis of x."""
+
+    at: float
+    label: str
+    """A letter or two that stand at it."""
+    title: str
+    """What happened then."""
+
+
+@dataclass(frozen=True)
 class Chart:
     """Lines over a common axis, with a band around the first one if it has an interval."""
 
@@ -55,6 +66,7 @@ class Chart:
     x_range: tuple[float, float]
     """Values at the left and at the right end."""
     band: str = ""
+    marks: tuple[Mark, ...] = ()
     width: int = WIDTH
     height: int = HEIGHT
     left: int = LEFT
@@ -141,13 +153,26 @@ def track_map(track: Track) -> TrackMap:
     )
 
 
-def rating_history(points: Sequence[HistoryPoint]) -> Chart:
-    """Return an entry's rating over its races, with its 95 % interval."""
+def rating_history(
+    points: Sequence[HistoryPoint], moments: Sequence[tuple[int, str, str]] = ()
+) -> Chart:
+    """Return an entry's rating over its races, with its 95 % interval.
+
+    Args:
+        points: the history.
+        moments: what else is marked: number of the newest heat before it, label, title.
+    """
     races, low, elo, high = (
         np.array([getattr(point, name) for point in points], float)
         for name in ("races", "low95", "elo", "high95")
     )
-    return plot([Curve("rating", "rating", races, elo)], band=(low, high), whole_x=True)
+    chart = plot([Curve("rating", "rating", races, elo)], band=(low, high), whole_x=True)
+    heats, scale = [point.heat for point in points], (WIDTH - RIGHT - LEFT) / np.ptp(races)
+    marks = [
+        Mark(round(LEFT + scale * (np.interp(heat, heats, races) - races[0]), 1), label, title)
+        for heat, label, title in moments
+    ]
+    return replace(chart, marks=tuple(marks))
 
 
 def points_chart(scores: Sequence[RaceScore]) -> Chart:

@@ -11,9 +11,23 @@ from starlette.requests import Request
 
 from league.matchmaking.ratings.fit import Difference
 from league.matchmaking.standings import HeadToHead, HistoryPoint, Row
-from league.matchmaking.store import Entry
-from league.web.pages import driver, heat, heats, home, live, matchup, table, tracks
+from league.matchmaking.store import Cup, Entry, Season
+from league.web.pages import (
+    boards,
+    cups,
+    definitions,
+    driver,
+    heat,
+    heats,
+    home,
+    live,
+    matchup,
+    seasons,
+    table,
+    tracks,
+)
 from league.web.reader import Document, Reader
+from league.web.season_marks import Marks
 
 
 class _Number(Convertor[int]):
@@ -75,7 +89,8 @@ PAGES = (
          query={"owner": "Only entries of this owner", "kind": "Only anchor, policy or scripted",
           "track": "Track of the best laps",
           "against": "Number of a driver: everyone's record against it"},
-         parts={"rows": list[Row], "against": Row | None, "records": dict[int, HeadToHead]}),
+         parts={"rows": list[Row], "against": Row | None, "records": dict[int, HeadToHead],
+                "marks": dict[int, Marks], "season": Season | None}),
     Page("/drivers/{number:number}", "A driver: rating, history, records, heats, card",
          driver.document, "driver.html",
          parts={"entry": Entry, "standing": Row | None, "history": list[HistoryPoint],
@@ -98,6 +113,16 @@ PAGES = (
          "A file that plays a race without a server",
          heat.one_file, "one_file.html", file="heat_{number}_race_{race}.html"),
     Page("/tracks", "The tracks, and the fastest laps on each", tracks.document, "tracks.html"),
+    Page("/time-attack", "The fastest clean laps on each track, for each kind of race",
+         boards.document, "boards.html",
+         query={"kind": "Kind of race: head_to_head, time_trial or obstacle_avoidance"}),
+    Page("/seasons", "Past seasons with their trophies, and cups", seasons.document, "seasons.html",
+         parts={"running": Season | None}),
+    Page("/seasons/{number:number}", "A season's final standings and trophies", seasons.season,
+         "season.html", parts={"season": Season}),
+    Page("/cups/{number:number}", "A cup: qualifying and bracket", cups.document, "cup.html",
+         parts={"cup": Cup}),
+    Page("/definitions", "What the numbers mean", definitions.document, "definitions.html"),
     Page("/live", "Running heats, queue, workers, heats per minute", live.document, "live.html"),
 )  # fmt: skip
 """All pages, and data without a page."""

@@ -20,11 +20,11 @@ from pathlib import Path
 
 import pytest
 import torch
-from trained import make_checkpoint
 
 from league.agents import checkpoint
 from league.agents.checkpoint import Checkpoint
 from league.errors import PolicyError
+from tests.agents.trained import make_checkpoint
 
 Corpus = dict[str, str]
 SENTINEL = "it_ran"

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import Stages, go_to, put_cars, touch
 
 from league.envs import rewards
 from league.envs.config import RewardConfig
 from league.sim.config import RaceRules, SimConfig
-from league.sim.world import World
+from league.sim.records import World
+from tests.scenes import Stages, go_to, put_cars, touch
 
 TWO = SimConfig(kind="head_to_head", num_cars=2, rules=RaceRules(laps=1, light_contact=0.0))
 NOTHING = RewardConfig(progress=0.0, off_track=0.0, crash=0.0)

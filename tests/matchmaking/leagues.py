@@ -14,6 +14,18 @@ from league.matchmaking.store.database import Database
 
 TRACKS = ("ring", "square")
 RULES = Ruleset(tracks=TRACKS, laps=2)
+FIRST_VERSION = (
+    "DROP TABLE tokens",
+    "DROP TABLE divisions",
+    "DROP TABLE cups",
+    "DROP TABLE seasons",
+    "ALTER TABLE races DROP COLUMN driven",
+    "ALTER TABLE results DROP COLUMN rejected",
+    "ALTER TABLE results DROP COLUMN machine",
+    "DROP TABLE ledger",
+    "UPDATE alembic_version SET version_num = '0001'",
+)
+"""Statements that take away what later versions added to a league's tables."""
 
 
 class Clock:

@@ -87,14 +87,16 @@ def test_an_empty_postgresql_database_is_refused(new_postgres):
 def test_a_newer_league_is_refused(url):
     leagues.founded(url, entries=0).close()
     _set_version(url, "0999")
-    with pytest.raises(StoreError, match="version 0999, this program knows 0003: install a newer"):
+    match = f"version 0999, this program knows {schema.SCHEMA}: install a newer"
+    with pytest.raises(StoreError, match=match):
         store.Store(url)
 
 
 def test_an_older_league_says_how_to_bring_it_up_to_date(url):
     leagues.founded(url, entries=0).close()
     _set_version(url, "0000")
-    with pytest.raises(StoreError, match="version 0000, this program needs 0003: make a backup"):
+    match = f"version 0000, this program needs {schema.SCHEMA}: make a backup"
+    with pytest.raises(StoreError, match=match):
         store.Store(url)
 
 

@@ -8,9 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import small
 import torch
-from test_learner import CHOICES
 
 from league.agents import checkpoint
 from league.errors import ConfigError, PolicyError, RewardError
@@ -24,6 +22,8 @@ from league.training.monitor.history import TEACHING
 from league.training.ppo.learner import Learner
 from league.training.ppo.racer import RacingLearner
 from league.training.run import Run
+from tests.training import small
+from tests.training.learners import CHOICES
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 CHEERFUL = "def reward_function(params):\n    return 1.0\n"

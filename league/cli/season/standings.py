@@ -101,12 +101,12 @@ class History(Reading):
 
     def run(self) -> int:
         """Run the command."""
-        from league.matchmaking import standings
+        from league.matchmaking import history
 
         season.at_least(self, "points", 1)
         with self.opened() as store:
             entry = store.entry(self.entry)
-            moments = standings.history(store, entry, points=self.points)
+            moments = history.history(store, entry, points=self.points)
         if self.json:
             season.print_json(moments)
             return 0

@@ -15,7 +15,8 @@ from itertools import combinations
 
 import numpy as np
 
-from league.matchmaking import standings
+from league.matchmaking import cups, divisions, safety, standings
+from league.matchmaking.divisions import SeasonSettings
 from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset
 from league.matchmaking.pairing.schedule import (
     Contender,
@@ -25,7 +26,10 @@ from league.matchmaking.pairing.schedule import (
     rated_state,
     validation_heats,
 )
+from league.matchmaking.ratings import Carried, Ratings
+from league.matchmaking.scope import scope
 from league.matchmaking.store import RATED, Entry, EntryState, HeatRecord, Races, Store
+from league.matchmaking.store import Season as SeasonRecord
 
 LineUp = Callable[[int, str], float]
 """What an entry's place on the grid of a track is decided by: its number and the track's name."""
@@ -55,14 +59,14 @@ def enter_anchors(store: Store, anchors: Sequence[str]) -> list[Entry]:
 def entries_with_reasons(store: Store) -> list[Entry]:
     """Return a league's entries; the reason of one that is not rated yet is what it waits for."""
     return [
-        replace(entry, reason=_waits_for(store, entry))
+        replace(entry, reason=waits_for(store, entry))
         if entry.state in ("pending", "validating")
         else entry
         for entry in store.entries()
     ]
 
 
-def _waits_for(store: Store, entry: Entry) -> str:
+def waits_for(store: Store, entry: Entry) -> str:
     """Return why an entry is not rated yet, and what to do about it."""
     heats = _validations(store, entry, store.settings.ruleset.hash)
     if not heats:
@@ -111,11 +115,19 @@ class _Past:
     """What a round is planned from."""
 
     races: Races
-    """Rated races."""
+    """Rated races of the season."""
+    carried: Carried | None
+    """Ratings of the season before."""
     before: int | None
     """Only heats with a smaller number count; None: all."""
     queued: list[HeatRecord]
     """Planned heats that do not count, whatever became of them."""
+
+    @property
+    def counted(self) -> np.ndarray:
+        """Which races may be looked at."""
+        heats = self.races.heat
+        return heats < (np.inf if self.before is None else self.before)
 
     def counts(self, heat: int) -> bool:
         """Return whether a heat's result may be looked at."""
@@ -130,10 +142,7 @@ class _Past:
     def meetings(self, number_of: dict[str, int]) -> dict[tuple[int, int], int]:
         """Return the heats in which each pair met or is to meet, by entry numbers."""
         races = self.races
-        once = races.half == 0
-        if self.before is not None:
-            once &= races.heat < self.before
-        grids = races.entries[once]
+        grids = races.entries[(races.half == 0) & self.counted]
         met: dict[tuple[int, int], int] = {}
         for record in self.queued:
             if record.heat.purpose == "rated":
@@ -162,6 +171,10 @@ class Season:
         self._latest = _Round()
 
     def plan(self) -> int:
+        """Plan what is due of the next round and of cups; return how many heats are new."""
+        return cups.advance(self._store) + self._plan_round()
+
+    def _plan_round(self) -> int:
         """Plan the next round if it is due, and move entries; return how many heats are new."""
         rules = self._store.settings.ruleset
         if self._still_early(rules.hash):
@@ -205,7 +218,9 @@ class Season:
     def _next_round(self, rules: Ruleset, latest: _Round, before: int | None) -> list[Heat]:
         """Return the round after the latest one, and move entries to where they stand by now."""
         queued = self._store.heats(since=before - 1) if before else []
-        past = _Past(self._store.races(rules.hash), before, _season_heats(queued, rules.hash))
+        within = scope(self._store, rules.hash)
+        season_heats = _season_heats(queued, rules.hash)
+        past = _Past(within.races, within.carried, before, season_heats)
         number = latest.number + 1
         generator = np.random.default_rng([number, int(rules.hash[:12], 16)])
         settings = PairingSettings(
@@ -219,6 +234,8 @@ class Season:
         }
         roster = _Roster.of(entries, past, validations)
         self._move(entries, roster)
+        if within.season is not None and within.season.until is None:
+            self._move_divisions(within.season, past, roster, number)
         plans: list[HeatPlan] = []
         for newcomer in roster.newcomers:
             plans += validation_heats(newcomer, roster.contenders, settings, generator)
@@ -226,6 +243,8 @@ class Season:
         size = min(max(LEAST_ROUND, len(rated) // 2), ROUND // 2)
         if roster.undecided and all(one.anchor for one in rated):
             size = 0  # a new league's first entries need not wait for its anchors to be sure
+        if within.season is not None and within.season.until is not None:
+            size = 0  # the season is over, and the next one has not begun
         plans = plans[: ROUND // 2]
         id_of = {entry.number: entry.id for entry in entries}
         line_up = _line_up(rules, past, roster)
@@ -235,6 +254,23 @@ class Season:
             _heat(plan, rules.hash, number * ROUND + index, id_of, line_up)
             for index, plan in enumerate(plans)
         ]
+
+    def _move_divisions(
+        self, season: SeasonRecord, past: _Past, roster: _Roster, round: int
+    ) -> None:
+        """Promote and relegate, by what the round is planned from."""
+        if roster.fitted is None:
+            return
+        moves = divisions.next_moves(
+            divisions.assigned(self._store.division_moves(season.number)),
+            roster.fitted,
+            [one.entry for one in roster.contenders if one.state in RATED and not one.anchor],
+            safety.of(self._store, season.ruleset, before=past.before),
+            SeasonSettings.of(season),
+            round=round,
+            heat=int(past.races.heat[past.counted].max(initial=season.after)),
+        )
+        self._store.move_divisions(season.number, moves)
 
     def _move(self, entries: Sequence[Entry], roster: _Roster) -> None:
         """Write into the store where entries stand, one lawful step at a time."""
@@ -259,6 +295,8 @@ class _Roster:
     """Those that need validation heats."""
     states: dict[int, tuple[EntryState, str]] = field(default_factory=dict)
     """Where each entry stands, and why it was refused."""
+    fitted: Ratings | None = None
+    """The ratings; None without an entry to rate."""
     undecided: int = 0
     """Entries of which it is not known yet whether they pass."""
 
@@ -273,7 +311,7 @@ class _Roster:
         roster = cls()
         results = standings.results_of(past.races, before=past.before)
         passed = {number for number, heats in validations.items() if past.passed(heats)}
-        fitted = standings.rated(results, entries, passed)
+        fitted = roster.fitted = standings.rated(results, entries, passed, past.carried)
         for entry in entries:
             state, reason = entry.state, entry.reason
             heats = validations.get(entry.number, [])

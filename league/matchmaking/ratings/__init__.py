@@ -1,6 +1,7 @@
 """Strengths on the Elo scale and their uncertainty from results of races; see docs/ratings.md."""
 
 from league.matchmaking.ratings.fit import (
+    Carried,
     Difference,
     Ratings,
     RatingSettings,
@@ -11,6 +12,7 @@ from league.matchmaking.ratings.pair_counts import RatingData
 from league.matchmaking.ratings.results import Finish, Results, places_of
 
 __all__ = [
+    "Carried",
     "Difference",
     "Finish",
     "RatingData",

@@ -65,6 +65,27 @@ class RatingSettings:
 
 
 @dataclass(frozen=True)
+class Carried:
+    """What is known of a field before its first race: the ratings of an earlier season."""
+
+    entries: np.ndarray
+    """Entry numbers, ascending, (entries,)."""
+    elo: np.ndarray
+    """Their ratings then [Elo], (entries,); all others are expected at the mean of these."""
+    sd: np.ndarray
+    """How sure these still are [Elo], (entries,)."""
+    prior_sd: float
+    """Spread of entries that are not among them [Elo]; it is not learned again."""
+
+    def at(self, entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the means [natural units] of some entries, and their precisions, NaN if new."""
+        place = np.searchsorted(self.entries, entries).clip(max=len(self.entries) - 1)
+        known = self.entries[place] == entries
+        mean = np.where(known, (self.elo[place] - self.elo.mean()) / ELO, 0.0)
+        return mean, np.where(known, (ELO / self.sd[place]) ** 2, np.nan)
+
+
+@dataclass(frozen=True)
 class Difference:
     """How far one entry is ahead of another."""
 
@@ -167,6 +188,7 @@ def fit(
     *,
     entries: Iterable[int] = (),
     anchor: int | None = None,
+    carried: Carried | None = None,
 ) -> Ratings:
     """Rate a field from all its races.
 
@@ -175,6 +197,7 @@ def fit(
         settings: the league's choices.
         entries: numbers to rate even if they have not raced yet (where races are not counted yet).
         anchor: the entry that is 1000.
+        carried: ratings of an earlier season, which these races change.
 
     Raises:
         ConfigError: no entry to rate, an anchor that is not in the field, contradicting results.
@@ -185,8 +208,10 @@ def fit(
         raise ConfigError("there are no entries to rate: submit one, or give results")
     if anchor is not None and anchor not in data.entries:
         raise ConfigError(f"anchor {anchor} is not in the field: name one of its entries")
-    model = _Model(data.counts, settings)
-    posterior = model.learned() if settings.prior_sd is None else model.at(settings.prior_sd)
+    known = carried if carried is not None and len(carried.entries) else None
+    model = _Model(data.counts, settings, known.at(data.entries) if known else None)
+    prior_sd = known.prior_sd if known and settings.prior_sd is None else settings.prior_sd
+    posterior = model.learned() if prior_sd is None else model.at(prior_sd)
     squares = Squares.of(data.results, posterior.parameters, model.prior(posterior.prior_sd))
     variances = Variances.of(posterior.system, squares, posterior.weights)
     return _ratings(data, posterior, variances, anchor, model.num_spreads)
@@ -209,14 +234,25 @@ class _Posterior:
 class _Model:
     """A field's log-posterior; each climb begins where the last one ended."""
 
-    def __init__(self, counts: PairCounts, settings: RatingSettings) -> None:
+    def __init__(
+        self,
+        counts: PairCounts,
+        settings: RatingSettings,
+        known: tuple[np.ndarray, np.ndarray] | None = None,
+    ) -> None:
         self._counts, self._settings = counts, settings
-        self._last = np.zeros(counts.size)
+        self._mean = np.zeros(counts.size)
+        self._precisions = np.full(counts.num_entries, np.nan)
+        if known is not None:
+            self._mean[: counts.num_entries], self._precisions = known
+        self._last = self._mean
         self.num_spreads = 0
 
     def prior(self, prior_sd: float) -> np.ndarray:
         """Return the precision of each parameter."""
         precisions = np.full(self._counts.size, (ELO / prior_sd) ** 2)
+        known = ~np.isnan(self._precisions)
+        precisions[: len(known)][known] = self._precisions[known]
         # Each of two slots has half the variance of their difference.
         precisions[self._counts.num_entries :] = 2.0 * (ELO / self._settings.slot_sd) ** 2
         return precisions
@@ -226,13 +262,13 @@ class _Model:
         prior, at = self.prior(prior_sd), self._last
         self.num_spreads += 1
         seen = slope(self._counts, at)
-        value = seen.value - 0.5 * float(prior @ at**2)
+        value = seen.value - 0.5 * float(prior @ (at - self._mean) ** 2)
         far = 1.0
         for _ in range(100):
             system = systems.system(
                 self._counts, seen.weights, prior, dense_most=self._settings.dense_most
             )
-            gradient = seen.gradient - prior * at
+            gradient = seen.gradient - prior * (at - self._mean)
             # A step that others follow need not be exact: the next one's error is its square.
             step = system.solve(gradient, within=min(1e-2, max(1e-6, 1e-2 * far)))
             promised = float(gradient @ step)
@@ -244,7 +280,7 @@ class _Model:
             while True:
                 tried = at + length * step
                 seen = slope(self._counts, tried)
-                now = seen.value - 0.5 * float(prior @ tried**2)
+                now = seen.value - 0.5 * float(prior @ (tried - self._mean) ** 2)
                 # Rounding hides gains below a billionth; there the full step is right anyway.
                 if now >= value + 1e-4 * length * promised - 1e-9 * abs(value) or length < 1e-6:
                     break

@@ -13,7 +13,7 @@ import sqlalchemy as sa
 
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset
-from league.matchmaking.store import entries, results
+from league.matchmaking.store import cups, entries, results, schema, seasons
 from league.matchmaking.store.queue import chunked
 from league.matchmaking.store.results import PackedResult
 from league.matchmaking.store.schema import Record, append, heats, ledger, link, races, rulesets
@@ -68,6 +68,10 @@ def verify(connection: sa.Connection, head: str = "") -> Integrity:
     found.mismatches += [f"{kind} {name[:12]}: not in the ledger" for kind, name in missing]
     if not has_head:
         found.mismatches.append(f"the ledger no longer has the record {head[:12]}")
+    for name in seasons.damaged(connection, schema.seasons):
+        found.mismatches.append(f"season {name}: its standings differ from their hash")
+    for name in seasons.damaged(connection, schema.cups):
+        found.mismatches.append(f"cup {name}: its bracket differs from its hash")
     _check_heats(connection, found, num_results, settled)
     return found
 
@@ -77,6 +81,8 @@ def _simple_records(connection: sa.Connection) -> Iterator[Record]:
         yield Record("ruleset", row.hash, row.settings)
     for row in connection.execute(entries.with_owners().order_by(entries.entries.c.number)):
         yield entries.ledger_record(row)
+    yield from seasons.ledger_records(connection)
+    yield from cups.ledger_records(connection)
 
 
 def _result_records(connection: sa.Connection, numbers: list[int]) -> Iterator[Record]:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,10 @@ EntryState = Literal[
     "pending", "validating", "placement", "provisional", "ranked", "retired", "refused"
 ]
 HeatState = Literal["planned", "claimed", "done", "error", "quarantined", "cancelled"]
+Scope = Literal["submit", "worker", "admin"]
+"""What a token allows: to enter and retire its owner's drivers; to race heats; all of it, and to
+retire anybody's drivers."""
+SCOPES: tuple[Scope, ...] = ("submit", "worker", "admin")
 
 RATED: tuple[EntryState, ...] = ("placement", "provisional", "ranked")
 """States in which an entry takes part in rated heats; the rating moves it among them."""
@@ -42,6 +46,71 @@ class LeagueSettings:
     name: str
     ruleset: Ruleset
     """The present rules."""
+
+
+@dataclass(frozen=True)
+class Season:
+    """A part of a league's races with standings of its own."""
+
+    number: int
+    """From 1."""
+    name: str
+    ruleset: str
+    """Hash of the rules it is raced by."""
+    seed: int
+    """What is drawn in it follows from this."""
+    settings: Mapping[str, Any]
+    """See divisions.SeasonSettings."""
+    after: int
+    """Its heats have larger numbers than this."""
+    until: int | None
+    """Number of its last heat; None while it is running."""
+    started_s: float
+    """[s since 1970]."""
+    ended_s: float | None
+    """When its standings were frozen [s since 1970]; None before."""
+    hash: str
+    """SHA-256 of what they were frozen as; empty before."""
+
+    def has(self, heat: np.ndarray) -> np.ndarray:
+        """Return which heats (numbers) are among its own."""
+        return (heat > self.after) & (self.until is None or heat <= self.until)
+
+
+@dataclass(frozen=True)
+class Cup:
+    """A knock-out competition beside the ratings."""
+
+    number: int
+    """From 1."""
+    name: str
+    season: int | None
+    """Number of the season it was begun in; None for none."""
+    seed: int
+    """What is drawn in it follows from this."""
+    settings: Mapping[str, Any]
+    """Ids of the `entrants`, hashes of the rules of `qualifying` and `knock_out`."""
+    started_s: float
+    """[s since 1970]."""
+    ended_s: float | None
+    """When its bracket was frozen [s since 1970]; None before."""
+    hash: str
+    """SHA-256 of what it was frozen as; empty before."""
+
+
+class Move(NamedTuple):
+    """An entry's move to a division."""
+
+    round: int
+    """Round of heats before which it was made."""
+    entry: int
+    """Number of the entry."""
+    division: int
+    """From 1, the top one; 0 for none any more."""
+    heat: int
+    """Newest heat that counted."""
+    reason: str
+    """start, new, rating, place, safety or left; see divisions.py."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +146,45 @@ class Entry:
     def near_copy_of(self) -> str:
         """Name of the earlier entry with nearly the same weights; empty for none."""
         return str(self.card.get("near_copy_of", ""))
+
+
+@dataclass(frozen=True)
+class Token:
+    """What is known of a token; its secret is not kept."""
+
+    number: int
+    owner: str
+    """Name of the owner it stands for."""
+    scopes: tuple[Scope, ...]
+    created_s: float
+    """When it was made [s since 1970]."""
+    expires_s: float | None
+    """When it ends [s since 1970]; None for never."""
+    revoked_s: float | None
+    """When it was revoked [s since 1970]."""
+    used_s: float | None
+    """When it was used last, to the hour [s since 1970]."""
+
+    def state(self, now_s: float) -> str:
+        """Return whether it is active, expired or revoked."""
+        if self.revoked_s is not None:
+            return "revoked"
+        over = self.expires_s is not None and self.expires_s <= now_s
+        return "expired" if over else "active"
+
+    def allows(self, scope: Scope) -> bool:
+        """Return whether it may be used for something."""
+        return scope in self.scopes or "admin" in self.scopes
+
+
+@dataclass(frozen=True)
+class Quota:
+    """How much an owner may enter."""
+
+    entries: int = 4
+    """Entries that have not been retired or refused."""
+    per_day: int = 5
+    """New entries within 24 hours."""
 
 
 @dataclass(frozen=True)
@@ -193,3 +301,28 @@ class Races:
     """Pass this as `since` to read only later races next time."""
     voided: int = 0
     """How many heats are in quarantine: if it has changed, read all races again."""
+
+    def where(self, kept: np.ndarray) -> Races:
+        """Return those of the races for which `kept` is true, (num_races,)."""
+        parts = ("heat", "half", "track", "entries", "places", "runs")
+        return replace(self, **{name: getattr(self, name)[kept] for name in parts})
+
+
+@dataclass(frozen=True)
+class Drives:
+    """How each car drove in races that count, one row a car, all (cars of all races,) int64."""
+
+    heat: np.ndarray
+    """Number of the heat."""
+    half: np.ndarray
+    """Which race of the heat, from 0."""
+    track: np.ndarray
+    """Number of the track in the ruleset, 255 for none of them."""
+    entry: np.ndarray
+    """Number of the entry that drove it."""
+    points: np.ndarray
+    """Incident points."""
+    distance_cm: np.ndarray
+    """Driven along the centreline [cm]."""
+    clean_ms: np.ndarray
+    """Best lap of a race without any fault [ms], 0 for none."""

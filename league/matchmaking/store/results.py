@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,6 +18,7 @@ from league.matchmaking.store.records import (
     BEST_MS,
     FINISHED,
     KNOWN,
+    Drives,
     HeatOutcome,
     Races,
     Received,
@@ -35,6 +36,12 @@ from league.matchmaking.store.schema import (
 
 BLOCK = 1 << 20
 """Races read at a time."""
+FILLED = 5000
+"""Races of an older league brought up to date at a time."""
+OFF_TRACK, TOUCH, CRASH = 1, 1, 4
+"""Incident points of leaving the track, of a light contact and of a crash one is to blame for."""
+FAULTS = ("off_tracks", "crashes", "touches", "immobilised", "reversed")
+"""What a result counts of each car; a lap is clean in a race without any of them."""
 NO_TRACK = 255
 """Number of a track that is not in the ruleset, or has a number too large for one byte."""
 
@@ -51,6 +58,8 @@ class PackedResult:
     """Of the car in each slot."""
     runs: tuple[int, ...]
     """Of the car in each slot; see Races.runs."""
+    driven: str
+    """See `driven`."""
     replay: str | None
     """SHA-256 of the recording."""
     machine: str
@@ -74,6 +83,7 @@ def pack(outcome: HeatOutcome, replays: Sequence[str | None]) -> tuple[PackedRes
                 document=zlib.compress(document, 6),
                 places=race.places,
                 runs=_runs(race.result, len(race.places)),
+                driven=driven(race.result, len(race.places)),
                 replay=replay,
                 machine=outcome.machine,
             )
@@ -85,8 +95,15 @@ def unpack(document: bytes, replay: str | None, machine: str) -> PackedResult:
     """Return a result of which a document was stored."""
     plain = json.loads(document)
     places = tuple(plain["places"])
-    runs = _runs(plain["result"], len(places))
-    return PackedResult(heat_spec.digest(document), document, places, runs, replay, machine)
+    return PackedResult(
+        hash=heat_spec.digest(document),
+        document=document,
+        places=places,
+        runs=_runs(plain["result"], len(places)),
+        driven=driven(plain["result"], len(places)),
+        replay=replay,
+        machine=machine,
+    )
 
 
 def _runs(result: Mapping[str, Any], cars: int) -> tuple[int, ...]:
@@ -99,6 +116,32 @@ def _runs(result: Mapping[str, Any], cars: int) -> tuple[int, ...]:
                 best_ms = round(1000 * min(laps, default=0.0))
                 runs[car] = KNOWN | finished * FINISHED | min(best_ms, BEST_MS)
     return tuple(runs)
+
+
+def driven(result: Mapping[str, Any], cars: int) -> str:
+    """Return how each car drove, in hexadecimal: incident points, distance [cm], clean lap [ms].
+
+    That is 4, 8 and 8 digits for each car, and nothing for a result that does not tell. The clean
+    lap is the best one of a race without any fault, 0 for none.
+    """
+    order = result.get("order")
+    parts = ["0" * 20] * cars
+    for row in order if isinstance(order, list | tuple) else ():
+        match row:
+            case {
+                "car": int(car),
+                "distance": float() | int() as distance,
+                "lap_times_s": laps,
+            } if car < cars:
+                off, crashes, touches, *_ = faults = [int(row.get(name, 0)) for name in FAULTS]
+                points = OFF_TRACK * off + CRASH * crashes + TOUCH * touches
+                clean_ms = 0 if any(faults) else round(1000 * min(laps, default=0.0))
+                parts[car] = (
+                    f"{min(points, 0xFFFF):04x}{round(100 * max(distance, 0.0)):08x}"
+                    f"{min(clean_ms, BEST_MS):08x}"
+                )
+    text = "".join(parts)
+    return text if text.strip("0") else ""
 
 
 def packed(
@@ -297,6 +340,7 @@ def race_rows(
                 "rated": row.purpose == "rated",
                 "cars": len(grid),
                 "packed": packed(row.number, half, grid, one.places, track=track, runs=one.runs),
+                "driven": one.driven,
             }
         )
     return rows
@@ -376,26 +420,94 @@ def read_races(
     connection: sa.Connection, ruleset: str, since: int = 0, *, rated: bool = True
 ) -> Races:
     """Return the races under a ruleset that count, those after number `since` only."""
-    last = connection.scalar(sa.select(sa.func.coalesce(sa.func.max(races.c.number), 0)))
-    rules = sa.select(rulesets.c.number).where(rulesets.c.hash == ruleset).scalar_subquery()
+    last = _last(connection)
     voided = connection.scalar(
         sa.select(sa.func.count()).select_from(heats).where(heats.c.state == "quarantined")
     )
-    assert last is not None
-    pieces: list[np.ndarray] = []
+    counted = _counted(ruleset, rated=rated)
+    pieces = [
+        _unpacked(text, cars)
+        for text, cars in _joined(connection, races.c.packed, counted, since, last)
+    ]
+    return _stacked(pieces, max(last, since), voided or 0)
+
+
+def _last(connection: sa.Connection) -> int:
+    return connection.scalar(sa.select(sa.func.coalesce(sa.func.max(races.c.number), 0))) or 0
+
+
+def _counted(ruleset: str, *, rated: bool) -> sa.ColumnElement[bool]:
+    rules = sa.select(rulesets.c.number).where(rulesets.c.hash == ruleset).scalar_subquery()
+    return sa.and_(races.c.ruleset == rules, *([races.c.rated] if rated else []))
+
+
+def _joined(
+    connection: sa.Connection,
+    text: sa.ColumnElement[str],
+    counted: sa.ColumnElement[bool],
+    since: int,
+    last: int,
+) -> Iterator[tuple[str, int]]:
+    """Yield a text of each of some races, with spaces between, and the cars that these have."""
     for start in range(since, last, BLOCK):
-        block = sa.and_(
-            races.c.number > start,
-            races.c.number <= min(start + BLOCK, last),
-            races.c.ruleset == rules,
-            *([races.c.rated] if rated else []),
-        )
+        block = sa.and_(races.c.number > start, races.c.number <= min(start + BLOCK, last), counted)
         fields = sa.select(races.c.cars).where(block).distinct().order_by(races.c.cars)
         for cars in connection.scalars(fields).all():
-            joined = sa.select(sa.func.aggregate_strings(races.c.packed, " "))
-            text = connection.scalar(joined.where(block, races.c.cars == cars))
-            pieces.append(_unpacked(text or "", cars))
-    return _stacked(pieces, max(last, since), voided or 0)
+            joined = sa.select(sa.func.aggregate_strings(text, " "))
+            yield connection.scalar(joined.where(block, races.c.cars == cars)) or "", cars
+
+
+def read_drives(connection: sa.Connection, ruleset: str, *, rated: bool = True) -> Drives:
+    """Return how each car drove in the races under a ruleset that count, one row a car."""
+    counted = _counted(ruleset, rated=rated) & (races.c.driven != "")
+    # Heat, half and track, then the entries of all cars: `packed` up to the places.
+    text = sa.func.substr(races.c.packed, 1, 12 + 8 * races.c.cars) + races.c.driven
+    pieces = [
+        np.frombuffer(bytes.fromhex(joined), dtype=_drive_type(cars))
+        for joined, cars in _joined(connection, text, counted, 0, _last(connection))
+    ]
+    columns: dict[str, list[np.ndarray]] = {name: [] for name in Drives.__dataclass_fields__}
+    for piece in pieces:
+        cars = piece["entry"].shape[1]
+        for name in ("heat", "half", "track"):
+            columns[name].append(np.repeat(piece[name].astype(np.int64), cars))
+        columns["entry"].append(piece["entry"].astype(np.int64).ravel())
+        for name in ("points", "distance_cm", "clean_ms"):
+            columns[name].append(piece["driven"][name].astype(np.int64).ravel())
+    empty = np.zeros(0, np.int64)
+    return Drives(**{name: np.concatenate([empty, *parts]) for name, parts in columns.items()})
+
+
+def _drive_type(cars: int) -> np.dtype[Any]:
+    car = [("points", ">u2"), ("distance_cm", ">u4"), ("clean_ms", ">u4")]
+    return np.dtype(
+        [
+            *(("heat", ">u4"), ("half", "u1"), ("track", "u1")),
+            *(("entry", ">u4", (cars,)), ("driven", car, (cars,))),
+        ]
+    )
+
+
+def fill_driven(connection: sa.Connection) -> int:
+    """Let races of an older league tell how cars drove, from their results; return how many."""
+    query = (
+        sa.select(races.c.number, races.c.cars, results.c.document)
+        .join(results, (results.c.heat == races.c.heat) & (results.c.half == races.c.half))
+        .where(~results.c.rejected)
+        .order_by(races.c.number)
+        .limit(FILLED)
+    )
+    last = filled = 0
+    while rows := connection.execute(query.where(races.c.number > last)).all():
+        last = rows[-1].number
+        told = [
+            {"number_": row.number, "driven": driven(json.loads(text)["result"], row.cars)}
+            for row in rows
+            if (text := zlib.decompress(row.document))
+        ]
+        connection.execute(races.update().where(races.c.number == sa.bindparam("number_")), told)
+        filled += len(told)
+    return filled
 
 
 def _stacked(pieces: list[np.ndarray], last: int, voided: int) -> Races:

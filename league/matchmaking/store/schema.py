@@ -41,7 +41,7 @@ from league.matchmaking.store.database import Database
 
 MIGRATIONS = Path(__file__).parent / "migrations"
 
-SCHEMA = "0003"
+SCHEMA = "0005"
 """Version of these tables: the newest revision in migrations/versions."""
 
 # SQLite numbers rows by itself only in a column that is declared INTEGER PRIMARY KEY.
@@ -109,6 +109,22 @@ entries = Table(
 )
 """`id` is the content hash; a policy's weights are the blob of that name."""
 
+tokens = Table(
+    "tokens",
+    metadata,
+    Column("number", Integer, primary_key=True),
+    Column("hash", String(64), nullable=False, unique=True),
+    Column("owner", Integer, ForeignKey("owners.number"), nullable=False),
+    Column("scopes", String(40), nullable=False),
+    Column("created_s", Float(53), nullable=False),
+    Column("expires_s", Float(53)),
+    Column("revoked_s", Float(53)),
+    Column("used_s", Float(53)),
+    sqlite_autoincrement=True,
+)
+"""Secrets by which owners and workers are known over HTTP: only their SHA-256 is here. `scopes` are
+words with spaces between; `expires_s` NULL is never."""
+
 blobs = Table(
     "blobs",
     metadata,
@@ -136,7 +152,9 @@ heats = Table(
     Column("traceback", Text, nullable=False),
     Column("created_s", Float(53), nullable=False),
     Column("done_s", Float(53)),
-    CheckConstraint("purpose IN ('rated', 'validation', 'audit', 'gauntlet')", name="purpose"),
+    CheckConstraint(
+        "purpose IN ('rated', 'validation', 'audit', 'gauntlet', 'cup')", name="purpose"
+    ),
     CheckConstraint(
         "state IN ('planned', 'claimed', 'done', 'error', 'quarantined', 'cancelled')", name="state"
     ),
@@ -165,10 +183,12 @@ races = Table(
     Column("rated", Boolean, nullable=False),
     Column("cars", SmallInteger, nullable=False),
     Column("packed", Text, nullable=False),
+    Column("driven", Text, nullable=False, server_default=""),
     UniqueConstraint("heat", "half"),
     sqlite_autoincrement=True,
 )
-"""Races that count: at most one result per race of a heat. `packed`: see results.packed."""
+"""Races that count: at most one result per race of a heat. `packed`: see results.packed; `driven`:
+see results.driven."""
 
 results = Table(
     "results",
@@ -185,6 +205,54 @@ results = Table(
 )
 """Every different result that ever came, as deflated JSON. Several for one race are a dispute,
 unless all but one are `rejected`, because a third worker found that one."""
+
+seasons = Table(
+    "seasons",
+    metadata,
+    Column("number", Integer, primary_key=True),
+    Column("name", String(100), nullable=False, unique=True),
+    Column("ruleset", Integer, ForeignKey("rulesets.number"), nullable=False),
+    Column("seed", BigInteger, nullable=False),
+    Column("settings", Text, nullable=False),
+    Column("after", Number, nullable=False),
+    Column("until", Number),
+    Column("started_s", Float(53), nullable=False),
+    Column("ended_s", Float(53)),
+    Column("hash", String(64)),
+    Column("document", LargeBinary),
+)
+"""A season has the heats numbered above `after`, up to `until`, which is NULL while it runs. At its
+end `document`, deflated JSON with the hash `hash`, freezes its standings."""
+
+divisions = Table(
+    "divisions",
+    metadata,
+    Column("season", Integer, ForeignKey("seasons.number"), primary_key=True),
+    Column("round", Integer, primary_key=True, autoincrement=False),
+    Column("entry", Integer, ForeignKey("entries.number"), primary_key=True),
+    Column("division", SmallInteger, nullable=False),
+    Column("heat", Number, nullable=False),
+    Column("reason", String(16), nullable=False),
+    sqlite_with_rowid=False,
+)
+"""Moves of entries between divisions, from 1 the top one: an entry is where its last one led.
+`heat` is the newest heat that counted."""
+
+cups = Table(
+    "cups",
+    metadata,
+    Column("number", Integer, primary_key=True),
+    Column("name", String(100), nullable=False, unique=True),
+    Column("season", Integer, ForeignKey("seasons.number")),
+    Column("seed", BigInteger, nullable=False),
+    Column("settings", Text, nullable=False),
+    Column("started_s", Float(53), nullable=False),
+    Column("ended_s", Float(53)),
+    Column("hash", String(64)),
+    Column("document", LargeBinary),
+)
+"""`settings` has the entrants; all else of a running cup follows from it and its heats' results. At
+its end `document`, deflated JSON with the hash `hash`, freezes the bracket."""
 
 events = Table(
     "events",

@@ -12,22 +12,37 @@ import sqlalchemy as sa
 from league.errors import StoreError, brief
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Heat, Ruleset
-from league.matchmaking.store import blobs, entries, integrity, queue, results, schema
+from league.matchmaking.store import (
+    blobs,
+    cups,
+    entries,
+    integrity,
+    queue,
+    results,
+    schema,
+    seasons,
+)
 from league.matchmaking.store.blobs import Blobs, FolderBlobs, TableBlobs
 from league.matchmaking.store.database import Database
 from league.matchmaking.store.integrity import Integrity
 from league.matchmaking.store.records import (
+    Cup,
+    Drives,
     Entry,
     EntryState,
     HeatOutcome,
     HeatRecord,
     HeatState,
     LeagueSettings,
+    Move,
+    Quota,
     Races,
     Received,
+    Season,
     StoredResult,
 )
 from league.matchmaking.store.schema import heat_entries, heats, league, rulesets
+from league.matchmaking.store.tokens import Tokens
 
 LEASE_S = 60.0
 """Lease of a heat [s]; dispatchers renew it every 10 s."""
@@ -98,13 +113,27 @@ class Store:
         return {row.hash: Ruleset.of(json.loads(row.settings)) for row in rows}
 
     def set_ruleset(self, ruleset: Ruleset) -> int:
-        """Race under other rules from now on; return how many waiting heats this cancels."""
+        """Race under other rules from now on; return how many waiting heats this cancels.
+
+        Raises:
+            StoreError: a season under the present rules is running.
+        """
         with self._writing(lock=True) as (connection, now):
+            season = next(iter(seasons.listed(connection)[::-1]), None)
+            if season is not None and season.ended_s is None and season.ruleset != ruleset.hash:
+                raise StoreError(
+                    f"the season {season.name!r} is raced by the present rules to its end: end it "
+                    "first with `league season end`"
+                )
             number = schema.add_ruleset(connection, now, ruleset)
             connection.execute(league.update().values(ruleset=number))
             cancelled = connection.execute(
                 heats.update()
-                .where(heats.c.state == "planned", heats.c.ruleset != number)
+                .where(
+                    heats.c.state == "planned",
+                    heats.c.ruleset != number,
+                    heats.c.purpose != "cup",
+                )
                 .values(state="cancelled")
             ).rowcount
             schema.log_event(connection, now, "league", "rules", ruleset.hash, cancelled=cancelled)
@@ -114,6 +143,11 @@ class Store:
     def blobs(self) -> Blobs:
         """Where weights and recordings are kept."""
         return FolderBlobs(self._blobs_url) if self._blobs_url else TableBlobs(self._database)
+
+    @property
+    def tokens(self) -> Tokens:
+        """The secrets by which owners and workers are known over HTTP."""
+        return Tokens(self._database)
 
     # Entries
 
@@ -127,11 +161,12 @@ class Store:
         anchor: bool = False,
         card: Mapping[str, Any] | None = None,
         id: str = "",
+        quota: Quota | None = None,
     ) -> Entry:
         """Enter a driver: a policy's weights, or the name of a scripted driver.
 
         The same driver submitted again by its owner is the entry it was. A policy is known by its
-        `id`, by default the hash of its file.
+        `id`, by default the hash of its file. A `quota` is refused with a QuotaError.
         """
         if (weights is None) == (scripted is None):
             raise ValueError("give either weights or the name of a scripted driver")
@@ -147,7 +182,7 @@ class Store:
             "card": heat_spec.canonical(card).decode(),
         }
         with self._writing(lock=True) as (connection, now):
-            entry = entries.submit(connection, now, owner, row)
+            entry = entries.submit(connection, now, owner, row, quota)
             if weights is not None and not self._blobs_url and entry.blob == blob:
                 blobs.insert(connection, now, weights)
             return entry
@@ -169,6 +204,65 @@ class Store:
         with self._writing(lock=True) as (connection, now):
             return entries.move(connection, now, states, reason=reason, actor=actor)
 
+    # Seasons
+
+    def seasons(self) -> list[Season]:
+        """Return all seasons, the first one first; a league without any is one all its life."""
+        with self._database.reading() as connection:
+            return seasons.listed(connection)
+
+    def start_season(self, name: str, settings: Mapping[str, Any]) -> Season:
+        """Begin a season; an empty name is its number. StoreError if another one is running."""
+        with self._writing(lock=True) as (connection, now):
+            return seasons.start(connection, now, self._secret, name, settings)
+
+    def close_season(self, number: int) -> int:
+        """Let a season have no more heats; return how many of its own are still being raced."""
+        with self._writing(lock=True) as (connection, now):
+            return seasons.close(connection, now, number)
+
+    def end_season(self, number: int, document: Mapping[str, Any]) -> Season:
+        """Freeze a closed season as a document; one that has ended stays as it is."""
+        with self._writing(lock=True) as (connection, now):
+            return seasons.end(connection, now, number, document)
+
+    def season_document(self, number: int) -> dict[str, Any] | None:
+        """Return what a season was frozen as; None before its end."""
+        with self._database.reading() as connection:
+            return seasons.document(connection, schema.seasons, number)
+
+    def move_divisions(self, season: int, moves: Sequence[Move]) -> int:
+        """Note moves between divisions, each once; return how many are new."""
+        with self._writing(lock=True) as (connection, now):
+            return seasons.move(connection, now, season, moves)
+
+    def division_moves(self, season: int) -> list[Move]:
+        """Return the moves between divisions in a season, the oldest first."""
+        with self._database.reading() as connection:
+            return seasons.moves_of(connection, season)
+
+    # Cups
+
+    def cups(self) -> list[Cup]:
+        """Return all cups, the first one first."""
+        with self._database.reading() as connection:
+            return cups.listed(connection)
+
+    def start_cup(self, name: str, settings: Mapping[str, Any], rules: Sequence[Ruleset]) -> Cup:
+        """Begin a cup under some rules; an empty name is its number."""
+        with self._writing(lock=True) as (connection, now):
+            return cups.start(connection, now, self._secret, name, settings, rules)
+
+    def end_cup(self, number: int, document: Mapping[str, Any]) -> Cup:
+        """Freeze a cup as a document; one that has ended stays as it is."""
+        with self._writing(lock=True) as (connection, now):
+            return cups.end(connection, now, number, document)
+
+    def cup_document(self, number: int) -> dict[str, Any] | None:
+        """Return what a cup was frozen as; None before its end."""
+        with self._database.reading() as connection:
+            return seasons.document(connection, schema.cups, number)
+
     # The queue
 
     def plan(self, planned: Sequence[Heat]) -> int:
@@ -179,20 +273,36 @@ class Store:
                 added += queue.plan(connection, now, planned[start : start + BATCH])
         return added
 
-    def claim(self, worker: str, limit: int = 1, *, lease_s: float = LEASE_S) -> list[HeatRecord]:
+    def claim(
+        self, worker: str, limit: int = 1, *, lease_s: float = LEASE_S, lender: str = ""
+    ) -> list[HeatRecord]:
         """Lend up to `limit` heats to a worker; its name must be unique.
 
-        Heats with an expired lease are lent again.
+        Heats with an expired lease are lent again. Workers of an owner (`lender`) race neither
+        heats of the owner's entries nor again what a worker of the owner has raced.
         """
         _check_worker(worker)
+        limit = min(limit, BATCH)
         with self._writing() as (connection, now):
-            return queue.claim(connection, now, self._secret, worker, min(limit, BATCH), lease_s)
+            return queue.claim(connection, now, self._secret, worker, limit, lease_s, lender)
 
-    def heartbeat(self, worker: str, *, lease_s: float = LEASE_S) -> list[str]:
-        """Renew a worker's leases; return the keys of the heats it still holds."""
+    def heartbeat(
+        self, worker: str, *, lease_s: float = LEASE_S, keys: Sequence[str] | None = None
+    ) -> list[str]:
+        """Renew a worker's leases, or those of these heats; return the keys of what it holds."""
         _check_worker(worker)
         with self._writing() as (connection, now):
-            return queue.heartbeat(connection, now, worker, lease_s)
+            return queue.heartbeat(connection, now, worker, lease_s, keys)
+
+    def seeds(self, heat: Heat) -> tuple[int, ...]:
+        """Return the seed of each race of a heat; a secret until it is over."""
+        return heat.seeds(self._secret)
+
+    def audit(self, keys: Sequence[str], share: float) -> int:
+        """Plan a share of these heats again, drawn with the league's secret; return how many."""
+        drawn = [k for k in keys if heat_spec.seed(self._secret, f"audit {k}", 0) < share * 2**63]
+        records = [record for record in map(self.heat, drawn) if record.heat.purpose == "rated"]
+        return self.plan([heat_spec.audit_of(record.heat) for record in records])
 
     def complete(self, worker: str, outcomes: Sequence[HeatOutcome]) -> Received:
         """Take in the results of heats, each once, however often they are sent."""
@@ -263,6 +373,11 @@ class Store:
         with self._database.reading() as connection:
             return results.read_races(connection, ruleset, since, rated=rated)
 
+    def drives(self, ruleset: str, *, rated: bool = True) -> Drives:
+        """Return how each car drove in the races under a ruleset; see `races`."""
+        with self._database.reading() as connection:
+            return results.read_drives(connection, ruleset, rated=rated)
+
     def heat(self, name: str | int) -> HeatRecord:
         """Return the heat with this key, beginning of a key (6 digits or more), or number."""
         text = str(name)
@@ -295,6 +410,13 @@ class Store:
                 sa.select(heat_entries.c.heat).where(heat_entries.c.entry == entry)
             )
         return self._heats(match, limit)
+
+    def heats_by_key(self, keys: Sequence[str]) -> list[HeatRecord]:
+        """Return those of some heats that are known, by number."""
+        records: list[HeatRecord] = []
+        for start in range(0, len(keys), BATCH):
+            records += self._heats(heats.c.key.in_(keys[start : start + BATCH]), None)
+        return sorted(records, key=lambda record: record.number)
 
     def results(self, *heats: int) -> list[StoredResult]:
         """Return all results of heats (by number); several for one race are a dispute."""
@@ -368,6 +490,8 @@ def upgrade(url: str) -> list[str]:
         with database.writing() as connection:
             database.lock(connection)
             steps = schema.migrate(connection)
+            if version < "0004":
+                steps.append(f"{results.fill_driven(connection)} races tell their incidents")
             if version < "0003":
                 steps.append(f"{integrity.adopt(connection)} records begin the ledger")
             return steps

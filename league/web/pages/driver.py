@@ -7,15 +7,22 @@ import itertools
 from collections.abc import Mapping
 from typing import Any
 
+from league.errors import StoreError
 from league.matchmaking import standings
+from league.matchmaking.history import history
+from league.matchmaking.pairing import matchmaker
 from league.matchmaking.scores import best_laps, race_scores
-from league.matchmaking.standings import HeadToHead, Row, Standings
-from league.matchmaking.store import Entry
+from league.matchmaking.standings import HeadToHead, HistoryPoint, Row, Standings
+from league.matchmaking.store import Entry, HeatRecord
 from league.track import files
-from league.web import charts, family
+from league.web import charts, family, season_marks
 from league.web.medals import medal
+from league.web.pages.seasons import frozen
 from league.web.reader import Document, Reader
 
+FIRST_HEATS = 8
+"""Heats of a new entry that are followed live."""
+OVER = ("done", "error", "quarantined", "cancelled")
 HEATS = 14
 """Newest heats that are listed."""
 NEIGHBOURS = 10
@@ -30,28 +37,42 @@ def document(reader: Reader, number: int) -> Document:
     """Return an entry: its rating and how it came about, its record, its heats, its card."""
     entry, entries, rated = reader.entry(number), reader.store.entries(), reader.standings()
     row, raced = reader.row(number), reader.store.heats(entries=[number])
-    over = [record for record in raced if record.state not in ("planned", "claimed")]
-    history = _history(reader, entry, rated.num_races) if rated and row and row.races else []
+    waiting = [record for record in raced if record.state in ("planned", "claimed")]
+    over = [record for record in raced if record not in waiting and record.state != "cancelled"]
+    moments = _history(reader, entry, rated.races.last) if rated and row else []
     heats = _heat_scores(rated, number) if rated and row else []
     best = heapq.nlargest(EXTREMES, heats, key=_surplus)
     worst = heapq.nsmallest(EXTREMES, heats, key=_surplus)
     return {
         "entry": entry,
         "standing": row,
-        "history": history,
-        "chart": charts.rating_history(history) if len(history) > 1 else None,
+        "marks": season_marks.of(reader).get(number),
+        "trophies": _trophies(reader, number),
+        "history": moments,
+        "chart": _chart(reader, number, moments),
         "against": _neighbours(rated, row) if rated and row else [],
         "best": _named(reader, [heat for heat in best if _surplus(heat) > 0]),
         "worst": _named(reader, [heat for heat in worst if _surplus(heat) < 0]),
         "laps": _laps(reader, rated, number) if rated and row else [],
         "heats": reader.listed(over[-HEATS:][::-1]),
-        "waiting": len(raced) - len(over),
+        "waiting": len(waiting),
+        "joining": _joining(reader, entry, raced),
         "card": _card(entry),
         "ancestors": family.ancestors(entries, entry),
         "children": [
             {"number": one.number, "name": one.name} for one in family.children(entries, entry)
         ],
     }
+
+
+def _joining(reader: Reader, entry: Entry, raced: list[HeatRecord]) -> Document | None:
+    """Return how far a new entry is: what it waits for, and its first heats; None for others."""
+    first = raced[:FIRST_HEATS]
+    over = len(first) == FIRST_HEATS and all(one.state in OVER for one in first)
+    if entry.anchor or over or entry.state not in ("pending", "validating", "placement"):
+        return None
+    waits = "" if entry.state == "placement" else matchmaker.waits_for(reader.store, entry)
+    return {"waits_for": waits, "heats": reader.listed(first)}
 
 
 def _neighbours(rated: Standings, row: Row) -> list[tuple[Row, HeadToHead | None]]:
@@ -107,11 +128,32 @@ def _laps(reader: Reader, rated: Standings, number: int) -> list[Document]:
     return lines
 
 
-def _history(reader: Reader, entry: Entry, num_races: int) -> list[standings.HistoryPoint]:
-    return reader.kept(
-        ("history", entry.number, num_races),
-        lambda: standings.history(reader.store, entry, points=HISTORY_POINTS),
-    )
+def _chart(reader: Reader, number: int, moments: list[HistoryPoint]) -> charts.Chart | None:
+    if len(moments) < 2 or moments[0].races == moments[-1].races:
+        return None
+    return charts.rating_history(moments, season_marks.moments(reader, number))
+
+
+def _trophies(reader: Reader, number: int) -> list[Document]:
+    """Return what an entry won in the seasons that are over."""
+    return [
+        {**trophy, "season": season.number, "of": season.name}
+        for season in reader.store.seasons()
+        for trophy in (frozen(reader, "season", season.number) or {}).get("trophies", ())
+        if trophy["number"] == number
+    ]
+
+
+def _history(reader: Reader, entry: Entry, last: int) -> list[HistoryPoint]:
+    """Return an entry's history, as of the league's newest race; none before its first race."""
+
+    def moments() -> list[HistoryPoint]:
+        try:
+            return history(reader.store, entry, points=HISTORY_POINTS)
+        except StoreError:
+            return []
+
+    return reader.kept(("history", entry.number, last), moments)
 
 
 def _card(entry: Entry) -> dict[str, str]:

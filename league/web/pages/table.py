@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from league.matchmaking import standings
 from league.matchmaking.standings import HeadToHead, Row, Standings
 from league.matchmaking.store import Entry
-from league.web import charts
+from league.web import charts, season_marks
 from league.web.reader import Document, NotFoundError, Reader
 
 
@@ -39,6 +39,8 @@ def document(
         "p_value": rated.goodness.p_value if rated else None,
         "scale": charts.interval_scale(rows) if rows else None,
         "rows": shown,
+        "season": rated.season if rated else None,
+        "marks": season_marks.of(reader),
         "against": rival,
         "records": _records(rated, rival) if rated and rival else {},
         "drivers": sorted((row.name, row.number) for row in rows),

@@ -1,0 +1,315 @@
+"""Cups: qualifying, then knock-out heats of four, of which two advance.
+
+All of a cup follows from its entrants, its seed and the results of its heats; so whoever computes
+the bracket plans the same heats, and a cup goes on after a kill like any heat.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from league.errors import StoreError, nearest_names
+from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset
+from league.matchmaking.store import RATED, Cup, HeatState, Store
+
+DRAWS = 4096
+"""Heats of a cup at most; heat k of cup n has the draw n * DRAWS + k."""
+HEAT_OF, ADVANCE = 4, 2
+"""Cars of a knock-out heat, and those of them that advance."""
+LEAST, MOST = 2, 1024
+"""Entrants of a cup."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """How an entrant did in a heat."""
+
+    entry: str
+    """Id of the entry."""
+    seed: int
+    """Its place after qualifying, from 1; 0 in qualifying."""
+    places: tuple[int, ...] = ()
+    """Its place in each race."""
+    lap_s: float | None = None
+    """Its best lap in qualifying [s]; None without a complete lap."""
+    distance: float = 0.0
+    """Driven in qualifying [m]."""
+    advances: bool = False
+    """Whether it goes on, or has won the final."""
+
+
+@dataclass(frozen=True)
+class CupHeat:
+    """A heat of a cup."""
+
+    number: int | None
+    """Of the heat; None before it is planned."""
+    state: HeatState | None
+    track: str
+    runs: tuple[Run, ...]
+    """Best first once it is over, before that in grid order."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Heats that are raced at the same time."""
+
+    name: str
+    heats: tuple[CupHeat, ...]
+
+    @property
+    def over(self) -> bool:
+        """Whether all of its heats are done."""
+        return all(heat.state == "done" for heat in self.heats)
+
+
+@dataclass(frozen=True)
+class Bracket:
+    """A cup as far as it has come."""
+
+    stages: tuple[Stage, ...]
+    """Qualifying first; later stages appear when the one before is over."""
+    order: tuple[str, ...]
+    """Ids of the entries by how far they came, the winner first; empty before the end."""
+
+
+def start(store: Store, name: str = "", *, anchors: bool = False) -> Cup:
+    """Begin a cup of all rated entries and plan its qualifying.
+
+    Args:
+        store: the league.
+        name: shown to people; by default its number.
+        anchors: whether the league's own drivers take part, too.
+
+    Raises:
+        StoreError: there are too few or too many entries, or the name is taken.
+    """
+    entrants = [one.id for one in store.entries(RATED) if anchors or not one.anchor]
+    if not LEAST <= len(entrants) <= MOST:
+        raise StoreError(
+            f"a cup has {LEAST} to {MOST} entrants, and {len(entrants)} entries of this league "
+            "are rated: submit more and let them race, or let the anchors take part (--anchors)"
+        )
+    rules = store.settings.ruleset
+    alone = replace(rules, kind="time_trial", cars=1, obstacles=0, format="standing")
+    kind = "head_to_head" if rules.kind == "time_trial" else rules.kind
+    together = replace(rules, kind=kind, cars=HEAT_OF, format="standing")
+    settings = {"entrants": entrants, "qualifying": alone.hash, "knock_out": together.hash}
+    cup = store.start_cup(name, settings, [alone, together])
+    advance(store)
+    return cup
+
+
+def named(store: Store, text: str) -> Cup:
+    """Return the cup with this name or number; the last one for an empty text.
+
+    Raises:
+        StoreError: there is none.
+    """
+    known = store.cups()
+    if not known:
+        raise StoreError("this league has no cup yet: begin one with `league cup start`")
+    found = [one for one in known if text in (one.name, str(one.number))] if text else known
+    if not found:
+        nearest = nearest_names(text, [one.name for one in known])
+        raise StoreError(f"there is no cup {text!r} in this league; {nearest}")
+    return found[-1]
+
+
+def advance(store: Store) -> int:
+    """Plan the heats that are due in all running cups, and freeze those that are over.
+
+    Returns:
+        How many heats are new.
+    """
+    planned = 0
+    for cup in store.cups():
+        if cup.ended_s is not None:
+            continue
+        now, due = _computed(store, cup)
+        planned += store.plan(due)
+        if now.order:
+            names = {entry.id: entry for entry in store.entries()}
+            store.end_cup(cup.number, document(cup, now, names))
+    return planned
+
+
+def bracket(store: Store, cup: Cup) -> Bracket:
+    """Return a cup as far as it has come."""
+    return _computed(store, cup)[0]
+
+
+def document(cup: Cup, bracket: Bracket, entries: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a cup as plain data, with the names of its entries.
+
+    Args:
+        cup: the cup.
+        bracket: as far as it has come.
+        entries: all entries by their ids.
+    """
+    stages = [
+        {
+            "name": stage.name,
+            "heats": [
+                {
+                    **{key: getattr(heat, key) for key in ("number", "state", "track")},
+                    "runs": [
+                        {
+                            **asdict(run),
+                            "places": list(run.places),
+                            "entry": entries[run.entry].number,
+                            "name": entries[run.entry].name,
+                        }
+                        for run in heat.runs
+                    ],
+                }
+                for heat in stage.heats
+            ],
+        }
+        for stage in bracket.stages
+    ]
+    order = [{"entry": entries[id].number, "name": entries[id].name} for id in bracket.order]
+    about = {"number": cup.number, "name": cup.name, "season": cup.season, "seed": cup.seed}
+    return {"cup": about, "stages": stages, "order": order}
+
+
+def _computed(store: Store, cup: Cup) -> tuple[Bracket, list[Heat]]:
+    """Return a cup as far as it has come, and the heats of the stage that is being raced."""
+    rules = store.rulesets()
+    qualifying, knock_out = (rules[cup.settings[name]] for name in ("qualifying", "knock_out"))
+    entrants = cup.settings["entrants"]
+    due = [_heat(cup, qualifying, (entry,), index, stage=0) for index, entry in enumerate(entrants)]
+    stages = [_qualified(cup, _stage(store, "Qualifying", due))]
+    if not stages[0].over:
+        return Bracket(tuple(stages), ()), due
+    seeds = [heat.runs[0].entry for heat in stages[0].heats]
+    seed_of = {entry: place for place, entry in enumerate(seeds, 1)}
+    groups, used = _groups(seeds[: field_size(len(seeds))]), len(entrants)
+    while True:
+        due = [
+            _heat(cup, knock_out, group, used + index, stage=len(stages))
+            for index, group in enumerate(groups)
+        ]
+        used += len(due)
+        through = ADVANCE if len(groups) > 1 else 1
+        stages.append(_stage(store, _name(len(groups)), due, seed_of, through))
+        if not stages[-1].over:
+            return Bracket(tuple(stages), ()), due
+        if len(groups) == 1:
+            return Bracket(tuple(stages), _order(stages)), due
+        groups = _next_groups(stages[-1], seed_of)
+
+
+def field_size(entrants: int) -> int:
+    """Return how many of so many entrants the knock-out has: 4, 8, 16, ..., or 2 or 3."""
+    if entrants < HEAT_OF:
+        return entrants
+    return HEAT_OF * 2 ** int(math.log2(entrants // HEAT_OF))
+
+
+def _groups(seeds: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return the first knock-out heats: the best qualifiers meet each other as late as possible."""
+    heats = max(1, len(seeds) // HEAT_OF)
+    if heats == 1:
+        return [tuple(seeds)]
+    picked = [(h, 2 * heats - 1 - h, 2 * heats + h, 4 * heats - 1 - h) for h in range(heats)]
+    return [tuple(seeds[index] for index in one) for one in picked]
+
+
+def _next_groups(stage: Stage, seed_of: Mapping[str, int]) -> list[tuple[str, ...]]:
+    """Return the next heats: those who advance from the first and the last heat meet, and so on."""
+    through = [[run.entry for run in heat.runs[:ADVANCE]] for heat in stage.heats]
+    pairs = zip(through[: len(through) // 2], reversed(through), strict=False)
+    return [tuple(sorted(one + other, key=seed_of.__getitem__)) for one, other in pairs]
+
+
+def _name(heats: int) -> str:
+    return {1: "Final", 2: "Semi-finals", 4: "Quarter-finals"}.get(heats, f"Last {HEAT_OF * heats}")
+
+
+def _heat(cup: Cup, rules: Ruleset, grid: tuple[str, ...], index: int, *, stage: int) -> Heat:
+    """Return a heat: one race alone, or two with the grid by qualifying and reversed."""
+    generator = np.random.default_rng([cup.seed, stage])
+    track = str(generator.choice(rules.tracks))
+    halves = [Half(track, grid)] if stage == 0 else [Half(track, grid), Half(track, grid[::-1])]
+    return Heat(rules.hash, tuple(halves), draw=cup.number * DRAWS + index, purpose="cup")
+
+
+def _stage(
+    store: Store,
+    name: str,
+    due: Sequence[Heat],
+    seed_of: Mapping[str, int] | None = None,
+    through: int = 0,
+) -> Stage:
+    """Return a stage as far as it has been raced; without seeds it is the qualifying."""
+    seed_of = seed_of or {}
+    records = {one.heat.key: one for one in store.heats_by_key([heat.key for heat in due])}
+    numbers = [one.number for one in records.values() if one.state == "done"]
+    results: dict[int, list[Any]] = {number: [] for number in numbers}
+    for one in store.results(*numbers) if numbers else ():
+        if not one.rejected:
+            results[one.heat].append(one)
+    heats = []
+    for heat in due:
+        record = records.get(heat.key)
+        done = results.get(record.number, []) if record else []
+        runs = [_run(heat, entry, seed_of.get(entry, 0), done) for entry in heat.halves[0].grid]
+        if done and seed_of:
+            runs = _classified(runs, through)
+        state = record.state if record else None
+        number = record.number if record else None
+        heats.append(CupHeat(number, state, heat.halves[0].track, tuple(runs)))
+    return Stage(name, tuple(heats))
+
+
+def _run(heat: Heat, entry: str, seed: int, done: Sequence[Any]) -> Run:
+    slots = [half.grid.index(entry) for half in heat.halves]
+    places = tuple(one.places[slots[one.half]] for one in done)
+    if seed or not done:
+        return Run(entry, seed, places)
+    (row,) = done[0].result["order"]
+    return Run(entry, 0, places, min(row["lap_times_s"], default=None), row["distance"])
+
+
+def _classified(runs: Sequence[Run], through: int) -> list[Run]:
+    """Return the runs of a heat, best first: by the sum of places, then by qualifying."""
+    ordered = sorted(runs, key=lambda run: (sum(run.places), run.seed))
+    return [replace(run, advances=at < through) for at, run in enumerate(ordered)]
+
+
+def _qualified(cup: Cup, stage: Stage) -> Stage:
+    """Return the qualifying, sorted by lap, distance and a draw, once it is over."""
+    if not stage.over:
+        return stage
+    lots = np.random.default_rng([cup.seed, 0, 1]).permutation(len(stage.heats)).tolist()
+    lot_of = {heat.runs[0].entry: lot for heat, lot in zip(stage.heats, lots, strict=True)}
+
+    def merit(heat: CupHeat) -> tuple[float, float, int]:
+        run = heat.runs[0]
+        return (math.inf if run.lap_s is None else run.lap_s, -run.distance, lot_of[run.entry])
+
+    through = field_size(len(stage.heats))
+    ordered = [
+        replace(heat, runs=(replace(heat.runs[0], seed=place, advances=place <= through),))
+        for place, heat in enumerate(sorted(stage.heats, key=merit), 1)
+    ]
+    return Stage(stage.name, tuple(ordered))
+
+
+def _order(stages: Sequence[Stage]) -> tuple[str, ...]:
+    """Return the entries by how far they came, then by their place there, then by qualifying."""
+    order: dict[str, None] = {}
+    for stage in stages[:0:-1]:
+        placed = [
+            (place, run.seed, run.entry)
+            for heat in stage.heats
+            for place, run in enumerate(heat.runs)
+        ]
+        order |= dict.fromkeys(entry for _, _, entry in sorted(placed))
+    return (*order, *(h.runs[0].entry for h in stages[0].heats if h.runs[0].entry not in order))

@@ -1,0 +1,72 @@
+"""How an entry's rating came about, season by season."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from league.errors import StoreError, brief
+from league.matchmaking import standings
+from league.matchmaking.scope import scope
+from league.matchmaking.standings import HistoryPoint, Standings
+from league.matchmaking.store import Entry, Store
+
+
+def history(store: Store, entry: Entry, *, points: int = 20) -> list[HistoryPoint]:
+    """Return an entry's rating as it was after evenly many of its heats, and last as it is now.
+
+    Each is fitted to the races of its season up to then, so later corrections of results count.
+    Seasons under other rules than the present ones are left out: their ratings are no comparison.
+    """
+    ruleset = store.settings.ruleset.hash
+    races, entries = store.races(ruleset), store.entries()
+    mine = np.unique(races.heat[(races.entries == entry.number).any(axis=1)])
+    if not len(mine):
+        raise StoreError(
+            f"{brief(entry.name)} has not raced for its rating yet: let the league run first"
+        )
+    picked = np.unique(np.linspace(0, len(mine) - 1, min(points, len(mine))).round().astype(int))
+    seasons = [one for one in store.seasons() if one.ruleset == ruleset] or [None]
+    moments: list[HistoryPoint] = []
+    raced = 0
+    for season in seasons:
+        within = scope(store, ruleset, season)
+        # Others may have raced since its last heat, and their races move its rating too.
+        heats = {*mine[picked[:-1]].tolist(), int(within.races.heat.max(initial=0))}
+        own = np.array(sorted(heats - {0}), dtype=np.int64)
+        for heat in own[season.has(own)] if season else own:
+            before = standings.results_of(within.races, before=heat + 1)
+            fitted = standings.rated(before, entries, carried=within.carried)
+            if fitted is None or entry.number not in fitted.entries:
+                continue
+            at = fitted.index(entry.number)
+            moments.append(
+                HistoryPoint(
+                    heat=int(heat),
+                    races=raced + int(fitted.races[at]),
+                    elo=float(fitted.elo[at]),
+                    low95=float(fitted.low95[at]),
+                    high95=float(fitted.high95[at]),
+                    season=season.number if season else 0,
+                )
+            )
+        raced = moments[-1].races if moments else 0
+    return moments
+
+
+TREND_HEATS = 50
+"""Newest heats of a season, at most half of them, whose effect on a rating is its trend."""
+
+
+def trends(store: Store, rated: Standings) -> dict[int, float]:
+    """Return by how much the season's newest heats changed each rating [Elo], by entry number."""
+    heats = np.unique(rated.races.heat)
+    newest = heats[len(heats) - min(TREND_HEATS, len(heats) // 2) :]
+    if not len(newest):
+        return {}
+    within = scope(store, rated.ruleset, rated.season)
+    earlier = standings.results_of(within.races, before=int(newest[0]))
+    fitted = standings.rated(earlier, store.entries(), carried=within.carried)
+    if fitted is None:
+        return {}
+    then = dict(zip(fitted.entries.tolist(), fitted.elo.tolist(), strict=True))
+    return {row.number: row.elo - then[row.number] for row in rated.rows if row.number in then}

@@ -1,0 +1,146 @@
+"""Seasons: begun, ended, and frozen as a document of standings and trophies."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from league.errors import StoreError
+from league.matchmaking import divisions, documents, safety, standings
+from league.matchmaking.divisions import SeasonSettings
+from league.matchmaking.safety import Safety
+from league.matchmaking.scores import best_laps
+from league.matchmaking.standings import Row, Standings
+from league.matchmaking.store import Season, Store
+
+
+def start(store: Store, name: str = "", settings: SeasonSettings | None = None) -> Season:
+    """Begin a season; the first one has all races so far.
+
+    Raises:
+        StoreError: one is running, or has this name.
+    """
+    return store.start_season(name, asdict(settings or SeasonSettings()))
+
+
+def end(store: Store) -> Season:
+    """End the season: cancel its waiting heats, and freeze its standings and trophies.
+
+    After a kill at any moment, called again, it goes on. A league that never began a season ends
+    its first one.
+
+    Raises:
+        StoreError: heats are still being raced, no entry is rated, or the season is over already.
+    """
+    known = store.seasons()
+    if known and known[-1].ended_s is not None:
+        raise StoreError(
+            f"the season {known[-1].name!r} has ended already: begin the next one with "
+            "`league season start`"
+        )
+    standings.of(store, known[-1].ruleset if known else None)  # refuses a season without a rating
+    season = known[-1] if known else start(store)
+    racing = store.close_season(season.number)
+    if racing:
+        raise StoreError(
+            f"the season {season.name!r} takes no more heats, and {racing} of its heats are still "
+            "being raced: end it again when they are over"
+        )
+    season = store.seasons()[-1]
+    return store.end_season(season.number, freeze(store, season))
+
+
+def freeze(store: Store, season: Season) -> dict[str, Any]:
+    """Return a closed season as plain data: settings, standings, best laps and trophies."""
+    rated = standings.of(store, season.ruleset, season)
+    now = divisions.assigned(store.division_moves(season.number))
+    safe = safety.of(store, season.ruleset)
+    laps = {
+        track: [documents.plain(lap) for lap in found] for track, found in best_laps(rated).items()
+    }
+    return {
+        "season": {
+            name: documents.plain(getattr(season, name))
+            for name in ("number", "name", "ruleset", "settings", "after", "until", "started_s")
+        },
+        "standings": documents.standings_document(rated),
+        "laps": laps,
+        "safety": {str(number): asdict(one) for number, one in sorted(safe.items())},
+        "divisions": {str(number): division for number, division in sorted(now.items())},
+        "trophies": [asdict(one) for one in trophies(store, rated, now, safe)],
+    }
+
+
+@dataclass(frozen=True)
+class Trophy:
+    """What a driver won in a season."""
+
+    title: str
+    number: int
+    """Number of the entry."""
+    name: str
+    owner: str
+    value: str
+    """What it was won with."""
+    heat: int = 0
+    """Number of the heat it was won in; 0 for the whole season."""
+
+
+PLACES = ("Champion", "Second", "Third")
+
+
+def trophies(
+    store: Store, rated: Standings, division_of: Mapping[int, int], safe: Mapping[int, Safety]
+) -> list[Trophy]:
+    """Return a season's trophies; the league's own anchors win none.
+
+    Args:
+        store: the league.
+        rated: the season's standings.
+        division_of: division of each entry, by its number.
+        safe: safety ratings by number.
+    """
+    own = {row.number: row for row in rated.rows if not row.anchor and row.races}
+    won = [
+        _trophy(title, row, f"{row.elo:.0f} Elo, {row.races} races")
+        for title, row in zip(PLACES, own.values(), strict=False)
+    ]
+    for division in range(2, max(division_of.values(), default=0) + 1):
+        best = next((own[n] for n in own if division_of.get(n) == division), None)
+        if best is not None:
+            won.append(_trophy(f"Winner of division {division}", best, f"{best.elo:.0f} Elo"))
+    known = [number for number in own if number in safe and safe[number].known]
+    if known:
+        safest = max(known, key=lambda number: (safe[number].rating, own[number].listed_by))
+        value = f"{safe[safest].rating:.2f}, {safe[safest].incidents:.1f} points per 100 corners"
+        won.append(_trophy("Safest driver", own[safest], value))
+    return won + _fastest(rated, own) + _cup_winners(store, rated)
+
+
+def _cup_winners(store: Store, rated: Standings) -> list[Trophy]:
+    won: list[Trophy] = []
+    entries = {entry.number: entry for entry in store.entries()}
+    for cup in store.cups():
+        document = store.cup_document(cup.number)
+        if document is None or rated.season is None or cup.season != rated.season.number:
+            continue
+        best, final = document["order"][0], document["stages"][-1]["heats"][0]["number"]
+        entry, title = entries[best["entry"]], f"Winner of {cup.name}"
+        if not entry.anchor:
+            won.append(Trophy(title, entry.number, entry.name, entry.owner, "the final", final))
+    return won
+
+
+def _fastest(rated: Standings, own: Mapping[int, Row]) -> list[Trophy]:
+    won: list[Trophy] = []
+    for track, laps in best_laps(rated).items():
+        lap = next((lap for lap in laps if lap.number in own), None)
+        if lap is not None:
+            row = own[lap.number]
+            won.append(_trophy(f"Fastest lap, {track}", row, f"{lap.lap_s:.3f} s", lap.heat))
+    return won
+
+
+def _trophy(title: str, row: Row, value: str, heat: int = 0) -> Trophy:
+    return Trophy(title, row.number, row.name, row.owner, value, heat)

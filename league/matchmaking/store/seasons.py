@@ -1,0 +1,212 @@
+"""Seasons of a league, and the moves of entries between divisions.
+
+Functions of a connection within a transaction; store.py owns the transactions.
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import sqlalchemy as sa
+
+from league.errors import StoreError, brief
+from league.matchmaking.pairing import heat_spec
+from league.matchmaking.store import queue
+from league.matchmaking.store.database import insert_new
+from league.matchmaking.store.records import Move, Season
+from league.matchmaking.store.schema import (
+    Record,
+    append,
+    divisions,
+    heats,
+    league,
+    log_event,
+    rulesets,
+    seasons,
+)
+
+
+def listed(connection: sa.Connection) -> list[Season]:
+    """Return all seasons, the first one first."""
+    columns = [column for column in seasons.c if column is not seasons.c.document]
+    query = sa.select(*columns, rulesets.c.hash.label("rules")).join(
+        rulesets, rulesets.c.number == seasons.c.ruleset
+    )
+    return [
+        Season(
+            number=row.number,
+            name=row.name,
+            ruleset=row.rules,
+            seed=row.seed,
+            settings=json.loads(row.settings),
+            after=row.after,
+            until=row.until,
+            started_s=row.started_s,
+            ended_s=row.ended_s,
+            hash=row.hash or "",
+        )
+        for row in connection.execute(query.order_by(seasons.c.number))
+    ]
+
+
+def start(
+    connection: sa.Connection, now: float, secret: bytes, name: str, settings: Mapping[str, Any]
+) -> Season:
+    """Begin a season with the heats after the last one's; the first one has all heats so far.
+
+    Raises:
+        StoreError: one is running, or has this name.
+    """
+    known = listed(connection)
+    last = known[-1] if known else None
+    if last is not None and last.ended_s is None:
+        raise StoreError(
+            f"the season {last.name!r} has not ended: end it first with `league season end`"
+        )
+    number = last.number + 1 if last else 1
+    name = free_name(connection, seasons, name or f"Season {number}", "a season")
+    ruleset = connection.scalar(sa.select(league.c.ruleset))
+    row = {
+        "number": number,
+        "name": name,
+        "ruleset": ruleset,
+        "seed": heat_spec.seed(secret, f"season {number}", 0),
+        "settings": heat_spec.canonical(dict(settings)).decode(),
+        "after": last.until if last else 0,
+        "started_s": now,
+    }
+    connection.execute(seasons.insert().values(row))
+    begun = listed(connection)[-1]
+    append(connection, [_beginning(begun)])
+    log_event(connection, now, "league", "season start", name)
+    return begun
+
+
+def free_name(connection: sa.Connection, table: sa.Table, name: str, what: str) -> str:
+    """Return a name that can be shown and that none of a table's rows has.
+
+    Raises:
+        StoreError: it cannot be shown, or is taken.
+    """
+    if not 1 <= len(name) <= 100 or not name.isprintable() or name != name.strip():
+        raise StoreError(
+            f"the name of {what} is {brief(name)}: give 1 to 100 printable characters without "
+            "spaces around"
+        )
+    taken = [one for one in connection.scalars(sa.select(table.c.name)) if one == name]
+    if taken:
+        raise StoreError(f"there is {what} {name!r} already: choose another name")
+    return name
+
+
+def close(connection: sa.Connection, now: float, number: int) -> int:
+    """Let a season have no more heats; return how many of its heats are still being raced.
+
+    Its waiting heats are cancelled. It may be called again.
+    """
+    season = _numbered(connection, number)
+    if season.until is None:
+        until = connection.scalar(sa.select(sa.func.coalesce(sa.func.max(heats.c.number), 0)))
+        connection.execute(seasons.update().where(seasons.c.number == number).values(until=until))
+        season = _numbered(connection, number)
+    queue.reap(connection, now)
+    own = (heats.c.number > season.after) & (heats.c.number <= season.until)
+    own &= heats.c.purpose == "rated"
+    cancelled = connection.execute(
+        heats.update().where(heats.c.state == "planned", own).values(state="cancelled")
+    ).rowcount
+    log_event(connection, now, "league", "season close", season.name, cancelled=cancelled)
+    racing = sa.select(sa.func.count()).where(heats.c.state == "claimed", own)
+    return connection.scalar(racing) or 0
+
+
+def end(connection: sa.Connection, now: float, number: int, document: Mapping[str, Any]) -> Season:
+    """Freeze a closed season's standings; a season that has ended stays as it is."""
+    season = _numbered(connection, number)
+    if season.ended_s is None:
+        text = heat_spec.canonical(dict(document))
+        connection.execute(
+            seasons.update()
+            .where(seasons.c.number == number)
+            .values(ended_s=now, hash=heat_spec.digest(text), document=zlib.compress(text, 6))
+        )
+        season = _numbered(connection, number)
+        append(connection, [_ending(season)])
+        log_event(connection, now, "league", "season end", season.name, hash=season.hash)
+    return season
+
+
+def _numbered(connection: sa.Connection, number: int) -> Season:
+    return next(one for one in listed(connection) if one.number == number)
+
+
+def document(connection: sa.Connection, table: sa.Table, number: int) -> dict[str, Any] | None:
+    """Return what a season or cup was frozen as; None before its end."""
+    packed = connection.scalar(sa.select(table.c.document).where(table.c.number == number))
+    return None if packed is None else json.loads(zlib.decompress(packed))
+
+
+def move(connection: sa.Connection, now: float, season: int, moves: Sequence[Move]) -> int:
+    """Note moves between divisions, each once however often it is sent; return the new ones."""
+    if not moves:
+        return 0
+    rounds = sorted({one.round for one in moves})
+    known = {(one.round, one.entry) for one in moves_of(connection, season) if one.round in rounds}
+    new = [one for one in moves if (one.round, one.entry) not in known]
+    if new:
+        rows = [{"season": season, **one._asdict()} for one in new]
+        connection.execute(insert_new(connection, divisions), rows)
+        append(connection, [_moving(season, one) for one in new])
+        log_event(connection, now, "league", "divisions", str(season), moves=len(new))
+    return len(new)
+
+
+def moves_of(connection: sa.Connection, season: int | None = None) -> list[Move]:
+    """Return the moves between divisions in a season, or in all, the oldest first."""
+    query = sa.select(divisions).order_by(*divisions.primary_key)
+    if season is not None:
+        query = query.where(divisions.c.season == season)
+    return [
+        Move(**{name: row[name] for name in Move._fields})
+        for row in connection.execute(query).mappings()
+    ]
+
+
+def ledger_records(connection: sa.Connection) -> Iterator[Record]:
+    """Yield what the ledger records of all seasons and divisions."""
+    for season in listed(connection):
+        yield _beginning(season)
+        if season.ended_s is not None:
+            yield _ending(season)
+        for one in moves_of(connection, season.number):
+            yield _moving(season.number, one)
+
+
+def damaged(connection: sa.Connection, table: sa.Table) -> list[str]:
+    """Return the names of seasons or cups whose frozen documents differ from their hashes."""
+    query = sa.select(table.c.name, table.c.hash, table.c.document).where(table.c.hash.is_not(None))
+    return [row.name for row in connection.execute(query) if not _is_intact(row)]
+
+
+def _is_intact(row: Any) -> bool:  # noqa: ANN401
+    try:
+        return heat_spec.digest(zlib.decompress(row.document)) == row.hash
+    except (zlib.error, TypeError):
+        return False
+
+
+def _beginning(season: Season) -> Record:
+    content = [season.name, season.ruleset, season.seed, dict(season.settings)]
+    return Record("season", str(season.number), [*content, season.after, season.started_s])
+
+
+def _ending(season: Season) -> Record:
+    return Record("season end", str(season.number), [season.until, season.ended_s, season.hash])
+
+
+def _moving(season: int, one: Move) -> Record:
+    subject = f"{season}/{one.round}/{one.entry}"
+    return Record("division", subject, [one.division, one.heat, one.reason])

@@ -1,0 +1,59 @@
+"""Time-attack boards: the fastest clean laps on each track, for each kind of race."""
+
+from __future__ import annotations
+
+from league.matchmaking.scores import BestLap, time_attack
+from league.sim.config import RaceKind
+from league.track import files
+from league.web import medals
+from league.web.reader import Document, NotFoundError, Reader
+
+MOST = 50
+"""Drivers on a board."""
+TITLES = {
+    "head_to_head": "Head to head",
+    "time_trial": "Time trial",
+    "obstacle_avoidance": "Obstacle avoidance",
+}
+
+
+def document(reader: Reader, kind: str = "") -> Document:
+    """Return the boards of one kind of race; by default that of the present rules."""
+    kinds: list[RaceKind] = sorted({rules.kind for rules in reader.store.rulesets().values()})
+    asked = kind or reader.store.settings.ruleset.kind
+    shown = next((one for one in kinds if one == asked), None)
+    if shown is None:
+        raise NotFoundError(f"This league has races of the kinds {', '.join(kinds)}.")
+    done = reader.store.counts().get("done", 0)
+    boards = reader.kept(("boards", shown, done), lambda: time_attack(reader.store, shown))
+    return {
+        "kind": shown,
+        "kinds": [{"kind": one, "title": TITLES.get(one, one)} for one in kinds],
+        "boards": [_board(reader, track, laps) for track, laps in sorted(boards.items())],
+    }
+
+
+def _board(reader: Reader, name: str, laps: list[BestLap]) -> Document:
+    track = files.load(name)
+    bound_s = reader.bound_s(track)
+    drivers = {entry.number: entry for entry in reader.store.entries()}
+    ranks = {row.number: row.rank for row in reader.rows()}
+    return {
+        "track": name,
+        "title": track.title,
+        "bound_s": bound_s,
+        "laps": [
+            {
+                "entry": lap.number,
+                "name": drivers[lap.number].name,
+                "owner": drivers[lap.number].owner,
+                "lap_s": lap.lap_s,
+                "behind_s": lap.lap_s - laps[0].lap_s,
+                "medal": medals.medal(lap.lap_s, bound_s),
+                "rank": ranks.get(lap.number),
+                "heat": lap.heat,
+                "race": lap.race,
+            }
+            for lap in laps[:MOST]
+        ],
+    }

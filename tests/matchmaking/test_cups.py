@@ -1,0 +1,187 @@
+"""Cups: sizes, seeding, who advances, and that a kill changes nothing."""
+
+from __future__ import annotations
+
+import pytest
+
+from league.errors import StoreError
+from league.matchmaking import cups, store
+from tests.matchmaking import leagues
+
+
+@pytest.fixture
+def new_league(url):
+    opened = []
+
+    def make(entries):
+        league = leagues.founded(url, entries=entries)
+        for state in ("validating", "placement"):
+            league.move({entry.id: state for entry in league.entries()})
+        opened.append(league)
+        return league
+
+    yield make
+    for league in opened:
+        league.close()
+
+
+def raced(league, claims, strength):
+    """Return results in which the stronger one (by number) is ahead, alone or together."""
+    number_of = {entry.id: entry.number for entry in league.entries()}
+    outcomes = []
+    for claim in claims:
+        races = []
+        for half in claim.heat.halves:
+            grid = [number_of[id] for id in half.grid]
+            by_strength = sorted(grid, key=strength, reverse=True)
+            order = [
+                {
+                    "car": slot,
+                    "finished": True,
+                    "lap_times_s": [20.0 - strength(number) / 10],
+                    "distance": 10.0,
+                }
+                for slot, number in enumerate(grid)
+            ]
+            places = tuple(1 + by_strength.index(number) for number in grid)
+            races.append(store.RaceOutcome(places, {"order": order}))
+        outcomes.append(store.HeatOutcome(claim.heat.key, tuple(races)))
+    return outcomes
+
+
+def race_on(league, strength=float, *, most=1000):
+    """Race and plan until a cup is over, or `most` heats are raced; return how many."""
+    heats = 0
+    while heats < most:
+        claims = league.claim("w", min(4, most - heats))
+        if not claims and not cups.advance(league):
+            break
+        league.complete("w", raced(league, claims, strength))
+        heats += len(claims)
+    return heats
+
+
+def bracket_of(league, cup):
+    return cups.bracket(league, cup)
+
+
+@pytest.mark.parametrize(
+    ("entrants", "size"), [(2, 2), (3, 3), (4, 4), (7, 4), (8, 8), (15, 8), (16, 16), (40, 32)]
+)
+def test_the_knock_out_has_room_for_a_power_of_two(entrants, size):
+    assert cups.field_size(entrants) == size
+
+
+def test_the_best_qualifiers_meet_as_late_as_possible(new_league):
+    league = new_league(18)
+    cup = cups.start(league, "Cup")
+    assert race_on(league) == 18 + 4 + 2 + 1
+    done = bracket_of(league, cup)
+    names = [stage.name for stage in done.stages]
+    assert names == ["Qualifying", "Quarter-finals", "Semi-finals", "Final"]
+    seeds = [sorted(run.seed for run in heat.runs) for heat in done.stages[1].heats]
+    assert seeds == [[1, 8, 9, 16], [2, 7, 10, 15], [3, 6, 11, 14], [4, 5, 12, 13]]
+    # As qualified, so raced: 1 and 8 of the first heat meet 4 and 5 of the last one.
+    seeds = [[run.seed for run in heat.runs] for heat in done.stages[2].heats]
+    assert seeds == [[1, 4, 5, 8], [2, 3, 6, 7]]
+    assert [run.seed for run in done.stages[3].heats[0].runs] == [1, 2, 3, 4]
+    assert [run.advances for run in done.stages[3].heats[0].runs] == [True, False, False, False]
+    number_of = {entry.id: entry.number for entry in league.entries()}
+    assert [number_of[id] for id in done.order] == list(range(18, 0, -1))
+
+
+def test_the_bracket_is_frozen_and_in_the_ledger(new_league, url):
+    league = new_league(5)
+    cup = cups.start(league)
+    assert cup.name == "Cup 1" and league.cup_document(1) is None
+    race_on(league)
+    frozen = league.cup_document(1)
+    assert [one["name"] for one in frozen["order"]] == ["e5", "e4", "e3", "e2", "e1"]
+    assert frozen["order"][0] == {"entry": 5, "name": "e5"}
+    assert league.verify().mismatches == []
+    leagues.change(url, "UPDATE cups SET hash = 'other'")
+    assert any("cup end 1" in line for line in league.verify().mismatches)
+
+
+def test_a_cup_counts_for_no_rating(new_league):
+    league = new_league(4)
+    cups.start(league)
+    race_on(league)
+    assert len(league.races().heat) == 0
+    assert {one.heat.purpose for one in league.heats()} == {"cup"}
+
+
+@pytest.mark.parametrize("killed_after", [1, 6, 9])
+def test_a_cup_goes_on_after_a_kill_as_if_there_was_none(new_league, killed_after):
+    league = new_league(9)
+    cup = cups.start(league)
+    race_on(league, most=killed_after)
+    league.claim("killed", 3)
+    before = bracket_of(league, cup)
+    with store.Store(league.url, clock=_later) as after:  # the leases have ended
+        assert bracket_of(after, cup).stages[0].name == before.stages[0].name
+        race_on(after)
+        frozen = after.cup_document(1)
+        assert len(after.heats()) == 9 + 2 + 1
+    assert [one["name"] for one in frozen["order"]][:2] == ["e9", "e8"]
+
+
+def _later():
+    return 4e9
+
+
+def test_places_of_two_races_are_added_and_qualifying_decides_equals(new_league):
+    league = new_league(4)
+    cup = cups.start(league)
+    race_on(league, most=4)
+    cups.advance(league)
+    (claim,) = league.claim("w", 1)
+    grid = [league.entry(id).name for id in claim.heat.halves[0].grid]
+    assert grid == ["e4", "e3", "e2", "e1"]  # as qualified
+    assert claim.heat.halves[1].grid == claim.heat.halves[0].grid[::-1]
+    # e4: 3 + 1, e3: 1 + 3, e2: 2 + 2, e1: 4 + 4; the second race has the grid reversed.
+    first, second = store.RaceOutcome((3, 1, 2, 4), {}), store.RaceOutcome((4, 2, 3, 1), {})
+    league.complete("w", [store.HeatOutcome(claim.heat.key, (first, second))])
+    cups.advance(league)
+    runs = bracket_of(league, cup).stages[-1].heats[0].runs
+    assert [(league.entry(run.entry).name, run.places) for run in runs] == [
+        ("e4", (3, 1)),
+        ("e3", (1, 3)),
+        ("e2", (2, 2)),
+        ("e1", (4, 4)),
+    ]
+
+
+def test_equal_qualifiers_are_decided_by_a_draw_from_the_seed(new_league):
+    league = new_league(9)
+    cup = cups.start(league)
+    race_on(league, lambda _: 1.0, most=9)
+    cups.advance(league)
+    orders = [
+        [heat.runs[0].entry for heat in bracket_of(league, one).stages[0].heats]
+        for one in (cup, cup)
+    ]
+    assert orders[0] == orders[1] != cup.settings["entrants"]
+    assert sorted(orders[0]) == sorted(cup.settings["entrants"])
+
+
+def test_a_cup_needs_entrants_and_a_name_of_its_own(new_league):
+    league = new_league(2)
+    with pytest.raises(StoreError, match="has no cup yet"):
+        cups.named(league, "")
+    cups.start(league, "Spring Cup")
+    with pytest.raises(StoreError, match="'Spring Cup' already: choose another"):
+        cups.start(league, "Spring Cup")
+    assert cups.named(league, "1") == cups.named(league, "") == cups.named(league, "Spring Cup")
+    with pytest.raises(StoreError, match="no cup 'Sprung Cup' in this league"):
+        cups.named(league, "Sprung Cup")
+    league.move({league.entries()[0].id: "retired"})
+    with pytest.raises(StoreError, match="2 to 1024 entrants, and 1 entries"):
+        cups.start(league, "Lonely Cup")
+
+
+def test_other_rules_leave_a_cup_alone(new_league):
+    league = new_league(4)
+    cups.start(league)
+    assert league.set_ruleset(leagues.Ruleset(tracks=leagues.TRACKS, laps=5)) == 0
+    assert race_on(league) == 5

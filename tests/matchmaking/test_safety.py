@@ -1,0 +1,126 @@
+"""Corners, incidents, safety ratings and clean laps, on hand-worked numbers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from league.matchmaking import safety, scores, store
+from league.matchmaking.pairing.heat_spec import Ruleset, mirrored
+from league.matchmaking.store import results
+from league.track import files
+from league.track.corners import corners
+from tests.matchmaking import leagues
+
+RULES = Ruleset(tracks=("reinvent_2018", "harbour_oval"))
+LENGTH = files.load("reinvent_2018").length
+
+
+def car(number, laps, **faults):
+    """Return a car's line in a result, after so many laps of reinvent_2018."""
+    none = dict.fromkeys(results.FAULTS, 0)
+    return {
+        **none,
+        "car": number,
+        "finished": True,
+        "lap_times_s": [9.0 + number + lap for lap in range(laps)],
+        "distance": laps * LENGTH,
+        **faults,
+    }
+
+
+@pytest.fixture
+def league(url):
+    with store.create(url, name="safe", ruleset=RULES) as league:
+        for number in (1, 2):
+            league.submit(f"e{number}", f"owner {number}", weights=b"w%d" % number)
+        yield league
+
+
+def race(league, *orders, draw=0):
+    """Race a heat of the two entries on reinvent_2018, and return its number."""
+    ids = tuple(entry.id for entry in league.entries())
+    league.plan([mirrored(RULES.hash, ("reinvent_2018",) * 2, ids, draw)])
+    (claim,) = league.claim("w")
+    races = tuple(store.RaceOutcome((1, 2), {"order": order}) for order in orders)
+    league.complete("w", [store.HeatOutcome(claim.heat.key, races)])
+    return claim.number
+
+
+@pytest.mark.parametrize(
+    ("name", "number"), [("harbour_oval", 2), ("reinvent_2018", 5), ("needle_pass", 10)]
+)
+def test_corners_are_counted_alike_both_ways_and_from_any_start(name, number):
+    track = files.load(name)
+    assert corners(track) == number == corners(track.reversed())
+    shift = len(track.center) // 3
+    turned = replace(
+        track,
+        center=np.roll(track.center, shift, axis=0),
+        left=np.roll(track.left, shift, axis=0),
+        right=np.roll(track.right, shift, axis=0),
+    )
+    assert corners(turned) == number
+
+
+def test_incidents_are_weighted_and_counted_by_corners(league):
+    # Two races of 3 laps of 5 corners each: 30 corners; 1 + 4 + 1 points are 20 a hundred corners.
+    number = race(
+        league,
+        [car(0, 3, off_tracks=1, crashes=1), car(1, 3)],
+        [car(0, 3), car(1, 3, touches=1)],  # the grid is reversed: the second car is e1's
+    )
+    rated = safety.of(league)
+    assert rated[1].points == 6 and rated[1].corners == pytest.approx(30, abs=0.01)
+    assert rated[1].incidents == pytest.approx(20, abs=0.01)
+    assert rated[1].rating == pytest.approx(2.5, abs=0.001)
+    assert rated[1].heats == (number,) and not rated[1].known
+    assert (rated[2].points, rated[2].rating, rated[2].heats) == (0, 5.0, ())
+
+
+def test_only_the_last_fifty_races_count(league):
+    race(league, [car(0, 1, crashes=9), car(1, 1)], [car(0, 1), car(1, 1, crashes=9)])
+    assert safety.of(league)[1].points == 72
+    for draw in range(1, 26):
+        race(league, [car(0, 1), car(1, 1)], [car(0, 1), car(1, 1)], draw=draw)
+    rated = safety.of(league)[1]
+    assert (rated.points, rated.races, rated.rating) == (0, 50, 5.0)
+    assert safety.of(league, before=2)[1].points == 72
+
+
+def test_a_clean_lap_is_from_a_race_without_any_fault(league):
+    clean = race(league, [car(0, 2), car(1, 2)], [car(0, 2, reversed=1), car(1, 2, touches=1)])
+    board = scores.time_attack(league, "head_to_head")
+    laps = [(lap.number, lap.lap_s, lap.heat, lap.race) for lap in board["reinvent_2018"]]
+    assert laps == [(1, 9.0, clean, 1), (2, 10.0, clean, 1)]
+    assert board["harbour_oval"] == []
+    assert scores.time_attack(league, "time_trial") == {}
+
+
+def test_results_without_incidents_tell_nothing(league):
+    race(league, [], [])
+    assert safety.of(league) == {} and scores.time_attack(league, "head_to_head") == {
+        "reinvent_2018": [],
+        "harbour_oval": [],
+    }
+    assert league.verify().mismatches == []
+
+
+def test_an_upgrade_fills_in_what_old_results_hold(league, url):
+    race(league, [car(0, 3, off_tracks=1), car(1, 3)], [car(0, 3), car(1, 3)])
+    before = safety.of(league)
+    assert before[1].points == 1
+    league.close()
+    leagues.change(url, *leagues.FIRST_VERSION[:4], "UPDATE alembic_version SET version_num='0003'")
+    assert "2 races tell their incidents" in store.upgrade(url)
+    with store.Store(url) as again:
+        assert safety.of(again) == before
+        assert again.verify().mismatches == []
+
+
+def test_an_audit_sees_changed_incidents(league, url):
+    race(league, [car(0, 3, crashes=1), car(1, 3)], [car(0, 3), car(1, 3)])
+    leagues.change(url, "UPDATE races SET driven = ''")
+    assert any("read something else" in line for line in league.verify().mismatches)

@@ -1,0 +1,129 @@
+"""Pages of seasons, cups, boards and definitions, and the marks they leave on other pages."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+import pytest
+from starlette.testclient import TestClient
+
+from league.matchmaking import cups, divisions, loop, seasons
+from league.matchmaking.pairing.matchmaker import Season
+from league.matchmaking.store import Store
+from league.matchmaking.workers.dispatcher import Dispatcher
+from league.web import site
+from league.web.app import make_app
+from tests.matchmaking.season_kit import Here, new_league
+from tests.web.small_league import NAME, ORIGIN, OWNER, RULES
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory) -> Iterator[Store]:
+    """A league with a season that is over, a cup in it, and a season that is running."""
+    url = f"sqlite:///{tmp_path_factory.mktemp('seasons') / 'league.db'}"
+    with new_league(url, anchors=("centerline", "racing_line"), rules=RULES) as store:
+        store.submit(NAME, OWNER, scripted="cautious")
+        store.submit("blocks", "someone", scripted="blocker")
+        worker, season = Dispatcher(store, Here()), Season(store, same_owner=True)
+        seasons.start(store, "Spring", divisions.SeasonSettings(division_size=2))
+        loop.run(store, worker, season, heats=16)
+        cups.start(store, "May Cup", anchors=True)
+        loop.run(store, worker, season, heats=8)
+        seasons.end(store)
+        seasons.start(store, "Summer", divisions.SeasonSettings(division_size=2))
+        loop.run(store, worker, season, heats=6)
+        yield store
+
+
+@pytest.fixture(scope="module")
+def client(store) -> Iterator[TestClient]:
+    with TestClient(make_app(store), base_url=ORIGIN) as client:
+        yield client
+
+
+def test_the_hall_of_fame_has_the_season_its_trophies_and_the_cup(client, store):
+    page = client.get("/seasons").text
+    assert "Summer is running" in page and "Spring" in page and "May Cup" in page
+    document = client.get("/api/v1/seasons").json()
+    assert document["running"]["name"] == "Summer"
+    spring = document["seasons"][1]
+    assert spring["season"]["hash"] == store.seasons()[0].hash
+    titles = [one["title"] for one in spring["trophies"]]
+    assert titles[:2] == ["Champion", "Second"]
+    assert {one["name"] for one in spring["trophies"]} <= {NAME, "blocks"}  # anchors win none
+
+
+def test_a_season_shows_its_standings_as_they_were_frozen(client, store):
+    frozen = store.season_document(1)
+    page = client.get("/seasons/1").text
+    assert store.seasons()[0].hash in page
+    names = re.findall(r'<td class="name"><a href="/drivers/(\d+)">', page)
+    assert [int(one) for one in names] == [row["number"] for row in frozen["standings"]["entries"]]
+    assert client.get("/seasons/2").status_code == 200  # it is running
+    assert client.get("/seasons/9").status_code == 404
+
+
+def test_a_cup_shows_its_bracket_with_links_to_its_heats(client, store):
+    page, document = client.get("/cups/1").text, client.get("/api/v1/cups/1").json()
+    (final,) = document["rounds"][-1]["heats"]
+    assert f'href="/heats/{final["number"]}"' in page
+    assert final["runs"][0]["name"] == document["order"][0]["name"]
+    assert len(document["qualifying"]["heats"]) == 4
+    assert store.heat(final["number"]).heat.purpose == "cup"
+    assert client.get("/cups/2").status_code == 404
+
+
+def test_standings_and_drivers_show_division_safety_and_trend(client):
+    document = client.get("/api/v1/standings").json()
+    assert document["season"]["name"] == "Summer"
+    marks = document["marks"]
+    assert {marks[number]["division"] for number in ("3", "4")} == {1}
+    assert marks["1"]["division"] is None  # an anchor
+    assert marks["3"]["safety"]["corners"] > 0
+    page = client.get("/standings").text
+    for link in ("division", "safety", "trend", "rating", "rank"):
+        assert f'href="/definitions#{link}"' in page
+    page = client.get("/drivers/3").text
+    assert "Spring ended" in page and "Trophies" in page
+
+
+def test_boards_have_clean_laps_by_kind(client, store):
+    document = client.get("/api/v1/time-attack").json()
+    assert [one["kind"] for one in document["kinds"]] == ["head_to_head", "time_trial"]
+    alone = client.get("/api/v1/time-attack?kind=time_trial").json()
+    (board,) = alone["boards"]
+    for lap in board["laps"]:
+        row = store.results(lap["heat"])[lap["race"] - 1].result["order"][0]
+        assert min(row["lap_times_s"]) == pytest.approx(lap["lap_s"], abs=0.001)
+        assert row["off_tracks"] == row["crashes"] == 0
+    assert board["laps"]
+    assert client.get("/time-attack?kind=golf").status_code == 404
+
+
+def test_each_link_to_a_definition_leads_to_one(client):
+    known = set(re.findall(r'<dt id="([\w-]+)"', client.get("/definitions").text))
+    for path in ("/standings", "/seasons", "/seasons/1", "/cups/1", "/time-attack", "/drivers/3"):
+        links = re.findall(r'href="/definitions#([\w-]+)"', client.get(path).text)
+        assert set(links) <= known
+
+
+@pytest.mark.parametrize("path", ["/seasons", "/seasons/1", "/time-attack", "/cups/1"])
+def test_names_are_escaped(client, path):
+    page = client.get(path).text
+    assert "<img src=x" not in page and "<script>name=" not in page
+
+
+def test_files_of_a_site_include_the_seasons(store, tmp_path):
+    site.export(store, tmp_path / "site", heats=2)
+    names = {str(path.relative_to(tmp_path / "site")) for path in tmp_path.rglob("*.html")}
+    assert {"seasons.html", "seasons/1.html", "cups/1.html", "definitions.html"} <= names
+    assert {"time-attack.html", "time-attack-kind-time_trial.html"} <= names
+
+
+def test_a_league_without_seasons_says_so(tmp_path):
+    with new_league(f"sqlite:///{tmp_path / 'league.db'}", rules=RULES) as store:
+        client = TestClient(make_app(store), base_url=ORIGIN)
+        assert "This league has no seasons yet" in client.get("/seasons").text
+        assert client.get("/time-attack").status_code == 200
+        assert "Division" not in client.get("/standings").text
