@@ -57,7 +57,9 @@ PARTS = {
     "blame": Part(("sim/blame.py",), ("sim/test_blame.py", "sim/test_referee.py")),
     "collision": Part(("sim/physics/collision.py",), ("sim/test_contact.py", "sim/test_planar.py")),
     "bullet": Part(("sim/physics/bullet.py",), ("sim/test_bullet.py",)),
-    "rewards": Part(("envs/rewards.py",), ("envs/test_rewards.py",)),
+    "rewards": Part(
+        ("envs/rewards.py",), ("envs/test_rewards.py", "envs/test_racing_line_reward.py")
+    ),
     "observations": Part(
         ("envs/observations.py", "envs/sensor_suite.py"),
         ("envs/test_observations.py", "envs/test_sensor_suite.py"),
@@ -217,7 +219,7 @@ def main() -> None:
     rows = []
     environment = dict(os.environ)
     with tempfile.TemporaryDirectory() as folder:
-        for name in ("league", "tests", "tracks", "garage", "benchmarks", "examples"):
+        for name in ("league", "tests", "tracks", "garage", "benchmarks", "examples", "docs"):
             left = shutil.ignore_patterns("__pycache__", "*.run")
             shutil.copytree(ROOT / name, Path(folder) / name, ignore=left)
         shutil.copy(ROOT / "pyproject.toml", folder)
