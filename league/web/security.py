@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from starlette.exceptions import HTTPException
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 
 from league.matchmaking.store import Quota, Scope, Store, Token
 
@@ -23,7 +23,7 @@ DRAINED = 64 << 20
 """Bytes of a refused body that are read and dropped, so that its sender sees the answer."""
 MOST_KEYS = 20_000
 """Clients that a limit remembers; those seen least lately are forgotten."""
-FREE_S = 0.03
+FREE_S = 0.05
 """Processor time of a page that is free [s]; only what is slower counts."""
 
 
@@ -76,7 +76,7 @@ class Limits:
     """Uploads and retirements, for each owner."""
     work: Limit = field(default_factory=lambda: Limit(20, 400))
     """Requests of workers, for each token."""
-    pages: Limit = field(default_factory=lambda: Limit(0.2, 10))
+    pages: Limit = field(default_factory=lambda: Limit(0.5, 20))
     """Processor time of slow pages [s], for each address."""
 
 
@@ -163,6 +163,8 @@ async def body_of(request: Request, most: int) -> bytes:
                 return bytes(content)
     except TimeoutError as late:
         raise HTTPException(408, f"The body did not arrive within {READ_S:.0f} s.") from late
+    except ClientDisconnect as gone:
+        raise HTTPException(400, "The body did not arrive whole.") from gone
     await drain(request)
     raise HTTPException(413, f"The body is too large: at most {most} bytes are allowed.")
 
@@ -176,7 +178,7 @@ async def drain(request: Request) -> None:
                 dropped += len(piece)
                 if dropped > DRAINED:
                     return
-    except (TimeoutError, RuntimeError):  # it was read before
+    except (TimeoutError, ClientDisconnect, RuntimeError):  # RuntimeError: it was read before
         return
 
 

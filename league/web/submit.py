@@ -20,7 +20,7 @@ from league.matchmaking import submission
 from league.matchmaking.store import Entry, EntryState, Store, Token
 from league.race_spec import printable
 from league.web.protected import UPLOADS, Asked, Protected, refusing
-from league.web.security import Access, body_of, check_origin, client_of
+from league.web.security import Access, body_of, check_origin, client_of, drain
 
 FORM = "/submit"
 """Address of the form."""
@@ -155,6 +155,7 @@ def form(store: Store, access: Access, render: Render) -> Route:
                 fields = form_fields(request.headers.get("content-type", ""), body)
                 entry = await run_in_threadpool(entered, request, fields)
         except HTTPException as error:
+            await drain(request)
             return shown(request, error.status_code, error.detail, _text(fields, "name"))
         return RedirectResponse(f"/drivers/{entry.number}", 303)
 

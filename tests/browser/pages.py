@@ -38,6 +38,7 @@ def addresses(store: Store) -> dict[str, str]:
         "heat": f"/heats/{rated[-1]}#t=6",
         "tracks": "/tracks",
         "live": "/live",
+        "submit": "/submit",
         "error": "/drivers/999999",
     }
 

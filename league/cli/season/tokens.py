@@ -19,7 +19,7 @@ class Create(OnLeague):
     """Make a token and print it, once: only its hash is kept."""
 
     owner: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="OWNER")]
-    """Whom it stands for: entries submitted with it are this owner's."""
+    """The owner that it stands for: entries submitted with it are this owner's."""
     scope: tuple[Literal["submit", "worker", "admin"], ...] = ("submit",)
     """submit: enter and retire the owner's drivers; worker: race heats; admin: all of it, and
     retire anybody's drivers."""
