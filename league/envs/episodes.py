@@ -38,6 +38,7 @@ EPISODES = np.dtype(
         ("roadblock", f32),
         ("slowest_rival", f32),
         ("fastest_rival", f32),
+        ("last_car", f32),
         ("lost", f32),
         ("shortest", f32),
         ("longest_s", f32),

@@ -103,6 +103,8 @@ def begin(encounter, cars, obstacles, world, points, course, sim, rules):
         grid.blank_book(cars[c], cars[c].s - cars[c].zero_s, f32(step) * sim.step_dt)
         grid.draw_parameters(cars[c], c, seed, step, sim)
         cars[c].top_speed = _top_speed(place, size, world, sim, rules)
+        if c == num_cars - 1:
+            cars[c].top_speed = min(cars[c].top_speed, rules.last_car * sim.max_speed)
         own = _TWO * uniform_of(seed, _OWN_PACE, step, c) - _ONE
         limit = min(_allowed(cars[c], points, course, sim), cars[c].top_speed)
         speed = min(base * (_ONE + _SPREAD * own), limit)

@@ -44,6 +44,8 @@ SPREAD = 0.5
 """Least randomisation of the cars; see TrainConfig."""
 SLOW_DRIVER = "centerline"
 """Scripted driver of the last car, where a policy with its own sensors meets two or more."""
+SLOW_PACE = 0.5
+"""Its top speed, as a share of the car's."""
 _LATELY = 100.0
 """Attacks after which what is known about earlier ones counts half."""
 
@@ -171,7 +173,12 @@ class RacingLearner(TaughtLearner):
         if cfg.num_cars > 2:
             # The racer drives slow cars well; others brake for bends and keep to the middle.
             rivals[cfg.num_cars - 1] = SLOW_DRIVER
-        super().__init__(make_env.make(tracks, cfg, opponents=rivals, **settings), cfg, racer)
+        env = make_env.make(tracks, cfg, opponents=rivals, **settings)
+        if cfg.num_cars > 2:
+            scenarios = env.race_env.cfg.scenarios
+            assert scenarios is not None
+            env.race_env.change_scenarios(replace(scenarios, last_car=SLOW_PACE))
+        super().__init__(env, cfg, racer)
         self.racer = racer
         """The network that sees the true state."""
         self.curriculum = Curriculum(self.env.num_envs * cfg.ppo.rollout)
