@@ -37,6 +37,11 @@ def addresses(store: Store) -> dict[str, str]:
         "heats": "/heats",
         "heat": f"/heats/{rated[-1]}#t=6",
         "tracks": "/tracks",
+        "boards": "/time-attack",
+        "seasons": "/seasons",
+        **{f"season_{one.number}": f"/seasons/{one.number}" for one in store.seasons()},
+        **{f"cup_{one.number}": f"/cups/{one.number}" for one in store.cups()},
+        "definitions": "/definitions",
         "live": "/live",
         "error": "/drivers/999999",
     }
