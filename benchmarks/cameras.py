@@ -16,8 +16,7 @@ from league.sim.camera import scene
 from league.sim.camera.paint_renderer import PaintRenderer
 from league.sim.camera.raycast import RayRenderer
 from league.sim.config import CameraConfig, SimConfig
-from league.sim.records import OBSTACLE
-from league.sim.world import World
+from league.sim.records import OBSTACLE, World
 from league.track import files, markings
 from league.track.track import TrackSet
 

@@ -3,7 +3,7 @@
 from benchmarks.report import figure, heading, table
 from league.race_spec import CarResult, Entry, RaceSpec
 from league.racing import race
-from league.racing_line.lap_bound import lap_bound
+from league.racing_line.racing_line import lap_bound
 from league.sim.config import CarConfig
 from league.track import files
 from league.track.track import Track

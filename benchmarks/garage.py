@@ -18,7 +18,7 @@ from benchmarks.report import figure, heading, note, table
 from league.errors import PolicyError
 from league.racing.evaluate import evaluate
 from league.racing.table import Evaluation
-from league.racing_line.lap_bound import lap_bound
+from league.racing_line.racing_line import lap_bound
 from league.sim.config import CarConfig, ObstacleConfig
 from league.track import files, importer
 from league.track.track import Track

@@ -1,4 +1,4 @@
-"""The quasi-steady-state bound of a flying lap on every shipped track (racing_line/lap_bound.py).
+"""The quasi-steady-state bound of a flying lap on every shipped track (racing_line/racing_line.py).
 
 What the simulated car itself could do, with its axles and its inertia, tells lap_optimum.py.
 """
@@ -6,7 +6,7 @@ What the simulated car itself could do, with its axles and its inertia, tells la
 from __future__ import annotations
 
 from benchmarks.report import heading, table
-from league.racing_line.lap_bound import lap_bound
+from league.racing_line.racing_line import lap_bound
 from league.sim.config import CarConfig
 from league.track import files
 

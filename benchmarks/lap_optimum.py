@@ -24,8 +24,7 @@ from numba import njit
 from scipy.interpolate import CubicSpline
 
 from benchmarks.report import heading, note, table
-from league.racing_line.lap_bound import lap_bound
-from league.racing_line.racing_line import road_of
+from league.racing_line.racing_line import lap_bound, road_of
 from league.sim import records
 from league.sim.config import CarConfig, SimConfig
 from league.sim.physics.vehicle import DRIVE_SHARE, push

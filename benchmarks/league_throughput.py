@@ -1,7 +1,7 @@
 """How many rated duels a league races in a day, with camera policies, and where the time goes.
 
-The policies are those named on the command line, or the first two of the garage with a camera, by
-name; their names are printed with the figures.
+The policies are those named on the command line, or the garage's duelist and racer; their names are
+printed with the figures.
 """
 
 import cProfile
@@ -35,10 +35,11 @@ from league.racing import race
 
 GOAL_A_DAY, GOAL_A_DAY_PLANAR = 150_000, 500_000
 MINUTE_S = 60.0
+GARAGE = ("garage/duelist.pt", "garage/racer.pt")
 SHARES = {
     "physics": ("solver", "bullet.py", "step"),
     "referee": ("controls, referee and penalties", "step.py", "step"),
-    "sensors": ("cameras and lidars", "sensing.py", "read"),
+    "sensors": ("cameras and lidars", "sensor_suite.py", "read"),
     "inference": ("inference", "policy.py", "act"),
     "recording": ("recording", "recording.py", "add"),
 }
@@ -46,9 +47,8 @@ SHARES = {
 
 def policies(paths: list[str]) -> list[Checkpoint]:
     """Return two camera policies: those named, or the garage's; one alone races its own clone."""
-    found = [
-        checkpoint.load(path) for path in paths or sorted(map(str, Path("garage").glob("*.pt")))
-    ]
+    named = paths or [path for path in GARAGE if Path(path).exists()]
+    found = [checkpoint.load(path) for path in named]
     seeing = [one for one in found if one.card.sensors.camera is not None]
     return (seeing * 2)[:2]
 
@@ -97,9 +97,9 @@ def shares(store: Store) -> None:
 class OneByOne(RaceWorker):
     """A worker that races the halves of a heat one after the other."""
 
-    def _races(self, job: HeatJob) -> list[race.Finished]:
-        contests = [self._contest(job, *one) for one in zip(job.halves, job.seeds, strict=True)]
-        return [race.run_together([contest])[0] for contest in contests]
+    def _races(self, job: HeatJob) -> list[race.FinishedRace]:
+        races = [self._race_job(job, *one) for one in zip(job.halves, job.seeds, strict=True)]
+        return [race.run_together([one])[0] for one in races]
 
 
 def batching(store: Store, repeats: int = 3) -> None:
@@ -132,9 +132,11 @@ def throughput(store: Store, seconds: float, workers: int, goal: float) -> None:
         tally = loop.run(store, dispatcher, planner, seconds=seconds)
         wall_s = time.perf_counter() - start
     minutes = tally.race_s / MINUTE_S
-    figure("race time per wall second", tally.race_s / wall_s, "x real time")
-    figure("one worker", tally.race_s / tally.worker_s, "x real time")
-    figure("rated duels of a minute, a day", 86_400 * minutes / wall_s, "duels", goal)
+    figure("race time per wall second, workers warm", tally.race_s / wall_s, "x real time")
+    figure(
+        "one worker, matchmaker and store left out", tally.race_s / tally.worker_s, "x real time"
+    )
+    figure("rated duels of a minute, a day, workers warm", 86_400 * minutes / wall_s, "duels", goal)
     figure("heats raced", tally.heats, "heats")
 
 

@@ -10,17 +10,22 @@ decorators and changes that Python refuses to parse are no mutants.
 """
 
 import ast
+import difflib
 import os
 import random
 import re
-import shlex
 import shutil
+import signal
 import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import chdir
+from collections.abc import Generator, Iterator
+from contextlib import chdir, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import pytest
+import torch  # noqa: F401  # loaded once, for all forks
 
 from benchmarks.report import figure, heading, note, table
 from league.errors import LeagueError
@@ -31,7 +36,7 @@ SAMPLE = 40
 SEED = 0
 GOAL = 85.0
 """Share that should be caught [%]."""
-LONGEST_S = 3600.0
+LONGEST_S = 3600
 """Wall time after which a mutant counts as caught, too; see plain_python.LONGEST_S."""
 
 
@@ -122,16 +127,23 @@ def mutants(paths: list[Path]) -> list:
     )
 
 
-def sampled(paths: list[Path], number: int) -> Iterator:
-    """Return some mutations that Python can parse, drawn with the fixed seed."""
+@contextmanager
+def written(one: Any) -> Generator[tuple[str, str]]:
+    """Have a mutation in its file; return the code before and with it."""
     import cosmic_ray.plugins
     from cosmic_ray.mutating import use_mutation
 
-    drawn = mutants(paths)
+    operator = cosmic_ray.plugins.get_operator(one.operator_name)()
+    with use_mutation(one.module_path, operator, one.occurrence) as codes:
+        yield codes
+
+
+def sampled(found: list, number: int) -> Iterator:
+    """Return some mutations that Python can parse, drawn with the fixed seed."""
+    drawn = found.copy()
     random.Random(SEED).shuffle(drawn)
     for one in drawn:
-        operator = cosmic_ray.plugins.get_operator(one.operator_name)()
-        with use_mutation(one.module_path, operator, one.occurrence) as (_, mutated):
+        with written(one) as (_, mutated):
             try:
                 compile(mutated, "", "exec")
             except SyntaxError:
@@ -142,40 +154,57 @@ def sampled(paths: list[Path], number: int) -> Iterator:
             return
 
 
+def run_tests(arguments: list[str]) -> tuple[bool, str]:
+    """Return whether all tests pass, and what pytest prints.
+
+    It runs in a fork of this process, which has loaded the large libraries once, and loads the
+    league from the working folder.
+    """
+    with tempfile.TemporaryFile("w+") as printed:
+        child = os.fork()
+        if child == 0:
+            os.dup2(printed.fileno(), 1)
+            os.dup2(printed.fileno(), 2)
+            signal.alarm(LONGEST_S)
+            for name in list(sys.modules):
+                if name.partition(".")[0] in ("league", "benchmarks"):
+                    del sys.modules[name]
+            sys.path.insert(0, os.getcwd())
+            os._exit(int(pytest.main(arguments)))
+        _, status = os.waitpid(child, 0)
+        printed.seek(0)
+        return status == 0, printed.read()
+
+
 def tested(name: str, part: Part) -> tuple[int, int, int]:
     """Return how many mutants a part has, how many were tried, and how many were caught.
 
     The working folder is a copy of the repository; each mutant is written into it and taken back.
     """
-    from cosmic_ray.mutating import mutate_and_test
-    from cosmic_ray.testing import run_tests
-    from cosmic_ray.work_item import TestOutcome
-
-    plugin = "benchmarks.plain_python"
     os.environ["MUTANTS_RECORD"] = str(Path.cwd() / f"{name}.json")
     os.environ["NUMBA_DISABLE_JIT"] = str(int(part.plain))
-    options = ["-x", "-p", "no:cacheprovider", "-p", plugin, "-W", "ignore::RuntimeWarning"]
-    options += ["-k", "not postgresql"]
-    files = [f"tests/{test}" for test in part.tests]
-    plain = shlex.join([sys.executable, "-m", "pytest", *options[1:], *files])
-    run_tests(plain, 1200)
-    command = shlex.join([sys.executable, "-m", "pytest", *options, *files])
-    outcome, said = run_tests(command, 1200)
-    if outcome is not TestOutcome.SURVIVED:
-        raise LeagueError(f"the tests of {name} fail without a mutant:\n{said}")
+    options = ["-p", "no:cacheprovider", "-p", "benchmarks.plain_python", "-k", "not postgresql"]
+    options += ["-W", "ignore::RuntimeWarning", *(f"tests/{test}" for test in part.tests)]
+    run_tests(options)
+    passed, printed = run_tests(["-x", *options])
+    if not passed:
+        raise LeagueError(f"the tests of {name} fail without a mutant:\n{printed}")
     given = [Path("league", module) for module in part.modules]
     paths = [
         path for one in given for path in (sorted(one.glob("*.py")) if one.is_dir() else [one])
     ]
     tried = caught = 0
-    for one in sampled(paths, SAMPLE):
-        result = mutate_and_test([one], command, LONGEST_S)
-        tried, caught = tried + 1, caught + result.is_killed
-        if not result.is_killed:
-            changed = [line for line in (result.diff or "").splitlines() if line[:1] in "+-"]
-            print(f"survived: {one.module_path}:{one.start_pos[0]}", *changed[2:], sep="\n  ")
+    found = mutants(paths)
+    for one in sampled(found, SAMPLE):
+        with written(one) as (code, mutated):
+            survived, _ = run_tests(["-x", *options])
+        tried, caught = tried + 1, caught + (not survived)
+        if survived:
+            lines = difflib.ndiff(code.splitlines(), mutated.splitlines())
+            changed = [line for line in lines if line[:1] in "+-"]
+            print(f"survived: {one.module_path}:{one.start_pos[0]}", *changed, sep="\n  ")
         print(f"{name}: {caught} of {tried} caught", flush=True)
-    return len(mutants(paths)), tried, caught
+    return len(found), tried, caught
 
 
 def main() -> None:
@@ -192,7 +221,9 @@ def main() -> None:
             left = shutil.ignore_patterns("__pycache__", "*.run")
             shutil.copytree(ROOT / name, Path(folder) / name, ignore=left)
         shutil.copy(ROOT / "pyproject.toml", folder)
-        os.environ["PYTHONPATH"] = folder
+        # Two mutants of one length within a second would share their bytecode.
+        os.environ |= {"PYTHONPATH": folder, "PYTHONDONTWRITEBYTECODE": "1"}
+        sys.dont_write_bytecode = True
         try:
             with chdir(folder):
                 rows = [(name, *tested(name, part)) for name, part in PARTS.items()]

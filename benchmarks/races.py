@@ -89,11 +89,11 @@ def main() -> None:
     heading("Races")
     unit = "car-s per wall s"
     ours = stereo_rate("bullet", 1, 160, 120, 60)
-    figure("Bullet, 1 world, two cars, stereo 160x120", ours, unit, 60)
+    figure("Bullet, 1 world, two scripted cars, stereo 160x120, start left out", ours, unit, 60)
     theirs = stereo_rate("bullet", 1, 160, 120, 15, by_pybullet=True)
     figure("  against the same with PyBullet's pictures", ours / theirs, "times")
     figure(
-        "planar, 64 worlds, two cars, stereo 64x48",
+        "planar, 64 worlds, two scripted cars, stereo 64x48, start left out",
         stereo_rate("planar", 64, 64, 48, 15),
         unit,
         200,
@@ -110,9 +110,15 @@ def main() -> None:
             )
     scripted = ("race", "centerline", "racing_line", "--solver", "planar", "--replay", "none")
     planar_s = python("-m", "league.cli", *scripted)
-    figure("league race centerline racing_line, planar", planar_s, "s", 2, most=True)
+    figure(
+        "league race centerline racing_line, planar, no replay, whole process",
+        planar_s,
+        "s",
+        2,
+        most=True,
+    )
     help_s, bare_s = python("-m", "league.cli", "--help"), python("-c", "pass")
-    figure("league --help", help_s, "s", 0.3, most=True)
+    figure("league --help, whole process", help_s, "s", 0.3, most=True)
     figure("  against Python that does nothing", help_s / bare_s, "times")
 
 

@@ -182,11 +182,8 @@ def main() -> None:
 
 
 def _postgres() -> None:
-    import sys
-
-    sys.path.append(str(Path(__file__).parents[1] / "tests" / "matchmaking"))
     try:
-        import postgres  # pyright: ignore[reportMissingImports]
+        from tests.matchmaking import postgres
     except ImportError:
         note("PostgreSQL: not measured, psycopg is not installed")
         return

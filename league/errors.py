@@ -29,6 +29,14 @@ class StoreError(LeagueError):
     """A league's database that cannot be opened, read or written, or a request it refuses."""
 
 
+class DatabaseError(StoreError):
+    """A database that cannot be reached, read or written now."""
+
+
+class QuotaError(StoreError):
+    """More entries than an owner may have, or may make in a day."""
+
+
 class RewardError(LeagueError):
     """A reward function that cannot be run, or that answered with no reward."""
 

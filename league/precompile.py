@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -33,14 +34,16 @@ def ensure() -> None:
     if folder is None or (folder / _COMPLETE).exists():
         return
     done: list[str] = []
+    one_at_a_time = threading.Lock()
     began = time.monotonic()
     _show(0, began)
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
 
         def compile_group(parts: tuple[str, ...]) -> None:
             for part in _compiled(parts):
-                done.append(part)
-                _show(len(done), began)
+                with one_at_a_time:
+                    done.append(part)
+                    _show(len(done), began)
 
         for group in [pool.submit(compile_group, parts) for parts in GROUPS]:
             group.result()
@@ -145,8 +148,8 @@ def _policies() -> None:
     """The forward pass of policies."""
     import numpy as np
 
-    from league.agents.inference import Network
     from league.agents.network import NetworkConfig, group_shapes, weight_shapes
+    from league.agents.policy import Network
     from league.sim.config import SensorConfig
 
     cfg, shapes = NetworkConfig(), group_shapes(SensorConfig.full(64, 48))
@@ -165,7 +168,7 @@ def _cameras() -> None:
     from league.sim import records
     from league.sim.camera.paint_renderer import PaintRenderer
     from league.sim.config import CameraConfig, SimConfig
-    from league.sim.world import World
+    from league.sim.records import World
 
     world = World(
         np.zeros(1, records.WORLD),
@@ -187,13 +190,16 @@ def _videos() -> None:
 
     from league.sim.camera import raster
     from league.sim.camera.stage import NEAR
-    from league.video.pixels import draw_floor, mix
+    from league.video.pixels import draw_floor, draw_shadow, mix
 
     texture = raster.Texture(np.zeros(4, np.uint32), 2, 0.0, 0.0, 0.1)
     pose = raster.Pose(0.0, 0.0, 0.5, 1.0, 0.0, 1.0, 0.0)
     optics = raster.Optics(1.0, 1.0, 1.0, np.zeros(1), 3, NEAR)
     picture = np.zeros((4, 4, 3), np.uint8)
     draw_floor(picture.reshape(4, -1), 3, 4, texture, optics, pose)
+    draw_shadow(
+        picture.reshape(4, -1), 3, np.column_stack([np.eye(2), [0, 0]]), 0.1, 0.5, optics, pose
+    )
     for paint in (picture.copy(), np.broadcast_to(picture[0, 0], picture.shape)):
         mix(picture[:2, :2], paint[:2, :2], np.zeros((4, 4), np.uint8)[:2, :2], 256)
 
@@ -233,11 +239,11 @@ PARTS: dict[str, Callable[[], None]] = {
     "reward_functions": _reward_functions,
 }
 GROUPS = (
-    ("worlds",),
-    ("scripted", "cameras", "videos", "policies", "places"),
-    ("bullet", "reward_functions"),  # these need what `worlds` compiles
+    ("worlds", "places"),
+    ("scripted", "cameras", "videos", "policies"),
+    ("bullet", "reward_functions"),  # these need what `worlds` compiles first
 )
-"""Parts that one process compiles; on two cores the first two groups take equally long."""
+"""Parts that one process compiles; on two cores the first takes as long as the other two."""
 
 
 def _main() -> None:

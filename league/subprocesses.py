@@ -50,9 +50,7 @@ def prepare(modules: Sequence[str]) -> None:
 def start(target: Callable[..., None], *arguments: object) -> BaseProcess:
     """Start a process; the first waits until the server has imported its modules.
 
-    Args:
-        target: a function of a module, to run in the process.
-        arguments: of the function; pipes and queues of CONTEXT may be among them.
+    `target` is a function of a module; its arguments may hold pipes and queues of CONTEXT.
 
     Raises:
         ConfigError: none can be started on this machine.

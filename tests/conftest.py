@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import pytest
-from scenes import assert_same, make_ring, make_straight
 
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
 from league.sim.config import SimConfig
 from league.track.track import TrackSet
+from tests.scenes import assert_same, make_ring, make_straight
 
 
 @pytest.fixture

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import lru_cache
 
-from scenes import start
-
 from league.race_spec import CarResult, Entry, Event, RaceResult, RaceSpec
 from league.racing import race
 from league.replay import Recorder, Replay
 from league.sim.config import ObstacleConfig, SimConfig
-from league.sim.world import World
+from league.sim.records import World
 from league.track import files
 from league.track.track import TrackSet
+from tests.scenes import start
 
 Change = Callable[[World, int], World]
 

@@ -27,8 +27,8 @@ from league.sim.config import (
     VisualRandomization,
 )
 from league.sim.physics import planar
+from league.sim.records import World
 from league.sim.settings import settings
-from league.sim.world import World
 from league.track.track import Track, TrackSet
 
 SETTINGS = (

@@ -73,6 +73,26 @@ def test_who_asks_for_nothing_gets_what_the_experiments_have_chosen():
     assert replace(config(), command="", name="policy") == RunConfig()
 
 
+@pytest.mark.parametrize(
+    ("flags", "worlds"),
+    [
+        (("--minutes", "1"), 16),
+        (("--minutes", "2", "--reward", "examples/reward_centerline.py"), 16),
+        (("--steps", "65536"), 16),
+        (("--minutes", "30", "--steps", "40000"), 16),
+        (("--minutes", "2.5"), 64),
+        (("--steps", "65537"), 64),
+        (("--minutes", "1", "--num-worlds", "32"), 32),
+        (("--minutes", "1", "--init-from", "rookie"), 64),
+        (("--minutes", "1", "--kind", "head_to_head", "--opponents", "centerline"), 64),
+    ],
+)
+def test_short_runs_have_few_worlds_for_many_updates(flags, worlds):
+    train = config(*flags).train
+    assert train.num_worlds == worlds
+    assert (train.ppo.noise == PpoConfig().hurrying().noise) == (worlds <= 32)
+
+
 def test_flags_reach_the_settings(league, tmp_path):
     flags = (
         *("--seed", "5", "--both-directions", "--dynamics-randomization", "1"),

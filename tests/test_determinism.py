@@ -7,10 +7,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from scenes import assert_same
 
 from league.race_spec import Entry, RaceSpec
 from league.racing import race
+from tests.scenes import assert_same
 
 PROGRAM = """
 import hashlib, json, sys

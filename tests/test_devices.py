@@ -14,7 +14,6 @@ from typing import Any
 
 import pytest
 import torch
-from scenes import make_ring
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
@@ -23,6 +22,7 @@ from league.envs.config import EnvConfig
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig, SimConfig
 from league.track.track import TrackSet
 from league.training.ppo.statistics import EpisodeStatistics
+from tests.scenes import make_ring
 
 RING = make_ring(points=120)
 TWO = SimConfig(kind="head_to_head", num_cars=2)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes import make_ring
 
 from league.agents import roster
 from league.errors import ConfigError
@@ -12,6 +11,7 @@ from league.racing import duels
 from league.racing.duels import DuelConfig, Duels
 from league.sim.config import CarConfig, SensorConfig
 from league.track.track import TrackSet
+from tests.scenes import make_ring
 
 RING = make_ring(width=1.4)
 CFG = DuelConfig(RING, races=6)

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from scenes import RING_LENGTH, follow_center, make_ring, make_straight
 
 from league.envs.actions import DiscreteActions
 from league.envs.config import RewardConfig
@@ -17,6 +16,7 @@ from league.racing import race
 from league.racing.evaluate import evaluate
 from league.racing.trace import COLUMNS, Trace, nearer
 from league.sim.config import ObstacleConfig, RaceRules, SensorConfig, SimConfig
+from tests.scenes import RING_LENGTH, follow_center, make_ring, make_straight
 
 
 @dataclass

@@ -5,7 +5,6 @@ import random
 import numpy as np
 import pytest
 import torch
-from scenes import assert_same, make_ring
 
 from league.envs import parallel_env
 from league.envs.actions import ContinuousActions, grid
@@ -15,6 +14,7 @@ from league.envs.config import EnvConfig
 from league.errors import ActionError
 from league.sim.config import SimConfig
 from league.track.track import TrackSet
+from tests.scenes import assert_same, make_ring
 
 JUNK = (
     None, True, 0, 0.5, 10**400, "0", b"1", 1j, [], {}, (), set(), object(), len, [[0.0], [0.0, 1]],

@@ -10,7 +10,6 @@ from typing import Literal, get_args, get_origin
 import numpy as np
 import pytest
 import torch
-from scenes import SETTINGS, make_ring, taken
 
 from league.envs.config import EnvConfig, RewardConfig
 from league.envs.race_env import RaceEnv
@@ -28,6 +27,7 @@ from league.sim.config import (
     VisualRandomization,
 )
 from league.track.track import TrackSet
+from tests.scenes import SETTINGS, make_ring, taken
 
 CLASSES = (*SETTINGS, RewardConfig)
 JUNK = (

@@ -5,13 +5,13 @@ import random
 
 import pytest
 from pydantic import ValidationError
-from scenes import make_ring
 
 from league.envs.config import EnvConfig
 from league.errors import ConfigError, LeagueError
 from league.race_spec import RaceSpec, checked
 from league.racing import race
 from league.sim.config import SimConfig
+from tests.scenes import make_ring
 
 JUNK = (
     None, True, False, 0, 1, -1, 2, 8, 9, 2**31, 2**63, -(2**63), 10**400, 0.0, -0.0, 0.5, 1e308,

@@ -6,15 +6,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from scenes import follow_center, make_ring, make_square, make_straight
 
 from league.agents import roster
 from league.errors import ConfigError, LeagueError
 from league.race_spec import CarResult, Entry, RaceResult, RaceSpec, checked
-from league.racing import qualifying, race, race_log
+from league.racing import race, race_log
 from league.sim.config import CameraConfig, CarConfig, LidarConfig, SensorConfig
 from league.track import files
 from league.track.track import TrackSet
+from tests.scenes import follow_center, make_ring, make_square, make_straight
 
 
 @dataclass
@@ -212,16 +212,16 @@ def test_a_pursuit_is_won_by_who_drives_its_own_laps_first(solver):
 def test_qualifying_orders_the_grid_by_the_best_lap_alone():
     entries = tuple(Entry(name=name) for name in ("centerline", "racing_line", "cautious"))
     spec = RaceSpec(entries=entries, solver="planar", format="qualifying", obstacles=3)
-    laps = qualifying.best_laps(spec, files.load("reinvent_2018"))
+    laps = race.qualifying_laps(spec, files.load("reinvent_2018"))
     assert laps[1] < laps[2] < laps[0] < 12.0
-    assert [entry.name for entry in qualifying.line_up(spec, laps).entries] == [
+    assert [entry.name for entry in race.line_up(spec, laps).entries] == [
         "racing_line", "cautious", "centerline"
     ]  # fmt: skip
     backwards = spec.model_copy(update={"format": "reverse"})
-    names = [entry.name for entry in qualifying.line_up(backwards, laps).entries]
+    names = [entry.name for entry in race.line_up(backwards, laps).entries]
     assert names == ["centerline", "cautious", "racing_line"]
     # Who has no lap counts as slowest; equals stay as they were named.
-    level = qualifying.line_up(spec, [float("inf"), 5.0, 5.0]).entries
+    level = race.line_up(spec, [float("inf"), 5.0, 5.0]).entries
     assert [entry.name for entry in level] == ["racing_line", "cautious", "centerline"]
 
 

@@ -7,18 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded import by_hand, finish, first_world, moved, raced, recorder_of
 
 from league import __version__, replay
 from league.errors import LeagueError, ReplayError
 from league.racing import race
-from league.replay import director, story
+from league.replay import director
 from league.replay import format as file_format
 from league.replay.format import PREFIX, decode, encode
 from league.sim.camera.paint_renderer import PaintRenderer
 from league.sim.config import CameraConfig
 from league.track import files
 from league.track.track import TrackSet
+from tests.recorded import by_hand, finish, first_world, moved, raced, recorder_of
 
 
 def assert_equal_columns(one, other):
@@ -225,9 +225,9 @@ def test_gaps_are_given_in_metres_and_in_seconds():
         return moved(world, distance=[0.1 * number, 0.1 * number - 0.3])
 
     made = by_hand(10, driven)
-    assert story.gaps_m(made)[9].tolist() == pytest.approx([0.0, 0.3])
-    assert story.gaps_s(made)[9].tolist() == pytest.approx([0.0, 0.2])
-    assert story.running_order(made)[9].tolist() == [0, 1]
+    assert made.gaps_m[9].tolist() == pytest.approx([0.0, 0.3])
+    assert made.gaps_s[9].tolist() == pytest.approx([0.0, 0.2])
+    assert made.running_order[9].tolist() == [0, 1]
 
 
 def test_the_chase_follows_the_rear_car_of_a_fight_and_then_the_leader():

@@ -13,8 +13,6 @@ from urllib.parse import unquote
 import numpy as np
 import pytest
 import rerun as rr
-from recorded import by_hand, moved, raced
-from recordings import rows_of
 from rerun.chunk import RrdReader
 
 from league import rerun_view
@@ -22,6 +20,8 @@ from league.errors import ReplayError
 from league.rerun_view import meshes, paths, record, scene, viewer
 from league.sim.camera.scene import CAR
 from league.track import files
+from tests.recorded import by_hand, moved, raced
+from tests.recordings import rows_of
 
 
 def listening(port: int) -> list[str]:

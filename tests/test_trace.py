@@ -3,11 +3,11 @@
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scenes import follow_center, make_straight
 
 from league.racing.evaluate import evaluate
 from league.racing.trace import Trace
 from league.sim.config import SensorConfig
+from tests.scenes import follow_center, make_straight
 
 
 @dataclass

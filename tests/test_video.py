@@ -4,19 +4,19 @@ import av
 import numpy as np
 import pytest
 import torch
-from recorded import by_hand, moved, raced
 
 from league import video
 from league.errors import ReplayError
-from league.replay import story
 from league.sim.camera import raster
 from league.sim.camera.paint_renderer import Painter
-from league.sim.camera.scene import CAR_COLOURS
+from league.sim.camera.scene import BOX, BOX_COLOUR, CAR, CAR_COLOURS
+from league.sim.camera.stage import Thing
 from league.video import hud
-from league.video.film import Film
+from league.video.film import SHADOW_EDGE, SHADOW_KEPT, Film, shadow_of
 from league.video.hud import clock
 from league.video.mp4 import Coding, Mp4
 from league.video.pixels import mix
+from tests.recorded import by_hand, moved, raced
 
 
 def driving(frames: int = 8):
@@ -74,13 +74,13 @@ def test_film_ends_shortly_after_the_last_fight_is_decided():
     first, last = made.result.order
     assert first.finished and made.result.spec.ranking == "total"
     # Who is last has no rival once the other has finished.
-    assert story.decided_s(made) == min(first.total_s, made.duration_s)
+    assert made.decided_s == min(first.total_s, made.duration_s)
     best = made.result.spec.model_copy(update={"ranking": "best"})
     result = made.result.model_copy(update={"spec": best})
-    assert story.decided_s(replace(made, result=result)) == made.duration_s
+    assert replace(made, result=result).decided_s == made.duration_s
     order = (first.model_copy(update={"finished": False}), last)
     result = made.result.model_copy(update={"order": order})
-    assert story.decided_s(replace(made, result=result)) == made.duration_s
+    assert replace(made, result=result).decided_s == made.duration_s
 
 
 def test_end_card_covers_the_race_and_names_stand_at_the_cars():
@@ -188,6 +188,39 @@ def test_floor_of_a_film_is_that_of_the_cameras_to_the_last_bit(time_s):
     Painter.paint(made._painter, wanted, pose, made._painter._floor, [])
     assert len(np.unique(wanted[0, 200:])) > 20
     np.testing.assert_array_equal(made._painter.picture(pose, []), wanted[0])
+
+
+def test_shadow_of_a_box_reaches_from_its_foot_along_the_light():
+    # The sun stands at (0.5, -0.1, 0.9): 0.9 m of height throw 0.5 m towards -x, 0.1 m towards +y.
+    outline = shadow_of(Thing(BOX, 2.0, 1.0, 0.0, 1.0, 0.0, BOX_COLOUR, (0.4, 0.2, 0.9)))
+    # Turned by 90 deg it lies along y: x from 1.9 to 2.1, y from 0.8 to 1.2.
+    inside = [(2.09, 0.81), (2.09, 1.19), (1.41, 1.29), (1.41, 0.91)]
+    outside = [(2.11, 1.0), (2.0, 0.79), (1.39, 1.1), (1.5, 1.31), (1.5, 0.82)]
+    for places, are_inside in ((inside, True), (outside, False)):
+        for place in places:
+            assert (outline[:, :2] @ place <= outline[:, 2]).all() == are_inside, place
+
+
+def test_cars_darken_the_floor_in_their_shadow_and_nowhere_else():
+    film = Film(driving(3), (640, 360))
+    painter = film._painter
+    pose = raster.Pose(3.0, 0.7, 0.56, 1.0, 0.0, np.cos(0.27), np.sin(0.27))
+    car = Thing(CAR, 4.4, 0.7, 1.0, 0.0, 0.0, CAR_COLOURS[0], (1.0, 1.0, 1.0))
+    bare, shaded = painter.picture(pose, []), painter.picture(pose, [car])
+    # Where each pixel's ray meets the floor, and how far outside the shadow that is.
+    lens, v, u = painter._lens, *np.mgrid[0:360, 0:640]
+    across, down = (u - lens.cx) / lens.focal, (v - lens.cy) / lens.focal
+    far = 0.56 / np.maximum(np.sin(0.27) + down * np.cos(0.27), 1e-9)
+    x, y = 3.0 + far * (np.cos(0.27) - down * np.sin(0.27)), 0.7 - far * across
+    outline = shadow_of(car)
+    beyond = (outline[:, 0] * x[..., None] + outline[:, 1] * y[..., None] - outline[:, 2]).max(-1)
+    # The car hides what is not nearer than its tail, at 4.238 m.
+    in_front = x < 4.238 - 0.01
+    full, none = in_front & (beyond < -SHADOW_EDGE), in_front & (beyond > SHADOW_EDGE)
+    assert full.sum() > 200
+    np.testing.assert_array_equal(shaded[none], bare[none])
+    kept = round(256 * SHADOW_KEPT)
+    np.testing.assert_allclose(shaded[full], bare[full].astype(int) * kept // 256, atol=1)
 
 
 @pytest.mark.parametrize("opacity", [1.0, 0.72])

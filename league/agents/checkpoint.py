@@ -124,9 +124,7 @@ def digest(checkpoint: str | os.PathLike[str] | Checkpoint) -> str:
 def refusing(what: str, advice: str) -> Generator[None]:
     """Turn a RefusedError into the PolicyError of a file or checkpoint.
 
-    Args:
-        what: what is refused.
-        advice: what to give instead.
+    `what` is refused, and `advice` says what to give instead.
     """
     try:
         yield

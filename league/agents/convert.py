@@ -106,13 +106,7 @@ def from_sb3(model: Any, *, name: str, sensors: make.Carried, **card: Any) -> Ch
     """Return the checkpoint of a Stable-Baselines3 model with a MultiInputPolicy: PPO or A2C.
 
     With a camera it must be trained with `policy_kwargs={"activation_fn": torch.nn.ReLU}`, because
-    SB3's convolutions use ReLU.
-
-    Args:
-        model: the model, or its policy, on any device.
-        name: what a person calls the policy.
-        sensors: of its car, as the environment was given them.
-        card: other fields of the card, see `from_modules`.
+    SB3's convolutions use ReLU. The other arguments are those of `from_modules`.
 
     Raises:
         PolicyError: another policy, or layers that no checkpoint can hold.

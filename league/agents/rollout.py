@@ -96,14 +96,10 @@ class Rollout:
         seeds: Sequence[int],
         on_faults: Callable[[np.ndarray], None] | None = None,
     ) -> None:
-        """Start all worlds.
+        """Start all worlds of `env` from their seeds.
 
-        Args:
-            env: the worlds.
-            drivers: of their cars.
-            seeds: of the worlds.
-            on_faults: called between the answers and the step with the seats that gave no action,
-                bool (num_worlds, num_cars), idle ones included; they repeat their last action.
+        `on_faults` is called between the answers and the step with the seats that gave no action,
+        bool (num_worlds, num_cars), idle ones included; they repeat their last action.
         """
         self.env, self.drivers = env, drivers
         self._on_faults = on_faults

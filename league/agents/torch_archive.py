@@ -110,7 +110,10 @@ def read(content: bytes) -> Archive:
         raise RefusedError("it lacks its head, data.pkl")
     if bytes(members.get("byteorder", b"little")) != b"little":
         raise RefusedError("its numbers have their bytes the other way round")
-    return Archive(_unpickled(bytes(members["data.pkl"][: MAX_PICKLE + 1])), members)
+    head = members["data.pkl"]
+    if len(head) > MAX_PICKLE:
+        raise RefusedError(f"its head takes {len(head)} bytes, at most {MAX_PICKLE} are allowed")
+    return Archive(_unpickled(bytes(head)), members)
 
 
 def _members(content: bytes) -> dict[str, memoryview]:
@@ -223,8 +226,6 @@ class _Storage:
 
 
 def _unpickled(content: bytes) -> object:
-    if len(content) > MAX_PICKLE:
-        raise RefusedError(f"its head takes {len(content)} bytes, at most {MAX_PICKLE} are allowed")
     if content[:2] != b"\x80\x02":
         raise RefusedError("its head is no pickle of protocol 2, which torch.save writes")
     try:

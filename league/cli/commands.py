@@ -17,7 +17,7 @@ from typing import Annotated, Any
 import tyro
 
 from league.cli import drivers, evaluate, race, replays, rewards, tracks
-from league.cli.season import cups, entries, gauntlet, heats, run, seasons, standings
+from league.cli.season import cups, entries, gauntlet, heats, run, seasons, standings, tokens
 
 
 @dataclass
@@ -44,6 +44,7 @@ GROUPS: dict[str, dict[str, type]] = {
         **heats.COMMANDS,
         **gauntlet.COMMANDS,
         **run.SERVE,
+        **tokens.COMMANDS,
     },
     "Tools": {name: drivers.COMMANDS[name] for name in ("card", "export")},
 }
@@ -55,7 +56,8 @@ _SIMULATING = (
     rewards.Rewards,
     replays.Verify,
     entries.Submit,
-    run.Work,
+    run.Racing,
+    run.Serve,
     heats.Audit,
     gauntlet.Gauntlet,
     gauntlet.Compare,

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from league.race_spec import RaceResult, RaceSpec
     from league.replay.commentary import Line
     from league.rerun_view import Live
-    from league.sim.world import World
+    from league.sim.records import World
     from league.track.track import Track
 
 STORY_LINES = 12
@@ -144,14 +144,14 @@ def _race(command: Race) -> int:
 
 def _after_qualifying(spec: RaceSpec, track: Track, *, quiet: bool) -> RaceSpec:
     """Return the spec with its entries in the order that qualifying laps gave, and print these."""
-    from league.racing import qualifying
+    from league.racing import race
 
-    laps = qualifying.best_laps(spec, track)
+    laps = race.qualifying_laps(spec, track)
     if not quiet:
         for lap_s, entry in sorted(zip(laps, spec.entries, strict=True), key=lambda one: one[0]):
             lap = "no complete lap" if math.isinf(lap_s) else times.clock(lap_s)
             print(f"Qualifying: {entry.name}  {lap}")
-    return qualifying.line_up(spec, laps)
+    return race.line_up(spec, laps)
 
 
 def _print_result(

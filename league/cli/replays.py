@@ -124,7 +124,7 @@ class Verify:
         from league import replay as replays
         from league.race_spec import RaceSpec
         from league.racing import race
-        from league.sim.version import PHYSICS
+        from league.sim import PHYSICS
 
         recorded = replays.read(self.replay)
         if recorded.physics != PHYSICS:

@@ -25,7 +25,7 @@ from league.training.config import RunConfig
 
 if TYPE_CHECKING:
     from league.racing.duels import Threshold
-    from league.training.monitor.callback import TrainingCallback
+    from league.training.monitor.history import TrainingCallback
     from league.training.run import Outcome, Run
 
 OLD_FLAGS = {
@@ -253,7 +253,7 @@ def _callbacks(command: Train, run: Run) -> list[TrainingCallback]:
     cfg = run.cfg
     callbacks: list[TrainingCallback] = []
     if command.watch:
-        from league.training.monitor.viewer import LiveView
+        from league.training.monitor.sinks import LiveView
 
         watching = LiveView(*run.learner.shown)
         # Before the page, which draws over whatever is printed while it is open.
@@ -268,7 +268,7 @@ def _callbacks(command: Train, run: Run) -> list[TrainingCallback]:
     )
     callbacks += [page, TrainingPlot(run.folder / "training.png")]
     if command.tensorboard:
-        from league.training.monitor.tensorboard import TensorBoard
+        from league.training.monitor.sinks import TensorBoard
 
         callbacks.append(TensorBoard(run.folder / "tensorboard"))
     return callbacks

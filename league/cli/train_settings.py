@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 _WORK = 16_384
 """Decisions of usual settings that take 10 to 20 s on two cores."""
+_SHORT_MIN, _SHORT_STEPS, _FEW_WORLDS = 2.0, 65_536, 16
+"""Budgets up to which a run is short, and its worlds: few, for an update after few decisions."""
 _STEPS_OF_LAPS = 256
 """Steps in which a policy that has learnt a little comes round most tracks: 17 s."""
 
@@ -57,6 +59,8 @@ def _new(command: Train) -> RunConfig:
     ppo = PpoConfig(rollout=train.ppo.rollout)
     if cfg.init_from:
         ppo = ppo.refining()
+    elif train.kind != "head_to_head" and _is_short(cfg):
+        train, ppo = replace(train, num_worlds=_FEW_WORLDS), ppo.hurrying()
     cars = 1
     if train.kind == "head_to_head":
         cars = 2 if cfg.self_play else 1 + len(cfg.opponents)
@@ -70,6 +74,11 @@ def _new(command: Train) -> RunConfig:
         minutes=0.0 if cfg.steps else cfg.minutes,
         train=replace(train, num_cars=cars, ppo=ppo),
     )
+
+
+def _is_short(cfg: RunConfig) -> bool:
+    """Whether a budget is so small that a usual batch would have too few updates."""
+    return 0 < cfg.minutes <= _SHORT_MIN or 0 < cfg.steps <= _SHORT_STEPS
 
 
 def finished(command: Train) -> RunConfig:

@@ -21,7 +21,7 @@ from league.envs.race_env import RaceEnv
 from league.envs.state import INDEX
 from league.errors import RewardError
 from league.sim.config import RULES, ObstacleConfig, RaceKind, SimConfig
-from league.sim.world import World
+from league.sim.records import World
 from league.track import files
 from league.track.track import Track, TrackSet
 

@@ -16,7 +16,7 @@ import numpy as np
 from league.deepracer import params_kernels
 from league.errors import ConfigError
 from league.sim.config import CameraConfig, CarConfig, SimConfig
-from league.sim.world import World
+from league.sim.records import World
 from league.track.track import Track, TrackSet
 
 WAYPOINT_SPACING = 0.15
@@ -106,11 +106,7 @@ class ParamsBuilder:
     def rows(self, tracks: TrackSet, before: World, world: World, verdicts: np.ndarray) -> Rows:
         """Return the params of each paid car that stands no penalty and has not finished.
 
-        Args:
-            tracks: the courses.
-            before: the cars before the step.
-            world: the worlds after it, before any penalty or restart moved a car.
-            verdicts: VERDICT records of the step.
+        The arguments are those of a Reward.
         """
         if tracks is not self._tracks:
             self._roads, self._tracks = Roads.of(tracks), tracks

@@ -20,8 +20,7 @@ from league.errors import ReplayError
 from league.figures import GRID, INK
 from league.race_spec import EventKind
 from league.replay import Replay
-from league.sim.records import NOBODY, VERDICT
-from league.sim.world import World
+from league.sim.records import NOBODY, VERDICT, World
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from league.deepracer.params import KEYS, Params, ParamsBuilder
 from league.deepracer.watchdog import NOT_ITS_OWN, TIME_LIMIT_S, Watchdog
 from league.errors import RewardError, brief, nearest_names
 from league.sim.config import SimConfig
-from league.sim.world import World
+from league.sim.records import World
 from league.track.track import TrackSet
 
 NAME = "reward_function"
@@ -278,14 +278,7 @@ class UserReward:
         *,
         time_limit_s: float = TIME_LIMIT_S,
     ) -> None:
-        """Run the file once for each paid car.
-
-        Args:
-            source: the file.
-            sim: the world's settings.
-            num_worlds: races in the batch.
-            cars: the paid cars.
-            time_limit_s: longest time of a call [s].
+        """Run the file once for each paid car; a call may last `time_limit_s` at most.
 
         Raises:
             RewardError: the file fails, or takes too long.

@@ -51,8 +51,8 @@ class RewardConfig:
 class Scenarios:
     """Situations in which the cars of a world meet in training (league/envs/scenarios.py).
 
-    All cars begin together, and together they end: when time is up, when the attacker and its
-    target are far apart, or when one leaves the road. Each car has a top speed of its own. In each
+    All cars begin together, and together they end: when time is up, when the attacker is far from
+    all others, or when one leaves the road. Each car has a top speed of its own. In each
     group of cars that meet one is the fastest, and the others' top speeds are shares of its own.
     """
 
@@ -64,6 +64,8 @@ class Scenarios:
     """Share in which they begin at speed side by side; in the rest one behind the other."""
     attack: float = ranged(0.75, 0.0, 1.0)
     """Share in which the fastest car begins last; in the rest it begins anywhere."""
+    learner: float = ranged(0.0, 0.0, 1.0)
+    """Share in which the fastest car of the first group is car 0; else it is any car."""
     limited: float = ranged(0.4, 0.0, 1.0)
     """Share in which the fastest car is limited, too: to 0.85 to 1 of the car's top speed."""
     roadblock: float = ranged(0.25, 0.0, 1.0)
@@ -73,7 +75,7 @@ class Scenarios:
     fastest_rival: float = ranged(0.7, 0.0, 1.0)
     """Largest top speed of rivals, likewise; what a curriculum raises."""
     lost: float = ranged(4.5, 0.5, 1000.0)
-    """Distance along the track at which attacker and target have lost each other [m]."""
+    """Distance along the track at which the attacker has lost all other cars [m]."""
     shortest: float = ranged(6.0, 0.1, 1e6)
     """Shortest scenario [s]; the longest is that of episodes."""
 

@@ -15,7 +15,7 @@ from league.jit import inner
 from league.portable_math import clamp, f32
 from league.sim import grid
 from league.sim import obstacles as obstacle_kernels
-from league.sim.rng import SEED_MASK, bits_of, uniform_of
+from league.sim.rng import SEED_MASK, bits_of, purposes, uniform_of
 from league.track.projection import frame_at, signed_gap
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ EPISODES = np.dtype(
         ("standing", f32),
         ("abreast", f32),
         ("attack", f32),
+        ("learner", f32),
         ("limited", f32),
         ("roadblock", f32),
         ("slowest_rival", f32),
@@ -44,7 +45,7 @@ EPISODES = np.dtype(
     align=True,
 )
 """Settings of episodes."""
-_SPOT, _SIDE, _SEED = 211, 212, 213
+_SPOT, _SIDE, _SEED = purposes(211, 214)
 _CANDIDATES, _CLEAR = 8, f32(0.8)
 _PREFERRED, _LATER = f32(1e9), f32(1e6)
 _ZERO, _HALF, _ONE, _TWO = f32(0.0), f32(0.5), f32(1.0), f32(2.0)

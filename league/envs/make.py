@@ -112,10 +112,10 @@ def configure(
     _check_name("solver", solver, get_args(SolverName))
     _check_name("mode", mode, get_args(Mode))
     _check_name("camera_path", camera_path, ("paint", "ray"))
-    _check_whole("laps", laps, 1)
+    check_whole("laps", laps, 1)
     if num_cars is None:
         num_cars = 2 if kind == "head_to_head" else 1
-    _check_whole("num_cars", num_cars, 1)
+    check_whole("num_cars", num_cars, 1)
     base = options.get("sim") or SimConfig()
     obstacles = options.get("obstacles")
     if obstacles is None:
@@ -126,7 +126,7 @@ def configure(
     _check_name("start", start, get_args(StartName))
     rules, longest_s = replace(base.rules, laps=laps, start=start), EnvConfig.episode_s
     if max_steps is not None:
-        _check_whole("max_steps", max_steps, 1)
+        check_whole("max_steps", max_steps, 1)
         # Half a step early, so that rounding cannot add one.
         rules = replace(rules, max_time_s=(max_steps - 0.5) * base.step_dt)
         longest_s = max_steps * base.step_dt
@@ -266,6 +266,11 @@ def _check_name(what: str, value: object, known: tuple[str, ...]) -> None:
         raise ConfigError(f"{what} is {brief(value)}: choose one of {', '.join(known)}")
 
 
-def _check_whole(what: str, value: object, least: int) -> None:
+def check_whole(what: str, value: object, least: int) -> None:
+    """Check an argument that is a count.
+
+    Raises:
+        ConfigError: it is no whole number, or too small.
+    """
     if not isinstance(value, int) or isinstance(value, bool) or value < least:
         raise ConfigError(f"{what} is {brief(value)}: give a whole number, {least} or more")

@@ -16,8 +16,8 @@ from league.envs.sensor_suite import SensorSuite
 from league.errors import ActionError, ConfigError, WorldError
 from league.sim import records, rng
 from league.sim.physics import planar
+from league.sim.records import World
 from league.sim.settings import settings
-from league.sim.world import World
 from league.track.track import TrackSet
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from league.jit import compiled, inner
 from league.portable_math import f32
 from league.sim.config import CarConfig
 from league.sim.grid import is_racing
-from league.sim.world import World
+from league.sim.records import World
 from league.track.projection import frame_at, signed_gap
 from league.track.track import Track, TrackSet
 

@@ -17,7 +17,7 @@ from league.jit import inner
 from league.portable_math import atan, clamp, f32, heading_of, wrap_angle
 from league.sim import grid
 from league.sim.records import NOBODY
-from league.sim.rng import uniform_of
+from league.sim.rng import purposes, uniform_of
 from league.sim.settings import GRAVITY
 from league.track.projection import curvature_at, frame_at, signed_gap
 
@@ -38,11 +38,15 @@ ENCOUNTER = np.dtype(
 NO_ATTACK, FAILED, PASSED, CLEAN = 0, 1, 2, 3
 """How an attack ended: none was made, not passed, passed with a mistake, passed without one."""
 
-_BASE, _KIND, _GROUPS, _SHIFT, _LENGTH, _FIRST, _FAST, _SLOW, _WHICH = range(221, 230)
-_GAP, _LANE, _PACE, _OWN_PACE, _QUEUE, _QUEUE_PACE = range(231, 237)
+_BASE, _KIND, _GROUPS, _SHIFT, _LENGTH, _FIRST, _FAST, _SLOW, _WHICH = purposes(221, 230)
+_GAP, _LANE, _PACE, _OWN_PACE, _QUEUE, _QUEUE_PACE, _LEARNER = purposes(231, 238)
 _ATTEMPTS, _CLEAR = 12, f32(0.8)
 _SIDE_LEAST, _SIDE_MORE, _SIDE_SHIFT, _ROW = f32(0.45), f32(0.2), f32(0.3), f32(1.0)
 _NEAREST_START, _FARTHEST_START, _LANES = f32(0.45), f32(1.8), f32(0.7)
+_FARTHEST_QUEUE = f32(4.0)
+"""Largest distance at which a queue of slow cars begins ahead of a fast one [m]."""
+_BRAKING, _ROOM = f32(0.5), f32(0.35)
+"""Share of the grip with which a car can begin to brake behind another, and the room left [m]."""
 _PARTED = f32(0.4)
 """An attacker starts this far behind its target, and has passed when this far ahead [m]."""
 _LEAST_FAST, _ROADBLOCK = f32(0.85), (f32(0.15), f32(0.75))
@@ -81,14 +85,17 @@ def begin(encounter, cars, obstacles, world, points, course, sim, rules):
         size = 1
     elif num_cars > 2 and course.closed and uniform_of(seed, _GROUPS, step) < _HALF:
         size = 2
-    shift = np.int64(uniform_of(seed, _SHIFT, step) * f32(num_cars))
-    spots = np.empty((num_cars, 2), np.float32)
-    _find_spots(spots, size, standing, abreast, obstacles, world, points, course, sim)
     first = _fastest(0, size, world, rules)
+    shift = np.int64(uniform_of(seed, _SHIFT, step) * f32(num_cars))
+    if uniform_of(seed, _LEARNER, step) < rules.learner:
+        shift = num_cars - first
+    spots = np.empty((num_cars, 2), np.float32)
+    _find_spots(spots, size, standing, abreast, obstacles, world, points, course, sim, rules)
     base = _ZERO
     drawn = uniform_of(seed, _PACE, step)
     if not standing and not (encounter.alone and drawn < _AT_REST):
         base = (_SLOWEST + _FASTER * drawn) * sim.max_speed
+    ahead = _ZERO
     for place in range(num_cars):
         c = (place + shift) % num_cars
         grid.stand(cars[c], points, course, spots[place, 0], spots[place, 1])
@@ -99,6 +106,10 @@ def begin(encounter, cars, obstacles, world, points, course, sim, rules):
         own = _TWO * uniform_of(seed, _OWN_PACE, step, c) - _ONE
         limit = min(_allowed(cars[c], points, course, sim), cars[c].top_speed)
         speed = min(base * (_ONE + _SPREAD * own), limit)
+        if place % size and not abreast:
+            gap = signed_gap(course, cars[(c - 1) % num_cars].s, cars[c].s)
+            speed = min(speed, _can_stop_behind(ahead, gap, sim))
+        ahead = speed
         if speed > _ZERO:
             _roll(cars[c], speed, points, course, sim)
     target = first - 1 if first > 0 else min(1, num_cars - 1)
@@ -128,7 +139,7 @@ def judge(encounter, cars, verdicts, outcomes, course, sim, rules):
     encounter.steps += 1
     over = encounter.steps >= encounter.length
     gap = signed_gap(course, cars[encounter.attacker].s, cars[encounter.target].s)
-    if not encounter.alone and abs(gap) > rules.lost:
+    if not encounter.alone and not _is_near(encounter.attacker, cars, course, rules.lost):
         over = True
     for c in range(len(cars)):
         seen = verdicts[c]
@@ -143,7 +154,7 @@ def judge(encounter, cars, verdicts, outcomes, course, sim, rules):
     for c in range(len(cars)):
         outcomes[c].truncated = over and not outcomes[c].terminated
         outcomes[c].attack = NO_ATTACK
-        outcomes[c].near = _is_near(c, cars, course)
+        outcomes[c].near = _is_near(c, cars, course, NEAR)
     if over and encounter.attack:
         # A target that has failed by itself was neither passed nor missed.
         ended = FAILED
@@ -156,20 +167,21 @@ def judge(encounter, cars, verdicts, outcomes, course, sim, rules):
 
 
 @inner
-def _is_near(c, cars, course):
+def _is_near(c, cars, course, reach):
+    """Return whether another car is within this distance along the track."""
     for other in range(len(cars)):
-        if other != c and abs(signed_gap(course, cars[other].s, cars[c].s)) < NEAR:
+        if other != c and abs(signed_gap(course, cars[other].s, cars[c].s)) < reach:
             return True
     return False
 
 
 @inner
-def _find_spots(spots, size, standing, abreast, obstacles, world, points, course, sim):
+def _find_spots(spots, size, standing, abreast, obstacles, world, points, course, sim, rules):
     """Draw s and lateral [m] of each place, front to back; clear of obstacles if a try finds it."""
     best = -_ONE
-    chosen = 0
+    chosen = np.int64(0)
     for attempt in range(_ATTEMPTS if len(obstacles) else 1):
-        _draw_spots(attempt, spots, size, standing, abreast, world, points, course, sim)
+        _draw_spots(attempt, spots, size, standing, abreast, world, points, course, sim, rules)
         room = _FAR
         for place in range(len(spots)):
             for k in range(len(obstacles)):
@@ -179,11 +191,11 @@ def _find_spots(spots, size, standing, abreast, obstacles, world, points, course
         if room >= _CLEAR:
             return
     if len(obstacles):
-        _draw_spots(chosen, spots, size, standing, abreast, world, points, course, sim)
+        _draw_spots(chosen, spots, size, standing, abreast, world, points, course, sim, rules)
 
 
 @inner
-def _draw_spots(attempt, spots, size, standing, abreast, world, points, course, sim):
+def _draw_spots(attempt, spots, size, standing, abreast, world, points, course, sim, rules):
     seed, step, num_cars = world.seed, world.step, len(spots)
     base = uniform_of(seed, _BASE, step, attempt) * course.length
     groups = (num_cars + size - 1) // size
@@ -207,9 +219,12 @@ def _draw_spots(attempt, spots, size, standing, abreast, world, points, course, 
                 offset += _ROW
             share = side * (_SIDE_LEAST + _SIDE_MORE * lane)
         elif member:
-            offset += _NEAREST_START + (_FARTHEST_START - _NEAREST_START) * uniform_of(
-                seed, _GAP, step, place, attempt
-            )
+            farthest = _FARTHEST_START
+            if _in_queue(place // size, world, rules):
+                # Slow cars are met at full speed, too.
+                farthest = _FARTHEST_QUEUE if member == size - 1 else _ONE
+            drawn = uniform_of(seed, _GAP, step, place, attempt)
+            offset += _NEAREST_START + (farthest - _NEAREST_START) * drawn
         s = base - offset
         if abreast:
             s += _SIDE_SHIFT * (uniform_of(seed, _GAP, step, place, attempt) - _HALF)
@@ -228,6 +243,19 @@ def _fastest(group, size, world, rules):
 
 
 @inner
+def _in_queue(group, world, rules):
+    """Return whether all rivals of a group are slow: who passes one must not run into the next."""
+    return uniform_of(world.seed, _QUEUE, world.step, group) < rules.roadblock
+
+
+@inner
+def _can_stop_behind(speed, gap, sim):
+    """Return from which speed [m/s] a car can slow down to that of the car ahead in time."""
+    room = max(gap - _ROOM, _ZERO)
+    return f32(math.sqrt(speed * speed + _TWO * _BRAKING * sim.grip * _GRAVITY * room))
+
+
+@inner
 def _top_speed(place, size, world, sim, rules):
     """Draw the top speed [m/s] of a place: the group's fastest, or a share of it."""
     seed, step, group = world.seed, world.step, place // size
@@ -237,8 +265,7 @@ def _top_speed(place, size, world, sim, rules):
     if place % size == _fastest(group, size, world, rules):
         return top
     drawn = uniform_of(seed, _SLOW, step, place)
-    if uniform_of(seed, _QUEUE, step, group) < rules.roadblock:
-        # Slow cars come in queues: who passes one must not run into the next.
+    if _in_queue(group, world, rules):
         slow = uniform_of(seed, _QUEUE_PACE, step, group)
         slow = _ROADBLOCK[0] + (_ROADBLOCK[1] - _ROADBLOCK[0]) * slow
         return top * slow * (_ONE + _SPREAD * (_TWO * drawn - _ONE))

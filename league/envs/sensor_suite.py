@@ -12,8 +12,7 @@ from league.envs import observations, state, truth
 from league.envs.config import EnvConfig
 from league.envs.step import over_worlds
 from league.sim.config import FRAME_STEPS, CameraConfig
-from league.sim.records import NOBODY
-from league.sim.world import World
+from league.sim.records import NOBODY, World
 from league.track.track import TrackSet
 
 if TYPE_CHECKING:  # OpenCV comes late

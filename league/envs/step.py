@@ -250,13 +250,8 @@ def over_worlds(
 
     Many worlds are shared out among threads; each drives worlds of its own, so results do not
     depend on their number. They are Python threads, because compiled code releases the interpreter
-    and they survive a fork, unlike OpenMP's.
-
-    Args:
-        loop: takes the first world, the world behind the last one, and the arguments.
-        num_worlds: worlds to share out.
-        num_cars: cars in each.
-        arguments: passed on.
+    and they survive a fork, unlike OpenMP's. The loop takes the first world, the world behind the
+    last one, and the arguments.
     """
     if num_worlds * num_cars < 2 * CARS_PER_THREAD or (threads := num_threads()) == 1:
         return loop(0, num_worlds, *arguments)

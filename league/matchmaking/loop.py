@@ -53,7 +53,7 @@ Watcher = Callable[[Tally, list[FinishedHeat]], None]
 
 
 def run(
-    store: Store,
+    store: Store | None,
     dispatcher: Dispatcher,
     season: Season | None,
     *,
@@ -65,7 +65,7 @@ def run(
     """Plan and race until a limit is reached; heats under way are finished first.
 
     Args:
-        store: the league.
+        store: the league; not needed without a matchmaker.
         dispatcher: claims and races heats.
         season: the matchmaker; without one the heats in the queue are raced.
         heats: end after so many, those that were given up included.
@@ -93,7 +93,7 @@ def run(
             continue
         if over or (heats is not None and tally.heats + tally.errors >= heats):
             return tally
-        if season is not None and _nothing_to_race(store, season):
+        if store is not None and season is not None and _nothing_to_race(store, season):
             tally.idle = True
             return tally
 

@@ -23,7 +23,7 @@ from league.agents.torch_archive import RefusedError
 from league.errors import LeagueError, PolicyError, brief
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Ruleset
-from league.matchmaking.store import Entry, Store
+from league.matchmaking.store import Entry, Quota, Store
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig, SimConfig
 
 MAX_HEADER = 64 << 10
@@ -228,7 +228,9 @@ def sketch(policy: Checkpoint) -> list[float]:
     return [float(f"{value:.8g}") for value in sums]
 
 
-def accept(store: Store, content: bytes, name: str, owner: str) -> Entry:
+def accept(
+    store: Store, content: bytes, name: str, owner: str, quota: Quota | None = None
+) -> Entry:
     """Check what an owner sent, and enter it; nothing is kept if it is refused.
 
     Args:
@@ -236,6 +238,7 @@ def accept(store: Store, content: bytes, name: str, owner: str) -> Entry:
         content: an entry, as `pack` makes it.
         name: shown to people.
         owner: its owner.
+        quota: how much the owner may enter; None for any number.
 
     Raises:
         LeagueError: it is not sound, its sensors are not stock, or its name is taken.
@@ -265,7 +268,7 @@ def accept(store: Store, content: bytes, name: str, owner: str) -> Entry:
             near = entry.name
     card = {**policy.card.model_dump(mode="json"), "digest": policy.digest, "sketch": vector}
     card |= {"near_copy_of": near} if near else {}
-    return store.submit(name, owner, weights=content, card=card, id=own)
+    return store.submit(name, owner, weights=content, card=card, id=own, quota=quota)
 
 
 def submit(store: Store, path: str | os.PathLike[str], name: str, owner: str) -> Entry:

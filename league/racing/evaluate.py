@@ -23,7 +23,7 @@ from league.racing.race import dynamics
 from league.racing.table import Evaluation, Mode, Status, Trial
 from league.sim import referee, rng
 from league.sim.config import ObstacleConfig, RaceKind, RaceRules, SimConfig, SolverName
-from league.sim.world import World, is_frozen
+from league.sim.records import World, is_frozen
 from league.track.track import Track, TrackSet
 
 MAX_TRIALS = 1000

@@ -19,7 +19,7 @@ from league.errors import ConfigError, PolicyError
 from league.race_spec import Entry, Event, RaceResult, RaceSpec
 from league.racing.race_log import RaceLog, classify
 from league.sim.config import RULES, CarConfig, DynamicsRandomization, ObstacleConfig, SimConfig
-from league.sim.world import World
+from league.sim.records import World
 from league.track.track import Track, TrackSet
 
 if TYPE_CHECKING:
@@ -257,12 +257,9 @@ class _RunningRace:
         return self._faults[car] >= FAULTS_TO_END
 
     def follow(self, world: World, news: tuple[np.ndarray, np.ndarray] | None, over: bool) -> None:
-        """Log a step.
+        """Log a step, after which the race is `world`.
 
-        Args:
-            world: after it.
-            news: verdicts, and which cars came to the wall in this step, if there was anything.
-            over: whether it was the last one.
+        `news`, if there are any, are the verdicts and which cars came to the wall in this step.
         """
         self._log.steps += 1
         if news is not None:
@@ -333,3 +330,39 @@ def _loaded(entry: Entry, tracks: TrackSet, car: CarConfig) -> Driver:
             "give the file it was then, as in `league verify REPLAY --policies FILE.pt`"
         )
     return driver
+
+
+QUALIFYING_LAPS = 2
+"""Laps of a qualifying run: one from rest, and a flying one; the better one counts."""
+
+
+def qualifying_laps(spec: RaceSpec, track: Track) -> list[float]:
+    """Return the best lap of each driver of a race alone on the track [s], infinite for none.
+
+    All drive the same car, of the seed's variation, by the rules and physics of the race.
+
+    Raises:
+        LeagueError: as `race.run`.
+    """
+    alone = {
+        "kind": "time_trial",
+        "laps": QUALIFYING_LAPS,
+        "format": "standing",
+        "obstacles": 0,
+        "max_time_s": 0.0,
+    }
+    jobs = [
+        RaceJob(spec.model_copy(update={**alone, "entries": (entry,)}), track, record=False)
+        for entry in spec.entries
+    ]
+    return [finished.result.order[0].best_lap_s or math.inf for finished in run_together(jobs)]
+
+
+def line_up(spec: RaceSpec, laps: Sequence[float]) -> RaceSpec:
+    """Return the spec with its entries by their laps: the fastest first, in a reverse grid last.
+
+    Equal laps keep the order in which they are given.
+    """
+    sign = -1.0 if spec.format == "reverse" else 1.0
+    order = sorted(range(len(laps)), key=lambda car: sign * laps[car])
+    return spec.model_copy(update={"entries": tuple(spec.entries[car] for car in order)})

@@ -24,8 +24,7 @@ from league.envs.rewards import Reward
 from league.errors import PolicyError
 from league.racing.trace import StepRows, Trace, mistakes, write_rows
 from league.sim.config import SensorConfig, SimConfig
-from league.sim.records import NOBODY
-from league.sim.world import World
+from league.sim.records import NOBODY, World
 from league.track.track import TrackSet
 
 EPISODES = 20
@@ -70,14 +69,7 @@ class TrainingTrace:
     """
 
     def __init__(self, reward: Reward, folder: Path, space: ActionSpace, sim: SimConfig) -> None:
-        """Prepare; nothing is written before `flush`, or the end of the twentieth episode.
-
-        Args:
-            reward: what is paid.
-            folder: of the files.
-            space: what the policy chooses from.
-            sim: settings of the worlds.
-        """
+        """Prepare; nothing is written before `flush`, or the end of the twentieth episode."""
         self._reward, self._folder, self._sim = reward, folder / TRAINING, sim
         self._step_rows = StepRows(space)
         self._running: list[list[dict[str, Any]]] = []

@@ -10,6 +10,11 @@ from league.sim.config import RaceKind, SolverName
 Mode = Literal["race", "episode"]
 Status = Literal["lap_complete", "off_track", "crashed", "immobilized", "reversed", "time_up"]
 """How a trial ended, in the words that community tools read."""
+_SUMMARY = (
+    *("asked", "complete_laps", "clean_laps", "clean_runs", "runs", "completion"),
+    *("best_lap_s", "mean_lap_s", "best_flying_s", "total_s", "off_tracks", "crashes"),
+)
+"""Figures of an evaluation that describe it."""
 
 
 class Trial(FrozenModel):
@@ -156,20 +161,7 @@ class Evaluation(FrozenModel):
     @property
     def summary(self) -> dict[str, float | int | None]:
         """The figures that describe an evaluation, by name; times in seconds, completion in %."""
-        figures = {
-            "asked": self.asked,
-            "complete_laps": self.complete_laps,
-            "clean_laps": self.clean_laps,
-            "clean_runs": self.clean_runs,
-            "runs": self.runs,
-            "completion": self.completion,
-            "best_lap_s": self.best_lap_s,
-            "mean_lap_s": self.mean_lap_s,
-            "best_flying_s": self.best_flying_s,
-            "total_s": self.total_s,
-            "off_tracks": self.off_tracks,
-            "crashes": self.crashes,
-        }
+        figures = {name: getattr(self, name) for name in _SUMMARY}
         return {
             name: round(value, 4) if isinstance(value, float) else value
             for name, value in figures.items()

@@ -23,8 +23,7 @@ from league.errors import ConfigError
 from league.racing.evaluate import MISTAKES, EvalStep
 from league.sim import referee
 from league.sim.config import CarConfig, SensorConfig, SimConfig
-from league.sim.records import NOBODY
-from league.sim.world import World, is_frozen
+from league.sim.records import NOBODY, World, is_frozen
 from league.track.track import Track, TrackSet
 
 COLUMNS = (
@@ -53,11 +52,7 @@ class StepRows:
     """The columns of the CSV that follow from one step alone, for car 0 of each world."""
 
     def __init__(self, space: ActionSpace | None = None) -> None:
-        """Prepare.
-
-        Args:
-            space: what the driver chooses from, for the column `action`; None: any numbers.
-        """
+        """Prepare; column `action` holds a choice of a discrete space, or else two numbers."""
         self._space = space
         self._roads: Roads | None = None
 
@@ -123,12 +118,9 @@ class Trace:
         *,
         started_s: float = 0.0,
     ) -> None:
-        """Start an empty trace.
+        """Start an empty trace of a driver with this action space and these sensors.
 
-        Args:
-            space: what the driver chooses from, for the column `action`; None: any numbers.
-            sensors: what its car carries, if anything.
-            started_s: Unix time at which the evaluation began [s], for `wall_clock`.
+        `started_s` is the Unix time at which the evaluation began [s], for `wall_clock`.
         """
         self.space, self.started_s = space or ContinuousActions(), started_s
         self.sensors = sensors or SensorConfig()

@@ -89,12 +89,9 @@ class Commentator:
     """Follows one race step by step; what it says depends on nothing later."""
 
     def __init__(self, spec: RaceSpec, names: Sequence[str], *, closed: bool = True) -> None:
-        """Begin before the start.
+        """Begin before the start; `names` are the drivers', by grid slot.
 
-        Args:
-            spec: of the race.
-            names: of the drivers, by grid slot.
-            closed: whether the track is a loop; on an open one a race is one lap.
+        On a track that is not closed a race is one lap.
         """
         self._spec, self._names = spec, names
         self._laps = spec.laps if closed else 1
@@ -106,13 +103,7 @@ class Commentator:
         self._won = False
 
     def add(self, time_s: float, cars: Cars, events: Iterable[Event] = ()) -> list[Line]:
-        """Return what is to be said about one step.
-
-        Args:
-            time_s: race time after it [s].
-            cars: after it.
-            events: of this step, in order.
-        """
+        """Return what is to be said about one step, which ended at `time_s`."""
         events = tuple(events)
         laps = np.asarray(cars["laps"])
         lines = [

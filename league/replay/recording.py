@@ -10,9 +10,9 @@ from league import __version__
 from league.errors import ReplayError
 from league.race_spec import RaceResult, RaceSpec
 from league.replay.replay import PARAMETERS, Columns, Replay
+from league.sim import PHYSICS
 from league.sim.config import SimConfig
-from league.sim.version import PHYSICS
-from league.sim.world import World
+from league.sim.records import World
 from league.track.track import TrackSet
 
 _FOR_GOOD_S = 1e5

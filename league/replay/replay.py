@@ -11,7 +11,7 @@ import numpy as np
 from league.race_spec import RaceResult, RaceSpec
 from league.sim import records
 from league.sim.config import ObstacleConfig, SimConfig
-from league.sim.world import World
+from league.sim.records import World
 from league.track.track import Track, TrackSet
 
 PARAMETERS = ("grip", "mass", "latency_s", "steering_offset", "camera_up", "camera_pitch")
@@ -169,7 +169,7 @@ class Replay:
     league_version: str = ""
     """Version of the league that drove the race; empty in the oldest replays."""
     physics: str = ""
-    """Version of the physics that drove it (league/sim/version.py); empty before version 4."""
+    """Version of the physics that drove it (league/sim/__init__.py); empty before version 4."""
 
     @property
     def spec(self) -> RaceSpec:
@@ -217,6 +217,39 @@ class Replay:
     def leader(self) -> np.ndarray:
         """The car in front in each frame, (num_frames,)."""
         return self.columns.distance.argmax(axis=1)
+
+    @property
+    def running_order(self) -> np.ndarray:
+        """The cars by distance in each frame, the leader first, (num_frames, num_cars)."""
+        return np.argsort(-self.columns.distance, axis=1, kind="stable")
+
+    @property
+    def gaps_m(self) -> np.ndarray:
+        """How far each car is behind the leader along the track [m], (num_frames, num_cars)."""
+        distance = self.columns.distance
+        return distance.max(axis=1, keepdims=True) - distance
+
+    @property
+    def gaps_s(self) -> np.ndarray:
+        """The time since the leader was where each car is now [s], (num_frames, num_cars)."""
+        front = np.maximum.accumulate(self.columns.distance.max(axis=1))
+        # Where the front stands still, its first arrival counts.
+        rises = np.concatenate([[True], np.diff(front) > 0])
+        first = np.interp(self.columns.distance, front[rises], self.times_s[rises])
+        return np.maximum(self.times_s[:, None] - first, 0.0) * (self.gaps_m > 0)
+
+    @property
+    def speeds(self) -> np.ndarray:
+        """Each car's speed [m/s], (num_frames, num_cars)."""
+        return np.hypot(self.columns.velocity_x, self.columns.velocity_y)
+
+    @property
+    def decided_s(self) -> float:
+        """When no place can change hands any more: the last car to finish has no rival [s]."""
+        fights = self.result.order[:-1]
+        if self.spec.ranking != "total" or not fights or not all(car.finished for car in fights):
+            return self.duration_s
+        return min(max(car.total_s for car in fights), self.duration_s)
 
     def worlds(self) -> World:
         """Return all frames as one batch of worlds, for the ordinary renderers."""

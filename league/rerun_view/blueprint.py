@@ -26,14 +26,10 @@ def broadcast(
     cameras: bool = True,
     live: bool = False,
 ) -> rrb.Blueprint:
-    """Return the layout.
+    """Return the layout of a race in a room from x_min, y_min to x_max, y_max [m].
 
-    Args:
-        num_cars: cars in the race.
-        names: of the drivers.
-        room: x_min, y_min, x_max, y_max of the room [m].
-        cameras: whether the recording holds the cars' eyes.
-        live: follow the newest step instead of playing from the start.
+    `cameras`: the recording holds the cars' eyes. `live`: follow the newest step instead of playing
+    from the start.
     """
     scenes = rrb.Tabs(
         _scene(num_cars, paths.CHASE, "Chase", CHASE_EYE, CHASE_TARGET),

@@ -17,7 +17,7 @@ from league.rerun_view import blueprint, paths, record
 from league.rerun_view.scene import SceneWriter, about_z, positions, speeds
 from league.rerun_view.viewer import Stream
 from league.sim.config import SimConfig
-from league.sim.world import World
+from league.sim.records import World
 from league.track.track import Track
 
 CHASE_SHARE = 0.18
@@ -48,11 +48,7 @@ class Live:
     ) -> None:
         """Send what never changes; `start` also opens a viewer.
 
-        Args:
-            spec: of the race.
-            track: the course.
-            recording: where to send.
-            speed: race seconds per second at most; 0 as fast as the race runs.
+        The race runs at `speed` seconds per second at most; 0: as fast as it can.
         """
         self._names = tuple(entry.name for entry in spec.entries)
         self._bots = spec.obstacle_kind == "bot"
@@ -80,11 +76,7 @@ class Live:
     ) -> Live:
         """Open a viewer, in a window or else on a local web page, and stream to it.
 
-        Args:
-            spec: of the race.
-            track: the course.
-            speed: race seconds per second at most; 0 as fast as the race runs.
-            window: the native viewer rather than a web page; by default where there is a display.
+        `window` is by default whether there is a display.
         """
         drivers = tuple(entry.name for entry in spec.entries)
         layout = blueprint.broadcast(len(drivers), drivers, track.room, cameras=False, live=True)
@@ -219,15 +211,9 @@ class TrainingStream:
         bots: bool = False,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Send what never changes.
+        """Send what never changes; all shown worlds are on one track.
 
-        Args:
-            recording: where to.
-            track: the course of all shown worlds.
-            shown: of at most as many cars as there are colours.
-            step_hz: control steps per second.
-            bots: whether obstacles are bot cars.
-            clock: returns the wall time [s].
+        `bots`: obstacles are bot cars. `clock` returns the wall time [s].
         """
         self._writer = SceneWriter(recording, track, shown.names, step_hz)
         self._shown, self._step_hz = shown, step_hz

@@ -14,7 +14,7 @@ import rerun as rr
 from league import times
 from league.atomic_file import replacing
 from league.errors import ReplayError
-from league.replay import Replay, commentary, director, story
+from league.replay import Replay, commentary, director
 from league.rerun_view import blueprint, paths
 from league.rerun_view.scene import EYE_CAMERA, NEUTRAL, SceneWriter, about_z, positions
 from league.sim import lidar
@@ -61,8 +61,8 @@ def _send_race(writer: SceneWriter, replay: Replay) -> None:
     writer.send_cars(times, replay.worlds().cars)
     _send_obstacles(writer, replay)
     charts = {
-        paths.PLOT_SPEED: story.speeds(replay),
-        paths.PLOT_GAP: story.gaps_m(replay),
+        paths.PLOT_SPEED: replay.speeds,
+        paths.PLOT_GAP: replay.gaps_m,
         paths.PLOT_STEERING: np.degrees(columns.steering),
     }
     writer.send_charts(times, charts)
@@ -83,7 +83,7 @@ def _send_order(writer: SceneWriter, replay: Replay, fights: Sequence[str]) -> N
     head, names = _head(replay), replay.names
     texts = [
         running_order(head, [names[slot] for slot in order], fight)
-        for order, fight in zip(story.running_order(replay), fights, strict=True)
+        for order, fight in zip(replay.running_order, fights, strict=True)
     ]
     # The last frame is the classification's, also where the order changed in it.
     texts[-1] = classification(replay)

@@ -43,14 +43,7 @@ class SceneWriter:
     def __init__(
         self, recording: rr.RecordingStream, track: Track, names: Sequence[str], step_hz: int
     ) -> None:
-        """Send the room, the cars' shapes, their eyes' places and chart styles.
-
-        Args:
-            recording: where to.
-            track: the course.
-            names: of the cars.
-            step_hz: control steps per second.
-        """
+        """Send the room, the cars' shapes, their eyes' places and chart styles."""
         assert len(names) <= len(CAR_COLOURS)
         self.recording, self._step_hz = recording, step_hz
         self._last: np.ndarray | None = None

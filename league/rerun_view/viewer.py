@@ -163,11 +163,8 @@ class Server(ThreadingHTTPServer):
     def __init__(self, port: int, query: str, recording: Path | None, connect: str = "") -> None:
         """Listen on a port; 0 takes any that is free.
 
-        Args:
-            port: to listen on.
-            query: of the viewer's address; {origin} stands for the address of this server.
-            recording: served as well.
-            connect: further address that the page may connect to.
+        In `query`, that of the viewer's address, {origin} stands for the address of this server.
+        The recording is served as well, and the page may also connect to the address `connect`.
         """
         self.files: Mapping[str, bytes | Path] = assets()
         if recording is not None:
@@ -285,12 +282,10 @@ class Stream:
         window: bool | None = None,
         memory: str | None = MEMORY,
     ) -> None:
-        """Open a viewer.
+        """Open a viewer with this layout.
 
-        Args:
-            layout: what it shows.
-            window: the native viewer rather than a web page; by default where there is a display.
-            memory: what it keeps at most; None: the viewer's own limits.
+        `window` is by default whether there is a display; `memory` is what the viewer keeps at
+        most, and None leaves it to the viewer.
 
         Raises:
             ReplayError: the viewer does not start.

@@ -1,4 +1,7 @@
-"""Compiled: where cars are put, on the starting grid and back on the road."""
+"""Compiled: where cars are put, on the starting grid and back on the road.
+
+records.py says what the arguments are.
+"""
 
 # Numba gives its types a meaning that the checker does not know.
 # pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
@@ -11,10 +14,10 @@ from league.jit import inner
 from league.portable_math import f32, heading_of, wrap_angle
 from league.sim import obstacles as obstacles_room
 from league.sim.physics.vehicle import frozen
-from league.sim.rng import uniform_of
+from league.sim.rng import purposes, uniform_of
 from league.track.projection import frame_at, signed_gap
 
-_GRIP, _MASS, _LATENCY, _STEERING, _CAMERA_UP, _CAMERA_PITCH, _START_SPEED = range(201, 208)
+_GRIP, _MASS, _LATENCY, _STEERING, _CAMERA_UP, _CAMERA_PITCH, _START_SPEED = purposes(201, 208)
 _SLACK = f32(0.07)
 _OPEN_START = f32(0.2)
 _INFINITE = f32(np.inf)
@@ -30,20 +33,14 @@ def start(cars, obstacles, world, points, course, places, settings):
     the whole grid stands just after the start. In a pursuit cars stand evenly round the lap, on the
     centreline, and each drives its laps from its own place.
 
-    Args:
-        cars: CAR records (num_cars,); overwritten.
-        obstacles: OBSTACLE records (num_obstacles,); overwritten.
-        world: WORLD record; its seed and track are read, the rest is overwritten.
-        points: of the TrackSet.
-        course: COURSE record of the world's track.
-        places: fixed places of obstacles, see obstacles.place.
-        settings: SETTINGS record.
+    Of `world` seed and track are read and the rest is overwritten, as are cars and obstacles;
+    `places` are those of obstacles.place.
     """
     world.step, world.leader, world.lead_changes = 0, 0, 0
     for c in range(len(cars)):
         distance, lateral = slot(c, len(cars), points, course, settings)
         stand(cars[c], points, course, distance, lateral)
-        draw_parameters(cars[c], c, world.seed, 0, settings)
+        draw_parameters(cars[c], c, world.seed, np.int64(0), settings)
         if settings.start_speed > _ZERO:
             speed = settings.start_speed * uniform_of(world.seed, _START_SPEED, c)
             frame = frame_at(points, course, distance)
@@ -97,12 +94,7 @@ def stand(car, points, course, s, lateral):
 def draw_parameters(car, number, seed, episode, settings):
     """Draw a car's parameters; without a spread they are the settings.
 
-    Args:
-        car: CAR record.
-        number: its slot.
-        seed: of the race.
-        episode: number that makes this draw differ from others.
-        settings: SETTINGS record.
+    `number` is its slot; `episode` makes this draw differ from others of the same seed.
     """
     car.top_speed = settings.max_speed
     half = settings.latency_spread_s * _HALF
@@ -125,13 +117,7 @@ def _drawn(seed, purpose, number, episode, reach):
 
 @inner
 def blank_book(car, distance, now_s):
-    """Reset the referee's book of a car.
-
-    Args:
-        car: CAR record, already at its place.
-        distance: from where its laps begin [m].
-        now_s: time since the start of the race [s].
-    """
+    """Reset the referee's book of a car at its place; its laps begin at `distance` [m]."""
     car.distance, car.best_distance = distance, distance
     car.lap_start_s, car.last_lap_s = now_s, _ZERO
     car.best_lap_s, car.finish_s, car.penalty_s = _INFINITE, _INFINITE, _ZERO
@@ -147,12 +133,7 @@ def blank_book(car, distance, now_s):
 def move(car, points, course, shift, lateral):
     """Put a car elsewhere along its track, at rest; its book goes on.
 
-    Args:
-        car: CAR record.
-        points: of the TrackSet.
-        course: COURSE record.
-        shift: how far along the track from where it is [m].
-        lateral: where across the track [m].
+    `shift` is how far along the track from where it is, `lateral` where across the track [m].
     """
     car.distance = car.distance + shift
     stand(car, points, course, car.s + shift, lateral)
@@ -176,13 +157,7 @@ def release(car, points, course):
 def place_behind(car, target, side, points, course, settings):
     """Return how to move a crashed car behind what it hit, on the other lane; never forward.
 
-    Args:
-        car: CAR record.
-        target: place of what it hit along the track [m].
-        side: place of what it hit across the track [m].
-        points: of the TrackSet.
-        course: COURSE record.
-        settings: SETTINGS record.
+    `target` and `side` are the place of what it hit along and across the track [m].
 
     Returns:
         How far along the track from where it is [m], and where across the track [m].
@@ -197,17 +172,11 @@ def place_behind(car, target, side, points, course, settings):
 
 @inner
 def is_clear(c, cars, obstacles, solid, wanting, settings):
-    """Return whether a ghost could become solid without touching anything.
+    """Return whether the ghost in slot `c` could become solid without touching anything.
 
-    Of two ghosts that want to on one spot, the one ahead goes first and the other waits.
-
-    Args:
-        c: slot of the ghost.
-        cars: CAR records (num_cars,).
-        obstacles: OBSTACLE records (num_obstacles,).
-        solid: mask of the cars that are there to be touched.
-        wanting: mask of the ghosts that want to become solid.
-        settings: SETTINGS record.
+    Of two ghosts that want to on one spot, the one ahead goes first and the other waits. `solid`
+    and `wanting` are masks: of the cars that can be touched, and of the ghosts that want to become
+    solid.
     """
     me = cars[c]
     apart = _TWO * settings.radius + _SLACK

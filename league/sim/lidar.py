@@ -17,8 +17,8 @@ import numpy as np
 from league.jit import compiled, inner
 from league.portable_math import f32, sincos
 from league.sim.config import LidarConfig, SimConfig
+from league.sim.records import World
 from league.sim.rng import normal_of
-from league.sim.world import World
 from league.track.track import TrackSet
 
 NEAR_SECTOR = 0.5

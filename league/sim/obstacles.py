@@ -1,4 +1,7 @@
-"""Compiled: where boxes stand, and how bot cars drive along a lane that they change at times."""
+"""Compiled: where boxes stand, and how bot cars drive along a lane that they change at times.
+
+records.py says what the arguments are.
+"""
 
 # Numba gives its types a meaning that the checker does not know.
 # pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
@@ -9,10 +12,10 @@ import numpy as np
 
 from league.jit import inner
 from league.portable_math import atan, clamp, f32, heading_of, wrap_angle
-from league.sim.rng import uniform_of
+from league.sim.rng import purposes, uniform_of
 from league.track.projection import frame_at
 
-_PLACE, _LANE, _PERIOD = 101, 102, 103
+_PLACE, _LANE, _PERIOD = purposes(101, 104)
 _LANE_CHANGE_DISTANCE = f32(1.0)
 _END_MARGIN = f32(1.0)
 _ZERO, _HALF, _ONE, _TWO, _THREE, _SIX = (f32(n) for n in (0.0, 0.5, 1.0, 2.0, 3.0, 6.0))
@@ -22,13 +25,8 @@ _ZERO, _HALF, _ONE, _TWO, _THREE, _SIX = (f32(n) for n in (0.0, 0.5, 1.0, 2.0, 3
 def place(obstacles, world, points, course, places, settings):
     """Put the obstacles of one world where they stand at the start of its race.
 
-    Args:
-        obstacles: OBSTACLE records (num_obstacles,); overwritten.
-        world: WORLD record.
-        points: of the TrackSet.
-        course: COURSE record of the world's track.
-        places: fixed places, (fraction of the lap, lane) of each, float32 (num_obstacles, 2).
-        settings: SETTINGS record.
+    `places` are fixed places, (fraction of the lap, lane) of each, float32 (num_obstacles, 2), or
+    none.
     """
     for k in range(len(obstacles)):
         thing = obstacles[k]
@@ -42,17 +40,7 @@ def place(obstacles, world, points, course, places, settings):
 
 @inner
 def aim(obstacles, arrivals, world, points, course, places, settings):
-    """Give bot cars their velocity of this step, and work out where they will be after it.
-
-    Args:
-        obstacles: OBSTACLE records (num_obstacles,); velocities are changed.
-        arrivals: the same after the step; overwritten.
-        world: WORLD record.
-        points: of the TrackSet.
-        course: COURSE record of the world's track.
-        places: as in `place`.
-        settings: SETTINGS record.
-    """
+    """Set the velocity of bot cars, and `arrivals` to where they will be after this step."""
     for k in range(len(obstacles)):
         now, then = obstacles[k], arrivals[k]
         arrivals[k] = obstacles[k]

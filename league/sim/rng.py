@@ -27,6 +27,14 @@ _MEAN = np.int64(131070)
 _DEVIATION = np.float32(3.0**0.5 / 65536.0)
 
 
+def purposes(first: int, end: int) -> tuple[np.int64, ...]:
+    """Return the first counters of several kinds of draws, from `first` to below `end`.
+
+    NumPy's numbers, because Numba compiles a function again for each value of a Python integer.
+    """
+    return tuple(np.arange(first, end, dtype=np.int64))
+
+
 def bits(seed: np.ndarray | int, *counters: np.ndarray | int) -> np.ndarray:
     """Return 64 random bits as int64 for each element of the broadcast of seed and counters.
 

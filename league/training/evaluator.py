@@ -121,9 +121,7 @@ class Evaluator:
     def __init__(self, cfg: EvalConfig, *, background: bool = True) -> None:
         """Prepare; the process starts with the first policy.
 
-        Args:
-            cfg: what every policy is evaluated on.
-            background: whether to evaluate in a process of its own, or at once in this one.
+        Without `background` policies are evaluated at once, in this process.
         """
         self._cfg, self._background, self._process = cfg, background, None
         self._pending, self._results = 0, []

@@ -46,7 +46,7 @@ from league.training.ppo.teacher import make_taught
 if TYPE_CHECKING:
     from league.racing.table import Evaluation
     from league.sim.config import RaceKind
-    from league.training.monitor.callback import TrainingCallback
+    from league.training.monitor.history import TrainingCallback
 
 
 _DUELS = 60
@@ -82,10 +82,7 @@ class Run:
     def __init__(self, cfg: RunConfig, folder: Path, *, background: bool = True) -> None:
         """Build worlds, learner and evaluator; nothing is written before the first update.
 
-        Args:
-            cfg: settings.
-            folder: of this run alone.
-            background: whether to evaluate in a process of its own, or between updates.
+        The folder is this run's alone; without `background` evaluations come between updates.
 
         Raises:
             LeagueError: unknown tracks, rewards or drivers, or settings that contradict.
@@ -357,9 +354,7 @@ class Run:
 
     def _keep_best(self, policy: Checkpoint, updates: int, evaluation: Evaluation) -> None:
         self._best_evaluation = evaluation
-        results = {"updates": float(updates), **evaluation.summary}
-        card = policy.card.model_copy(update={"results": results})
-        checkpoint.save(self.folder / "best.pt", replace(policy, card=card, text=""))
+        self._save_best(policy, {"updates": float(updates), **evaluation.summary})
 
     @memory_explained()
     def _finish(self, callbacks: Sequence[TrainingCallback]) -> None:
@@ -376,35 +371,34 @@ class Run:
         if self._best_evaluation is None and best.exists():
             # It was evaluated before a resume, which keeps no table.
             self._best_evaluation = evaluate_policy(self._eval_cfg, checkpoint.load(best))
-        self._note_clean_share(callbacks)
-        if self.cfg.self_play:
-            self._note_duels(callbacks)
+        if self._best_evaluation is not None and self._best_evaluation.complete_laps:
+            if not complete:  # who stops at the first laps is in a hurry
+                self._note_clean_share(callbacks)
+            if self.cfg.self_play:
+                self._note_duels(callbacks)
         self._save()
 
     def _note_clean_share(self, callbacks: Sequence[TrainingCallback]) -> None:
         """Write into the best policy's card how many runs it drives without a mistake."""
-        if self._best_evaluation is None or not self._best_evaluation.complete_laps:
-            return
         for callback in callbacks:
             callback.racing(f"driving {CLEAN_RUNS} runs for the policy's card")
         best = checkpoint.load(self.folder / "best.pt")
-        share = clean_share(self._eval_cfg, best)
-        card = best.card.model_copy(update={"results": best.card.results | {"clean_share": share}})
-        checkpoint.save(self.folder / "best.pt", replace(best, card=card, text=""))
+        self._save_best(best, {"clean_share": clean_share(self._eval_cfg, best)})
 
     def _note_duels(self, callbacks: Sequence[TrainingCallback]) -> None:
         """Write into the best policy's card how fast a rival it passes, and keeps behind."""
-        if self._best_evaluation is None or not self._best_evaluation.complete_laps:
-            return
         for callback in callbacks:
             callback.racing("racing it against itself, slowed, for the policy's card")
         best = checkpoint.load(self.folder / "best.pt")
         cfg = DuelConfig(self._eval_cfg.tracks[0], races=_DUELS)
         car = SimConfig().car
         self._duels = found = duels.threshold(cfg, Policy(best, car), Policy(best, car))
-        results = best.card.results | {"pass_pace": found.pace, "hold_pace": found.hold}
-        card = best.card.model_copy(update={"results": results})
-        checkpoint.save(self.folder / "best.pt", replace(best, card=card, text=""))
+        self._save_best(best, {"pass_pace": found.pace, "hold_pace": found.hold})
+
+    def _save_best(self, policy: Checkpoint, results: Mapping[str, float | None]) -> None:
+        """Write the best policy, with these results on its card, too."""
+        card = policy.card.model_copy(update={"results": {**policy.card.results, **results}})
+        checkpoint.save(self.folder / "best.pt", replace(policy, card=card, text=""))
 
     def _save(self) -> None:
         if self.learner.updates == 0 or not distributed.is_first():

@@ -14,21 +14,24 @@ from av.error import FFmpegError
 
 from league.atomic_file import replacing
 from league.errors import ReplayError
-from league.replay import Replay, director, story
+from league.replay import Replay, director
 from league.sim.camera import raster
 from league.sim.camera.ground import Floor, floor_of
 from league.sim.camera.paint_renderer import Painter
+from league.sim.camera.scene import CAR as CAR_MODEL
+from league.sim.camera.scene import FAR_CAR, SUN
 from league.sim.camera.stage import Lens, Stage, Thing
 from league.sim.config import CameraConfig
-from league.sim.records import CAR
-from league.sim.world import World
+from league.sim.records import CAR, World
 from league.track.track import Rgb
 from league.video.hud import Hud
 from league.video.mp4 import Coding, Mp4
-from league.video.pixels import draw_floor, packed
+from league.video.pixels import draw_floor, draw_shadow, packed
 
 SIZE = (1280, 720)
 FPS = 30
+AFTER_FINISH_S = 2.0
+"""How long a car that has finished is still followed [s]."""
 HOLD_S = 4.0
 """Time at the end for the classification [s]."""
 DARK = 0.3
@@ -41,6 +44,8 @@ VIEW = 1.15
 """Its horizontal field of view [rad]."""
 WALL_GAP = 0.06
 """How near to the wall it goes [m]."""
+SHADOW_EDGE, SHADOW_KEPT = 0.025, 0.45
+"""Half the width of a shadow's soft edge [m]; the brightness that is left in it, as a share."""
 BATCH = 8
 CODING = Coding(crf=25, preset="superfast")
 """As fine as "veryfast" in three fifths of its time; the file is half as large again."""
@@ -50,12 +55,7 @@ class Film:
     """Pictures of one replay at any moment."""
 
     def __init__(self, replay: Replay, size: tuple[int, int] = SIZE) -> None:
-        """Prepare the camera and the graphics.
-
-        Args:
-            replay: the race.
-            size: width and height [px], both even.
-        """
+        """Prepare the camera and the graphics; `size` is width and height [px], both even."""
         width, height = size
         if width % 2 or height % 2 or not (320 <= width <= 1920 and 180 <= height <= 1080):
             raise ReplayError(
@@ -81,7 +81,7 @@ class Film:
         # OpenCV's own threads cost more than they bring at these sizes.
         cv2.setNumThreads(1)
         self._size = size
-        self.ends_s = min(story.decided_s(replay) + story.AFTER_FINISH_S, replay.duration_s)
+        self.ends_s = min(replay.decided_s + AFTER_FINISH_S, replay.duration_s)
         """When the classification is shown: shortly after the last fight is decided [s]."""
         self._path = director.chase_path(replay)
         self._hud = Hud(replay, width, height, self._path.fights)
@@ -154,8 +154,30 @@ class _FloorFirst(Painter):
         for start, stop, level in floor.bands:
             if stop > top:
                 draw_floor(flat, max(start, top), stop, self._levels[level], self._optics, pose)
+        for thing in things:
+            shadow = shadow_of(thing)
+            draw_shadow(flat, top, shadow, SHADOW_EDGE, SHADOW_KEPT, self._optics, pose)
         self.paint(picture[None], pose, floor._replace(bands=()), things)
         return picture
+
+
+def shadow_of(thing: Thing) -> np.ndarray:
+    """Return the outline of what keeps the sun from the floor, as sides for `draw_shadow`.
+
+    It is the hull of all corners, each moved along the light down to the floor: (sides, 3).
+    """
+    model = FAR_CAR if thing.model is CAR_MODEL else thing.model  # with wheels as one block
+    corners = np.concatenate([solid.vertices for solid in model.solids]) * thing.scale
+    across = [-thing.sin, thing.cos]
+    places = corners[:, :2] @ np.array([[thing.cos, thing.sin], across]) + (thing.x, thing.y)
+    places -= corners[:, 2:] * np.array(SUN[:2]) / SUN[2]
+    hull = cv2.convexHull(places.astype(np.float32)).reshape(-1, 2).astype(float)
+    along = np.roll(hull, -1, axis=0) - hull
+    normals = np.stack([along[:, 1], -along[:, 0]], axis=1)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    if np.einsum("ij,ij->i", normals, hull - hull.mean(axis=0)).mean() < 0:
+        normals = -normals
+    return np.column_stack([normals, np.einsum("ij,ij->i", normals, hull)])
 
 
 def render(

@@ -8,11 +8,11 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from league.replay import Replay, story
+from league.replay import Replay, commentary
 from league.sim.camera.scene import CAR_COLOURS
 from league.sim.camera.stage import Stage
 from league.sim.camera.top_view import draw_things
-from league.sim.world import World
+from league.sim.records import World
 from league.track.markings import Plan
 from league.track.track import Rgb
 from league.video.pixels import mix
@@ -50,12 +50,10 @@ class Hud:
         self._replay, self._fights = replay, fights
         self._width, self._height = width, height
         self._unit = height / 720
-        self._order = story.running_order(replay)
-        self._gaps = story.gaps_s(replay)
-        self._speeds = story.speeds(replay)
-        self._captions = [
-            (event, text) for event, text in story.captions(replay) if event.kind not in SILENT
-        ]
+        self._order = replay.running_order
+        self._gaps = replay.gaps_s
+        self._speeds = replay.speeds
+        self._captions = [line for line in commentary.of_replay(replay) if line.kind not in SILENT]
         self._finish = {car.car: car for car in replay.result.order if car.finished}
         self._top_view = TopView(replay, self._px(330), self._px(230))
 
@@ -180,19 +178,17 @@ class Hud:
 
     def _draw_caption(self, picture: np.ndarray, time_s: float) -> None:
         current = [
-            (event, text)
-            for event, text in self._captions
-            if event.time_s <= time_s < event.time_s + CAPTION_S
+            line for line in self._captions if line.time_s <= time_s < line.time_s + CAPTION_S
         ][-2:]
         px = self._px
-        for line, (event, text) in enumerate(reversed(current)):
-            age = time_s - event.time_s
+        for row, line in enumerate(reversed(current)):
+            age = time_s - line.time_s
             opacity = float(np.clip(min(age + 0.05, CAPTION_S - age) / FADE_S, 0.0, 1.0))
-            y = self._height - px(78) - line * px(54)
-            width = text_width(text, px(22), 500) + px(48)
+            y = self._height - px(78) - row * px(54)
+            width = text_width(line.text, px(22), 500) + px(48)
             put_panel(picture, px(24), y, width, px(46), radius=px(10), opacity=0.78 * opacity)
-            self._draw_chip(picture, event.car, px(34), y + px(10), 6, 26, 3, opacity)
-            put_text(picture, text, px(52), y + px(6), px(22), weight=500, opacity=opacity)
+            self._draw_chip(picture, line.car, px(34), y + px(10), 6, 26, 3, opacity)
+            put_text(picture, line.text, px(52), y + px(6), px(22), weight=500, opacity=opacity)
 
     def _draw_fight(self, picture: np.ndarray, frame: int) -> None:
         """Write who attacks which car and the gap in seconds, at the top of the picture."""

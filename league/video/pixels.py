@@ -1,4 +1,4 @@
-"""Compiled: a floor in colour over a whole picture, and paint mixed into a part of one.
+"""Compiled: a floor in colour over a whole picture, shadows on it, and paint mixed into a part.
 
 `draw_floor` gives the bits of the one in floor_raster.py, three times faster where pictures are
 large: the three colours of a texel lie in one number, which is read once and mixed in vector units.
@@ -6,6 +6,8 @@ large: the three colours of a texel lie in one number, which is read once and mi
 
 # Numba gives its types a meaning that the checker does not know.
 # pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
+
+import math
 
 import numpy as np
 from numba import int32, uint8, uint32
@@ -25,13 +27,7 @@ def packed(texture: Texture) -> Texture:
 def draw_floor(picture, start, stop, texture, optics, view):
     """Draw the floor into rows start to stop, below the horizon, of the first eye's picture.
 
-    Args:
-        picture: (height, width * 3) uint8.
-        start: the first row.
-        stop: one past the last row.
-        texture: of `packed`.
-        optics: the lens, raster.Optics.
-        view: where the camera is, raster.Pose.
+    The picture is uint8 (height, width * 3), and the texture one of `packed`.
     """
     columns, texels, width = texture.columns, texture.texels, picture.shape[1] // 3
     last_column, last_row = int32(columns - 2), int32(texels.size // columns - 2)
@@ -64,6 +60,48 @@ def draw_floor(picture, start, stop, texture, optics, view):
             picture[row, 3 * u] = uint8(corner[u])
             picture[row, 3 * u + 1] = uint8(corner[u] >> uint32(8))
             picture[row, 3 * u + 2] = uint8(corner[u] >> uint32(16))
+
+
+@compiled
+def draw_shadow(picture, start, outline, edge, kept, optics, view):
+    """Darken the floor inside a convex outline, from row start on, of the first eye's picture.
+
+    Args:
+        picture: (height, width * 3) uint8; changed in place.
+        start: the first row.
+        outline: outward normal and offset of each side, n . p <= d inside, world frame; (sides, 3).
+        edge: how far inside the outline the shadow is full, and outside it none [m].
+        kept: share of the brightness that is left in the full shadow.
+        optics: the lens, raster.Optics.
+        view: where the camera is, raster.Pose; it does not roll.
+    """
+    for row in range(start, len(picture)):
+        down = row - optics.cy
+        fall = max(optics.focal * view.pitch_sin + down * view.pitch_cos, 1e-6)
+        ahead = view.z * (optics.focal * view.pitch_cos - down * view.pitch_sin) / fall
+        across = view.z / fall
+        left = optics.eyes[0] + across * optics.cx
+        x = view.x + view.cos * ahead - view.sin * left
+        y = view.y + view.sin * ahead + view.cos * left
+        # Inside a side where beyond + column * grows <= edge.
+        beyond = outline[:, 0] * x + outline[:, 1] * y - outline[:, 2]
+        grows = across * (outline[:, 0] * view.sin - outline[:, 1] * view.cos)
+        first, last = 0.0, picture.shape[1] // 3 - 1.0
+        for side in range(len(outline)):
+            if grows[side] > 0:
+                last = min(last, (edge - beyond[side]) / grows[side])
+            elif grows[side] < 0:
+                first = max(first, (edge - beyond[side]) / grows[side])
+            elif beyond[side] > edge:
+                last = -1.0
+        for u in range(math.ceil(first), math.floor(last) + 1):
+            outside = -edge
+            for side in range(len(outline)):
+                outside = max(outside, beyond[side] + u * grows[side])
+            share = 0.5 - 0.5 * outside / edge
+            light = uint32(256 - 256 * (1 - kept) * share * share * (3 - 2 * share))
+            for channel in range(3 * u, 3 * u + 3):
+                picture[row, channel] = uint8((uint32(picture[row, channel]) * light) >> uint32(8))
 
 
 @inner

@@ -1,1 +1,1 @@
-"""Web pages and JSON of a league, on this machine only; `app.make_app` and `server.serve`."""
+"""Web pages and JSON of a league, and what it takes over HTTP; `app.make_app`, `server.serve`."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from http import HTTPStatus
 from importlib import resources
@@ -26,12 +26,11 @@ from league import times
 from league.errors import LeagueError
 from league.matchmaking.documents import plain
 from league.matchmaking.store import Store
-from league.web import charts, openapi
+from league.web import charts, openapi, submit
 from league.web.reader import NotFoundError, Reader
 from league.web.routes import PAGES, Page
+from league.web.security import Access
 
-HOSTS = ["127.0.0.1", "localhost"]
-"""Names a browser may know this server by; others are web sites that point their name here."""
 HEADERS = {
     "Content-Security-Policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; "
@@ -47,19 +46,21 @@ STATIC = {
     "player.js": "text/javascript",
     "heat.js": "text/javascript",
     "live.js": "text/javascript",
+    "submit.js": "text/javascript",
     "icon.svg": "image/svg+xml",
 }
 """All static files, with their types; they are read once, when the program starts."""
 
 
-def make_app(store: Store, *, exported: bool = False) -> ASGIApp:
-    """Return the application that shows a league; it only reads.
+def make_app(store: Store, *, access: Access | None = None, exported: bool = False) -> ASGIApp:
+    """Return the application that shows a league, and takes submissions and results by token.
 
     Args:
         store: the league.
+        access: who may reach it, and how much of it one client may use.
         exported: whether its answers become files, which have no forms and no JSON.
     """
-    reader = Reader(store)
+    reader, access = Reader(store), access or Access()
     templates = jinja2.Environment(
         loader=jinja2.PackageLoader("league.web"),
         autoescape=True,
@@ -75,29 +76,44 @@ def make_app(store: Store, *, exported: bool = False) -> ASGIApp:
     }
     templates.globals.update(names)
 
+    def render(name: str, request: Request, status: int = 200, /, **document: object) -> Response:
+        path, query = request.url.path, request.url.query
+        template, origin = templates.get_template(name), str(request.base_url)
+        return HTMLResponse(
+            template.render(path=path, query=query, origin=origin, **document), status
+        )
+
     def page(one: Page) -> Callable[[Request], Response]:
         def respond(request: Request) -> Response:
-            document = one.read(reader, request)
-            path, query = request.url.path, request.url.query
-            template = templates.get_template(one.template)
-            content = template.render(
-                path=path, query=query, origin=str(request.base_url), **document
-            )
-            return Response(content, media_type=one.media_type, headers=_headers(one, request))
+            with access.reading(request):
+                response = render(one.template, request, **one.read(reader, request))
+            response.headers.update(_headers(one, request))
+            return response
 
         return respond
 
     def data(one: Page) -> Callable[[Request], Response]:
-        return lambda request: _json(_without_drawings(one.read(reader, request)))
+        def respond(request: Request) -> Response:
+            with access.reading(request):
+                return _json(_without_drawings(one.read(reader, request)))
+
+        return respond
 
     def failed(request: Request, error: Exception) -> Response:
         status, sentence = _status(error)
+        headers = error.headers if isinstance(error, HTTPException) else None
         if request.url.path.startswith("/api/"):
-            return _json({"error": sentence}, status)
+            return _json({"error": sentence}, status, headers)
         content = templates.get_template("error.html").render(
             path="", query="", title=HTTPStatus(status).phrase, sentence=sentence
         )
-        return HTMLResponse(content, status)
+        return HTMLResponse(content, status, headers)
+
+    def writing() -> list[Route]:
+        return [
+            submit.form(store, access, render),
+            *(one.route(store, access) for one in openapi.PROTECTED),
+        ]
 
     routes = [
         *(Route(one.path, page(one)) for one in PAGES if one.template),
@@ -105,11 +121,12 @@ def make_app(store: Store, *, exported: bool = False) -> ASGIApp:
         Route(openapi.PATH, lambda _: _json(openapi.document(store.settings.name))),
         *(Route(f"/static/{name}", _static(name)) for name in STATIC),
         Route("/favicon.ico", lambda _: RedirectResponse("/static/icon.svg", 308)),
+        *([] if exported else writing()),
     ]
     app = Starlette(
         routes=routes,
         middleware=[
-            Middleware(TrustedHostMiddleware, allowed_hosts=HOSTS, www_redirect=False),
+            Middleware(TrustedHostMiddleware, allowed_hosts=list(access.hosts), www_redirect=False),
             Middleware(GZipMiddleware, minimum_size=1000, compresslevel=6),
         ],
         exception_handlers={HTTPException: failed, LeagueError: failed},
@@ -122,8 +139,10 @@ def _status(error: Exception) -> tuple[int, str]:
     if isinstance(error, NotFoundError):
         return 404, str(error)
     if isinstance(error, HTTPException):
-        known = {404: "There is no such page.", 405: "This server answers GET and HEAD only."}
-        return error.status_code, known.get(error.status_code, error.detail)
+        # Starlette's own two words, as sentences; others are sentences already.
+        known = {404: "There is no such page.", 405: "This address does not answer that method."}
+        usual = error.detail == HTTPStatus(error.status_code).phrase
+        return error.status_code, known.get(error.status_code, "") if usual else error.detail
     return 503, f"{error}."
 
 
@@ -132,13 +151,16 @@ def _iso(seconds: float) -> str:
 
 
 def _headers(page: Page, request: Request) -> dict[str, str]:
+    headers = {"Content-Type": f"{page.media_type}; charset=utf-8"}
     name = page.file.format(**request.path_params)
-    return {"Content-Disposition": f'attachment; filename="{name}"'} if name else {}
+    return headers | ({"Content-Disposition": f'attachment; filename="{name}"'} if name else {})
 
 
-def _json(document: object, status: int = 200) -> Response:
+def _json(
+    document: object, status: int = 200, headers: Mapping[str, str] | None = None
+) -> Response:
     content = json.dumps(plain(document), ensure_ascii=False, separators=(",", ":"))
-    return Response(content, status, media_type="application/json")
+    return Response(content, status, headers, media_type="application/json")
 
 
 def _without_drawings(value: object) -> object:
@@ -177,7 +199,9 @@ class _SecurityHeaders:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
-                MutableHeaders(scope=message).update(HEADERS)
+                headers = MutableHeaders(scope=message)
+                for name, value in HEADERS.items():
+                    headers.setdefault(name, value)
             await send(message)
 
         await self._app(scope, receive, send_with_headers)

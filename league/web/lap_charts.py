@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from league.replay import Replay, story
+from league.replay import Replay
 from league.web.charts import Chart, Curve, Line, path, plot
 
 STEP = 0.1
@@ -91,7 +91,7 @@ def lap_of(replay: Replay, car: int, number: int) -> Lap:
         number=number,
         place=columns.distance[frames, car] - (number - 1) * length,
         time_s=replay.times_s[frames] - replay.times_s[first],
-        speed=story.speeds(replay)[frames, car],
+        speed=replay.speeds[frames, car],
         points=np.stack([columns.x[frames, car], columns.y[frames, car]], axis=1),
     )
 

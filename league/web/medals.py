@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 MEDALS = {"platinum": 1.03, "gold": 1.10, "silver": 1.20, "bronze": 1.35}
-"""Largest lap time of each, over the lap bound (racing_line/lap_bound.py)."""
+"""Largest lap time of each, over the lap bound (racing_line/racing_line.py)."""
 
 
 def medal(lap_s: float, bound_s: float | None) -> str:

@@ -3,16 +3,32 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import TypeAdapter
 
 from league import __version__
+from league.web import submit, worker_api
+from league.web.protected import Protected
 from league.web.routes import PAGES, Page
 
 PARAMETER = re.compile(r"\{(\w+):number\}")
 PATH = "/api/v1/openapi.json"
 """Address of the document."""
+PROTECTED = (*submit.ADDRESSES, *worker_api.ADDRESSES)
+"""All addresses that need a token."""
+REFUSALS = {
+    "401": "The token is missing, not known, or has ended.",
+    "403": "The token does not allow this.",
+    "404": "There is no such thing.",
+    "408": "The body took too long.",
+    "409": "The program is of another version.",
+    "413": "The body is too large.",
+    "422": "The league refuses it; the sentence says why.",
+    "429": "This is more than one client, or owner, may have; Retry-After says when to try again.",
+    "503": "The league cannot be read or written now.",
+}
+"""Other answers of addresses that need a token."""
 _REF = "#/components/schemas/{model}"
 
 
@@ -34,25 +50,66 @@ def document(name: str) -> dict[str, Any]:
         for page in PAGES
         if page.has_api
     }
+    paths |= {
+        PARAMETER.sub(r"{\1}", one.path): {one.method.lower(): _protected(one, schemas)}
+        for one in PROTECTED
+    }
     return {
         "openapi": "3.1.0",
         "info": {
             "title": f"League {name}",
             "version": __version__,
             "description": "What the pages show, as JSON. Lengths are metres, speeds m/s, times "
-            "with names that end in _s seconds, ratings Elo. Only GET and HEAD are answered.",
+            "with names that end in _s seconds, ratings Elo. What needs a token says so; all else "
+            "is open and answers GET and HEAD only.",
         },
         "paths": paths,
-        "components": {"schemas": schemas},
+        "components": {
+            "schemas": schemas,
+            "securitySchemes": {"token": {"type": "http", "scheme": "bearer"}},
+        },
     }
 
 
-def _operation(page: Page, schemas: dict[str, Any]) -> dict[str, Any]:
-    properties = {}
-    for name, kind in page.parts.items():
-        schema = TypeAdapter(kind).json_schema(ref_template=_REF, mode="serialization")
-        schemas.update(schema.pop("$defs", {}))
-        properties[name] = schema
+def _schema(
+    kind: Any,  # noqa: ANN401
+    schemas: dict[str, Any],
+    mode: Literal["serialization", "validation"] = "serialization",
+) -> dict[str, Any]:
+    """Return the schema of a type, and add those that it refers to."""
+    schema = TypeAdapter(kind).json_schema(ref_template=_REF, mode=mode)
+    schemas.update(schema.pop("$defs", {}))
+    return schema
+
+
+def _content(schema: dict[str, Any], media_type: str = "application/json") -> dict[str, Any]:
+    return {media_type: {"schema": schema}}
+
+
+def _protected(one: Protected, schemas: dict[str, Any]) -> dict[str, Any]:
+    """Return the operation of an address that needs a token."""
+    raw = _content({"type": "string", "format": "binary"}, "application/octet-stream")
+    taken = raw if one.body is None else _content(_schema(one.body, schemas, "validation"))
+    answer = raw if one.answer is bytes else _content(_schema(one.answer, schemas))
+    failure = _content({"$ref": _REF.format(model="Error")})
+    operation: dict[str, Any] = {
+        "summary": f"{one.summary} (scope {one.scope})",
+        "security": [{"token": []}],
+        "parameters": _parameters(one),
+        "responses": {
+            "200": {"description": one.summary, "content": answer},
+            **{
+                status: {"description": meaning, "content": failure}
+                for status, meaning in REFUSALS.items()
+            },
+        },
+    }
+    if one.method == "POST":
+        operation["requestBody"] = {"required": True, "content": taken}
+    return operation
+
+
+def _parameters(page: Page | Protected) -> list[dict[str, Any]]:
     numbers = [
         {
             "name": name,
@@ -66,17 +123,20 @@ def _operation(page: Page, schemas: dict[str, Any]) -> dict[str, Any]:
         {"name": name, "in": "query", "description": meaning, "schema": {"type": "string"}}
         for name, meaning in page.query.items()
     ]
-    failure = {"application/json": {"schema": {"$ref": _REF.format(model="Error")}}}
+    return numbers + texts
+
+
+def _operation(page: Page, schemas: dict[str, Any]) -> dict[str, Any]:
+    properties = {name: _schema(kind, schemas) for name, kind in page.parts.items()}
+    failure = _content({"$ref": _REF.format(model="Error")})
     success = {"type": "object", "properties": properties}
     return {
         "summary": page.summary,
-        "parameters": numbers + texts,
+        "parameters": _parameters(page),
         "responses": {
-            "200": {
-                "description": page.summary,
-                "content": {"application/json": {"schema": success}},
-            },
+            "200": {"description": page.summary, "content": _content(success)},
             "404": {"description": "There is no such thing.", "content": failure},
+            "429": {"description": REFUSALS["429"], "content": failure},
             "503": {"description": "The league cannot be read now.", "content": failure},
         },
     }

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from league.replay import Replay, story
+from league.replay import Replay
 from league.web.charts import Chart, Curve, plot
 
 GAP_POINTS = 300
@@ -38,7 +38,7 @@ def position_chart(order: Sequence[Mapping[str, Any]], names: Sequence[str]) -> 
 def gap_chart(replay: Replay) -> Chart:
     """Return each car's gap to the leader [s] over the race, the leader on top."""
     every = max(1, replay.num_frames // GAP_POINTS)
-    gaps = np.minimum(story.gaps_s(replay)[::every], replay.duration_s)
+    gaps = np.minimum(replay.gaps_s[::every], replay.duration_s)
     times = replay.times_s[::every]
     return plot(
         [Curve(n, f"car-{car + 1}", times, gaps[:, car]) for car, n in enumerate(replay.names)],

@@ -13,7 +13,7 @@ from league.matchmaking import standings
 from league.matchmaking.documents import heat_document, names_of
 from league.matchmaking.standings import Row, Standings
 from league.matchmaking.store import Entry, HeatRecord, Store, StoredResult
-from league.racing_line.lap_bound import lap_bound
+from league.racing_line.racing_line import lap_bound
 from league.replay import Replay, format
 from league.sim.config import CarConfig
 from league.track.track import Track

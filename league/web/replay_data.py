@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from league.replay import Replay, story
+from league.replay import Replay, commentary
 
 OUTLINE_SPACING = 3
 """Every third point of a track's borders is drawn: one each 15 cm."""
@@ -16,7 +16,7 @@ def player_data(replay: Replay) -> dict[str, object]:
     Columns are differences along the frames: those of `x`, `y` and `distance` are differenced
     twice, those of `yaw` and `gap` once. player.js undoes that.
     """
-    columns, gaps = replay.columns, story.gaps_s(replay)
+    columns, gaps = replay.columns, replay.gaps_s
     cars = []
     for car, name in enumerate(replay.names):
         stopped = np.flatnonzero(np.diff(columns.penalty_s[:, car] > 0, prepend=0, append=0))
@@ -48,8 +48,8 @@ def player_data(replay: Replay) -> dict[str, object]:
         ),
         "cars": cars,
         "events": [
-            {"time_s": event.time_s, "kind": event.kind, "car": event.car + 1, "text": text}
-            for event, text in story.captions(replay)
+            {"time_s": line.time_s, "kind": line.kind, "car": line.car + 1, "text": line.text}
+            for line in commentary.of_replay(replay)
         ],
     }
 

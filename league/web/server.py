@@ -4,46 +4,84 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Callable
+from dataclasses import replace
 
 import uvicorn
 
 from league.errors import ConfigError
 from league.matchmaking.store import Store
 from league.web.app import make_app
+from league.web.security import Access
 
 HOST = "127.0.0.1"
+CONNECTIONS = 500
+"""Connections at the same time; more are answered 503."""
+WILDCARDS = ("0.0.0.0", "::", "")
+"""Addresses that stand for all addresses of a machine."""
 
 
-def serve(store: Store, port: int, *, host: str = HOST, ready: Callable[[str], None]) -> None:
+def serve(
+    store: Store,
+    port: int,
+    *,
+    host: str = HOST,
+    access: Access | None = None,
+    ready: Callable[[str], None],
+) -> None:
     """Serve a league's pages until Ctrl-C.
 
     Args:
         store: the league.
         port: to listen on; 0 takes a free one.
-        host: address to listen on; only 127.0.0.1 is possible.
+        host: address to listen on; others than 127.0.0.1 are possible once there are tokens.
+        access: who may reach it; its `hosts` are the names that browsers may use.
         ready: receives the address of the pages once the port is open.
 
     Raises:
-        ConfigError: another address than 127.0.0.1, or a port that cannot be opened.
+        ConfigError: an address without tokens or names, or a port that cannot be opened.
     """
+    access = access or Access()
     if host != HOST:
-        raise ConfigError(
-            f"the address {host!r} would show this league to other machines, which needs the "
-            "tokens that come together with submitting in the browser: use --host 127.0.0.1"
-        )
+        access = replace(access, hosts=(*access.hosts, *_names(store, host, access)))
     if not 0 <= port < 65536:
         raise ConfigError(f"the port {port} is not possible: give 0 to 65535")
-    with socket.socket() as listener:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family) as listener:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             listener.bind((host, port))
             listener.listen()
         except OSError as error:
             raise ConfigError(
-                f"the port {port} cannot be opened ({error.strerror}): give another --port"
+                f"the port {port} of {host} cannot be opened ({error.strerror}): give another "
+                "--port, or an address of this machine"
             ) from error
-        ready(f"http://{host}:{listener.getsockname()[1]}/")
+        shown = f"[{host}]" if ":" in host else host
+        ready(f"http://{shown}:{listener.getsockname()[1]}/")
+        # Uvicorn takes a client's address from X-Forwarded-For only if a proxy here sends it.
         config = uvicorn.Config(
-            make_app(store), log_level="warning", server_header=False, lifespan="off"
+            make_app(store, access=access),
+            log_level="warning",
+            server_header=False,
+            lifespan="off",
+            limit_concurrency=CONNECTIONS,
         )
         uvicorn.Server(config).run(sockets=[listener])
+
+
+def _names(store: Store, host: str, access: Access) -> tuple[str, ...]:
+    """Return the names by which other machines may know this one; refuse if there are no tokens."""
+    if not store.tokens.active():
+        raise ConfigError(
+            f"the address {host!r} shows this league to other machines, and it has no tokens by "
+            "which it would know who submits: make one with `league token create OWNER`, or use "
+            "--host 127.0.0.1"
+        )
+    if host not in WILDCARDS:
+        return (host,)
+    if access.hosts == Access().hosts:
+        raise ConfigError(
+            f"the address {host!r} stands for all addresses of this machine: say with --name under "
+            "which name or address browsers reach it, as in --name league.example.org"
+        )
+    return ()

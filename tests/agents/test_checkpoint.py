@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from trained import SENSES, make_card, make_checkpoint, readings
 
 from league.agents import checkpoint
 from league.agents.checkpoint import Checkpoint
@@ -17,6 +16,7 @@ from league.agents.policy import Policy
 from league.envs.actions import grid
 from league.errors import PolicyError
 from league.sim.config import CameraConfig, CarConfig, SensorConfig
+from tests.agents.trained import SENSES, make_card, make_checkpoint, readings
 
 
 def tensors(made: Checkpoint) -> dict[str, torch.Tensor]:

@@ -8,7 +8,6 @@ import numpy as np
 import onnx
 import onnxruntime
 import pytest
-from trained import SENSES, make_card, make_checkpoint, readings
 
 from league.agents.card import Card
 from league.agents.export import input_notes, to_onnx
@@ -19,6 +18,7 @@ from league.envs.observations import MOTION_FIELDS
 from league.errors import PolicyError
 from league.sim.camera.scene import LUMA
 from league.sim.config import CameraConfig, CarConfig, LidarConfig, SensorConfig
+from tests.agents.trained import SENSES, make_card, make_checkpoint, readings
 
 
 def answers(path, groups) -> list[np.ndarray]:

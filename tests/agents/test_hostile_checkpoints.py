@@ -20,11 +20,11 @@ from pathlib import Path
 
 import pytest
 import torch
-from trained import make_checkpoint
 
 from league.agents import checkpoint
 from league.agents.checkpoint import Checkpoint
 from league.errors import PolicyError
+from tests.agents.trained import make_checkpoint
 
 Corpus = dict[str, str]
 SENTINEL = "it_ran"
@@ -295,6 +295,22 @@ def test_torchs_own_safe_mode_lets_some_of_them_pass(hostile):
     folder, _ = hostile
     for name in ("stride_0_trillion", "meta", "bomb", "nan"):
         torch.load(folder / f"{name}.pt", weights_only=True)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [(0, b"PK\x03\x05"), (6, b"\x01\x00"), (8, b"\x08\x00"), (30, b"X")],
+    ids=["signature", "flags", "method", "name"],
+)
+def test_a_member_that_contradicts_the_directory_is_refused(tmp_path, field, value):
+    content = bytearray(packed(make_checkpoint("blind")))
+    second = content.index(b"PK\x03\x04", 4)
+    (tmp_path / "sane.pt").write_bytes(content)
+    checkpoint.load(tmp_path / "sane.pt")
+    content[second + field : second + field + len(value)] = value
+    (tmp_path / "changed.pt").write_bytes(content)
+    with pytest.raises(PolicyError, match="a member is not what the directory says"):
+        checkpoint.load(tmp_path / "changed.pt")
 
 
 def test_gadgets_would_run_if_they_were_unpickled(hostile, tmp_path):

@@ -6,10 +6,8 @@ from typing import Any
 
 import pytest
 import torch
-from actor import Actor
 from rsl_rl.models import CNNModel, MLPModel
 from tensordict import TensorDict
-from trained import SENSES
 
 from league.agents.network import (
     NetworkConfig,
@@ -19,6 +17,8 @@ from league.agents.network import (
 )
 from league.errors import ConfigError
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig
+from tests.actor import Actor
+from tests.agents.trained import SENSES
 
 SPREAD = {
     "class_name": "rsl_rl.modules.distribution:GaussianDistribution",

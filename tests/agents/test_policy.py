@@ -7,8 +7,6 @@ from typing import get_args
 import numpy as np
 import pytest
 import torch
-from actor import Actor
-from trained import SENSES, make_checkpoint, readings
 
 from league.agents import checkpoint, roster
 from league.agents.network import Activation, NetworkConfig
@@ -22,6 +20,8 @@ from league.racing.race import run
 from league.sim.config import CarConfig, SimConfig
 from league.track import files
 from league.track.track import TrackSet
+from tests.actor import Actor
+from tests.agents.trained import SENSES, make_checkpoint, readings
 
 CAR = CarConfig()
 

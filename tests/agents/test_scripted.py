@@ -13,7 +13,7 @@ from league.agents import roster
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
 from league.envs.state import FIELDS, INDEX, SIZE
-from league.racing_line.lap_bound import lap_bound
+from league.racing_line.racing_line import lap_bound
 from league.sim.config import CarConfig, ObstacleConfig, RaceRules, SimConfig
 from league.track import files, importer
 from league.track.track import Track, TrackSet

@@ -1,12 +1,12 @@
 """Untrained policies for tests: real cards with random weights."""
 
 import numpy as np
-from actor import untrained
 
 from league.agents.card import Card
 from league.agents.checkpoint import Checkpoint
 from league.agents.network import NetworkConfig
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig
+from tests.actor import untrained
 
 SENSES = {
     "blind": SensorConfig(),

@@ -3,14 +3,14 @@
 import time
 from collections.abc import Callable
 
-import chromium
 import numpy as np
 import pytest
-from recorded import raced
 
 from league import rerun_view
 from league.sim.camera.scene import CAR_COLOURS
 from league.track import files
+from tests.browser import chromium
+from tests.recorded import raced
 
 pytestmark = [
     pytest.mark.browser,

@@ -7,12 +7,12 @@ import golden
 import numpy as np
 import torch
 from league.sim.meeting_config import Meeting
+from league.sim.world import Motion, select
 from scenes import go_to, make_ring, make_straight, put_cars, touch
 
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv, decode
 from league.sim import config, obstacles, referee
-from league.sim.world import Motion, select
 from league.track import files
 from league.track.track import TrackSet
 

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
-from scenes import Stages, go_to, make_ring, make_straight, put_cars, touch
 from scipy.spatial import KDTree
 
 from league.deepracer import params_kernels
@@ -15,6 +14,7 @@ from league.deepracer.params import KEYS, ParamsBuilder, Roads
 from league.sim.config import RULES, ObstacleConfig, RaceRules, SimConfig
 from league.track import importer
 from league.track.track import TrackSet
+from tests.scenes import Stages, go_to, make_ring, make_straight, put_cars, touch
 
 SHARED = Path(__file__).parents[3] / "shared" / "tracks"
 COMMUNITY = sorted(SHARED.glob("*.npy")) if SHARED.is_dir() else []

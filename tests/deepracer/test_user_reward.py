@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import follow_center, make_ring
 
 from league.deepracer import UserReward, check, user_reward
 from league.deepracer.reward_file import RewardFile
@@ -21,6 +20,7 @@ from league.envs.race_env import RaceEnv
 from league.errors import ConfigError, LeagueError, RewardError
 from league.sim.config import RaceRules, SimConfig
 from league.track.track import TrackSet
+from tests.scenes import follow_center, make_ring
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 END = b"def reward_function(params):\n    return 1\n"

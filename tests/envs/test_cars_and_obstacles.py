@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import torch
-from scenes import make_ring
 
 from league.envs import parallel_env
 from league.envs.adapters.gym_env import GymEnv, GymVectorEnv
@@ -14,6 +13,7 @@ from league.errors import ConfigError
 from league.sim.config import LidarConfig, ObstacleConfig, SensorConfig, SimConfig
 from league.track import files
 from league.track.track import TrackSet
+from tests.scenes import make_ring
 
 SOLVERS = pytest.mark.parametrize("solver", ["planar", "bullet"])
 KINDS = pytest.mark.parametrize("kind", ["head_to_head", "obstacle_avoidance"])

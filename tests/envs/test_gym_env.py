@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
-from scenes import follow_center, make_ring
 
 from league.envs.adapters.gym_env import GymEnv, GymVectorEnv
 from league.envs.adapters.registration import IDS
 from league.errors import ActionError, ConfigError, LeagueError, PolicyError
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig
+from tests.scenes import follow_center, make_ring
 
 CAMERA = CameraConfig(width=32, height=24)
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from scenes import Stages, make_ring, make_straight, put_cars
 
 from league.envs import observations
 from league.envs.state import ABSENT_GAP, FIELDS, INDEX, NEIGHBOURS, SIZE
 from league.sim.config import ObstacleConfig, SimConfig
 from league.track.track import TrackSet
+from tests.scenes import Stages, make_ring, make_straight, put_cars
 
 
 def field(num_cars: int) -> SimConfig:

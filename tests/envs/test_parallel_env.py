@@ -10,11 +10,11 @@ from gymnasium.utils.env_checker import data_equivalence
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 from pettingzoo.test.max_cycles_test import max_cycles_test
 from pettingzoo.utils.conversions import parallel_to_aec
-from scenes import follow_center, make_ring
 
 from league.envs import parallel_env
 from league.errors import ActionError, ConfigError, LeagueError, TrackError
 from league.sim.config import CameraConfig, LidarConfig, ObstacleConfig, SensorConfig, SimConfig
+from tests.scenes import follow_center, make_ring
 
 KINDS = ("time_trial", "obstacle_avoidance", "head_to_head")
 SOLVERS = ("planar", "bullet")

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import assert_same, follow_center, make_ring, make_square, taken
 
 from league.envs.config import EnvConfig, RewardConfig
 from league.envs.race_env import RaceEnv, Step
@@ -19,6 +18,7 @@ from league.sim.config import (
     SimConfig,
 )
 from league.track.track import TrackSet
+from tests.scenes import assert_same, follow_center, make_ring, make_square, taken
 
 SMALL = SensorConfig(camera=CameraConfig(width=32, height=24), lidar=LidarConfig())
 TWO = SimConfig(kind="head_to_head", num_cars=2)

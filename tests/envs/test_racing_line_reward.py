@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from scenes import Stages, go_to, make_ring, make_straight, put_cars
 
 from league.envs import rewards
 from league.envs.rewards import FAR, SLOW, BuiltIn, RacingLineReward, built_in
@@ -12,6 +11,7 @@ from league.errors import ConfigError
 from league.racing_line.speed_profile import Limits
 from league.sim.config import CarConfig, RaceRules, SimConfig
 from league.track.track import TrackSet
+from tests.scenes import Stages, go_to, make_ring, make_straight, put_cars
 
 CAR = CarConfig()
 TWO = SimConfig(kind="head_to_head", num_cars=2, rules=RaceRules(laps=1))

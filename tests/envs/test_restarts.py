@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from scenes import MOTION, Stages, assert_same, make_ring, put_cars, start
 
 from league.sim import records
 from league.sim.config import DynamicsRandomization, ObstacleConfig, SimConfig
-from league.sim.world import World
+from league.sim.records import World
 from league.track.track import TrackSet
+from tests.scenes import MOTION, Stages, assert_same, make_ring, put_cars, start
 
 
 def field(num_cars: int, **settings) -> SimConfig:

@@ -1,15 +1,17 @@
 """The built-in reward terms, each by hand."""
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import Stages, go_to, put_cars, touch
 
 from league.envs import rewards
 from league.envs.config import RewardConfig
 from league.sim.config import RaceRules, SimConfig
-from league.sim.world import World
+from league.sim.records import World
+from tests.scenes import Stages, go_to, put_cars, touch
 
 TWO = SimConfig(kind="head_to_head", num_cars=2, rules=RaceRules(laps=1, light_contact=0.0))
 NOTHING = RewardConfig(progress=0.0, off_track=0.0, crash=0.0)
@@ -25,6 +27,14 @@ def paid(tracks, cfg, start, end, pairs=(), num_worlds=1):
     after = go_to(tracks, before, end)
     verdicts, after = Stages(tracks, TWO).judge(before, after, touch(after, *pairs))
     return pay(tracks, cfg, after, verdicts)
+
+
+def test_the_page_gives_the_weights_of_the_ready_rewards():
+    page = (Path(__file__).parents[2] / "docs" / "rewards.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", page, re.MULTILINE)[:4])
+    for name, weights in rewards.PRESETS.items():
+        written = {float(number) for number in re.findall(r"-?[0-9.]*[0-9]", rows[name])}
+        assert {getattr(weights, term) for term in weights.terms} <= written, name
 
 
 @pytest.mark.parametrize("num_worlds", [1, 3])

@@ -2,8 +2,6 @@ from __future__ import annotations
 
 import pytest
 import torch
-from scenes import follow_center, make_ring
-from vec_env_kit import check_rows_are_apart, check_steps, check_vec_env
 
 from league.envs.actions import ActionSpace, ContinuousActions, DiscreteActions, grid
 from league.envs.adapters.rsl_vec_env import RacingVecEnv
@@ -11,6 +9,8 @@ from league.envs.config import EnvConfig, RewardConfig
 from league.errors import ActionError, ConfigError, PolicyError
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig, SimConfig
 from league.track.track import TrackSet
+from tests.envs.vec_env_kit import check_rows_are_apart, check_steps, check_vec_env
+from tests.scenes import follow_center, make_ring
 
 NUMBERS = (
     *(torch.float32, torch.float64, torch.float16, torch.bfloat16),

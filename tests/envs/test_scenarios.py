@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import make_ring
 
 from league.envs import scenarios
 from league.envs.config import EnvConfig, Scenarios
@@ -14,6 +13,7 @@ from league.envs.race_env import RaceEnv
 from league.errors import ConfigError
 from league.sim.config import ObstacleConfig, SimConfig
 from league.track.track import TrackSet
+from tests.scenes import make_ring
 
 RING = TrackSet(make_ring())
 ROLLING = Scenarios(alone=0.0, standing=0.0, abreast=0.0)
@@ -60,6 +60,52 @@ def test_roadblocks_come_in_queues():
     assert (np.nanmax(queues, axis=1) / np.nanmin(queues, axis=1)).max() < 1.15 / 0.85
 
 
+def test_queues_begin_up_to_four_metres_ahead():
+    ahead = np.abs(gaps(make(replace(ROLLING, roadblock=1.0, attack=1.0), num_worlds=400)))
+    assert ahead.min() < 0.5 and 3.9 < ahead.max() <= 4.01
+
+
+def test_a_car_that_begins_behind_a_slow_one_can_still_stop():
+    env = make(replace(ROLLING, roadblock=1.0, attack=1.0), num_worlds=400)
+    for _ in range(12):  # 0.8 s: enough to reach the car ahead
+        step = env.step(drive(env, speed=-1.0))
+        assert not (step.verdicts["crashed"] & ~step.began).any()
+
+
+def test_the_learner_is_the_attacker_as_often_as_it_is_asked():
+    how = replace(ROLLING, attack=1.0)
+    shares = [
+        (make(replace(how, learner=learner), 600, 4)._encounters["attacker"] == 0).mean()
+        for learner in (0.0, 0.6, 1.0)
+    ]
+    # One in four of the others falls to car 0 by chance.
+    assert shares == pytest.approx([0.25, 0.7, 1.0], abs=0.06)
+
+
+def test_a_scenario_lasts_until_the_attacker_has_lost_all_cars():
+    env = make(replace(ROLLING, attack=1.0, lost=2.0), num_worlds=64, num_cars=3)
+    together = np.flatnonzero(np.abs(gaps(env)).max(axis=1) < 1.9)
+    env._encounters["length"] = 1000
+    cars, meeting = env.world.cars, env._encounters
+
+    def move(world: int, car: int, s: float) -> None:
+        place = RING.at(np.zeros(1, np.int64), np.array([s], np.float32))
+        cars["x"][world, car], cars["y"][world, car] = place.x[0], place.y[0]
+        cars["yaw"][world, car] = np.arctan2(place.sin[0], place.cos[0])
+        for name in ("velocity_x", "velocity_y", "yaw_rate", "lateral"):
+            cars[name][world, car] = 0.0
+        cars["s"][world, car] = place.s[0]
+
+    for world in together[:2]:
+        attacker, target = int(meeting["attacker"][world]), int(meeting["target"][world])
+        third = 3 - attacker - target
+        move(world, attacker, 6.0)
+        move(world, target, 3.0)
+        move(world, third, 7.0 if world == together[0] else 9.0)
+    began = env.step(drive(env, speed=-1.0)).began.all(axis=1)
+    assert not began[together[0]] and began[together[1]]
+
+
 def test_alone_means_as_far_apart_as_the_lap_allows():
     env = make(replace(ROLLING, alone=1.0), num_cars=3)
     assert np.abs(np.abs(gaps(env)) - 4.0).max() < 1e-3  # a third of 12 m
@@ -67,7 +113,7 @@ def test_alone_means_as_far_apart_as_the_lap_allows():
 
 
 def test_rolling_cars_drive_one_behind_the_other():
-    env = make(ROLLING, num_worlds=400)
+    env = make(replace(ROLLING, roadblock=0.0), num_worlds=400)
     gap = np.abs(gaps(env))
     assert 0.44 < gap.min() < 0.55 and 1.7 < gap.max() < 1.81
     frame, cars = RING.at(env.world.track, env.world.cars["s"]), env.world.cars

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from scenes import make_ring
 
 import league.envs
 from league.agents.network import group_shapes
@@ -19,6 +18,7 @@ from league.sim.config import CameraConfig, LidarConfig, SensorConfig, SimConfig
 from league.sim.records import NOBODY, VERDICT
 from league.track.track import TrackSet
 from league.training.ppo import symmetry
+from tests.scenes import make_ring
 
 RING = TrackSet(make_ring())
 LIDAR = LidarConfig(beams=8, rate_hz=15.0)

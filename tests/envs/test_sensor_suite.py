@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scenes import assert_same, follow_center, make_ring, taken
 
 from league.envs import observations
 from league.envs.race_env import RaceEnv
@@ -16,6 +15,7 @@ from league.sim.config import (
     VisualRandomization,
 )
 from league.track.track import TrackSet
+from tests.scenes import assert_same, follow_center, make_ring, taken
 
 TWO = SimConfig(kind="head_to_head", num_cars=2)
 

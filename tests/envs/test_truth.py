@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from scenes import make_ring
 
 from league.envs import truth
 from league.envs.config import EnvConfig, Scenarios
@@ -13,6 +12,7 @@ from league.envs.race_env import RaceEnv
 from league.sim.config import ObstacleConfig, SensorConfig, SimConfig
 from league.track.track import TrackSet
 from league.training.ppo import symmetry
+from tests.scenes import make_ring
 
 RING = TrackSet(make_ring())
 AT = {name: place for place, name in enumerate(truth.FIELDS)}
@@ -66,12 +66,13 @@ def test_a_rival_out_of_reach_is_not_there():
     assert all(value == 0.0 for name, value in found.items() if name.startswith("car_"))
 
 
-def test_the_nearest_two_rivals_come_in_order():
-    world = env(4)
-    for car, s in enumerate((3.0, 4.5, 2.5, 6.0)):
+def test_the_nearest_three_rivals_come_in_order():
+    world = env(5)
+    for car, s in enumerate((3.0, 4.5, 2.5, 6.0, 6.9)):
         place(world.world.cars[:, car], s, 0.0)
     found = seen(world, 0)
-    assert abs(found["car_0_gap"] + 0.5) < 1e-5 and abs(found["car_1_gap"] - 1.5) < 1e-5
+    gaps = [found[f"car_{rank}_gap"] for rank in range(truth.RIVALS)]
+    np.testing.assert_allclose(gaps, [-0.5, 1.5, 3.0], rtol=0, atol=1e-5)
 
 
 def test_obstacles_ahead_are_given_and_passed_ones_not():

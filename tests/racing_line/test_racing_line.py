@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.lap_optimum import lap_optimum, strays
-from league.racing_line.lap_bound import lap_bound
-from league.racing_line.racing_line import center_line, optimal_line
+from league.racing_line.racing_line import center_line, lap_bound, optimal_line
 from league.racing_line.speed_profile import Limits
 from league.sim.config import CarConfig
 from league.track import files

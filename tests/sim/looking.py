@@ -3,12 +3,12 @@
 import math
 
 import numpy as np
-from scenes import start
 
 from league.sim import records
 from league.sim.config import SimConfig
-from league.sim.world import World
+from league.sim.records import World
 from league.track.track import Track, TrackSet
+from tests.scenes import start
 
 COLUMNS, LINES = 160, 120
 FOCAL = 80 / math.tan(1.13 / 2)

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scenes import Stages, start, touch
 
 from league.sim import records
 from league.sim.config import SimConfig
-from league.sim.world import World
+from league.sim.records import World
 from league.track.track import Track, TrackSet
+from tests.scenes import Stages, start, touch
 
 WALL = 21.24
 """Distance of each wall from the middle [m]."""

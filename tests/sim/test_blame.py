@@ -6,14 +6,13 @@ driven leave both to the planar solver and to Bullet.
 
 import numpy as np
 import pytest
-from scenes import Stages, go_to, make_straight, put_cars, start, touch
 
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
 from league.sim.config import RULES, ObstacleConfig, RaceRules, SimConfig
-from league.sim.records import NOBODY
-from league.sim.world import members
+from league.sim.records import NOBODY, members
 from league.track.track import TrackSet
+from tests.scenes import Stages, go_to, make_straight, put_cars, start, touch
 
 
 def racing(num_cars: int = 2, **rules) -> SimConfig:

@@ -6,8 +6,6 @@ import sys
 
 import numpy as np
 import pytest
-from lone import ROOM, WALL, Floor, settings
-from scenes import assert_same
 
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
@@ -17,6 +15,8 @@ from league.sim.config import CarConfig, ContactConfig, SimConfig
 from league.sim.physics.bullet import BulletSolver, pybullet
 from league.track import files
 from league.track.track import TrackSet
+from tests.scenes import assert_same
+from tests.sim.lone import ROOM, WALL, Floor, settings
 
 SAG = 9.81 / (2 * math.pi * CarConfig().ride_hz) ** 2
 """How far a spring is compressed at rest [m]: a wheel whose place rises by more hangs free."""
@@ -366,7 +366,7 @@ def test_records_are_the_truth_where_a_car_was_put_elsewhere():
 
 DIGEST = """
 import hashlib
-from lone import Floor, settings
+from tests.sim.lone import Floor, settings
 floor = Floor(settings(2)).put(y=[0.0, 0.2], velocity_x=[3.0, 3.5], roll=[0.1, 0.0])
 seen = floor.drive(40, [0.3, -0.3], [3.0, 4.0])
 bits = seen["x"].tobytes() + seen["roll"].tobytes()

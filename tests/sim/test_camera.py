@@ -5,13 +5,13 @@ import math
 
 import numpy as np
 import pytest
-from looking import FOCAL, random_scenes, room, settings, world
 
 from league.sim.camera.paint_renderer import PaintRenderer
 from league.sim.camera.raycast import RayRenderer
 from league.sim.camera.stage import Lens
 from league.sim.config import CameraConfig, SimConfig
 from league.track.track import TrackSet
+from tests.sim.looking import FOCAL, random_scenes, room, settings, world
 
 RENDERERS = [PaintRenderer, RayRenderer]
 FAR_AWAY = (-5.0, -5.0, 0.0)

@@ -3,11 +3,11 @@
 import cv2
 import numpy as np
 import pytest
-from looking import random_scenes, room, settings, world
 
 from league.sim.camera.paint_renderer import PaintRenderer
 from league.sim.camera.raycast import RayRenderer
 from league.sim.config import CameraConfig, VisualRandomization
+from tests.sim.looking import random_scenes, room, settings, world
 
 EDGE = 12
 """A pixel is away from edges if the values in the 3 x 3 pixels round it, in the ray's picture,

@@ -6,7 +6,6 @@ from dataclasses import fields
 import numpy as np
 import pytest
 import torch
-from scenes import SETTINGS, make_ring, start
 
 from league.errors import ConfigError
 from league.sim.config import (
@@ -21,6 +20,7 @@ from league.sim.config import (
     SimConfig,
 )
 from league.track.track import TrackSet
+from tests.scenes import SETTINGS, make_ring, start
 
 NUMBERS = [(made, item) for made in SETTINGS for item in fields(made) if item.type in (int, float)]
 CHOICES = [

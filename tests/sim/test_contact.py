@@ -3,12 +3,12 @@ from types import SimpleNamespace
 
 import numba
 import numpy as np
-import open_floor
 import pytest
 
 from league.sim.config import ContactConfig
 from league.sim.physics import collision, planar
 from league.sim.settings import settings
+from tests.sim import open_floor
 
 BOX = (0.162, 0.098, 0.0, 0.0)
 

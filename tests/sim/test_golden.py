@@ -6,10 +6,8 @@ import math
 from dataclasses import replace
 from functools import partial
 
-import golden
 import numpy as np
 import pytest
-from scenes import go_to, make_ring, make_straight, put_cars, touch
 
 from league.envs import step as stages
 from league.envs.config import EnvConfig
@@ -17,6 +15,8 @@ from league.envs.race_env import RaceEnv
 from league.sim import config, referee
 from league.track import files
 from league.track.track import TrackSet
+from tests.scenes import go_to, make_ring, make_straight, put_cars, touch
+from tests.sim import golden
 
 MOTION, RULES, RACES = (
     dict(np.load(golden.DATA / f"{name}.npz")) for name in ("motion", "rules", "races")

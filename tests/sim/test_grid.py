@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from scenes import assert_same, make_straight, start
 
 from league.sim.config import CarConfig, DynamicsRandomization, SimConfig
-from league.sim.world import members
+from league.sim.records import members
 from league.track.track import TrackSet
+from tests.scenes import assert_same, make_straight, start
 
 
 def field(num_cars: int, **settings) -> SimConfig:

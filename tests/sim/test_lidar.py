@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from looking import random_scenes, room, settings, world
 
 from league.sim import lidar
 from league.sim.config import LidarConfig
+from tests.sim.looking import random_scenes, room, settings, world
 
 QUIET = LidarConfig(noise=0.0, beams=61)  # 5 deg apart, beam 30 straight to the rear
 REAR = 30

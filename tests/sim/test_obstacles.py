@@ -4,10 +4,10 @@ import itertools
 
 import numpy as np
 import pytest
-from scenes import Stages, assert_same, make_ring, make_straight, start
 
 from league.sim.config import ObstacleConfig, SimConfig
 from league.track.track import TrackSet
+from tests.scenes import Stages, assert_same, make_ring, make_straight, start
 
 
 def placed(sim, tracks=None, num_worlds=1):

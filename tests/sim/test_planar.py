@@ -1,9 +1,10 @@
 import math
 
 import numpy as np
-import open_floor
 import pytest
-from scenes import MOTION, assert_same
+
+from tests.scenes import MOTION, assert_same
+from tests.sim import open_floor
 
 BOTH = pytest.mark.parametrize("name", ["planar", "bullet"])
 

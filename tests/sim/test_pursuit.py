@@ -5,15 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import RING_LENGTH, Stages, follow_center, go_to, make_straight, start
 
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
 from league.errors import ConfigError
 from league.sim import referee
 from league.sim.config import ObstacleConfig, RaceRules, SimConfig
-from league.sim.world import World, members
+from league.sim.records import World, members
 from league.track.track import TrackSet
+from tests.scenes import RING_LENGTH, Stages, follow_center, go_to, make_straight, start
 
 
 def pursuit(num_cars: int = 2, *, boxes: int = 0, laps: int = 3, **obstacles) -> SimConfig:

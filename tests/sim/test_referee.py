@@ -8,13 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import MOTION, Stages, assert_same, go_to, make_ring, put_cars, touch
 
 from league.sim import referee
 from league.sim.config import RULES, ObstacleConfig, RaceRules, SimConfig
-from league.sim.records import NOBODY
-from league.sim.world import World, members
+from league.sim.records import NOBODY, World, members
 from league.track.track import TrackSet
+from tests.scenes import MOTION, Stages, assert_same, go_to, make_ring, put_cars, touch
 
 ALONE = SimConfig(kind="time_trial", num_cars=1)
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from looking import room, settings, world
 
 from league.errors import ConfigError
 from league.sim.camera.scene import CAR_COLOURS
 from league.sim.camera.top_view import chase_view, top_view
+from tests.sim.looking import room, settings, world
 
 
 def nearness(image: np.ndarray, colour: tuple) -> np.ndarray:

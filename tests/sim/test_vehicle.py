@@ -1,11 +1,11 @@
 import math
 
 import numpy as np
-import open_floor
 import pytest
 
 from league.sim.config import CarConfig
 from league.sim.settings import GRAVITY
+from tests.sim import open_floor
 
 CAR = CarConfig()
 HZ = 120

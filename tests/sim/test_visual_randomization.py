@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from looking import random_scenes, room, settings, world
 
 from league.errors import ConfigError
 from league.sim.camera.paint_renderer import PaintRenderer
 from league.sim.camera.raycast import RayRenderer
 from league.sim.config import CameraConfig, VisualRandomization
+from tests.sim.looking import random_scenes, room, settings, world
 
 RENDERERS = [PaintRenderer, RayRenderer]
 SMALL = CameraConfig(width=64, height=48)

@@ -9,8 +9,7 @@ from scipy.spatial import KDTree
 from league.errors import TrackError
 from league.track import files, spline
 from league.track.track import Colours
-
-from . import shapes
+from tests.track import shapes
 
 SHARED = Path(__file__).parents[3] / "shared" / "tracks"
 GOOD = shapes.text([[0, 0], [4, 0], [4, 3], [0, 3]])

@@ -9,8 +9,7 @@ from league.errors import TrackError
 from league.race_spec import Entry, RaceSpec
 from league.racing import race
 from league.track import files, importer, spline
-
-from . import shapes
+from tests.track import shapes
 
 SHARED = Path(__file__).parents[3] / "shared" / "tracks"
 COMMUNITY = sorted(SHARED.glob("*.npy")) if SHARED.is_dir() else []

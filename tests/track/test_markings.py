@@ -7,8 +7,7 @@ import pytest
 from league.errors import ConfigError
 from league.track import files, importer, markings
 from league.track.track import Track
-
-from . import shapes
+from tests.track import shapes
 
 MPP = 0.01
 

@@ -6,8 +6,7 @@ from numba import njit
 
 from league.track import files, projection
 from league.track.track import TrackSet
-
-from . import shapes
+from tests.track import shapes
 
 
 def _index(tracks: int = 1, worlds: int = 1) -> np.ndarray:

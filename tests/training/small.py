@@ -3,7 +3,6 @@
 from dataclasses import replace
 from pathlib import Path
 
-import actor
 import numpy as np
 
 from league.agents import checkpoint
@@ -14,6 +13,7 @@ from league.envs.actions import ContinuousActions
 from league.sim.config import CameraConfig, SensorConfig
 from league.training.config import PpoConfig, RunConfig, TrainConfig
 from league.training.run import Run
+from tests import actor
 
 CAMERA = SensorConfig(camera=CameraConfig(width=24, height=18))
 SAMPLES = 32

@@ -4,13 +4,13 @@ import io
 from dataclasses import replace
 
 import pytest
-from metrics import episodes, evaluation, history, update
 from rich.console import Console
 
 from league.training.config import TrainConfig
 from league.training.monitor import dashboard
 from league.training.monitor.dashboard import Dashboard
 from league.training.monitor.history import TEACHING, History
+from tests.training.metrics import episodes, evaluation, history, update
 
 
 def terminal(width: int = 100, *, real: bool = True) -> Console:

@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from small import untrained
 
 from league.agents.policy import Policy
 from league.errors import PolicyError
@@ -18,6 +17,7 @@ from league.sim.config import SimConfig
 from league.track import files
 from league.training import evaluator
 from league.training.evaluator import EvalConfig, Evaluator, evaluate_policy
+from tests.training.small import untrained
 
 ONE = EvalConfig(tracks=(files.load("reinvent_2018"),), laps=1)
 TWO = EvalConfig(tracks=(files.load("reinvent_2018"), files.load("peanut")), laps=1, trials=2)
@@ -139,11 +139,11 @@ def test_program_ends_although_policies_are_still_waiting(tmp_path):
         textwrap.dedent(
             f"""
             import sys
-            sys.path[:0] = {[os.path.dirname(__file__), str(Path(__file__).parents[1])]!r}
+            sys.path.insert(0, {str(Path(__file__).parents[2])!r})
             from league import subprocesses
             from league.track import files
             from league.training.evaluator import EvalConfig, Evaluator
-            from small import CAMERA, untrained
+            from tests.training.small import CAMERA, untrained
 
             if __name__ == "__main__":
                 judge = Evaluator(EvalConfig(tracks=(files.load("reinvent_2018"),)))

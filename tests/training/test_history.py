@@ -5,11 +5,11 @@ import math
 from pathlib import Path
 
 import pytest
-from metrics import episodes, evaluation, update
 
 from league.errors import PolicyError
 from league.training.monitor import history
 from league.training.monitor.history import History
+from tests.training.metrics import episodes, evaluation, update
 
 
 def filled(path: Path | None = None, updates: int = 4) -> History:

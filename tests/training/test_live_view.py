@@ -7,10 +7,7 @@ import numpy as np
 import pytest
 import rerun as rr
 import torch
-from metrics import episodes, evaluation, update
-from recordings import rows_of
 from rerun.chunk import RrdReader
-from scenes import assert_same, make_ring, make_square
 
 from league.rerun_view import live, paths
 from league.rerun_view.live import MOST_CARS, ShownCars, TrainingStream
@@ -19,8 +16,11 @@ from league.sim.config import SensorConfig
 from league.track.track import TrackSet
 from league.training.config import TrainConfig
 from league.training.monitor.history import History
-from league.training.monitor.viewer import LiveView
+from league.training.monitor.sinks import LiveView
 from league.training.ppo import make_env
+from tests.recordings import rows_of
+from tests.scenes import assert_same, make_ring, make_square
+from tests.training.metrics import episodes, evaluation, update
 
 
 def made(num_worlds: int, *tracks, **settings: object):

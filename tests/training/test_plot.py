@@ -4,12 +4,12 @@ from itertools import pairwise
 
 import cv2
 import pytest
-from metrics import evaluation, history, self_play, update
 
 from league.errors import PolicyError
 from league.training.monitor import plot
 from league.training.monitor.history import TEACHING, History
 from league.training.monitor.plot import TrainingPlot
+from tests.training.metrics import evaluation, history, self_play, update
 
 
 def test_the_three_curves_are_drawn_over_time():

@@ -6,8 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import make_ring
-from test_learner import settings
 
 from league.envs.rewards import PRESETS
 from league.sim.config import CameraConfig, SensorConfig
@@ -16,6 +14,8 @@ from league.training.config import PpoConfig, TrainConfig
 from league.training.ppo import racer
 from league.training.ppo.learner import Update
 from league.training.ppo.racer import Curriculum, Racer, RacingLearner, make_racing
+from tests.scenes import make_ring
+from tests.training.learners import settings
 
 RING = TrackSet(make_ring())
 SMALL = replace(

@@ -8,9 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import small
 import torch
-from test_learner import CHOICES
 
 from league.agents import checkpoint
 from league.errors import ConfigError, PolicyError, RewardError
@@ -24,6 +22,8 @@ from league.training.monitor.history import TEACHING
 from league.training.ppo.learner import Learner
 from league.training.ppo.racer import RacingLearner
 from league.training.run import Run
+from tests.training import small
+from tests.training.learners import CHOICES
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 CHEERFUL = "def reward_function(params):\n    return 1.0\n"
@@ -287,6 +287,14 @@ def test_card_says_how_many_of_twenty_runs_are_clean(tmp_path, monkeypatch):
     callback = small.CallbackRecorder()
     small.run(tmp_path, small.cfg(updates=2)).learn([callback])
     assert checkpoint.load(tmp_path / "best.pt").card.results["clean_share"] == 1.0
+
+
+def test_run_that_stops_at_the_first_laps_is_over_without_twenty_more(tmp_path, monkeypatch):
+    monkeypatch.setattr(evaluator, "evaluate_policy", passed)
+    monkeypatch.setattr(run_room, "evaluate_policy", passed)
+    outcome = small.run(tmp_path, small.cfg(updates=9, stop_when_complete=1)).learn()
+    assert outcome.why == "every lap was complete"
+    assert "clean_share" not in checkpoint.load(tmp_path / "best.pt").card.results
 
 
 def test_card_says_no_share_where_no_lap_was_complete(tmp_path):

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import pytest
-import small
 
 from league.agents import checkpoint
 from league.errors import ConfigError, PolicyError
@@ -11,6 +10,7 @@ from league.training import config, run_folder
 from league.training.config import RunConfig, TrainConfig
 from league.training.monitor import history
 from league.training.run import Run
+from tests.training import small
 
 
 def gone_on(folder, updates: int) -> Run:

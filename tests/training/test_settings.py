@@ -1,10 +1,10 @@
 """Settings of a training: what contradicts is refused with a way out."""
 
 import pytest
-import small
 
 from league.errors import ConfigError
 from league.training.config import PpoConfig, RunConfig, TrainConfig
+from tests.training import small
 
 
 @pytest.mark.parametrize(

@@ -6,13 +6,13 @@ from itertools import groupby, pairwise
 
 import numpy as np
 import pytest
-import small
 
 from league.deepracer import hyperparameters, model_metadata
 from league.envs.actions import DiscreteActions
 from league.racing.simtrace import EPISODES
 from league.racing.trace import COLUMNS
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig
+from tests.training import small
 
 STATUSES = {"in_progress", "off_track", "time_up", "lap_complete", "immobilized", "reversed"}
 

@@ -3,7 +3,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from scenes import Stages, make_square, taken
 from tensordict import TensorDict
 
 from league.envs.actions import ContinuousActions, DiscreteActions, grid
@@ -13,9 +12,10 @@ from league.envs.race_env import RaceEnv
 from league.envs.sensor_suite import SensorSuite
 from league.envs.state import INDEX
 from league.sim.config import CameraConfig, LidarConfig, ObstacleConfig, SensorConfig, SimConfig
-from league.sim.world import World
+from league.sim.records import World
 from league.track.track import Track, TrackSet
 from league.training.ppo import symmetry
+from tests.scenes import Stages, make_square, taken
 
 LIDARS = {
     "ranges": LidarConfig(beams=16, noise=0.0),

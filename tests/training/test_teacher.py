@@ -5,10 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-import small
 import torch
-from scenes import make_ring
-from test_learner import CHOICES, learner, same, settings
 
 from league.agents.network import group_shapes
 from league.cli.train import Train, _kept
@@ -19,6 +16,9 @@ from league.training.config import TrainConfig
 from league.training.monitor import history
 from league.training.ppo import symmetry, teacher
 from league.training.ppo.teacher import NOISE_SHARE, TaughtLearner, Teacher
+from tests.scenes import make_ring
+from tests.training import small
+from tests.training.learners import CHOICES, learner, same, settings
 
 
 def tutored(cfg: TrainConfig | None = None) -> TaughtLearner:

@@ -5,11 +5,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from metrics import episodes, evaluation, update
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from league.training.monitor.history import History
-from league.training.monitor.tensorboard import TensorBoard
+from league.training.monitor.sinks import TensorBoard
+from tests.training.metrics import episodes, evaluation, update
 
 
 def points(folder: Path) -> dict[str, list[tuple[int, float]]]:

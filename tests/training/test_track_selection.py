@@ -1,11 +1,11 @@
 """The tracks of a run: names, files, random ones, both directions."""
 
 import pytest
-from scenes import make_ring
 
 from league.errors import ConfigError, TrackError
 from league.track import files
 from league.training import track_selection
+from tests.scenes import make_ring
 
 
 def test_names_and_files_are_loaded_in_order(tmp_path):

@@ -26,7 +26,7 @@ from tests.web.small_league import NAME, ORIGIN, OWNER, RULES, new_league, rated
 
 PAGES = (
     "/", "/standings", "/standings?against=3", "/drivers/1", "/drivers/3", "/matchups/1/3",
-    "/heats", "/heats/1", "/tracks", "/live",
+    "/heats", "/heats/1", "/tracks", "/live", "/submit",
 )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from league.matchmaking import standings
-from league.racing_line.lap_bound import lap_bound
+from league.racing_line.racing_line import lap_bound
 from league.replay import format
 from league.sim.config import CarConfig
 from league.track import files

@@ -9,11 +9,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from league.errors import ConfigError
+from league.errors import ConfigError, brief
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
+    from league.matchmaking.client import Client
     from league.matchmaking.store import Store
     from league.matchmaking.workers import Executor
 
@@ -41,6 +42,26 @@ class OnLeague:
 
 
 @dataclass(kw_only=True)
+class OnServer(OnLeague):
+    """A command that also reaches a league that another machine serves."""
+
+    to: str = ""
+    """Address of a served league, such as https://league.example.org, instead of --league."""
+    token: str = ""
+    """Token for --to; by default the environment variable LEAGUE_TOKEN, which other users of this
+    machine cannot read in the list of processes."""
+    insecure: bool = False
+    """Let the token travel unencrypted (http://) to another machine."""
+
+    def client(self) -> Client:
+        """Return the served league."""
+        from league.matchmaking.client import Client
+
+        secret = self.token or os.environ.get("LEAGUE_TOKEN", "")
+        return Client.of(self.to, secret.strip(), insecure=self.insecure)
+
+
+@dataclass(kw_only=True)
 class Reading(OnLeague):
     """A command that only reads a league."""
 
@@ -57,6 +78,21 @@ def at_least(command: DataclassInstance, name: str, least: int) -> None:
     value = getattr(command, name)
     if value is not None and value < least:
         raise ConfigError(f"--{name.replace('_', '-')} {value}: give {least} or more")
+
+
+def share(text: str, flag: str) -> float:
+    """Return the share that a flag gives in percent.
+
+    Raises:
+        ConfigError: it is no share.
+    """
+    try:
+        number = float(text.strip().removesuffix("%")) / 100
+    except ValueError:
+        number = -1.0
+    if not 0 <= number <= 1:
+        raise ConfigError(f"{flag} {brief(text)} is no share: give percent, as in {flag} 2%")
+    return number
 
 
 @contextmanager

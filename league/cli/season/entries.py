@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,12 +12,11 @@ import tyro
 
 from league import times
 from league.cli import season, tables
-from league.cli.season import OnLeague, Reading
+from league.cli.season import OnLeague, OnServer, Reading
 from league.errors import ConfigError, nearest_names
 
 if TYPE_CHECKING:
     from league.matchmaking.pairing.heat_spec import Ruleset
-    from league.matchmaking.store import Entry
 
 ANCHORS = ("centerline", "racing_line", "cautious", "blocker")
 """Scripted drivers that a new league begins with; the first one is 1000."""
@@ -73,7 +73,7 @@ class Init(OnLeague):
 
 
 @dataclass
-class Submit(OnLeague):
+class Submit(OnServer):
     """Submit a checkpoint; it is read here, and its weights are sent as plain numbers."""
 
     driver: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="DRIVER")]
@@ -81,10 +81,30 @@ class Submit(OnLeague):
     name: str = ""
     """Name shown to people; by default the file's."""
     owner: str = ""
-    """Its owner; by default your login name. Entries of one owner do not meet."""
+    """Its owner; by default your login name, and with --to the owner of the token. Entries of one
+    owner do not meet."""
 
     def run(self) -> int:
         """Run the command."""
+        name = self.name or Path(self.driver).stem
+        entered = self._sent(name) if self.to else self._entered(name)
+        if entered.name != name:
+            print(
+                f"These weights are entered already, as {entered.name}; {name} is not a new entry."
+            )
+        print(f"{entered.name} by {entered.owner}: entry {entered.id[:12]}, {entered.state}")
+        if entered.near_copy_of:
+            print(
+                f"Its weights are nearly those of {entered.near_copy_of}: it is labelled a "
+                "near-copy."
+            )
+        if entered.state == "pending":
+            follow = entered.page or "`league run`, then `league entries`"
+            print(f"It races itself and an anchor first: {follow}.")
+        return 0
+
+    def _entered(self, name: str) -> _Entered:
+        """Enter the driver here."""
         import getpass
 
         from league.agents import roster
@@ -92,21 +112,68 @@ class Submit(OnLeague):
 
         owner = self.owner or getpass.getuser()
         with self.opened() as store:
-            name = self.name or Path(self.driver).stem
             if self.driver not in roster.NAMES:
                 entry = submission.submit(store, roster.checkpoint_path(self.driver), name, owner)
             else:
                 entry = store.submit(name, owner, scripted=self.driver, card={"name": name})
-        if entry.name != name:
-            print(f"These weights are entered already, as {entry.name}; {name} is not a new entry.")
-        print(f"{entry.name} by {entry.owner}: entry {entry.id[:12]}, {entry.state}")
-        if entry.near_copy_of:
-            print(
-                f"Its weights are nearly those of {entry.near_copy_of}: it is labelled a near-copy."
-            )
-        if entry.state == "pending":
-            print("It races itself and an anchor first: `league run`, then `league entries`.")
+        return _Entered(entry.name, entry.owner, entry.id, entry.state, entry.near_copy_of)
+
+    def _sent(self, name: str) -> _Entered:
+        """Send the driver to a served league."""
+        client = self.client()
+        if self.owner:
+            raise ConfigError("--owner with --to: the token says who the owner is, leave it out")
+        sent = client.submit(_packed(self.driver), name)
+        said = {key: str(sent.get(key, "")) for key in _Entered.__dataclass_fields__}
+        said["page"] = client.url + said["page"]
+        return _Entered(**{key: tables.spelled(text) for key, text in said.items()})
+
+
+@dataclass(frozen=True)
+class _Entered:
+    """What became of a submission."""
+
+    name: str
+    owner: str
+    id: str
+    state: str
+    near_copy_of: str
+    page: str = ""
+    """Where it can be followed in a browser."""
+
+
+@dataclass
+class Pack:
+    """Write a checkpoint as the file that a league's upload form takes: plain numbers and card."""
+
+    driver: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="FILE.pt")]
+    """A checkpoint, or the name of one (see `league drivers`)."""
+    out: Path | None = None
+    """Where to write it; by default here, under the checkpoint's name, ending in .safetensors."""
+
+    def run(self) -> int:
+        """Run the command."""
+        from league.atomic_file import replacing
+        from league.errors import PolicyError
+
+        content = _packed(self.driver)
+        path = self.out or Path(f"{Path(self.driver).stem}.safetensors")
+        with replacing(path, "the packed checkpoint", PolicyError) as file:
+            file.write_bytes(content)
+        print(f"{path}: {len(content):,} bytes")
         return 0
+
+
+def _packed(driver: str) -> bytes:
+    """Return a checkpoint as the bytes of an entry."""
+    from league.agents import checkpoint, roster
+    from league.matchmaking import submission
+
+    if driver in roster.NAMES:
+        raise ConfigError(
+            f"{driver} is a scripted driver, which has no weights: give a checkpoint (FILE.pt)"
+        )
+    return submission.pack(checkpoint.load(roster.checkpoint_path(driver)))
 
 
 @dataclass
@@ -143,7 +210,7 @@ class Entries(Reading):
 
 
 @dataclass
-class Retire(OnLeague):
+class Retire(OnServer):
     """Take an entry out of the league; its results stay, and there is no way back."""
 
     entry: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ENTRY")]
@@ -155,13 +222,23 @@ class Retire(OnLeague):
 
     def run(self) -> int:
         """Run the command."""
-        with self.opened() as store:
-            entry = store.entry(self.entry)
-            if not self.yes and entry.state != "retired" and not _confirmed(entry):
-                print(f"{entry.name} stays {entry.state}.")
+        if self.to:
+            client, asked = self.client(), {"entry": self.entry, "reason": self.reason}
+            if not self.yes and not _confirmed(f"{self.entry} at {self.to}"):
                 return 1
-            changed = store.move({entry.id: "retired"}, reason=self.reason, actor=entry.owner)
-        print(f"{entry.name} {'is retired' if changed else 'was retired already'}.")
+            sent = client.ask("/api/v1/entries/retire", json.dumps(asked).encode())
+            name, changed = tables.spelled(str(sent.get("name", ""))), bool(sent.get("changed"))
+        else:
+            with self.opened() as store:
+                entry = store.entry(self.entry)
+                name, what = entry.name, f"{entry.name} by {entry.owner} ({entry.state})"
+                if not self.yes and entry.state != "retired" and not _confirmed(what):
+                    print(f"{name} stays {entry.state}.")
+                    return 1
+                changed = bool(
+                    store.move({entry.id: "retired"}, reason=self.reason, actor=entry.owner)
+                )
+        print(f"{name} {'is retired' if changed else 'was retired already'}.")
         return 0
 
 
@@ -176,7 +253,7 @@ class Upgrade(OnLeague):
     def run(self) -> int:
         """Run the command."""
         from league.matchmaking import store
-        from league.sim.version import PHYSICS
+        from league.sim import PHYSICS
 
         for step in store.upgrade(self.address):
             print(step)
@@ -198,14 +275,14 @@ class Upgrade(OnLeague):
         return 0
 
 
-def _confirmed(entry: Entry) -> bool:
+def _confirmed(what: str) -> bool:
     """Ask whether an entry is to be retired."""
     if not sys.stdin.isatty():
         raise ConfigError(
-            f"{entry.name} cannot come back once it is retired, and there is no terminal to ask "
-            "on: confirm with --yes"
+            f"{what} cannot come back once it is retired, and there is no terminal to ask on: "
+            "confirm with --yes"
         )
-    question = f"Retire {entry.name} by {entry.owner} ({entry.state})? There is no way back [y/N] "
+    question = f"Retire {what}? There is no way back [y/N] "
     return input(question).strip().lower() in ("y", "yes")
 
 
@@ -266,6 +343,7 @@ def _rules(command: Init) -> Ruleset:
 COMMANDS = {
     "init": Init,
     "submit": Submit,
+    "pack": Pack,
     "entries": Entries,
     "retire": Retire,
     "upgrade": Upgrade,

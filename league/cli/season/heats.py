@@ -20,7 +20,7 @@ from league import times
 from league.atomic_file import replacing
 from league.cli import season, tables
 from league.cli.season import OnLeague, Reading
-from league.errors import ConfigError, StoreError, brief
+from league.errors import ConfigError, StoreError
 
 if TYPE_CHECKING:
     from league.matchmaking.store import HeatOutcome, HeatRecord, Store
@@ -142,7 +142,7 @@ class Audit(OnLeague):
 
         from league.matchmaking import gauntlet
 
-        share = _share(self.sample)
+        share = season.share(self.sample, "--sample")
         with self.opened() as store:
             found = store.verify(self.head)
             for mismatch in found.mismatches:
@@ -180,15 +180,6 @@ class Audit(OnLeague):
                 "like that; nothing was put in quarantine for it."
             )
         return 1 if differ or found.mismatches else 0
-
-
-def _share(text: str) -> float:
-    try:
-        return float(text.strip().removesuffix("%")) / 100
-    except ValueError:
-        raise ConfigError(
-            f"--sample {brief(text)} is no share: give percent, as in --sample 2%"
-        ) from None
 
 
 def _show(store: Store, record: HeatRecord, as_json: bool) -> int:

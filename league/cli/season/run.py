@@ -12,14 +12,14 @@ import time
 from collections import deque
 from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 import tyro
 
 from league.cli import season, tables
-from league.cli.season import OnLeague
+from league.cli.season import OnLeague, OnServer
 from league.errors import ConfigError, LeagueError
 
 if TYPE_CHECKING:
@@ -29,17 +29,19 @@ if TYPE_CHECKING:
     from league.matchmaking.pairing.matchmaker import Season
     from league.matchmaking.standings import Standings
     from league.matchmaking.store import Store
-    from league.matchmaking.workers.dispatcher import Dispatcher, FinishedHeat
+    from league.matchmaking.workers.dispatcher import Dispatcher, FinishedHeat, HeatSource
 
 REFIT_EVERY_S = 5.0
 """Interval at which the page computes the standings, at least [s]."""
 TOP = 12
 """Entries on the page."""
+PATIENCE_S = 600.0
+"""How long a remote worker waits for a server that does not answer [s]."""
 
 
 @dataclass
-class Work(OnLeague):
-    """Race heats from the queue; several machines may do so on one PostgreSQL league."""
+class Racing(OnLeague):
+    """A command that races heats."""
 
     heats: int | None = None
     """Stop after so many heats."""
@@ -58,26 +60,35 @@ class Work(OnLeague):
 
     def run(self) -> int:
         """Run the command."""
-        from league.matchmaking import loop, workers
-        from league.matchmaking.workers.dispatcher import Dispatcher
         from league.matchmaking.workers.worker import check_physics
 
+        self._check()
+        with self.opened() as store:
+            check_physics(store.settings.ruleset, f"the league in {store.url}")
+            self._race(store, store)
+        return 0
+
+    def _check(self) -> None:
         season.at_least(self, "heats", 1)
         if self.minutes is not None and not self.minutes > 0:
             raise ConfigError(f"--minutes {self.minutes}: give more than 0")
         if not 1 <= self.lease_s <= 3600:
             raise ConfigError(f"--lease-s {self.lease_s}: give 1 to 3600 s")
-        num_workers = self.workers or os.cpu_count() or 1
-        with self.opened() as store, ExitStack() as stack:
-            check_physics(store.settings.ruleset, f"the league in {store.url}")
-            matchmaker = self._season(store)
-            executor = workers.make_executor(self.executor, num_workers)
+
+    def _race(self, source: HeatSource, store: Store | None) -> None:
+        """Race heats of a source; `store` is the league, where it is on this machine."""
+        from league.matchmaking import loop, workers
+        from league.matchmaking.workers.dispatcher import Dispatcher
+
+        with ExitStack() as stack:
+            matchmaker = self._season(store) if store else None
+            executor = workers.make_executor(self.executor, self.workers or os.cpu_count() or 1)
             stack.callback(executor.close)
             dispatcher = Dispatcher(
-                store, executor, lease_s=self.lease_s, keep_replays=self.replays
+                source, executor, lease_s=self.lease_s, keep_replays=self.replays
             )
             watch = _print_finished
-            if sys.stdout.isatty() and not self.plain:
+            if store and sys.stdout.isatty() and not self.plain:
                 watch = stack.enter_context(Page(store, dispatcher)).show
             tally = loop.run(
                 store,
@@ -88,10 +99,9 @@ class Work(OnLeague):
                 stop=stack.enter_context(_stopping()),
                 watch=watch,
             )
-            seasons = store.seasons()
+            seasons = store.seasons() if store else []
         over = seasons[-1].name if seasons and seasons[-1].until is not None else ""
         _print_tally(tally, over)
-        return 0
 
     def _season(self, store: Store) -> Season | None:
         """Return the matchmaker; None races what is in the queue."""
@@ -99,7 +109,32 @@ class Work(OnLeague):
 
 
 @dataclass
-class Run(Work):
+class Work(Racing, OnServer):
+    """Race heats from the queue: of a PostgreSQL league, or with --to of a league that is served.
+
+    Heats of the token's owner are left to others, and so are those that must be raced again
+    because a worker of the owner raced them.
+    """
+
+    def run(self) -> int:
+        """Run the command."""
+        if not self.to:
+            return super().run()
+        from league.matchmaking.remote import RemoteQueue
+
+        self._check()
+        if self.lease_s > 600:
+            raise ConfigError(f"--lease-s {self.lease_s}: give 1 to 600 s with --to")
+        client = self.client()
+        queue = RemoteQueue(replace(client, patience_s=PATIENCE_S))
+        RemoteQueue(client).heartbeat("hello", lease_s=60.0, keys=())  # fails at once, if at all
+        print(f"Racing for {client.url}; Ctrl-C finishes the heats under way.", flush=True)
+        self._race(queue, None)
+        return 0
+
+
+@dataclass
+class Run(Racing):
     """Run the season: pair entries, race heats, rate, and again; Ctrl-C finishes what has begun."""
 
     same_owner: bool = False
@@ -114,23 +149,41 @@ class Run(Work):
 
 @dataclass
 class Serve(OnLeague):
-    """Show the league in the browser, on this machine only: standings, drivers, heats, replays."""
+    """Show the league in the browser, and take submissions there: standings, drivers, replays."""
 
     port: int = 8018
     """Port to listen on; 0 takes a free one."""
     host: str = "127.0.0.1"
-    """Address to listen on; only 127.0.0.1 is possible yet."""
+    """Address to listen on; another one is possible once there are tokens (`league token`)."""
+    name: tuple[str, ...] = ()
+    """Names under which browsers reach this server, apart from 127.0.0.1 and localhost."""
+    entries: int = 4
+    """Entries that an owner may have."""
+    per_day: int = 5
+    """Submissions that an owner may make within 24 hours."""
+    audit: str = "5%"
+    """Share of the heats of remote workers that are run again by others, in percent."""
 
     def run(self) -> int:
         """Run the command."""
+        from league.matchmaking.store import Quota
         from league.web import server
+        from league.web.security import Access
 
+        for field in ("entries", "per_day"):
+            season.at_least(self, field, 0)
+        access = Access(
+            hosts=("127.0.0.1", "localhost", *self.name),
+            quota=Quota(self.entries, self.per_day),
+            audited=season.share(self.audit, "--audit"),
+        )
         with self.opened() as store:
             name = store.settings.name
             server.serve(
                 store,
                 self.port,
                 host=self.host,
+                access=access,
                 ready=lambda url: print(f"{name}: {url}   (Ctrl-C ends it)", flush=True),
             )
         return 0

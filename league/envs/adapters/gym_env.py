@@ -273,8 +273,7 @@ class GymVectorEnv(VectorEnv[Observation, np.ndarray, np.ndarray]):
                 f"render_mode is {render_mode!r}: a batch is not drawn, give None, or choose "
                 "vectorization_mode='sync'"
             )
-        if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
-            raise ConfigError(f"num_envs is {num_envs!r}: give a whole number, 1 or more")
+        make.check_whole("num_envs", num_envs, 1)
         make.check_options(options, GymVectorEnv.__init__)
         if max_episode_steps is not None:
             options.setdefault("max_steps", max_episode_steps)

@@ -27,11 +27,7 @@ class Renderer:
     def __init__(self, env: RaceEnv, mode: str | None, view: str, car: int | None = None) -> None:
         """Check the arguments; nothing is opened yet.
 
-        Args:
-            env: the races.
-            mode: rgb_array, human or None.
-            view: chase or top.
-            car: followed by the chase camera; None: the leader.
+        The chase camera follows `car`; None: the leader.
         """
         if mode is not None and mode not in MODES:
             raise ConfigError(f"render_mode is {mode!r}: choose one of {', '.join(MODES)}, or None")

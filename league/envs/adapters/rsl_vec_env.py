@@ -23,7 +23,7 @@ from league.envs.race_env import RaceEnv, Step
 from league.envs.scenarios import CLEAN, NO_ATTACK, PASSED
 from league.errors import ConfigError
 from league.sim.config import RaceKind
-from league.sim.world import World
+from league.sim.records import World
 from league.track.track import Track, TrackSet
 
 MISTAKES = ("off_track", "crashed", "pushed_off", "immobilised", "reversed")

@@ -42,8 +42,7 @@ class SB3VecEnv(VecEnv):
     ) -> None:
         """Set up the races, by the arguments of GymVectorEnv."""
         make.check_options(options, SB3VecEnv.__init__)
-        if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
-            raise ConfigError(f"num_envs is {num_envs!r}: give a whole number, 1 or more")
+        make.check_whole("num_envs", num_envs, 1)
         self.learner = LearnerEnv(
             track, kind, sensors, num_worlds=num_envs, car=car, opponents=opponents, **options
         )

@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any, Literal
 
+from league.sim import PHYSICS
 from league.sim.config import (
     MAX_CARS,
     MAX_OBSTACLES,
@@ -22,7 +23,6 @@ from league.sim.config import (
     RulesName,
     SolverName,
 )
-from league.sim.version import PHYSICS
 
 Purpose = Literal["rated", "validation", "audit", "gauntlet", "cup"]
 

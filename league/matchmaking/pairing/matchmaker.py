@@ -59,14 +59,14 @@ def enter_anchors(store: Store, anchors: Sequence[str]) -> list[Entry]:
 def entries_with_reasons(store: Store) -> list[Entry]:
     """Return a league's entries; the reason of one that is not rated yet is what it waits for."""
     return [
-        replace(entry, reason=_waits_for(store, entry))
+        replace(entry, reason=waits_for(store, entry))
         if entry.state in ("pending", "validating")
         else entry
         for entry in store.entries()
     ]
 
 
-def _waits_for(store: Store, entry: Entry) -> str:
+def waits_for(store: Store, entry: Entry) -> str:
     """Return why an entry is not rated yet, and what to do about it."""
     heats = _validations(store, entry, store.settings.ruleset.hash)
     if not heats:

@@ -21,13 +21,16 @@ from league.matchmaking.store.schema import Record, add_ruleset, append, cups, l
 
 def listed(connection: sa.Connection) -> list[Cup]:
     """Return all cups, the first one first."""
-    query = sa.select(*(cups.c[name] for name in Cup.__dataclass_fields__))
-    return [_cup(row) for row in connection.execute(query.order_by(cups.c.number))]
-
-
-def _cup(row: Any) -> Cup:  # noqa: ANN401
-    fields = {name: row._mapping[name] for name in Cup.__dataclass_fields__}
-    return Cup(**{**fields, "settings": json.loads(row.settings), "hash": row.hash or ""})
+    names = [name for name in Cup.__dataclass_fields__ if name not in ("settings", "hash")]
+    query = sa.select(*(cups.c[name] for name in names), cups.c.settings, cups.c.hash)
+    return [
+        Cup(
+            **{name: row[name] for name in names},
+            settings=json.loads(row["settings"]),
+            hash=row["hash"] or "",
+        )
+        for row in connection.execute(query.order_by(cups.c.number)).mappings()
+    ]
 
 
 def start(

@@ -24,7 +24,7 @@ from sqlalchemy import event, exc
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.engine import URL, make_url
 
-from league.errors import StoreError, brief
+from league.errors import DatabaseError, StoreError, brief
 
 PATIENCE_S = 60.0
 """How long a write waits for other writers of a SQLite file [s]."""
@@ -144,7 +144,7 @@ class Database:
                     if not busy:
                         raise
                     if time.monotonic() > give_up:
-                        raise StoreError(
+                        raise DatabaseError(
                             f"another program has been writing to {self.shown} for "
                             f"{PATIENCE_S:.0f} s: end it, or try again later"
                         ) from refusal
@@ -162,11 +162,11 @@ class Database:
         try:
             yield
         except exc.DBAPIError as refusal:
-            raise StoreError(f"{self.shown} {_sentence(refusal.orig)}") from refusal
+            raise DatabaseError(f"{self.shown} {_sentence(refusal.orig)}") from refusal
         except sqlite3.Error as refusal:
-            raise StoreError(f"{self.shown} {_sentence(refusal)}") from refusal
+            raise DatabaseError(f"{self.shown} {_sentence(refusal)}") from refusal
         except exc.TimeoutError as refusal:
-            raise StoreError(
+            raise DatabaseError(
                 f"{self.shown} is in use by too many threads at once: use fewer"
             ) from refusal
 

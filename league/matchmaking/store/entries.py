@@ -12,10 +12,10 @@ from typing import Any, cast
 
 import sqlalchemy as sa
 
-from league.errors import StoreError, brief, nearest_names
+from league.errors import QuotaError, StoreError, brief, nearest_names
 from league.matchmaking.store import queue
 from league.matchmaking.store.database import insert_new
-from league.matchmaking.store.records import NEXT, Entry, EntryState
+from league.matchmaking.store.records import NEXT, Entry, EntryState, Quota
 from league.matchmaking.store.schema import (
     Record,
     append,
@@ -27,12 +27,15 @@ from league.matchmaking.store.schema import (
 )
 
 INVISIBLE = {
-    *"\u034f\u115f\u1160\u17b4\u17b5\u2800\u3164\uffa0",
+    *"\u034f\u115f\u1160\u17b4\u17b5\u2800\u3164\uffa0\ufffc\ufffd",
     *map(chr, range(0x180B, 0x1810)),
     *map(chr, range(0xFE00, 0xFE10)),
     *map(chr, range(0xE0100, 0xE01F0)),
 }
-"""Characters that count as printable but show nothing: fillers and variation selectors."""
+"""Characters that count as printable but show nothing: fillers, variation selectors, and what
+stands for text that was lost."""
+
+DAY_S = 86400.0
 
 TOGETHER = {"LATIN", "CJK", "IDEOGRAPHIC", "HIRAGANA", "KATAKANA", "HANGUL", "BOPOMOFO"}
 """Scripts that are written together; letters of any other script stand alone."""
@@ -47,7 +50,13 @@ LOOKALIKES = {ord(pair[0]): pair[1] for pair in _PAIRS.split()}
 """Cyrillic and Greek small letters, and the dotless i, with the Latin ones that they look like."""
 
 
-def submit(connection: sa.Connection, now: float, owner: str, row: Mapping[str, Any]) -> Entry:
+def submit(
+    connection: sa.Connection,
+    now: float,
+    owner: str,
+    row: Mapping[str, Any],
+    quota: Quota | None = None,
+) -> Entry:
     """Enter a driver as pending; the same content submitted again is the same entry.
 
     Args:
@@ -55,6 +64,7 @@ def submit(connection: sa.Connection, now: float, owner: str, row: Mapping[str, 
         now: time [s since 1970].
         owner: name of the owner.
         row: columns `id`, `name`, `kind`, `anchor` and `card` of the entry.
+        quota: how much the owner may enter; None for any number.
     """
     name = row["name"]
     known = connection.execute(with_owners().where(entries.c.id == row["id"])).one_or_none()
@@ -66,7 +76,6 @@ def submit(connection: sa.Connection, now: float, owner: str, row: Mapping[str, 
             )
         return _entry(known)
     _check_name(name, "an entry's name")
-    _check_name(owner, "an owner's name")
     for taken, taken_id in connection.execute(sa.select(entries.c.name, entries.c.id)):
         if taken == name:
             raise StoreError(f"the name {name!r} is taken by entry {taken_id[:12]}: choose another")
@@ -74,20 +83,61 @@ def submit(connection: sa.Connection, now: float, owner: str, row: Mapping[str, 
             raise StoreError(
                 f"the name {name!r} looks like {taken!r} of entry {taken_id[:12]}: choose another"
             )
-    for known_owner in connection.scalars(sa.select(owners.c.name)):
-        if known_owner != owner and _skeleton(known_owner) == _skeleton(owner):
-            raise StoreError(
-                f"the owner {owner!r} looks like {known_owner!r}: write it like that, or choose "
-                "another"
-            )
-    connection.execute(insert_new(connection, owners).values(name=owner, created_s=now))
-    number = sa.select(owners.c.number).where(owners.c.name == owner).scalar_subquery()
+    number = owner_number(connection, now, owner)
+    if quota is not None:
+        check_quota(connection, now, owner, quota)
     state = {"owner": number, "state": "pending", "reason": "", "created_s": now}
     connection.execute(entries.insert().values(**row, **state))
     log_event(connection, now, owner, "submit", row["id"], name=name, kind=row["kind"])
     added = connection.execute(with_owners().where(entries.c.id == row["id"])).one()
     append(connection, [ledger_record(added)])
     return _entry(added)
+
+
+def owner_number(connection: sa.Connection, now: float, name: str) -> int:
+    """Return the number of an owner, who is added if new.
+
+    Raises:
+        StoreError: the name cannot be shown, or passes for that of another owner.
+    """
+    query = sa.select(owners.c.number).where(owners.c.name == name)
+    number = connection.scalar(query)
+    if number is not None:
+        return number
+    _check_name(name, "an owner's name")
+    for known in connection.scalars(sa.select(owners.c.name)):
+        if _skeleton(known) == _skeleton(name):
+            raise StoreError(
+                f"the owner {name!r} looks like {known!r}: write it like that, or choose another"
+            )
+    connection.execute(insert_new(connection, owners).values(name=name, created_s=now))
+    return connection.scalars(query).one()
+
+
+def check_quota(connection: sa.Connection, now: float, owner: str, quota: Quota) -> None:
+    """Refuse one more entry of an owner who has as many as are allowed.
+
+    Raises:
+        QuotaError: there are as many in the league, or as many came within 24 hours.
+    """
+    rows = connection.execute(
+        sa.select(entries.c.state, entries.c.created_s)
+        .join(owners, owners.c.number == entries.c.owner)
+        .where(owners.c.name == owner)
+    ).all()
+    active = sum(row.state not in ("retired", "refused") for row in rows)
+    if active >= quota.entries:
+        raise QuotaError(
+            f"{owner!r} has {active} entries, and an owner may have {quota.entries}: retire one "
+            "first"
+        )
+    recent_s = sorted(row.created_s for row in rows if row.created_s > now - DAY_S)
+    if len(recent_s) >= quota.per_day:
+        wait_h = max(1, round((recent_s[-quota.per_day] + DAY_S - now) / 3600))
+        raise QuotaError(
+            f"{owner!r} made {len(recent_s)} submissions within 24 hours, and {quota.per_day} are "
+            f"allowed: try again in {wait_h} h"
+        )
 
 
 def ledger_record(row: Any) -> Record:  # noqa: ANN401
@@ -206,7 +256,8 @@ def _check_name(name: str, what: str) -> None:
         raise StoreError(
             f"{what} is {brief(name)}: give 1 to 100 printable characters without spaces around"
         )
-    if INVISIBLE & set(name) or not _skeleton(name):
+    begins_with_mark = unicodedata.category(name[0]).startswith("M")  # an accent without a letter
+    if INVISIBLE & set(name) or begins_with_mark or not _skeleton(name):
         raise StoreError(f"{what} is {name!a}: leave out characters that cannot be seen")
     scripts = {_script(letter) for letter in name if letter.isalpha()}
     if len(scripts) > 1 and not scripts <= TOGETHER:

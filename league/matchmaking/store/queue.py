@@ -21,8 +21,10 @@ from league.matchmaking.store.schema import (
     heat_entries,
     heats,
     log_event,
+    owners,
     results,
     rulesets,
+    tokens,
 )
 
 ATTEMPTS = 3
@@ -32,9 +34,9 @@ PRIORITY: dict[Purpose, int] = {
     "gauntlet": 1,
     "cup": 1,
     "rated": 2,
-    "audit": 3,
+    "audit": 2,
 }
-"""Small numbers are claimed first."""
+"""Small numbers are claimed first; a season always has rated heats, and audits must not wait."""
 TRACEBACK_CHARS = 8000
 """The end of a traceback that is kept."""
 OVER = ("done", "quarantined")
@@ -104,13 +106,30 @@ def _row(
 
 
 def claim(
-    connection: sa.Connection, now: float, secret: bytes, worker: str, limit: int, lease_s: float
+    connection: sa.Connection,
+    now: float,
+    secret: bytes,
+    worker: str,
+    limit: int,
+    lease_s: float,
+    lender: str = "",
 ) -> list[HeatRecord]:
-    """Lend up to `limit` heats to a worker; heats with an expired lease are first taken back."""
+    """Lend up to `limit` heats to a worker; heats with an expired lease are first taken back.
+
+    Args:
+        connection: in a transaction.
+        now: time [s since 1970].
+        secret: the league's, which makes the seeds.
+        worker: its name.
+        limit: heats at most.
+        lease_s: until when they are lent, from now [s].
+        lender: owner of the worker, who is not lent heats of the owner's entries, nor any that a
+            worker of the owner has raced; empty for the league itself.
+    """
     reap(connection, now)
     wanted = (
         sa.select(heats.c.number)
-        .where(heats.c.state == "planned")
+        .where(heats.c.state == "planned", *(_impartial(lender) if lender else ()))
         .order_by(heats.c.priority, heats.c.number)
         .limit(limit)
         .with_for_update(skip_locked=True)
@@ -134,11 +153,43 @@ def claim(
     return [replace(record, seeds=record.heat.seeds(secret)) for record in lent]
 
 
-def heartbeat(connection: sa.Connection, now: float, worker: str, lease_s: float) -> list[str]:
-    """Renew all leases of a worker that have not been taken back; return their heats' keys."""
+def _impartial(owner: str) -> tuple[sa.ColumnElement[bool], ...]:
+    """Return what holds for heats that workers of an owner may race: others have to judge."""
+    of_owner = sa.select(owners.c.number).where(owners.c.name == owner).scalar_subquery()
+    own_entry = (
+        sa.exists()
+        .where(heat_entries.c.heat == heats.c.number)
+        .where(heat_entries.c.entry == entries.c.number, entries.c.owner == of_owner)
+    )
+    raced = sa.exists().where(
+        results.c.heat == sa.func.coalesce(heats.c.audits, heats.c.number),
+        tokens.c.owner == of_owner,
+        results.c.worker.like(sa.cast(tokens.c.number, sa.String) + "/%"),
+    )
+    return ~own_entry, ~raced
+
+
+def heartbeat(
+    connection: sa.Connection,
+    now: float,
+    worker: str,
+    lease_s: float,
+    keys: Sequence[str] | None = None,
+) -> list[str]:
+    """Renew the leases of a worker that have not been taken back; return their heats' keys.
+
+    Args:
+        connection: in a transaction.
+        now: time [s since 1970].
+        worker: its name.
+        lease_s: until when they are lent, from now [s].
+        keys: only of these heats, so that those which it was lent without hearing of it end.
+    """
     held = sa.select(heats.c.number, heats.c.key).where(
         heats.c.state == "claimed", heats.c.worker == worker, heats.c.lease_s >= now
     )
+    if keys is not None:
+        held = held.where(heats.c.key.in_(keys))
     # A row that is locked is being completed: it needs no lease any more.
     rows = connection.execute(held.with_for_update(skip_locked=True)).all()
     if rows:

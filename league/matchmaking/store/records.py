@@ -16,6 +16,10 @@ EntryState = Literal[
     "pending", "validating", "placement", "provisional", "ranked", "retired", "refused"
 ]
 HeatState = Literal["planned", "claimed", "done", "error", "quarantined", "cancelled"]
+Scope = Literal["submit", "worker", "admin"]
+"""What a token allows: to enter and retire its owner's drivers; to race heats; all of it, and to
+retire anybody's drivers."""
+SCOPES: tuple[Scope, ...] = ("submit", "worker", "admin")
 
 RATED: tuple[EntryState, ...] = ("placement", "provisional", "ranked")
 """States in which an entry takes part in rated heats; the rating moves it among them."""
@@ -142,6 +146,45 @@ class Entry:
     def near_copy_of(self) -> str:
         """Name of the earlier entry with nearly the same weights; empty for none."""
         return str(self.card.get("near_copy_of", ""))
+
+
+@dataclass(frozen=True)
+class Token:
+    """What is known of a token; its secret is not kept."""
+
+    number: int
+    owner: str
+    """Name of the owner it stands for."""
+    scopes: tuple[Scope, ...]
+    created_s: float
+    """When it was made [s since 1970]."""
+    expires_s: float | None
+    """When it ends [s since 1970]; None for never."""
+    revoked_s: float | None
+    """When it was revoked [s since 1970]."""
+    used_s: float | None
+    """When it was used last, to the hour [s since 1970]."""
+
+    def state(self, now_s: float) -> str:
+        """Return whether it is active, expired or revoked."""
+        if self.revoked_s is not None:
+            return "revoked"
+        over = self.expires_s is not None and self.expires_s <= now_s
+        return "expired" if over else "active"
+
+    def allows(self, scope: Scope) -> bool:
+        """Return whether it may be used for something."""
+        return scope in self.scopes or "admin" in self.scopes
+
+
+@dataclass(frozen=True)
+class Quota:
+    """How much an owner may enter."""
+
+    entries: int = 4
+    """Entries that have not been retired or refused."""
+    per_day: int = 5
+    """New entries within 24 hours."""
 
 
 @dataclass(frozen=True)

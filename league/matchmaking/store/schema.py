@@ -41,7 +41,7 @@ from league.matchmaking.store.database import Database
 
 MIGRATIONS = Path(__file__).parent / "migrations"
 
-SCHEMA = "0004"
+SCHEMA = "0005"
 """Version of these tables: the newest revision in migrations/versions."""
 
 # SQLite numbers rows by itself only in a column that is declared INTEGER PRIMARY KEY.
@@ -108,6 +108,22 @@ entries = Table(
     ),
 )
 """`id` is the content hash; a policy's weights are the blob of that name."""
+
+tokens = Table(
+    "tokens",
+    metadata,
+    Column("number", Integer, primary_key=True),
+    Column("hash", String(64), nullable=False, unique=True),
+    Column("owner", Integer, ForeignKey("owners.number"), nullable=False),
+    Column("scopes", String(40), nullable=False),
+    Column("created_s", Float(53), nullable=False),
+    Column("expires_s", Float(53)),
+    Column("revoked_s", Float(53)),
+    Column("used_s", Float(53)),
+    sqlite_autoincrement=True,
+)
+"""Secrets by which owners and workers are known over HTTP: only their SHA-256 is here. `scopes` are
+words with spaces between; `expires_s` NULL is never."""
 
 blobs = Table(
     "blobs",

@@ -175,11 +175,10 @@ def moves_of(connection: sa.Connection, season: int | None = None) -> list[Move]
     query = sa.select(divisions).order_by(*divisions.primary_key)
     if season is not None:
         query = query.where(divisions.c.season == season)
-    return [_move(row) for row in connection.execute(query)]
-
-
-def _move(row: Any) -> Move:  # noqa: ANN401
-    return Move(**{name: row._mapping[name] for name in Move._fields})
+    return [
+        Move(**{name: row[name] for name in Move._fields})
+        for row in connection.execute(query).mappings()
+    ]
 
 
 def ledger_records(connection: sa.Connection) -> Iterator[Record]:

@@ -36,12 +36,14 @@ from league.matchmaking.store.records import (
     HeatState,
     LeagueSettings,
     Move,
+    Quota,
     Races,
     Received,
     Season,
     StoredResult,
 )
 from league.matchmaking.store.schema import heat_entries, heats, league, rulesets
+from league.matchmaking.store.tokens import Tokens
 
 LEASE_S = 60.0
 """Lease of a heat [s]; dispatchers renew it every 10 s."""
@@ -143,6 +145,11 @@ class Store:
         """Where weights and recordings are kept."""
         return FolderBlobs(self._blobs_url) if self._blobs_url else TableBlobs(self._database)
 
+    @property
+    def tokens(self) -> Tokens:
+        """The secrets by which owners and workers are known over HTTP."""
+        return Tokens(self._database)
+
     # Entries
 
     def submit(
@@ -155,11 +162,12 @@ class Store:
         anchor: bool = False,
         card: Mapping[str, Any] | None = None,
         id: str = "",
+        quota: Quota | None = None,
     ) -> Entry:
         """Enter a driver: a policy's weights, or the name of a scripted driver.
 
         The same driver submitted again by its owner is the entry it was. A policy is known by its
-        `id`, by default the hash of its file.
+        `id`, by default the hash of its file. A `quota` is refused with a QuotaError.
         """
         if (weights is None) == (scripted is None):
             raise ValueError("give either weights or the name of a scripted driver")
@@ -175,7 +183,7 @@ class Store:
             "card": heat_spec.canonical(card).decode(),
         }
         with self._writing(lock=True) as (connection, now):
-            entry = entries.submit(connection, now, owner, row)
+            entry = entries.submit(connection, now, owner, row, quota)
             if weights is not None and not self._blobs_url and entry.blob == blob:
                 blobs.insert(connection, now, weights)
             return entry
@@ -266,20 +274,36 @@ class Store:
                 added += queue.plan(connection, now, planned[start : start + BATCH])
         return added
 
-    def claim(self, worker: str, limit: int = 1, *, lease_s: float = LEASE_S) -> list[HeatRecord]:
+    def claim(
+        self, worker: str, limit: int = 1, *, lease_s: float = LEASE_S, lender: str = ""
+    ) -> list[HeatRecord]:
         """Lend up to `limit` heats to a worker; its name must be unique.
 
-        Heats with an expired lease are lent again.
+        Heats with an expired lease are lent again. Workers of an owner (`lender`) race neither
+        heats of the owner's entries nor again what a worker of the owner has raced.
         """
         _check_worker(worker)
+        limit = min(limit, BATCH)
         with self._writing() as (connection, now):
-            return queue.claim(connection, now, self._secret, worker, min(limit, BATCH), lease_s)
+            return queue.claim(connection, now, self._secret, worker, limit, lease_s, lender)
 
-    def heartbeat(self, worker: str, *, lease_s: float = LEASE_S) -> list[str]:
-        """Renew a worker's leases; return the keys of the heats it still holds."""
+    def heartbeat(
+        self, worker: str, *, lease_s: float = LEASE_S, keys: Sequence[str] | None = None
+    ) -> list[str]:
+        """Renew a worker's leases, or those of these heats; return the keys of what it holds."""
         _check_worker(worker)
         with self._writing() as (connection, now):
-            return queue.heartbeat(connection, now, worker, lease_s)
+            return queue.heartbeat(connection, now, worker, lease_s, keys)
+
+    def seeds(self, heat: Heat) -> tuple[int, ...]:
+        """Return the seed of each race of a heat; a secret until it is over."""
+        return heat.seeds(self._secret)
+
+    def audit(self, keys: Sequence[str], share: float) -> int:
+        """Plan a share of these heats again, drawn with the league's secret; return how many."""
+        drawn = [k for k in keys if heat_spec.seed(self._secret, f"audit {k}", 0) < share * 2**63]
+        records = [record for record in map(self.heat, drawn) if record.heat.purpose == "rated"]
+        return self.plan([heat_spec.audit_of(record.heat) for record in records])
 
     def complete(self, worker: str, outcomes: Sequence[HeatOutcome]) -> Received:
         """Take in the results of heats, each once, however often they are sent."""

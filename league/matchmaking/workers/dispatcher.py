@@ -9,11 +9,13 @@ import socket
 import time
 import traceback
 from collections import Counter, OrderedDict
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 from league.errors import LeagueError
 from league.matchmaking.pairing.heat_spec import Ruleset
-from league.matchmaking.store import Entry, HeatRecord, Store
+from league.matchmaking.store import Entry, HeatOutcome, HeatRecord, HeatState, Received
 from league.matchmaking.store.store import LEASE_S
 from league.matchmaking.workers import Executor
 from league.matchmaking.workers.worker import HeatDriver, HeatJob, HeatReport, check_physics
@@ -48,6 +50,47 @@ class FinishedHeat:
     """A field of Received; or planned (again), error."""
 
 
+class Weights(Protocol):
+    """Where weights are kept."""
+
+    def get(self, digest: str) -> bytes:
+        """Return the bytes with this SHA-256."""
+        ...
+
+
+class HeatSource(Protocol):
+    """Where a dispatcher gets heats from: a Store, or a league that another machine serves."""
+
+    @property
+    def blobs(self) -> Weights:
+        """Where weights are kept."""
+        ...
+
+    def claim(self, worker: str, limit: int = 1, *, lease_s: float) -> list[HeatRecord]:
+        """Lend up to `limit` heats to a worker."""
+        ...
+
+    def heartbeat(self, worker: str, *, lease_s: float, keys: Sequence[str]) -> list[str]:
+        """Renew the leases of heats; return the keys of those that the worker still holds."""
+        ...
+
+    def complete(self, worker: str, outcomes: Sequence[HeatOutcome]) -> Received:
+        """Take in results."""
+        ...
+
+    def fail(self, worker: str, key: str, traceback: str, *, lost: bool) -> HeatState:
+        """Take a heat back; return its state."""
+        ...
+
+    def rulesets(self) -> dict[str, Ruleset]:
+        """Return the rulesets of lent heats, at least, by hash."""
+        ...
+
+    def entry(self, text: str) -> Entry:
+        """Return the entry with this id."""
+        ...
+
+
 class Dispatcher:
     """Claims heats for one machine's workers and hands in their results.
 
@@ -57,7 +100,7 @@ class Dispatcher:
 
     def __init__(
         self,
-        store: Store,
+        store: HeatSource,
         executor: Executor,
         *,
         lease_s: float = LEASE_S,
@@ -140,7 +183,8 @@ class Dispatcher:
     def _renew_leases(self) -> None:
         now = time.monotonic()
         if self.running and now - self._renewed_s > self._lease_s / 6:
-            self._store.heartbeat(self.name, lease_s=self._lease_s)
+            keys = list(self.running)
+            self._store.heartbeat(self.name, lease_s=self._lease_s, keys=keys)
             self._renewed_s = now
 
     def _hand_in(self, reports: list[HeatReport]) -> list[FinishedHeat]:
@@ -167,7 +211,7 @@ class Dispatcher:
         return FinishedHeat(running, report, state)
 
 
-def heat_driver(store: Store, entry: Entry) -> HeatDriver:
+def heat_driver(store: HeatSource, entry: Entry) -> HeatDriver:
     """Return an entry as a worker needs it."""
     if entry.kind == "scripted":
         return HeatDriver(entry.id, entry.name, scripted=str(entry.card["driver"]))

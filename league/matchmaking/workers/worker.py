@@ -20,13 +20,14 @@ from league.errors import ConfigError
 from league.matchmaking.pairing.heat_spec import Half, Ruleset
 from league.matchmaking.ratings import Finish, places_of
 from league.matchmaking.store.records import HeatOutcome, RaceOutcome
-from league.sim.version import PHYSICS
+from league.sim import PHYSICS
 
 if TYPE_CHECKING:
     from league.agents.checkpoint import Checkpoint
     from league.agents.driver import Driver
     from league.race_spec import RaceResult
     from league.racing.race import FinishedRace, RaceJob
+    from league.replay.replay import Columns
     from league.sim.config import CarConfig
     from league.track.track import Track, TrackSet
 
@@ -201,15 +202,20 @@ def _trim(kept: OrderedDict[Any, Any]) -> None:
 
 
 def outcome_of(finished: FinishedRace, *, keep_replay: bool = True) -> RaceOutcome:
-    """Return a race's outcome as the store keeps it.
-
-    The result holds the hash of every step's state and action, so that an audit notices a race
-    that went another way to the same places.
-    """
+    """Return a race's outcome as the store keeps it."""
     from league.replay import format as replay_format
 
     assert finished.replay is not None
-    columns, result = finished.replay.columns, finished.result
+    content = replay_format.encode(finished.replay) if keep_replay else None
+    return outcome_in(finished.result, finished.replay.columns, content)
+
+
+def outcome_in(result: RaceResult, columns: Columns, replay: bytes | None) -> RaceOutcome:
+    """Return the outcome that follows from a race's classification and its recorded columns.
+
+    It holds the hash of every step's state and action, so that an audit notices a race that went
+    another way to the same places.
+    """
     document = result.model_dump(mode="json", exclude={"spec", "events"})
     if result.spec.rules == "deepracer":
         # Results of leagues made before the other rules hold no touches; an audit compares hashes.
@@ -217,11 +223,7 @@ def outcome_of(finished: FinishedRace, *, keep_replay: bool = True) -> RaceOutco
             del car["touches"]
     document["faults"] = sum(event.kind == "driver_fault" for event in result.events)
     document["trace"] = hashlib.sha256(columns.checksum.astype("<u4").tobytes()).hexdigest()
-    return RaceOutcome(
-        places=places(result),
-        result=document,
-        replay=replay_format.encode(finished.replay) if keep_replay else None,
-    )
+    return RaceOutcome(places=places(result), result=document, replay=replay)
 
 
 def places(result: RaceResult) -> tuple[int, ...]:

@@ -34,7 +34,7 @@ from league.sim.camera.scene import (
 from league.sim.camera.stage import NEAR, Lens, Stage, Thing
 from league.sim.camera.visual_randomization import Look
 from league.sim.config import CameraConfig, SimConfig, VisualRandomization
-from league.sim.world import World
+from league.sim.records import World
 from league.track.track import Rgb, TrackSet
 
 MODELS: tuple[Model, ...] = (CAR, FAR_CAR, BOX)

@@ -19,7 +19,7 @@ from league.portable_math import direction
 from league.sim.camera.raster import Pose
 from league.sim.camera.scene import BOT_COLOUR, BOX, BOX_COLOUR, CAR, CAR_COLOURS, Model, faded
 from league.sim.config import CameraConfig, SimConfig
-from league.sim.world import World, is_frozen
+from league.sim.records import World, is_frozen
 
 NEAR = 0.02
 """Nothing nearer to a camera's plane than this is seen [m]."""
@@ -178,11 +178,7 @@ def _turned(
 ) -> tuple[float, float, float, float, float, float]:
     """Return cosine and sine of a camera's yaw, downward tilt and roll about its view.
 
-    Args:
-        cos: cosine of the body's yaw.
-        sin: sine of the body's yaw.
-        body: axes of the body, as _axes returns them.
-        tilt: cosine and sine of the camera's tilt on the body.
+    `cos` and `sin` are of the body's yaw, `tilt` those of the camera's tilt on the body.
     """
     ahead, aside, rise = (tilt[0] * x - tilt[1] * z for x, _, z in body)  # the view
     flat = math.sqrt(ahead * ahead + aside * aside)

@@ -14,7 +14,7 @@ from league.sim.camera.raster import Pose
 from league.sim.camera.scene import BOX, CAR, GLASS, lit
 from league.sim.camera.stage import Lens, Stage, Thing
 from league.sim.config import SimConfig
-from league.sim.world import World
+from league.sim.records import World
 from league.track.markings import SHIFT, Plan, placed
 from league.track.track import Track, TrackSet
 

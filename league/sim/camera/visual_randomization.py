@@ -12,7 +12,7 @@ import numpy as np
 
 from league.sim import rng
 from league.sim.config import VisualRandomization
-from league.sim.world import World
+from league.sim.records import World
 
 # Purposes of the draws (see league.sim.rng): any numbers that nothing else uses.
 _LIGHT, _CHANNEL, _BODY, _BLUR, _NOISE, _PLACE = range(7_310_001, 7_310_007)

@@ -23,8 +23,8 @@ import numpy as np
 from league.errors import ConfigError
 from league.sim.config import SimConfig
 from league.sim.physics import suspension
+from league.sim.records import is_frozen
 from league.sim.settings import HALF_WALL, RESTITUTION_FROM, settings
-from league.sim.world import is_frozen
 
 MAX_WORLDS = 1000
 """PyBullet keeps at most 1,024 simulations in a process."""

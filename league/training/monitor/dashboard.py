@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from league.training.monitor.callback import TrainingCallback
+from league.training.monitor.history import TrainingCallback
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
@@ -44,15 +44,9 @@ class Dashboard(TrainingCallback):
         *,
         console: Console | None = None,
     ) -> None:
-        """Open the dashboard.
+        """Open the dashboard of a budget of wall time [s] or decisions; None: no limit.
 
-        Args:
-            cfg: settings of the run.
-            budget_s: wall time after which training stops [s]; None: no limit.
-            budget_steps: decisions after which it stops; None: no limit.
-            name: of the policy.
-            plain: print a line every few seconds even where the dashboard could be drawn.
-            console: by default stdout.
+        `plain`: print a line every few seconds even where the dashboard could be drawn.
         """
         from rich.console import Console
         from rich.live import Live
@@ -360,13 +354,9 @@ def self_play(history: History) -> str:
 def resampled(
     at: Sequence[float], values: Sequence[float | None], until: float, width: int
 ) -> list[float | None]:
-    """Return the mean value in each of `width` columns of 0 to `until`; empty ones repeat the last.
+    """Return the mean in each of `width` columns of 0 to `until`; empty ones repeat the last.
 
-    Args:
-        at: position of each value, rising.
-        values: None and NaN are skipped.
-        until: right end of the axis.
-        width: columns.
+    `at` are the values' places, rising; None and NaN are skipped.
     """
     sums, counts = [0.0] * width, [0] * width
     for place, value in zip(at, values, strict=True):

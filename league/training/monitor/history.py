@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from io import BufferedWriter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, Protocol
 
 from pydantic import BeforeValidator, ConfigDict, Discriminator, TypeAdapter
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from league.racing.table import Evaluation
     from league.training.ppo.learner import Update
     from league.training.ppo.statistics import EpisodeStatistics
+
 
 FORMAT = 1
 TEACHING = "/teacher/learning"
@@ -197,12 +198,8 @@ class History:
     ) -> EvaluationRow:
         """Add an evaluation of the policy as it was after update `number`, by default the last.
 
-        Args:
-            evaluation: the table of trials.
-            time_s: wall time of the run so far [s].
-            took_s: how long learning waited for it [s].
-            best: whether the policy is the best so far.
-            number: updates before it.
+        `time_s` is the wall time of the run so far, `took_s` how long learning waited for it [s];
+        `best` says whether the policy is the best so far.
         """
         number = self.number if number is None else number
         samples = next((row.samples for row in self.updates if row.number == number), 0)
@@ -289,3 +286,22 @@ def read(path: Path) -> list[Row]:
 
 def _line(row: Row) -> bytes:
     return _ROW.dump_json(row) + b"\n"
+
+
+class TrainingCallback(Protocol):
+    """Shows or writes the metrics of a run, which is the same without it."""
+
+    def update(self, history: History, update: Update) -> None:
+        """Called after an update, which is the last row of the history."""
+        ...
+
+    def evaluated(self, history: History, evaluation: Evaluation) -> None:
+        """Called after an evaluation, which is the last row of the history."""
+        ...
+
+    def racing(self, what: str) -> None:
+        """Called before races after the last update, which take a while. Optional."""
+
+    def close(self) -> None:
+        """Called once at the end, also after an error or Ctrl-C."""
+        ...

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 from league import figures
 from league.errors import PolicyError
 from league.figures import GRID, INK
-from league.training.monitor.callback import TrainingCallback
 from league.training.monitor.dashboard import clock
-from league.training.monitor.history import TEACHING
+from league.training.monitor.history import TEACHING, TrainingCallback
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

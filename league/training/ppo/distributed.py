@@ -81,10 +81,7 @@ def rsl_rl_settings() -> dict[str, int] | None:
 
 
 def join(device: str) -> None:
-    """Initialise torch.distributed if launched by torchrun. Idempotent.
-
-    Args:
-        device: this rank's own.
+    """Initialise torch.distributed, for this rank's device, if launched by torchrun. Idempotent.
 
     Raises:
         ConfigError: the other ranks cannot be reached.

@@ -64,11 +64,7 @@ class Learner:
     """
 
     def __init__(self, env: RacingVecEnv, cfg: TrainConfig) -> None:
-        """Build networks and storage.
-
-        Args:
-            env: the worlds, with pictures as bytes.
-            cfg: settings of the run; the device is this rank's own.
+        """Build networks and storage; `env` has pictures as bytes, `cfg` this rank's device.
 
         Raises:
             ConfigError: the other ranks cannot be reached.
@@ -137,9 +133,7 @@ class Learner:
     def update(self, share: float) -> Update:
         """Collect one round of steps and learn from it.
 
-        Args:
-            share: share of the budget that is used up, 0 to 1, for the schedules; that of the
-                first rank counts.
+        The first rank's `share` of the budget that is used up, 0 to 1, sets the schedules.
 
         Raises:
             LeagueError: a reward function or another rank has failed.

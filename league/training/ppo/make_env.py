@@ -24,6 +24,8 @@ from league.training.config import GRIP_SPREAD, TrainConfig
 
 _ENDLESS = 1000
 """Laps of a race in training: an episode is ended by a mistake or by time, not by the flag."""
+LEARNER_ATTACKS = 0.5
+"""Share of scenarios in which the only car that learns is sure to be the fastest of its group."""
 VISUAL_RANDOMIZATION = VisualRandomization(light=0.3, colour=0.15, noise=6.0, blur=0.6)
 
 
@@ -81,9 +83,14 @@ def make(
     reward: Reward | None = None,
 ) -> RacingVecEnv:
     """Build the worlds: in each, the cars without an opponent's driver learn."""
+    settings = env_config(cfg)
+    if opponents and settings.scenarios is not None:
+        # Attacks teach most, and the other cars' drivers do not learn from them.
+        scenarios = replace(settings.scenarios, learner=LEARNER_ATTACKS)
+        settings = replace(settings, scenarios=scenarios)
     return RacingVecEnv(
         tracks,
-        env_config(cfg),
+        settings,
         num_worlds=cfg.num_worlds,
         learners=[car for car in range(cfg.num_cars) if car not in (opponents or {})],
         opponents=opponents,

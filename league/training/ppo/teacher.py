@@ -77,13 +77,7 @@ class TaughtLearner(Learner):
     """A learner that lets its teacher learn first, and then learns from it, too."""
 
     def __init__(self, env: RacingVecEnv, cfg: TrainConfig, teacher: Teacher) -> None:
-        """Build networks and storage.
-
-        Args:
-            env: the worlds, with pictures as bytes.
-            cfg: settings of the run, with the teacher's share of the budget.
-            teacher: in worlds of its own.
-        """
+        """Build networks and storage; the teacher drives in worlds of its own."""
         self._teacher = teacher
         first, last = cfg.ppo.noise
         super().__init__(env, cfg.with_ppo(noise=(max(NOISE_SHARE * first, last), last)))

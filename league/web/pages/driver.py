@@ -10,15 +10,19 @@ from typing import Any
 from league.errors import StoreError
 from league.matchmaking import standings
 from league.matchmaking.history import history
+from league.matchmaking.pairing import matchmaker
 from league.matchmaking.scores import best_laps, race_scores
 from league.matchmaking.standings import HeadToHead, HistoryPoint, Row, Standings
-from league.matchmaking.store import Entry
+from league.matchmaking.store import Entry, HeatRecord
 from league.track import files
 from league.web import charts, family, season_marks
 from league.web.medals import medal
 from league.web.pages.seasons import frozen
 from league.web.reader import Document, Reader
 
+FIRST_HEATS = 8
+"""Heats of a new entry that are followed live."""
+OVER = ("done", "error", "quarantined", "cancelled")
 HEATS = 14
 """Newest heats that are listed."""
 NEIGHBOURS = 10
@@ -52,12 +56,23 @@ def document(reader: Reader, number: int) -> Document:
         "laps": _laps(reader, rated, number) if rated and row else [],
         "heats": reader.listed(over[-HEATS:][::-1]),
         "waiting": len(waiting),
+        "joining": _joining(reader, entry, raced),
         "card": _card(entry),
         "ancestors": family.ancestors(entries, entry),
         "children": [
             {"number": one.number, "name": one.name} for one in family.children(entries, entry)
         ],
     }
+
+
+def _joining(reader: Reader, entry: Entry, raced: list[HeatRecord]) -> Document | None:
+    """Return how far a new entry is: what it waits for, and its first heats; None for others."""
+    first = raced[:FIRST_HEATS]
+    over = len(first) == FIRST_HEATS and all(one.state in OVER for one in first)
+    if entry.anchor or over or entry.state not in ("pending", "validating", "placement"):
+        return None
+    waits = "" if entry.state == "placement" else matchmaker.waits_for(reader.store, entry)
+    return {"waits_for": waits, "heats": reader.listed(first)}
 
 
 def _neighbours(rated: Standings, row: Row) -> list[tuple[Row, HeadToHead | None]]:

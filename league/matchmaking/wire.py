@@ -1,0 +1,330 @@
+"""What a served league and its remote workers send each other, as JSON that is checked."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Annotated, Any, cast
+
+from pydantic import AfterValidator, Field, ValidationError, model_validator
+
+from league.errors import LeagueError, StoreError
+from league.matchmaking.pairing.heat_spec import Half, Heat, Purpose, Ruleset, canonical
+from league.matchmaking.store import (
+    Entry,
+    HeatOutcome,
+    HeatRecord,
+    HeatState,
+    RaceOutcome,
+    Received,
+)
+from league.matchmaking.workers.worker import outcome_in
+from league.race_spec import CarResult, FrozenModel, printable
+from league.sim.config import MAX_CARS
+
+MOST_HEATS = 64
+"""Heats of one message."""
+MOST_REPLAY = 4 << 20
+"""Bytes of a recording that a worker may send, as Base64."""
+Key = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+"""SHA-256."""
+WorkerName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.\-]{1,80}$")]
+"""Unique among the workers of a token."""
+LeaseS = Annotated[float, Field(ge=1, le=600)]
+
+
+class Claim(FrozenModel):
+    """Asks for heats."""
+
+    worker: WorkerName
+    limit: Annotated[int, Field(ge=1, le=MOST_HEATS)] = 1
+    """Heats at most."""
+    lease_s: LeaseS = 60.0
+    """They are lent again after this time without a sign [s]."""
+    physics: Annotated[str, Field(max_length=40)]
+    """Version of the worker's physics, which must be the league's."""
+
+
+class LentRace(FrozenModel):
+    """One race of a lent heat."""
+
+    track: str
+    grid: tuple[str, ...]
+    """Entry ids in grid order."""
+    seed: int
+
+
+class LentHeat(FrozenModel):
+    """A heat to race."""
+
+    key: str
+    number: int
+    ruleset: str
+    """Hash of its rules."""
+    races: tuple[LentRace, ...]
+    draw: int
+    purpose: str
+    audits: str
+    attempts: int
+
+
+class LentEntry(FrozenModel):
+    """A driver as a worker needs it."""
+
+    name: str
+    driver: str = ""
+    """Name of the scripted driver; empty for a policy."""
+    blob: str = ""
+    """SHA-256 of a policy's weights."""
+
+
+class Lent(FrozenModel):
+    """Heats that a worker was lent, and what it needs to race them."""
+
+    heats: tuple[LentHeat, ...] = ()
+    rulesets: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    """Settings by hash."""
+    entries: dict[str, LentEntry] = Field(default_factory=dict)
+    """Drivers by id."""
+
+
+class Renewal(FrozenModel):
+    """Renews leases."""
+
+    worker: WorkerName
+    lease_s: LeaseS = 60.0
+    keys: Annotated[tuple[Key, ...], Field(max_length=1000)] = ()
+    """Of the heats that it races."""
+
+
+class Held(FrozenModel):
+    """Heats that a worker still holds."""
+
+    keys: tuple[str, ...] = ()
+
+
+class _Document(FrozenModel):
+    """A race's result as the store keeps it."""
+
+    order: Annotated[tuple[CarResult, ...], Field(min_length=1, max_length=MAX_CARS)]
+    steps: Annotated[int, Field(ge=0)]
+    race_s: Annotated[float, Field(ge=0)]
+    lead_changes: Annotated[int, Field(ge=0)]
+    faults: Annotated[int, Field(ge=0)]
+    trace: Key
+
+
+class SentRace(FrozenModel):
+    """How one race ended."""
+
+    places: Annotated[
+        tuple[Annotated[int, Field(ge=1, le=MAX_CARS)], ...],
+        Field(min_length=1, max_length=MAX_CARS),
+    ]
+    """Place of the car in each grid slot."""
+    result: dict[str, Any]
+    """The classification, as `league heat --json` prints it."""
+    replay: Annotated[str, Field(max_length=MOST_REPLAY)] = ""
+    """The recording in Base64; empty if none is kept."""
+
+    @model_validator(mode="after")
+    def _is_a_result(self) -> SentRace:
+        document = _Document.model_validate(self.result)
+        again = canonical(document.model_dump(mode="json", exclude_unset=True))
+        if again != canonical(self.result):
+            raise ValueError("the result is not written as a race's: send what the worker made")
+        return self
+
+
+class SentHeat(FrozenModel):
+    """How a heat ended."""
+
+    key: Key
+    races: Annotated[tuple[SentRace, ...], Field(min_length=1, max_length=16)]
+    machine: Annotated[str, Field(max_length=200), AfterValidator(printable)] = ""
+    """Class of the machine; empty where races have the same bits on all."""
+
+
+class Sent(FrozenModel):
+    """Results of heats."""
+
+    worker: WorkerName
+    heats: Annotated[tuple[SentHeat, ...], Field(max_length=MOST_HEATS)]
+
+
+class Failure(FrozenModel):
+    """A heat that could not be raced."""
+
+    worker: WorkerName
+    key: Key
+    traceback: Annotated[str, Field(max_length=20_000)] = ""
+    lost: bool = False
+    """Whether its process was killed, which is no failed try."""
+
+
+class State(FrozenModel):
+    """State of a heat."""
+
+    state: HeatState
+
+
+def lent(
+    records: Sequence[HeatRecord], rules: Mapping[str, Ruleset], entries: Mapping[str, Entry]
+) -> Lent:
+    """Return lent heats as they are sent.
+
+    Args:
+        records: the heats, with their seeds.
+        rules: the league's rulesets by hash.
+        entries: the league's entries by id.
+    """
+    ids = sorted({id for record in records for id in record.heat.entries})
+    return Lent(
+        heats=tuple(map(_lent_heat, records)),
+        rulesets={one.heat.ruleset: asdict(rules[one.heat.ruleset]) for one in records},
+        entries={
+            id: LentEntry(name=entries[id].name, driver=str(entries[id].card["driver"]))
+            if entries[id].kind == "scripted"
+            else LentEntry(name=entries[id].name, blob=entries[id].blob)
+            for id in ids
+        },
+    )
+
+
+def _lent_heat(record: HeatRecord) -> LentHeat:
+    heat, seeds = record.heat, record.seeds or ()
+    return LentHeat(
+        key=heat.key,
+        number=record.number,
+        ruleset=heat.ruleset,
+        races=tuple(
+            LentRace(track=half.track, grid=half.grid, seed=seed)
+            for half, seed in zip(heat.halves, seeds, strict=True)
+        ),
+        draw=heat.draw,
+        purpose=heat.purpose,
+        audits=heat.audits,
+        attempts=record.attempts,
+    )
+
+
+def record_of(sent: LentHeat, worker: str) -> HeatRecord:
+    """Return a heat that came over the wire.
+
+    Raises:
+        StoreError: its key is not that of its content.
+    """
+    halves = tuple(Half(one.track, one.grid) for one in sent.races)
+    heat = Heat(sent.ruleset, halves, sent.draw, cast("Purpose", sent.purpose), sent.audits)
+    if heat.key != sent.key:
+        raise StoreError(
+            f"heat {sent.number} came with another key than its content has: use the same version "
+            "of the program as the server"
+        )
+    return HeatRecord(
+        heat=heat,
+        number=sent.number,
+        state="claimed",
+        worker=worker,
+        attempts=sent.attempts,
+        traceback="",
+        seeds=tuple(one.seed for one in sent.races),
+        created_s=0.0,
+        done_s=None,
+    )
+
+
+def entry_of(id: str, sent: LentEntry) -> Entry:
+    """Return an entry that came over the wire, with what racing it needs."""
+    card = {"driver": sent.driver} if sent.driver else {"blob": sent.blob}
+    kind = "scripted" if sent.driver else "policy"
+    return Entry(0, id, sent.name, "", kind, False, "ranked", "", card, 0.0)
+
+
+def sent_heat(outcome: HeatOutcome) -> SentHeat:
+    """Return a heat's results as they are sent."""
+    races = tuple(
+        SentRace(
+            places=one.places,
+            result=dict(one.result),
+            replay=base64.b64encode(one.replay or b"").decode("ascii"),
+        )
+        for one in outcome.races
+    )
+    return SentHeat(key=outcome.key, races=races, machine=outcome.machine)
+
+
+def outcome_of(sent: SentHeat, record: HeatRecord, names: Mapping[str, str]) -> HeatOutcome:
+    """Return the results that a stranger's worker sent, checked as far as one can without racing.
+
+    A recording must be of this race, and the result must be what follows from it.
+
+    Args:
+        sent: the results.
+        record: the heat, with its seeds.
+        names: of entries, by id.
+
+    Raises:
+        StoreError: they contradict the heat, or each other.
+    """
+    halves, seeds = record.heat.halves, record.seeds or ()
+    if len(sent.races) != len(halves):
+        raise StoreError(f"heat {record.number} has {len(halves)} races, {len(sent.races)} came")
+    races = []
+    for race, half, seed in zip(sent.races, halves, seeds, strict=True):
+        if not len(race.places) == len(race.result["order"]) == len(half.grid):
+            raise StoreError(f"a race of heat {record.number} has {len(half.grid)} cars: send all")
+        outcome = RaceOutcome(race.places, race.result, _replay(race))
+        if outcome.replay is not None:
+            _check_recording(outcome, half, seed, [names[id] for id in half.grid], record.number)
+        races.append(outcome)
+    return HeatOutcome(sent.key, tuple(races), sent.machine)
+
+
+def _replay(race: SentRace) -> bytes | None:
+    try:
+        return base64.b64decode(race.replay, validate=True) or None
+    except (binascii.Error, ValueError) as error:
+        raise StoreError("a recording is no Base64: send it as the worker made it") from error
+
+
+def _check_recording(
+    outcome: RaceOutcome, half: Half, seed: int, names: list[str], number: int
+) -> None:
+    from league.replay import format as replay_format
+
+    try:
+        replay = replay_format.decode(outcome.replay or b"")
+    except LeagueError as error:
+        raise StoreError(f"a recording of heat {number} {error}") from error
+    spec = replay.result.spec
+    if (spec.track, spec.seed, [one.name for one in spec.entries]) != (half.track, seed, names):
+        raise StoreError(f"a recording of heat {number} is of another race: send its own")
+    if outcome_in(replay.result, replay.columns, outcome.replay) != outcome:
+        raise StoreError(f"a result of heat {number} does not follow from its recording: send both")
+
+
+def received_of(answer: Mapping[str, Any]) -> Received:
+    """Return what a server did with results."""
+    try:
+        fields = {name: tuple(map(str, answer[name])) for name in Received.__dataclass_fields__}
+    except (KeyError, TypeError) as error:
+        raise StoreError("the server's answer about results is not one of a league's") from error
+    return Received(**fields)
+
+
+def checked(model: type[FrozenModel], content: bytes) -> Any:  # noqa: ANN401
+    """Return a server's answer, checked.
+
+    Raises:
+        StoreError: it is not what a league of this version answers.
+    """
+    try:
+        return model.model_validate_json(content)
+    except ValidationError as error:
+        raise StoreError(
+            "the server does not answer as a league of this version does: use the same version of "
+            "the program on both machines"
+        ) from error
