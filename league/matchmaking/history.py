@@ -54,7 +54,7 @@ def history(store: Store, entry: Entry, *, points: int = 20) -> list[HistoryPoin
 
 
 TREND_HEATS = 50
-"""Newest heats of a season, at most half of them, whose effect on a rating is its trend."""
+"""So many of a season's newest heats, at most half of them, make the trend of a rating."""
 
 
 def trends(store: Store, rated: Standings) -> dict[int, float]:

@@ -21,7 +21,7 @@ class Scope:
     races: Races
     """Rated races."""
     season: Season | None
-    """None in a league without seasons, whose races all count."""
+    """None in a league without seasons: all its races count."""
     carried: Carried | None
     """Ratings of the season before, if it had the same rules."""
 

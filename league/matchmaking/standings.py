@@ -96,7 +96,7 @@ class Standings:
     tracks: tuple[str, ...] = ()
     """Tracks of the ruleset."""
     season: Season | None = None
-    """The season whose races these are; None in a league without seasons."""
+    """The season that the races belong to; None in a league without seasons."""
 
     def row(self, number: int, name: str = "") -> Row:
         """Return an entry's line by its number; its name is for the error only.
@@ -202,7 +202,7 @@ def table(
         races: of one ruleset; those that count.
         ruleset: its hash.
         tracks: its tracks.
-        season: whose races they are.
+        season: that they belong to.
         carried: what was known before it.
     """
     data = _data(results_of(races), entries)

@@ -115,7 +115,7 @@ PAGES = (
     Page("/tracks", "The tracks, and the fastest laps on each", tracks.document, "tracks.html"),
     Page("/time-attack", "The fastest clean laps on each track, for each kind of race",
          boards.document, "boards.html",
-         query={"kind": "Kind of race: head_to_head, time_trial or obstacle_avoidance"}),
+         query={"races": "Kind of race: head_to_head, time_trial or obstacle_avoidance"}),
     Page("/seasons", "Past seasons with their trophies, and cups", seasons.document, "seasons.html",
          parts={"running": Season | None}),
     Page("/seasons/{number:number}", "A season's final standings and trophies", seasons.season,

@@ -14,12 +14,16 @@ from league.matchmaking.store.database import Database
 
 TRACKS = ("ring", "square")
 RULES = Ruleset(tracks=TRACKS, laps=2)
-FIRST_VERSION = (
+WITHOUT_SEASONS = (
     "DROP TABLE tokens",
     "DROP TABLE divisions",
     "DROP TABLE cups",
     "DROP TABLE seasons",
     "ALTER TABLE races DROP COLUMN driven",
+)
+"""Statements that take away what versions after 0003 added to a league's tables."""
+FIRST_VERSION = (
+    *WITHOUT_SEASONS,
     "ALTER TABLE results DROP COLUMN rejected",
     "ALTER TABLE results DROP COLUMN machine",
     "DROP TABLE ledger",

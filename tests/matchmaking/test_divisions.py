@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +21,8 @@ def field(**elo):
     values = np.array(list(elo.values()), float)
     order = np.argsort(-values, kind="stable")
     sd = np.full(len(values), 20.0)
-    return SimpleNamespace(entries=numbers, elo=values, sd=sd, order=lambda: order)
+    fitted: Any = SimpleNamespace(entries=numbers, elo=values, sd=sd, order=lambda: order)
+    return fitted
 
 
 def safe(rating, corners=200.0):

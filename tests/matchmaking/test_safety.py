@@ -9,7 +9,7 @@ import pytest
 
 from league.matchmaking import safety, scores, store
 from league.matchmaking.pairing.heat_spec import Ruleset, mirrored
-from league.matchmaking.store import results
+from league.matchmaking.store import drives
 from league.track import files
 from league.track.corners import corners
 from tests.matchmaking import leagues
@@ -20,7 +20,7 @@ LENGTH = files.load("reinvent_2018").length
 
 def car(number, laps, **faults):
     """Return a car's line in a result, after so many laps of reinvent_2018."""
-    none = dict.fromkeys(results.FAULTS, 0)
+    none = dict.fromkeys(drives.FAULTS, 0)
     return {
         **none,
         "car": number,
@@ -42,7 +42,7 @@ def league(url):
 def race(league, *orders, draw=0):
     """Race a heat of the two entries on reinvent_2018, and return its number."""
     ids = tuple(entry.id for entry in league.entries())
-    league.plan([mirrored(RULES.hash, ("reinvent_2018",) * 2, ids, draw)])
+    league.plan([mirrored(RULES.hash, ("reinvent_2018", "reinvent_2018"), ids, draw)])
     (claim,) = league.claim("w")
     races = tuple(store.RaceOutcome((1, 2), {"order": order}) for order in orders)
     league.complete("w", [store.HeatOutcome(claim.heat.key, races)])
@@ -113,7 +113,8 @@ def test_an_upgrade_fills_in_what_old_results_hold(league, url):
     before = safety.of(league)
     assert before[1].points == 1
     league.close()
-    leagues.change(url, *leagues.FIRST_VERSION[:4], "UPDATE alembic_version SET version_num='0003'")
+    version = "UPDATE alembic_version SET version_num = '0003'"
+    leagues.change(url, *leagues.WITHOUT_SEASONS, version)
     assert "2 races tell their incidents" in store.upgrade(url)
     with store.Store(url) as again:
         assert safety.of(again) == before

@@ -122,6 +122,30 @@ def test_ratings_carry_over_as_a_prior_less_sure(league):
     assert standings.of(league).num_races == 6
 
 
+def test_entries_begin_in_the_divisions_they_were_in_unless_rules_change(league):
+    race(league, 12)
+    first = seasons.start(league)
+    moves = [
+        store.Move(1, 1, 1, 0, "start"),
+        store.Move(1, 2, 2, 0, "start"),
+        store.Move(1, 3, 1, 0, "start"),
+        store.Move(4, 1, 2, 9, "rating"),
+        store.Move(4, 2, 1, 9, "rating"),
+        store.Move(4, 3, 0, 9, "left"),
+    ]
+    league.move_divisions(first.number, moves)
+    seasons.end(league)
+    second = seasons.start(league)
+    kept = league.division_moves(second.number)
+    assert divisions.assigned(kept) == {1: 2, 2: 1}
+    assert {(one.round, one.heat, one.reason) for one in kept} == {(0, 12, "start")}
+    assert league.verify().mismatches == []
+    race(league, 3, first=12)
+    seasons.end(league)
+    league.set_ruleset(replace(leagues.RULES, laps=5))
+    assert league.division_moves(seasons.start(league).number) == []
+
+
 def test_ratings_begin_again_under_other_rules(league):
     race(league, 30)
     seasons.end(league)

@@ -91,14 +91,14 @@ def test_standings_and_drivers_show_division_safety_and_trend(client):
 def test_boards_have_clean_laps_by_kind(client, store):
     document = client.get("/api/v1/time-attack").json()
     assert [one["kind"] for one in document["kinds"]] == ["head_to_head", "time_trial"]
-    alone = client.get("/api/v1/time-attack?kind=time_trial").json()
+    alone = client.get("/api/v1/time-attack?races=time_trial").json()
     (board,) = alone["boards"]
     for lap in board["laps"]:
         row = store.results(lap["heat"])[lap["race"] - 1].result["order"][0]
         assert min(row["lap_times_s"]) == pytest.approx(lap["lap_s"], abs=0.001)
         assert row["off_tracks"] == row["crashes"] == 0
     assert board["laps"]
-    assert client.get("/time-attack?kind=golf").status_code == 404
+    assert client.get("/time-attack?races=golf").status_code == 404
 
 
 def test_each_link_to_a_definition_leads_to_one(client):
@@ -118,7 +118,7 @@ def test_files_of_a_site_include_the_seasons(store, tmp_path):
     site.export(store, tmp_path / "site", heats=2)
     names = {str(path.relative_to(tmp_path / "site")) for path in tmp_path.rglob("*.html")}
     assert {"seasons.html", "seasons/1.html", "cups/1.html", "definitions.html"} <= names
-    assert {"time-attack.html", "time-attack-kind-time_trial.html"} <= names
+    assert {"time-attack.html", "time-attack-races-time_trial.html"} <= names
 
 
 def test_a_league_without_seasons_says_so(tmp_path):

@@ -79,7 +79,7 @@ class Season:
 
 @dataclass(frozen=True)
 class Cup:
-    """A knock-out competition beside the ratings."""
+    """A knock-out competition that counts for no rating."""
 
     number: int
     """From 1."""

@@ -188,7 +188,7 @@ races = Table(
     sqlite_autoincrement=True,
 )
 """Races that count: at most one result per race of a heat. `packed`: see results.packed; `driven`:
-see results.driven."""
+see drives.driven."""
 
 results = Table(
     "results",

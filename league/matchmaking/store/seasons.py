@@ -57,6 +57,8 @@ def start(
 ) -> Season:
     """Begin a season with the heats after the last one's; the first one has all heats so far.
 
+    If the rules stayed, entries begin in the divisions that they were in.
+
     Raises:
         StoreError: one is running, or has this name.
     """
@@ -82,6 +84,10 @@ def start(
     begun = listed(connection)[-1]
     append(connection, [_beginning(begun)])
     log_event(connection, now, "league", "season start", name)
+    if last is not None and last.ruleset == begun.ruleset:
+        were = {one.entry: one.division for one in moves_of(connection, last.number)}
+        stay = [Move(0, entry, at, begun.after, "start") for entry, at in were.items() if at]
+        move(connection, now, number, stay)
     return begun
 
 
@@ -186,7 +192,7 @@ def ledger_records(connection: sa.Connection) -> Iterator[Record]:
 
 
 def damaged(connection: sa.Connection, table: sa.Table) -> list[str]:
-    """Return the names of seasons or cups whose frozen documents differ from their hashes."""
+    """Return the names of seasons or cups with documents that differ from their hashes."""
     query = sa.select(table.c.name, table.c.hash, table.c.document).where(table.c.hash.is_not(None))
     return [row.name for row in connection.execute(query) if not _is_intact(row)]
 

@@ -15,6 +15,7 @@ from league.matchmaking.pairing.heat_spec import Heat, Ruleset
 from league.matchmaking.store import (
     blobs,
     cups,
+    drives,
     entries,
     integrity,
     queue,
@@ -491,7 +492,7 @@ def upgrade(url: str) -> list[str]:
             database.lock(connection)
             steps = schema.migrate(connection)
             if version < "0004":
-                steps.append(f"{results.fill_driven(connection)} races tell their incidents")
+                steps.append(f"{drives.fill_driven(connection)} races tell their incidents")
             if version < "0003":
                 steps.append(f"{integrity.adopt(connection)} records begin the ledger")
             return steps

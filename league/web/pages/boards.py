@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from typing import cast
-
 from league.matchmaking.scores import BestLap, time_attack
-from league.sim.config import RaceKind
 from league.track import files
 from league.web import medals
 from league.web.reader import Document, NotFoundError, Reader
@@ -19,12 +16,12 @@ TITLES = {
 }
 
 
-def document(reader: Reader, kind: str = "") -> Document:
+def document(reader: Reader, races: str = "") -> Document:
     """Return the boards of one kind of race; by default that of the present rules."""
     kinds = sorted({rules.kind for rules in reader.store.rulesets().values()})
-    asked = kind or reader.store.settings.ruleset.kind
-    shown = cast(RaceKind, asked)
-    if shown not in kinds:
+    asked = races or reader.store.settings.ruleset.kind
+    shown = next((one for one in kinds if one == asked), None)
+    if shown is None:
         raise NotFoundError(f"This league has races of the kinds {', '.join(kinds)}.")
     done = reader.store.counts().get("done", 0)
     boards = reader.kept(("boards", shown, done), lambda: time_attack(reader.store, shown))
