@@ -84,9 +84,9 @@ class Lent(FrozenModel):
     """Heats that a worker was lent, and what it needs to race them."""
 
     heats: tuple[LentHeat, ...] = ()
-    rulesets: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    rulesets: dict[str, dict[str, Any]] = Field(default_factory=dict[str, dict[str, Any]])
     """Settings by hash."""
-    entries: dict[str, LentEntry] = Field(default_factory=dict)
+    entries: dict[str, LentEntry] = Field(default_factory=dict[str, LentEntry])
     """Drivers by id."""
 
 

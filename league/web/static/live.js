@@ -9,6 +9,7 @@ async function refresh() {
   if (!answer?.ok) return;
   const page = new DOMParser().parseFromString(await answer.text(), "text/html");
   const [old, now] = [document, page].map((one) => one.querySelector("[data-live]"));
+  if (old && !now) location.reload(); // it is over: the page has something else to show
   // A link that has the focus would lose it.
   if (old && now && old.innerHTML !== now.innerHTML && !old.contains(document.activeElement)) {
     old.replaceChildren(...document.adoptNode(now).childNodes);
