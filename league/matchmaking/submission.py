@@ -228,7 +228,7 @@ def sketch(policy: Checkpoint) -> list[float]:
     return [float(f"{value:.8g}") for value in sums]
 
 
-def accept(store: Store, content: bytes, name: str, owner: str) -> Entry:
+def accept(store: Store, content: bytes, name: str, owner: str, *, download: bool = False) -> Entry:
     """Check what an owner sent, and enter it; nothing is kept if it is refused.
 
     Args:
@@ -236,6 +236,7 @@ def accept(store: Store, content: bytes, name: str, owner: str) -> Entry:
         content: an entry, as `pack` makes it.
         name: shown to people.
         owner: its owner.
+        download: whether everyone may have the weights.
 
     Raises:
         LeagueError: it is not sound, its sensors are not stock, or its name is taken.
@@ -265,9 +266,12 @@ def accept(store: Store, content: bytes, name: str, owner: str) -> Entry:
             near = entry.name
     card = {**policy.card.model_dump(mode="json"), "digest": policy.digest, "sketch": vector}
     card |= {"near_copy_of": near} if near else {}
+    card |= {"download": True} if download else {}
     return store.submit(name, owner, weights=content, card=card, id=own)
 
 
-def submit(store: Store, path: str | os.PathLike[str], name: str, owner: str) -> Entry:
+def submit(
+    store: Store, path: str | os.PathLike[str], name: str, owner: str, *, download: bool = False
+) -> Entry:
     """Submit a checkpoint file: read and packed here, on its owner's machine, then handed in."""
-    return accept(store, pack(checkpoint.load(path)), name, owner)
+    return accept(store, pack(checkpoint.load(path)), name, owner, download=download)

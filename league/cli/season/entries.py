@@ -82,6 +82,8 @@ class Submit(OnLeague):
     """Name shown to people; by default the file's."""
     owner: str = ""
     """Its owner; by default your login name. Entries of one owner do not meet."""
+    download: bool = False
+    """Let everyone download the weights from the driver's page."""
 
     def run(self) -> int:
         """Run the command."""
@@ -94,12 +96,15 @@ class Submit(OnLeague):
         with self.opened() as store:
             name = self.name or Path(self.driver).stem
             if self.driver not in roster.NAMES:
-                entry = submission.submit(store, roster.checkpoint_path(self.driver), name, owner)
+                path = roster.checkpoint_path(self.driver)
+                entry = submission.submit(store, path, name, owner, download=self.download)
             else:
                 entry = store.submit(name, owner, scripted=self.driver, card={"name": name})
         if entry.name != name:
             print(f"These weights are entered already, as {entry.name}; {name} is not a new entry.")
         print(f"{entry.name} by {entry.owner}: entry {entry.id[:12]}, {entry.state}")
+        if self.download and not entry.downloadable:
+            print("It cannot be downloaded: only a policy can, from its first submission on.")
         if entry.near_copy_of:
             print(
                 f"Its weights are nearly those of {entry.near_copy_of}: it is labelled a near-copy."

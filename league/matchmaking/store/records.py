@@ -78,6 +78,11 @@ class Entry:
         """Name of the earlier entry with nearly the same weights; empty for none."""
         return str(self.card.get("near_copy_of", ""))
 
+    @property
+    def downloadable(self) -> bool:
+        """Whether its owner lets everyone have its weights."""
+        return self.kind == "policy" and self.card.get("download") is True
+
 
 @dataclass(frozen=True)
 class RaceOutcome:
