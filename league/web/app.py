@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from datetime import UTC, datetime
+from functools import partial
 from http import HTTPStatus
 from importlib import resources
 from typing import Any
@@ -27,6 +28,7 @@ from league.errors import LeagueError
 from league.matchmaking.documents import plain
 from league.matchmaking.store import Store
 from league.web import charts, openapi
+from league.web.downloads import DOWNLOADS
 from league.web.reader import NotFoundError, Reader
 from league.web.routes import PAGES, Page
 
@@ -102,6 +104,7 @@ def make_app(store: Store, *, exported: bool = False) -> ASGIApp:
     routes = [
         *(Route(one.path, page(one)) for one in PAGES if one.template),
         *(Route(one.api_path, data(one)) for one in PAGES if one.has_api),
+        *(Route(one.path, partial(one.respond, reader)) for one in DOWNLOADS),
         Route(openapi.PATH, lambda _: _json(openapi.document(store.settings.name))),
         *(Route(f"/static/{name}", _static(name)) for name in STATIC),
         Route("/favicon.ico", lambda _: RedirectResponse("/static/icon.svg", 308)),
@@ -169,7 +172,7 @@ def _static(name: str) -> Callable[[Request], Response]:
 
 
 class _SecurityHeaders:
-    """Adds `HEADERS` to every response, errors included."""
+    """Adds `HEADERS` to every response, errors included, where it has none of its own."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
@@ -177,7 +180,9 @@ class _SecurityHeaders:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
-                MutableHeaders(scope=message).update(HEADERS)
+                headers = MutableHeaders(scope=message)
+                for name, value in HEADERS.items():
+                    headers.setdefault(name, value)
             await send(message)
 
         await self._app(scope, receive, send_with_headers)

@@ -22,6 +22,10 @@ FRESH_S = 2.0
 """Standings are computed again when they are older than this [s] and asked for."""
 MOST_KEPT = 64
 """Recordings and other slow answers that are kept."""
+MOST_LARGE = 128 << 20
+"""Bytes of recordings for the viewer and of pictures that are kept."""
+MOST_WAITING = 4
+"""Requests that wait for a turn, see `Reader.large`; more are asked to come back."""
 T = TypeVar("T")
 Document = dict[str, Any]
 """The data of a page, or a part of it; documents.plain makes JSON of it."""
@@ -29,6 +33,10 @@ Document = dict[str, Any]
 
 class NotFoundError(LeagueError):
     """A driver, heat, race or recording that this league does not have."""
+
+
+class BusyError(LeagueError):
+    """Too many requests wait for slow answers."""
 
 
 class Reader:
@@ -40,6 +48,8 @@ class Reader:
         self._rated: Standings | None = None
         self._rated_s = float("-inf")
         self._kept: OrderedDict[Hashable, Any] = OrderedDict()
+        self._large: dict[Hashable, bytes] = {}
+        self._turn, self._waiting = threading.Lock(), threading.Semaphore(MOST_WAITING)
 
     def standings(self) -> Standings | None:
         """Return the standings of this moment or shortly before; None if no entry is rated."""
@@ -107,6 +117,30 @@ class Reader:
             if len(self._kept) > MOST_KEPT:
                 self._kept.popitem(last=False)
         return made
+
+    def large(self, key: Hashable, make: Callable[[], bytes]) -> bytes:
+        """Return what `make` returns, which takes seconds: only one is made at a time.
+
+        Args:
+            key: names all that the answer depends on.
+            make: makes it.
+
+        Raises:
+            BusyError: `MOST_WAITING` requests wait already.
+        """
+        if (known := self._large.get(key)) is not None:
+            return known
+        if not self._waiting.acquire(blocking=False):
+            raise BusyError("many wait for recordings and pictures: try again in half a minute")
+        try:
+            with self._turn:
+                if key not in self._large:  # it may have been made while this request waited
+                    self._large[key] = make()
+                    while sum(map(len, self._large.values())) > MOST_LARGE and len(self._large) > 1:
+                        self._large.pop(next(iter(self._large)))
+                return self._large[key]
+        finally:
+            self._waiting.release()
 
     def record(self, number: int) -> HeatRecord:
         """Return a heat by its number."""

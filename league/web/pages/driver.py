@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import heapq
 import itertools
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from league.matchmaking import standings
 from league.matchmaking.scores import best_laps, race_scores
 from league.matchmaking.standings import HeadToHead, Row, Standings
-from league.matchmaking.store import Entry
+from league.matchmaking.store import Entry, HeatRecord
 from league.track import files
+from league.video import strip
 from league.web import charts, family
 from league.web.medals import medal
-from league.web.reader import Document, Reader
+from league.web.reader import Document, Reader, accepted
 
 HEATS = 14
 """Newest heats that are listed."""
@@ -46,6 +48,7 @@ def document(reader: Reader, number: int) -> Document:
         "laps": _laps(reader, rated, number) if rated and row else [],
         "heats": reader.listed(over[-HEATS:][::-1]),
         "waiting": len(raced) - len(over),
+        "camera": _camera(reader, entry, over[-HEATS:][::-1]),
         "card": _card(entry),
         "ancestors": family.ancestors(entries, entry),
         "children": [
@@ -105,6 +108,27 @@ def _laps(reader: Reader, rated: Standings, number: int) -> list[Document]:
             }
         )
     return lines
+
+
+def _camera(reader: Reader, entry: Entry, records: Sequence[HeatRecord]) -> Document | None:
+    """Return the newest recorded race of an entry, and the moments that its film strip shows."""
+    for record in records:
+        results = reader.store.results(record.number)
+        for half, race in enumerate(record.heat.halves):
+            result = accepted(results, half)
+            if result is None or not result.replay or entry.id not in race.grid:
+                continue
+            car = race.grid.index(entry.id)
+            row = next(row for row in result.result["order"] if row["car"] == car)
+            total_s = row["total_s"] if row["finished"] else math.inf
+            return {
+                "heat": record.number,
+                "race": half + 1,
+                "car": car + 1,
+                "track": race.track,
+                "moments_s": strip.moments(total_s, result.result["race_s"]),
+            }
+    return None
 
 
 def _history(reader: Reader, entry: Entry, num_races: int) -> list[standings.HistoryPoint]:

@@ -53,13 +53,18 @@ def summary(reader: Reader, number: int, race: str = "") -> Document:
     return _summary(reader, _race(reader, number, race))
 
 
-def replay(reader: Reader, number: int, race: int) -> Document:
-    """Return what the player draws of a race."""
+def recording(reader: Reader, number: int, race: int) -> str:
+    """Return the hash of a race's recording."""
     reader.record(number)
     result = accepted(reader.store.results(number), race - 1)
     if result is None or not result.replay:
         raise NotFoundError(f"Heat {number} has no recording of a race {race}.")
-    return player_data(reader.replay(result.replay))
+    return result.replay
+
+
+def replay(reader: Reader, number: int, race: int) -> Document:
+    """Return what the player draws of a race."""
+    return player_data(reader.replay(recording(reader, number, race)))
 
 
 def one_file(reader: Reader, number: int, race: int) -> Document:
