@@ -25,12 +25,22 @@ def gaps_m(replay: Replay) -> np.ndarray:
 
 def gaps_s(replay: Replay) -> np.ndarray:
     """Return the time since the leader was where each car is now [s], (num_frames, num_cars)."""
-    front = np.maximum.accumulate(replay.columns.distance.max(axis=1))
-    times = replay.times_s
+    return seconds_behind(replay.columns.distance, replay.times_s)
+
+
+def seconds_behind(distance: np.ndarray, times_s: np.ndarray) -> np.ndarray:
+    """Return the time since the one in front was where each car is now [s].
+
+    Args:
+        distance: driven along the track [m], (num_frames, num_cars).
+        times_s: of the frames [s], (num_frames,).
+    """
+    lead = distance.max(axis=1)
+    front = np.maximum.accumulate(lead)
     # Where the front stands still, its first arrival counts.
     rises = np.concatenate([[True], np.diff(front) > 0])
-    first = np.interp(replay.columns.distance, front[rises], times[rises])
-    return np.maximum(times[:, None] - first, 0.0) * (gaps_m(replay) > 0)
+    first = np.interp(distance, front[rises], times_s[rises])
+    return np.maximum(times_s[:, None] - first, 0.0) * (distance < lead[:, None])
 
 
 def speeds(replay: Replay) -> np.ndarray:

@@ -28,6 +28,7 @@ from league.errors import LeagueError
 from league.matchmaking.documents import plain
 from league.matchmaking.store import Store
 from league.web import charts, openapi
+from league.web.answers import Answers
 from league.web.downloads import DOWNLOADS
 from league.web.reader import NotFoundError, Reader
 from league.web.routes import PAGES, Page
@@ -62,6 +63,7 @@ def make_app(store: Store, *, exported: bool = False) -> ASGIApp:
         exported: whether its answers become files, which have no forms and no JSON.
     """
     reader = Reader(store)
+    answers = Answers(reader)
     templates = jinja2.Environment(
         loader=jinja2.PackageLoader("league.web"),
         autoescape=True,
@@ -92,6 +94,9 @@ def make_app(store: Store, *, exported: bool = False) -> ASGIApp:
     def data(one: Page) -> Callable[[Request], Response]:
         return lambda request: _json(_without_drawings(one.read(reader, request)))
 
+    def kept(one: Page, make: Callable[[Request], Response]) -> Callable[[Request], Any]:
+        return answers.shared(make) if one.shared else make
+
     def failed(request: Request, error: Exception) -> Response:
         status, sentence = _status(error)
         if request.url.path.startswith("/api/"):
@@ -102,8 +107,8 @@ def make_app(store: Store, *, exported: bool = False) -> ASGIApp:
         return HTMLResponse(content, status)
 
     routes = [
-        *(Route(one.path, page(one)) for one in PAGES if one.template),
-        *(Route(one.api_path, data(one)) for one in PAGES if one.has_api),
+        *(Route(one.path, kept(one, page(one))) for one in PAGES if one.template),
+        *(Route(one.api_path, kept(one, data(one))) for one in PAGES if one.has_api),
         *(Route(one.path, partial(one.respond, reader)) for one in DOWNLOADS),
         Route(openapi.PATH, lambda _: _json(openapi.document(store.settings.name))),
         *(Route(f"/static/{name}", _static(name)) for name in STATIC),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -198,3 +198,24 @@ class Races:
     """Pass this as `since` to read only later races next time."""
     voided: int = 0
     """How many heats are in quarantine: if it has changed, read all races again."""
+
+    def where(self, kept: np.ndarray) -> Races:
+        """Return those of the races for which `kept` is true, (num_races,)."""
+        parts = ("heat", "half", "track", "entries", "places", "runs")
+        return replace(self, **{name: getattr(self, name)[kept] for name in parts})
+
+    def joined(self, later: Races) -> Races:
+        """Return these races and later ones, read with `since`."""
+        cars = max(self.entries.shape[1], later.entries.shape[1])
+        columns: dict[str, np.ndarray] = {}
+        for name in ("heat", "half", "track", "entries", "places", "runs"):
+            parts = [getattr(one, name) for one in (self, later)]
+            if parts[0].ndim > 1:
+                empty = -1 if name == "entries" else 0
+                room = [((0, 0), (0, cars - part.shape[1])) for part in parts]
+                parts = [
+                    np.pad(part, wide, constant_values=empty)
+                    for part, wide in zip(parts, room, strict=True)
+                ]
+            columns[name] = np.concatenate(parts)
+        return Races(**columns, last=later.last, voided=later.voided)

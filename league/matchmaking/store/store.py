@@ -310,6 +310,12 @@ class Store:
         with self._database.reading() as connection:
             return integrity.verify(connection, head)
 
+    @property
+    def revision(self) -> int:
+        """A number that grows with whatever happens in the league: its events so far."""
+        with self._database.reading() as connection:
+            return connection.scalar(sa.select(sa.func.max(schema.events.c.number))) or 0
+
     def counts(self) -> dict[HeatState, int]:
         """Return how many heats are in each state."""
         query = sa.select(heats.c.state, sa.func.count()).group_by(heats.c.state)

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from league.matchmaking import standings
-from league.matchmaking.scores import best_laps, race_scores
+from league.matchmaking.scores import race_scores
 from league.matchmaking.standings import HeadToHead, Row, Standings
 from league.matchmaking.store import Entry, HeatRecord
 from league.track import files
@@ -26,14 +26,16 @@ EXTREMES = 5
 """Best, and worst, heats that are listed."""
 HISTORY_POINTS = 24
 """Moments of the rating's history."""
+FITTED_RACES = 20_000
+"""Races of a league up to which each moment is fitted to all races up to then."""
 
 
 def document(reader: Reader, number: int) -> Document:
     """Return an entry: its rating and how it came about, its record, its heats, its card."""
-    entry, entries, rated = reader.entry(number), reader.store.entries(), reader.standings()
+    entry, entries, rated = reader.entry(number), reader.entries(), reader.standings()
     row, raced = reader.row(number), reader.store.heats(entries=[number])
     over = [record for record in raced if record.state not in ("planned", "claimed")]
-    history = _history(reader, entry, rated.num_races) if rated and row and row.races else []
+    history = _history(reader, entry, rated) if rated and row and row.races else []
     heats = _heat_scores(rated, number) if rated and row else []
     best = heapq.nlargest(EXTREMES, heats, key=_surplus)
     worst = heapq.nsmallest(EXTREMES, heats, key=_surplus)
@@ -41,11 +43,12 @@ def document(reader: Reader, number: int) -> Document:
         "entry": entry,
         "standing": row,
         "history": history,
+        "fitted": bool(rated and rated.num_races <= FITTED_RACES),
         "chart": charts.rating_history(history) if len(history) > 1 else None,
         "against": _neighbours(rated, row) if rated and row else [],
         "best": _named(reader, [heat for heat in best if _surplus(heat) > 0]),
         "worst": _named(reader, [heat for heat in worst if _surplus(heat) < 0]),
-        "laps": _laps(reader, rated, number) if rated and row else [],
+        "laps": _laps(reader, number),
         "heats": reader.listed(over[-HEATS:][::-1]),
         "waiting": len(raced) - len(over),
         "camera": _camera(reader, entry, over[-HEATS:][::-1]),
@@ -59,11 +62,9 @@ def document(reader: Reader, number: int) -> Document:
 
 def _neighbours(rated: Standings, row: Row) -> list[tuple[Row, HeadToHead | None]]:
     """Return the entries around one in the standings, and its record against each."""
-    first = max(0, row.rank - 1 - NEIGHBOURS)
+    first, met = max(0, row.rank - 1 - NEIGHBOURS), standings.meetings(rated, row.number)
     return [
-        (other, standings.head_to_head(rated, row.number, other.number))
-        if other.number != row.number
-        else (other, None)
+        (other, met.get(other.number, standings.UNMET) if other.number != row.number else None)
         for other in rated.rows[first : row.rank + NEIGHBOURS]
     ]
 
@@ -88,10 +89,10 @@ def _named(reader: Reader, scores: list[Document]) -> list[Document]:
     return [{**heat, **score} for heat, score in zip(listed, scores, strict=True)]
 
 
-def _laps(reader: Reader, rated: Standings, number: int) -> list[Document]:
+def _laps(reader: Reader, number: int) -> list[Document]:
     """Return an entry's best lap on each track: its place among all, its medal, its race."""
     lines = []
-    for name, laps in best_laps(rated).items():
+    for name, laps in reader.snapshot().best_laps.items():
         place = next((at for at, lap in enumerate(laps) if lap.number == number), None)
         if place is None:
             continue
@@ -131,9 +132,11 @@ def _camera(reader: Reader, entry: Entry, records: Sequence[HeatRecord]) -> Docu
     return None
 
 
-def _history(reader: Reader, entry: Entry, num_races: int) -> list[standings.HistoryPoint]:
+def _history(reader: Reader, entry: Entry, rated: Standings) -> list[standings.HistoryPoint]:
+    if rated.num_races > FITTED_RACES:
+        return standings.own_history(rated, entry.number, points=HISTORY_POINTS)
     return reader.kept(
-        ("history", entry.number, num_races),
+        ("history", entry.number, rated.num_races),
         lambda: standings.history(reader.store, entry, points=HISTORY_POINTS),
     )
 
