@@ -42,13 +42,19 @@ class Answers:
         self._revision, self._looked_s = 0, float("-inf")
 
     def shared(
-        self, make: Callable[[Request], Response]
+        self, make: Callable[[Request], Response], *, lasting: bool
     ) -> Callable[[Request], Awaitable[Response]]:
-        """Return an endpoint that answers with what was kept, else with what `make` makes."""
+        """Return an endpoint that answers with what was kept, else with what `make` makes.
+
+        Args:
+            make: makes the answer to a request.
+            lasting: whether it is good until something happens in the league, and not for
+                `FRESH_S` only.
+        """
 
         async def respond(request: Request) -> Response:
             key = (str(request.base_url), request.url.path, request.url.query)
-            found = self._found(key)
+            found = self._found(key, lasting=lasting)
             if found is None:
                 found = await run_in_threadpool(self._made, key, make, request)
             if "gzip" in request.headers.get("accept-encoding", ""):
@@ -57,12 +63,14 @@ class Answers:
 
         return respond
 
-    def _found(self, key: Key) -> _Answer | None:
+    def _found(self, key: Key, *, lasting: bool) -> _Answer | None:
         """Return an answer that may still be given."""
         with self._lock:
             found, now_s = self._kept.get(key), time.monotonic()
             if found is None or now_s - found.seen_s < FRESH_S:
                 return found
+            if not lasting:
+                return None
             if now_s - self._looked_s > LOOK_S:
                 self._revision, self._looked_s = self._reader.store.revision, now_s
             if self._revision != found.revision:

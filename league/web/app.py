@@ -95,7 +95,7 @@ def make_app(store: Store, *, exported: bool = False) -> ASGIApp:
         return lambda request: _json(_without_drawings(one.read(reader, request)))
 
     def kept(one: Page, make: Callable[[Request], Response]) -> Callable[[Request], Any]:
-        return answers.shared(make) if one.shared else make
+        return answers.shared(make, lasting=not one.fleeting) if one.shared else make
 
     def failed(request: Request, error: Exception) -> Response:
         status, sentence = _status(error)

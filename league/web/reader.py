@@ -92,7 +92,9 @@ class Reader:
         """Take the next snapshot, and decide when the one after it is due."""
         start_s, worked_s = time.monotonic(), time.thread_time()
         if self._snapshot is None or self.store.revision != self._snapshot.revision:
-            self._snapshot = snapshot.take(self.store, self._snapshot)
+            taken = snapshot.take(self.store, self._snapshot)
+            taken.prepare()
+            self._snapshot = taken
             self._is_slow = time.thread_time() - worked_s > QUICK_S
         now_s = time.monotonic()
         self._due_s = now_s + max(FRESH_S, REST * (now_s - start_s))
@@ -232,9 +234,8 @@ class Reader:
             raise NotFoundError(f"This league has no heat {number}.") from None
 
     def newest(self, number: int) -> list[HeatRecord]:
-        """Return about that many of the heats that were done last, the newest first."""
-        planned = sum(self.store.counts().values())
-        return self.store.heats(("done",), since=max(0, planned - 2 * number))[::-1][:number]
+        """Return so many of the newest heats that are done, the newest first."""
+        return self.store.heats(("done",), limit=number, newest=True)[::-1]
 
     def listed(self, records: list[HeatRecord]) -> list[Document]:
         """Return heats as lines of a list: who raced, who won."""

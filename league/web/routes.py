@@ -52,6 +52,8 @@ class Page:
     shared: bool = False
     """Whether it is the same for everyone who asks and may be a few seconds old, so that an answer
     is kept."""
+    fleeting: bool = False
+    """Whether it changes with time alone."""
     parts: Mapping[str, Any] = field(default_factory=dict)
     """Types of those parts of the data that are frozen data, by their names."""
 
@@ -115,6 +117,7 @@ PAGES = (
           "heat": "Number of a heat of which all laps are offered"}),
     Page("/ghosts/replay", "What the player draws of two laps", ghosts.replay, shared=True,
          query={"one": "A lap as heat.race.car.lap", "other": "The second lap"}),
-    Page("/live", "Running heats, queue, workers, heats per minute", live.document, "live.html"),
+    Page("/live", "Running heats, queue, workers, heats per minute", live.document, "live.html",
+         shared=True, fleeting=True),
 )  # fmt: skip
 """All pages, and data without a page."""

@@ -27,6 +27,11 @@ class Snapshot:
     rated: Standings | None
     """None if no entry is rated."""
 
+    def prepare(self) -> None:
+        """Compute now what pages look up, so that no request has to."""
+        for name in ("by_number", "by_id", "rows", "best_laps", "owners", "car_counts", "kinds"):
+            getattr(self, name)
+
     @cached_property
     def by_number(self) -> dict[int, Entry]:
         """The entries by their numbers."""

@@ -14,6 +14,8 @@ from league.race_spec import Entry, RaceSpec
 from league.racing import race
 from league.web import ghosts, lap_charts
 from league.web.app import make_app
+from league.web.pages import heat as heats
+from league.web.reader import NotFoundError
 from tests.web.small_league import NAME, ORIGIN, RULES, lapped_heat, new_league
 
 TRACK = "reinvent_2018"
@@ -140,6 +142,22 @@ def test_the_player_gets_only_laps_of_one_track(client, store):
 def test_names_in_ghosts_are_text(client):
     page = client.get("/ghosts").text
     assert NAME not in page and "&lt;img src=x" in page
+
+
+def test_laps_that_were_not_recorded_are_passed_over(store, client, monkeypatch):
+    first, *others = client.get("/api/v1/ghosts").json()["options"]
+    recording = heats.recording
+
+    def forgetful(reader, heat, race):
+        best = best_laps(standings.of(store))[TRACK][0]
+        if (heat, race) == (best.heat, best.race):
+            raise NotFoundError("This race was not recorded.")
+        return recording(reader, heat, race)
+
+    monkeypatch.setattr(heats, "recording", forgetful)
+    pair = client.get("/api/v1/ghosts").json()["pair"]
+    assert first["entry"] not in [lap["entry"] for lap in pair]
+    assert len(pair) in (0, 2) and len(others) >= 1
 
 
 def test_a_league_without_laps_says_so(tmp_path):

@@ -11,6 +11,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from league.matchmaking import standings
+from league.matchmaking.own_history import own_history
 from league.matchmaking.pairing.heat_spec import Half, Heat
 from league.matchmaking.store import HeatOutcome, RaceOutcome, Store
 from league.web import answers, reader
@@ -137,7 +138,7 @@ def test_everyones_record_is_the_rivals_turned(league):
 def test_the_history_against_ratings_of_today_ends_as_they_are(league):
     rated = standings.of(league)
     top = rated.rows[0]
-    moments = standings.own_history(rated, top.number, points=5)
+    moments = own_history(rated, top.number, points=5)
     assert (moments[-1].elo, moments[-1].low95) == (top.elo, top.low95)
     assert [moment.races for moment in moments] == sorted({moment.races for moment in moments})
     assert moments[-1].races == top.races
@@ -190,6 +191,9 @@ def test_an_answer_is_kept_until_something_happens(pages, league, monkeypatch):
     raced(league, leagues.duels(league, 1, first=500))
     assert pages.get("/standings").text != first.text
     assert made.count("/standings") == 3
+    for _ in range(2):
+        pages.get("/live")  # changes with time alone
+    assert made.count("/live") == 2
     plain = pages.get("/standings", headers={"accept-encoding": "identity"})
     assert "content-encoding" not in plain.headers
     assert re.search("<h1>Standings</h1>", plain.text)

@@ -285,8 +285,17 @@ class Store:
         entries: Sequence[int] = (),
         since: int = 0,
         limit: int | None = None,
+        newest: bool = False,
     ) -> list[HeatRecord]:
-        """Return heats by number: in these states, with all these entries (numbers) in them."""
+        """Return heats by number.
+
+        Args:
+            states: only those in one of them; by default all.
+            entries: only those with all these entries (numbers) in them.
+            since: only those with a larger number.
+            limit: so many at most.
+            newest: with a limit, those with the largest numbers instead of the smallest.
+        """
         match = heats.c.number > since
         if states is not None:
             match &= heats.c.state.in_(states)
@@ -294,7 +303,7 @@ class Store:
             match &= heats.c.number.in_(
                 sa.select(heat_entries.c.heat).where(heat_entries.c.entry == entry)
             )
-        return self._heats(match, limit)
+        return self._heats(match, limit, newest=newest)
 
     def results(self, *heats: int) -> list[StoredResult]:
         """Return all results of heats (by number); several for one race are a dispute."""
@@ -330,9 +339,11 @@ class Store:
                 self._database.lock(connection)
             yield connection, self._database.now(connection)
 
-    def _heats(self, match: sa.ColumnElement[bool], limit: int | None) -> list[HeatRecord]:
+    def _heats(
+        self, match: sa.ColumnElement[bool], limit: int | None, *, newest: bool = False
+    ) -> list[HeatRecord]:
         with self._database.reading() as connection:
-            return queue.read(connection, match, self._secret, limit)
+            return queue.read(connection, match, self._secret, limit, newest=newest)
 
 
 def create(

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from league.matchmaking import standings
+from league.matchmaking.own_history import own_history
 from league.matchmaking.scores import race_scores
 from league.matchmaking.standings import HeadToHead, Row, Standings
 from league.matchmaking.store import Entry, HeatRecord
@@ -18,6 +19,8 @@ from league.web import charts, family
 from league.web.medals import medal
 from league.web.reader import Document, Reader, accepted
 
+NEWEST = 200
+"""Newest heats that are looked at."""
 HEATS = 14
 """Newest heats that are listed."""
 NEIGHBOURS = 10
@@ -33,7 +36,7 @@ FITTED_RACES = 20_000
 def document(reader: Reader, number: int) -> Document:
     """Return an entry: its rating and how it came about, its record, its heats, its card."""
     entry, entries, rated = reader.entry(number), reader.entries(), reader.standings()
-    row, raced = reader.row(number), reader.store.heats(entries=[number])
+    row, raced = reader.row(number), reader.store.heats(entries=[number], limit=NEWEST, newest=True)
     over = [record for record in raced if record.state not in ("planned", "claimed")]
     history = _history(reader, entry, rated) if rated and row and row.races else []
     heats = _heat_scores(rated, number) if rated and row else []
@@ -134,7 +137,7 @@ def _camera(reader: Reader, entry: Entry, records: Sequence[HeatRecord]) -> Docu
 
 def _history(reader: Reader, entry: Entry, rated: Standings) -> list[standings.HistoryPoint]:
     if rated.num_races > FITTED_RACES:
-        return standings.own_history(rated, entry.number, points=HISTORY_POINTS)
+        return own_history(rated, entry.number, points=HISTORY_POINTS)
     return reader.kept(
         ("history", entry.number, rated.num_races),
         lambda: standings.history(reader.store, entry, points=HISTORY_POINTS),

@@ -18,6 +18,8 @@ from league.web.reader import Document, NotFoundError, Reader
 
 MOST = 100
 """Fastest drivers on a track that are offered; others are reached from their own pages."""
+TRIED = 20
+"""Fastest drivers among which recorded laps are looked for where none is asked for."""
 LAP = re.compile(r"(\d{1,15})\.(\d{1,2})\.(\d{1,2})\.(\d{1,4})")
 
 
@@ -104,11 +106,20 @@ def _pair(
         ghost = _asked(reader, text, best) if text else None
         if ghost is None or ghost.track != track:
             taken = {one.entry for one in chosen}
-            lap = next((lap for lap in best if lap.number not in taken), None)
-            ghost = _best(reader, lap) if lap else None
+            fastest = (_recorded(reader, lap) for lap in best[:TRIED] if lap.number not in taken)
+            ghost = next(filter(None, fastest), None)
         if ghost is not None:
             chosen.append(ghost)
     return chosen if len(chosen) == 2 else []
+
+
+def _recorded(reader: Reader, lap: BestLap) -> _Ghost | None:
+    """Return a best lap; None if its race was not recorded."""
+    try:
+        heats.recording(reader, lap.heat, lap.race)
+    except NotFoundError:
+        return None
+    return _best(reader, lap)
 
 
 def _asked(reader: Reader, text: str, best: Sequence[BestLap]) -> _Ghost | None:
