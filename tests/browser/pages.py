@@ -37,6 +37,7 @@ def addresses(store: Store) -> dict[str, str]:
         "heats": "/heats",
         "heat": f"/heats/{rated[-1]}#t=6",
         "tracks": "/tracks",
+        "ghosts": "/ghosts#t=2",
         "live": "/live",
         "error": "/drivers/999999",
     }
