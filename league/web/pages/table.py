@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 from urllib.parse import urlencode
 
 from league.matchmaking import standings
@@ -19,6 +19,7 @@ PER_PAGE = 100
 MOST_OPTIONS = 200
 """Owners, or drivers, that can be chosen from a list; with more, their names are typed."""
 
+T = TypeVar("T")
 ORDERS: dict[str, Callable[[str, Row], Any]] = {
     "": lambda _, row: row.rank,
     "races": lambda _, row: -row.races,
@@ -128,7 +129,7 @@ def _address(asked: dict[str, str]) -> str:
     return f"/standings?{urlencode(asked)}" if asked else "/standings"
 
 
-def _options(found: list[object]) -> list[object]:
+def _options(found: list[T]) -> list[T]:
     return found if len(found) <= MOST_OPTIONS else []
 
 
