@@ -24,6 +24,7 @@ NAMES = (
     "ratings",
     "rewards",
     "store",
+    "web",
     "league_throughput",
     "training",
     "garage",

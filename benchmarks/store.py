@@ -5,6 +5,7 @@ and complete one heat at a time, each in a transaction of its own: that is the f
 of heats in one transaction show what the tables can do apart from the disk.
 """
 
+import json
 import tempfile
 import time
 from pathlib import Path
@@ -77,23 +78,39 @@ def fill(url: str, strengths: np.ndarray, heats: int) -> None:
     there, generator = database.Database(url), np.random.default_rng(3)
     for start in range(0, heats, 50_000):
         numbers = list(range(start + 1, min(start + 50_000, heats) + 1))
+        grids = _grids(generator, len(strengths), len(numbers))
+        rows = [_heat(number, grid) for number, grid in zip(numbers, grids.tolist(), strict=True)]
         with there.writing() as connection:
-            connection.execute(schema.heats.insert(), [_heat(number) for number in numbers])
-            connection.execute(schema.races.insert(), _races(generator, strengths, numbers))
+            connection.execute(schema.heats.insert(), rows)
+            connection.execute(schema.heat_entries.insert(), _heat_entries(numbers, grids))
+            connection.execute(schema.races.insert(), _races(generator, strengths, numbers, grids))
     there.close()
 
 
-def _races(
-    generator: np.random.Generator, strengths: np.ndarray, numbers: list[int]
-) -> list[dict[str, object]]:
-    """Return two races of each of some heats, between entries drawn from all."""
-    count, size = len(numbers), len(strengths)
+def _grids(generator: np.random.Generator, size: int, count: int) -> np.ndarray:
+    """Return the numbers of two entries for each of some heats, drawn from all."""
     one = generator.integers(0, size, count)
     other = (one + generator.integers(1, size, count)) % size
+    return np.stack([one, other], axis=1) + 1
+
+
+def _heat_entries(numbers: list[int], grids: np.ndarray) -> list[dict[str, int]]:
+    return [
+        {"heat": heat, "entry": entry}
+        for heat, grid in zip(numbers, grids.tolist(), strict=True)
+        for entry in grid
+    ]
+
+
+def _races(
+    generator: np.random.Generator, strengths: np.ndarray, numbers: list[int], grids: np.ndarray
+) -> list[dict[str, object]]:
+    """Return two races of each of some heats, the second with the grid turned round."""
+    count = len(numbers)
+    one, other = grids.T - 1
     lead = (strengths[one] - strengths[other])[:, None] + [FRONT_WORTH, -FRONT_WORTH]
     won = generator.random((count, 2)) < 1 / (1 + 10 ** (-lead / 400))
     best_ms = generator.integers(11_000, 13_000, (count, 2, 2)).tolist()
-    grids = np.stack([one, other], axis=1) + 1
     races = []
     for number, grid, wins, laps in zip(
         numbers, grids.tolist(), won.tolist(), best_ms, strict=True
@@ -108,18 +125,20 @@ def _races(
     return races
 
 
-def _heat(number: int) -> dict[str, object]:
+def _heat(number: int, grid: list[int]) -> dict[str, object]:
+    track = RULES.tracks[0]
     return {
         "key": heat_spec.digest(str(number).encode()),
         "ruleset": 1,
         "purpose": "rated",
         "priority": 2,
-        "halves": "[]",
+        "halves": json.dumps([[track, grid], [track, grid[::-1]]], separators=(",", ":")),
         "draw": 0,
         "state": "done",
         "attempts": 1,
         "traceback": "",
         "created_s": 0.0,
+        "done_s": float(number),
     }
 
 

@@ -26,17 +26,23 @@ class Scope:
     """Ratings of the season before, if it had the same rules."""
 
 
-def scope(store: Store, ruleset: str | None = None, season: Season | None = None) -> Scope:
+def scope(
+    store: Store,
+    ruleset: str | None = None,
+    season: Season | None = None,
+    races: Races | None = None,
+) -> Scope:
     """Return what the ratings of a season are made of.
 
     Args:
         store: the league.
         ruleset: hash; by default the present one.
         season: by default the last one under this ruleset.
+        races: all rated races under the ruleset, if they have been read already.
     """
     ruleset = ruleset or store.settings.ruleset.hash
     own = [one for one in store.seasons() if one.ruleset == ruleset]
-    races = store.races(ruleset)
+    races = store.races(ruleset) if races is None else races
     season = season or (own[-1] if own else None)
     if season is None:
         return Scope(races, None, None)

@@ -86,11 +86,18 @@ def best_laps(rated: Standings) -> dict[str, list[BestLap]]:
     Among equal laps the earlier one counts.
     """
     races = rated.races
-    row, slot = np.nonzero((races.runs & KNOWN) > 0)
-    laps = (races.runs & BEST_MS).astype(np.int64)[row, slot]
+    lap_ms = (races.runs & BEST_MS).astype(np.int64)
+    row, slot = np.nonzero(((races.runs & KNOWN) > 0) & (lap_ms > 0))
+    # Only laps that are an entry's fastest on their track need to be put in order.
+    size = int(races.entries.max(initial=0)) + 1
+    place = races.track[row].astype(np.int64) * size + races.entries[row, slot]
+    best_ms = np.full(256 * size, BEST_MS + 1, np.int64)
+    np.minimum.at(best_ms, place, lap_ms[row, slot])
+    fastest = lap_ms[row, slot] == best_ms[place]
+    row, slot = row[fastest], slot[fastest]
     return _fastest(
-        rated.tracks, races.track[row], races.entries[row, slot], laps, races.heat[row],
-        races.half[row],
+        rated.tracks, races.track[row], races.entries[row, slot], lap_ms[row, slot],
+        races.heat[row], races.half[row],
     )  # fmt: skip
 
 

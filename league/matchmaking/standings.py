@@ -400,34 +400,59 @@ class HeadToHead:
         """Wins, and ties half."""
         return self.wins + 0.5 * self.ties
 
+    @property
+    def turned(self) -> HeadToHead:
+        """The record of the other against the one."""
+        lost = self.races - self.wins - self.ties
+        return HeadToHead(self.races, lost, self.ties, self.races - self.expected, -self.residual)
+
+
+UNMET = HeadToHead(0, 0, 0, 0.0, 0.0)
+"""The record of two entries that never met."""
+
 
 def head_to_head(standings: Standings, one: int, other: int) -> HeadToHead:
     """Return the record of two entries, by number."""
+    return meetings(standings, one).get(other, UNMET)
+
+
+def meetings(standings: Standings, number: int) -> dict[int, HeadToHead]:
+    """Return an entry's record against each one that it met, by the other's number."""
     results = standings.results
-    mine = results.entries == one
-    theirs = results.entries == other
-    met = mine.any(axis=1) & theirs.any(axis=1)
-    ahead = (results.places[met] * theirs[met]).sum(1) - (results.places[met] * mine[met]).sum(1)
-    expected = residual = 0.0
-    pairs = standings.goodness.pairs
-    pair = np.flatnonzero((pairs.one == min(one, other)) & (pairs.other == max(one, other)))
-    if len(pair):
-        expected, residual = float(pairs.expected[pair[0]]), float(pairs.residual[pair[0]])
-        if one > other:
-            expected, residual = float(pairs.races[pair[0]]) - expected, -residual
-    return HeadToHead(
-        int(met.sum()), int((ahead > 0).sum()), int((ahead == 0).sum()), expected, residual
+    rows = np.flatnonzero((results.entries == number).any(axis=1))
+    entries, places = results.entries[rows], results.places[rows]
+    mine = entries == number
+    own = (places * mine).sum(axis=1, keepdims=True)
+    met = (entries >= 0) & ~mine
+    others, at = np.unique(entries[met], return_inverse=True)
+    races, wins, ties = (
+        np.bincount(at, counted[met], len(others)).astype(int).tolist()
+        for counted in (met, places > own, places == own)
     )
+    promised = _promised(standings, number)
+    return {
+        other: HeadToHead(races[at], wins[at], ties[at], *promised.get(other, (0.0, 0.0)))
+        for at, other in enumerate(others.tolist())
+    }
+
+
+def _promised(standings: Standings, number: int) -> dict[int, tuple[float, float]]:
+    """Return the points that the ratings promise an entry against each other one, and residuals."""
+    pairs = standings.goodness.pairs
+    found: dict[int, tuple[float, float]] = {}
+    for pair in np.flatnonzero((pairs.one == number) | (pairs.other == number)).tolist():
+        expected, residual = float(pairs.expected[pair]), float(pairs.residual[pair])
+        if pairs.one[pair] == number:
+            found[int(pairs.other[pair])] = expected, residual
+        else:
+            found[int(pairs.one[pair])] = float(pairs.races[pair]) - expected, -residual
+    return found
 
 
 def records(standings: Standings, number: int) -> list[tuple[Row, HeadToHead]]:
     """Return an entry's record against each one that it met, the best of them first."""
-    met = [
-        (other, head_to_head(standings, number, other.number))
-        for other in standings.rows
-        if other.number != number
-    ]
-    return [(other, record) for other, record in met if record.races]
+    met = meetings(standings, number)
+    return [(row, met[row.number]) for row in standings.rows if row.number in met]
 
 
 @dataclass(frozen=True)

@@ -229,7 +229,13 @@ def sketch(policy: Checkpoint) -> list[float]:
 
 
 def accept(
-    store: Store, content: bytes, name: str, owner: str, quota: Quota | None = None
+    store: Store,
+    content: bytes,
+    name: str,
+    owner: str,
+    quota: Quota | None = None,
+    *,
+    download: bool = False,
 ) -> Entry:
     """Check what an owner sent, and enter it; nothing is kept if it is refused.
 
@@ -239,6 +245,7 @@ def accept(
         name: shown to people.
         owner: its owner.
         quota: how much the owner may enter; None for any number.
+        download: whether everyone may have the weights.
 
     Raises:
         LeagueError: it is not sound, its sensors are not stock, or its name is taken.
@@ -268,9 +275,12 @@ def accept(
             near = entry.name
     card = {**policy.card.model_dump(mode="json"), "digest": policy.digest, "sketch": vector}
     card |= {"near_copy_of": near} if near else {}
+    card |= {"download": True} if download else {}
     return store.submit(name, owner, weights=content, card=card, id=own, quota=quota)
 
 
-def submit(store: Store, path: str | os.PathLike[str], name: str, owner: str) -> Entry:
+def submit(
+    store: Store, path: str | os.PathLike[str], name: str, owner: str, *, download: bool = False
+) -> Entry:
     """Submit a checkpoint file: read and packed here, on its owner's machine, then handed in."""
-    return accept(store, pack(checkpoint.load(path)), name, owner)
+    return accept(store, pack(checkpoint.load(path)), name, owner, download=download)

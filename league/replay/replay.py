@@ -232,11 +232,7 @@ class Replay:
     @property
     def gaps_s(self) -> np.ndarray:
         """The time since the leader was where each car is now [s], (num_frames, num_cars)."""
-        front = np.maximum.accumulate(self.columns.distance.max(axis=1))
-        # Where the front stands still, its first arrival counts.
-        rises = np.concatenate([[True], np.diff(front) > 0])
-        first = np.interp(self.columns.distance, front[rises], self.times_s[rises])
-        return np.maximum(self.times_s[:, None] - first, 0.0) * (self.gaps_m > 0)
+        return seconds_behind(self.columns.distance, self.times_s)
 
     @property
     def speeds(self) -> np.ndarray:
@@ -357,3 +353,18 @@ def compare(replay: Replay, other: Replay) -> Agreement:
         first_difference=first,
         same_result=replay.result == other.result,
     )
+
+
+def seconds_behind(distance: np.ndarray, times_s: np.ndarray) -> np.ndarray:
+    """Return the time since the one in front was where each car is now [s].
+
+    Args:
+        distance: driven along the track [m], (num_frames, num_cars).
+        times_s: of the frames [s], (num_frames,).
+    """
+    lead = distance.max(axis=1)
+    front = np.maximum.accumulate(lead)
+    # Where the front stands still, its first arrival counts.
+    rises = np.concatenate([[True], np.diff(front) > 0])
+    first = np.interp(distance, front[rises], times_s[rises])
+    return np.maximum(times_s[:, None] - first, 0.0) * (distance < lead[:, None])

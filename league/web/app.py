@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
+from functools import partial
 from http import HTTPStatus
 from importlib import resources
 from typing import Any
@@ -27,6 +28,8 @@ from league.errors import LeagueError
 from league.matchmaking.documents import plain
 from league.matchmaking.store import Store
 from league.web import charts, openapi, submit
+from league.web.answers import Answers
+from league.web.downloads import DOWNLOADS
 from league.web.reader import NotFoundError, Reader
 from league.web.routes import PAGES, Page
 from league.web.security import Access
@@ -61,6 +64,7 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
         exported: whether its answers become files, which have no forms and no JSON.
     """
     reader, access = Reader(store), access or Access()
+    answers = Answers(reader)
     templates = jinja2.Environment(
         loader=jinja2.PackageLoader("league.web"),
         autoescape=True,
@@ -99,6 +103,9 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
 
         return respond
 
+    def kept(one: Page, make: Callable[[Request], Response]) -> Callable[[Request], Any]:
+        return answers.shared(make, lasting=not one.fleeting) if one.shared else make
+
     def failed(request: Request, error: Exception) -> Response:
         status, sentence = _status(error)
         headers = error.headers if isinstance(error, HTTPException) else None
@@ -116,8 +123,9 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
         ]
 
     routes = [
-        *(Route(one.path, page(one)) for one in PAGES if one.template),
-        *(Route(one.api_path, data(one)) for one in PAGES if one.has_api),
+        *(Route(one.path, kept(one, page(one))) for one in PAGES if one.template),
+        *(Route(one.api_path, kept(one, data(one))) for one in PAGES if one.has_api),
+        *(Route(one.path, partial(one.respond, reader)) for one in DOWNLOADS),
         Route(openapi.PATH, lambda _: _json(openapi.document(store.settings.name))),
         *(Route(f"/static/{name}", _static(name)) for name in STATIC),
         Route("/favicon.ico", lambda _: RedirectResponse("/static/icon.svg", 308)),
@@ -191,7 +199,7 @@ def _static(name: str) -> Callable[[Request], Response]:
 
 
 class _SecurityHeaders:
-    """Adds `HEADERS` to every response, errors included."""
+    """Adds `HEADERS` to every response, errors included, where it has none of its own."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app

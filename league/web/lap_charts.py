@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,7 +39,9 @@ class Lap:
     """One lap of one car."""
 
     car: int
-    """From 0."""
+    """From 0; decides the colour."""
+    driver: str
+    """Name."""
     number: int
     """From 1."""
     place: np.ndarray
@@ -49,6 +52,19 @@ class Lap:
     """[m/s], (frames,)."""
     points: np.ndarray
     """[m], (frames, 2)."""
+    yaw: np.ndarray
+    """Heading [rad], without jumps at full turns, (frames,)."""
+
+    @property
+    def label(self) -> str:
+        """Driver and number."""
+        return f"{self.driver}, lap {self.number}"
+
+    def reached_s(self, places: np.ndarray) -> np.ndarray:
+        """Return when it first reached some places [m], in its own time [s]."""
+        front = np.maximum.accumulate(self.place)
+        rises = np.concatenate([[True], np.diff(front) > 0])
+        return np.interp(places, front[rises], self.time_s[rises])
 
 
 def of(replay: Replay, number: int | None) -> ComparedLaps | None:
@@ -64,18 +80,25 @@ def of(replay: Replay, number: int | None) -> ComparedLaps | None:
             laps.append(lap_of(replay, row.car, int(np.argmin(row.lap_times_s)) + 1))
         elif number is not None and number <= len(row.lap_times_s):
             laps.append(lap_of(replay, row.car, number))
-    laps = [lap for lap in laps if len(lap.place) > 1]
+    return compared([lap for lap in laps if len(lap.place) > 1], replay.track.length)
+
+
+def compared(laps: Sequence[Lap], length: float) -> ComparedLaps | None:
+    """Return laps of different cars over each other; None without a lap.
+
+    Args:
+        laps: all on one track.
+        length: of the track [m].
+    """
     if not laps:
         return None
     fastest = min(laps, key=lambda lap: lap.time_s[-1])
     return ComparedLaps(
         laps={lap.car + 1: lap.number for lap in laps},
-        speed=plot([_curve(replay, lap, lap.place, lap.speed) for lap in laps]),
-        lost=_lost(replay, laps, fastest) if len(laps) > 1 else None,
+        speed=plot([_curve(lap, lap.place, lap.speed) for lap in laps]),
+        lost=_lost(laps, fastest, length) if len(laps) > 1 else None,
         fastest=fastest.car + 1,
-        lines=tuple(
-            Line(replay.names[lap.car], _line(replay, lap), f"car-{lap.car + 1}") for lap in laps
-        ),
+        lines=tuple(Line(lap.driver, _line(lap), f"car-{lap.car + 1}") for lap in laps),
     )
 
 
@@ -88,44 +111,37 @@ def lap_of(replay: Replay, car: int, number: int) -> Lap:
     length = replay.track.length
     return Lap(
         car=car,
+        driver=replay.names[car],
         number=number,
         place=columns.distance[frames, car] - (number - 1) * length,
         time_s=replay.times_s[frames] - replay.times_s[first],
         speed=replay.speeds[frames, car],
         points=np.stack([columns.x[frames, car], columns.y[frames, car]], axis=1),
+        yaw=np.unwrap(columns.yaw[frames, car]),
     )
 
 
-def _lost(replay: Replay, laps: list[Lap], fastest: Lap) -> Chart:
+def _lost(laps: Sequence[Lap], fastest: Lap, length: float) -> Chart:
     """Return the time each lap lost to the fastest one since the start line, along the lap."""
-    places = np.arange(0.0, replay.track.length, STEP)
-    reached = [_reached_s(lap, places) for lap in laps]
-    base = _reached_s(fastest, places)
+    places = np.arange(0.0, length, STEP)
+    reached = [lap.reached_s(places) - lap.reached_s(np.zeros(1)) for lap in (fastest, *laps)]
     return plot(
         [
-            _curve(replay, lap, places, times - base)
-            for lap, times in zip(laps, reached, strict=True)
+            _curve(lap, places, times - reached[0])
+            for lap, times in zip(laps, reached[1:], strict=True)
         ],
         down=True,
     )
 
 
-def _reached_s(lap: Lap, places: np.ndarray) -> np.ndarray:
-    """Return when a lap first reached some places, from when it crossed the start line [s]."""
-    front = np.maximum.accumulate(lap.place)
-    rises = np.concatenate([[True], np.diff(front) > 0])
-    times = np.interp(places, front[rises], lap.time_s[rises])
-    return times - np.interp(0.0, front[rises], lap.time_s[rises])
+def _curve(lap: Lap, x: np.ndarray, y: np.ndarray) -> Curve:
+    return Curve(lap.label, f"car-{lap.car + 1}", x, y)
 
 
-def _curve(replay: Replay, lap: Lap, x: np.ndarray, y: np.ndarray) -> Curve:
-    return Curve(f"{replay.names[lap.car]}, lap {lap.number}", f"car-{lap.car + 1}", x, y)
-
-
-def _line(replay: Replay, lap: Lap) -> str:
+def _line(lap: Lap) -> str:
     """Return the path of a lap, interrupted where the car was put back."""
     moved = np.linalg.norm(np.diff(lap.points, axis=0), axis=1)
-    most = np.maximum(lap.speed[1:], lap.speed[:-1]) * PUT_BACK / replay.step_hz + 0.05
+    most = np.maximum(lap.speed[1:], lap.speed[:-1]) * PUT_BACK * np.diff(lap.time_s) + 0.05
     parts = np.split(lap.points, np.flatnonzero(moved > most) + 1)
     return "".join(path(part) for part in parts if len(part) > 1)
 

@@ -2,26 +2,36 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Generator, Hashable, Iterator, Mapping
 from typing import Any, TypeVar
 
 from league.errors import LeagueError, StoreError
-from league.matchmaking import standings
-from league.matchmaking.documents import heat_document, names_of
+from league.matchmaking.documents import heat_document
 from league.matchmaking.standings import Row, Standings
 from league.matchmaking.store import Entry, HeatRecord, Store, StoredResult
 from league.racing_line.racing_line import lap_bound
 from league.replay import Replay, format
 from league.sim.config import CarConfig
 from league.track.track import Track
+from league.web import snapshot
+from league.web.snapshot import Snapshot
 
 FRESH_S = 2.0
-"""Standings are computed again when they are older than this [s] and asked for."""
+"""What pages say is read again when it is older than this [s] and asked for."""
+QUICK_S = 0.1
+"""A snapshot that takes more of a processor than this [s] is taken by a thread of its own."""
+REST = 4.0
+"""The next one waits so many times as long as the last one took."""
 MOST_KEPT = 64
 """Recordings and other slow answers that are kept."""
+MOST_LARGE = 128 << 20
+"""Bytes of recordings for the viewer and of pictures that are kept."""
+MOST_WAITING = 4
+"""Requests that wait for a turn, see `Reader.turn`; more are asked to come back."""
 T = TypeVar("T")
 Document = dict[str, Any]
 """The data of a page, or a part of it; documents.plain makes JSON of it."""
@@ -31,26 +41,75 @@ class NotFoundError(LeagueError):
     """A driver, heat, race or recording that this league does not have."""
 
 
+class BusyError(LeagueError):
+    """Too many requests wait for slow answers."""
+
+
 class Reader:
     """Reads a league for its pages, and keeps what is slow to compute; threads may share it."""
 
     def __init__(self, store: Store) -> None:
         self.store = store
         self._lock = threading.Lock()
-        self._rated: Standings | None = None
-        self._rated_s = float("-inf")
+        self._taking = threading.Lock()
+        self._snapshot: Snapshot | None = None
+        self._is_slow, self._due_s = False, 0.0
         self._kept: OrderedDict[Hashable, Any] = OrderedDict()
+        self._large: dict[Hashable, bytes] = {}
+        self._turn, self._waiting = threading.Lock(), threading.Semaphore(MOST_WAITING)
+
+    def snapshot(self) -> Snapshot:
+        """Return the league as it is, or was shortly before.
+
+        Where that takes long to compute, an older one is returned at once while the next one is
+        made; so in a large league results show up a few seconds later.
+        """
+        now = self._snapshot
+        if now is not None and time.monotonic() < self._due_s:
+            return now
+        if now is None or not self._is_slow:
+            return self._taken()
+        if self._taking.acquire(blocking=False):
+            self._due_s = time.monotonic() + FRESH_S
+            threading.Thread(target=self._take_later, daemon=True).start()
+        return now
+
+    def _take_later(self) -> None:
+        try:
+            with contextlib.suppress(LeagueError):  # the next request tries again
+                self._take()
+        finally:
+            self._taking.release()
+
+    def _taken(self) -> Snapshot:
+        with self._taking:
+            if self._snapshot is None or time.monotonic() >= self._due_s:
+                self._take()
+            assert self._snapshot is not None
+            return self._snapshot
+
+    def _take(self) -> None:
+        """Take the next snapshot, and decide when the one after it is due."""
+        start_s, worked_s = time.monotonic(), time.thread_time()
+        if self._snapshot is None or self.store.revision != self._snapshot.revision:
+            taken = snapshot.take(self.store, self._snapshot)
+            taken.prepare()
+            self._snapshot = taken
+            self._is_slow = time.thread_time() - worked_s > QUICK_S
+        now_s = time.monotonic()
+        self._due_s = now_s + max(FRESH_S, REST * (now_s - start_s))
 
     def standings(self) -> Standings | None:
-        """Return the standings of this moment or shortly before; None if no entry is rated."""
-        with self._lock:
-            if time.monotonic() - self._rated_s > FRESH_S:
-                try:
-                    self._rated = standings.of(self.store)
-                except StoreError:
-                    self._rated = None
-                self._rated_s = time.monotonic()
-            return self._rated
+        """Return the standings; None if no entry is rated."""
+        return self.snapshot().rated
+
+    def standings_of(self, track: str, cars: int) -> Standings | None:
+        """Return the standings by the races on a track, of so many cars; see Snapshot.rated_by."""
+        now = self.snapshot()
+        if not track and not cars:
+            return now.rated
+        key = ("standings", now.races.last, now.races.voided, track, cars)
+        return self.kept(key, lambda: now.rated_by(track, cars), in_turn=True)
 
     def rows(self) -> tuple[Row, ...]:
         """Return the lines of the standings; none if no entry is rated."""
@@ -59,11 +118,11 @@ class Reader:
 
     def row(self, number: int) -> Row | None:
         """Return an entry's line in the standings; None if it is not rated."""
-        return next((row for row in self.rows() if row.number == number), None)
+        return self.snapshot().rows.get(number)
 
     def rules(self) -> Document:
         """Return the present rules in short."""
-        rules = self.store.settings.ruleset
+        rules = self.snapshot().settings.ruleset
         return {
             "hash": rules.hash,
             "tracks": rules.tracks,
@@ -73,12 +132,33 @@ class Reader:
             "solver": rules.solver,
         }
 
+    def entries(self) -> tuple[Entry, ...]:
+        """Return all entries, in the order they came."""
+        return self.snapshot().entries
+
     def entry(self, number: int) -> Entry:
         """Return an entry by its number."""
-        entry = next((one for one in self.store.entries() if one.number == number), None)
+        entry = self.snapshot().by_number.get(number) or self._newcomer("number", number)
         if entry is None:
             raise NotFoundError(f"This league has no driver {number}: the standings list them.")
         return entry
+
+    def entry_of(self, id: str) -> Entry:
+        """Return an entry by its id, which a heat names."""
+        entry = self.snapshot().by_id.get(id) or self._newcomer("id", id)
+        assert entry is not None, "a heat names an entry that does not exist"
+        return entry
+
+    def _newcomer(self, name: str, value: object) -> Entry | None:
+        """Return an entry that came after the snapshot was taken."""
+        if self.store.revision == self.snapshot().revision:
+            return None
+        return next((one for one in self.store.entries() if getattr(one, name) == value), None)
+
+    @property
+    def names(self) -> Mapping[str, str]:
+        """Names of the entries by their ids."""
+        return _Names(self)
 
     def replay(self, digest: str) -> Replay:
         """Return a recording by the hash of its file."""
@@ -90,23 +170,61 @@ class Reader:
             return None
         return self.kept(("bound", track.name), lambda: lap_bound(track, CarConfig()))
 
-    def kept(self, key: Hashable, make: Callable[[], T]) -> T:
+    def kept(self, key: Hashable, make: Callable[[], T], *, in_turn: bool = False) -> T:
         """Return what `make` returns, made once for each key that was asked for lately.
 
         Args:
             key: names all that the answer depends on.
             make: makes it.
+            in_turn: only one such answer is made at a time, see `turn`.
         """
         with self._lock:
             if key in self._kept:
                 self._kept.move_to_end(key)
                 return self._kept[key]
+        if in_turn:
+            with self.turn():  # it may be made while this request waits
+                return self.kept(key, make)
         made = make()
         with self._lock:
             self._kept[key] = made
             if len(self._kept) > MOST_KEPT:
                 self._kept.popitem(last=False)
         return made
+
+    def large(self, key: Hashable, make: Callable[[], bytes]) -> bytes:
+        """Return what `make` returns, which takes seconds: only one is made at a time.
+
+        Args:
+            key: names all that the answer depends on.
+            make: makes it.
+
+        Raises:
+            BusyError: `MOST_WAITING` requests wait already.
+        """
+        if (known := self._large.get(key)) is not None:
+            return known
+        with self.turn():
+            if key not in self._large:  # it may have been made while this request waited
+                self._large[key] = make()
+                while sum(map(len, self._large.values())) > MOST_LARGE and len(self._large) > 1:
+                    self._large.pop(next(iter(self._large)))
+            return self._large[key]
+
+    @contextlib.contextmanager
+    def turn(self) -> Generator[None]:
+        """Wait until no other request does something that takes a processor for long.
+
+        Raises:
+            BusyError: `MOST_WAITING` requests wait already.
+        """
+        if not self._waiting.acquire(blocking=False):
+            raise BusyError("many wait for slow answers: try again in half a minute")
+        try:
+            with self._turn:
+                yield
+        finally:
+            self._waiting.release()
 
     def record(self, number: int) -> HeatRecord:
         """Return a heat by its number."""
@@ -116,13 +234,12 @@ class Reader:
             raise NotFoundError(f"This league has no heat {number}.") from None
 
     def newest(self, number: int) -> list[HeatRecord]:
-        """Return about that many of the heats that were done last, the newest first."""
-        planned = sum(self.store.counts().values())
-        return self.store.heats(("done",), since=max(0, planned - 2 * number))[::-1][:number]
+        """Return so many of the newest heats that are done, the newest first."""
+        return self.store.heats(("done",), limit=number, newest=True)[::-1]
 
     def listed(self, records: list[HeatRecord]) -> list[Document]:
         """Return heats as lines of a list: who raced, who won."""
-        names = names_of(self.store.entries())
+        names = self.names
         results = self.store.results(*(record.number for record in records))
         lines = []
         for record in records:
@@ -134,6 +251,20 @@ class Reader:
                     winners.append(names[half.grid[result.places.index(min(result.places))]])
             lines.append({**heat_document(record, names), "winners": winners})
         return lines
+
+
+class _Names(Mapping[str, str]):
+    def __init__(self, reader: Reader) -> None:
+        self._reader = reader
+
+    def __getitem__(self, id: str) -> str:
+        return self._reader.entry_of(id).name
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._reader.snapshot().by_id)
+
+    def __len__(self) -> int:
+        return len(self._reader.entries())
 
 
 def accepted(results: list[StoredResult], half: int) -> StoredResult | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from league.replay import Replay, commentary
+from league.track.track import Track
 
 OUTLINE_SPACING = 3
 """Every third point of a track's borders is drawn: one each 15 cm."""
@@ -20,29 +21,22 @@ def player_data(replay: Replay) -> dict[str, object]:
     cars = []
     for car, name in enumerate(replay.names):
         stopped = np.flatnonzero(np.diff(columns.penalty_s[:, car] > 0, prepend=0, append=0))
-        cars.append(
-            {
-                "number": car + 1,
-                "name": name,
-                "x": _differences(100 * columns.x[:, car], 2),
-                "y": _differences(100 * columns.y[:, car], 2),
-                "yaw": _differences(100 * np.unwrap(columns.yaw[:, car]), 1),
-                "distance": _differences(100 * columns.distance[:, car], 2),
-                "gap": _differences(100 * gaps[:, car], 1),
-                "lap_frames": (np.flatnonzero(np.diff(columns.laps[:, car]) > 0) + 1).tolist(),
-                "stops": stopped.reshape(-1, 2).tolist(),
-            }
+        drawn = drawn_car(
+            car + 1,
+            name,
+            x=columns.x[:, car],
+            y=columns.y[:, car],
+            yaw=columns.yaw[:, car],
+            distance=columns.distance[:, car],
+            gap_s=gaps[:, car],
+            laps=np.flatnonzero(np.diff(columns.laps[:, car]) > 0) + 1,
         )
+        cars.append({**drawn, "stops": stopped.reshape(-1, 2).tolist()})
     return {
         "step_hz": replay.step_hz,
         "duration_s": round(replay.duration_s, 3),
         "laps": replay.spec.laps,
-        "track": {
-            "title": replay.track.title,
-            "closed": replay.track.closed,
-            "left": _outline(replay.track.left),
-            "right": _outline(replay.track.right),
-        },
+        "track": drawn_track(replay.track),
         "obstacles": _outline(
             np.stack([replay.columns.obstacle_x[0], replay.columns.obstacle_y[0]], axis=1), every=1
         ),
@@ -51,6 +45,52 @@ def player_data(replay: Replay) -> dict[str, object]:
             {"time_s": line.time_s, "kind": line.kind, "car": line.car + 1, "text": line.text}
             for line in commentary.of_replay(replay)
         ],
+    }
+
+
+def drawn_car(
+    number: int,
+    name: str,
+    *,
+    x: np.ndarray,
+    y: np.ndarray,
+    yaw: np.ndarray,
+    distance: np.ndarray,
+    gap_s: np.ndarray,
+    laps: np.ndarray,
+) -> dict[str, object]:
+    """Return what the player draws of a car that never stands a penalty.
+
+    Args:
+        number: from 1.
+        name: of the driver.
+        x: in each frame [m], (num_frames,).
+        y: [m], likewise.
+        yaw: heading [rad], likewise.
+        distance: driven along the track [m], likewise.
+        gap_s: time since the leader was there [s], likewise.
+        laps: frames in which it completed a lap.
+    """
+    return {
+        "number": number,
+        "name": name,
+        "x": _differences(100 * x, 2),
+        "y": _differences(100 * y, 2),
+        "yaw": _differences(100 * np.unwrap(yaw), 1),
+        "distance": _differences(100 * distance, 2),
+        "gap": _differences(100 * gap_s, 1),
+        "lap_frames": laps.tolist(),
+        "stops": [],
+    }
+
+
+def drawn_track(track: Track) -> dict[str, object]:
+    """Return what the player draws of a track."""
+    return {
+        "title": track.title,
+        "closed": track.closed,
+        "left": _outline(track.left),
+        "right": _outline(track.right),
     }
 
 

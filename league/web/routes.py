@@ -17,6 +17,7 @@ from league.web.pages import (
     cups,
     definitions,
     driver,
+    ghosts,
     heat,
     heats,
     home,
@@ -63,6 +64,11 @@ class Page:
     """Of the page."""
     query: Mapping[str, str] = field(default_factory=dict)
     """Parameters after the question mark, all of them text, each with its meaning."""
+    shared: bool = False
+    """Whether it is the same for everyone who asks and may be a few seconds old, so that an answer
+    is kept."""
+    fleeting: bool = False
+    """Whether it changes with time alone."""
     parts: Mapping[str, Any] = field(default_factory=dict)
     """Types of those parts of the data that are frozen data, by their names."""
 
@@ -84,35 +90,49 @@ class Page:
 
 PAGES = (
     Page("/", "The most contested recent race and the top of the standings", home.document,
-         "home.html"),
+         "home.html", shared=True),
     Page("/standings", "The standings", table.document, "standings.html",
+         shared=True,
          query={"owner": "Only entries of this owner", "kind": "Only anchor, policy or scripted",
-          "track": "Track of the best laps",
-          "against": "Number of a driver: everyone's record against it"},
+          "track": "Only races on this track",
+          "cars": "Only races of so many cars",
+          "against": "Number or name of a driver: everyone's record against it",
+          "sort": "races, wins, finishes, lap, name or owner; by default the rating",
+          "page": "Number of the page, from 1"},
          parts={"rows": list[Row], "against": Row | None, "records": dict[int, HeadToHead],
                 "marks": dict[int, Marks], "season": Season | None}),
     Page("/drivers/{number:number}", "A driver: rating, history, records, heats, card",
-         driver.document, "driver.html",
+         driver.document, "driver.html", shared=True,
          parts={"entry": Entry, "standing": Row | None, "history": list[HistoryPoint],
                 "against": list[tuple[Row, HeadToHead | None]]}),
     Page("/matchups/{one:number}/{other:number}",
          "Two drivers: their heats, expected and actual score",
-         matchup.document, "matchup.html",
+         matchup.document, "matchup.html", shared=True,
          query={"before": "Number of a heat: only earlier ones are listed"},
          parts={"one": Entry, "other": Entry, "difference": Difference | None,
                 "record": HeadToHead | None}),
-    Page("/heats", "The newest heats", heats.document, "heats.html"),
-    Page("/feed.atom", "The newest heats as a feed", heats.document, "feed.xml",
+    Page("/heats", "The newest heats", heats.document, "heats.html", shared=True),
+    Page("/feed.atom", "The newest heats as a feed", heats.document, "feed.xml", shared=True,
          media_type="application/atom+xml"),
     Page("/heats/{number:number}", "A heat, and one of its races", heat.document, "heat.html",
+         shared=True,
          query={"race": "Number of the race within the heat, from 1",
           "lap": "Number of the lap to compare, from 1; empty for each car's best one"}),
     Page("/heats/{number:number}/races/{race:number}/replay", "What the player draws of a race",
-         heat.replay),
+         heat.replay, shared=True),
     Page("/heats/{number:number}/races/{race:number}/file",
          "A file that plays a race without a server",
          heat.one_file, "one_file.html", file="heat_{number}_race_{race}.html"),
-    Page("/tracks", "The tracks, and the fastest laps on each", tracks.document, "tracks.html"),
+    Page("/tracks", "The tracks, and the fastest laps on each", tracks.document, "tracks.html",
+         shared=True),
+    Page("/ghosts", "Any two laps on a track against each other", ghosts.document, "ghosts.html",
+         shared=True,
+         query={"track": "Name of the track",
+          "one": "A lap as heat.race.car.lap, or the number of a driver: its best lap",
+          "other": "The same, for the second lap",
+          "heat": "Number of a heat of which all laps are offered"}),
+    Page("/ghosts/replay", "What the player draws of two laps", ghosts.replay, shared=True,
+         query={"one": "A lap as heat.race.car.lap", "other": "The second lap"}),
     Page("/time-attack", "The fastest clean laps on each track, for each kind of race",
          boards.document, "boards.html",
          query={"races": "Kind of race: head_to_head, time_trial or obstacle_avoidance"}),
@@ -123,6 +143,7 @@ PAGES = (
     Page("/cups/{number:number}", "A cup: qualifying and bracket", cups.document, "cup.html",
          parts={"cup": Cup}),
     Page("/definitions", "What the numbers mean", definitions.document, "definitions.html"),
-    Page("/live", "Running heats, queue, workers, heats per minute", live.document, "live.html"),
+    Page("/live", "Running heats, queue, workers, heats per minute", live.document, "live.html",
+         shared=True, fleeting=True),
 )  # fmt: skip
 """All pages, and data without a page."""

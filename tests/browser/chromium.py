@@ -15,11 +15,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+DRAWING = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+"""For WebGL without a graphics card."""
 FLAGS = (
     "--headless=new",
-    "--no-sandbox",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
+    *DRAWING,
     "--disable-background-networking",
     "--disable-component-update",
     "--no-first-run",

@@ -42,6 +42,7 @@ def addresses(store: Store) -> dict[str, str]:
         **{f"season_{one.number}": f"/seasons/{one.number}" for one in store.seasons()},
         **{f"cup_{one.number}": f"/cups/{one.number}" for one in store.cups()},
         "definitions": "/definitions",
+        "ghosts": "/ghosts#t=2",
         "live": "/live",
         "submit": "/submit",
         "error": "/drivers/999999",

@@ -5,69 +5,19 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
 
 import pytest
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import expect
 
 from league.matchmaking import loop
+from league.matchmaking.pairing.heat_spec import mirrored
 from league.matchmaking.pairing.matchmaker import Season
 from league.matchmaking.workers.dispatcher import Dispatcher
-from tests.browser import chromium
-from tests.matchmaking.season_kit import Here, Store
-from tests.web.small_league import NAME, raced_league, rated_heat
+from tests.browser.looking import NEEDS_CHROMIUM, PATHS, PHONE, opened
+from tests.matchmaking.season_kit import Here
+from tests.web.small_league import NAME, lapped_heat, rated_heat
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(
-        chromium.program() is None,
-        reason="needs Chromium: install it, or set CHROMIUM to its path",
-    ),
-]
-PHONE = {"width": 390, "height": 800}
-PATHS = (
-    "/", "/standings", "/standings?against=3", "/drivers/1", "/drivers/3", "/matchups/3/1",
-    "/heats", "/heats/{heat}", "/tracks", "/live",
-)  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def store(tmp_path_factory) -> Iterator[Store]:
-    with raced_league(f"sqlite:///{tmp_path_factory.mktemp('league') / 'league.db'}") as store:
-        yield store
-
-
-@pytest.fixture(scope="module")
-def origin(store) -> Iterator[str]:
-    command = [sys.executable, "-m", "league.cli", "serve", "--league", store.url, "--port", "0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        try:
-            yield re.search(r"http://127\.0\.0\.1:\d+", process.stdout.readline()).group()
-        finally:
-            process.send_signal(2)
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=chromium.program(), args=["--no-sandbox"]
-        )
-        yield browser
-        browser.close()
-
-
-@pytest.fixture
-def complaints() -> list[str]:
-    """Return what pages wrote to the console, refusals by the security policy included."""
-    return []
-
-
-def opened(browser: Browser, origin: str, complaints: list[str], **options) -> Page:
-    page = browser.new_context(base_url=origin, **options).new_page()
-    page.on("console", lambda message: complaints.append(message.text))
-    page.on("pageerror", lambda error: complaints.append(str(error)))
-    return page
+pytestmark = NEEDS_CHROMIUM
 
 
 def test_home_plays_and_pixels_change(browser, origin, complaints):
@@ -141,7 +91,7 @@ def test_names_with_html_do_nothing_and_phones_need_no_sideways_scroll(
     page.goto(path.format(heat=rated_heat(store)))
     page.wait_for_timeout(300)
     assert page.evaluate("window.name") == ""
-    assert page.locator("img").count() == 0
+    assert page.locator("img:not(.strip img)").count() == 0
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
     assert complaints == []
 
@@ -196,7 +146,7 @@ def test_a_driver_is_reached_by_keyboard_alone(browser, origin, complaints):
     page.keyboard.press("Tab")
     assert page.evaluate("document.activeElement.textContent") == "To the content"
     page.keyboard.press("Enter")
-    for _ in range(8):
+    for _ in range(20):
         page.keyboard.press("Tab")
         if page.evaluate("document.activeElement.matches('td.name a')"):
             break
@@ -288,4 +238,83 @@ def test_everything_but_the_player_works_without_javascript(browser, origin, com
     page.goto(f"/heats/{rated_heat(store)}")
     assert page.get_by_text("Classification").is_visible()
     assert page.locator(".player svg").is_visible()
+    assert complaints == []
+
+
+def test_a_heat_is_followed_until_it_plays(browser, origin, store, complaints):
+    rules, ids = store.settings.ruleset, [entry.id for entry in store.entries()[:2]]
+    store.plan([mirrored(rules.hash, rules.tracks * 2, tuple(ids), draw=77)])
+    number = store.heats(("planned",))[-1].number
+    page = opened(browser, origin, complaints)
+    page.goto(f"/heats/{number}")
+    expect(page.get_by_role("status")).to_contain_text("It waits in a queue")
+    loop.run(store, Dispatcher(store, Here()), None)
+    page.locator("canvas").wait_for(timeout=60_000)
+    expect(page.get_by_role("button", name="Pause")).to_be_visible()
+    assert complaints == []
+
+
+def test_the_live_page_goes_on_to_the_newest_race(browser, origin, store, complaints):
+    page = opened(browser, origin, complaints)
+    page.goto("/live")
+    screen = page.locator("[data-newest]")
+    screen.locator("canvas").wait_for()
+    before = int(screen.get_attribute("data-newest"))
+    loop.run(store, Dispatcher(store, Here()), Season(store, same_owner=True), heats=1)
+    page.locator(".player").focus()
+    page.keyboard.press("End")
+    page.keyboard.press(" ")  # from the start again
+    page.get_by_label("Race time").fill("7.9")
+    expect(screen).not_to_have_attribute("data-newest", str(before), timeout=60_000)
+    screen.locator("canvas").wait_for()
+    assert complaints == []
+
+
+def test_ghosts_are_chosen_without_javascript_and_play_with_it(browser, origin, complaints, store):
+    plain = opened(browser, origin, complaints, java_script_enabled=False)
+    plain.goto(f"/heats/{lapped_heat(store)}")
+    plain.locator("a[href^='/ghosts?one=']").first.click()
+    first = plain.get_by_role("heading", level=1).inner_text()
+    plain.get_by_label("Laps of heat").fill(str(lapped_heat(store)))
+    plain.get_by_role("button", name="Show").click()
+    plain.get_by_role("link", name="as the second").last.click()
+    assert (
+        plain.get_by_role("heading", level=1).inner_text().split(" – ")[0]
+        == (first.split(" – ")[0])
+    )
+    page = opened(browser, origin, complaints)
+    page.goto(plain.url)
+    canvas = page.locator("canvas")
+    canvas.wait_for()
+    shown = canvas.screenshot()
+    page.wait_for_timeout(700)
+    assert canvas.screenshot() != shown
+    assert page.locator(".order tbody tr").count() == 2
+    assert complaints == []
+
+
+def test_the_standings_are_filtered_and_sorted_without_javascript(browser, origin, complaints):
+    page = opened(browser, origin, complaints, java_script_enabled=False)
+    page.goto("/standings")
+    page.get_by_label("Kind").select_option("anchor")
+    page.get_by_role("button", name="Show").click()
+    page.get_by_role("link", name="Wins").click()
+    assert page.locator("th[aria-sort]").inner_text().lower() == "wins"
+    wins = page.locator("tbody tr td:nth-child(7)").all_inner_texts()
+    assert len(wins) == 2 and sorted(map(int, wins), reverse=True) == list(map(int, wins))
+    assert page.get_by_label("Kind").input_value() == "anchor"
+    assert complaints == []
+
+
+def test_what_a_driver_saw_leads_to_the_moment(browser, origin, complaints):
+    page = opened(browser, origin, complaints)
+    page.goto("/drivers/2")
+    strip = page.locator(".strip")
+    strip.scroll_into_view_if_needed()
+    expect(strip.locator("img")).to_have_js_property("naturalWidth", 960, timeout=60_000)
+    address = strip.locator("a").nth(3).get_attribute("href")
+    strip.locator("a").nth(3).click()
+    page.locator("canvas").wait_for()
+    moment = float(address.split("#t=")[1])
+    assert float(page.locator(".scrub input").input_value()) == pytest.approx(moment, abs=0.03)
     assert complaints == []

@@ -346,3 +346,15 @@ def test_settings_of_sensors_that_came_later_do_not_change_older_ids():
 def test_a_policy_that_is_given_the_true_state_is_refused():
     with pytest.raises(PolicyError, match="no car can measure"):
         submission.check_sensors(SensorConfig(truth=True), Ruleset(sensors="any"))
+
+
+def test_weights_are_offered_for_download_only_if_their_owner_says_so(tmp_path):
+    with new_league(f"sqlite:///{tmp_path / 'league.db'}", rules=SHORT) as store:
+        assert not submission.accept(store, SOUND, "ann's car", "ann").downloadable
+        other = submission.pack(make_checkpoint("lidar", network=NetworkConfig(hidden=(9,))))
+        assert submission.accept(store, other, "bob's car", "bob", download=True).downloadable
+        # The first submission decides.
+        again = submission.accept(store, SOUND, "ann's car", "ann", download=True)
+        assert not again.downloadable
+        with pytest.raises(PolicyError):
+            submission.accept(store, with_card(download=True), "eve's car", "eve")

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from starlette.testclient import TestClient
 
 from league.matchmaking import standings
+from league.matchmaking.pairing.heat_spec import mirrored
 from league.racing_line.racing_line import lap_bound
 from league.replay import format
 from league.sim.config import CarConfig
 from league.track import files
 from league.web import lap_charts
-from tests.web.small_league import lapped_heat
+from league.web.app import make_app
+from tests.web.small_league import ORIGIN, RULES, lapped_heat, new_league
 
 
 def test_records_are_the_best_laps_of_the_standings(client, store):
@@ -79,3 +82,16 @@ def test_the_pace_is_of_the_last_five_minutes(client, store, monkeypatch):
     monkeypatch.setattr("league.web.pages.live.time.time", lambda: max(done) + 301.0)
     later = client.get("/api/v1/live").json()
     assert later["per_minute"] == 0 and later["wait_minutes"] is None
+
+
+def test_a_heat_that_waits_says_so_and_is_asked_for_again(tmp_path):
+    anchors = ("centerline", "racing_line")
+    with new_league(f"sqlite:///{tmp_path / 'league.db'}", anchors=anchors, rules=RULES) as store:
+        ids = tuple(entry.id for entry in store.entries())
+        store.plan([mirrored(RULES.hash, RULES.tracks * 2, ids)])
+        with TestClient(make_app(store), base_url=ORIGIN) as client:
+            page = client.get("/heats/1").text
+            assert "waits in a" in page and "of 1 heat," in page
+            assert 'data-live="heat"' in page and "/static/live.js" in page
+            store.claim("worker 7")
+            assert "worker 7 races it now" in client.get("/heats/1").text

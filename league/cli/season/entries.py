@@ -83,6 +83,8 @@ class Submit(OnServer):
     owner: str = ""
     """Its owner; by default your login name, and with --to the owner of the token. Entries of one
     owner do not meet."""
+    download: bool = False
+    """Let everyone download the weights from the driver's page."""
 
     def run(self) -> int:
         """Run the command."""
@@ -113,9 +115,12 @@ class Submit(OnServer):
         owner = self.owner or getpass.getuser()
         with self.opened() as store:
             if self.driver not in roster.NAMES:
-                entry = submission.submit(store, roster.checkpoint_path(self.driver), name, owner)
+                path = roster.checkpoint_path(self.driver)
+                entry = submission.submit(store, path, name, owner, download=self.download)
             else:
                 entry = store.submit(name, owner, scripted=self.driver, card={"name": name})
+        if self.download and not entry.downloadable:
+            print("It cannot be downloaded: only a policy can, from its first submission on.")
         return _Entered(entry.name, entry.owner, entry.id, entry.state, entry.near_copy_of)
 
     def _sent(self, name: str) -> _Entered:
@@ -123,6 +128,8 @@ class Submit(OnServer):
         client = self.client()
         if self.owner:
             raise ConfigError("--owner with --to: the token says who the owner is, leave it out")
+        if self.download:
+            raise ConfigError("--download with --to: a served league offers no weights, omit it")
         sent = client.submit(_packed(self.driver), name)
         said = {key: str(sent.get(key, "")) for key in _Entered.__dataclass_fields__}
         said["page"] = client.url + said["page"]

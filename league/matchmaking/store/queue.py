@@ -292,18 +292,20 @@ def read(
     where: sa.ColumnElement[bool],
     secret: bytes,
     limit: int | None = None,
+    *,
+    newest: bool = False,
 ) -> list[HeatRecord]:
-    """Return what is known about some heats, by number."""
+    """Return what is known about some heats, by number; see Store.heats."""
     audited = heats.alias("audited")
     query = (
         sa.select(heats, rulesets.c.hash.label("rules"), audited.c.key.label("audited_key"))
         .join(rulesets, rulesets.c.number == heats.c.ruleset)
         .outerjoin(audited, audited.c.number == heats.c.audits)
         .where(where)
-        .order_by(heats.c.number)
+        .order_by(heats.c.number.desc() if newest else heats.c.number)
         .limit(limit)
     )
-    rows = connection.execute(query).all()
+    rows = sorted(connection.execute(query).all(), key=lambda row: row.number)
     drawn = [json.loads(row.halves) for row in rows]
     numbers = {number for halves in drawn for _, grid in halves for number in grid}
     query = sa.select(entries.c.number, entries.c.id)

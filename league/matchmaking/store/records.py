@@ -147,6 +147,11 @@ class Entry:
         """Name of the earlier entry with nearly the same weights; empty for none."""
         return str(self.card.get("near_copy_of", ""))
 
+    @property
+    def downloadable(self) -> bool:
+        """Whether its owner lets everyone have its weights."""
+        return self.kind == "policy" and self.card.get("download") is True
+
 
 @dataclass(frozen=True)
 class Token:
@@ -306,6 +311,22 @@ class Races:
         """Return those of the races for which `kept` is true, (num_races,)."""
         parts = ("heat", "half", "track", "entries", "places", "runs")
         return replace(self, **{name: getattr(self, name)[kept] for name in parts})
+
+    def joined(self, later: Races) -> Races:
+        """Return these races and later ones, read with `since`."""
+        cars = max(self.entries.shape[1], later.entries.shape[1])
+        columns: dict[str, np.ndarray] = {}
+        for name in ("heat", "half", "track", "entries", "places", "runs"):
+            parts = [getattr(one, name) for one in (self, later)]
+            if parts[0].ndim > 1:
+                empty = -1 if name == "entries" else 0
+                room = [((0, 0), (0, cars - part.shape[1])) for part in parts]
+                parts = [
+                    np.pad(part, wide, constant_values=empty)
+                    for part, wide in zip(parts, room, strict=True)
+                ]
+            columns[name] = np.concatenate(parts)
+        return Races(**columns, last=later.last, voided=later.voided)
 
 
 @dataclass(frozen=True)

@@ -401,8 +401,17 @@ class Store:
         entries: Sequence[int] = (),
         since: int = 0,
         limit: int | None = None,
+        newest: bool = False,
     ) -> list[HeatRecord]:
-        """Return heats by number: in these states, with all these entries (numbers) in them."""
+        """Return heats by number.
+
+        Args:
+            states: only those in one of them; by default all.
+            entries: only those with all these entries (numbers) in them.
+            since: only those with a larger number.
+            limit: so many at most.
+            newest: with a limit, those with the largest numbers instead of the smallest.
+        """
         match = heats.c.number > since
         if states is not None:
             match &= heats.c.state.in_(states)
@@ -410,7 +419,7 @@ class Store:
             match &= heats.c.number.in_(
                 sa.select(heat_entries.c.heat).where(heat_entries.c.entry == entry)
             )
-        return self._heats(match, limit)
+        return self._heats(match, limit, newest=newest)
 
     def heats_by_key(self, keys: Sequence[str]) -> list[HeatRecord]:
         """Return those of some heats that are known, by number."""
@@ -433,6 +442,12 @@ class Store:
         with self._database.reading() as connection:
             return integrity.verify(connection, head)
 
+    @property
+    def revision(self) -> int:
+        """A number that grows with whatever happens in the league: its events so far."""
+        with self._database.reading() as connection:
+            return connection.scalar(sa.select(sa.func.max(schema.events.c.number))) or 0
+
     def counts(self) -> dict[HeatState, int]:
         """Return how many heats are in each state."""
         query = sa.select(heats.c.state, sa.func.count()).group_by(heats.c.state)
@@ -447,9 +462,11 @@ class Store:
                 self._database.lock(connection)
             yield connection, self._database.now(connection)
 
-    def _heats(self, match: sa.ColumnElement[bool], limit: int | None) -> list[HeatRecord]:
+    def _heats(
+        self, match: sa.ColumnElement[bool], limit: int | None, *, newest: bool = False
+    ) -> list[HeatRecord]:
         with self._database.reading() as connection:
-            return queue.read(connection, match, self._secret, limit)
+            return queue.read(connection, match, self._secret, limit, newest=newest)
 
 
 def create(

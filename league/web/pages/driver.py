@@ -4,22 +4,27 @@ from __future__ import annotations
 
 import heapq
 import itertools
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from league.errors import StoreError
 from league.matchmaking import standings
 from league.matchmaking.history import history
+from league.matchmaking.own_history import own_history
 from league.matchmaking.pairing import matchmaker
-from league.matchmaking.scores import best_laps, race_scores
+from league.matchmaking.scores import race_scores
 from league.matchmaking.standings import HeadToHead, HistoryPoint, Row, Standings
 from league.matchmaking.store import Entry, HeatRecord
 from league.track import files
+from league.video import strip
 from league.web import charts, family, season_marks
 from league.web.medals import medal
 from league.web.pages.seasons import frozen
-from league.web.reader import Document, Reader
+from league.web.reader import Document, Reader, accepted
 
+NEWEST = 200
+"""Newest heats that are looked at."""
 FIRST_HEATS = 8
 """Heats of a new entry that are followed live."""
 OVER = ("done", "error", "quarantined", "cancelled")
@@ -31,15 +36,17 @@ EXTREMES = 5
 """Best, and worst, heats that are listed."""
 HISTORY_POINTS = 24
 """Moments of the rating's history."""
+FITTED_RACES = 20_000
+"""Races of a league up to which each moment is fitted to all races up to then."""
 
 
 def document(reader: Reader, number: int) -> Document:
     """Return an entry: its rating and how it came about, its record, its heats, its card."""
-    entry, entries, rated = reader.entry(number), reader.store.entries(), reader.standings()
-    row, raced = reader.row(number), reader.store.heats(entries=[number])
+    entry, entries, rated = reader.entry(number), reader.entries(), reader.standings()
+    row, raced = reader.row(number), reader.store.heats(entries=[number], limit=NEWEST, newest=True)
     waiting = [record for record in raced if record.state in ("planned", "claimed")]
     over = [record for record in raced if record not in waiting and record.state != "cancelled"]
-    moments = _history(reader, entry, rated.races.last) if rated and row else []
+    moments = _history(reader, entry, rated) if rated and row and row.races else []
     heats = _heat_scores(rated, number) if rated and row else []
     best = heapq.nlargest(EXTREMES, heats, key=_surplus)
     worst = heapq.nsmallest(EXTREMES, heats, key=_surplus)
@@ -49,14 +56,16 @@ def document(reader: Reader, number: int) -> Document:
         "marks": season_marks.of(reader).get(number),
         "trophies": _trophies(reader, number),
         "history": moments,
+        "fitted": bool(rated and rated.num_races <= FITTED_RACES),
         "chart": _chart(reader, number, moments),
         "against": _neighbours(rated, row) if rated and row else [],
         "best": _named(reader, [heat for heat in best if _surplus(heat) > 0]),
         "worst": _named(reader, [heat for heat in worst if _surplus(heat) < 0]),
-        "laps": _laps(reader, rated, number) if rated and row else [],
+        "laps": _laps(reader, number),
         "heats": reader.listed(over[-HEATS:][::-1]),
         "waiting": len(waiting),
         "joining": _joining(reader, entry, raced),
+        "camera": _camera(reader, entry, over[-HEATS:][::-1]),
         "card": _card(entry),
         "ancestors": family.ancestors(entries, entry),
         "children": [
@@ -77,11 +86,9 @@ def _joining(reader: Reader, entry: Entry, raced: list[HeatRecord]) -> Document 
 
 def _neighbours(rated: Standings, row: Row) -> list[tuple[Row, HeadToHead | None]]:
     """Return the entries around one in the standings, and its record against each."""
-    first = max(0, row.rank - 1 - NEIGHBOURS)
+    first, met = max(0, row.rank - 1 - NEIGHBOURS), standings.meetings(rated, row.number)
     return [
-        (other, standings.head_to_head(rated, row.number, other.number))
-        if other.number != row.number
-        else (other, None)
+        (other, met.get(other.number, standings.UNMET) if other.number != row.number else None)
         for other in rated.rows[first : row.rank + NEIGHBOURS]
     ]
 
@@ -106,10 +113,10 @@ def _named(reader: Reader, scores: list[Document]) -> list[Document]:
     return [{**heat, **score} for heat, score in zip(listed, scores, strict=True)]
 
 
-def _laps(reader: Reader, rated: Standings, number: int) -> list[Document]:
+def _laps(reader: Reader, number: int) -> list[Document]:
     """Return an entry's best lap on each track: its place among all, its medal, its race."""
     lines = []
-    for name, laps in best_laps(rated).items():
+    for name, laps in reader.snapshot().best_laps.items():
         place = next((at for at, lap in enumerate(laps) if lap.number == number), None)
         if place is None:
             continue
@@ -144,8 +151,31 @@ def _trophies(reader: Reader, number: int) -> list[Document]:
     ]
 
 
-def _history(reader: Reader, entry: Entry, last: int) -> list[HistoryPoint]:
+def _camera(reader: Reader, entry: Entry, records: Sequence[HeatRecord]) -> Document | None:
+    """Return the newest recorded race of an entry, and the moments that its film strip shows."""
+    for record in records:
+        results = reader.store.results(record.number)
+        for half, race in enumerate(record.heat.halves):
+            result = accepted(results, half)
+            if result is None or not result.replay or entry.id not in race.grid:
+                continue
+            car = race.grid.index(entry.id)
+            row = next(row for row in result.result["order"] if row["car"] == car)
+            total_s = row["total_s"] if row["finished"] else math.inf
+            return {
+                "heat": record.number,
+                "race": half + 1,
+                "car": car + 1,
+                "track": race.track,
+                "moments_s": strip.moments(total_s, result.result["race_s"]),
+            }
+    return None
+
+
+def _history(reader: Reader, entry: Entry, rated: Standings) -> list[HistoryPoint]:
     """Return an entry's history, as of the league's newest race; none before its first race."""
+    if rated.num_races > FITTED_RACES:
+        return own_history(rated, entry.number, points=HISTORY_POINTS)
 
     def moments() -> list[HistoryPoint]:
         try:
@@ -153,7 +183,7 @@ def _history(reader: Reader, entry: Entry, last: int) -> list[HistoryPoint]:
         except StoreError:
             return []
 
-    return reader.kept(("history", entry.number, last), moments)
+    return reader.kept(("history", entry.number, rated.races.last), moments)
 
 
 def _card(entry: Entry) -> dict[str, str]:

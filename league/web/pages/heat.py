@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from league.matchmaking.documents import heat_document, names_of
+from league.matchmaking.documents import heat_document
 from league.matchmaking.store import HeatRecord, RaceOutcome, StoredResult
 from league.replay import Replay
 from league.web import charts, lap_charts, race_charts
@@ -32,6 +32,7 @@ def document(reader: Reader, number: int, race: str = "", lap: str = "") -> Docu
     names = [car["name"] for car in shown["cars"]]
     return {
         **shown,
+        "queue": reader.store.counts().get("planned", 0) if not at.result else 0,
         "seed": at.record.seeds[at.half] if at.record.seeds else None,
         "ruleset": at.record.heat.ruleset,
         "best_lap_s": min(laps_s, default=None),
@@ -53,13 +54,26 @@ def summary(reader: Reader, number: int, race: str = "") -> Document:
     return _summary(reader, _race(reader, number, race))
 
 
+def result(reader: Reader, number: int, race: int) -> StoredResult:
+    """Return the result of a race that was raced."""
+    reader.record(number)
+    found = accepted(reader.store.results(number), race - 1)
+    if found is None:
+        raise NotFoundError(f"Heat {number} has no result of a race {race}.")
+    return found
+
+
+def recording(reader: Reader, number: int, race: int) -> str:
+    """Return the hash of a race's recording."""
+    digest = result(reader, number, race).replay
+    if not digest:
+        raise NotFoundError(f"Heat {number} has no recording of a race {race}.")
+    return digest
+
+
 def replay(reader: Reader, number: int, race: int) -> Document:
     """Return what the player draws of a race."""
-    reader.record(number)
-    result = accepted(reader.store.results(number), race - 1)
-    if result is None or not result.replay:
-        raise NotFoundError(f"Heat {number} has no recording of a race {race}.")
-    return player_data(reader.replay(result.replay))
+    return player_data(reader.replay(recording(reader, number, race)))
 
 
 def one_file(reader: Reader, number: int, race: int) -> Document:
@@ -89,15 +103,15 @@ def _race(reader: Reader, number: int, race: str) -> _Race:
 
 
 def _summary(reader: Reader, at: _Race) -> Document:
-    entries, race = reader.store.entries(), at.record.heat.halves[at.half]
-    by_id = {entry.id: entry for entry in entries}
+    race = at.record.heat.halves[at.half]
+    cars = [reader.entry_of(id) for id in race.grid]
     return {
-        "heat": heat_document(at.record, names_of(entries)),
+        "heat": heat_document(at.record, reader.names),
         "race": at.half + 1,
         "track": race.track,
         "cars": [
-            {"number": slot + 1, "entry": by_id[id].number, "name": by_id[id].name}
-            for slot, id in enumerate(race.grid)
+            {"number": slot, "entry": entry.number, "name": entry.name}
+            for slot, entry in enumerate(cars, 1)
         ],
         "result": at.result.result if at.result else None,
         "places": at.result.places if at.result else (),
@@ -109,7 +123,7 @@ def _summary(reader: Reader, at: _Race) -> Document:
 def _proof(reader: Reader, at: _Race) -> Document:
     """Return what speaks for a result: its hash, who raced it, and whether others found it, too."""
     record, result = at.record, at.result
-    numbers = [one.number for one in reader.store.entries() if one.id in record.heat.entries]
+    numbers = [reader.entry_of(id).number for id in record.heat.entries]
     later = reader.store.heats(entries=numbers, since=record.number)
     audits = [one for one in later if one.heat.audits == record.heat.key]
     results = reader.store.results(record.number)

@@ -24,7 +24,7 @@ def document(reader: Reader) -> Document:
         "featured": heat.summary(reader, *featured) if featured else None,
         "scale": charts.interval_scale(rated.rows) if rated else None,
         "rows": rated.rows[:TOP] if rated else (),
-        "entries": len(reader.store.entries()),
+        "entries": len(reader.entries()),
     }
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 
-from league.matchmaking.documents import heat_document, names_of
+from league.matchmaking.documents import heat_document
 from league.matchmaking.store import HeatRecord
+from league.web.pages import heat
 from league.web.reader import Document, Reader
 
 WINDOW_S = 300.0
@@ -20,7 +21,7 @@ LISTED = 20
 def document(reader: Reader) -> Document:
     """Return the running heats, the queue, the workers, the pace, and what needs attention."""
     store, now_s = reader.store, time.time()
-    names = names_of(store.entries())
+    names = reader.names
     counts = store.counts()
     running = store.heats(("claimed",))
     done = [one for one in reader.newest(NEWEST) if now_s - (one.done_s or 0.0) < WINDOW_S]
@@ -32,6 +33,7 @@ def document(reader: Reader) -> Document:
         return [heat_document(record, names) for record in records[:LISTED]]
 
     return {
+        "newest": _newest(reader),
         "counts": counts,
         "per_minute": per_minute,
         "wait_minutes": waiting / per_minute if per_minute else None,
@@ -46,6 +48,15 @@ def document(reader: Reader) -> Document:
         ],
         "window_s": WINDOW_S,
     }
+
+
+def _newest(reader: Reader) -> Document | None:
+    """Return the first race of the newest heat that was recorded."""
+    for record in reader.newest(LISTED):
+        summary = heat.summary(reader, record.number)
+        if summary["recording"]:
+            return summary
+    return None
 
 
 def _workers(running: Sequence[HeatRecord], done: Sequence[HeatRecord]) -> list[Document]:

@@ -1,73 +1,148 @@
-"""The standings, filtered; ranks are those among all entries."""
+"""The standings: of all races or of some, filtered, a page at a time."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, TypeVar
+from urllib.parse import urlencode
 
 from league.matchmaking import standings
 from league.matchmaking.standings import HeadToHead, Row, Standings
-from league.matchmaking.store import Entry
 from league.web import charts, season_marks
 from league.web.reader import Document, NotFoundError, Reader
+from league.web.snapshot import kind_of
+
+PER_PAGE = 100
+"""Entries on one page."""
+MOST_OPTIONS = 200
+"""Owners, or drivers, that can be chosen from a list; with more, their names are typed."""
+
+T = TypeVar("T")
+ORDERS: dict[str, Callable[[str, Row], Any]] = {
+    "": lambda _, row: row.rank,
+    "races": lambda _, row: -row.races,
+    "wins": lambda _, row: -row.wins,
+    "finishes": lambda _, row: 1.0 if row.unfinished is None else row.unfinished,
+    "lap": lambda track, row: row.best_laps_s.get(track, math.inf),
+    "name": lambda _, row: row.name.casefold(),
+    "owner": lambda _, row: row.owner.casefold(),
+}
+"""What the lines may be sorted by, a key of the track of the laps and of a line, the first first;
+equals stay in the order of their ranks."""
 
 
 def document(
-    reader: Reader, owner: str = "", kind: str = "", track: str = "", against: str = ""
+    reader: Reader,
+    owner: str = "",
+    kind: str = "",
+    track: str = "",
+    cars: str = "",
+    against: str = "",
+    sort: str = "",
+    page: str = "",
 ) -> Document:
-    """Return the standings.
+    """Return one page of the standings.
 
     Args:
         reader: reads the league.
         owner: only entries of this owner; empty for all.
         kind: only these: anchor, policy or scripted; empty for all.
-        track: of the best laps; empty for the first one.
-        against: number of the entry against which everyone's record is shown; empty for none.
+        track: rated by the races on this track alone; empty for all.
+        cars: rated by the races of so many cars alone; empty for all.
+        against: number or name of the entry against which everyone's record is shown.
+        sort: races, wins, finishes, lap, name or owner; empty for the rating.
+        page: number of the page, from 1; empty for the first.
     """
-    rules, rated = reader.rules(), reader.standings()
+    rules, now = reader.rules(), reader.snapshot()
     if track and track not in rules["tracks"]:
         raise NotFoundError(f"This league races on {', '.join(rules['tracks'])}, not {track[:40]}.")
+    if cars and cars not in map(str, now.car_counts):
+        known = " or ".join(map(str, now.car_counts))
+        raise NotFoundError(f"The rated races have {known or 'no'} cars, not {cars[:20]}.")
+    rated = reader.standings_of(track, int(cars or 0))
     rows = rated.rows if rated else ()
     rival = _row(rows, against) if against else None
-    kinds = {entry.number: _kind(entry) for entry in reader.store.entries()}
     shown = [
-        row for row in rows if owner in ("", row.owner) and kind in ("", kinds.get(row.number))
+        row
+        for row in rows
+        if owner in ("", row.owner) and kind in ("", kind_of(now.by_number[row.number]))
     ]
+    if sort not in ORDERS:
+        raise NotFoundError(f"Standings are sorted by {', '.join(ORDERS)[2:]}, not {sort[:20]}.")
+    if sort:
+        shown.sort(key=partial(ORDERS[sort], track or rules["tracks"][0]))
+    asked = {"owner": owner, "kind": kind, "track": track, "cars": cars, "against": against}
+    asked = {name: text for name, text in asked.items() if text}
+    pages = math.ceil(len(shown) / PER_PAGE) or 1
+    number = _page(page, pages)
+    on_page = shown[(number - 1) * PER_PAGE : number * PER_PAGE]
     return {
         "rules": rules,
         "races": rated.num_races if rated else 0,
         "rejected": bool(rated and rated.goodness.rejected),
         "p_value": rated.goodness.p_value if rated else None,
-        "scale": charts.interval_scale(rows) if rows else None,
-        "rows": shown,
+        "scale": charts.interval_scale(on_page) if on_page else None,
+        "rows": on_page,
         "season": rated.season if rated else None,
         "marks": season_marks.of(reader),
+        "entries": len(shown),
+        "page": number,
+        "pages": pages,
+        "pager": _pager(number, pages, {**asked, "sort": sort} if sort else asked),
+        "sort": sort,
+        "sorts": {
+            name: "" if name == sort else _address({**asked, "sort": name} if name else asked)
+            for name in ORDERS
+        },
         "against": rival,
-        "records": _records(rated, rival) if rated and rival else {},
-        "drivers": sorted((row.name, row.number) for row in rows),
-        "owners": sorted({row.owner for row in rows}),
-        "kinds": sorted(set(kinds.values())),
+        "records": _records(rated, rival, on_page) if rated and rival else {},
+        "drivers": _options(sorted((row.name, row.number) for row in now.rows.values())),
+        "owners": _options(now.owners),
+        "kinds": now.kinds,
+        "car_counts": now.car_counts,
         "owner": owner,
         "kind": kind,
-        "track": track or rules["tracks"][0],
+        "track": track,
+        "cars": cars,
     }
 
 
-def _row(rows: Sequence[Row], number: str) -> Row:
-    row = next((row for row in rows if str(row.number) == number), None)
+def _page(asked: str, pages: int) -> int:
+    if asked and asked not in map(str, range(1, pages + 1)):
+        raise NotFoundError(f"The standings have the pages 1 to {pages}.")
+    return int(asked or 1)
+
+
+def _pager(number: int, pages: int, asked: dict[str, str]) -> list[tuple[str, str]]:
+    """Return labels and addresses of other pages, and the label of this one with none."""
+    near = sorted({1, pages, *range(max(1, number - 2), min(pages, number + 2) + 1)})
+    return [
+        (
+            str(page),
+            "" if page == number else _address({**asked, "page": str(page)} if page > 1 else asked),
+        )
+        for page in near
+    ]
+
+
+def _address(asked: dict[str, str]) -> str:
+    return f"/standings?{urlencode(asked)}" if asked else "/standings"
+
+
+def _options(found: list[T]) -> list[T]:
+    return found if len(found) <= MOST_OPTIONS else []
+
+
+def _row(rows: Sequence[Row], text: str) -> Row:
+    row = next((row for row in rows if text in (str(row.number), row.name)), None)
     if row is None:
-        raise NotFoundError(f"The standings have no driver {number[:20]}.")
+        raise NotFoundError(f"The standings have no driver {text[:20]}.")
     return row
 
 
-def _records(rated: Standings, rival: Row) -> dict[int, HeadToHead]:
+def _records(rated: Standings, rival: Row, rows: Sequence[Row]) -> dict[int, HeadToHead]:
     """Return the record of each entry against the rival, by its number; only those that met it."""
-    return {
-        row.number: record
-        for row in rated.rows
-        if row.number != rival.number
-        and (record := standings.head_to_head(rated, row.number, rival.number)).races
-    }
-
-
-def _kind(entry: Entry) -> str:
-    return "anchor" if entry.anchor else entry.kind
+    met = standings.meetings(rated, rival.number)
+    return {row.number: met[row.number].turned for row in rows if row.number in met}

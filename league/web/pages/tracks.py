@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from league.matchmaking.scores import BestLap, best_laps
+from league.matchmaking.scores import BestLap
 from league.track import files
 from league.track.track import Track
 from league.web import charts, lap_charts, medals
@@ -17,15 +17,14 @@ RECORDS = 10
 
 def document(reader: Reader) -> Document:
     """Return the tracks of the present rules, and the fastest laps on each."""
-    rated = reader.standings()
-    laps = best_laps(rated) if rated else {}
+    laps = reader.snapshot().best_laps
     names = reader.store.settings.ruleset.tracks
     return {"tracks": [_track(reader, files.load(name), laps.get(name, [])) for name in names]}
 
 
 def _track(reader: Reader, track: Track, laps: list[BestLap]) -> Document:
     bound_s = reader.bound_s(track)
-    drivers = {row.number: row.name for row in reader.rows()}
+    drivers = reader.snapshot().by_number
     record = laps[0] if laps else None
     return {
         **files.report(track),
@@ -36,7 +35,7 @@ def _track(reader: Reader, track: Track, laps: list[BestLap]) -> Document:
         "records": [
             {
                 "entry": lap.number,
-                "name": drivers[lap.number],
+                "name": drivers[lap.number].name,
                 "lap_s": lap.lap_s,
                 "medal": medals.medal(lap.lap_s, bound_s),
                 "heat": lap.heat,

@@ -87,7 +87,8 @@ class Player {
     );
     addEventListener("hashchange", () => this.seekToHash());
     const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
-    if (!this.seekToHash() && "autoplay" in root.dataset && !still) this.toggle();
+    const asked = "autoplay" in root.dataset || location.hash === "#play";
+    if (!this.seekToHash() && asked && !still) this.toggle();
   }
 
   build() {
@@ -331,7 +332,10 @@ class Player {
       before = now;
       if (this.time >= this.race.duration_s) {
         this.time = "loop" in this.root.dataset ? 0 : this.race.duration_s;
-        if (this.time) this.toggle();
+        if (this.time) {
+          this.toggle();
+          this.root.dispatchEvent(new CustomEvent("raceend", { bubbles: true }));
+        }
       }
       this.draw();
       if (this.playing) requestAnimationFrame(next);
@@ -401,7 +405,8 @@ class Player {
   }
 }
 
-for (const root of document.querySelectorAll("[data-replay]")) {
+/** Make a player of an element with the address of a race, or with the race on the page. */
+function begin(root) {
   const inline = document.getElementById("race-data");
   const record = inline
     ? Promise.resolve(JSON.parse(inline.textContent))
@@ -411,8 +416,10 @@ for (const root of document.querySelectorAll("[data-replay]")) {
       });
   record
     .then((race) => {
-      const player = new Player(root, race);
-      root.addEventListener("seekto", (event) => player.seek(event.detail));
+      root.player = new Player(root, race);
+      root.addEventListener("seekto", (event) => root.player.seek(event.detail));
     })
     .catch((error) => root.append(element("p", { role: "alert" }, error.message)));
 }
+
+for (const root of document.querySelectorAll("[data-replay]")) begin(root);

@@ -1,0 +1,204 @@
+"""Ghosts: any two laps on a track against each other."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from league.matchmaking.scores import BestLap
+from league.replay import Replay
+from league.web import charts, ghosts, lap_charts, medals
+from league.web.lap_charts import Lap
+from league.web.pages import heat as heats
+from league.web.reader import Document, NotFoundError, Reader
+
+MOST = 100
+"""Fastest drivers on a track that are offered; others are reached from their own pages."""
+TRIED = 20
+"""Fastest drivers among which recorded laps are looked for where none is asked for."""
+LAP = re.compile(r"(\d{1,15})\.(\d{1,2})\.(\d{1,2})\.(\d{1,4})")
+
+
+class LapName(NamedTuple):
+    """Which lap it is."""
+
+    heat: int
+    race: int
+    """Number of the race within the heat, from 1."""
+    car: int
+    """Number of the car, from 1."""
+    lap: int
+    """From 1."""
+
+    def __str__(self) -> str:
+        return ".".join(map(str, self))
+
+
+@dataclass(frozen=True)
+class _Ghost:
+    name: LapName
+    entry: int
+    """Number of the driver."""
+    driver: str
+    track: str
+    lap_s: float
+
+
+def document(
+    reader: Reader, track: str = "", one: str = "", other: str = "", heat: str = ""
+) -> Document:
+    """Return two laps on a track, and what else may be chosen.
+
+    Args:
+        reader: reads the league.
+        track: name of the track; laps on another one are not kept. Empty for that of the laps.
+        one: a lap as heat.race.car.lap, or the number of a driver: its best lap on the track.
+            Empty for the fastest.
+        other: the same, for the second lap.
+        heat: number of a heat of which all laps are offered; empty for none.
+    """
+    known = reader.rules()["tracks"]
+    if track and track not in known:
+        raise NotFoundError(f"This league races on {', '.join(known)}, not {track[:40]}.")
+    asked = [_named(reader, text) for text in (one, other) if LAP.fullmatch(text)]
+    course = track or next((ghost.track for ghost in asked), known[0])
+    best = reader.snapshot().best_laps.get(course, [])
+    pair = _pair(reader, course, best, (one, other))
+    laps = [_lap(reader, ghost, car) for car, ghost in enumerate(pair)]
+    shown = _replay(reader, pair[0].name).track if pair else None
+    bound_s = reader.bound_s(shown) if shown else None
+    drivers = reader.snapshot().by_number
+    return {
+        "tracks": known,
+        "track": course,
+        "pair": [_line(bound_s, ghost) for ghost in pair],
+        "laps": [lap.label for lap in laps],
+        "map": charts.track_map(shown) if shown else None,
+        "compared": lap_charts.compared(laps, shown.length) if shown else None,
+        "options": [
+            {"entry": lap.number, "name": drivers[lap.number].name, "lap_s": lap.lap_s}
+            for lap in best[:MOST]
+        ],
+        "heat": heat,
+        "heat_laps": [_line(bound_s, ghost) for ghost in _of_heat(reader, heat, course)],
+    }
+
+
+def replay(reader: Reader, one: str = "", other: str = "") -> Document:
+    """Return what the player draws of two laps, by their names."""
+    pair = [_named(reader, text) for text in (one, other)]
+    if pair[0].track != pair[1].track:
+        raise NotFoundError(f"One lap is on {pair[0].track}, the other on {pair[1].track}.")
+    laps = [_lap(reader, ghost, car) for car, ghost in enumerate(pair)]
+    return ghosts.player_data(laps, _replay(reader, pair[0].name).track)
+
+
+def _pair(
+    reader: Reader, track: str, best: Sequence[BestLap], asked: tuple[str, str]
+) -> list[_Ghost]:
+    """Return the laps that are asked for, where they are on the track, else the fastest ones."""
+    chosen: list[_Ghost] = []
+    for text in asked:
+        ghost = _asked(reader, text, best) if text else None
+        if ghost is None or ghost.track != track:
+            taken = {one.entry for one in chosen}
+            fastest = (_recorded(reader, lap) for lap in best[:TRIED] if lap.number not in taken)
+            ghost = next(filter(None, fastest), None)
+        if ghost is not None:
+            chosen.append(ghost)
+    return chosen if len(chosen) == 2 else []
+
+
+def _recorded(reader: Reader, lap: BestLap) -> _Ghost | None:
+    """Return a best lap; None if its race was not recorded."""
+    try:
+        heats.recording(reader, lap.heat, lap.race)
+    except NotFoundError:
+        return None
+    return _best(reader, lap)
+
+
+def _asked(reader: Reader, text: str, best: Sequence[BestLap]) -> _Ghost | None:
+    if LAP.fullmatch(text):
+        return _named(reader, text)
+    lap = next((lap for lap in best if str(lap.number) == text), None)
+    if lap is None:
+        reader.entry(int(text) if text.isascii() and text.isdecimal() and len(text) < 16 else 0)
+    return _best(reader, lap) if lap else None
+
+
+def _best(reader: Reader, lap: BestLap) -> _Ghost:
+    grid = reader.record(lap.heat).heat.halves[lap.race - 1].grid
+    car = grid.index(reader.entry(lap.number).id)
+    times_s = _lap_times_s(reader, lap.heat, lap.race, car + 1)
+    return _ghost(reader, LapName(lap.heat, lap.race, car + 1, int(np.argmin(times_s)) + 1))
+
+
+def _named(reader: Reader, text: str) -> _Ghost:
+    match = LAP.fullmatch(text)
+    if match is None:
+        raise NotFoundError(f"{text[:20]!r} is no lap: write heat.race.car.lap, as in 12.1.2.3.")
+    return _ghost(reader, LapName(*map(int, match.groups())))
+
+
+def _ghost(reader: Reader, name: LapName) -> _Ghost:
+    times_s = _lap_times_s(reader, name.heat, name.race, name.car)
+    if not 1 <= name.lap <= len(times_s):
+        raise NotFoundError(f"Car {name.car} has no lap {name.lap} in that race.")
+    half = reader.record(name.heat).heat.halves[name.race - 1]
+    entry = reader.entry_of(half.grid[name.car - 1])
+    return _Ghost(name, entry.number, entry.name, half.track, times_s[name.lap - 1])
+
+
+def _lap_times_s(reader: Reader, heat: int, race: int, car: int) -> list[float]:
+    order = heats.result(reader, heat, race).result["order"]
+    row = next((row for row in order if row["car"] == car - 1), None)
+    if row is None:
+        raise NotFoundError(f"That race has the cars 1 to {len(order)}.")
+    return row["lap_times_s"]
+
+
+def _lap(reader: Reader, ghost: _Ghost, car: int) -> Lap:
+    """Return a lap, as that of a car (from 0), which decides its colour."""
+    name = ghost.name
+    lap = lap_charts.lap_of(_replay(reader, name), name.car - 1, name.lap)
+    return replace(lap, car=car)
+
+
+def _replay(reader: Reader, name: LapName) -> Replay:
+    return reader.replay(heats.recording(reader, name.heat, name.race))
+
+
+def _of_heat(reader: Reader, heat: str, track: str) -> list[_Ghost]:
+    """Return the laps of a heat's recorded races on a track."""
+    if not heat:
+        return []
+    if not (heat.isascii() and heat.isdecimal() and len(heat) < 16):
+        raise NotFoundError(f"{heat[:20]!r} is no heat: give a number.")
+    found: list[_Ghost] = []
+    for number, half in enumerate(reader.record(int(heat)).heat.halves, 1):
+        try:
+            result = heats.result(reader, int(heat), number)
+        except NotFoundError:
+            continue  # it has not been raced yet
+        for row in result.result["order"] if result.replay and half.track == track else ():
+            entry = reader.entry_of(half.grid[row["car"]])
+            for lap, lap_s in enumerate(row["lap_times_s"], 1):
+                name = LapName(int(heat), number, row["car"] + 1, lap)
+                found.append(_Ghost(name, entry.number, entry.name, track, lap_s))
+    return found
+
+
+def _line(bound_s: float | None, ghost: _Ghost) -> Document:
+    return {
+        "id": str(ghost.name),
+        **ghost.name._asdict(),
+        "entry": ghost.entry,
+        "name": ghost.driver,
+        "lap_s": ghost.lap_s,
+        "medal": medals.medal(ghost.lap_s, bound_s),
+    }

@@ -1,0 +1,138 @@
+"""A league at one moment: entries, races that count, standings, and what pages look up in them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from league.matchmaking import standings
+from league.matchmaking.scope import scope
+from league.matchmaking.scores import BestLap, best_laps
+from league.matchmaking.standings import Row, Standings
+from league.matchmaking.store import Entry, Races, Season, Store
+from league.matchmaking.store.records import LeagueSettings
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """A league at one moment."""
+
+    revision: int
+    """Store.revision at that moment, or shortly before."""
+    settings: LeagueSettings
+    entries: tuple[Entry, ...]
+    races: Races
+    """Those of the present rules that count, of all seasons."""
+    season: Season | None
+    """The last season under these rules; None in a league without seasons."""
+    rated: Standings | None
+    """Of the season; None if no entry is rated."""
+
+    def prepare(self) -> None:
+        """Compute now what pages look up, so that no request has to."""
+        for name in ("by_number", "by_id", "rows", "best_laps", "owners", "car_counts", "kinds"):
+            getattr(self, name)
+
+    @cached_property
+    def by_number(self) -> dict[int, Entry]:
+        """The entries by their numbers."""
+        return {entry.number: entry for entry in self.entries}
+
+    @cached_property
+    def by_id(self) -> dict[str, Entry]:
+        """The entries by their ids."""
+        return {entry.id: entry for entry in self.entries}
+
+    @cached_property
+    def rows(self) -> dict[int, Row]:
+        """The lines of the standings by the entries' numbers, best first."""
+        return {row.number: row for row in self.rated.rows} if self.rated else {}
+
+    @cached_property
+    def best_laps(self) -> dict[str, list[BestLap]]:
+        """The fastest lap of each entry on each track, the fastest first."""
+        return best_laps(self.rated) if self.rated else {}
+
+    @property
+    def counted(self) -> Races:
+        """The races that the standings are made of."""
+        return self.rated.races if self.rated else self.races
+
+    @cached_property
+    def car_counts(self) -> list[int]:
+        """How many cars these races have, each number once."""
+        return np.unique((self.counted.entries >= 0).sum(axis=1)).tolist()
+
+    @cached_property
+    def kinds(self) -> list[str]:
+        """Kinds of the entries, each once."""
+        return sorted({kind_of(entry) for entry in self.entries})
+
+    def rated_by(self, track: str, cars: int) -> Standings | None:
+        """Return the standings of those who raced on a track, by the races there alone.
+
+        Args:
+            track: name of the track; empty for all.
+            cars: only races of so many; 0 for all.
+        """
+        rules, counted = self.settings.ruleset, self.counted
+        kept = np.ones(len(counted.heat), np.bool_)
+        if track:
+            kept &= counted.track == rules.tracks.index(track)
+        if cars:
+            kept &= (counted.entries >= 0).sum(axis=1) == cars
+        races = counted.where(kept)
+        numbers = set(np.unique(races.entries).tolist())
+        entries = [entry for entry in self.entries if entry.number in numbers]
+        return standings.table(entries, races, rules.hash, rules.tracks, season=self.season)
+
+    @cached_property
+    def owners(self) -> list[str]:
+        """Owners of rated entries, in order."""
+        return sorted({row.owner for row in self.rows.values()})
+
+
+def kind_of(entry: Entry) -> str:
+    """Return what an entry is, in one word."""
+    return "anchor" if entry.anchor else entry.kind
+
+
+def take(store: Store, before: Snapshot | None = None) -> Snapshot:
+    """Return a league as it is now.
+
+    Args:
+        store: the league.
+        before: an earlier moment; what has not changed since is not computed again.
+    """
+    revision, settings = store.revision, store.settings
+    if before is not None and before.settings != settings:
+        before = None
+    entries, races = tuple(store.entries()), _races(store, before)
+    rules = settings.ruleset
+    within = scope(store, rules.hash, races=races)
+    if (
+        before is not None
+        and before.races is races
+        and (before.entries, before.season) == (entries, within.season)
+    ):
+        rated = before.rated
+    else:
+        rated = standings.table(
+            entries,
+            within.races,
+            rules.hash,
+            rules.tracks,
+            season=within.season,
+            carried=within.carried,
+        )
+    return Snapshot(revision, settings, entries, races, within.season, rated)
+
+
+def _races(store: Store, before: Snapshot | None) -> Races:
+    if before is not None:
+        later = store.races(since=before.races.last)
+        if later.voided == before.races.voided:
+            return before.races.joined(later) if len(later.heat) else before.races
+    return store.races()

@@ -1,0 +1,49 @@
+"""A small league that is served, and a browser."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import Browser, sync_playwright
+
+from tests.browser import chromium
+from tests.browser.pages import served
+from tests.matchmaking.season_kit import Store
+from tests.web.small_league import raced_league
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory) -> Iterator[Store]:
+    with raced_league(f"sqlite:///{tmp_path_factory.mktemp('league') / 'league.db'}") as store:
+        yield store
+
+
+@pytest.fixture(scope="module")
+def origin(store) -> Iterator[str]:
+    with served(store.url) as address:
+        yield address
+
+
+@pytest.fixture
+def browser(running_browser) -> Iterator[Browser]:
+    """Return the browser; a page that goes on playing must not slow down the next test."""
+    yield running_browser
+    for context in running_browser.contexts:
+        context.close()
+
+
+@pytest.fixture(scope="module")
+def running_browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=chromium.program(), args=list(chromium.DRAWING)
+        )
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def complaints() -> list[str]:
+    """Return what pages wrote to the console, refusals by the security policy included."""
+    return []

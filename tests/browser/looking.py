@@ -1,0 +1,32 @@
+"""What the browser tests share: pages to look at, and how one is opened."""
+
+from __future__ import annotations
+
+import pytest
+from playwright.sync_api import Browser, Page
+
+from tests.browser import chromium
+
+NEEDS_CHROMIUM = [
+    pytest.mark.browser,
+    pytest.mark.skipif(
+        chromium.program() is None,
+        reason="needs Chromium: install it, or set CHROMIUM to its path",
+    ),
+]
+PATIENCE_MS = 180_000
+"""On a busy machine the first answer takes long."""
+PHONE = {"width": 390, "height": 800}
+PATHS = (
+    "/", "/standings", "/standings?against=3", "/drivers/1", "/drivers/3", "/matchups/3/1",
+    "/heats", "/heats/{heat}", "/tracks", "/ghosts", "/live",
+)  # fmt: skip
+
+
+def opened(browser: Browser, origin: str, complaints: list[str], **options: object) -> Page:
+    """Return a page, which writes what it complains about into a list."""
+    page = browser.new_context(base_url=origin, **options).new_page()
+    page.set_default_timeout(PATIENCE_MS)
+    page.on("console", lambda message: complaints.append(message.text))
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    return page

@@ -1,0 +1,53 @@
+"""Every page as axe-core judges it: nothing serious, wide and on a phone, light and dark."""
+
+from __future__ import annotations
+
+from importlib import resources
+
+import pytest
+
+from tests.browser.looking import NEEDS_CHROMIUM, PATHS, PHONE, opened
+from tests.web.small_league import rated_heat
+
+pytestmark = NEEDS_CHROMIUM
+AXE = resources.files("axe_playwright_python").joinpath("axe.min.js")
+SERIOUS = {"serious", "critical"}
+LOOKS = {
+    "wide_light": {"color_scheme": "light"},
+    "phone_dark": {"color_scheme": "dark", "viewport": PHONE},
+}
+
+
+def faults(page) -> list[str]:
+    """Return what axe-core finds serious or worse on a page, a line each."""
+    # Evaluated by the debugger, which the page's own policy does not bind.
+    page.evaluate(AXE.read_text(encoding="utf-8"))
+    found = page.evaluate("axe.run(document, { resultTypes: ['violations'] })")
+    return [
+        f"{rule['id']}: {node['html'][:120]} ({node['failureSummary'][:200]})"
+        for rule in found["violations"]
+        if rule["impact"] in SERIOUS
+        for node in rule["nodes"]
+    ]
+
+
+@pytest.mark.parametrize("look", LOOKS)
+@pytest.mark.parametrize("path", [*PATHS, "/drivers/99"])
+def test_axe_finds_nothing_serious(browser, origin, store, path, look):
+    page = opened(browser, origin, [], reduced_motion="reduce", **LOOKS[look])
+    page.goto(path.format(heat=rated_heat(store)))
+    page.wait_for_load_state("networkidle")
+    assert faults(page) == []
+
+
+def test_axe_would_find_a_missing_label_and_a_pale_text(browser, origin):
+    page = opened(browser, origin, [])
+    page.goto("/standings")
+    page.evaluate(
+        """() => {
+            document.querySelector("label").replaceWith(document.querySelector("select"));
+            document.querySelector(".lead").style.color = "#ddd";
+        }"""
+    )
+    found = " ".join(faults(page))
+    assert "select-name" in found and "color-contrast" in found
