@@ -18,15 +18,16 @@ from tests.web.small_league import NAME, lapped_heat
 ATOM = "{http://www.w3.org/2005/Atom}"
 
 
-def test_the_openapi_document_lists_every_address_and_parameter(client, store):
+def test_the_openapi_document_lists_every_page_and_parameter(client, store):
     document = client.get("/api/v1/openapi.json").json()
     assert document["openapi"].startswith("3.1")
     values = {"number": lapped_heat(store), "race": 1, "one": 2, "other": 3}
     queries = {"race": "1", "lap": "1", "against": "3", "before": "99", "kind": "policy"}
     fastest = store.results(lapped_heat(store))[0].result["order"][0]
     queries["one"] = queries["other"] = f"{lapped_heat(store)}.1.{fastest['car'] + 1}.1"
-    for path, methods in document["paths"].items():
-        operation = methods["get"]
+    pages = [page.api_path.replace(":number", "") for page in PAGES if page.has_api]
+    for path in pages:
+        operation = document["paths"][path]["get"]
         numbers = {one["name"] for one in operation["parameters"] if one["in"] == "path"}
         assert numbers == set(re.findall(r"\{(\w+)\}", path))
         asked = {name: str(3 if "/drivers" in path else values[name]) for name in numbers}
@@ -39,7 +40,6 @@ def test_the_openapi_document_lists_every_address_and_parameter(client, store):
         assert answer.status_code == 200, path
         properties = operation["responses"]["200"]["content"]["application/json"]["schema"]
         assert set(properties["properties"]) <= set(answer.json())
-    assert len(document["paths"]) == sum(page.has_api for page in PAGES)
 
 
 def test_every_reference_of_the_openapi_document_leads_somewhere(client):

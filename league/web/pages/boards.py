@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 from league.matchmaking.scores import BestLap, time_attack
+from league.sim.config import RaceKind
 from league.track import files
 from league.web import medals
 from league.web.reader import Document, NotFoundError, Reader
@@ -20,8 +23,8 @@ def document(reader: Reader, races: str = "") -> Document:
     """Return the boards of one kind of race; by default that of the present rules."""
     kinds = sorted({rules.kind for rules in reader.store.rulesets().values()})
     asked = races or reader.store.settings.ruleset.kind
-    shown = next((one for one in kinds if one == asked), None)
-    if shown is None:
+    shown = cast(RaceKind, asked)
+    if shown not in kinds:
         raise NotFoundError(f"This league has races of the kinds {', '.join(kinds)}.")
     done = reader.store.counts().get("done", 0)
     boards = reader.kept(("boards", shown, done), lambda: time_attack(reader.store, shown))
