@@ -22,18 +22,18 @@ racer() {  # time trial: as fast as it dares, with cars that differ as those of 
 }
 dodger() {  # six boxes at random places
     train dodger --kind obstacle_avoidance --action-space 0.5-3 --minutes 10 \
-        --exam-trials 8 --exam-every 2
+        --eval-trials 8 --eval-every 2
 }
 novice() {  # a minute of time trial
     train novice --seed 2 --action-space 1-4 --minutes 1
 }
 duelist() {  # wheel to wheel: on the true state, then with cameras, lidar and a short memory
-    train duelist --kind head_to_head --self-play --cars 4 --teacher 0.4 --minutes 52 --threads 2 \
+    train duelist --kind head_to_head --self-play --cars 4 --teacher 0.2 --minutes 73 --threads 1 \
         --sensors stereo64x48 sectors history4 frames2 --eval-every 8
 }
 globetrotter() {  # random tracks only, with random cars and looks: drives any track at first sight
     train globetrotter --track generated:768 --action-space 0.5-3 --num-worlds 128 \
-        --random-cars --random-looks --minutes 40 --noise 0.5 0.1 --exam-every 2
+        --dynamics-randomization 1 --visual-randomization --minutes 40 --noise 0.5 0.1 --eval-every 2
 }
 
 for policy in "${@:-rookie racer dodger novice duelist globetrotter}"; do

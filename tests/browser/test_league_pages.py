@@ -248,7 +248,7 @@ def test_a_heat_is_followed_until_it_plays(browser, origin, store, complaints):
     page = opened(browser, origin, complaints)
     page.goto(f"/heats/{number}")
     expect(page.get_by_role("status")).to_contain_text("It waits in a queue")
-    loop.run(store, Dispatcher(store, Here()), None)
+    loop.run(store, Dispatcher(store, Here()), None, heats=1)
     page.locator("canvas").wait_for(timeout=60_000)
     expect(page.get_by_role("button", name="Pause")).to_be_visible()
     assert complaints == []

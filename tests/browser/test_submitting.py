@@ -15,12 +15,12 @@ from league.matchmaking.pairing.matchmaker import Season
 from league.matchmaking.store import Store
 from league.matchmaking.workers.dispatcher import Dispatcher
 from tests.agents.trained import make_checkpoint
-from tests.browser.test_league_pages import browser, complaints, opened, pytestmark
+from tests.browser.looking import NEEDS_CHROMIUM, opened
 from tests.matchmaking.season_kit import Here, new_league
 from tests.web.serving import serving
 
-expect.set_options(timeout=300_000)  # a busy machine is no fault
-__all__ = ["browser", "complaints", "pytestmark"]
+expect.set_options(timeout=60_000)  # a busy machine is no fault
+pytestmark = NEEDS_CHROMIUM
 
 
 @pytest.fixture
