@@ -7,7 +7,7 @@ export OMP_WAIT_POLICY = PASSIVE
 .PHONY: race league serve pages test torchrl sync format check type bench mutants clean
 
 race: sync
-	$(BIN)/league race racing_line duelist blocker --seed 2
+	$(BIN)/league race cautious racing_line blocker duelist --seed 7
 
 # A league in runs/league/: the garage and the scripted drivers, raced for two minutes: a season that
 # is over, with a cup, and one that is running. All policies of the garage are one owner's, whose
