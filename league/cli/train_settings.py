@@ -60,7 +60,9 @@ def _new(command: Train) -> RunConfig:
     if cfg.init_from:
         ppo = ppo.refining()
     elif train.kind != "head_to_head" and _is_short(cfg):
-        train, ppo = replace(train, num_worlds=_FEW_WORLDS), ppo.hurrying()
+        ppo = ppo.hurrying()
+        if train.num_worlds == TrainConfig.num_worlds:  # else a flag says how many
+            train = replace(train, num_worlds=_FEW_WORLDS)
     cars = 1
     if train.kind == "head_to_head":
         cars = 2 if cfg.self_play else 1 + len(cfg.opponents)
