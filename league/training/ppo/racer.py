@@ -170,14 +170,11 @@ class RacingLearner(TaughtLearner):
             settings: of make_env.make.
         """
         rivals: dict[int, Driver | str] = {car: Rival(racer) for car in range(1, cfg.num_cars)}
+        last_car = 1.0
         if cfg.num_cars > 2:
             # The racer drives slow cars well; others brake for bends and keep to the middle.
-            rivals[cfg.num_cars - 1] = SLOW_DRIVER
-        env = make_env.make(tracks, cfg, opponents=rivals, **settings)
-        if cfg.num_cars > 2:
-            scenarios = env.race_env.cfg.scenarios
-            assert scenarios is not None
-            env.race_env.change_scenarios(replace(scenarios, last_car=SLOW_PACE))
+            rivals[cfg.num_cars - 1], last_car = SLOW_DRIVER, SLOW_PACE
+        env = make_env.make(tracks, cfg, opponents=rivals, last_car=last_car, **settings)
         super().__init__(env, cfg, racer)
         self.racer = racer
         """The network that sees the true state."""
