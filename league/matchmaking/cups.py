@@ -26,7 +26,7 @@ LEAST, MOST = 2, 1024
 
 
 @dataclass(frozen=True)
-class Run:
+class CupResult:
     """How an entrant did in a heat."""
 
     entry: str
@@ -51,7 +51,7 @@ class CupHeat:
     """Of the heat; None before it is planned."""
     state: HeatState | None
     track: str
-    runs: tuple[Run, ...]
+    runs: tuple[CupResult, ...]
     """Best first once it is over, before that in grid order."""
 
 
@@ -268,16 +268,16 @@ def _stage(
     return Stage(name, tuple(heats))
 
 
-def _run(heat: Heat, entry: str, seed: int, done: Sequence[Any]) -> Run:
+def _run(heat: Heat, entry: str, seed: int, done: Sequence[Any]) -> CupResult:
     slots = [half.grid.index(entry) for half in heat.halves]
     places = tuple(one.places[slots[one.half]] for one in done)
     if seed or not done:
-        return Run(entry, seed, places)
+        return CupResult(entry, seed, places)
     (row,) = done[0].result["order"]
-    return Run(entry, 0, places, min(row["lap_times_s"], default=None), row["distance"])
+    return CupResult(entry, 0, places, min(row["lap_times_s"], default=None), row["distance"])
 
 
-def _classified(runs: Sequence[Run], through: int) -> list[Run]:
+def _classified(runs: Sequence[CupResult], through: int) -> list[CupResult]:
     """Return the runs of a heat, best first: by the sum of places, then by qualifying."""
     ordered = sorted(runs, key=lambda run: (sum(run.places), run.seed))
     return [replace(run, advances=at < through) for at, run in enumerate(ordered)]
