@@ -220,7 +220,7 @@ def loops(rounds: int = 5) -> None:
     shares = Shares(dict.fromkeys(("compiled step", "cameras", "policy", "learning"), 0.0))
     env = learner.env.race_env
     shares.timed("compiled step", env, "_run")
-    shares.timed("cameras", env._sensing, "observe")
+    shares.timed("cameras", env._sensors, "observe")
     for method in ("act", "process_env_step"):
         shares.timed("policy", learner._alg, method)
     for method in ("compute_returns", "update"):
