@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from league.matchmaking.loop import Tally
-    from league.matchmaking.pairing.matchmaker import Season
+    from league.matchmaking.pairing.matchmaker import Matchmaker
     from league.matchmaking.standings import Standings
     from league.matchmaking.store import Store
     from league.matchmaking.workers.dispatcher import Dispatcher, FinishedHeat, HeatSource
@@ -81,7 +81,7 @@ class Racing(OnLeague):
         from league.matchmaking.workers.dispatcher import Dispatcher
 
         with ExitStack() as stack:
-            matchmaker = self._season(store) if store else None
+            matchmaker = self._matchmaker(store) if store else None
             executor = workers.make_executor(self.executor, self.workers or os.cpu_count() or 1)
             stack.callback(executor.close)
             dispatcher = Dispatcher(
@@ -89,7 +89,7 @@ class Racing(OnLeague):
             )
             watch = _print_finished
             if store and sys.stdout.isatty() and not self.plain:
-                watch = stack.enter_context(Page(store, dispatcher)).show
+                watch = stack.enter_context(LivePage(store, dispatcher)).show
             tally = loop.run(
                 store,
                 dispatcher,
@@ -103,7 +103,7 @@ class Racing(OnLeague):
         over = seasons[-1].name if seasons and seasons[-1].until is not None else ""
         _print_tally(tally, over)
 
-    def _season(self, store: Store) -> Season | None:
+    def _matchmaker(self, store: Store) -> Matchmaker | None:
         """Return the matchmaker; None races what is in the queue."""
         return None
 
@@ -134,17 +134,17 @@ class Work(Racing, OnServer):
 
 
 @dataclass
-class Run(Racing):
+class RunSeason(Racing):
     """Run the season: pair entries, race heats, rate, and again; Ctrl-C finishes what has begun."""
 
     same_owner: bool = False
     """Let entries of one owner meet, too. By default they race only entries of others and anchors,
     so that entering many gains nothing; a league of one person needs this."""
 
-    def _season(self, store: Store) -> Season:
-        from league.matchmaking.pairing.matchmaker import Season
+    def _matchmaker(self, store: Store) -> Matchmaker:
+        from league.matchmaking.pairing.matchmaker import Matchmaker
 
-        return Season(store, same_owner=self.same_owner)
+        return Matchmaker(store, same_owner=self.same_owner)
 
 
 @dataclass
@@ -276,7 +276,7 @@ def _print_finished(_tally: Tally, finished: list[FinishedHeat]) -> None:
         print(describe(one), flush=True)
 
 
-class Page:
+class LivePage:
     """A page that is redrawn in place: rates, heats under way, last results, standings."""
 
     def __init__(self, store: Store, dispatcher: Dispatcher) -> None:
@@ -343,5 +343,5 @@ class Page:
         return Group(*parts)
 
 
-COMMANDS = {"run": Run, "work": Work}
+COMMANDS = {"run": RunSeason, "work": Work}
 SERVE = {"serve": Serve, "site": Site}

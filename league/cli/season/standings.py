@@ -50,7 +50,7 @@ class ShowStandings(Reading):
 
 
 @dataclass
-class Show(Reading):
+class ShowEntry(Reading):
     """Show an entry: rating, record against each opponent, last heats."""
 
     entry: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ENTRY")]
@@ -63,7 +63,7 @@ class Show(Reading):
 
 
 @dataclass
-class HeadToHead(Reading):
+class ShowHeadToHead(Reading):
     """Compare two entries: who is stronger, how sure that is, and their meetings.
 
     Without names: all of the best ones against each other, and where the ratings miss something.
@@ -91,7 +91,7 @@ class HeadToHead(Reading):
 
 
 @dataclass
-class History(Reading):
+class ShowHistory(Reading):
     """Show how an entry's rating came about."""
 
     entry: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ENTRY")]
@@ -320,4 +320,9 @@ def _cell(points: float, races: int, residual: float) -> str:
     return f"{points:g}/{races}\n{residual:+.1f}{'*' if abs(residual) > 3 else ''}"
 
 
-COMMANDS = {"standings": ShowStandings, "show": Show, "h2h": HeadToHead, "history": History}
+COMMANDS = {
+    "standings": ShowStandings,
+    "show": ShowEntry,
+    "h2h": ShowHeadToHead,
+    "history": ShowHistory,
+}

@@ -84,7 +84,7 @@ class Revoke(OnLeague):
 
 
 @dataclass
-class Token:
+class ManageTokens:
     """Make, list or revoke the tokens by which owners and workers are known over HTTP."""
 
     command: (
@@ -102,4 +102,4 @@ def _day(seconds: float | None) -> str:
     return "never" if seconds is None else times.day(seconds)[:10]
 
 
-COMMANDS = {"token": Token}
+COMMANDS = {"token": ManageTokens}

@@ -28,8 +28,7 @@ from league.matchmaking.pairing.schedule import (
 )
 from league.matchmaking.ratings import Carried, Ratings
 from league.matchmaking.scope import scope
-from league.matchmaking.store import RATED, Entry, EntryState, HeatRecord, Races, Store
-from league.matchmaking.store import Season as SeasonRecord
+from league.matchmaking.store import RATED, Entry, EntryState, HeatRecord, Races, Season, Store
 
 LineUp = Callable[[int, str], float]
 """What an entry's place on the grid of a track is decided by: its number and the track's name."""
@@ -157,7 +156,7 @@ class _Past:
         return met
 
 
-class Season:
+class Matchmaker:
     """A league's matchmaker; all it knows is in the store, so another may take over any time."""
 
     def __init__(self, store: Store, *, same_owner: bool = False) -> None:
@@ -255,9 +254,7 @@ class Season:
             for index, plan in enumerate(plans)
         ]
 
-    def _move_divisions(
-        self, season: SeasonRecord, past: _Past, roster: _Roster, round: int
-    ) -> None:
+    def _move_divisions(self, season: Season, past: _Past, roster: _Roster, round: int) -> None:
         """Promote and relegate, by what the round is planned from."""
         if roster.fitted is None:
             return
