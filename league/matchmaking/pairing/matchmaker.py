@@ -21,7 +21,6 @@ from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset
 from league.matchmaking.pairing.schedule import (
     Contender,
     HeatPlan,
-    PairingSettings,
     next_heats,
     rated_state,
     validation_heats,
@@ -222,9 +221,6 @@ class Matchmaker:
         past = _Past(within.races, within.carried, before, season_heats)
         number = latest.number + 1
         generator = np.random.default_rng([number, int(rules.hash[:12], 16)])
-        settings = PairingSettings(
-            field_size=rules.cars, tracks=rules.tracks, same_owner=self._same_owner
-        )
         entries = self._store.entries()
         validations = {
             entry.number: _validations(self._store, entry, rules.hash)
@@ -237,7 +233,7 @@ class Matchmaker:
             self._move_divisions(within.season, past, roster, number)
         plans: list[HeatPlan] = []
         for newcomer in roster.newcomers:
-            plans += validation_heats(newcomer, roster.contenders, settings, generator)
+            plans += validation_heats(newcomer, roster.contenders, rules, generator)
         rated = [one for one in roster.contenders if one.state in RATED]
         size = min(max(LEAST_ROUND, len(rated) // 2), ROUND // 2)
         if roster.undecided and all(one.anchor for one in rated):
@@ -248,7 +244,9 @@ class Matchmaker:
         id_of = {entry.number: entry.id for entry in entries}
         line_up = _line_up(rules, past, roster)
         meetings = past.meetings({id: number for number, id in id_of.items()})
-        plans += next_heats(rated, meetings, settings, generator, heats=size)
+        plans += next_heats(
+            rated, meetings, rules, generator, heats=size, same_owner=self._same_owner
+        )
         return [
             _heat(plan, rules.hash, number * ROUND + index, id_of, line_up)
             for index, plan in enumerate(plans)
