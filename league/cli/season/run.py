@@ -58,7 +58,7 @@ class Racing(OnLeague):
     plain: bool = False
     """Print a line for each heat instead of the page."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the command."""
         from league.matchmaking.workers.worker import check_physics
 
@@ -66,7 +66,6 @@ class Racing(OnLeague):
         with self.opened() as store:
             check_physics(store.settings.ruleset, f"the league in {store.url}")
             self._race(store, store)
-        return 0
 
     def _check(self) -> None:
         season.at_least(self, "heats", 1)
@@ -116,7 +115,7 @@ class Work(Racing, OnServer):
     because a worker of the owner raced them.
     """
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the command."""
         if not self.to:
             return super().run()
@@ -130,7 +129,6 @@ class Work(Racing, OnServer):
         RemoteQueue(client).heartbeat("hello", lease_s=60.0, keys=())  # fails at once, if at all
         print(f"Racing for {client.url}; Ctrl-C finishes the heats under way.", flush=True)
         self._race(queue, None)
-        return 0
 
 
 @dataclass
@@ -164,7 +162,7 @@ class Serve(OnLeague):
     audit: str = "5%"
     """Share of the heats of remote workers that are run again by others, in percent."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the command."""
         from league.matchmaking.store import Quota
         from league.web import server
@@ -186,7 +184,6 @@ class Serve(OnLeague):
                 access=access,
                 ready=lambda url: print(f"{name}: {url}   (Ctrl-C ends it)", flush=True),
             )
-        return 0
 
 
 @dataclass
@@ -198,7 +195,7 @@ class Site(OnLeague):
     heats: int = 200
     """So many of the newest heats get pages, with their races to watch."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the command."""
         from league.web import site
 
@@ -209,7 +206,6 @@ class Site(OnLeague):
             f"{written.pages} pages, {written.heats} of them with a race to watch: "
             f"{self.folder / 'index.html'}"
         )
-        return 0
 
 
 @contextmanager
