@@ -173,7 +173,7 @@ def _started(count: int, start: Callable[..., BaseProcess]) -> tuple[float, floa
 
 
 def starting(workers: int = 4) -> None:
-    """Print how soon workers are ready, next to processes that each load torch for themselves."""
+    """Print how soon workers are ready, next to processes that each load the league for themselves."""
     spawning = multiprocessing.get_context("spawn")
 
     def alone(target: Callable[..., None], pipe: Connection) -> BaseProcess:
@@ -182,11 +182,11 @@ def starting(workers: int = 4) -> None:
         return process
 
     each_s, each_mb = _started(workers, alone)
-    subprocesses.prepare()
+    subprocesses.prepare(processes.MODULES)
     first_s, _ = _started(1, subprocesses.start)
     served_s, served_mb = _started(workers, subprocesses.start)
     note(f"{workers} workers, all ready; the first of a server after {first_s:.2f} s:")
-    figure("  each loads torch for itself", each_s, "s")
+    figure("  each loads the league for itself", each_s, "s")
     figure("  forked off a server that has", served_s, "s")
     figure("  how much sooner", each_s / served_s, "x")
     figure("  memory of the first kind", each_mb, "MB")
