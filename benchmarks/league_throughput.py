@@ -173,7 +173,7 @@ def _started(count: int, start: Callable[..., BaseProcess]) -> tuple[float, floa
 
 
 def starting(workers: int = 4) -> None:
-    """Print how soon workers are ready, next to processes that each load the league for themselves."""
+    """Print how soon workers are ready, next to processes that each load the whole league."""
     spawning = multiprocessing.get_context("spawn")
 
     def alone(target: Callable[..., None], pipe: Connection) -> BaseProcess:

@@ -103,7 +103,6 @@ def _remove_older(folder: Path) -> None:
 def _physics() -> None:
     """Physics and referee of the planar simulator, which `worlds` puts together."""
     import numpy as np
-    from numba import typeof
 
     from league.sim import records, referee, settings
     from league.sim.config import SimConfig
@@ -114,18 +113,14 @@ def _physics() -> None:
     contacts, verdicts = np.zeros(2, records.CONTACT), np.zeros(2, records.VERDICT)
     controls, world = np.zeros((2, 2), np.float32), np.zeros(1, records.WORLD)[0]
     course, rules = tracks.courses[0], settings.settings(sim)[0]
-    for function, arguments in (
-        (
-            planar.step_world,
-            (cars, obstacles, course, controls, contacts, planar.schedule(2), rules),
-        ),
-        (
-            referee.judge,
-            (cars, cars, obstacles, world, verdicts, contacts, tracks.points, course, rules),
-        ),
-        (referee.penalise, (cars, obstacles, verdicts, tracks.points, course, rules)),
-    ):
-        function.compile(tuple(map(typeof, arguments)))
+    points = tracks.points
+    jit.specialise(
+        planar.step_world, cars, obstacles, course, controls, contacts, planar.schedule(2), rules
+    )
+    jit.specialise(
+        referee.judge, cars, cars, obstacles, world, verdicts, contacts, points, course, rules
+    )
+    jit.specialise(referee.penalise, cars, obstacles, verdicts, points, course, rules)
 
 
 def _worlds() -> None:
