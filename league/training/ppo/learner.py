@@ -88,7 +88,7 @@ class Learner:
         self._episodes = EpisodeStatistics(env.num_envs)
         self._normalization = RewardNormalization(env.num_envs, cfg.ppo.gamma, cfg.device)
         self.updates = self.samples = 0
-        self._average = self._learnt()
+        self._average, self._averaged = self._learnt(), 0
         if distributed.count() > 1:
             self._alg.broadcast_parameters()
             self.restart_rows()
@@ -136,7 +136,7 @@ class Learner:
             )
         new = {name: torch.from_numpy(value) for name, value in weights.items()}
         self._alg.get_policy().load_state_dict({**own, **new})
-        self._average = self._learnt()
+        self._average, self._averaged = self._learnt(), 0
 
     def update(self, share: float) -> Update:
         """Collect one round of steps and learn from it.
@@ -255,17 +255,16 @@ class Learner:
 
     def _state(self) -> dict[str, Any]:
         counts = {"updates": self.updates, "samples": self.samples}
-        scale = self._normalization.state()
-        return self._alg.save() | counts | {"scale": scale, "average": self._average}
+        average = {"average": self._average, "averaged": self._averaged}
+        return self._alg.save() | counts | average | {"scale": self._normalization.state()}
 
     def _load_state(self, state: dict[str, Any]) -> None:
         self._alg.load(state, None, True)
         self.updates, self.samples = int(state["updates"]), int(state["samples"])
         self._normalization.restore(state["scale"])
-        average = self._learnt()
-        for name, value in state.get("average", {}).items():  # missing in older files
-            average[name].copy_(value)
-        self._average = average
+        # Older files have no average: it begins with the weights.
+        self._average = self._learnt() | state.get("average", {})
+        self._averaged = int(state.get("averaged", 0))
 
     def _learnt(self) -> dict[str, torch.Tensor]:
         """Return the actor's floating-point state as copies."""
@@ -273,7 +272,8 @@ class Learner:
         return {name: value.clone() for name, value in state.items() if value.is_floating_point()}
 
     def _add_to_average(self) -> None:
-        share = 1.0 / min(max(self.updates / 10.0, 1.0), AVERAGED)
+        self._averaged += 1
+        share = 1.0 / min(max(self._averaged / 10.0, 1.0), AVERAGED)
         for name, value in self._learnt().items():
             self._average[name].lerp_(value, share)
 
