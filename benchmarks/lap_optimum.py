@@ -13,6 +13,9 @@ forces of vehicle.py, with its controls and nothing that corrects them.
 Needs the extra `optimum`: pip install -c constraints.txt -e '.[optimum]'.
 """
 
+# Numba compiles what it calls, whose arguments the checker does not know.
+# pyright: reportCallIssue=false
+
 from __future__ import annotations
 
 import importlib.util

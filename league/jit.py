@@ -118,7 +118,7 @@ def compiled(function: _Function) -> _Function:
     return dispatcher
 
 
-def specialise(function: Callable[..., Any], *arguments: object) -> None:
+def specialise(function: Any, *arguments: object) -> None:  # noqa: ANN401
     """Compile a function for arguments of these types, without calling it."""
     function.compile(tuple(map(numba.typeof, arguments)))
 
