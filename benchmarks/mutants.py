@@ -1,33 +1,42 @@
 """How many small faults in the code the tests catch: mutation testing with Cosmic Ray.
 
 A mutant is the code with one change: another comparison, another operator, a number one higher, a
-loop that never runs. The tests of its part should fail. Run it with `make mutants`; it takes an
-hour or more. Parts are chosen for what a fault in them would spoil: races, ratings and results.
+loop that never runs. The tests of its part should fail. Run it with `make mutants`; it takes half
+an hour. Parts are chosen for what a fault in them would spoil: races, ratings and results.
 
 The compiled modules run as plain Python (benchmarks/plain_python.py). Tests that take longer than
 a second that way are left out, and so are those that fail without a mutant; types in annotations,
 decorators and changes that Python refuses to parse are no mutants.
+
+A mutant of a function's body is put into the functions of a fork of one pytest session
+(benchmarks/mutant_trials.py); another one, of a constant say, is imported by a session of its own.
+`python -m benchmarks.mutants referee store` tries these parts alone. runs/mutants/ shows which test
+caught which mutant as they come, and the next run begins with it.
 """
 
 import ast
 import difflib
+import json
 import os
 import random
 import re
 import shutil
-import signal
 import sys
 import tempfile
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from contextlib import chdir, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch  # noqa: F401  # loaded once, for all forks
 
+from benchmarks import mutant_trials as trials
+from benchmarks.mutant_trials import Loop, first_failure, put, replacements
 from benchmarks.report import figure, heading, note, table
+from league.atomic_file import replacing
 from league.errors import LeagueError
 
 ROOT = Path(__file__).parents[1]
@@ -36,8 +45,8 @@ SAMPLE = 40
 SEED = 0
 GOAL = 85.0
 """Share that should be caught [%]."""
-LONGEST_S = 3600
-"""Wall time after which a mutant counts as caught, too; see plain_python.LONGEST_S."""
+LONGEST_S = 120
+"""Wall time after which a test of a second counts as failed: the mutant does not end."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +62,9 @@ class Part:
 
 
 PARTS = {
-    "referee": Part(("sim/referee.py",), ("sim/test_referee.py", "sim/test_blame.py")),
+    "referee": Part(
+        ("sim/referee.py",), ("sim/test_referee.py", "sim/test_blame.py", "sim/test_pursuit.py")
+    ),
     "blame": Part(("sim/blame.py",), ("sim/test_blame.py", "sim/test_referee.py")),
     "collision": Part(("sim/physics/collision.py",), ("sim/test_contact.py", "sim/test_planar.py")),
     "bullet": Part(("sim/physics/bullet.py",), ("sim/test_bullet.py",)),
@@ -156,26 +167,59 @@ def sampled(found: list, number: int) -> Iterator:
             return
 
 
-def run_tests(arguments: list[str]) -> tuple[bool, str]:
-    """Return whether all tests pass, and what pytest prints.
+def name_of(one: Any) -> str:
+    """Return what tells a mutant from all others: its place and its operator."""
+    line, column = one.start_pos
+    operator = one.operator_name.rpartition("/")[2]
+    return f"{one.module_path}:{line}:{column} {operator} {one.occurrence}"
 
-    It runs in a fork of this process, which has loaded the large libraries once, and loads the
-    league from the working folder.
-    """
-    with tempfile.TemporaryFile("w+") as printed:
-        child = os.fork()
-        if child == 0:
-            os.dup2(printed.fileno(), 1)
-            os.dup2(printed.fileno(), 2)
-            signal.alarm(LONGEST_S)
-            for name in list(sys.modules):
-                if name.partition(".")[0] in ("league", "benchmarks"):
-                    del sys.modules[name]
-            sys.path.insert(0, os.getcwd())
-            os._exit(int(pytest.main(arguments)))
-        _, status = os.waitpid(child, 0)
-        printed.seek(0)
-        return status == 0, printed.read()
+
+class Results:
+    """Which test caught which mutant of a part, kept in a file as they come."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.before: dict[str, str | None] = json.loads(path.read_text()) if path.exists() else {}
+        """Of the last run."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("{}")
+
+    def all(self) -> dict[str, str | None]:
+        """Return those of this run, of forks too: the test by the mutant, None of a survivor."""
+        return json.loads(self._path.read_text())
+
+    def add(self, one: Any, caught_by: str | None) -> None:
+        """Keep a result."""
+        found = self.all() | {name_of(one): caught_by}
+        with replacing(self._path, "results", LeagueError) as new:
+            new.write_text(json.dumps(found, indent=1))
+
+
+def in_functions(chosen: list, results: Results, session: pytest.Session) -> None:
+    """Try the mutants that change only bodies of functions, in forks of one session."""
+    failure = first_failure(session.items, results.before, "")
+    if failure is not None:
+        raise LeagueError(f"without a mutant {failure} fails")
+    for one in chosen:
+        with written(one) as (source, mutated):
+            changed = replacements(one.module_path, source, mutated)
+            if changed is not None:
+                known = results.before | results.all()
+                put_in = partial(put, changed)
+                results.add(one, first_failure(session.items, known, name_of(one), put_in))
+
+
+def at_import(one: Any, options: list[str], results: Results) -> None:
+    """Try a mutant in a session of its own."""
+
+    def work(session: pytest.Session) -> None:
+        known = results.before | results.all()
+        results.add(one, first_failure(session.items, known, name_of(one)))
+
+    with written(one):
+        trials.session(options, Loop(work))
+    if name_of(one) not in results.all():
+        results.add(one, trials.ENDED)
 
 
 def tested(name: str, part: Part) -> tuple[int, int, int]:
@@ -186,41 +230,39 @@ def tested(name: str, part: Part) -> tuple[int, int, int]:
     os.environ["MUTANTS_RECORD"] = str(Path.cwd() / f"{name}.json")
     os.environ["NUMBA_DISABLE_JIT"] = str(int(part.plain))
     options = ["-p", "no:cacheprovider", "-p", "benchmarks.plain_python", "-k", "not postgresql"]
-    options += ["-W", "ignore::RuntimeWarning", *(f"tests/{test}" for test in part.tests)]
-    run_tests(options)
-    passed, printed = run_tests(["-x", *options])
-    if not passed:
-        raise LeagueError(f"the tests of {name} fail without a mutant:\n{printed}")
+    options += ["-W", "ignore::RuntimeWarning", f"--timeout={LONGEST_S}", "--basetemp=temporary"]
+    options += [f"tests/{test}" for test in part.tests]
+    trials.session(options)
     given = [Path("league", module) for module in part.modules]
     paths = [
         path for one in given for path in (sorted(one.glob("*.py")) if one.is_dir() else [one])
     ]
-    tried = caught = 0
     found = mutants(paths)
-    for one in sampled(found, SAMPLE):
-        with written(one) as (code, mutated):
-            survived, _ = run_tests(["-x", *options])
-        tried, caught = tried + 1, caught + (not survived)
-        if survived:
-            lines = difflib.ndiff(code.splitlines(), mutated.splitlines())
-            changed = [line for line in lines if line[:1] in "+-"]
-            print(f"survived: {one.module_path}:{one.start_pos[0]}", *changed, sep="\n  ")
-        print(f"{name}: {caught} of {tried} caught", flush=True)
-    return len(found), tried, caught
+    chosen = list(sampled(found, SAMPLE))
+    results = Results(ROOT / "runs" / "mutants" / f"{name}.json")
+    status, printed = trials.session(options, Loop(partial(in_functions, chosen, results)))
+    if status:
+        raise LeagueError(f"the trials of {name} ended early:\n{printed}")
+    for one in chosen:
+        if name_of(one) not in results.all():
+            at_import(one, options, results)
+    caught_by = results.all()
+    for one in chosen:
+        if caught_by[name_of(one)] is None:
+            with written(one) as codes:
+                lines = difflib.ndiff(*(code.splitlines() for code in codes))
+                changed = [line for line in lines if line[:1] in "+-"]
+                print(f"survived: {name_of(one)}", *changed, sep="\n  ", flush=True)
+    return len(found), len(chosen), sum(one is not None for one in caught_by.values())
 
 
-def main() -> None:
-    """Print the share of mutants caught, part by part."""
-    heading("Mutants caught by the tests")
-    note(
-        f"{SAMPLE} mutants of each part, drawn with seed {SEED}. Tests slower than a second "
-        "without compilation are left out; a test that they would fail counts as none."
-    )
-    rows = []
+@contextmanager
+def copied() -> Generator[None]:
+    """Have a copy of the repository as the working folder, from which children import."""
     environment = dict(os.environ)
     with tempfile.TemporaryDirectory() as folder:
         for name in ("league", "tests", "tracks", "garage", "benchmarks", "examples", "docs"):
-            left = shutil.ignore_patterns("__pycache__", "*.run")
+            left = shutil.ignore_patterns("*.pyc", "*.run")
             shutil.copytree(ROOT / name, Path(folder) / name, ignore=left)
         shutil.copy(ROOT / "pyproject.toml", folder)
         # Two mutants of one length within a second would share their bytecode.
@@ -228,12 +270,27 @@ def main() -> None:
         sys.dont_write_bytecode = True
         try:
             with chdir(folder):
-                rows = [(name, *tested(name, part)) for name, part in PARTS.items()]
+                yield
         finally:
             os.environ.clear()
             os.environ.update(environment)
+
+
+def main(names: Iterable[str] = tuple(PARTS)) -> None:
+    """Print the share of mutants caught, part by part."""
+    heading("Mutants caught by the tests")
+    note(
+        f"{SAMPLE} mutants of each part, drawn with seed {SEED}. Tests slower than a second "
+        "without compilation are left out; a test that they would fail counts as none."
+    )
+    with copied():
+        rows = [(name, *tested(name, PARTS[name])) for name in names]
     row = table("part", "mutants", "tried", "caught", "share")
     for name, number, tried, caught in rows:
         row(name, number, tried, caught, f"{100 * caught / tried:.0f} %")
     tried, caught = (sum(one[k] for one in rows) for k in (2, 3))
     figure(f"caught of {tried} sampled mutants", 100 * caught / tried, "%", GOAL)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:] or PARTS)

@@ -16,12 +16,8 @@ import numpy as np
 import pytest
 
 SLOW_S = 1.0
-LONGEST_S = 120
-"""Processor time after which a mutant counts as caught [s]: it does not end."""
 RECORD = Path(os.environ["MUTANTS_RECORD"])
 KNOWN: dict[str, float] | None = json.loads(RECORD.read_text()) if RECORD.exists() else None
-if KNOWN is not None:
-    resource.setrlimit(resource.RLIMIT_CPU, (LONGEST_S, LONGEST_S))
 took: dict[str, float] = {}
 """Processor time of each test, with its fixtures and processes [s]."""
 failed: set[str] = set()
