@@ -131,10 +131,20 @@ def _imported(code: CodeType) -> tuple[object, ...]:
     return code.co_code, code.co_names, inner
 
 
-def replacements(path: Path, source: str, mutated: str) -> dict[FunctionType, CodeType] | None:
-    """Return the functions of an imported file that a mutant changes, and their new code.
+def live_functions(paths: list[Path]) -> list[FunctionType]:
+    """Return the functions of imported files, wherever they are bound."""
+    names = {str(path.resolve()) for path in paths}
+    # Lazy objects of libraries answer isinstance with warnings.
+    functions = [one for one in gc.get_objects() if type(one) is FunctionType]
+    return [one for one in functions if one.__code__.co_filename in names]
 
-    None when it changes what runs at import, or a function that is found nowhere.
+
+def replacements(
+    functions: list[FunctionType], path: Path, source: str, mutated: str
+) -> dict[FunctionType, CodeType] | None:
+    """Return the functions that a mutant of a file changes, and their new code.
+
+    None when it changes what runs at import, or a function that is not among those given.
     """
     old, new = (compile(text, str(path), "exec") for text in (source, mutated))
     if _imported(old) != _imported(new):
@@ -142,11 +152,10 @@ def replacements(path: Path, source: str, mutated: str) -> dict[FunctionType, Co
     before, after = functions_of(old), functions_of(new)
     changed = {key: code for key, code in after.items() if before.get(key) != code}
     found: dict[FunctionType, CodeType] = {}
-    for one in gc.get_objects():
-        if type(one) is FunctionType and one.__code__.co_filename == str(path.resolve()):
-            key = one.__code__.co_qualname, one.__code__.co_firstlineno
-            if key in changed:
-                found[one] = changed[key]
+    for one in functions:
+        key = one.__code__.co_qualname, one.__code__.co_firstlineno
+        if one.__code__.co_filename == str(path.resolve()) and key in changed:
+            found[one] = changed[key]
     names = {(one.co_qualname, one.co_firstlineno) for one in found.values()}
     return found if changed and names == set(changed) else None
 

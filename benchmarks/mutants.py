@@ -11,11 +11,15 @@ decorators and changes that Python refuses to parse are no mutants.
 A mutant of a function's body is put into the functions of a fork of one pytest session
 (benchmarks/mutant_trials.py); another one, of a constant say, is imported by a session of its own.
 `python -m benchmarks.mutants referee store` tries these parts alone. runs/mutants/ shows which test
-caught which mutant as they come, and the next run begins with it.
+caught which mutant as they come. A run that was stopped is gone on with, a part whose modules and
+tests are as they were is not tried again, and otherwise a mutant begins with the test that caught
+it before.
 """
 
 import ast
 import difflib
+import gc
+import hashlib
 import json
 import os
 import random
@@ -175,24 +179,36 @@ def name_of(one: Any) -> str:
 
 
 class Results:
-    """Which test caught which mutant of a part, kept in a file as they come."""
+    """Which test caught which mutant of a part, kept in a file as they come.
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self.before: dict[str, str | None] = json.loads(path.read_text()) if path.exists() else {}
+    Results of the same modules and tests are gone on with; after a change there they only say with
+    which test to begin.
+    """
+
+    def __init__(self, path: Path, digest: str) -> None:
+        kept = json.loads(path.read_text()) if path.exists() else {}
+        self._path, self._digest = path, digest
+        self.before: dict[str, str | None] = kept.get("caught_by", {})
         """Of the last run."""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text("{}")
+        if kept.get("digest") != digest:
+            self._write({})
 
     def all(self) -> dict[str, str | None]:
-        """Return those of this run, of forks too: the test by the mutant, None of a survivor."""
-        return json.loads(self._path.read_text())
+        """Return the results, of forks too: the test by the mutant, None of a survivor."""
+        return json.loads(self._path.read_text())["caught_by"]
 
     def add(self, one: Any, caught_by: str | None) -> None:
         """Keep a result."""
-        found = self.all() | {name_of(one): caught_by}
+        self._write(self.all() | {name_of(one): caught_by})
+
+    def left(self, chosen: list) -> list:
+        """Return the mutants that were not tried yet."""
+        done = self.all()
+        return [one for one in chosen if name_of(one) not in done]
+
+    def _write(self, caught_by: dict[str, str | None]) -> None:
         with replacing(self._path, "results", LeagueError) as new:
-            new.write_text(json.dumps(found, indent=1))
+            new.write_text(json.dumps({"digest": self._digest, "caught_by": caught_by}, indent=1))
 
 
 def in_functions(chosen: list, results: Results, session: pytest.Session) -> None:
@@ -200,9 +216,12 @@ def in_functions(chosen: list, results: Results, session: pytest.Session) -> Non
     failure = first_failure(session.items, results.before, "")
     if failure is not None:
         raise LeagueError(f"without a mutant {failure} fails")
-    for one in chosen:
+    functions = trials.live_functions([one.module_path for one in chosen])
+    # The collector of a fork would write to all objects, and so copy them.
+    gc.freeze()
+    for one in results.left(chosen):
         with written(one) as (source, mutated):
-            changed = replacements(one.module_path, source, mutated)
+            changed = replacements(functions, one.module_path, source, mutated)
             if changed is not None:
                 known = results.before | results.all()
                 put_in = partial(put, changed)
@@ -222,30 +241,38 @@ def at_import(one: Any, options: list[str], results: Results) -> None:
         results.add(one, trials.ENDED)
 
 
-def tested(name: str, part: Part) -> tuple[int, int, int]:
-    """Return how many mutants a part has, how many were tried, and how many were caught.
-
-    The working folder is a copy of the repository; each mutant is written into it and taken back.
-    """
+def try_all(name: str, part: Part, chosen: list, results: Results) -> None:
+    """Try the mutants of a part that have no result yet."""
     os.environ["MUTANTS_RECORD"] = str(Path.cwd() / f"{name}.json")
     os.environ["NUMBA_DISABLE_JIT"] = str(int(part.plain))
     options = ["-p", "no:cacheprovider", "-p", "benchmarks.plain_python", "-k", "not postgresql"]
     options += ["-W", "ignore::RuntimeWarning", f"--timeout={LONGEST_S}", "--basetemp=temporary"]
     options += [f"tests/{test}" for test in part.tests]
     trials.session(options)
+    status, printed = trials.session(options, Loop(partial(in_functions, chosen, results)))
+    if status:
+        raise LeagueError(f"the trials of {name} ended early:\n{printed}")
+    for one in results.left(chosen):
+        at_import(one, options, results)
+
+
+def tested(name: str, part: Part) -> tuple[int, int, int]:
+    """Return how many mutants a part has, how many were tried, and how many were caught.
+
+    The working folder is a copy of the repository; each mutant is written into it and taken back.
+    """
     given = [Path("league", module) for module in part.modules]
     paths = [
         path for one in given for path in (sorted(one.glob("*.py")) if one.is_dir() else [one])
     ]
+    digest = hashlib.sha256(repr((part, SAMPLE, SEED)).encode())
+    for path in (*paths, *(Path("tests", test) for test in part.tests)):
+        digest.update(path.read_bytes())
     found = mutants(paths)
     chosen = list(sampled(found, SAMPLE))
-    results = Results(ROOT / "runs" / "mutants" / f"{name}.json")
-    status, printed = trials.session(options, Loop(partial(in_functions, chosen, results)))
-    if status:
-        raise LeagueError(f"the trials of {name} ended early:\n{printed}")
-    for one in chosen:
-        if name_of(one) not in results.all():
-            at_import(one, options, results)
+    results = Results(ROOT / "runs" / "mutants" / f"{name}.json", digest.hexdigest())
+    if results.left(chosen):
+        try_all(name, part, chosen, results)
     caught_by = results.all()
     for one in chosen:
         if caught_by[name_of(one)] is None:
