@@ -248,7 +248,8 @@ def try_all(name: str, part: Part, chosen: list, results: Results) -> None:
     options = ["-p", "no:cacheprovider", "-p", "benchmarks.plain_python", "-k", "not postgresql"]
     options += ["-W", "ignore::RuntimeWarning", f"--timeout={LONGEST_S}", "--basetemp=temporary"]
     options += [f"tests/{test}" for test in part.tests]
-    trials.session(options)
+    # What takes half a minute is left out in any case.
+    trials.session([*options, "--timeout=30"])
     status, printed = trials.session(options, Loop(partial(in_functions, chosen, results)))
     if status:
         raise LeagueError(f"the trials of {name} ended early:\n{printed}")

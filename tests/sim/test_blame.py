@@ -12,7 +12,7 @@ from league.envs.race_env import RaceEnv
 from league.sim.config import RULES, ObstacleConfig, RaceRules, SimConfig
 from league.sim.records import NOBODY, members
 from league.track.track import TrackSet
-from tests.scenes import Stages, go_to, make_straight, put_cars, start, touch
+from tests.scenes import Stages, go_to, make_square, make_straight, put_cars, start, touch
 
 
 def racing(num_cars: int = 2, **rules) -> SimConfig:
@@ -207,6 +207,15 @@ def test_penalty_grows_with_the_closing_speed(straight, closing, seconds, num_ca
     assert judged["contacts_taken"].tolist()[:2] == [0, 1]
 
 
+@pytest.mark.parametrize(("left", "closing"), [(1.0, 0.5 / 0.13**0.5), (-1.0, 0.1 / 0.13**0.5)])
+def test_cars_close_along_the_line_between_them(straight, left, closing):
+    # From 0.3 m behind and 0.2 m to the right: (1, left) m/s along (3, 2) / sqrt(13).
+    places = [(5.0, -0.1), (5.3, 0.1)]
+    moving = [(1.0, left), (0.0, 0.0)]
+    seen, _, _ = scene(straight(), racing(), places, places, (0, 1), moving=moving)
+    assert seen["closing_speed"].tolist() == pytest.approx([closing, 0.0], abs=1e-4)
+
+
 def test_a_touch_that_lasts_is_counted_once(straight):
     tracks, sim = straight(), racing()
     world = put_cars(tracks, sim, [(3.0, 0.0), (3.33, 0.0)])
@@ -313,6 +322,16 @@ def test_pace_is_what_the_bends_allow(ring):
     world = put_cars(tracks, sim, [(3.0, 0.0), (8.0, 0.0)], step=15)
     _, world = Stages(tracks, sim).judge(world, go_to(tracks, world, [(3.2, 0.0), (8.1, 0.0)]))
     assert world.cars["pace"][0].tolist() == pytest.approx([0.829, 0.414], abs=0.005)
+
+
+@pytest.mark.parametrize("ahead", [-0.8, -0.4, 0.0, 0.4, 0.8, 1.2])
+def test_pace_knows_a_short_bend_nearby(ahead):
+    # A corner of 0.3 m radius and 0.47 m length, from 3 m on: it allows 1.435 m/s.
+    tracks, sim = TrackSet(make_square(corner=0.3, width=0.5)), racing()
+    place = 3.0 + 0.3 * np.pi / 4 - ahead
+    world = put_cars(tracks, sim, [(place - 0.08, 0.0), (5.0, 0.0)], step=15)
+    _, world = Stages(tracks, sim).judge(world, go_to(tracks, world, [(place, 0.0), (5.0, 0.0)]))
+    assert world.cars["pace"][0, 0] == pytest.approx(1.2 / 1.435, rel=0.05)
 
 
 # Forcing off.
