@@ -63,6 +63,8 @@ class Part:
     """Files of tests/."""
     plain: bool = True
     """Whether compiled functions run as plain Python."""
+    compiled: tuple[str, ...] = ()
+    """Tests that would take too long so; they try what is not compiled as it is."""
 
 
 PARTS = {
@@ -73,11 +75,12 @@ PARTS = {
     "collision": Part(("sim/physics/collision.py",), ("sim/test_contact.py", "sim/test_planar.py")),
     "bullet": Part(("sim/physics/bullet.py",), ("sim/test_bullet.py",)),
     "rewards": Part(
-        ("envs/rewards.py",), ("envs/test_rewards.py", "envs/test_racing_line_reward.py")
+        ("envs/rewards.py",), ("envs/test_rewards.py",),
+        compiled=("envs/test_racing_line_reward.py",),
     ),
     "observations": Part(
-        ("envs/observations.py", "envs/sensor_suite.py"),
-        ("envs/test_observations.py", "envs/test_sensor_suite.py"),
+        ("envs/observations.py", "envs/sensor_suite.py"), ("envs/test_observations.py",),
+        compiled=("envs/test_sensor_suite.py", "envs/test_sensor_history.py", "envs/test_truth.py"),
     ),
     "ratings": Part(
         ("matchmaking/ratings/fit.py", "matchmaking/ratings/systems.py",
@@ -211,21 +214,30 @@ class Results:
             new.write_text(json.dumps({"digest": self._digest, "caught_by": caught_by}, indent=1))
 
 
-def in_functions(chosen: list, results: Results, session: pytest.Session) -> None:
-    """Try the mutants that change only bodies of functions, in forks of one session."""
+def in_functions(tried: list, results: Results, survivors: bool, session: pytest.Session) -> None:
+    """Try the mutants that change only bodies of functions, in forks of one session.
+
+    Args:
+        tried: the mutants.
+        results: of them.
+        survivors: keep those that are not caught as well.
+        session: with the tests.
+    """
     failure = first_failure(session.items, results.before, "")
     if failure is not None:
         raise LeagueError(f"without a mutant {failure} fails")
-    functions = trials.live_functions([one.module_path for one in chosen])
+    functions = trials.live_functions([one.module_path for one in tried])
     # The collector of a fork would write to all objects, and so copy them.
     gc.freeze()
-    for one in results.left(chosen):
+    for one in tried:
         with written(one) as (source, mutated):
             changed = replacements(functions, one.module_path, source, mutated)
             if changed is not None:
                 known = results.before | results.all()
                 put_in = partial(put, changed)
-                results.add(one, first_failure(session.items, known, name_of(one), put_in))
+                failure = first_failure(session.items, known, name_of(one), put_in)
+                if failure or survivors:
+                    results.add(one, failure)
 
 
 def at_import(one: Any, options: list[str], results: Results) -> None:
@@ -243,16 +255,19 @@ def at_import(one: Any, options: list[str], results: Results) -> None:
 
 def try_all(name: str, part: Part, chosen: list, results: Results) -> None:
     """Try the mutants of a part that have no result yet."""
-    os.environ["MUTANTS_RECORD"] = str(Path.cwd() / f"{name}.json")
-    os.environ["NUMBA_DISABLE_JIT"] = str(int(part.plain))
-    options = ["-p", "no:cacheprovider", "-p", "benchmarks.plain_python", "-k", "not postgresql"]
-    options += ["-W", "ignore::RuntimeWarning", f"--timeout={LONGEST_S}", "--basetemp=temporary"]
-    options += [f"tests/{test}" for test in part.tests]
-    # What takes half a minute is left out in any case.
-    trials.session([*options, "--timeout=30"])
-    status, printed = trials.session(options, Loop(partial(in_functions, chosen, results)))
-    if status:
-        raise LeagueError(f"the trials of {name} ended early:\n{printed}")
+    common = ["-p", "no:cacheprovider", "-p", "benchmarks.plain_python", "-k", "not postgresql"]
+    common += ["-W", "ignore::RuntimeWarning", f"--timeout={LONGEST_S}", "--basetemp=temporary"]
+    for tests, plain in (part.compiled, False), (part.tests, part.plain):
+        if not tests:
+            continue
+        os.environ["MUTANTS_RECORD"] = str(Path.cwd() / f"{name}{int(plain)}.json")
+        os.environ["NUMBA_DISABLE_JIT"] = str(int(plain))
+        options = [*common, *(f"tests/{test}" for test in tests)]
+        trials.session(options)
+        work = partial(in_functions, results.left(chosen), results, tests is part.tests)
+        status, printed = trials.session(options, Loop(work))
+        if status:
+            raise LeagueError(f"the trials of {name} ended early:\n{printed}")
     for one in results.left(chosen):
         at_import(one, options, results)
 
@@ -267,7 +282,7 @@ def tested(name: str, part: Part) -> tuple[int, int, int]:
         path for one in given for path in (sorted(one.glob("*.py")) if one.is_dir() else [one])
     ]
     digest = hashlib.sha256(repr((part, SAMPLE, SEED)).encode())
-    for path in (*paths, *(Path("tests", test) for test in part.tests)):
+    for path in (*paths, *(Path("tests", test) for test in (*part.tests, *part.compiled))):
         digest.update(path.read_bytes())
     found = mutants(paths)
     chosen = list(sampled(found, SAMPLE))

@@ -1,13 +1,14 @@
 """Plugin of pytest for mutants.py: compiled modules as plain Python, and only fast, sound tests.
 
 The first run writes the tests that pass within a second of processor time, which other programs
-hardly change, to the file $MUTANTS_RECORD; later runs leave the others out and begin with the
-fastest.
+hardly change, to the file $MUTANTS_RECORD, and stops those that take longer; later runs leave these
+out and begin with the fastest.
 """
 
 import json
 import os
 import resource
+import signal
 import sys
 from collections.abc import Generator
 from pathlib import Path
@@ -59,13 +60,21 @@ def _processor_s() -> float:
     return sum(one.ru_utime + one.ru_stime for one in spent)
 
 
+def _stop(*_: object) -> None:
+    pytest.fail("it takes too long")
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
     """Note how long a test takes."""
     began = _processor_s()
+    if KNOWN is None:
+        signal.signal(signal.SIGPROF, _stop)
+        signal.setitimer(signal.ITIMER_PROF, 3 * SLOW_S)
     try:
         return (yield)
     finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
         took[item.nodeid] = _processor_s() - began
 
 
