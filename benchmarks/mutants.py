@@ -116,15 +116,29 @@ _OTHERS = (
 WANTED = re.compile(rf"core/(Replace(\w+)Operator_({'|'.join(_PAIRS)})|{'|'.join(_OTHERS)})$")
 
 
-def annotated(source: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """Return where annotations begin and end, as (line, column)."""
-    found = []
-    for node in ast.walk(ast.parse(source)):
-        for name in ("annotation", "returns"):
-            if (one := getattr(node, name, None)) is not None:
-                ends = one.end_lineno, one.end_col_offset
-                found.append(((one.lineno, one.col_offset), ends))
-    return found
+Span = tuple[tuple[int, int], tuple[int, int]]
+"""Where something begins and ends, each as (line, column)."""
+
+
+def listed(field: Any) -> list[ast.AST]:
+    """Return the nodes of a field of a node: none, one or several."""
+    return field if isinstance(field, list) else [field] if field is not None else []
+
+
+def spans_of(path: Path, *fields: str) -> list[Span]:
+    """Return the spans of what stands in these fields of a file's syntax tree."""
+    nodes = [
+        one
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for name in fields
+        for one in listed(getattr(node, name, None))
+    ]
+    return [((n.lineno, n.col_offset), (n.end_lineno, n.end_col_offset)) for n in nodes]
+
+
+def within(spans: list[Span], one: Any) -> bool:
+    """Return whether a mutation begins in one of these spans of its file."""
+    return any(first <= one.start_pos < last for first, last in spans)
 
 
 def mutants(paths: list[Path]) -> list:
@@ -135,12 +149,11 @@ def mutants(paths: list[Path]) -> list:
     with use_db(":memory:", WorkDB.Mode.create) as session:
         init(paths, session, {})
         every = [item.mutations[0] for item in session.work_items]
-    spans = {path: annotated(path.read_text(encoding="utf-8")) for path in paths}
+    spans = {path: spans_of(path, "annotation", "returns") for path in paths}
     found = [
         one
         for one in every
-        if WANTED.match(one.operator_name)
-        and not any(first <= one.start_pos < last for first, last in spans[one.module_path])
+        if WANTED.match(one.operator_name) and not within(spans[one.module_path], one)
     ]
     return sorted(
         found, key=lambda m: (str(m.module_path), m.start_pos, m.operator_name, m.occurrence)
@@ -159,10 +172,12 @@ def written(one: Any) -> Generator[tuple[str, str]]:
 
 
 def sampled(found: list, number: int) -> Iterator:
-    """Return some mutations that Python can parse, drawn with the fixed seed."""
+    """Return some mutations that Python can parse, drawn with the fixed seed; not of decorators."""
     drawn = found.copy()
     random.Random(SEED).shuffle(drawn)
     for one in drawn:
+        if within(spans_of(one.module_path, "decorator_list"), one):
+            continue
         with written(one) as (_, mutated):
             try:
                 compile(mutated, "", "exec")
