@@ -92,7 +92,9 @@ PARTS = {
         ("matchmaking/store",),
         ("matchmaking/test_store.py", "matchmaking/test_store_blobs.py",
          "matchmaking/test_store_disputes.py", "matchmaking/test_store_integrity.py",
-         "matchmaking/test_store_keys.py", "matchmaking/test_store_reliability.py"),
+         "matchmaking/test_store_keys.py", "matchmaking/test_store_reliability.py",
+         "matchmaking/test_cups.py", "matchmaking/test_seasons.py", "matchmaking/test_tokens.py",
+         "matchmaking/test_safety.py"),
         plain=False,
     ),
     "checkpoint": Part(
