@@ -32,7 +32,7 @@ NAMES = (
     "mutants",
 )
 BY_NAME_ONLY = ("mutants",)
-"""Run only when they are named: they need a package of their own and an hour."""
+"""Run only when they are named: they need a package of their own and half an hour."""
 PAGE = Path(__file__).parents[1] / "docs" / "benchmarks.md"
 INTRODUCTION = """# Benchmarks
 
