@@ -134,11 +134,17 @@ def packed(
 
 def _unpacked(text: str, cars: int) -> np.ndarray:
     """Return races of so many cars from their packed texts with spaces between."""
-    race = [
-        *(("heat", ">u4"), ("half", "u1"), ("track", "u1")),
-        *(("entries", ">u4", (cars,)), ("places", "u1", (cars,)), ("runs", ">u4", (cars,))),
-    ]
-    return np.frombuffer(bytes.fromhex(text), dtype=race)
+    return np.frombuffer(bytes.fromhex(text), dtype=race_type(cars))
+
+
+def race_type(cars: int) -> np.dtype[Any]:
+    """Return what the bytes of a packed race of so many cars are."""
+    return np.dtype(
+        [
+            *(("heat", ">u4"), ("half", "u1"), ("track", "u1")),
+            *(("entries", ">u4", (cars,)), ("places", "u1", (cars,)), ("runs", ">u4", (cars,))),
+        ]
+    )
 
 
 @dataclass
@@ -447,12 +453,15 @@ def read_drives(connection: sa.Connection, ruleset: str, *, rated: bool = True) 
     return Drives(**{name: np.concatenate([empty, *parts]) for name, parts in columns.items()})
 
 
+DRIVEN = np.dtype([("points", ">u2"), ("distance_cm", ">u4"), ("clean_ms", ">u4")])
+"""What the bytes of `driven` are for each car."""
+
+
 def _drive_type(cars: int) -> np.dtype[Any]:
-    car = [("points", ">u2"), ("distance_cm", ">u4"), ("clean_ms", ">u4")]
     return np.dtype(
         [
             *(("heat", ">u4"), ("half", "u1"), ("track", "u1")),
-            *(("entry", ">u4", (cars,)), ("driven", car, (cars,))),
+            *(("entry", ">u4", (cars,)), ("driven", DRIVEN, (cars,))),
         ]
     )
 
