@@ -2,11 +2,13 @@
 
 import threading
 from dataclasses import asdict
+from pathlib import Path
 
 import numpy as np
 import sqlalchemy as sa
 
 from benchmarks import store as stores
+from league.agents import checkpoint
 from league.matchmaking.divisions import SeasonSettings
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import mirrored
@@ -25,6 +27,8 @@ RECORDED = 200
 """Newest heats that have results and recordings."""
 DRIVER = 77
 """The entry that visitors look at: its heats have results and recordings, too."""
+CARD = checkpoint.load(Path(__file__).parents[1] / "garage" / "racer.pt").text
+"""What each entry's card says."""
 RACING = 400
 """Entries that the season's further heats are drawn from."""
 
@@ -67,7 +71,7 @@ def _entry(number: int) -> dict[str, object]:
         "anchor": False,
         "state": "ranked",
         "reason": "",
-        "card": "{}",
+        "card": CARD,
         "created_s": float(number),
     }
 

@@ -53,7 +53,7 @@ def document(reader: Reader, number: int) -> Document:
     return {
         "entry": entry,
         "standing": row,
-        "marks": season_marks.of(reader).get(number),
+        "marks": season_marks.of(reader, [row]).get(number) if row else None,
         "trophies": _trophies(reader, number),
         "history": moments,
         "fitted": bool(rated and rated.num_races <= FITTED_RACES),
