@@ -127,16 +127,29 @@ def test_a_snapshot_forgets_how_cars_drove_in_a_heat_that_is_in_quarantine(leagu
 
 def test_a_clean_lap_is_from_a_race_without_any_fault(league):
     clean = race(league, [car(0, 2), car(1, 2)], [car(0, 2, reversed=1), car(1, 2, touches=1)])
-    board = scores.time_attack(league, "head_to_head")
+    board = scores.time_attack(league, "head_to_head").laps
     laps = [(lap.number, lap.lap_s, lap.heat, lap.race) for lap in board["reinvent_2018"]]
     assert laps == [(1, 9.0, clean, 1), (2, 10.0, clean, 1)]
     assert board["harbour_oval"] == []
-    assert scores.time_attack(league, "time_trial") == {}
+    assert scores.time_attack(league, "time_trial").laps == {}
+
+
+def test_boards_take_in_later_races(league):
+    race(league, [car(0, 2), car(1, 2)], [car(0, 2), car(1, 2)])
+    first = scores.time_attack(league, "head_to_head")
+    assert scores.time_attack(league, "head_to_head", first) == first
+    faster = {"lap_times_s": [8.5]}
+    number = race(league, [car(0, 2), car(1, 2, **faster)], [car(0, 2), car(1, 2)], draw=1)
+    second = scores.time_attack(league, "head_to_head", first)
+    assert second == scores.time_attack(league, "head_to_head")
+    laps = second.laps["reinvent_2018"]
+    assert [(lap.number, lap.lap_s, lap.heat) for lap in laps] == [(2, 8.5, number), (1, 9.0, 1)]
+    assert second.last == {RULES.hash: 4}
 
 
 def test_results_without_incidents_tell_nothing(league):
     race(league, [], [])
-    assert safety.of(league) == {} and scores.time_attack(league, "head_to_head") == {
+    assert safety.of(league) == {} and scores.time_attack(league, "head_to_head").laps == {
         "reinvent_2018": [],
         "harbour_oval": [],
     }

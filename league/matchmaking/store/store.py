@@ -398,6 +398,7 @@ class Store:
         self,
         states: Sequence[HeatState] | None = None,
         *,
+        numbers: Sequence[int] | None = None,
         entries: Sequence[int] = (),
         since: int = 0,
         limit: int | None = None,
@@ -407,6 +408,7 @@ class Store:
 
         Args:
             states: only those in one of them; by default all.
+            numbers: only those with one of these; by default all.
             entries: only those with all these entries (numbers) in them.
             since: only those with a larger number.
             limit: so many at most.
@@ -417,6 +419,8 @@ class Store:
             # By an index of states the database would sort all heats that are done for the newest.
             state = heats.c.state.concat("") if newest else heats.c.state
             match &= state.in_(states)
+        if numbers is not None:
+            match &= heats.c.number.in_(numbers)
         for entry in entries:
             match &= heats.c.number.in_(
                 sa.select(heat_entries.c.heat).where(heat_entries.c.entry == entry)
