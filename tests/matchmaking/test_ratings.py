@@ -10,11 +10,13 @@ from league.errors import ConfigError
 from league.matchmaking.ratings import (
     Carried,
     Finish,
+    RatingData,
     RatingSettings,
     Results,
     expected_score,
     fit,
     places_of,
+    refit,
 )
 from tests.matchmaking.fields import Race, covered, misses, raced, random_grids, results_of
 
@@ -237,6 +239,35 @@ def test_ordinary_fields_settle_their_spread_in_a_few_steps(spread):
     strengths = generator.normal(0, spread, 60)
     rated = fit(raced(generator, strengths, random_grids(generator, 60, 2, 1500), front=100))
     assert rated.num_spreads <= 8
+
+
+@pytest.mark.parametrize("dense_most", [1500, 10])
+def test_ratings_found_from_earlier_ones_are_the_same(dense_most):
+    generator, settings = np.random.default_rng(4), RatingSettings(dense_most=dense_most)
+    strengths = generator.normal(0, 200, 40)
+    grids = random_grids(generator, 40, 3, 400)
+    grids[:300][grids[:300] == 39] = 38  # one entry is new
+    results = raced(generator, strengths, np.array([row for row in grids if len({*row}) == 3]))
+    earlier = fit(results.rows(results.heats < 290), settings, anchor=0)
+    assert len(earlier.entries) == 39
+    whole = fit(results, settings, anchor=0)
+    again = fit(results, settings, anchor=0, near=earlier)
+    assert again.elo == pytest.approx(whole.elo, abs=1e-3)
+    assert again.sd == pytest.approx(whole.sd, abs=1e-3)
+    assert again.prior_sd == pytest.approx(whole.prior_sd, abs=1e-3)
+    assert again.num_spreads < whole.num_spreads
+    assert fit(results, settings, anchor=0, near=whole).num_spreads <= 2
+
+
+def test_a_refit_keeps_the_prior_and_tells_what_the_newest_races_changed():
+    generator = np.random.default_rng(4)
+    grids = random_grids(generator, 12, 2, 200)
+    results = raced(generator, generator.normal(0, 200, 12), grids)
+    rated, part = fit(results, anchor=0), results.rows(results.heats < 150)
+    data = RatingData.of(part, rated.entries)
+    alone = fit(data, RatingSettings(prior_sd=rated.prior_sd), anchor=0)
+    assert refit(data, rated) == pytest.approx(alone.elo, abs=1e-3)
+    assert np.abs(refit(data, rated) - rated.elo).max() > 5.0
 
 
 def test_learned_prior_of_one_entry_is_the_hand_worked_root():

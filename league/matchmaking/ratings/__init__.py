@@ -7,6 +7,7 @@ from league.matchmaking.ratings.fit import (
     RatingSettings,
     expected_score,
     fit,
+    refit,
 )
 from league.matchmaking.ratings.pair_counts import RatingData
 from league.matchmaking.ratings.results import Finish, Results, places_of
@@ -22,4 +23,5 @@ __all__ = [
     "expected_score",
     "fit",
     "places_of",
+    "refit",
 ]
