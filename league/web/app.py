@@ -49,7 +49,7 @@ STATIC = {
     "player.js": "text/javascript",
     "heat.js": "text/javascript",
     "live.js": "text/javascript",
-    "submit.js": "text/javascript",
+    "form.js": "text/javascript",
     "icon.svg": "image/svg+xml",
 }
 """All static files, with their types; they are read once, when the program starts."""
@@ -118,7 +118,7 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
 
     def writing() -> list[Route]:
         return [
-            submit.form(store, access, render),
+            *(one.route(reader, access, render) for one in submit.FORMS),
             *(one.route(store, access) for one in openapi.PROTECTED),
         ]
 
