@@ -263,11 +263,13 @@ def test_nothing_else_retires_a_driver_in_the_browser(store):
             422: ({"token": own}, SAME),
         }
         for status, (fields, headers) in refused.items():
-            answer = left(client, number, headers, reason="A \"reason\"", **fields)
+            answer = left(client, number, headers, reason='A "reason"', **fields)
             assert answer.status_code == status
             (sentence,) = re.findall(r'role="alert">(.+?)</p>', answer.text)
             assert sentence.count(".") == 1 and sentence.endswith(".")
-            assert 'value="A &#34;reason&#34;"' in answer.text and fields["token"] not in answer.text
+            assert (
+                'value="A &#34;reason&#34;"' in answer.text and fields["token"] not in answer.text
+            )
         for headers in ({}, {"sec-fetch-site": "cross-site"}, {"origin": "https://evil.example"}):
             assert left(client, number, headers, token=own, sure="yes").status_code == 403
         assert left(client, number, token=worker, sure="yes").status_code == 403
