@@ -57,7 +57,7 @@ class Form:
         async def respond(request: Request) -> Response:
             document = await run_in_threadpool(self.about, reader, **request.path_params)
 
-            def shown(status: int = 200, sentence: str = "", fields: Fields = {}) -> Response:
+            def shown(fields: Fields, status: int = 200, sentence: str = "") -> Response:
                 kept = {name: text(fields, name) for name in self.kept}
                 page = render(self.template, request, status, sentence=sentence, **kept, **document)
                 # An older browser says by Origin where a form came from, which no-referrer hides.
@@ -66,7 +66,7 @@ class Form:
                 return page
 
             if request.method != "POST":
-                return shown()
+                return shown({})
             fields: Fields = {}
             try:
                 check_origin(request)
@@ -77,7 +77,7 @@ class Form:
                     address = await run_in_threadpool(self._acted, asked, document)
             except HTTPException as error:
                 await drain(request)
-                return shown(error.status_code, error.detail, fields)
+                return shown(fields, error.status_code, error.detail)
             return RedirectResponse(address, 303)
 
         return Route(self.path, respond, methods=["GET", "POST"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 
 from starlette.testclient import TestClient
 
@@ -27,7 +28,7 @@ def test_two_neighbours_of_a_round_meet_in_the_heat_between_them(tmp_path):
         with TestClient(make_app(store), base_url=ORIGIN) as client:
             rounds = client.get("/api/v1/cups/1").json()["rounds"]
     assert [len(one["heats"]) for one in rounds] == [4, 2, 1]
-    for before, after in zip(rounds, rounds[1:], strict=False):
+    for before, after in pairwise(rounds):
         for index, heat in enumerate(after["heats"]):
             fed = before["heats"][2 * index : 2 * index + 2]
             assert heat["feeds"] == [one["number"] for one in fed]
