@@ -75,6 +75,9 @@ def test_the_owner_follows_a_new_entry_on_its_page(store):
     with served(store) as client:
         page = client.get(sent(client, token(store)).json()["page"]).text
         assert "First races" in page and "validation heats are not planned yet" in page
+        assert "<code>league run</code> plans" in page and "`" not in page
+        live = page[page.index("data-live") :]
+        assert "· pending ·" in live[: live.index("First races")]  # its state is renewed, too
         assert "data-live" in page and "/static/live.js" in page
         assert "First races" not in client.get("/drivers/1").text  # an anchor
 
