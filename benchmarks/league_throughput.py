@@ -122,7 +122,7 @@ def batching(store: Store, repeats: int = 3) -> None:
 
 def throughput(store: Store, solver: SolverName, seconds: float, workers: int, goal: float) -> None:
     """Print duels of a minute a day, whole: matchmaker, store, replays, ratings and all."""
-    planner = matchmaker.Season(store)
+    planner = matchmaker.Matchmaker(store)
     with closing(make_executor("processes", workers)) as executor:
         dispatcher = Dispatcher(store, executor)
         loop.run(store, dispatcher, planner, heats=2 * workers)  # workers have warmed up

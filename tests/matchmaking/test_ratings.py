@@ -9,13 +9,11 @@ import pytest
 from league.errors import ConfigError
 from league.matchmaking.ratings import (
     Carried,
-    Finish,
     RatingData,
     RatingSettings,
     Results,
     expected_score,
     fit,
-    places_of,
     refit,
 )
 from tests.matchmaking.fields import Race, covered, misses, raced, random_grids, results_of
@@ -478,21 +476,6 @@ def test_difference_of_two_neighbours_is_surer_than_their_intervals_suggest():
     gap = rated.difference(0, 1)
     assert gap.sd < 0.5 * rated.sd[0]
     assert gap.elo == pytest.approx(-rated.difference(1, 0).elo)
-
-
-def test_places_of_finishers_and_others():
-    runs = [
-        Finish(score_s=None, laps=2, distance=40.0, failed_s=60.0),
-        Finish(score_s=31.5),
-        Finish(score_s=30.0),
-        Finish(score_s=31.5),
-        Finish(score_s=None, laps=2, distance=41.0, failed_s=10.0),
-        Finish(score_s=None, laps=1, distance=99.0, failed_s=90.0),
-        Finish(score_s=None, laps=2, distance=40.0, failed_s=61.0),
-        Finish(score_s=None, laps=2, distance=40.0, failed_s=60.0),
-    ]
-    # Finishers by time, then laps, distance, and who lasted longer; equal runs share a place.
-    assert places_of(runs) == (6, 2, 1, 2, 4, 8, 5, 6)
 
 
 def test_impossible_requests_are_refused_with_a_reason():
