@@ -189,7 +189,7 @@ def _videos() -> None:
     import numpy as np
 
     from league.sim.camera import raster
-    from league.sim.camera.stage import NEAR
+    from league.sim.camera.scene_state import NEAR
     from league.video.pixels import draw_floor, draw_shadow, mix
 
     texture = raster.Texture(np.zeros(4, np.uint32), 2, 0.0, 0.0, 0.1)

@@ -10,7 +10,7 @@ from league.errors import ReplayError
 from league.sim.camera import raster
 from league.sim.camera.paint_renderer import Painter
 from league.sim.camera.scene import BOX, BOX_COLOUR, CAR, CAR_COLOURS
-from league.sim.camera.stage import Thing
+from league.sim.camera.scene_state import Thing
 from league.video import hud
 from league.video.film import SHADOW_EDGE, SHADOW_KEPT, Film, shadow_of
 from league.video.hud import clock

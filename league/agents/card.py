@@ -51,7 +51,7 @@ Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Count = Annotated[int, Field(ge=0, lt=2**63)]
 
 
-class Reward(FrozenModel):
+class RewardCard(FrozenModel):
     """The reward a policy was trained with."""
 
     name: Label
@@ -77,7 +77,7 @@ class Card(FrozenModel):
     """Tracks it was trained on."""
     kind: RaceKind = "time_trial"
     """Kind of race it was trained for."""
-    reward: Reward | None = None
+    reward: RewardCard | None = None
     """The reward it was trained with; None: unknown."""
     steps: Count = 0
     """Decisions it learnt from, those of its parents not counted."""

@@ -108,7 +108,7 @@ def _send_events(writer: SceneWriter, replay: Replay) -> None:
         send_line(writer, line)
 
 
-def send_line(writer: SceneWriter, line: commentary.Line) -> None:
+def send_line(writer: SceneWriter, line: commentary.Remark) -> None:
     """Add a line of the race's story to the list of events."""
     colour = NEUTRAL if line.kind == "start" else CAR_COLOURS[line.car]
     level = EVENT_LEVELS.get(line.kind, "INFO")

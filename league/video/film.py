@@ -20,7 +20,7 @@ from league.sim.camera.ground import Floor, floor_of
 from league.sim.camera.paint_renderer import Painter
 from league.sim.camera.scene import CAR as CAR_MODEL
 from league.sim.camera.scene import FAR_CAR, SUN
-from league.sim.camera.stage import Lens, Stage, Thing
+from league.sim.camera.scene_state import Lens, SceneState, Thing
 from league.sim.config import CameraConfig
 from league.sim.records import CAR, World
 from league.track.track import Rgb
@@ -90,11 +90,14 @@ class Film:
         """Return the pictures of these moments, RGB uint8, (height, width, 3) each."""
         world = self._replay.at(times_s)
         x, y, yaw = self._eye(np.clip(times_s, 0.0, self._replay.duration_s))
-        stage, eye = Stage(self._replay.sim, _with_eye(world, x, y, yaw)), self._replay.num_cars
+        state, eye = (
+            SceneState(self._replay.sim, _with_eye(world, x, y, yaw)),
+            self._replay.num_cars,
+        )
         pictures = []
         for row, time_s in enumerate(times_s):
-            pose = stage.camera(row, eye, self._camera)
-            picture = self._painter.picture(pose, stage.things(row, without=eye))
+            pose = state.camera(row, eye, self._camera)
+            picture = self._painter.picture(pose, state.things(row, without=eye))
             if time_s > self.ends_s:
                 self._hud.draw_result(picture)
             else:

@@ -10,7 +10,7 @@ import numpy as np
 
 from league.replay import Replay, commentary
 from league.sim.camera.scene import CAR_COLOURS
-from league.sim.camera.stage import Stage
+from league.sim.camera.scene_state import SceneState
 from league.sim.camera.top_view import draw_things
 from league.sim.records import World
 from league.track.markings import Plan
@@ -243,7 +243,7 @@ class TopView:
     def draw(self, replay: Replay, world: World, row: int) -> np.ndarray:
         """Return the picture of one world of a batch, RGB."""
         plan = replace(self._plan, picture=self._plan.picture.copy())
-        draw_things(plan, Stage(replay.sim, world.row(row)), size=_LARGER)
+        draw_things(plan, SceneState(replay.sim, world.row(row)), size=_LARGER)
         return plan.picture
 
 

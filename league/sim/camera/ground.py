@@ -10,7 +10,7 @@ import numpy as np
 
 from league.sim.camera import raster
 from league.sim.camera.scene import SUN, WALL_HEIGHT, lit
-from league.sim.camera.stage import Lens
+from league.sim.camera.scene_state import Lens
 from league.track import markings
 from league.track.track import Track
 

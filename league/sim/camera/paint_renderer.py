@@ -31,7 +31,7 @@ from league.sim.camera.scene import (
     lit,
     luma,
 )
-from league.sim.camera.stage import NEAR, Lens, Stage, Thing
+from league.sim.camera.scene_state import NEAR, Lens, SceneState, Thing
 from league.sim.camera.visual_randomization import Look
 from league.sim.config import CameraConfig, SimConfig, VisualRandomization
 from league.sim.records import World
@@ -75,13 +75,13 @@ class Renderer(ABC):
         right eye's. `rows` are the worlds to render, int64; None for all.
         """
         if self._looks is None:
-            return self._draw(Stage(self._sim, world, rows), car, None)
+            return self._draw(SceneState(self._sim, world, rows), car, None)
         look = visual_randomization.draw(self._looks, world, rows, car, self._camera.colour)
-        return self._draw(Stage(self._sim, world, rows, look.tint), car, look)
+        return self._draw(SceneState(self._sim, world, rows, look.tint), car, look)
 
     @abstractmethod
-    def _draw(self, stage: Stage, car: int, look: Look | None) -> np.ndarray:
-        """Return the pictures of a car of all worlds of a stage."""
+    def _draw(self, state: SceneState, car: int, look: Look | None) -> np.ndarray:
+        """Return the pictures of a car in all worlds of a SceneState."""
 
     def _floor(self, track: int) -> Floor:
         if track not in self._floors:
@@ -99,13 +99,13 @@ class PaintRenderer(Renderer):
         cv2.setNumThreads(1)
         return Painter(self._lens, gray=not self._camera.colour, sky=self._sky)
 
-    def _draw(self, stage: Stage, car: int, look: Look | None) -> np.ndarray:
+    def _draw(self, state: SceneState, car: int, look: Look | None) -> np.ndarray:
         cfg, painter = self._camera, self._painter
-        shape = (len(stage.track), cfg.num_eyes, cfg.height, cfg.width)
+        shape = (len(state.track), cfg.num_eyes, cfg.height, cfg.width)
         pictures = np.empty((*shape, 3) if cfg.colour else shape, np.uint8)
-        for row, track in enumerate(stage.track):
-            pose = stage.camera(row, car, cfg)
-            painter.paint(pictures[row], pose, self._floor(track), stage.things(row, without=car))
+        for row, track in enumerate(state.track):
+            pose = state.camera(row, car, cfg)
+            painter.paint(pictures[row], pose, self._floor(track), state.things(row, without=car))
             if look is not None:
                 visual_randomization.develop(pictures[row], look, row)
         if cfg.colour:

@@ -18,8 +18,8 @@ from league.jit import compiled, inner
 from league.portable_math import f32, sincos
 
 MODEL, X, Y, COS, SIN, STEERING, ALONG, ACROSS, UPWARD, SHADE, SUNLIT = (*range(10), 12)
-"""Columns of a thing: those of stage.Thing, with its colour as three numbers in the shade and three
-that full sun adds."""
+"""Columns of a thing: those of scene_state.Thing, with its colour as three numbers in the shade and
+three that full sun adds."""
 THING_COLUMNS = 15
 
 MOST_CORNERS = 16
