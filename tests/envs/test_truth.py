@@ -114,7 +114,9 @@ def test_the_mirror_image_is_what_the_mirrored_car_sees():
     other._sensors._fresh.clear()
     one._sensors._fresh.clear()
     for car in range(3):
-        mirrored = symmetry.truth(torch.from_numpy(one.observations[car]["truth"].copy()))
+        mirrored = symmetry.numbers(
+            torch.from_numpy(one.observations[car]["truth"].copy()), truth.FIELDS
+        )
         np.testing.assert_allclose(
             mirrored.numpy(), other.observations[car]["truth"], rtol=0, atol=2e-5
         )

@@ -10,6 +10,7 @@ import torch
 from league.agents.network import group_shapes
 from league.cli.train import Train, _kept
 from league.envs import state
+from league.envs.observations import MOTION_FIELDS
 from league.errors import ConfigError, PolicyError, RewardError
 from league.track.track import TrackSet
 from league.training.config import TrainConfig
@@ -133,7 +134,7 @@ def test_for_mirror_images_the_advice_is_mirrored():
     made._lesson.augment_batch(found, 32)
     assert torch.equal(found.observations["motion"], seen)  # the first is never mirrored
     made._lesson.augment_batch(found, 32)
-    assert torch.equal(found.observations["motion"], symmetry.motion(seen))
+    assert torch.equal(found.observations["motion"], symmetry.numbers(seen, MOTION_FIELDS))
     turned = made._lesson.targets(found.observations)
     assert torch.allclose(turned, made.cfg.action_space.mirror(usual), atol=1e-5)
 
