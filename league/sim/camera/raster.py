@@ -74,7 +74,8 @@ class Texture(NamedTuple):
     """One picture of a floor."""
 
     texels: np.ndarray
-    """(rows * columns * channels,) uint8; rows grow with +y."""
+    """(rows * columns,), rows grow with +y: gray, uint8; or in colour, uint32, red lowest, because
+    three colours in one number are read at once and mixed in vector units."""
     columns: int
     """Texels across."""
     origin_x: float

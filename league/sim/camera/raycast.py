@@ -218,7 +218,10 @@ class RayRenderer(Renderer):
         if track not in self._textures:
             channels = 3 if self._camera.colour else 1
             self._textures[track] = [
-                torch.from_numpy(level.texels).to(self._device).reshape(-1, channels)
+                # Of a texel in colour the lowest byte is red, and the highest one empty.
+                torch.from_numpy(level.texels.view(np.uint8))
+                .to(self._device)
+                .reshape(len(level.texels), -1)[:, :channels]
                 for level in self._floor(track).ground.levels
             ]
         return self._textures[track]
