@@ -47,7 +47,8 @@ def save(replay: Replay, path: str | os.PathLike[str], *, cameras: bool = True) 
         recording.save(file, default_blueprint=layout)
         writer = SceneWriter(recording, replay.track, replay.names, replay.step_hz)
         _send_race(writer, replay)
-        _send_events(writer, replay)
+        for line in commentary.of_replay(replay):
+            send_line(writer, line)
         _send_lidar(writer, replay)
         if cameras:
             _send_eyes(writer, replay)
@@ -101,11 +102,6 @@ def _send_obstacles(writer: SceneWriter, replay: Replay) -> None:
     things["half_length"], things["half_width"] = replay.obstacle_sizes.T
     times = None if len(things) == 1 else replay.times_s
     writer.send_obstacles(times, things, bots=replay.spec.obstacle_kind == "bot")
-
-
-def _send_events(writer: SceneWriter, replay: Replay) -> None:
-    for line in commentary.of_replay(replay):
-        send_line(writer, line)
 
 
 def send_line(writer: SceneWriter, line: commentary.Remark) -> None:
