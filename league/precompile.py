@@ -212,14 +212,12 @@ def _videos() -> None:
     import numpy as np
 
     from league.sim.camera import raster
-    from league.sim.camera.stage import NEAR
-    from league.video.pixels import draw_floor, draw_shadow, mix
+    from league.sim.camera.scene_state import NEAR
+    from league.video.pixels import draw_shadow, mix
 
-    texture = raster.Texture(np.zeros(4, np.uint32), 2, 0.0, 0.0, 0.1)
     pose = raster.Pose(0.0, 0.0, 0.5, 1.0, 0.0, 1.0, 0.0)
     optics = raster.Optics(1.0, 1.0, 1.0, np.zeros(1), 3, NEAR)
     picture = np.zeros((4, 4, 3), np.uint8)
-    draw_floor(picture.reshape(4, -1), 3, 4, texture, optics, pose)
     draw_shadow(
         picture.reshape(4, -1), 3, np.column_stack([np.eye(2), [0, 0]]), 0.1, 0.5, optics, pose
     )
