@@ -13,7 +13,7 @@ forces of vehicle.py, with its controls and nothing that corrects them.
 Needs the extra `optimum`: pip install -c constraints.txt -e '.[optimum]'.
 """
 
-# Numba compiles what it calls, whose arguments the checker does not know.
+# The checker does not know the arguments of compiled functions.
 # pyright: reportCallIssue=false
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ Both drive the same car on the same tyres. The planar one keeps it flat and move
 axles at once; in Bullet it stands on springs, leans and turns over.
 """
 
-# Numba compiles what it calls, whose arguments the checker does not know.
+# The checker does not know the arguments of compiled functions.
 # pyright: reportCallIssue=false
 
 import math
