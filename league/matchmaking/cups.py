@@ -175,7 +175,7 @@ def _computed(store: Store, cup: Cup) -> tuple[Bracket, list[Heat]]:
         ]
         used += len(due)
         through = ADVANCE if len(groups) > 1 else 1
-        stages.append(_stage(store, _name(len(groups)), due, seed_of, through))
+        stages.append(_stage(store, stage_name(len(groups)), due, seed_of, through))
         if not stages[-1].over:
             return Bracket(tuple(stages), ()), due
         if len(groups) == 1:
@@ -206,7 +206,8 @@ def _next_groups(stage: CupStage, seed_of: Mapping[str, int]) -> list[tuple[str,
     return [tuple(sorted(one + other, key=seed_of.__getitem__)) for one, other in pairs]
 
 
-def _name(heats: int) -> str:
+def stage_name(heats: int) -> str:
+    """Return what the knock-out round of so many heats is called."""
     return {1: "Final", 2: "Semi-finals", 4: "Quarter-finals"}.get(heats, f"Last {HEAT_OF * heats}")
 
 

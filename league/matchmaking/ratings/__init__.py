@@ -7,6 +7,7 @@ from league.matchmaking.ratings.fit import (
     RatingSettings,
     expected_score,
     fit,
+    refit,
 )
 from league.matchmaking.ratings.pair_counts import RatingData
 from league.matchmaking.ratings.results import Results
@@ -20,4 +21,5 @@ __all__ = [
     "Results",
     "expected_score",
     "fit",
+    "refit",
 ]
