@@ -13,7 +13,7 @@ import sqlalchemy as sa
 from league.atomic_file import replacing
 from league.errors import StoreError
 from league.matchmaking.pairing import heat_spec
-from league.matchmaking.store.database import Database, insert_new
+from league.matchmaking.store.database import Database, Transactional, insert_new
 from league.matchmaking.store.schema import blobs
 
 MAX_BYTES = 64 * 1024 * 1024
@@ -66,7 +66,7 @@ def insert(connection: sa.Connection, now: float, content: bytes) -> str:
     return digest
 
 
-class TableBlobs:
+class TableBlobs(Transactional):
     """Blobs in the league's own database."""
 
     def __init__(self, database: Database) -> None:
@@ -74,8 +74,8 @@ class TableBlobs:
 
     def put(self, content: bytes) -> str:
         """Keep some bytes and return their SHA-256."""
-        with self._database.writing() as connection:
-            return insert(connection, self._database.now(connection), content)
+        with self._writing() as (connection, now):
+            return insert(connection, now, content)
 
     def get(self, digest: str) -> bytes:
         """Return the bytes with this SHA-256."""

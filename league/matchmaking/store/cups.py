@@ -1,7 +1,4 @@
-"""Cups of a league: their entrants, and what they were frozen as.
-
-Functions of a connection within a transaction; store.py owns the transactions.
-"""
+"""Cups of a league: their entrants, and what they were frozen as."""
 
 from __future__ import annotations
 
@@ -14,9 +11,62 @@ import sqlalchemy as sa
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.store import seasons
-from league.matchmaking.store.database import made_of
+from league.matchmaking.store.database import Transactional, made_of
 from league.matchmaking.store.records import Cup
-from league.matchmaking.store.schema import Record, add_ruleset, append, cups, log_event
+from league.matchmaking.store.schema import LedgerRecord, add_ruleset, append, cups, log_event
+
+
+class CupStore(Transactional):
+    """The part of a Store that is about cups."""
+
+    _secret: bytes
+    """The league's, which makes the seeds."""
+
+    def cups(self) -> list[Cup]:
+        """Return all cups, the first one first."""
+        with self._database.reading() as connection:
+            return listed(connection)
+
+    def start_cup(self, name: str, settings: Mapping[str, Any], rules: Sequence[Ruleset]) -> Cup:
+        """Begin a cup under some rules; an empty name is its number.
+
+        Raises:
+            StoreError: the name cannot be shown, or is taken.
+        """
+        with self._writing(lock=True) as (connection, now):
+            number = len(listed(connection)) + 1
+            running = [one.number for one in seasons.listed(connection) if one.until is None]
+            row = {
+                "number": number,
+                "name": seasons.free_name(connection, cups, name or f"Cup {number}", "a cup"),
+                "season": running[-1] if running else None,
+                "seed": heat_spec.seed(self._secret, f"cup {number}", 0),
+                "settings": heat_spec.canonical(dict(settings)).decode(),
+                "started_s": now,
+            }
+            for one in rules:
+                add_ruleset(connection, now, one)
+            connection.execute(cups.insert().values(row))
+            cup = listed(connection)[-1]
+            append(connection, [_beginning(cup)])
+            entrants = len(settings["entrants"])
+            log_event(connection, now, "league", "cup start", cup.name, entrants=entrants)
+            return cup
+
+    def end_cup(self, number: int, document: Mapping[str, Any]) -> Cup:
+        """Freeze a cup as a document; one that has ended stays as it is."""
+        with self._writing(lock=True) as (connection, now):
+            ended = seasons.end_with(connection, now, cups, number, document)
+            cup = next(one for one in listed(connection) if one.number == number)
+            if ended:
+                append(connection, [_ending(cup)])
+                log_event(connection, now, "league", "cup end", cup.name, hash=cup.hash)
+            return cup
+
+    def cup_document(self, number: int) -> dict[str, Any] | None:
+        """Return what a cup was frozen as; None before its end."""
+        with self._database.reading() as connection:
+            return seasons.document_of(connection, cups, number)
 
 
 def listed(connection: sa.Connection) -> list[Cup]:
@@ -28,52 +78,7 @@ def listed(connection: sa.Connection) -> list[Cup]:
     ]
 
 
-def start(
-    connection: sa.Connection,
-    now: float,
-    secret: bytes,
-    name: str,
-    settings: Mapping[str, Any],
-    rules: Sequence[Ruleset],
-) -> Cup:
-    """Begin a cup, and let the league have the rules that its heats are raced by.
-
-    Raises:
-        StoreError: the name cannot be shown, or is taken.
-    """
-    known = listed(connection)
-    number = len(known) + 1
-    name = seasons.free_name(connection, cups, name or f"Cup {number}", "a cup")
-    running = [one.number for one in seasons.listed(connection) if one.until is None]
-    for one in rules:
-        add_ruleset(connection, now, one)
-    connection.execute(
-        cups.insert().values(
-            number=number,
-            name=name,
-            season=running[-1] if running else None,
-            seed=heat_spec.seed(secret, f"cup {number}", 0),
-            settings=heat_spec.canonical(dict(settings)).decode(),
-            started_s=now,
-        )
-    )
-    begun = listed(connection)[-1]
-    append(connection, [_beginning(begun)])
-    log_event(connection, now, "league", "cup start", name, entrants=len(settings["entrants"]))
-    return begun
-
-
-def end(connection: sa.Connection, now: float, number: int, document: Mapping[str, Any]) -> Cup:
-    """Freeze a cup's bracket; a cup that has ended stays as it is."""
-    ended = seasons.end_with(connection, now, cups, number, document)
-    cup = next(one for one in listed(connection) if one.number == number)
-    if ended:
-        append(connection, [_ending(cup)])
-        log_event(connection, now, "league", "cup end", cup.name, hash=cup.hash)
-    return cup
-
-
-def ledger_records(connection: sa.Connection) -> Iterator[Record]:
+def ledger_records(connection: sa.Connection) -> Iterator[LedgerRecord]:
     """Yield what the ledger records of all cups."""
     for cup in listed(connection):
         yield _beginning(cup)
@@ -81,10 +86,10 @@ def ledger_records(connection: sa.Connection) -> Iterator[Record]:
             yield _ending(cup)
 
 
-def _beginning(cup: Cup) -> Record:
+def _beginning(cup: Cup) -> LedgerRecord:
     content = [cup.name, cup.season, cup.seed, dict(cup.settings), cup.started_s]
-    return Record("cup", str(cup.number), content)
+    return LedgerRecord("cup", str(cup.number), content)
 
 
-def _ending(cup: Cup) -> Record:
-    return Record("cup end", str(cup.number), [cup.ended_s, cup.hash])
+def _ending(cup: Cup) -> LedgerRecord:
+    return LedgerRecord("cup end", str(cup.number), [cup.ended_s, cup.hash])

@@ -175,6 +175,20 @@ class Database:
             ) from refusal
 
 
+class Transactional:
+    """What the parts of a Store have in common: a database, and transactions that write to it."""
+
+    _database: Database
+
+    @contextmanager
+    def _writing(self, *, lock: bool = False) -> Generator[tuple[sa.Connection, float]]:
+        """Begin a transaction that writes; yield its connection and the time [s since 1970]."""
+        with self._database.writing() as connection:
+            if lock:
+                self._database.lock(connection)
+            yield connection, self._database.now(connection)
+
+
 def made_of(cls: type[_Data], row: Any, **given: object) -> _Data:  # noqa: ANN401
     """Return frozen data with the fields of a row, apart from those that are given."""
     known = row._mapping

@@ -17,7 +17,7 @@ from league.matchmaking.store import queue
 from league.matchmaking.store.database import insert_new
 from league.matchmaking.store.records import NEXT, Entry, EntryState, Quota
 from league.matchmaking.store.schema import (
-    Record,
+    LedgerRecord,
     append,
     entries,
     heat_entries,
@@ -135,10 +135,10 @@ def check_quota(connection: sa.Connection, now: float, owner: str, quota: Quota)
         )
 
 
-def ledger_record(row: Any) -> Record:  # noqa: ANN401
+def ledger_record(row: Any) -> LedgerRecord:  # noqa: ANN401
     """Return what the ledger records of an entry: all but its state and the reason of it."""
     names = ("number", "name", "owner_name", "kind", "anchor", "card", "created_s")
-    return Record("entry", row.id, [row._mapping[name] for name in names])
+    return LedgerRecord("entry", row.id, [row._mapping[name] for name in names])
 
 
 def find(connection: sa.Connection, text: str) -> Entry:

@@ -16,7 +16,15 @@ from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset
 from league.matchmaking.store import cups, entries, results, schema, seasons
 from league.matchmaking.store.queue import chunked
 from league.matchmaking.store.results import PackedResult
-from league.matchmaking.store.schema import Record, append, heats, ledger, link, races, rulesets
+from league.matchmaking.store.schema import (
+    LedgerRecord,
+    append,
+    heats,
+    ledger,
+    link,
+    races,
+    rulesets,
+)
 
 BLOCK = 2000
 """Heats, or records of the ledger, checked at a time."""
@@ -75,16 +83,16 @@ def verify(connection: sa.Connection, head: str = "") -> Integrity:
     return found
 
 
-def _simple_records(connection: sa.Connection) -> Iterator[Record]:
+def _simple_records(connection: sa.Connection) -> Iterator[LedgerRecord]:
     for row in connection.execute(sa.select(rulesets).order_by(rulesets.c.number)):
-        yield Record("ruleset", row.hash, row.settings)
+        yield LedgerRecord("ruleset", row.hash, row.settings)
     for row in connection.execute(entries.with_owners().order_by(entries.entries.c.number)):
         yield entries.ledger_record(row)
     yield from seasons.ledger_records(connection)
     yield from cups.ledger_records(connection)
 
 
-def _result_records(connection: sa.Connection, numbers: list[int]) -> Iterator[Record]:
+def _result_records(connection: sa.Connection, numbers: list[int]) -> Iterator[LedgerRecord]:
     table = results.results
     columns = [column for column in table.c if column is not table.c.document]
     query = sa.select(*columns, heats.c.key)
@@ -101,7 +109,7 @@ def _check_record(found: Integrity, row: Any, now: dict[tuple[str, str], Any]) -
     known = (row.kind, row.subject)
     if row.kind != "settle" and known not in now:
         found.mismatches.append(f"{what}: what it records was deleted")
-    elif link(found.head, Record(*known, now.get(known))) != row.chain:
+    elif link(found.head, LedgerRecord(*known, now.get(known))) != row.chain:
         found.mismatches.append(
             f"{what}: what it records was changed, or a record before it inserted or deleted"
         )

@@ -28,7 +28,7 @@ from league.matchmaking.store.records import (
     StoredResult,
 )
 from league.matchmaking.store.schema import (
-    Record,
+    LedgerRecord,
     append,
     heats,
     log_event,
@@ -323,10 +323,10 @@ def race_rows(
     return rows
 
 
-def ledger_record(key: str, row: Mapping[str, Any]) -> Record:
+def ledger_record(key: str, row: Mapping[str, Any]) -> LedgerRecord:
     """Return what the ledger records of a result of the heat with this key."""
     content = [key, *(row[name] for name in ("worker", "received_s", "machine", "replay"))]
-    return Record("result", f"{row['heat']}/{row['half']}/{row['hash']}", content)
+    return LedgerRecord("result", f"{row['heat']}/{row['half']}/{row['hash']}", content)
 
 
 def _write(connection: sa.Connection, intake: _Intake, now: float) -> None:
@@ -365,9 +365,11 @@ def _settle(connection: sa.Connection, heat: int, kept: set[tuple[int, str]]) ->
     )
 
 
-def settlement(heat: int, kept: Iterable[tuple[int, str]]) -> Record:
+def settlement(heat: int, kept: Iterable[tuple[int, str]]) -> LedgerRecord:
     """Return what the ledger records of a settled dispute: the beginnings of the kept hashes."""
-    return Record("settle", "/".join([str(heat), *(hash[:16] for _, hash in sorted(kept))]), None)
+    return LedgerRecord(
+        "settle", "/".join([str(heat), *(hash[:16] for _, hash in sorted(kept))]), None
+    )
 
 
 def read_results(connection: sa.Connection, numbers: Sequence[int]) -> list[StoredResult]:

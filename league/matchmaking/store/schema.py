@@ -282,7 +282,7 @@ ledger = Table(
 the record's content and the record before it, so that what is changed later shows."""
 
 
-class Record(NamedTuple):
+class LedgerRecord(NamedTuple):
     """What the ledger records."""
 
     kind: str
@@ -291,7 +291,7 @@ class Record(NamedTuple):
     """Plain data that the tables hold, too."""
 
 
-def append(connection: sa.Connection, records: Iterable[Record]) -> None:
+def append(connection: sa.Connection, records: Iterable[LedgerRecord]) -> None:
     """Add records to the ledger; the caller must hold the database's lock."""
     newest = sa.select(ledger.c.number, ledger.c.chain).order_by(ledger.c.number.desc()).limit(1)
     last, chain = connection.execute(newest).one_or_none() or (0, "")
@@ -304,7 +304,7 @@ def append(connection: sa.Connection, records: Iterable[Record]) -> None:
         connection.execute(ledger.insert(), rows)
 
 
-def link(before: str, record: Record) -> str:
+def link(before: str, record: LedgerRecord) -> str:
     """Return the hash of a record and of all before it."""
     return heat_spec.digest(heat_spec.canonical([before, *record]))
 
@@ -429,7 +429,7 @@ def add_ruleset(connection: sa.Connection, now: float, ruleset: Ruleset) -> int:
         connection.execute(
             rulesets.insert().values(hash=ruleset.hash, settings=settings, created_s=now)
         )
-        append(connection, [Record("ruleset", ruleset.hash, settings)])
+        append(connection, [LedgerRecord("ruleset", ruleset.hash, settings)])
         number = connection.scalar(query)
     assert number is not None
     return number

@@ -1,7 +1,4 @@
-"""Seasons of a league, and the moves of entries between divisions.
-
-Functions of a connection within a transaction; store.py owns the transactions.
-"""
+"""Seasons of a league, and the moves of entries between divisions."""
 
 from __future__ import annotations
 
@@ -15,10 +12,10 @@ import sqlalchemy as sa
 from league.errors import StoreError, brief
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.store import queue
-from league.matchmaking.store.database import insert_new, made_of
+from league.matchmaking.store.database import Transactional, insert_new, made_of
 from league.matchmaking.store.records import Move, Season
 from league.matchmaking.store.schema import (
-    Record,
+    LedgerRecord,
     append,
     divisions,
     heats,
@@ -27,6 +24,97 @@ from league.matchmaking.store.schema import (
     rulesets,
     seasons,
 )
+
+
+class SeasonStore(Transactional):
+    """The part of a Store that is about seasons and divisions."""
+
+    _secret: bytes
+    """The league's, which makes the seeds."""
+
+    def seasons(self) -> list[Season]:
+        """Return all seasons, the first one first; a league without any is one all its life."""
+        with self._database.reading() as connection:
+            return listed(connection)
+
+    def start_season(self, name: str, settings: Mapping[str, Any]) -> Season:
+        """Begin a season with the heats after the last one's; the first one has all heats so far.
+
+        An empty name is its number. If the rules stayed, entries begin in the divisions that they
+        were in.
+
+        Raises:
+            StoreError: one is running, or has this name.
+        """
+        with self._writing(lock=True) as (connection, now):
+            known = listed(connection)
+            last = known[-1] if known else None
+            if last is not None and last.ended_s is None:
+                raise StoreError(
+                    f"the season {last.name!r} has not ended: end it first with `league season end`"
+                )
+            number = last.number + 1 if last else 1
+            row = {
+                "number": number,
+                "name": free_name(connection, seasons, name or f"Season {number}", "a season"),
+                "ruleset": connection.scalar(sa.select(league.c.ruleset)),
+                "seed": heat_spec.seed(self._secret, f"season {number}", 0),
+                "settings": heat_spec.canonical(dict(settings)).decode(),
+                "after": last.until if last else 0,
+                "started_s": now,
+            }
+            connection.execute(seasons.insert().values(row))
+            begun = listed(connection)[-1]
+            append(connection, [_beginning(begun)])
+            log_event(connection, now, "league", "season start", begun.name)
+            if last is not None and last.ruleset == begun.ruleset:
+                were = {one.entry: one.division for one in moves_of(connection, last.number)}
+                stay = [Move(0, one, at, begun.after, "start") for one, at in were.items() if at]
+                _move(connection, now, number, stay)
+            return begun
+
+    def close_season(self, number: int) -> int:
+        """Let a season have no more heats; return how many of its own are still being raced.
+
+        Its waiting heats are cancelled. It may be called again.
+        """
+        with self._writing(lock=True) as (connection, now):
+            newest = sa.select(sa.func.coalesce(sa.func.max(heats.c.number), 0)).scalar_subquery()
+            running = (seasons.c.number == number) & seasons.c.until.is_(None)
+            connection.execute(seasons.update().where(running).values(until=newest))
+            season = _numbered(connection, number)
+            queue.reap(connection, now)
+            own = (heats.c.number > season.after) & (heats.c.number <= season.until)
+            own &= heats.c.purpose == "rated"
+            cancelled = queue.cancel(connection, own)
+            log_event(connection, now, "league", "season close", season.name, cancelled=cancelled)
+            racing = sa.select(sa.func.count()).where(heats.c.state == "claimed", own)
+            return connection.scalar(racing) or 0
+
+    def end_season(self, number: int, document: Mapping[str, Any]) -> Season:
+        """Freeze a closed season as a document; one that has ended stays as it is."""
+        with self._writing(lock=True) as (connection, now):
+            ended = end_with(connection, now, seasons, number, document)
+            season = _numbered(connection, number)
+            if ended:
+                append(connection, [_ending(season)])
+                log_event(connection, now, "league", "season end", season.name, hash=season.hash)
+            return season
+
+    def season_document(self, number: int) -> dict[str, Any] | None:
+        """Return what a season was frozen as; None before its end."""
+        with self._database.reading() as connection:
+            return document_of(connection, seasons, number)
+
+    def move_divisions(self, season: int, moves: Sequence[Move]) -> int:
+        """Note moves between divisions, each once however often sent; return how many are new."""
+        with self._writing(lock=True) as (connection, now):
+            return _move(connection, now, season, moves)
+
+    def division_moves(self, season: int, entry: int | None = None) -> list[Move]:
+        """Return the moves between divisions in a season, of one entry or all, the oldest first."""
+        with self._database.reading() as connection:
+            return moves_of(connection, season, entry)
 
 
 def listed(connection: sa.Connection) -> list[Season]:
@@ -41,45 +129,6 @@ def listed(connection: sa.Connection) -> list[Season]:
         )
         for row in connection.execute(query.order_by(seasons.c.number))
     ]
-
-
-def start(
-    connection: sa.Connection, now: float, secret: bytes, name: str, settings: Mapping[str, Any]
-) -> Season:
-    """Begin a season with the heats after the last one's; the first one has all heats so far.
-
-    If the rules stayed, entries begin in the divisions that they were in.
-
-    Raises:
-        StoreError: one is running, or has this name.
-    """
-    known = listed(connection)
-    last = known[-1] if known else None
-    if last is not None and last.ended_s is None:
-        raise StoreError(
-            f"the season {last.name!r} has not ended: end it first with `league season end`"
-        )
-    number = last.number + 1 if last else 1
-    name = free_name(connection, seasons, name or f"Season {number}", "a season")
-    ruleset = connection.scalar(sa.select(league.c.ruleset))
-    row = {
-        "number": number,
-        "name": name,
-        "ruleset": ruleset,
-        "seed": heat_spec.seed(secret, f"season {number}", 0),
-        "settings": heat_spec.canonical(dict(settings)).decode(),
-        "after": last.until if last else 0,
-        "started_s": now,
-    }
-    connection.execute(seasons.insert().values(row))
-    begun = listed(connection)[-1]
-    append(connection, [_beginning(begun)])
-    log_event(connection, now, "league", "season start", name)
-    if last is not None and last.ruleset == begun.ruleset:
-        were = {one.entry: one.division for one in moves_of(connection, last.number)}
-        stay = [Move(0, entry, at, begun.after, "start") for entry, at in were.items() if at]
-        move(connection, now, number, stay)
-    return begun
 
 
 def free_name(connection: sa.Connection, table: sa.Table, name: str, what: str) -> str:
@@ -97,34 +146,6 @@ def free_name(connection: sa.Connection, table: sa.Table, name: str, what: str) 
     if taken:
         raise StoreError(f"there is {what} {name!r} already: choose another name")
     return name
-
-
-def close(connection: sa.Connection, now: float, number: int) -> int:
-    """Let a season have no more heats; return how many of its heats are still being raced.
-
-    Its waiting heats are cancelled. It may be called again.
-    """
-    season = _numbered(connection, number)
-    if season.until is None:
-        until = connection.scalar(sa.select(sa.func.coalesce(sa.func.max(heats.c.number), 0)))
-        connection.execute(seasons.update().where(seasons.c.number == number).values(until=until))
-        season = _numbered(connection, number)
-    queue.reap(connection, now)
-    own = (heats.c.number > season.after) & (heats.c.number <= season.until)
-    own &= heats.c.purpose == "rated"
-    cancelled = queue.cancel(connection, own)
-    log_event(connection, now, "league", "season close", season.name, cancelled=cancelled)
-    racing = sa.select(sa.func.count()).where(heats.c.state == "claimed", own)
-    return connection.scalar(racing) or 0
-
-
-def end(connection: sa.Connection, now: float, number: int, document: Mapping[str, Any]) -> Season:
-    """Freeze a closed season's standings; a season that has ended stays as it is."""
-    if end_with(connection, now, seasons, number, document):
-        season = _numbered(connection, number)
-        append(connection, [_ending(season)])
-        log_event(connection, now, "league", "season end", season.name, hash=season.hash)
-    return _numbered(connection, number)
 
 
 def end_with(
@@ -147,17 +168,16 @@ def _numbered(connection: sa.Connection, number: int) -> Season:
     return next(one for one in listed(connection) if one.number == number)
 
 
-def document(connection: sa.Connection, table: sa.Table, number: int) -> dict[str, Any] | None:
+def document_of(connection: sa.Connection, table: sa.Table, number: int) -> dict[str, Any] | None:
     """Return what a season or cup was frozen as; None before its end."""
     packed = connection.scalar(sa.select(table.c.document).where(table.c.number == number))
     return None if packed is None else json.loads(zlib.decompress(packed))
 
 
-def move(connection: sa.Connection, now: float, season: int, moves: Sequence[Move]) -> int:
-    """Note moves between divisions, each once however often it is sent; return the new ones."""
+def _move(connection: sa.Connection, now: float, season: int, moves: Sequence[Move]) -> int:
     if not moves:
         return 0
-    rounds = sorted({one.round for one in moves})
+    rounds = {one.round for one in moves}
     known = {(one.round, one.entry) for one in moves_of(connection, season) if one.round in rounds}
     new = [one for one in moves if (one.round, one.entry) not in known]
     if new:
@@ -168,22 +188,18 @@ def move(connection: sa.Connection, now: float, season: int, moves: Sequence[Mov
     return len(new)
 
 
-def moves_of(
-    connection: sa.Connection, season: int | None = None, entry: int | None = None
-) -> list[Move]:
-    """Return moves between divisions, the oldest first; in one season, of one entry (numbers)."""
-    query = sa.select(divisions).order_by(*divisions.primary_key)
-    if season is not None:
-        query = query.where(divisions.c.season == season)
+def moves_of(connection: sa.Connection, season: int, entry: int | None = None) -> list[Move]:
+    """Return the moves between divisions in a season, of one entry or all, the oldest first."""
+    query = sa.select(divisions).where(divisions.c.season == season)
     if entry is not None:
         query = query.where(divisions.c.entry == entry)
     return [
         Move(**{name: row[name] for name in Move._fields})
-        for row in connection.execute(query).mappings()
+        for row in connection.execute(query.order_by(*divisions.primary_key)).mappings()
     ]
 
 
-def ledger_records(connection: sa.Connection) -> Iterator[Record]:
+def ledger_records(connection: sa.Connection) -> Iterator[LedgerRecord]:
     """Yield what the ledger records of all seasons and divisions."""
     for season in listed(connection):
         yield _beginning(season)
@@ -206,15 +222,17 @@ def _is_intact(row: Any) -> bool:  # noqa: ANN401
         return False
 
 
-def _beginning(season: Season) -> Record:
+def _beginning(season: Season) -> LedgerRecord:
     content = [season.name, season.ruleset, season.seed, dict(season.settings)]
-    return Record("season", str(season.number), [*content, season.after, season.started_s])
+    return LedgerRecord("season", str(season.number), [*content, season.after, season.started_s])
 
 
-def _ending(season: Season) -> Record:
-    return Record("season end", str(season.number), [season.until, season.ended_s, season.hash])
+def _ending(season: Season) -> LedgerRecord:
+    return LedgerRecord(
+        "season end", str(season.number), [season.until, season.ended_s, season.hash]
+    )
 
 
-def _moving(season: int, one: Move) -> Record:
+def _moving(season: int, one: Move) -> LedgerRecord:
     subject = f"{season}/{one.round}/{one.entry}"
-    return Record("division", subject, [one.division, one.heat, one.reason])
+    return LedgerRecord("division", subject, [one.division, one.heat, one.reason])

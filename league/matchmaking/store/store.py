@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Self
 
 import sqlalchemy as sa
@@ -14,7 +13,6 @@ from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Heat, Ruleset
 from league.matchmaking.store import (
     blobs,
-    cups,
     drives,
     entries,
     integrity,
@@ -24,10 +22,10 @@ from league.matchmaking.store import (
     seasons,
 )
 from league.matchmaking.store.blobs import Blobs, FolderBlobs, TableBlobs
+from league.matchmaking.store.cups import CupStore
 from league.matchmaking.store.database import Database
 from league.matchmaking.store.integrity import Integrity
 from league.matchmaking.store.records import (
-    Cup,
     Drives,
     Entry,
     EntryState,
@@ -35,14 +33,13 @@ from league.matchmaking.store.records import (
     HeatRecord,
     HeatState,
     LeagueSettings,
-    Move,
     Quota,
     Races,
     Received,
-    Season,
     StoredResult,
 )
 from league.matchmaking.store.schema import heat_entries, heats, league, rulesets
+from league.matchmaking.store.seasons import SeasonStore
 from league.matchmaking.store.tokens import Tokens
 
 LEASE_S = 60.0
@@ -51,7 +48,7 @@ BATCH = 1000
 """Heats planned or completed per transaction."""
 
 
-class Store:
+class Store(SeasonStore, CupStore):
     """A league on SQLite or PostgreSQL.
 
     Each method is one transaction (plan and complete: one per 1,000 heats), on the disk when it
@@ -77,7 +74,7 @@ class Store:
         except BaseException:
             self._database.close()
             raise
-        self._secret: bytes = row.secret
+        self._secret = row.secret
         self._blobs_url: str = row.blobs
 
     def __enter__(self) -> Self:
@@ -197,65 +194,6 @@ class Store:
         """Change the states of entries (by id), all or none; return how many changed."""
         with self._writing(lock=True) as (connection, now):
             return entries.move(connection, now, states, reason=reason, actor=actor)
-
-    # Seasons
-
-    def seasons(self) -> list[Season]:
-        """Return all seasons, the first one first; a league without any is one all its life."""
-        with self._database.reading() as connection:
-            return seasons.listed(connection)
-
-    def start_season(self, name: str, settings: Mapping[str, Any]) -> Season:
-        """Begin a season; an empty name is its number. StoreError if another one is running."""
-        with self._writing(lock=True) as (connection, now):
-            return seasons.start(connection, now, self._secret, name, settings)
-
-    def close_season(self, number: int) -> int:
-        """Let a season have no more heats; return how many of its own are still being raced."""
-        with self._writing(lock=True) as (connection, now):
-            return seasons.close(connection, now, number)
-
-    def end_season(self, number: int, document: Mapping[str, Any]) -> Season:
-        """Freeze a closed season as a document; one that has ended stays as it is."""
-        with self._writing(lock=True) as (connection, now):
-            return seasons.end(connection, now, number, document)
-
-    def season_document(self, number: int) -> dict[str, Any] | None:
-        """Return what a season was frozen as; None before its end."""
-        with self._database.reading() as connection:
-            return seasons.document(connection, schema.seasons, number)
-
-    def move_divisions(self, season: int, moves: Sequence[Move]) -> int:
-        """Note moves between divisions, each once; return how many are new."""
-        with self._writing(lock=True) as (connection, now):
-            return seasons.move(connection, now, season, moves)
-
-    def division_moves(self, season: int, entry: int | None = None) -> list[Move]:
-        """Return the moves between divisions in a season, of one entry or all, the oldest first."""
-        with self._database.reading() as connection:
-            return seasons.moves_of(connection, season, entry)
-
-    # Cups
-
-    def cups(self) -> list[Cup]:
-        """Return all cups, the first one first."""
-        with self._database.reading() as connection:
-            return cups.listed(connection)
-
-    def start_cup(self, name: str, settings: Mapping[str, Any], rules: Sequence[Ruleset]) -> Cup:
-        """Begin a cup under some rules; an empty name is its number."""
-        with self._writing(lock=True) as (connection, now):
-            return cups.start(connection, now, self._secret, name, settings, rules)
-
-    def end_cup(self, number: int, document: Mapping[str, Any]) -> Cup:
-        """Freeze a cup as a document; one that has ended stays as it is."""
-        with self._writing(lock=True) as (connection, now):
-            return cups.end(connection, now, number, document)
-
-    def cup_document(self, number: int) -> dict[str, Any] | None:
-        """Return what a cup was frozen as; None before its end."""
-        with self._database.reading() as connection:
-            return seasons.document(connection, schema.cups, number)
 
     # The queue
 
@@ -446,14 +384,6 @@ class Store:
         query = sa.select(heats.c.state, sa.func.count()).group_by(heats.c.state)
         with self._database.reading() as connection:
             return {state: number for state, number in connection.execute(query)}
-
-    @contextmanager
-    def _writing(self, *, lock: bool = False) -> Generator[tuple[sa.Connection, float]]:
-        """Begin a transaction that writes; yield its connection and the time [s since 1970]."""
-        with self._database.writing() as connection:
-            if lock:
-                self._database.lock(connection)
-            yield connection, self._database.now(connection)
 
     def _heats(
         self, match: sa.ColumnElement[bool], limit: int | None, *, newest: bool = False

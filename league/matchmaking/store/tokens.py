@@ -14,7 +14,7 @@ import sqlalchemy as sa
 from league.errors import StoreError, brief
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.store import entries
-from league.matchmaking.store.database import Database, made_of
+from league.matchmaking.store.database import Database, Transactional, made_of
 from league.matchmaking.store.records import SCOPES, Scope, Token
 from league.matchmaking.store.schema import log_event, owners, tokens
 
@@ -26,7 +26,7 @@ USED_EVERY_S = 3600.0
 """How exactly the last use is noted [s]: a write for every request would be too many."""
 
 
-class Tokens:
+class Tokens(Transactional):
     """The tokens of a league."""
 
     def __init__(self, database: Database) -> None:
@@ -56,9 +56,7 @@ class Tokens:
                 f"{LONGEST_S / 86400:.0f}, or none for a token that does not end"
             )
         secret = PREFIX + secrets.token_urlsafe(32)
-        with self._database.writing() as connection:
-            self._database.lock(connection)
-            now = self._database.now(connection)
+        with self._writing(lock=True) as (connection, now):
             row = {
                 "hash": _hash(secret),
                 "owner": entries.owner_number(connection, now, owner),
@@ -85,8 +83,7 @@ class Tokens:
 
     def revoke(self, which: str) -> Token:
         """End a token, given by its number or its secret; return it as it is now."""
-        with self._database.writing() as connection:
-            now = self._database.now(connection)
+        with self._writing() as (connection, now):
             match = tokens.c.hash == _hash(which)
             if which.isdecimal() and len(which) < 10:
                 match = tokens.c.number == int(which)
