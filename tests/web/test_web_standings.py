@@ -14,7 +14,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from league.matchmaking import history, standings
-from league.matchmaking.own_history import own_history
+from league.matchmaking.history import own_history
 from league.matchmaking.pairing.heat_spec import Half, Heat
 from league.matchmaking.store import HeatOutcome, RaceOutcome, Store
 from league.web import answers, reader

@@ -10,8 +10,7 @@ from typing import Any
 
 from league.errors import StoreError
 from league.matchmaking import standings
-from league.matchmaking.history import history
-from league.matchmaking.own_history import own_history
+from league.matchmaking.history import history, own_history
 from league.matchmaking.pairing import matchmaker
 from league.matchmaking.scores import race_scores
 from league.matchmaking.standings import HeadToHead, HistoryPoint, Row, Standings
