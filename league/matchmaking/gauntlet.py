@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import secrets
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -127,29 +127,29 @@ def race(
     """
     rules = store.settings.ruleset
     check_physics(rules, "this league")
-    waiting = [(number, TRIES) for number in range(len(heats))]
-    running: dict[str, tuple[int, int]] = {}
+    waiting, failures = deque(range(len(heats))), Counter[int]()
+    running: dict[str, int] = {}
     outcomes: dict[int, HeatOutcome] = {}
     watched = 0
     while len(outcomes) < len(heats):
         while executor.free and waiting:
-            number, tries = waiting.pop(0)
-            one = heats[number]
-            contestants = {id: field[id] for id in one.heat.entries}
-            key, halves = one.heat.key, one.heat.halves
-            executor.offer(HeatJob(key, number, halves, one.seeds, rules, contestants, False))
-            running[key] = (number, tries)
+            number = waiting.popleft()
+            heat, seeds = heats[number].heat, heats[number].seeds
+            contestants = {id: field[id] for id in heat.entries}
+            executor.offer(HeatJob(heat.key, number, heat.halves, seeds, rules, contestants, False))
+            running[heat.key] = number
         for report in executor.wait(0.5):
-            number, tries = running.pop(report.key)
+            number = running.pop(report.key)
             if report.outcome is not None:
                 outcomes[number] = report.outcome
                 continue
-            if tries <= 1:
+            failures[number] += 1
+            if failures[number] == TRIES:
                 last = (report.traceback.strip().splitlines() or ["no reason given"])[-1]
                 raise StoreError(
                     f"a race failed {TRIES} times ({last[:200]}): look at the cause, try again"
                 )
-            waiting.insert(0, (number, tries - 1))
+            waiting.appendleft(number)
         while watched in outcomes:
             watched += 1
             if not watch(outcomes[watched - 1]):
