@@ -63,7 +63,7 @@ check: sync
 	$(BIN)/ruff format --check . && $(BIN)/ruff check .
 
 type: sync
-	$(BIN)/pyright
+	$(BIN)/pyright && $(BIN)/pyright -p benchmarks
 
 bench: sync
 	$(BIN)/python -m benchmarks

@@ -313,7 +313,7 @@ def main(names: Iterable[str] = tuple(PARTS)) -> None:
     row = table("part", "mutants", "tried", "caught", "share")
     for name, number, tried, caught in rows:
         row(name, number, tried, caught, f"{100 * caught / tried:.0f} %")
-    tried, caught = (sum(one[k] for one in rows) for k in (2, 3))
+    tried, caught = (sum(int(one[k]) for one in rows) for k in (2, 3))
     figure(f"caught of {tried} sampled mutants", 100 * caught / tried, "%", GOAL)
 
 

@@ -8,7 +8,7 @@ import pytest
 from league.envs import rewards
 from league.envs.rewards import FAR, SLOW, BuiltIn, RacingLineReward, built_in
 from league.errors import ConfigError
-from league.racing_line.speed_profile import Limits
+from league.racing_line.speed_profile import CarLimits
 from league.sim.config import CarConfig, RaceRules, SimConfig
 from league.track.track import TrackSet
 from tests.scenes import Stages, go_to, make_ring, make_straight, put_cars
@@ -20,7 +20,7 @@ INSIDE = 0.4 + CAR.wheel_track / 2
 
 
 def speed_at(radius):
-    return math.sqrt(Limits.of(CAR).lateral * radius)
+    return math.sqrt(CarLimits.of(CAR).lateral * radius)
 
 
 @pytest.fixture(scope="module")

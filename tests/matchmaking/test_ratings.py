@@ -9,12 +9,12 @@ import pytest
 from league.errors import ConfigError
 from league.matchmaking.ratings import (
     Carried,
-    Finish,
+    RatingData,
     RatingSettings,
     Results,
     expected_score,
     fit,
-    places_of,
+    refit,
 )
 from tests.matchmaking.fields import Race, covered, misses, raced, random_grids, results_of
 
@@ -239,6 +239,35 @@ def test_ordinary_fields_settle_their_spread_in_a_few_steps(spread):
     assert rated.num_spreads <= 8
 
 
+@pytest.mark.parametrize("dense_most", [1500, 10])
+def test_ratings_found_from_earlier_ones_are_the_same(dense_most):
+    generator, settings = np.random.default_rng(4), RatingSettings(dense_most=dense_most)
+    strengths = generator.normal(0, 200, 40)
+    grids = random_grids(generator, 40, 3, 400)
+    grids[:300][grids[:300] == 39] = 38  # one entry is new
+    results = raced(generator, strengths, np.array([row for row in grids if len({*row}) == 3]))
+    earlier = fit(results.rows(results.heats < 290), settings, anchor=0)
+    assert len(earlier.entries) == 39
+    whole = fit(results, settings, anchor=0)
+    again = fit(results, settings, anchor=0, near=earlier)
+    assert again.elo == pytest.approx(whole.elo, abs=1e-3)
+    assert again.sd == pytest.approx(whole.sd, abs=1e-3)
+    assert again.prior_sd == pytest.approx(whole.prior_sd, abs=1e-3)
+    assert again.num_spreads < whole.num_spreads
+    assert fit(results, settings, anchor=0, near=whole).num_spreads <= 2
+
+
+def test_a_refit_keeps_the_prior_and_tells_what_the_newest_races_changed():
+    generator = np.random.default_rng(4)
+    grids = random_grids(generator, 12, 2, 200)
+    results = raced(generator, generator.normal(0, 200, 12), grids)
+    rated, part = fit(results, anchor=0), results.rows(results.heats < 150)
+    data = RatingData.of(part, rated.entries)
+    alone = fit(data, RatingSettings(prior_sd=rated.prior_sd), anchor=0)
+    assert refit(data, rated) == pytest.approx(alone.elo, abs=1e-3)
+    assert np.abs(refit(data, rated) - rated.elo).max() > 5.0
+
+
 def test_learned_prior_of_one_entry_is_the_hand_worked_root():
     # Without a race the variance is the spread's own, so nothing is learned: 300 Elo stay.
     assert fit(results_of([]), entries=range(4)).prior_sd == pytest.approx(300, rel=1e-6)
@@ -447,21 +476,6 @@ def test_difference_of_two_neighbours_is_surer_than_their_intervals_suggest():
     gap = rated.difference(0, 1)
     assert gap.sd < 0.5 * rated.sd[0]
     assert gap.elo == pytest.approx(-rated.difference(1, 0).elo)
-
-
-def test_places_of_finishers_and_others():
-    runs = [
-        Finish(score_s=None, laps=2, distance=40.0, failed_s=60.0),
-        Finish(score_s=31.5),
-        Finish(score_s=30.0),
-        Finish(score_s=31.5),
-        Finish(score_s=None, laps=2, distance=41.0, failed_s=10.0),
-        Finish(score_s=None, laps=1, distance=99.0, failed_s=90.0),
-        Finish(score_s=None, laps=2, distance=40.0, failed_s=61.0),
-        Finish(score_s=None, laps=2, distance=40.0, failed_s=60.0),
-    ]
-    # Finishers by time, then laps, distance, and who lasted longer; equal runs share a place.
-    assert places_of(runs) == (6, 2, 1, 2, 4, 8, 5, 6)
 
 
 def test_impossible_requests_are_refused_with_a_reason():

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from league.agents.network import from_learner
 from league.envs.actions import ContinuousActions
 from league.errors import ConfigError, PolicyError
 from league.sim.config import SensorConfig
@@ -77,6 +78,23 @@ def test_a_resumed_run_ends_as_one_that_was_never_interrupted(
     assert same(everything(whole), everything(later))
     assert (again.reward, again.losses, again.log) == (told.reward, told.losses, told.log)
     assert again.samples == told.samples == 128
+
+
+def test_weights_are_averaged_over_a_tenth_of_the_updates(tmp_path):
+    made = learner(save_every=1)
+    expected, path = made.weights(), tmp_path / "state.pt"
+    for number in range(1, 16):
+        made.update(0.0)
+        newest = from_learner(made._alg.get_policy().state_dict())
+        share = 1 / max(number / 10, 1)
+        expected = {key: old + share * (newest[key] - old) for key, old in expected.items()}
+        assert same(made.weights(), newest) == (number <= 10)
+        if number == 12:  # goes on with the same average
+            made.save(path, {})
+            made = learner(save_every=1)
+            made.restore(path)
+    for key, weight in made.weights().items():
+        assert weight == pytest.approx(expected[key], abs=1e-6)
 
 
 @pytest.mark.parametrize("save_every", [1, 2])

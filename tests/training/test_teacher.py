@@ -10,6 +10,7 @@ import torch
 from league.agents.network import group_shapes
 from league.cli.train import Train, _kept
 from league.envs import state
+from league.envs.observations import MOTION_FIELDS
 from league.errors import ConfigError, PolicyError, RewardError
 from league.track.track import TrackSet
 from league.training.config import TrainConfig
@@ -141,7 +142,7 @@ def test_for_mirror_images_the_advice_is_mirrored():
     lesson_of(made).augment_batch(found, 32)
     assert torch.equal(found.observations["motion"], seen)  # the first is never mirrored
     lesson_of(made).augment_batch(found, 32)
-    assert torch.equal(found.observations["motion"], symmetry.motion(seen))
+    assert torch.equal(found.observations["motion"], symmetry.numbers(seen, MOTION_FIELDS))
     turned = lesson_of(made).targets(found.observations)
     assert torch.allclose(turned, made.cfg.action_space.mirror(usual), atol=1e-5)
 

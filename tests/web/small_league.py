@@ -7,7 +7,7 @@ import itertools
 from league.matchmaking import loop
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Ruleset
-from league.matchmaking.pairing.matchmaker import Season
+from league.matchmaking.pairing.matchmaker import Matchmaker
 from league.matchmaking.store import Store
 from league.matchmaking.workers.dispatcher import Dispatcher
 from tests.matchmaking.season_kit import SHORT, Here, new_league, submitted
@@ -25,7 +25,7 @@ def raced_league(url: str, *, heats: int = 24) -> Store:
     store = new_league(url, anchors=ANCHORS, rules=RULES)
     store.submit(NAME, OWNER, scripted="cautious")
     dispatcher = Dispatcher(store, Here())
-    loop.run(store, dispatcher, Season(store, same_owner=True), heats=heats)
+    loop.run(store, dispatcher, Matchmaker(store, same_owner=True), heats=heats)
     return store
 
 
