@@ -36,9 +36,9 @@ def source_of(test: str) -> str:
 class Results:
     """Which test caught which mutant of a part, kept in a file as they come.
 
-    With the same modules and tests, a run that was stopped is gone on with. After a change of
-    tests, survivors are tried again, and mutants whose test has changed; after one of modules, all
-    are, and the file says with which test to begin.
+    With the same modules and tests, a run that was stopped continues. After a change of tests,
+    survivors are tried again, and so are mutants with another version of the test that caught
+    them. After a change of modules all are, and the file says with which test to begin.
     """
 
     def __init__(self, path: Path, modules: str, tests: str) -> None:
