@@ -120,8 +120,10 @@ def begin(encounter, cars, obstacles, world, points, course, sim, rules):
     encounter.attack = size > 1 and first > 0
     if encounter.attack:
         gap = signed_gap(course, cars[encounter.target].s, cars[encounter.attacker].s)
-        # Anyone passes a roadblock: it says nothing about how fast rivals may be.
-        slow = (
+        # Passing a roadblock, or the last car's slow driver, says nothing about how fast rivals
+        # may be.
+        slow = rules.last_car < _ONE and encounter.target == num_cars - 1
+        slow = slow or (
             cars[encounter.target].top_speed
             < rules.slowest_rival * cars[encounter.attacker].top_speed
         )

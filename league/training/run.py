@@ -13,8 +13,7 @@ from pydantic import ValidationError
 
 from league import __version__
 from league.agents import checkpoint, roster
-from league.agents.card import Card
-from league.agents.card import Reward as RewardCard
+from league.agents.card import Card, RewardCard
 from league.agents.checkpoint import Checkpoint
 from league.agents.policy import Policy
 from league.atomic_file import replacing

@@ -41,8 +41,11 @@ def test_a_league_opened_again_is_the_league_that_was_made(url):
         assert [entry.name for entry in opened.entries()] == ["e1", "e2"]
 
 
-def test_migrations_build_exactly_the_tables_of_the_schema(url):
+@pytest.mark.parametrize("older", [(), leagues.FIRST_VERSION])
+def test_migrations_build_exactly_the_tables_of_the_schema(url, older):
     leagues.founded(url, entries=0).close()
+    leagues.change(url, *older)
+    store.upgrade(url)
     there = database.Database(url)
     with there.reading() as connection:
         context = MigrationContext.configure(connection, opts={"compare_type": True})

@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
+from league import times
 from league.training.config import TrainConfig
 from league.training.monitor import dashboard
 from league.training.monitor.dashboard import Dashboard
@@ -185,7 +186,7 @@ def test_shares_of_the_time_add_up():
     ("seconds", "wanted"), [(0, "0:00"), (59.6, "1:00"), (61, "1:01"), (3661, "1:01:01")]
 )
 def test_clock(seconds, wanted):
-    assert dashboard.clock(seconds) == wanted
+    assert times.duration(seconds) == wanted
 
 
 @pytest.mark.parametrize(

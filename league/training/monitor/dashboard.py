@@ -8,6 +8,7 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from league.times import duration
 from league.training.monitor.history import TrainingCallback
 
 if TYPE_CHECKING:
@@ -143,12 +144,12 @@ class Dashboard(TrainingCallback):
         grid.add_column(justify="right", no_wrap=True)
         if left is None:
             end = f"to {self._budget_steps:,} decisions" if self._budget_steps else "until Ctrl-C"
-            grid.add_row(clock(spent), Text(""), end)
+            grid.add_row(duration(spent), Text(""), end)
             return grid
         left = max(left - since, 0.0)
         whole = max(spent + left, 1e-9)
         bar = ProgressBar(total=whole, completed=min(spent, whole), complete_style="cyan")
-        grid.add_row(clock(spent), bar, f"{clock(left)} left")
+        grid.add_row(duration(spent), bar, f"{duration(left)} left")
         return grid
 
 
@@ -158,35 +159,28 @@ def _charts(history: History, width: int) -> RenderableType:
     from rich.table import Table
 
     narrow = width < _NARROW
-    across = max(width if narrow else (width - 4) // 3, 8)
-    height = 2 if narrow else _HEIGHT
+    across, height = max(width if narrow else (width - 4) // 3, 8), 2 if narrow else _HEIGHT
     rewards = _curve(history, history.updates, "earned", across)
     known = [value for value in rewards if value is not None]
     low, high = min(known, default=0.0), max(known, default=1.0)
     if 0 < low < 0.5 * high:
         low = 0.0
-    driven = _curve(history, history.updates, "completion", across)
-    evaluated = _curve(history, history.evaluations, "completion", across)
-    last = history.updates[-1]
-    evaluation = percent(history.evaluations[-1].completion if history.evaluations else None)
+    last, judged = history.updates[-1], history.evaluations
     charts = [
-        _chart("reward", figure(last.earned), bars(rewards, low, high, height), "magenta", across),
-        _chart(
-            "completion, training",
-            percent(last.completion),
-            bars(driven, 0.0, 100.0, height),
-            "cyan",
-            across,
-        ),
-        _chart(
-            "completion, evaluation",
-            evaluation,
-            bars(evaluated, 0.0, 100.0, height),
-            "green",
-            across,
-            foot=_best_mark(history, across),
-        ),
+        _chart("reward", figure(last.earned), bars(rewards, low, high, height), "magenta", across)
     ]
+    for title, rows, value, style, foot in (
+        ("training", history.updates, last.completion, "cyan", ""),
+        (
+            "evaluation",
+            judged,
+            judged[-1].completion if judged else None,
+            "green",
+            _best_mark(history, across),
+        ),
+    ):
+        driven = bars(_curve(history, rows, "completion", across), 0.0, 100.0, height)
+        charts.append(_chart(f"completion, {title}", percent(value), driven, style, across, foot))
     if narrow:
         return Group(*charts)
     grid = Table.grid(padding=(0, 2))
@@ -270,7 +264,7 @@ def update_line(history: History, budget_s: float | None, budget_steps: int | No
     """Return the last update as one line of ASCII."""
     row = history.updates[-1]
     parts = [
-        f"{clock(history.time_s):>7}",
+        f"{duration(history.time_s):>7}",
         f"{row.samples:>9,} samples",
         f"{speed(history):>6,.0f}/s",
         f"reward {figure(row.earned)}",
@@ -287,13 +281,13 @@ def update_line(history: History, budget_s: float | None, budget_steps: int | No
         parts.append(f"self-play: {text}")
     left = left_s(history, budget_s, budget_steps)
     if left is not None:
-        parts.append(f"{clock(left)} left")
+        parts.append(f"{duration(left)} left")
     return "  ".join(parts)
 
 
 def _evaluation_line(row: EvaluationRow) -> str:
     parts = [
-        f"{clock(row.time_s):>7}",
+        f"{duration(row.time_s):>7}",
         f"{row.samples:>9,} samples",
         f"evaluation: {row.complete_laps} of {row.asked} laps, {row.completion:.1f} % completed",
     ]
@@ -387,13 +381,6 @@ def bars(values: Sequence[float | None], low: float, high: float, height: int) -
         "".join(_BLOCKS[max(0, min(8, eighths - 8 * line))] for eighths in filled)
         for line in reversed(range(height))
     ]
-
-
-def clock(seconds: float) -> str:
-    """Return a duration as m:ss, or h:mm:ss."""
-    minutes, rest = divmod(int(seconds + 0.5), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
 
 
 def percent(value: float | None) -> str:

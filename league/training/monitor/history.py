@@ -103,6 +103,11 @@ class EvaluationRow:
     """Whether the policy was then the best so far."""
 
 
+_FIGURES = (
+    *("asked", "complete_laps", "clean_laps", "best_lap_s", "mean_lap_s", "best_flying_s"),
+    *("off_tracks", "crashes"),
+)
+"""Figures of an evaluation that its row takes as they are."""
 Row = UpdateRow | EvaluationRow
 _ROW: TypeAdapter[Row] = TypeAdapter(Annotated[Row, Discriminator("row")])
 
@@ -209,16 +214,9 @@ class History:
             time_s=round(time_s, 4),
             took_s=round(took_s, 4),
             completion=round(evaluation.completion, 4),
-            asked=evaluation.asked,
-            complete_laps=evaluation.complete_laps,
-            clean_laps=evaluation.clean_laps,
-            best_lap_s=evaluation.best_lap_s,
             last_lap_s=evaluation.lap_times_s[-1] if evaluation.lap_times_s else None,
-            mean_lap_s=evaluation.mean_lap_s,
-            best_flying_s=evaluation.best_flying_s,
-            off_tracks=evaluation.off_tracks,
-            crashes=evaluation.crashes,
             best=best,
+            **{name: getattr(evaluation, name) for name in _FIGURES},
         )
         self.evaluations.append(row)
         self._write(row)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from league import figures
 from league.errors import PolicyError
 from league.figures import GRID, INK
-from league.training.monitor.dashboard import clock
+from league.times import duration
 from league.training.monitor.history import TEACHING, TrainingCallback
 
 if TYPE_CHECKING:
@@ -90,38 +90,30 @@ def figure(history: History) -> Figure:
 
 def _lines(history: History, completion: Axes, reward: Axes) -> list[Any]:
     updates, evaluations = history.updates, history.evaluations
-    curves: tuple[tuple[Axes, Sequence[Row], str, dict[str, Any]], ...] = (
-        (
-            reward,
-            updates,
-            "earned",
-            {"label": "average reward (training)", "color": _EARNED, "alpha": 0.9},
-        ),
-        (
-            completion,
-            updates,
-            "completion",
-            {"label": "average % completion (training)", "color": _DRIVEN},
-        ),
+    dots: dict[str, Any] = {
+        "marker": "o",
+        "markersize": 5,
+        "markeredgecolor": "white",
+        "clip_on": False,
+    }
+    curves: tuple[tuple[Axes, Sequence[Row], str, str, str, dict[str, Any]], ...] = (
+        (reward, updates, "earned", "average reward (training)", _EARNED, {"alpha": 0.9}),
+        (completion, updates, "completion", "average % completion (training)", _DRIVEN, {}),
         (
             completion,
             evaluations,
             "completion",
-            {
-                "label": "average % completion (evaluation)",
-                "color": _EVALUATED,
-                "marker": "o",
-                "markersize": 5,
-                "markeredgecolor": "white",
-                "clip_on": False,
-            },
+            "average % completion (evaluation)",
+            _EVALUATED,
+            dots,
         ),
     )
     lines = []
-    for axes, rows, name, style in curves:
+    for axes, rows, name, label, colour, style in curves:
         known = [row for row in rows if getattr(row, name) is not None]
         values = [getattr(row, name) for row in known]
-        lines += axes.plot(history.learnt_s(known), values, linewidth=1.8, **style)
+        style |= {"label": label, "color": colour, "linewidth": 1.8}
+        lines += axes.plot(history.learnt_s(known), values, **style)
     completion.set_xlim(0, max(history.updates[-1].time_s, 1e-9))
     return lines
 
@@ -207,7 +199,7 @@ def _ticks(history: History, axes: Axes) -> None:
     round_steps_s = (5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400)
     step_s = next((step for step in round_steps_s if last_s / step <= 9), last_s / 6)
     ticks_s = np.arange(0.0, last_s + 1e-9, step_s)
-    axes.set_xticks(ticks_s, [clock(tick) for tick in ticks_s])
+    axes.set_xticks(ticks_s, [duration(tick) for tick in ticks_s])
     axes.tick_params(axis="x", pad=8)
     rows = history.updates
     samples = np.interp(
