@@ -78,8 +78,6 @@ def served(url: str) -> Generator[tuple[int, int]]:
             assert process.stdout is not None
             found = re.search(r"http://127\.0\.0\.1:(\d+)", process.stdout.readline())
             assert found is not None
-            if hasattr(os, "sched_setaffinity"):
-                os.sched_setaffinity(process.pid, {min(os.sched_getaffinity(0))})
             yield int(found.group(1)), process.pid
         finally:
             process.send_signal(2)
@@ -87,7 +85,7 @@ def served(url: str) -> Generator[tuple[int, int]]:
 
 def ask(port: int, paths: list[str], count: int, took_ms: list[float]) -> None:
     """Ask for so many pages one after the other over one connection."""
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=60)
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=300)
     for number in range(count):
         start = time.perf_counter()
         connection.request("GET", paths[number % len(paths)], headers={"Accept-Encoding": "gzip"})
@@ -179,8 +177,8 @@ def load(url: str, outcome: RaceOutcome, names: dict[str, int]) -> None:
     note(
         f"{REQUESTS:,} requests by {THREADS} visitors at a time, and a season of "
         f"{HEATS_A_SECOND:g} heats in a second, share the machine's {os.cpu_count()} cores with "
-        f"the server, which has one of them, and with other programs: {one:.1f} programs wanted "
-        f"to run in the last minute, {five:.1f} in the last five."
+        f"the server, a process of one thread at a time, and with other programs: {one:.1f} "
+        f"programs wanted to run in the last minute, {five:.1f} in the last five."
     )
 
 
