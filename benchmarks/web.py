@@ -177,7 +177,7 @@ def load(url: str, outcome: RaceOutcome, names: dict[str, int]) -> None:
     note(
         f"{REQUESTS:,} requests by {THREADS} visitors at a time, and a season of "
         f"{HEATS_A_SECOND:g} heats in a second, share the machine's {os.cpu_count()} cores with "
-        f"the server, a process of one thread at a time, and with other programs: {one:.1f} "
+        f"the server, which is one process, and with other programs: {one:.1f} "
         f"programs wanted to run in the last minute, {five:.1f} in the last five."
     )
 
