@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from league.matchmaking import loop
+from league.matchmaking import cups, divisions, loop, seasons
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.pairing.matchmaker import Season
 from league.matchmaking.store import Store
@@ -21,6 +21,22 @@ def raced_league(url: str, *, heats: int = 24) -> Store:
     store.submit(NAME, OWNER, scripted="cautious")
     dispatcher = Dispatcher(store, Here())
     loop.run(store, dispatcher, Season(store, same_owner=True), heats=heats)
+    return store
+
+
+def seasoned_league(url: str) -> Store:
+    """Return a league with a season that is over, a cup in it, and a season that is running."""
+    store = new_league(url, anchors=("centerline", "racing_line"), rules=RULES)
+    store.submit(NAME, OWNER, scripted="cautious")
+    store.submit("blocks", "someone", scripted="blocker")
+    worker, season = Dispatcher(store, Here()), Season(store, same_owner=True)
+    seasons.start(store, "Spring", divisions.SeasonSettings(division_size=2))
+    loop.run(store, worker, season, heats=16)
+    cups.start(store, "May Cup", anchors=True)
+    loop.run(store, worker, season, heats=8)
+    seasons.end(store)
+    seasons.start(store, "Summer", divisions.SeasonSettings(division_size=2))
+    loop.run(store, worker, season, heats=6)
     return store
 
 
