@@ -21,9 +21,9 @@ league: sync
 	done
 	@$(BIN)/league season --json --league $(LEAGUE) | grep -q number || { \
 		$(BIN)/league season start "First season" --division-size 4 --league $(LEAGUE) && \
-		$(BIN)/league run --same-owner --heats 40 --minutes 3 --league $(LEAGUE) && \
+		$(BIN)/league run --same-owner --heats 40 --league $(LEAGUE) && \
 		$(BIN)/league cup start "Garage Cup" --anchors --league $(LEAGUE) && \
-		$(BIN)/league run --same-owner --heats 40 --minutes 3 --league $(LEAGUE) && \
+		$(BIN)/league run --same-owner --heats 40 --league $(LEAGUE) && \
 		$(BIN)/league season end --league $(LEAGUE) && \
 		$(BIN)/league season start "Second season" --division-size 4 --league $(LEAGUE); }
 	$(BIN)/league run --same-owner --minutes 0.8 --league $(LEAGUE)
