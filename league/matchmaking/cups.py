@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from league.errors import StoreError, nearest_names
+from league.matchmaking import documents
 from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset
-from league.matchmaking.store import RATED, Cup, HeatState, Store
+from league.matchmaking.store import RATED, Cup, Entry, HeatState, Store
 
 DRAWS = 4096
 """Heats of a cup at most; heat k of cup n has the draw n * DRAWS + k."""
@@ -144,35 +145,12 @@ def bracket(store: Store, cup: Cup) -> Bracket:
     return _computed(store, cup)[0]
 
 
-def document(cup: Cup, bracket: Bracket, entries: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a cup as plain data, with the names of its entries.
-
-    Args:
-        cup: the cup.
-        bracket: as far as it has come.
-        entries: all entries by their ids.
-    """
-    stages = [
-        {
-            "name": stage.name,
-            "heats": [
-                {
-                    **{key: getattr(heat, key) for key in ("number", "state", "track")},
-                    "runs": [
-                        {
-                            **asdict(run),
-                            "places": list(run.places),
-                            "entry": entries[run.entry].number,
-                            "name": entries[run.entry].name,
-                        }
-                        for run in heat.runs
-                    ],
-                }
-                for heat in stage.heats
-            ],
-        }
-        for stage in bracket.stages
-    ]
+def document(cup: Cup, bracket: Bracket, entries: Mapping[str, Entry]) -> dict[str, Any]:
+    """Return a cup as plain data, with the numbers and names of its entries (given by id)."""
+    stages = documents.plain(bracket.stages)
+    for run in (run for stage in stages for heat in stage["heats"] for run in heat["runs"]):
+        entry = entries[run["entry"]]
+        run |= {"entry": entry.number, "name": entry.name}
     order = [{"entry": entries[id].number, "name": entries[id].name} for id in bracket.order]
     about = {"number": cup.number, "name": cup.name, "season": cup.season, "seed": cup.seed}
     return {"cup": about, "stages": stages, "order": order}

@@ -118,14 +118,9 @@ def race(
     *,
     watch: Callable[[HeatOutcome], bool] = lambda outcome: True,
 ) -> list[HeatOutcome]:
-    """Race heats that are not in the store's queue; return their outcomes in order.
+    """Race heats of a field (by id) that are not in the store's queue; return their outcomes.
 
-    Args:
-        executor: where they are raced.
-        store: the league that sets the rules.
-        heats: what is raced.
-        field: the contestants, by id.
-        watch: called with each outcome in the order of the heats; False ends it early.
+    `watch` is called with each outcome in the order of the heats; False ends it early.
 
     Raises:
         StoreError: a heat could not be raced three times in a row.

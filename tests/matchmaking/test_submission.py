@@ -105,7 +105,7 @@ def test_a_network_that_overflows_is_refused_by_the_probe():
 
 
 def test_a_sound_policy_passes_the_probe():
-    assert submission.probe(GIVEN).decisions == 6
+    assert 0 < submission.probe(GIVEN) <= submission.PROBE_S
 
 
 CAMERA = CameraConfig(width=64, height=48)

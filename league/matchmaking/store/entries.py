@@ -59,12 +59,7 @@ def submit(
 ) -> Entry:
     """Enter a driver as pending; the same content submitted again is the same entry.
 
-    Args:
-        connection: in a transaction.
-        now: time [s since 1970].
-        owner: name of the owner.
-        row: columns `id`, `name`, `kind`, `anchor` and `card` of the entry.
-        quota: how much the owner may enter; None for any number.
+    `row` has the columns `id`, `name`, `kind`, `anchor` and `card`.
     """
     name = row["name"]
     known = connection.execute(with_owners().where(entries.c.id == row["id"])).one_or_none()
@@ -203,7 +198,7 @@ def move(
         )
         log_event(connection, now, actor, state, row.id, was=row.state, reason=reason)
         if state in ("retired", "refused"):
-            queue.cancel(connection, now, number_of[row.id])
+            queue.cancel_entry(connection, now, number_of[row.id])
     return len(changes)
 
 

@@ -232,6 +232,11 @@ class Received:
     unverified: tuple[str, ...] = ()
     """Differ from results of another class of machine, which proves nothing: left out."""
 
+    def joined(self, more: Received) -> Received:
+        """Return the keys of both."""
+        fields = vars(self).items()
+        return Received(**{verdict: keys + getattr(more, verdict) for verdict, keys in fields})
+
     def verdict(self, key: str) -> str:
         """Return the name of the field that holds a heat, the worst one of several."""
         verdicts = ("quarantined", "unverified", "accepted", "repeated")

@@ -13,6 +13,7 @@ import sqlalchemy as sa
 
 from league.errors import StoreError
 from league.matchmaking.pairing import heat_spec
+from league.matchmaking.store.database import made_of
 from league.matchmaking.store.drives import driven
 from league.matchmaking.store.queue import chunked
 from league.matchmaking.store.records import (
@@ -375,20 +376,8 @@ def read_results(connection: sa.Connection, numbers: Sequence[int]) -> list[Stor
     stored = []
     for row in chunked(connection, query, results.c.heat, sorted(numbers)):
         document = json.loads(zlib.decompress(row.document))
-        stored.append(
-            StoredResult(
-                heat=row.heat,
-                half=row.half,
-                hash=row.hash,
-                worker=row.worker,
-                received_s=row.received_s,
-                places=tuple(document["places"]),
-                result=document["result"],
-                replay=row.replay,
-                machine=row.machine,
-                rejected=row.rejected,
-            )
-        )
+        places = tuple(document["places"])
+        stored.append(made_of(StoredResult, row, places=places, result=document["result"]))
     return stored
 
 

@@ -128,15 +128,8 @@ class Store:
                 )
             number = schema.add_ruleset(connection, now, ruleset)
             connection.execute(league.update().values(ruleset=number))
-            cancelled = connection.execute(
-                heats.update()
-                .where(
-                    heats.c.state == "planned",
-                    heats.c.ruleset != number,
-                    heats.c.purpose != "cup",
-                )
-                .values(state="cancelled")
-            ).rowcount
+            others = (heats.c.ruleset != number) & (heats.c.purpose != "cup")
+            cancelled = queue.cancel(connection, others)
             schema.log_event(connection, now, "league", "rules", ruleset.hash, cancelled=cancelled)
             return cancelled
 
@@ -310,13 +303,7 @@ class Store:
         _check_worker(worker)
         received = Received()
         for start in range(0, len(outcomes), BATCH):
-            part = self._complete(worker, outcomes[start : start + BATCH])
-            received = Received(
-                received.accepted + part.accepted,
-                received.repeated + part.repeated,
-                received.quarantined + part.quarantined,
-                received.unverified + part.unverified,
-            )
+            received = received.joined(self._complete(worker, outcomes[start : start + BATCH]))
         return received
 
     def _complete(self, worker: str, outcomes: Sequence[HeatOutcome]) -> Received:
