@@ -22,19 +22,9 @@ from pathlib import Path
 import numpy as np
 from starlette.testclient import TestClient
 
-from benchmarks import store as stores
+from benchmarks import web_scene
 from benchmarks.report import figure, heading, note
-from league.matchmaking.pairing import heat_spec
-from league.matchmaking.pairing.heat_spec import mirrored
-from league.matchmaking.store import (
-    HeatOutcome,
-    RaceOutcome,
-    Store,
-    create,
-    database,
-    results,
-    schema,
-)
+from league.matchmaking.store import RaceOutcome, Store
 from league.matchmaking.workers.worker import outcome_of
 from league.race_spec import Entry, RaceSpec
 from league.racing import race
@@ -43,7 +33,9 @@ from league.web.app import make_app
 from league.web.reader import FRESH_S
 from league.web.replay_data import player_data
 
-ENTRIES, HEATS, RECORDED = 10_000, 500_000, 200
+ENTRIES, HEATS = 10_000, 500_000
+HEATS_A_SECOND = 10.0
+"""Of the season that goes on."""
 REQUESTS, THREADS = 4000, 8
 GOAL_RATE, GOAL_P99_MS = 300.0, 150.0
 GOAL_PAGE_KB, GOAL_REPLAY_KB = 200.0, 60.0
@@ -64,88 +56,11 @@ ASKED = (
 """What visitors ask for, one after the other."""
 
 
-def founded(url: str) -> Store:
-    """Return a league of many entries, written past the checks of their names."""
-    league = create(url, ruleset=stores.RULES)
-    there = database.Database(url)
-    numbers = range(1, ENTRIES + 1)
-    owners = [{"number": n, "name": f"owner {n}", "created_s": 0.0} for n in numbers]
-    with there.writing() as connection:
-        connection.execute(schema.owners.insert(), owners)
-        connection.execute(schema.entries.insert(), [_entry(number) for number in numbers])
-    there.close()
-    return league
-
-
-def _entry(number: int) -> dict[str, object]:
-    return {
-        "number": number,
-        "id": heat_spec.digest(f"entry {number}".encode()),
-        "name": f"driver {number}",
-        "owner": number,
-        "kind": "policy",
-        "anchor": False,
-        "state": "ranked",
-        "reason": "",
-        "card": "{}",
-        "created_s": float(number),
-    }
-
-
 def eight_cars() -> FinishedRace:
     """Return a recorded race of eight cars of about a minute."""
     names = ("racing_line", "cautious", "blocker", "duelist") * 2
     entries = tuple(Entry(name=name) for name in names)
     return race.run(RaceSpec(entries=entries, laps=4, solver="planar"))
-
-
-def record(url: str, newest: int, finished: FinishedRace) -> None:
-    """Give the newest heats results and one recording of two cars."""
-    outcome = outcome_of(finished)
-    assert outcome.replay is not None
-    digest = heat_spec.digest(outcome.replay)
-    packed = results.pack(HeatOutcome("", (outcome, outcome)), (digest, digest))
-    rows = [
-        {
-            "heat": heat,
-            "half": half,
-            "hash": one.hash,
-            "worker": "bench",
-            "received_s": 0.0,
-            "document": one.document,
-            "replay": digest,
-        }
-        for heat in range(newest - RECORDED + 1, newest + 1)
-        for half, one in enumerate(packed)
-    ]
-    there = database.Database(url)
-    with there.writing() as connection:
-        connection.execute(schema.results.insert(), rows)
-        connection.execute(
-            schema.blobs.insert().values(
-                digest=digest, size=len(outcome.replay), created_s=0.0, content=outcome.replay
-            )
-        )
-    there.close()
-
-
-def race_on(url: str, heats_a_second: float, stop: threading.Event, draw: int = 1) -> None:
-    """Plan, claim and complete heats of two entries until `stop`."""
-    with Store(url) as league:
-        ids = [entry.id for entry in league.entries()[:400]]
-        tracks = stores.RULES.tracks[0], stores.RULES.tracks[0]
-        while not stop.wait(1 / heats_a_second):
-            draw += 1
-            pair = ids[draw % 400], ids[(draw * 7 + 1) % 400]
-            if pair[0] == pair[1]:
-                continue
-            league.plan([mirrored(stores.RULES.hash, tracks, pair, draw)])
-            for claim in league.claim("bench", 1):
-                races = tuple(
-                    RaceOutcome((1, 2), {**stores.RESULT, "seed": seed})
-                    for seed in claim.seeds or ()
-                )
-                league.complete("bench", [HeatOutcome(claim.heat.key, races)])
 
 
 def processor_s(pid: int) -> float:
@@ -180,7 +95,7 @@ def ask(port: int, paths: list[str], count: int, took_ms: list[float]) -> None:
         took_ms.append(1000 * (time.perf_counter() - start))
 
 
-def single_pages(league: Store, names: dict[str, int]) -> None:
+def single_pages(league: Store, outcome: RaceOutcome, names: dict[str, int]) -> None:
     """Print how long each page takes when it is made, and how large it is."""
     with TestClient(make_app(league), base_url="http://127.0.0.1") as client:
         start, worked = time.perf_counter(), time.process_time()
@@ -204,18 +119,18 @@ def single_pages(league: Store, names: dict[str, int]) -> None:
             client.get("/standings")
             warm.append(1e3 * (time.process_time() - worked))
         figure("/standings when warm, processor time", statistics.median(warm), "ms", 50, most=True)
-        _after_new_results(league, client)
+        _after_new_results(league, outcome, client)
         replay = client.get("/api/v1/heats/{heat}/races/1/replay".format(**names))
         size = int(replay.headers["content-length"]) / 1e3
         figure("a replay of two cars, in one request", size, "kB", GOAL_REPLAY_KB, most=True)
 
 
-def _after_new_results(league: Store, client: TestClient) -> None:
+def _after_new_results(league: Store, outcome: RaceOutcome, client: TestClient) -> None:
     """Print the slowest answer in the time in which new results come in and are rated."""
     before = client.get("/api/v1/standings").json()["races"]
     stop = threading.Event()
     threading.Timer(0.5, stop.set).start()
-    race_on(league.url, 50, stop, draw=10**6)
+    web_scene.race_on(league.url, outcome, 50, stop, draw=10**6)
     time.sleep(FRESH_S)
     slowest, start = 0.0, time.monotonic()
     now = before
@@ -230,7 +145,7 @@ def _after_new_results(league: Store, client: TestClient) -> None:
     figure("new results show after", time.monotonic() - start + FRESH_S, "s")
 
 
-def load(url: str, names: dict[str, int]) -> None:
+def load(url: str, outcome: RaceOutcome, names: dict[str, int]) -> None:
     """Print what requests cost a server when nothing happens, and while a season runs."""
     with served(url) as (port, pid):
         paths = [path.format(**names) for path in ASKED]
@@ -239,7 +154,8 @@ def load(url: str, names: dict[str, int]) -> None:
         figure("a kept page from the server, processor time", cost, "ms", 1e3 / GOAL_RATE,
                most=True)  # fmt: skip
         stop = threading.Event()
-        season = threading.Thread(target=race_on, args=(url, 10.0, stop, 2 * 10**6), daemon=True)
+        asked = url, outcome, HEATS_A_SECOND, stop, 2 * 10**6
+        season = threading.Thread(target=web_scene.race_on, args=asked, daemon=True)
         season.start()
         cost, rate, p99_ms = _visited(port, pid, paths)
         stop.set()
@@ -283,26 +199,20 @@ def eight(finished: FinishedRace) -> None:
 def main() -> None:
     """Print the figures."""
     heading("The league in the browser")
-    finished = race.run(
-        RaceSpec(entries=(Entry(name="racing_line"), Entry(name="cautious")), solver="planar")
-    )
+    entries = (Entry(name="racing_line"), Entry(name="cautious"))
+    outcome = outcome_of(race.run(RaceSpec(entries=entries, solver="planar")))
     eight(eight_cars())
     with tempfile.TemporaryDirectory() as folder:
         url = f"sqlite:///{Path(folder) / 'league.db'}"
         strengths = np.random.default_rng(5).normal(0, 200, ENTRIES)
-        with founded(url) as league:
-            stores.fill(url, strengths, HEATS)
-            record(url, HEATS, finished)
-            one, other = league.heat(HEATS - 5).heat.entries
-            number_of = {entry.id: entry.number for entry in league.entries()}
-            names = {
-                "page": ENTRIES // 200,
-                "heat": HEATS - 5,
-                "one": number_of[one],
-                "other": number_of[other],
-            }
-            single_pages(league, names)
-        load(url, names)
+        start = time.process_time()
+        with web_scene.founded(url, strengths, HEATS, outcome) as league:
+            figure("the league is written, processor time", time.process_time() - start, "s")
+            heat = HEATS - 5
+            one, other = (league.entry(id).number for id in league.heat(heat).heat.entries)
+            names = {"page": ENTRIES // 200, "heat": heat, "one": one, "other": other}
+            single_pages(league, outcome, names)
+        load(url, outcome, names)
 
 
 if __name__ == "__main__":

@@ -72,8 +72,8 @@ class Scenarios(Checked, what="scenarios"):
     fastest_rival: float = ranged(0.7, 0.0, 1.0)
     """Largest top speed of rivals, likewise; what a curriculum raises."""
     last_car: float = ranged(1.0, 0.0, 1.0)
-    """Largest top speed of the last car, as a share of the car's: that of a slow scripted driver,
-    so that attacks on it count as those on roadblocks do."""
+    """Largest top speed of the last car, as a share of the car's: that of a slow scripted driver.
+    Below 1 attacks on it do not count, as those on roadblocks do not."""
     lost: float = ranged(4.5, 0.5, 1000.0)
     """Distance along the track at which the attacker has lost all other cars [m]."""
     shortest: float = ranged(6.0, 0.1, 1e6)

@@ -56,7 +56,7 @@ class CupHeat:
 
 
 @dataclass(frozen=True)
-class Stage:
+class CupStage:
     """Heats that are raced at the same time."""
 
     name: str
@@ -72,7 +72,7 @@ class Stage:
 class Bracket:
     """A cup as far as it has come."""
 
-    stages: tuple[Stage, ...]
+    stages: tuple[CupStage, ...]
     """Qualifying first; later stages appear when the one before is over."""
     order: tuple[str, ...]
     """Ids of the entries by how far they came, the winner first; empty before the end."""
@@ -197,7 +197,7 @@ def _computed(store: Store, cup: Cup) -> tuple[Bracket, list[Heat]]:
         ]
         used += len(due)
         through = ADVANCE if len(groups) > 1 else 1
-        stages.append(_stage(store, _name(len(groups)), due, seed_of, through))
+        stages.append(_stage(store, stage_name(len(groups)), due, seed_of, through))
         if not stages[-1].over:
             return Bracket(tuple(stages), ()), due
         if len(groups) == 1:
@@ -221,14 +221,15 @@ def _groups(seeds: Sequence[str]) -> list[tuple[str, ...]]:
     return [tuple(seeds[index] for index in one) for one in picked]
 
 
-def _next_groups(stage: Stage, seed_of: Mapping[str, int]) -> list[tuple[str, ...]]:
+def _next_groups(stage: CupStage, seed_of: Mapping[str, int]) -> list[tuple[str, ...]]:
     """Return the next heats: those who advance from the first and the last heat meet, and so on."""
     through = [[run.entry for run in heat.runs[:ADVANCE]] for heat in stage.heats]
     pairs = zip(through[: len(through) // 2], reversed(through), strict=False)
     return [tuple(sorted(one + other, key=seed_of.__getitem__)) for one, other in pairs]
 
 
-def _name(heats: int) -> str:
+def stage_name(heats: int) -> str:
+    """Return what the knock-out round of so many heats is called."""
     return {1: "Final", 2: "Semi-finals", 4: "Quarter-finals"}.get(heats, f"Last {HEAT_OF * heats}")
 
 
@@ -246,7 +247,7 @@ def _stage(
     due: Sequence[Heat],
     seed_of: Mapping[str, int] | None = None,
     through: int = 0,
-) -> Stage:
+) -> CupStage:
     """Return a stage as far as it has been raced; without seeds it is the qualifying."""
     seed_of = seed_of or {}
     records = {one.heat.key: one for one in store.heats_by_key([heat.key for heat in due])}
@@ -265,7 +266,7 @@ def _stage(
         state = record.state if record else None
         number = record.number if record else None
         heats.append(CupHeat(number, state, heat.halves[0].track, tuple(runs)))
-    return Stage(name, tuple(heats))
+    return CupStage(name, tuple(heats))
 
 
 def _run(heat: Heat, entry: str, seed: int, done: Sequence[Any]) -> CupResult:
@@ -283,7 +284,7 @@ def _classified(runs: Sequence[CupResult], through: int) -> list[CupResult]:
     return [replace(run, advances=at < through) for at, run in enumerate(ordered)]
 
 
-def _qualified(cup: Cup, stage: Stage) -> Stage:
+def _qualified(cup: Cup, stage: CupStage) -> CupStage:
     """Return the qualifying, sorted by lap, distance and a draw, once it is over."""
     if not stage.over:
         return stage
@@ -299,10 +300,10 @@ def _qualified(cup: Cup, stage: Stage) -> Stage:
         replace(heat, runs=(replace(heat.runs[0], seed=place, advances=place <= through),))
         for place, heat in enumerate(sorted(stage.heats, key=merit), 1)
     ]
-    return Stage(stage.name, tuple(ordered))
+    return CupStage(stage.name, tuple(ordered))
 
 
-def _order(stages: Sequence[Stage]) -> tuple[str, ...]:
+def _order(stages: Sequence[CupStage]) -> tuple[str, ...]:
     """Return the entries by how far they came, then by their place there, then by qualifying."""
     order: dict[str, None] = {}
     for stage in stages[:0:-1]:

@@ -17,7 +17,7 @@ from league.matchmaking.pairing.heat_spec import Heat
 from league.matchmaking.ratings import Ratings, Results, sprt
 from league.matchmaking.ratings.fit import SIGMAS_95
 from league.matchmaking.ratings.sprt import Comparison, SequentialSettings
-from league.matchmaking.scope import Scope, scope
+from league.matchmaking.scope import RatingScope, scope
 from league.matchmaking.store import RATED, Entry, HeatOutcome, Store
 from league.matchmaking.workers import Executor
 from league.matchmaking.workers.dispatcher import heat_driver
@@ -267,7 +267,7 @@ def _placed(
 
 
 def _fit_with(
-    within: Scope,
+    within: RatingScope,
     heats: Sequence[SeededHeat],
     outcomes: Sequence[HeatOutcome],
     number_of: dict[str, int],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from functools import partial
@@ -11,7 +12,7 @@ from importlib import resources
 from typing import Any
 
 import jinja2
-from markupsafe import Markup
+from markupsafe import Markup, escape
 from starlette.applications import Starlette
 from starlette.datastructures import MutableHeaders
 from starlette.exceptions import HTTPException
@@ -49,7 +50,7 @@ STATIC = {
     "player.js": "text/javascript",
     "heat.js": "text/javascript",
     "live.js": "text/javascript",
-    "submit.js": "text/javascript",
+    "form.js": "text/javascript",
     "icon.svg": "image/svg+xml",
 }
 """All static files, with their types; they are read once, when the program starts."""
@@ -72,7 +73,7 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    templates.filters |= {"clock": times.clock, "day": times.day, "iso": _iso}
+    templates.filters |= {"clock": times.clock, "day": times.day, "iso": _iso, "code": _code}
     names: dict[str, Any] = {
         "league_name": store.settings.name,
         "static": _static_text,
@@ -118,7 +119,7 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
 
     def writing() -> list[Route]:
         return [
-            submit.form(store, access, render),
+            *(one.route(reader, access, render) for one in submit.FORMS),
             *(one.route(store, access) for one in openapi.PROTECTED),
         ]
 
@@ -156,6 +157,11 @@ def _status(error: Exception) -> tuple[int, str]:
 
 def _iso(seconds: float) -> str:
     return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="seconds")
+
+
+def _code(text: str) -> Markup:
+    """Return a text in which commands stand between backticks as HTML."""
+    return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(escape(text))))
 
 
 def _headers(page: Page, request: Request) -> dict[str, str]:

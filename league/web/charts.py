@@ -14,6 +14,8 @@ from league.track.track import Track
 WIDTH, HEIGHT = 520, 180
 """Size of a line chart; margins of 50 on the left and 22 below hold the axes' numbers."""
 LEFT, BOTTOM, TOP, RIGHT = 50, 22, 10, 8
+MARKS_APART = 26
+"""Marks that are closer share one label."""
 
 
 @dataclass(frozen=True)
@@ -168,10 +170,13 @@ def rating_history(
     )
     chart = plot([Curve("rating", "rating", races, elo)], band=(low, high), whole_x=True)
     heats, scale = [point.heat for point in points], (WIDTH - RIGHT - LEFT) / np.ptp(races)
-    marks = [
-        Mark(round(LEFT + scale * (np.interp(heat, heats, races) - races[0]), 1), label, title)
-        for heat, label, title in moments
-    ]
+    marks: list[Mark] = []
+    for heat, label, title in sorted(moments):
+        at = round(float(LEFT + scale * (np.interp(heat, heats, races) - races[0])), 1)
+        if marks and at - marks[-1].at < MARKS_APART:  # labels would lie over each other
+            last = marks.pop()
+            at, label, title = last.at, f"{last.label} {label}", f"{last.title}; {title}"
+        marks.append(Mark(at, label, title))
     return replace(chart, marks=tuple(marks))
 
 

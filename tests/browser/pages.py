@@ -33,6 +33,7 @@ def addresses(store: Store) -> dict[str, str]:
         "standings": "/standings",
         "against": f"/standings?against={best}",
         "driver": f"/drivers/{best}",
+        "retire": f"/drivers/{best}/retire",
         "matchup": f"/matchups/{best}/{second}",
         "heats": "/heats",
         "heat": f"/heats/{rated[-1]}#t=6",
@@ -73,6 +74,10 @@ def photograph(browser: Browser, origin: str, pages: dict[str, str], folder: Pat
             for name, address in pages.items():
                 page.goto(address)
                 page.wait_for_timeout(300)
+                for picture in page.locator("img[loading=lazy]").all():
+                    picture.scroll_into_view_if_needed()
+                page.wait_for_load_state("networkidle")
+                page.evaluate("scrollTo(0, 0)")
                 if not page.evaluate("document.documentElement.scrollWidth <= innerWidth"):
                     faults.append(f"{name} ({size}, {scheme}) needs sideways scrolling")
                 page.screenshot(path=folder / f"{name}_{size}_{scheme}.png", full_page=True)

@@ -126,6 +126,64 @@ def test_elastic_crash_keeps_the_energy():
     assert abs(last["yaw_rate"]).max() > 0.5
 
 
+def overlapping(generator):
+    """Return two places that overlap by a hair, and their `manifold`."""
+    yaw, way = generator.uniform(-math.pi, math.pi, 2), generator.uniform(-math.pi, math.pi)
+    for far in np.arange(0.4, 0.15, -0.0002):
+        places = (0.0, 0.0, yaw[0]), (far * math.cos(way), far * math.sin(way), yaw[1])
+        exists, m = meet(*places)
+        if exists and m.gap.min() < 0:
+            return places, m
+    raise AssertionError("they do not meet")
+
+
+def parting(cars, m):
+    """Return how fast two cars part at both points along the normal [m/s]."""
+    first = [
+        cars["velocity_x"][0] - cars["yaw_rate"][0] * m.first_y,
+        cars["velocity_y"][0] + cars["yaw_rate"][0] * m.first_x,
+    ]
+    second = [
+        cars["velocity_x"][1] - cars["yaw_rate"][1] * m.second_y,
+        cars["velocity_y"][1] + cars["yaw_rate"][1] * m.second_x,
+    ]
+    x, y = second[0] - first[0], second[1] - first[1]
+    return x * m.normal[0] + y * m.normal[1]
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.4])
+@pytest.mark.parametrize("seed", range(12))
+def test_points_press_only_as_much_as_parts_them(seed, friction):
+    generator = np.random.default_rng(seed)
+    (one, two), m = overlapping(generator)
+    speeds = {
+        "velocity_x": m.normal[0] * np.array([1.0, -0.5]) + generator.normal(0, 0.5, 2),
+        "velocity_y": m.normal[1] * np.array([1.0, -0.5]) + generator.normal(0, 0.5, 2),
+        "yaw_rate": generator.normal(0, 3.0, 2),
+    }
+    x, y, yaw = ([a, b] for a, b in zip(one, two, strict=True))
+    last = crash(friction, 0.3, steps=1, x=x, y=y, yaw=yaw, **speeds)
+    before = parting({name: np.float32(speed) for name, speed in speeds.items()}, m)
+    # Points that would meet within the step bounce, others close their gap at most.
+    meets = (before < -0.05) & (m.gap + before / 120 < 0)
+    goal = np.where(meets, -0.3 * before, -120 * np.maximum(m.gap, 0))
+    short = parting(last, m) - goal
+    assert (short > -1e-3).all()
+    # The impulses of both points and of friction, from what has changed of the second car.
+    way = 8.2 * np.array([last[name][1] - speeds[name][1] for name in ("velocity_x", "velocity_y")])
+    turned = 0.085 * (last["yaw_rate"][1] - speeds["yaw_rate"][1])
+    across = np.array([-m.normal[1], m.normal[0]])
+    near = int(m.gap[0] > m.gap[1])
+    arms = m.second_x * m.normal[1] - m.second_y * m.normal[0]
+    lever = m.second_x[near] * across[1] - m.second_y[near] * across[0]
+    pressed, rubbed = way @ m.normal, way @ across
+    pair = np.linalg.solve([[1.0, 1.0], arms], [pressed, turned - lever * rubbed])
+    assert (pair > -2e-3).all() and abs(rubbed) <= friction * pressed + 2e-3
+    assert pressed > 0.1
+    # What presses does so just as much as its point lacks.
+    assert (np.minimum(pair, short) < 2e-3).all()
+
+
 def test_boxes_put_into_each_other_come_apart_without_speed():
     last = crash(0.3, 0.15, y=[0.0, 0.15])
     # 0.046 m of overlap, mended by 20 % of what is left, 5 mm at most, in each of 16 steps.

@@ -203,14 +203,14 @@ def test_pages_of_a_league_without_races_say_what_to_do(tmp_path):
 
 def test_a_race_whose_recording_was_not_kept_has_a_page(tmp_path):
     from league.matchmaking import loop
-    from league.matchmaking.pairing.matchmaker import Season
+    from league.matchmaking.pairing.matchmaker import Matchmaker
     from league.matchmaking.workers.dispatcher import Dispatcher
     from tests.matchmaking.season_kit import Here
 
     anchors = ("centerline", "racing_line")
     with new_league(f"sqlite:///{tmp_path / 'league.db'}", anchors=anchors) as store:
         dispatcher = Dispatcher(store, Here(), keep_replays=False)
-        loop.run(store, dispatcher, Season(store, same_owner=True), heats=2)
+        loop.run(store, dispatcher, Matchmaker(store, same_owner=True), heats=2)
         with TestClient(make_app(store), base_url=ORIGIN) as client:
             heat = rated_heat(store)
             assert "No recording was kept" in client.get(f"/heats/{heat}").text

@@ -9,7 +9,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from league.matchmaking import cups, divisions, loop, seasons
-from league.matchmaking.pairing.matchmaker import Season
+from league.matchmaking.pairing.matchmaker import Matchmaker
 from league.matchmaking.store import Store
 from league.matchmaking.workers.dispatcher import Dispatcher
 from league.web import site
@@ -25,7 +25,7 @@ def store(tmp_path_factory) -> Iterator[Store]:
     with new_league(url, anchors=("centerline", "racing_line"), rules=RULES) as store:
         store.submit(NAME, OWNER, scripted="cautious")
         store.submit("blocks", "someone", scripted="blocker")
-        worker, season = Dispatcher(store, Here()), Season(store, same_owner=True)
+        worker, season = Dispatcher(store, Here()), Matchmaker(store, same_owner=True)
         seasons.start(store, "Spring", divisions.SeasonSettings(division_size=2))
         loop.run(store, worker, season, heats=16)
         cups.start(store, "May Cup", anchors=True)

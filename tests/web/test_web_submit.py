@@ -17,7 +17,7 @@ from league.matchmaking.store import Quota, Store
 from league.web.app import make_app
 from league.web.security import Access, Limit, Limits
 from tests.agents.trained import make_checkpoint
-from tests.matchmaking.test_submission import HOSTILE
+from tests.matchmaking.hostile_entries import HOSTILE
 from tests.web.serving import FREE
 from tests.web.small_league import ORIGIN, RULES, new_league
 
@@ -75,6 +75,9 @@ def test_the_owner_follows_a_new_entry_on_its_page(store):
     with served(store) as client:
         page = client.get(sent(client, token(store)).json()["page"]).text
         assert "First races" in page and "validation heats are not planned yet" in page
+        assert "<code>league run</code> plans" in page and "`" not in page
+        live = page[page.index("data-live") :]
+        assert "· pending ·" in live[: live.index("First races")]  # its state is renewed, too
         assert "data-live" in page and "/static/live.js" in page
         assert "First races" not in client.get("/drivers/1").text  # an anchor
 
@@ -228,6 +231,59 @@ def test_a_refused_form_keeps_its_input_but_never_the_token(store):
     assert len(store.entries()) == 1
 
 
+def left(client: TestClient, number: int, headers=SAME, **fields: str):
+    parts = {name: (None, value) for name, value in fields.items()}
+    path = f"/drivers/{number}/retire"
+    return client.post(path, files=parts, headers=headers, follow_redirects=False)
+
+
+def test_an_owner_retires_a_driver_in_the_browser(store):
+    with served(store) as client:
+        own = secret(store)
+        number = submission.accept(store, SOUND, "Ann's car", "ann").number
+        path = f"/drivers/{number}/retire"
+        assert f'href="{path}"' in client.get(f"/drivers/{number}").text
+        assert "no way back" in client.get(path).text
+        answer = left(client, number, token=own, reason="too <slow>", sure="yes")
+        assert (answer.status_code, answer.headers["location"]) == (303, path)
+        entry = store.entry("Ann's car")
+        assert (entry.state, entry.reason) == ("retired", "too <slow>")
+        page = client.get(path).text  # at once, however old a page may be
+        assert "Ann&#39;s car is retired" in page and "too &lt;slow&gt;" in page
+        assert "<form" not in page
+        assert left(client, number, token=own, sure="yes").status_code == 303  # sent twice
+
+
+def test_nothing_else_retires_a_driver_in_the_browser(store):
+    bob, _ = store.tokens.create("bob", ("submit", "worker"))
+    worker, _ = store.tokens.create("ann", ("worker",))
+    with served(store) as client:
+        own = secret(store)
+        number = submission.accept(store, SOUND, "Ann's car", "ann").number
+        refused = {
+            401: ({"token": "league_x", "sure": "yes"}, SAME),
+            403: ({"token": bob, "sure": "yes"}, SAME),
+            422: ({"token": own}, SAME),
+        }
+        for status, (fields, headers) in refused.items():
+            answer = left(client, number, headers, reason='A "reason"', **fields)
+            assert answer.status_code == status
+            (sentence,) = re.findall(r'role="alert">(.+?)</p>', answer.text)
+            assert sentence.count(".") == 1 and sentence.endswith(".")
+            assert (
+                'value="A &#34;reason&#34;"' in answer.text and fields["token"] not in answer.text
+            )
+        for headers in ({}, {"sec-fetch-site": "cross-site"}, {"origin": "https://evil.example"}):
+            assert left(client, number, headers, token=own, sure="yes").status_code == 403
+        assert left(client, number, token=worker, sure="yes").status_code == 403
+        assert left(client, number, token=own, sure="yes", reason="a\nb").status_code == 422
+        assert left(client, number, token=own, sure="yes", reason="a" * 301).status_code == 422
+        assert left(client, 1, token=own, sure="yes").status_code == 403  # an anchor
+        assert left(client, 99, token=own, sure="yes").status_code == 404
+        assert client.get("/drivers/99/retire").status_code == 404
+    assert "retired" not in {one.state for one in store.entries()}
+
+
 @pytest.mark.parametrize(
     ("headers", "status"),
     [
@@ -249,7 +305,7 @@ def test_a_form_of_another_site_is_refused(store, headers, status):
 
 
 def test_ten_thousand_mutated_forms_make_no_internal_error(store):
-    from league.web.submit import form_fields
+    from league.web.forms import form_fields
 
     body = (
         b'--xyz\r\nContent-Disposition: form-data; name="name"\r\n\r\nAnn\r\n'
@@ -306,7 +362,7 @@ def test_hostile_headers_enter_nothing_and_make_no_internal_error(store, headers
         (name.encode(), value.encode("utf-8", "surrogatepass")) for name, value in headers.items()
     ]
     with served(store) as client:
-        for path in (f"{ENTRIES}?name=a", f"{ENTRIES}/retire", "/submit"):
+        for path in (f"{ENTRIES}?name=a", f"{ENTRIES}/retire", "/submit", "/drivers/1/retire"):
             answer = client.post(path, content=b"{}", headers=hostile)
             assert 400 <= answer.status_code < 500, (path, answer.text)
             assert "evil" not in answer.text and "content-security-policy" in answer.headers

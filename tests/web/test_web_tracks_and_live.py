@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from markupsafe import escape
 from starlette.testclient import TestClient
 
 from league.matchmaking import standings
@@ -72,6 +73,33 @@ def test_a_running_heat_its_worker_and_the_queue_are_live(client, store):
         assert "1 heat is racing" in client.get("/live").text
     finally:
         store.fail("a worker", claim.heat.key, "", lost=True)
+
+
+def test_home_names_the_heats_that_race_and_has_the_newest_results(client, store):
+    assert "No heat races at this moment" in client.get("/").text
+    (claim,) = store.claim("a worker", 1)
+    try:
+        document, page = client.get("/api/v1/home").json(), client.get("/").text
+        (running,) = document["running"]
+        names = {entry.id: entry.name for entry in store.entries()}
+        grid = [names[id] for id in claim.heat.halves[0].grid]
+        assert (running["number"], running["races"][0]["grid"]) == (claim.number, grid)
+        assert f'href="/heats/{claim.number}">{escape(" – ".join(grid))}</a>' in page
+        assert "1 heat races" in page and "a worker" in page
+    finally:
+        store.fail("a worker", claim.heat.key, "", lost=True)
+    done = sorted(store.heats(("done",)), key=lambda one: (-(one.done_s or 0.0), -one.number))
+    assert [one["number"] for one in document["newest"]] == [one.number for one in done[:6]]
+
+
+def test_a_duel_is_shown_with_its_score(client, store):
+    document, page = client.get("/api/v1/home").json(), client.get("/").text
+    duels = [heat for heat in document["newest"] if len(heat["winners"]) == 2]
+    assert duels
+    for heat in duels:
+        first = heat["winners"].count(heat["races"][0]["grid"][0])
+        link = page[page.index(f'class="duel" href="/heats/{heat["number"]}"') :]
+        assert f"<b>{first} – {2 - first}</b>" in link[: link.index("</a>")]
 
 
 def test_the_pace_is_of_the_last_five_minutes(client, store, monkeypatch):

@@ -21,15 +21,13 @@ from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset
 from league.matchmaking.pairing.schedule import (
     Contender,
     HeatPlan,
-    PairingSettings,
     next_heats,
     rated_state,
     validation_heats,
 )
 from league.matchmaking.ratings import Carried, Ratings
 from league.matchmaking.scope import scope
-from league.matchmaking.store import RATED, Entry, EntryState, HeatRecord, Races, Store
-from league.matchmaking.store import Season as SeasonRecord
+from league.matchmaking.store import RATED, Entry, EntryState, HeatRecord, Races, Season, Store
 
 LineUp = Callable[[int, str], float]
 """What an entry's place on the grid of a track is decided by: its number and the track's name."""
@@ -157,7 +155,7 @@ class _Past:
         return met
 
 
-class Season:
+class Matchmaker:
     """A league's matchmaker; all it knows is in the store, so another may take over any time."""
 
     def __init__(self, store: Store, *, same_owner: bool = False) -> None:
@@ -223,9 +221,6 @@ class Season:
         past = _Past(within.races, within.carried, before, season_heats)
         number = latest.number + 1
         generator = np.random.default_rng([number, int(rules.hash[:12], 16)])
-        settings = PairingSettings(
-            field_size=rules.cars, tracks=rules.tracks, same_owner=self._same_owner
-        )
         entries = self._store.entries()
         validations = {
             entry.number: _validations(self._store, entry, rules.hash)
@@ -238,7 +233,7 @@ class Season:
             self._move_divisions(within.season, past, roster, number)
         plans: list[HeatPlan] = []
         for newcomer in roster.newcomers:
-            plans += validation_heats(newcomer, roster.contenders, settings, generator)
+            plans += validation_heats(newcomer, roster.contenders, rules, generator)
         rated = [one for one in roster.contenders if one.state in RATED]
         size = min(max(LEAST_ROUND, len(rated) // 2), ROUND // 2)
         if roster.undecided and all(one.anchor for one in rated):
@@ -249,15 +244,15 @@ class Season:
         id_of = {entry.number: entry.id for entry in entries}
         line_up = _line_up(rules, past, roster)
         meetings = past.meetings({id: number for number, id in id_of.items()})
-        plans += next_heats(rated, meetings, settings, generator, heats=size)
+        plans += next_heats(
+            rated, meetings, rules, generator, heats=size, same_owner=self._same_owner
+        )
         return [
             _heat(plan, rules.hash, number * ROUND + index, id_of, line_up)
             for index, plan in enumerate(plans)
         ]
 
-    def _move_divisions(
-        self, season: SeasonRecord, past: _Past, roster: _Roster, round: int
-    ) -> None:
+    def _move_divisions(self, season: Season, past: _Past, roster: _Roster, round: int) -> None:
         """Promote and relegate, by what the round is planned from."""
         if roster.fitted is None:
             return

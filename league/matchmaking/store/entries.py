@@ -236,7 +236,8 @@ def with_owners() -> sa.Select[Any]:
 
 
 def _entry(row: Any) -> Entry:  # noqa: ANN401
-    fields = {name: row._mapping[name] for name in Entry.__dataclass_fields__}
+    known = row._mapping
+    fields = {name: known[name] for name in Entry.__dataclass_fields__}
     return Entry(**{**fields, "owner": row.owner_name, "card": json.loads(row.card)})
 
 

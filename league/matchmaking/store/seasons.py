@@ -170,11 +170,15 @@ def move(connection: sa.Connection, now: float, season: int, moves: Sequence[Mov
     return len(new)
 
 
-def moves_of(connection: sa.Connection, season: int | None = None) -> list[Move]:
-    """Return the moves between divisions in a season, or in all, the oldest first."""
+def moves_of(
+    connection: sa.Connection, season: int | None = None, entry: int | None = None
+) -> list[Move]:
+    """Return moves between divisions, the oldest first; in one season, of one entry (numbers)."""
     query = sa.select(divisions).order_by(*divisions.primary_key)
     if season is not None:
         query = query.where(divisions.c.season == season)
+    if entry is not None:
+        query = query.where(divisions.c.entry == entry)
     return [
         Move(**{name: row[name] for name in Move._fields})
         for row in connection.execute(query).mappings()

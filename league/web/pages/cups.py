@@ -6,6 +6,9 @@ from league.matchmaking import cups
 from league.web.pages.seasons import frozen
 from league.web.reader import Document, NotFoundError, Reader
 
+TO_COME: Document = {"number": None, "state": None, "track": None, "runs": []}
+"""A heat of a round that has not been drawn."""
+
 
 def document(reader: Reader, number: int) -> Document:
     """Return a cup as far as it has come."""
@@ -20,6 +23,39 @@ def document(reader: Reader, number: int) -> Document:
     return {
         "cup": cup,
         "qualifying": qualifying,
-        "rounds": rounds,
+        "rounds": _bracket(rounds),
         "order": document["order"],
     }
+
+
+def _bracket(rounds: list[Document]) -> list[Document]:
+    """Return all knock-out rounds, those to come too, with heats that feed one heat side by side.
+
+    Each heat lists under `feeds` the numbers of the heats that its drivers come from.
+    """
+    if not rounds:
+        return []
+    sizes = [len(rounds[0]["heats"])]
+    while sizes[-1] > 1:
+        sizes.append(sizes[-1] // 2)
+    shown = []
+    for size in sizes:
+        known = rounds[len(shown)]["heats"] if len(shown) < len(rounds) else []
+        before = shown[-1]["heats"] if shown else []
+        heats = [
+            {**(known[index] if known else TO_COME), "feeds": [one["number"] for one in feeding]}
+            for index, feeding in zip(_order(size), _pairs(before, size), strict=True)
+        ]
+        shown.append({"name": cups.stage_name(size), "heats": heats})
+    return shown
+
+
+def _order(size: int) -> list[int]:
+    """Return the heats of a round from top to bottom, see cups: the first meets the last, ..."""
+    if size == 1:
+        return [0]
+    return [index for one in _order(size // 2) for index in (one, size - 1 - one)]
+
+
+def _pairs(heats: list[Document], size: int) -> list[list[Document]]:
+    return [heats[2 * index : 2 * index + 2] for index in range(size)]

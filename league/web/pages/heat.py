@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from league.matchmaking.documents import heat_document
 from league.matchmaking.store import HeatRecord, RaceOutcome, StoredResult
 from league.replay import Replay
-from league.web import charts, lap_charts, race_charts
+from league.web import charts, faults, lap_charts, race_charts
 from league.web.reader import Document, NotFoundError, Reader, accepted
 from league.web.replay_data import player_data
 
@@ -30,6 +30,7 @@ def document(reader: Reader, number: int, race: str = "", lap: str = "") -> Docu
         raise NotFoundError(f"This race has the laps 1 to {laps}.")
     shown, replay = _summary(reader, at), at.replay
     names = [car["name"] for car in shown["cars"]]
+    wrong = faults.by_lap(replay.result) if replay else []
     return {
         **shown,
         "queue": reader.store.counts().get("planned", 0) if not at.result else 0,
@@ -39,6 +40,8 @@ def document(reader: Reader, number: int, race: str = "", lap: str = "") -> Docu
         "positions": race_charts.position_chart(order, names) if laps else None,
         "gaps": race_charts.gap_chart(replay) if replay else None,
         "laps": laps,
+        "faults": wrong,
+        "lap_rows": max([laps, *map(len, wrong)]),
         "lap": int(lap) if lap else None,
         "compared": lap_charts.of(replay, int(lap) if lap else None) if replay else None,
         "events": player_data(replay)["events"] if replay else [],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from league.matchmaking.documents import heat_document
 from league.matchmaking.store import StoredResult
 from league.web import charts
 from league.web.pages import heat
@@ -11,10 +12,12 @@ RECENT = 60
 """Newest heats among which the most contested race is looked for."""
 TOP = 8
 """Entries of the standings."""
+LISTED = 6
+"""Heats that are racing, and newest results, at most."""
 
 
 def document(reader: Reader) -> Document:
-    """Return the most contested recent race, and the top of the standings."""
+    """Return the most contested recent race, the standings' top, what races, newest results."""
     rated, counts = reader.standings(), reader.store.counts()
     featured = reader.kept(("featured", counts.get("done", 0)), lambda: _most_contested(reader))
     return {
@@ -25,6 +28,10 @@ def document(reader: Reader) -> Document:
         "scale": charts.interval_scale(rated.rows) if rated else None,
         "rows": rated.rows[:TOP] if rated else (),
         "entries": len(reader.entries()),
+        "running": [
+            heat_document(one, reader.names) for one in reader.store.heats(("claimed",))[:LISTED]
+        ],
+        "newest": reader.listed(reader.newest(LISTED)),
     }
 
 

@@ -9,6 +9,8 @@ const PANEL_HZ = 6;
 const JUMP_CM = 50; // a car that moved farther in one frame was put back: nothing lies between
 const CAR_CM = [30, 20];
 const ZOOM = 3.2;
+const CHECK_CM = 9; // about the side of a check of the start line
+const CHECKS = ["#f6f7f8", "#14181d"];
 
 /** Undo `order` differences of a column of whole numbers. */
 function summed(differences, order) {
@@ -218,16 +220,28 @@ class Player {
     context.strokeStyle = colours.line;
     context.lineWidth = 5;
     context.stroke(this.ground);
-    const { left, right } = race.track;
-    context.beginPath();
-    context.moveTo(left[0], left[1]);
-    context.lineTo(right[0], right[1]);
-    context.lineWidth = 9;
-    context.stroke();
+    this.drawStart(race.track);
     context.fillStyle = colours.line;
     for (let i = 0; i < race.obstacles.length; i += 2) {
       context.fillRect(race.obstacles[i] - 12, race.obstacles[i + 1] - 12, 24, 24);
     }
+  }
+
+  /** The start line, two rows of checks. */
+  drawStart({ left, right }) {
+    const { context } = this;
+    const [x, y] = [right[0] - left[0], right[1] - left[1]];
+    const across = 2 * Math.max(2, Math.round(Math.hypot(x, y) / 2 / CHECK_CM));
+    const side = Math.hypot(x, y) / across;
+    context.save();
+    context.translate(left[0], left[1]);
+    context.rotate(Math.atan2(y, x));
+    for (let i = 0; i < 2 * across; i++) {
+      const [place, row] = [i >> 1, i & 1];
+      context.fillStyle = CHECKS[(place + row) % 2];
+      context.fillRect(place * side, (row - 1) * side, side, side);
+    }
+    context.restore();
   }
 
   trackPath() {
