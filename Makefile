@@ -9,9 +9,10 @@ export OMP_WAIT_POLICY = PASSIVE
 race: sync
 	$(BIN)/league race cautious racing_line blocker duelist --seed 7
 
-# A league in runs/league/: the garage and the scripted drivers, raced for two minutes: a season that
-# is over, with a cup, and one that is running. All policies of the garage are one owner's, whose
-# entries meet only with --same-owner. With a league there, its season is raced on.
+# A league in runs/league/: the garage and the scripted drivers, raced for about two minutes, longer on
+# a slow machine: a season that is over, with a cup of all of them, and one that is running. All
+# policies of the garage are one owner's, whose entries meet only with --same-owner. With a league
+# there, its season is raced on.
 LEAGUE := sqlite:///runs/league/league.db
 league: sync
 	@test -e runs/league/league.db || $(BIN)/league init --league $(LEAGUE) --name garage
@@ -20,9 +21,9 @@ league: sync
 	done
 	@$(BIN)/league season --json --league $(LEAGUE) | grep -q number || { \
 		$(BIN)/league season start "First season" --division-size 4 --league $(LEAGUE) && \
-		$(BIN)/league run --same-owner --minutes 0.6 --league $(LEAGUE) && \
+		$(BIN)/league run --same-owner --heats 40 --league $(LEAGUE) && \
 		$(BIN)/league cup start "Garage Cup" --anchors --league $(LEAGUE) && \
-		$(BIN)/league run --same-owner --minutes 0.6 --league $(LEAGUE) && \
+		$(BIN)/league run --same-owner --heats 40 --league $(LEAGUE) && \
 		$(BIN)/league season end --league $(LEAGUE) && \
 		$(BIN)/league season start "Second season" --division-size 4 --league $(LEAGUE); }
 	$(BIN)/league run --same-owner --minutes 0.8 --league $(LEAGUE)

@@ -11,16 +11,14 @@ decorators and changes that Python refuses to parse are no mutants.
 A mutant of a function's body is put into the functions of a fork of one pytest session
 (benchmarks/mutant_trials.py); another one, of a constant say, is imported by a session of its own.
 `python -m benchmarks.mutants referee store` tries these parts alone. runs/mutants/ shows which test
-caught which mutant as they come. A run that was stopped is gone on with, a part whose modules and
-tests are as they were is not tried again, and otherwise a mutant begins with the test that caught
-it before.
+caught which mutant as they come; what is there and has not changed is not tried again
+(benchmarks/mutant_results.py).
 """
 
 import ast
 import difflib
 import gc
 import hashlib
-import json
 import os
 import random
 import re
@@ -38,9 +36,9 @@ import pytest
 import torch  # noqa: F401  # loaded once, for all forks
 
 from benchmarks import mutant_trials as trials
+from benchmarks.mutant_results import Results, name_of
 from benchmarks.mutant_trials import Loop, first_failure, put, replacements
 from benchmarks.report import figure, heading, note, table
-from league.atomic_file import replacing
 from league.errors import LeagueError
 
 ROOT = Path(__file__).parents[1]
@@ -191,46 +189,6 @@ def sampled(found: list, number: int) -> Iterator:
             return
 
 
-def name_of(one: Any) -> str:
-    """Return what tells a mutant from all others: its place and its operator."""
-    line, column = one.start_pos
-    operator = one.operator_name.rpartition("/")[2]
-    return f"{one.module_path}:{line}:{column} {operator} {one.occurrence}"
-
-
-class Results:
-    """Which test caught which mutant of a part, kept in a file as they come.
-
-    Results of the same modules and tests are gone on with; after a change there they only say with
-    which test to begin.
-    """
-
-    def __init__(self, path: Path, digest: str) -> None:
-        kept = json.loads(path.read_text()) if path.exists() else {}
-        self._path, self._digest = path, digest
-        self.before: dict[str, str | None] = kept.get("caught_by", {})
-        """Of the last run."""
-        if kept.get("digest") != digest:
-            self._write({})
-
-    def all(self) -> dict[str, str | None]:
-        """Return the results, of forks too: the test by the mutant, None of a survivor."""
-        return json.loads(self._path.read_text())["caught_by"]
-
-    def add(self, one: Any, caught_by: str | None) -> None:
-        """Keep a result."""
-        self._write(self.all() | {name_of(one): caught_by})
-
-    def left(self, chosen: list) -> list:
-        """Return the mutants that were not tried yet."""
-        done = self.all()
-        return [one for one in chosen if name_of(one) not in done]
-
-    def _write(self, caught_by: dict[str, str | None]) -> None:
-        with replacing(self._path, "results", LeagueError) as new:
-            new.write_text(json.dumps({"digest": self._digest, "caught_by": caught_by}, indent=1))
-
-
 def in_functions(tried: list, results: Results, survivors: bool, session: pytest.Session) -> None:
     """Try the mutants that change only bodies of functions, in forks of one session.
 
@@ -289,6 +247,14 @@ def try_all(name: str, part: Part, chosen: list, results: Results) -> None:
         at_import(one, options, results)
 
 
+def digest_of(paths: list[Path]) -> str:
+    """Return a hash of files."""
+    digest = hashlib.sha256()
+    for path in paths:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
 def tested(name: str, part: Part) -> tuple[int, int, int]:
     """Return how many mutants a part has, how many were tried, and how many were caught.
 
@@ -298,22 +264,21 @@ def tested(name: str, part: Part) -> tuple[int, int, int]:
     paths = [
         path for one in given for path in (sorted(one.glob("*.py")) if one.is_dir() else [one])
     ]
-    digest = hashlib.sha256(repr((part, SAMPLE, SEED)).encode())
-    for path in (*paths, *(Path("tests", test) for test in (*part.tests, *part.compiled))):
-        digest.update(path.read_bytes())
+    tests = [Path("tests", test) for test in (*part.tests, *part.compiled)]
     found = mutants(paths)
     chosen = list(sampled(found, SAMPLE))
-    results = Results(ROOT / "runs" / "mutants" / f"{name}.json", digest.hexdigest())
+    kept = ROOT / "runs" / "mutants" / f"{name}.json"
+    results = Results(kept, digest_of(paths), digest_of(tests))
     if results.left(chosen):
         try_all(name, part, chosen, results)
     caught_by = results.all()
-    for one in chosen:
-        if caught_by[name_of(one)] is None:
-            with written(one) as codes:
-                lines = difflib.ndiff(*(code.splitlines() for code in codes))
-                changed = [line for line in lines if line[:1] in "+-"]
-                print(f"survived: {name_of(one)}", *changed, sep="\n  ", flush=True)
-    return len(found), len(chosen), sum(one is not None for one in caught_by.values())
+    survivors = [one for one in chosen if caught_by[name_of(one)] is None]
+    for one in survivors:
+        with written(one) as codes:
+            lines = difflib.ndiff(*(code.splitlines() for code in codes))
+            changed = [line for line in lines if line[:1] in "+-"]
+            print(f"survived: {name_of(one)}", *changed, sep="\n  ", flush=True)
+    return len(found), len(chosen), len(chosen) - len(survivors)
 
 
 @contextmanager

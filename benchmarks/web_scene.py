@@ -11,7 +11,7 @@ from benchmarks import store as stores
 from league.agents import checkpoint
 from league.matchmaking.divisions import SeasonSettings
 from league.matchmaking.pairing import heat_spec
-from league.matchmaking.pairing.heat_spec import mirrored
+from league.matchmaking.pairing.heat_spec import Half, Heat, mirrored
 from league.matchmaking.store import (
     HeatOutcome,
     Move,
@@ -29,7 +29,7 @@ DRIVER = 77
 """The entry that visitors look at: its heats have results and recordings, too."""
 CARD = checkpoint.load(Path(__file__).parents[1] / "garage" / "racer.pt").text
 """What each entry's card says."""
-RACING = 400
+RACING = 80
 """Entries that the season's further heats are drawn from."""
 
 
@@ -64,7 +64,7 @@ def _enter(url: str, count: int) -> None:
 def _entry(number: int) -> dict[str, object]:
     return {
         "number": number,
-        "id": heat_spec.digest(f"entry {number}".encode()),
+        "id": _id(number),
         "name": f"driver {number}",
         "owner": number,
         "kind": "policy",
@@ -74,6 +74,10 @@ def _entry(number: int) -> dict[str, object]:
         "card": CARD,
         "created_s": float(number),
     }
+
+
+def _id(number: int) -> str:
+    return heat_spec.digest(f"entry {number}".encode())
 
 
 def _record(url: str, heats: int, outcome: RaceOutcome) -> None:
@@ -113,26 +117,30 @@ def _begin_season(league: Store, strengths: np.ndarray, heats: int) -> None:
     )
 
 
-def race_on(
-    url: str, outcome: RaceOutcome, heats_a_second: float, stop: threading.Event, draw: int = 1
-) -> None:
-    """Plan, claim and complete heats of two entries until `stop`.
+def race_heat(league: Store, outcome: RaceOutcome, draw: int) -> None:
+    """Plan, claim and complete a heat of two entries; `draw` tells it from others."""
+    one = draw % RACING
+    other = (one + 1 + draw // RACING % (RACING - 1)) % RACING
+    tracks = stores.RULES.tracks[0], stores.RULES.tracks[0]
+    league.plan([mirrored(stores.RULES.hash, tracks, (_id(one + 1), _id(other + 1)), draw)])
+    for claim in league.claim("bench", 1):
+        league.complete("bench", [HeatOutcome(claim.heat.key, (outcome, outcome))])
 
-    Args:
-        url: of the league.
-        outcome: of each race.
-        heats_a_second: how many, if the machine is fast enough.
-        stop: ends it.
-        draw: tells these heats from others.
-    """
+
+def race_cup_heat(league: Store, outcome: RaceOutcome) -> int:
+    """Race a heat of many cars that counts for no rating, and return its number."""
+    grid = tuple(_id(number) for number in range(1, len(outcome.places) + 1))
+    heat = Heat(stores.RULES.hash, (Half(stores.RULES.tracks[0], grid),), purpose="cup")
+    league.plan([heat])
+    (claim,) = league.claim("bench", 1)
+    league.complete("bench", [HeatOutcome(heat.key, (outcome,))])
+    return claim.number
+
+
+def race_on(
+    url: str, outcome: RaceOutcome, heats_a_second: float, stop: threading.Event, draw: int
+) -> None:
+    """Race so many heats a second, if the machine is fast enough, until `stop`."""
     with Store(url) as league:
-        ids = [entry.id for entry in league.entries()[:RACING]]
-        tracks = stores.RULES.tracks[0], stores.RULES.tracks[0]
         while not stop.wait(1 / heats_a_second):
-            draw += 1
-            pair = ids[draw % len(ids)], ids[(draw * 7 + 1) % len(ids)]
-            if pair[0] == pair[1]:
-                continue
-            league.plan([mirrored(stores.RULES.hash, tracks, pair, draw)])
-            for claim in league.claim("bench", 1):
-                league.complete("bench", [HeatOutcome(claim.heat.key, (outcome, outcome))])
+            race_heat(league, outcome, draw := draw + 1)

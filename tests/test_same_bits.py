@@ -24,7 +24,7 @@ RECORDED = {
     "bots": "b9b1aaa07903f5c3",
     "boxes": "6a37e0ddcadea74d",
     "crowd": "5012b75e6d93271e",
-    "meeting": "f2e742af753282e5",
+    "meeting": "24cc78afdbc48a75",
     "policy": "9bbdda3c3ab6207c",
     "race": "f0970a467f4b4893",
 }

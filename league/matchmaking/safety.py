@@ -96,8 +96,8 @@ def _rated(drives: Drives, tracks: Sequence[str]) -> Record:
     newest = np.arange(len(drives.entry)) - np.repeat(first, counts) < RACES
     drives, ends = drives.where(newest), np.cumsum(np.minimum(counts, RACES))
     per_cm = np.zeros(len(tracks))
-    for index in np.unique(drives.track):
-        track = files.load(tracks[int(index)])
+    for index in map(int, np.unique(drives.track)):
+        track = files.load(tracks[index])
         per_cm[index] = corners(track) / track.length / 100
     turned, found = drives.distance_cm * per_cm[drives.track], {}
     for entry, begin, end in zip(entries.tolist(), np.append(0, ends), ends, strict=False):

@@ -227,6 +227,22 @@ def test_the_live_page_shows_what_was_raced_since_it_was_opened(browser, origin,
     assert complaints == []
 
 
+def test_home_names_a_heat_as_soon_as_it_races(browser, origin, store, complaints):
+    page = opened(browser, origin, complaints)
+    page.goto("/")
+    now = page.locator("section", has=page.get_by_role("heading", name="Racing now"))
+    expect(now).to_contain_text("No heat races at this moment")
+    (claim,) = store.claim("a worker", 1)
+    try:
+        link = now.locator(f"a[href='/heats/{claim.number}']")
+        expect(link).to_be_visible(timeout=20_000)
+        link.click()
+        expect(page.get_by_role("status")).to_contain_text("a worker races it now")
+    finally:
+        store.fail("a worker", claim.heat.key, "", lost=True)
+    assert complaints == []
+
+
 def test_everything_but_the_player_works_without_javascript(browser, origin, complaints, store):
     page = opened(browser, origin, complaints, java_script_enabled=False)
     page.goto("/standings")

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from league.agents import checkpoint
 from league.cli import main
-from league.matchmaking import loop
+from league.matchmaking import loop, submission
 from league.matchmaking.pairing.matchmaker import Matchmaker
 from league.matchmaking.store import Store
 from league.matchmaking.workers.dispatcher import Dispatcher
@@ -107,3 +108,35 @@ def test_a_form_on_another_site_cannot_submit(browser: Browser, store, packed, c
         assert "was not sent from this page" in page.get_by_role("alert").inner_text()
         page.context.close()
     assert len(store.entries()) == 2
+
+
+@pytest.mark.parametrize("scripts", [True, False])
+def test_an_owner_retires_a_driver_and_a_refused_form_keeps_its_input(
+    browser: Browser, store, packed, complaints, scripts
+):
+    secret, token = store.tokens.create("ann", ("submit",))
+    submission.accept(store, Path(packed).read_bytes(), "Ann's car", token.owner)
+    with serving(store) as origin:
+        page = opened(browser, origin, complaints, java_script_enabled=scripts)
+        page.goto("/drivers/3")
+        page.get_by_role("link", name="retire it").click()
+        page.get_by_label("Token").fill("league_wrong")
+        page.get_by_label("Reason").fill("a better one is coming")
+        page.get_by_role("button", name="Retire").click()
+        expect(page.locator("input:invalid")).to_have_attribute("name", "sure")
+        page.get_by_label("there is no way back").check()
+        page.get_by_role("button", name="Retire").click()
+        expect(page.get_by_role("alert")).to_contain_text("This token is not known")
+        assert page.get_by_label("Reason").input_value() == "a better one is coming"
+        assert page.get_by_label("Token").input_value() == ("league_wrong" if scripts else "")
+        assert page.get_by_label("no way back").is_checked() == scripts
+        complaints.clear()  # the browser logs each answer of 401
+        page.get_by_label("Token").fill(secret)
+        page.get_by_label("no way back").check()
+        page.get_by_role("button", name="Retire").click()
+        expect(page.get_by_role("heading", level=1)).to_have_text("Ann's car is retired")
+        expect(page.get_by_role("status")).to_contain_text("a better one is coming")
+        page.context.close()
+    entry = store.entry("Ann's car")
+    assert (entry.state, entry.reason) == ("retired", "a better one is coming")
+    assert complaints == []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 
-from league.matchmaking import loop
+from league.matchmaking import cups, divisions, loop, seasons
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.pairing.matchmaker import Matchmaker
@@ -36,6 +36,22 @@ def queued_league(url: str) -> Store:
         submitted(store, name, seed=number, senses="blind")
     pairs = [*itertools.combinations([entry.id for entry in store.entries()], 2)]
     store.plan([heat_spec.mirrored(SHORT.hash, TRACKS, pair) for pair in [*pairs, pairs[0][::-1]]])
+    return store
+
+
+def seasoned_league(url: str) -> Store:
+    """Return a league with a season that is over, a cup in it, and a season that is running."""
+    store = new_league(url, anchors=("centerline", "racing_line"), rules=RULES)
+    store.submit(NAME, OWNER, scripted="cautious")
+    store.submit("blocks", "someone", scripted="blocker")
+    worker, season = Dispatcher(store, Here()), Matchmaker(store, same_owner=True)
+    seasons.start(store, "Spring", divisions.SeasonSettings(division_size=2))
+    loop.run(store, worker, season, heats=16)
+    cups.start(store, "May Cup", anchors=True)
+    loop.run(store, worker, season, heats=8)
+    seasons.end(store)
+    seasons.start(store, "Summer", divisions.SeasonSettings(division_size=2))
+    loop.run(store, worker, season, heats=6)
     return store
 
 

@@ -183,6 +183,20 @@ def test_only_get_and_head_are_answered(client, method):
     assert client.head("/standings").content == b""
 
 
+def test_a_static_file_is_sent_packed_and_only_if_the_browser_has_another_one(client):
+    first = client.get("/static/player.js")
+    assert (first.status_code, first.headers["content-encoding"]) == (200, "gzip")
+    assert first.headers["cache-control"] == "no-cache"
+    plain = client.get("/static/player.js", headers={"accept-encoding": "identity"})
+    assert "content-encoding" not in plain.headers and plain.content == first.content
+    known = {"if-none-match": first.headers["etag"]}
+    again = client.get("/static/player.js", headers=known)
+    assert (again.status_code, again.content) == (304, b"")
+    other = client.get("/static/style.css", headers=known)
+    assert other.status_code == 200 and other.headers["etag"] != first.headers["etag"]
+    assert client.head("/static/player.js").content == b""
+
+
 def test_another_host_name_is_refused(client):
     assert client.get("/", headers={"host": "evil.example"}).status_code == 400
 

@@ -8,31 +8,15 @@ from collections.abc import Iterator
 import pytest
 from starlette.testclient import TestClient
 
-from league.matchmaking import cups, divisions, loop, seasons
-from league.matchmaking.pairing.matchmaker import Matchmaker
 from league.matchmaking.store import Store
-from league.matchmaking.workers.dispatcher import Dispatcher
 from league.web import site
 from league.web.app import make_app
-from tests.matchmaking.season_kit import Here, new_league
-from tests.web.small_league import NAME, ORIGIN, OWNER, RULES
+from tests.web.small_league import NAME, ORIGIN, RULES, new_league, seasoned_league
 
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory) -> Iterator[Store]:
-    """A league with a season that is over, a cup in it, and a season that is running."""
-    url = f"sqlite:///{tmp_path_factory.mktemp('seasons') / 'league.db'}"
-    with new_league(url, anchors=("centerline", "racing_line"), rules=RULES) as store:
-        store.submit(NAME, OWNER, scripted="cautious")
-        store.submit("blocks", "someone", scripted="blocker")
-        worker, season = Dispatcher(store, Here()), Matchmaker(store, same_owner=True)
-        seasons.start(store, "Spring", divisions.SeasonSettings(division_size=2))
-        loop.run(store, worker, season, heats=16)
-        cups.start(store, "May Cup", anchors=True)
-        loop.run(store, worker, season, heats=8)
-        seasons.end(store)
-        seasons.start(store, "Summer", divisions.SeasonSettings(division_size=2))
-        loop.run(store, worker, season, heats=6)
+    with seasoned_league(f"sqlite:///{tmp_path_factory.mktemp('seasons') / 'league.db'}") as store:
         yield store
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from league.racing.table import Evaluation
     from league.training.config import TrainConfig
-    from league.training.monitor.history import EvaluationRow, History, Row
+    from league.training.monitor.history import EvaluationRow, Row, TrainingHistory
     from league.training.ppo.learner import Update
 
 PLAIN_EVERY_S = 5.0
@@ -55,7 +55,7 @@ class Dashboard(TrainingCallback):
         self._kind, self._name = cfg.kind.replace("_", " "), name
         self._budget_s, self._budget_steps = budget_s, budget_steps
         self._console = console = console or Console()
-        self._history: History | None = None
+        self._history: TrainingHistory | None = None
         self._updated_s = self._printed_s = time.monotonic()
         self._racing = ""
         self._live: Live | None = None
@@ -67,14 +67,14 @@ class Dashboard(TrainingCallback):
         else:
             self._print(f"training {name}: {self._kind}, {cfg.num_worlds} worlds")
 
-    def update(self, history: History, update: Update) -> None:
+    def update(self, history: TrainingHistory, update: Update) -> None:
         """Show an update."""
         self._history, self._updated_s = history, time.monotonic()
         if self._live is None and self._updated_s - self._printed_s >= PLAIN_EVERY_S:
             self._printed_s = self._updated_s
             self._print(update_line(history, self._budget_s, self._budget_steps))
 
-    def evaluated(self, history: History, evaluation: Evaluation) -> None:
+    def evaluated(self, history: TrainingHistory, evaluation: Evaluation) -> None:
         """Show an evaluation."""
         self._history, self._updated_s = history, time.monotonic()
         self._refresh(_evaluation_line(history.evaluations[-1]))
@@ -153,7 +153,7 @@ class Dashboard(TrainingCallback):
         return grid
 
 
-def _charts(history: History, width: int) -> RenderableType:
+def _charts(history: TrainingHistory, width: int) -> RenderableType:
     """Return the curves of reward and completion, in a row or, where it is narrow, in a column."""
     from rich.console import Group
     from rich.table import Table
@@ -190,7 +190,9 @@ def _charts(history: History, width: int) -> RenderableType:
     return grid
 
 
-def _curve(history: History, rows: Sequence[Row], name: str, width: int) -> list[float | None]:
+def _curve(
+    history: TrainingHistory, rows: Sequence[Row], name: str, width: int
+) -> list[float | None]:
     """Return a metric over the time of training, in so many columns."""
     values = [getattr(row, name) for row in rows]
     return resampled(history.learnt_s(rows), values, history.updates[-1].time_s, width)
@@ -210,7 +212,7 @@ def _chart(
     return text
 
 
-def _best_mark(history: History, width: int) -> str:
+def _best_mark(history: TrainingHistory, width: int) -> str:
     """Return the line below the evaluations, with a star below the best model."""
     best = history.best
     if best is None:
@@ -224,7 +226,7 @@ def _best_mark(history: History, width: int) -> str:
     return " " * max(column - len(left) + 1, 0) + left
 
 
-def _figures(history: History) -> RenderableType:
+def _figures(history: TrainingHistory) -> RenderableType:
     from rich.table import Table
     from rich.text import Text
 
@@ -260,7 +262,7 @@ def _figures(history: History) -> RenderableType:
     return grid
 
 
-def update_line(history: History, budget_s: float | None, budget_steps: int | None) -> str:
+def update_line(history: TrainingHistory, budget_s: float | None, budget_steps: int | None) -> str:
     """Return the last update as one line of ASCII."""
     row = history.updates[-1]
     parts = [
@@ -301,7 +303,7 @@ def _evaluation_line(row: EvaluationRow) -> str:
 
 
 def left_s(
-    history: History | None, budget_s: float | None, budget_steps: int | None
+    history: TrainingHistory | None, budget_s: float | None, budget_steps: int | None
 ) -> float | None:
     """Return the time until a limit is reached [s]; None without a limit, or without a speed."""
     times = []
@@ -316,7 +318,7 @@ def left_s(
     return max(min(times), 0.0) if times else None
 
 
-def speed(history: History) -> float:
+def speed(history: TrainingHistory) -> float:
     """Return decisions per second of collecting and learning, over the last updates."""
     recent = history.updates[-RECENT:]
     before = history.updates[-RECENT - 1].samples if len(history.updates) > RECENT else 0
@@ -324,7 +326,7 @@ def speed(history: History) -> float:
     return (recent[-1].samples - before) / took if took > 0 else 0.0
 
 
-def shares(history: History) -> dict[str, float]:
+def shares(history: TrainingHistory) -> dict[str, float]:
     """Return shares of the wall time, 0 to 1; `worlds` is the rollouts."""
     spent = {
         "worlds": sum(row.collect_s for row in history.updates),
@@ -336,7 +338,7 @@ def shares(history: History) -> dict[str, float]:
     return {name: part / whole for name, part in spent.items()}
 
 
-def self_play(history: History) -> str:
+def self_play(history: TrainingHistory) -> str:
     """Return how self-play comes along as a phrase; empty without self-play."""
     log = history.updates[-1].log
     pace, clean = log.get("/race/pace"), log.get("/race/clean")

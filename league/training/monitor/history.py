@@ -112,7 +112,7 @@ Row = UpdateRow | EvaluationRow
 _ROW: TypeAdapter[Row] = TypeAdapter(Annotated[Row, Discriminator("row")])
 
 
-class History:
+class TrainingHistory:
     """The rows of a run, in memory and, if it has a path, in a file that is appended to."""
 
     def __init__(self, path: Path | None = None, rows: Iterable[Row] = ()) -> None:
@@ -132,7 +132,7 @@ class History:
             self._file = path.open("ab")
 
     @classmethod
-    def resumed(cls, path: Path, number: int) -> History:
+    def resumed(cls, path: Path, number: int) -> TrainingHistory:
         """Continue a run's file after an update; rows of later updates are removed.
 
         Raises:
@@ -289,11 +289,11 @@ def _line(row: Row) -> bytes:
 class TrainingCallback(Protocol):
     """Shows or writes the metrics of a run, which is the same without it."""
 
-    def update(self, history: History, update: Update) -> None:
+    def update(self, history: TrainingHistory, update: Update) -> None:
         """Called after an update, which is the last row of the history."""
         ...
 
-    def evaluated(self, history: History, evaluation: Evaluation) -> None:
+    def evaluated(self, history: TrainingHistory, evaluation: Evaluation) -> None:
         """Called after an evaluation, which is the last row of the history."""
         ...
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from league.racing.table import Evaluation
-    from league.training.monitor.history import History, Row
+    from league.training.monitor.history import Row, TrainingHistory
     from league.training.ppo.learner import Update
 
 EVERY_S = 60.0
@@ -32,13 +32,13 @@ class TrainingPlot(TrainingCallback):
     def __init__(self, path: Path, *, every_s: float = EVERY_S) -> None:
         self._path, self._every_s = path, every_s
         self._drawn_s = time.monotonic()
-        self._history: History | None = None
+        self._history: TrainingHistory | None = None
 
-    def update(self, history: History, update: Update) -> None:
+    def update(self, history: TrainingHistory, update: Update) -> None:
         """Keep the history for the plot at the end."""
         self._history = history
 
-    def evaluated(self, history: History, evaluation: Evaluation) -> None:
+    def evaluated(self, history: TrainingHistory, evaluation: Evaluation) -> None:
         """Draw, if the last plot is old enough."""
         self._history = history
         if time.monotonic() - self._drawn_s >= self._every_s:
@@ -52,7 +52,7 @@ class TrainingPlot(TrainingCallback):
             draw(history, self._path)
 
 
-def draw(history: History, path: Path) -> None:
+def draw(history: TrainingHistory, path: Path) -> None:
     """Write the curves of a run as a PNG, whole or not at all.
 
     Raises:
@@ -61,7 +61,7 @@ def draw(history: History, path: Path) -> None:
     figures.save(figure(history), path, "the plot of the training", PolicyError)
 
 
-def figure(history: History) -> Figure:
+def figure(history: TrainingHistory) -> Figure:
     """Return the three curves over the time of training, with samples along the upper edge.
 
     Time and not samples, since a teacher may decide 20 times as often in the same time as the
@@ -88,7 +88,7 @@ def figure(history: History) -> Figure:
     return drawn
 
 
-def _lines(history: History, completion: Axes, reward: Axes) -> list[Any]:
+def _lines(history: TrainingHistory, completion: Axes, reward: Axes) -> list[Any]:
     updates, evaluations = history.updates, history.evaluations
     dots: dict[str, Any] = {
         "marker": "o",
@@ -118,7 +118,7 @@ def _lines(history: History, completion: Axes, reward: Axes) -> list[Any]:
     return lines
 
 
-def _shade_teacher(history: History, axes: Axes) -> None:
+def _shade_teacher(history: TrainingHistory, axes: Axes) -> None:
     """Shade the time in which the teacher learnt: until then the curves are the teacher's."""
     taught_s = [row.time_s for row in history.updates if TEACHING in row.log]
     if not taught_s:
@@ -136,7 +136,7 @@ def _shade_teacher(history: History, axes: Axes) -> None:
     )
 
 
-def _mark_best(history: History, axes: Axes) -> None:
+def _mark_best(history: TrainingHistory, axes: Axes) -> None:
     best = history.best
     if best is None:
         return
@@ -172,7 +172,7 @@ def _mark_best(history: History, axes: Axes) -> None:
     )
 
 
-def _label_axes(history: History, completion: Axes, reward: Axes) -> None:
+def _label_axes(history: TrainingHistory, completion: Axes, reward: Axes) -> None:
     from matplotlib.ticker import PercentFormatter
 
     completion.set_ylim(0, 104)
@@ -190,7 +190,7 @@ def _label_axes(history: History, completion: Axes, reward: Axes) -> None:
     _ticks(history, completion)
 
 
-def _ticks(history: History, axes: Axes) -> None:
+def _ticks(history: TrainingHistory, axes: Axes) -> None:
     """Mark round times along the lower edge, and the samples by then along the upper one."""
     import numpy as np
     from matplotlib.ticker import EngFormatter
