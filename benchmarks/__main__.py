@@ -32,64 +32,61 @@ NAMES = (
     "mutants",
 )
 BY_NAME_ONLY = ("mutants",)
-"""Run only when they are named: they need a package of their own and an hour."""
+"""Run only when they are named: they need a package of their own and half an hour."""
 PAGE = Path(__file__).parents[1] / "docs" / "benchmarks.md"
 INTRODUCTION = """# Benchmarks
 
-`python -m benchmarks --write` writes this page; with names, `--write cameras races`, it replaces
-these sections only. What stands under "Written by hand" is kept. Each benchmark in `benchmarks/`
+`python -m benchmarks --write` writes this page and those it links to; with names, `--write cameras
+races`, these alone. What stands under "Written by hand" is kept. Each benchmark in `benchmarks/`
 checks that its result is sane. Times are wall time unless a row says otherwise; ratios are taken
 side by side in one run. The machine is shared, and its pace drifts by 20 % and more, so a figure
 near its goal may fall on either side of it.
 """
 BY_HAND = "# Written by hand"
-MISSED = re.compile(r"^\| (.+?) \| (.+?) \| (.+?) \| not met \|$", re.MULTILINE)
+WITH_GOAL = re.compile(r"^\| *(.+?) \| (.+?) \| ([≤≥].+?) \| (met|not met) \|$", re.MULTILINE)
 
 
-def sections(page: str) -> tuple[dict[str, str], str]:
-    """Return the sections of a page by the name of their benchmark, and what is written by hand."""
-    generated, _, by_hand = page.partition(f"\n{BY_HAND}\n")
-    parts = re.split(r"^## (\w+)$", generated, flags=re.MULTILINE)
-    found = dict(zip(parts[1::2], (text.strip() for text in parts[2::2]), strict=True))
-    return found, by_hand.strip()
+def folder() -> Path:
+    """Return the folder of the pages with everything that a benchmark prints."""
+    return PAGE.with_suffix("")
 
 
-def page_of(found: dict[str, str], by_hand: str = "") -> str:
-    """Return the page that is made of sections, with all goals that were missed at its head."""
-    missed = [
-        f"| {name} | {figure} | {measured} | {goal} |"
-        for name in NAMES
-        for figure, measured, goal in MISSED.findall(found.get(name, ""))
-    ]
-    head = (
-        ["| benchmark | figure | measured | goal |", "|---|---|--:|--:|"] if missed else ["None."]
-    )
-    bodies = [f"## {name}\n\n{found[name]}" for name in NAMES if name in found]
-    return (
-        "\n".join((INTRODUCTION, "# Goals that were missed\n", *head, *missed, "", "# Figures", ""))
-        + "\n\n".join(("", *bodies, *((BY_HAND, by_hand) if by_hand else ())))
-        + "\n"
-    )
+def summary(by_hand: str) -> str:
+    """Return the page that has all figures with a goal, those that missed it first."""
+    rows: dict[str, list[str]] = {"met": [], "not met": []}
+    links = []
+    for name in NAMES:
+        page = folder() / f"{name}.md"
+        if page.exists():
+            links.append(link := f"[{name}]({folder().name}/{page.name})")
+            for figure, measured, goal, met in WITH_GOAL.findall(page.read_text(encoding="utf-8")):
+                rows[met].append(f"| {link} | {figure} | {measured} | {goal} |")
+    lines = [INTRODUCTION, f"Everything they print: {', '.join(links)}."]
+    for title, met in (("Goals that were missed", "not met"), ("Goals that were met", "met")):
+        head = ["| benchmark | figure | measured | goal |", "|---|---|--:|--:|"]
+        lines += ["", f"# {title}", "", *(head + rows[met] if rows[met] else ["None."])]
+    return "\n".join((*lines, "", BY_HAND, "", by_hand)) + "\n"
 
 
 def write(name: str, text: str) -> None:
-    """Replace one section of the page."""
+    """Write the page of one benchmark, and the page that has all goals."""
     source = sys.modules[f"benchmarks.{name}"].__doc__ or ""
-    summary = source.split("\n\n")[0].replace("\n", " ")
-    command = f"`python -m benchmarks {name}`, {datetime.now(UTC):%Y-%m-%d}"
-    head = f"{summary}\n\n{command}; {report.machine()}."
+    first = source.split("\n\n")[0].replace("\n", " ")
+    command = f"`python -m benchmarks {name}`, {datetime.now(UTC):%Y-%m-%d}; {report.machine()}."
+    folder().mkdir(exist_ok=True)
+    with replacing(folder() / f"{name}.md", "the page", LeagueError) as new:
+        new.write_text(f"# {name}\n\n{first}\n\n{command}\n\n{text}\n", encoding="utf-8")
     page = PAGE.read_text(encoding="utf-8") if PAGE.exists() else ""
-    found, by_hand = sections(page)
-    found[name] = f"{head}\n\n{text}"
+    _, _, by_hand = page.partition(f"\n{BY_HAND}\n")
     with replacing(PAGE, "the page", LeagueError) as new:
-        new.write_text(page_of(found, by_hand), encoding="utf-8")
+        new.write_text(summary(by_hand.strip()), encoding="utf-8")
 
 
 def main() -> None:
     """Run benchmarks, and write the page if asked to."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(NAMES)}")
-    parser.add_argument("--write", action="store_true", help=f"write {PAGE.name}")
+    parser.add_argument("--write", action="store_true", help="write docs/benchmarks.md")
     given = parser.parse_args()
     unknown = set(given.names) - set(NAMES)
     if unknown:

@@ -372,7 +372,7 @@ def show(row: Row, against: Path | None, rounds: int) -> dict[str, float] | None
     # On a shared machine the clock on the wall shows the others' work too.
     wall_goal, goal = (row.goal, None) if row.threads > 1 else (None, row.goal)
     figure(f"{row.title} (checksum {int(ours['check']):08x})", ours["wall"], row.unit, wall_goal)
-    figure("  by processor time", ours["processor"], row.unit, goal)
+    figure(f"{row.title}, by processor time", ours["processor"], row.unit, goal)
     if against is not None and theirs is not None:
         figure("  the other checkout", theirs["wall"], row.unit)
         for clock in ("wall", "processor"):

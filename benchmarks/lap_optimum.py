@@ -13,6 +13,9 @@ forces of vehicle.py, with its controls and nothing that corrects them.
 Needs the extra `optimum`: pip install -c constraints.txt -e '.[optimum]'.
 """
 
+# The checker does not know the arguments of compiled functions.
+# pyright: reportCallIssue=false
+
 from __future__ import annotations
 
 import importlib.util

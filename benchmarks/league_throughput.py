@@ -18,7 +18,6 @@ from math import nan
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Literal
 
 from benchmarks.report import figure, heading, note
 from league import subprocesses
@@ -32,6 +31,7 @@ from league.matchmaking.workers import make_executor, processes
 from league.matchmaking.workers.dispatcher import Dispatcher, heat_driver
 from league.matchmaking.workers.worker import HeatJob, RaceWorker
 from league.racing import race
+from league.sim.config import SolverName
 
 GOAL_A_DAY, GOAL_A_DAY_PLANAR = 150_000, 500_000
 MINUTE_S = 60.0
@@ -53,9 +53,7 @@ def policies(paths: list[str]) -> list[Checkpoint]:
     return (seeing * 2)[:2]
 
 
-def league(
-    folder: Path, drivers: list[Checkpoint], solver: Literal["planar", "bullet"] = "bullet"
-) -> Store:
+def league(folder: Path, drivers: list[Checkpoint], solver: SolverName = "bullet") -> Store:
     """Return a league in which the drivers wait to be paired, and no others."""
     store = create(f"sqlite:///{folder / f'{solver}.db'}", ruleset=Ruleset(laps=3, solver=solver))
     for number, one in enumerate(drivers):
@@ -122,9 +120,9 @@ def batching(store: Store, repeats: int = 3) -> None:
     figure("both halves as one batch instead of in turn", statistics.median(ratios), "x faster")
 
 
-def throughput(store: Store, seconds: float, workers: int, goal: float) -> None:
+def throughput(store: Store, solver: SolverName, seconds: float, workers: int, goal: float) -> None:
     """Print duels of a minute a day, whole: matchmaker, store, replays, ratings and all."""
-    planner = matchmaker.Season(store)
+    planner = matchmaker.Matchmaker(store)
     with closing(make_executor("processes", workers)) as executor:
         dispatcher = Dispatcher(store, executor)
         loop.run(store, dispatcher, planner, heats=2 * workers)  # workers have warmed up
@@ -136,7 +134,7 @@ def throughput(store: Store, seconds: float, workers: int, goal: float) -> None:
     figure(
         "one worker, matchmaker and store left out", tally.race_s / tally.worker_s, "x real time"
     )
-    figure("rated duels of a minute, a day, workers warm", 86_400 * minutes / wall_s, "duels", goal)
+    figure(f"rated one-minute duels a day, {solver}", 86_400 * minutes / wall_s, "duels", goal)
     figure("heats raced", tally.heats, "heats")
 
 
@@ -173,7 +171,7 @@ def _started(count: int, start: Callable[..., BaseProcess]) -> tuple[float, floa
 
 
 def starting(workers: int = 4) -> None:
-    """Print how soon workers are ready, next to processes that each load torch for themselves."""
+    """Print how soon workers are ready, next to processes that each load the whole league."""
     spawning = multiprocessing.get_context("spawn")
 
     def alone(target: Callable[..., None], pipe: Connection) -> BaseProcess:
@@ -182,11 +180,11 @@ def starting(workers: int = 4) -> None:
         return process
 
     each_s, each_mb = _started(workers, alone)
-    subprocesses.prepare()
+    subprocesses.prepare(processes.MODULES)
     first_s, _ = _started(1, subprocesses.start)
     served_s, served_mb = _started(workers, subprocesses.start)
     note(f"{workers} workers, all ready; the first of a server after {first_s:.2f} s:")
-    figure("  each loads torch for itself", each_s, "s")
+    figure("  each loads the league for itself", each_s, "s")
     figure("  forked off a server that has", served_s, "s")
     figure("  how much sooner", each_s / served_s, "x")
     figure("  memory of the first kind", each_mb, "MB")
@@ -205,10 +203,10 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder, league(Path(folder), drivers) as store:
         shares(store)
         batching(store)
-        throughput(store, 60.0, os.cpu_count() or 1, GOAL_A_DAY)
+        throughput(store, "bullet", 60.0, os.cpu_count() or 1, GOAL_A_DAY)
     note("The same policies under a planar ruleset:")
     with tempfile.TemporaryDirectory() as folder, league(Path(folder), drivers, "planar") as store:
-        throughput(store, 30.0, os.cpu_count() or 1, GOAL_A_DAY_PLANAR)
+        throughput(store, "planar", 30.0, os.cpu_count() or 1, GOAL_A_DAY_PLANAR)
 
 
 if __name__ == "__main__":

@@ -1,32 +1,43 @@
 """How many small faults in the code the tests catch: mutation testing with Cosmic Ray.
 
 A mutant is the code with one change: another comparison, another operator, a number one higher, a
-loop that never runs. The tests of its part should fail. Run it with `make mutants`; it takes an
-hour or more. Parts are chosen for what a fault in them would spoil: races, ratings and results.
+loop that never runs. The tests of its part should fail. Run it with `make mutants`; it takes half
+an hour. Parts are chosen for what a fault in them would spoil: races, ratings and results.
 
 The compiled modules run as plain Python (benchmarks/plain_python.py). Tests that take longer than
 a second that way are left out, and so are those that fail without a mutant; types in annotations,
 decorators and changes that Python refuses to parse are no mutants.
+
+A mutant of a function's body is put into the functions of a fork of one pytest session
+(benchmarks/mutant_trials.py); another one, of a constant say, is imported by a session of its own.
+`python -m benchmarks.mutants referee store` tries these parts alone. runs/mutants/ shows which test
+caught which mutant as they come; what is there and has not changed is not tried again
+(benchmarks/mutant_results.py).
 """
 
 import ast
 import difflib
+import gc
+import hashlib
 import os
 import random
 import re
 import shutil
-import signal
 import sys
 import tempfile
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from contextlib import chdir, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch  # noqa: F401  # loaded once, for all forks
 
+from benchmarks import mutant_trials as trials
+from benchmarks.mutant_results import Results, name_of
+from benchmarks.mutant_trials import Loop, first_failure, put, replacements
 from benchmarks.report import figure, heading, note, table
 from league.errors import LeagueError
 
@@ -36,8 +47,8 @@ SAMPLE = 40
 SEED = 0
 GOAL = 85.0
 """Share that should be caught [%]."""
-LONGEST_S = 3600
-"""Wall time after which a mutant counts as caught, too; see plain_python.LONGEST_S."""
+LONGEST_S = 120
+"""Wall time after which a test of a second counts as failed: the mutant does not end."""
 
 
 @dataclass(frozen=True)
@@ -50,19 +61,24 @@ class Part:
     """Files of tests/."""
     plain: bool = True
     """Whether compiled functions run as plain Python."""
+    compiled: tuple[str, ...] = ()
+    """Tests that would take too long so; they try what is not compiled as it is."""
 
 
 PARTS = {
-    "referee": Part(("sim/referee.py",), ("sim/test_referee.py", "sim/test_blame.py")),
+    "referee": Part(
+        ("sim/referee.py",), ("sim/test_referee.py", "sim/test_blame.py", "sim/test_pursuit.py")
+    ),
     "blame": Part(("sim/blame.py",), ("sim/test_blame.py", "sim/test_referee.py")),
     "collision": Part(("sim/physics/collision.py",), ("sim/test_contact.py", "sim/test_planar.py")),
     "bullet": Part(("sim/physics/bullet.py",), ("sim/test_bullet.py",)),
     "rewards": Part(
-        ("envs/rewards.py",), ("envs/test_rewards.py", "envs/test_racing_line_reward.py")
+        ("envs/rewards.py",), ("envs/test_rewards.py",),
+        compiled=("envs/test_racing_line_reward.py",),
     ),
     "observations": Part(
-        ("envs/observations.py", "envs/sensor_suite.py"),
-        ("envs/test_observations.py", "envs/test_sensor_suite.py"),
+        ("envs/observations.py", "envs/sensor_suite.py"), ("envs/test_observations.py",),
+        compiled=("envs/test_sensor_suite.py", "envs/test_sensor_history.py", "envs/test_truth.py"),
     ),
     "ratings": Part(
         ("matchmaking/ratings/fit.py", "matchmaking/ratings/systems.py",
@@ -74,7 +90,9 @@ PARTS = {
         ("matchmaking/store",),
         ("matchmaking/test_store.py", "matchmaking/test_store_blobs.py",
          "matchmaking/test_store_disputes.py", "matchmaking/test_store_integrity.py",
-         "matchmaking/test_store_keys.py", "matchmaking/test_store_reliability.py"),
+         "matchmaking/test_store_keys.py", "matchmaking/test_store_reliability.py",
+         "matchmaking/test_cups.py", "matchmaking/test_seasons.py", "matchmaking/test_tokens.py",
+         "matchmaking/test_safety.py"),
         plain=False,
     ),
     "checkpoint": Part(
@@ -98,15 +116,29 @@ _OTHERS = (
 WANTED = re.compile(rf"core/(Replace(\w+)Operator_({'|'.join(_PAIRS)})|{'|'.join(_OTHERS)})$")
 
 
-def annotated(source: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """Return where annotations begin and end, as (line, column)."""
-    found = []
-    for node in ast.walk(ast.parse(source)):
-        for name in ("annotation", "returns"):
-            if (one := getattr(node, name, None)) is not None:
-                ends = one.end_lineno, one.end_col_offset
-                found.append(((one.lineno, one.col_offset), ends))
-    return found
+Span = tuple[tuple[int, int], tuple[int, int]]
+"""Where something begins and ends, each as (line, column)."""
+
+
+def listed(field: Any) -> list[ast.AST]:
+    """Return the nodes of a field of a node: none, one or several."""
+    return field if isinstance(field, list) else [field] if field is not None else []
+
+
+def spans_of(path: Path, *fields: str) -> list[Span]:
+    """Return the spans of what stands in these fields of a file's syntax tree."""
+    nodes = [
+        one
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for name in fields
+        for one in listed(getattr(node, name, None))
+    ]
+    return [((n.lineno, n.col_offset), (n.end_lineno, n.end_col_offset)) for n in nodes]
+
+
+def within(spans: list[Span], one: Any) -> bool:
+    """Return whether a mutation begins in one of these spans of its file."""
+    return any(first <= one.start_pos < last for first, last in spans)
 
 
 def mutants(paths: list[Path]) -> list:
@@ -117,12 +149,11 @@ def mutants(paths: list[Path]) -> list:
     with use_db(":memory:", WorkDB.Mode.create) as session:
         init(paths, session, {})
         every = [item.mutations[0] for item in session.work_items]
-    spans = {path: annotated(path.read_text(encoding="utf-8")) for path in paths}
+    spans = {path: spans_of(path, "annotation", "returns") for path in paths}
     found = [
         one
         for one in every
-        if WANTED.match(one.operator_name)
-        and not any(first <= one.start_pos < last for first, last in spans[one.module_path])
+        if WANTED.match(one.operator_name) and not within(spans[one.module_path], one)
     ]
     return sorted(
         found, key=lambda m: (str(m.module_path), m.start_pos, m.operator_name, m.occurrence)
@@ -141,10 +172,12 @@ def written(one: Any) -> Generator[tuple[str, str]]:
 
 
 def sampled(found: list, number: int) -> Iterator:
-    """Return some mutations that Python can parse, drawn with the fixed seed."""
+    """Return some mutations that Python can parse, drawn with the fixed seed; not of decorators."""
     drawn = found.copy()
     random.Random(SEED).shuffle(drawn)
     for one in drawn:
+        if within(spans_of(one.module_path, "decorator_list"), one):
+            continue
         with written(one) as (_, mutated):
             try:
                 compile(mutated, "", "exec")
@@ -156,26 +189,70 @@ def sampled(found: list, number: int) -> Iterator:
             return
 
 
-def run_tests(arguments: list[str]) -> tuple[bool, str]:
-    """Return whether all tests pass, and what pytest prints.
+def in_functions(tried: list, results: Results, survivors: bool, session: pytest.Session) -> None:
+    """Try the mutants that change only bodies of functions, in forks of one session.
 
-    It runs in a fork of this process, which has loaded the large libraries once, and loads the
-    league from the working folder.
+    Args:
+        tried: the mutants.
+        results: of them.
+        survivors: keep those that are not caught as well.
+        session: with the tests.
     """
-    with tempfile.TemporaryFile("w+") as printed:
-        child = os.fork()
-        if child == 0:
-            os.dup2(printed.fileno(), 1)
-            os.dup2(printed.fileno(), 2)
-            signal.alarm(LONGEST_S)
-            for name in list(sys.modules):
-                if name.partition(".")[0] in ("league", "benchmarks"):
-                    del sys.modules[name]
-            sys.path.insert(0, os.getcwd())
-            os._exit(int(pytest.main(arguments)))
-        _, status = os.waitpid(child, 0)
-        printed.seek(0)
-        return status == 0, printed.read()
+    failure = first_failure(session.items, results.before, "")
+    if failure is not None:
+        raise LeagueError(f"without a mutant {failure} fails")
+    functions = trials.live_functions([one.module_path for one in tried])
+    # The collector of a fork would write to all objects, and so copy them.
+    gc.freeze()
+    for one in tried:
+        with written(one) as (source, mutated):
+            changed = replacements(functions, one.module_path, source, mutated)
+            if changed is not None:
+                known = results.before | results.all()
+                put_in = partial(put, changed)
+                failure = first_failure(session.items, known, name_of(one), put_in)
+                if failure or survivors:
+                    results.add(one, failure)
+
+
+def at_import(one: Any, options: list[str], results: Results) -> None:
+    """Try a mutant in a session of its own."""
+
+    def work(session: pytest.Session) -> None:
+        known = results.before | results.all()
+        results.add(one, first_failure(session.items, known, name_of(one)))
+
+    with written(one):
+        trials.session(options, Loop(work))
+    if name_of(one) not in results.all():
+        results.add(one, trials.ENDED)
+
+
+def try_all(name: str, part: Part, chosen: list, results: Results) -> None:
+    """Try the mutants of a part that have no result yet."""
+    common = ["-p", "no:cacheprovider", "-p", "benchmarks.plain_python", "-k", "not postgresql"]
+    common += ["-W", "ignore::RuntimeWarning", f"--timeout={LONGEST_S}", "--basetemp=temporary"]
+    for tests, plain in (part.compiled, False), (part.tests, part.plain):
+        if not tests:
+            continue
+        os.environ["MUTANTS_RECORD"] = str(Path.cwd() / f"{name}{int(plain)}.json")
+        os.environ["NUMBA_DISABLE_JIT"] = str(int(plain))
+        options = [*common, *(f"tests/{test}" for test in tests)]
+        trials.session(options)
+        work = partial(in_functions, results.left(chosen), results, tests is part.tests)
+        status, printed = trials.session(options, Loop(work))
+        if status:
+            raise LeagueError(f"the trials of {name} ended early:\n{printed}")
+    for one in results.left(chosen):
+        at_import(one, options, results)
+
+
+def digest_of(paths: list[Path]) -> str:
+    """Return a hash of files."""
+    digest = hashlib.sha256()
+    for path in paths:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 def tested(name: str, part: Part) -> tuple[int, int, int]:
@@ -183,44 +260,34 @@ def tested(name: str, part: Part) -> tuple[int, int, int]:
 
     The working folder is a copy of the repository; each mutant is written into it and taken back.
     """
-    os.environ["MUTANTS_RECORD"] = str(Path.cwd() / f"{name}.json")
-    os.environ["NUMBA_DISABLE_JIT"] = str(int(part.plain))
-    options = ["-p", "no:cacheprovider", "-p", "benchmarks.plain_python", "-k", "not postgresql"]
-    options += ["-W", "ignore::RuntimeWarning", *(f"tests/{test}" for test in part.tests)]
-    run_tests(options)
-    passed, printed = run_tests(["-x", *options])
-    if not passed:
-        raise LeagueError(f"the tests of {name} fail without a mutant:\n{printed}")
     given = [Path("league", module) for module in part.modules]
     paths = [
         path for one in given for path in (sorted(one.glob("*.py")) if one.is_dir() else [one])
     ]
-    tried = caught = 0
+    tests = [Path("tests", test) for test in (*part.tests, *part.compiled)]
     found = mutants(paths)
-    for one in sampled(found, SAMPLE):
-        with written(one) as (code, mutated):
-            survived, _ = run_tests(["-x", *options])
-        tried, caught = tried + 1, caught + (not survived)
-        if survived:
-            lines = difflib.ndiff(code.splitlines(), mutated.splitlines())
+    chosen = list(sampled(found, SAMPLE))
+    kept = ROOT / "runs" / "mutants" / f"{name}.json"
+    results = Results(kept, digest_of(paths), digest_of(tests))
+    if results.left(chosen):
+        try_all(name, part, chosen, results)
+    caught_by = results.all()
+    survivors = [one for one in chosen if caught_by[name_of(one)] is None]
+    for one in survivors:
+        with written(one) as codes:
+            lines = difflib.ndiff(*(code.splitlines() for code in codes))
             changed = [line for line in lines if line[:1] in "+-"]
-            print(f"survived: {one.module_path}:{one.start_pos[0]}", *changed, sep="\n  ")
-        print(f"{name}: {caught} of {tried} caught", flush=True)
-    return len(found), tried, caught
+            print(f"survived: {name_of(one)}", *changed, sep="\n  ", flush=True)
+    return len(found), len(chosen), len(chosen) - len(survivors)
 
 
-def main() -> None:
-    """Print the share of mutants caught, part by part."""
-    heading("Mutants caught by the tests")
-    note(
-        f"{SAMPLE} mutants of each part, drawn with seed {SEED}. Tests slower than a second "
-        "without compilation are left out; a test that they would fail counts as none."
-    )
-    rows = []
+@contextmanager
+def copied() -> Generator[None]:
+    """Have a copy of the repository as the working folder, from which children import."""
     environment = dict(os.environ)
     with tempfile.TemporaryDirectory() as folder:
         for name in ("league", "tests", "tracks", "garage", "benchmarks", "examples", "docs"):
-            left = shutil.ignore_patterns("__pycache__", "*.run")
+            left = shutil.ignore_patterns("*.pyc", "*.run")
             shutil.copytree(ROOT / name, Path(folder) / name, ignore=left)
         shutil.copy(ROOT / "pyproject.toml", folder)
         # Two mutants of one length within a second would share their bytecode.
@@ -228,12 +295,27 @@ def main() -> None:
         sys.dont_write_bytecode = True
         try:
             with chdir(folder):
-                rows = [(name, *tested(name, part)) for name, part in PARTS.items()]
+                yield
         finally:
             os.environ.clear()
             os.environ.update(environment)
+
+
+def main(names: Iterable[str] = tuple(PARTS)) -> None:
+    """Print the share of mutants caught, part by part."""
+    heading("Mutants caught by the tests")
+    note(
+        f"{SAMPLE} mutants of each part, drawn with seed {SEED}. Tests slower than a second "
+        "without compilation are left out; a test that they would fail counts as none."
+    )
+    with copied():
+        rows = [(name, *tested(name, PARTS[name])) for name in names]
     row = table("part", "mutants", "tried", "caught", "share")
     for name, number, tried, caught in rows:
         row(name, number, tried, caught, f"{100 * caught / tried:.0f} %")
-    tried, caught = (sum(one[k] for one in rows) for k in (2, 3))
+    tried, caught = (sum(int(one[k]) for one in rows) for k in (2, 3))
     figure(f"caught of {tried} sampled mutants", 100 * caught / tried, "%", GOAL)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:] or PARTS)

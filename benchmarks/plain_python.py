@@ -1,13 +1,14 @@
 """Plugin of pytest for mutants.py: compiled modules as plain Python, and only fast, sound tests.
 
 The first run writes the tests that pass within a second of processor time, which other programs
-hardly change, to the file $MUTANTS_RECORD; later runs leave the others out and begin with the
-fastest.
+hardly change, to the file $MUTANTS_RECORD, and stops those that take longer; later runs leave these
+out and begin with the fastest.
 """
 
 import json
 import os
 import resource
+import signal
 import sys
 from collections.abc import Generator
 from pathlib import Path
@@ -16,12 +17,8 @@ import numpy as np
 import pytest
 
 SLOW_S = 1.0
-LONGEST_S = 120
-"""Processor time after which a mutant counts as caught [s]: it does not end."""
 RECORD = Path(os.environ["MUTANTS_RECORD"])
 KNOWN: dict[str, float] | None = json.loads(RECORD.read_text()) if RECORD.exists() else None
-if KNOWN is not None:
-    resource.setrlimit(resource.RLIMIT_CPU, (LONGEST_S, LONGEST_S))
 took: dict[str, float] = {}
 """Processor time of each test, with its fixtures and processes [s]."""
 failed: set[str] = set()
@@ -63,13 +60,21 @@ def _processor_s() -> float:
     return sum(one.ru_utime + one.ru_stime for one in spent)
 
 
+def _stop(*_: object) -> None:
+    pytest.fail("it takes too long")
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
     """Note how long a test takes."""
     began = _processor_s()
+    if KNOWN is None:
+        signal.signal(signal.SIGPROF, _stop)
+        signal.setitimer(signal.ITIMER_PROF, 3 * SLOW_S)
     try:
         return (yield)
     finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
         took[item.nodeid] = _processor_s() - began
 
 

@@ -55,7 +55,7 @@ def measure(path: str, cfg: DuelConfig) -> None:
         sum(getattr(one, name) for one in tried) for name in ("contacts", "hard_contacts")
     )
     figure("contacts to blame for per km near others", contacts / near, "", 1.0, most=True)
-    figure("... of these above 0.3 m/s", hard / near, "", 0.2, most=True)
+    figure("such contacts above 0.3 m/s per km", hard / near, "", 0.2, most=True)
     passes = sum(one.passed * one.races for one in tried)
     figure("off-tracks per pass", sum(one.off_tracks for one in tried) / max(passes, 1.0), "")
     for name, rival in (("racing_line", "racing_line"), ("the duelist of before", str(BEFORE))):
@@ -64,7 +64,7 @@ def measure(path: str, cfg: DuelConfig) -> None:
     grid = ["centerline"] * 3
     last = duels.from_behind(cfg, [*map(load, grid), load(path)], [1.0] * 4)
     figure("from last of four against three centerline: won", 100 * last.passed, "%", 90)
-    figure("... places gained", last.places, "of 3")
+    figure("from last of four: places gained", last.places, "of 3")
     twice_s = duels.solo_lap(cfg, load(path)) / HALF_PACE
     half = _top_speed(cfg, load("racing_line"), twice_s)
     for name, rival, top_speed in (

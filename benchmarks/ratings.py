@@ -115,7 +115,7 @@ def seasons() -> None:
     fields = [dense_field(3000 + seed) for seed in range(40)]
     miss = float(np.sqrt(np.mean([square for square, _ in fields])))
     figure("dense field (sd 120), 40 races each: miss", miss, "Elo", 55, most=True)
-    figure("its coverage", float(np.mean([inside for _, inside in fields])), "", 0.92)
+    figure("the dense field: coverage", float(np.mean([inside for _, inside in fields])), "", 0.92)
 
 
 def main() -> None:

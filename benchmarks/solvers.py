@@ -4,6 +4,9 @@ Both drive the same car on the same tyres. The planar one keeps it flat and move
 axles at once; in Bullet it stands on springs, leans and turns over.
 """
 
+# The checker does not know the arguments of compiled functions.
+# pyright: reportCallIssue=false
+
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -118,5 +118,10 @@ def compiled(function: _Function) -> _Function:
     return dispatcher
 
 
+def specialise(function: Any, *arguments: object) -> None:  # noqa: ANN401
+    """Compile a function for arguments of these types, without calling it."""
+    function.compile(tuple(map(numba.typeof, arguments)))
+
+
 inner = njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 """Compiles a function that only compiled functions call."""

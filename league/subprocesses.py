@@ -43,7 +43,7 @@ def prepare(modules: Sequence[str]) -> None:
     """
     if _SERVED:
         CONTEXT.set_forkserver_preload(list(modules))
-        with _failing_in_one_sentence():
+        with failing_in_one_sentence():
             _ensure_server()
 
 
@@ -56,7 +56,7 @@ def start(target: Callable[..., None], *arguments: object) -> BaseProcess:
         ConfigError: none can be started on this machine.
     """
     process = CONTEXT.Process(target=_run, args=(target, *arguments), daemon=True)
-    with _failing_in_one_sentence():
+    with failing_in_one_sentence():
         for _ in range(SERVER_STARTS - 1):
             try:
                 _begin(process)
@@ -68,12 +68,17 @@ def start(target: Callable[..., None], *arguments: object) -> BaseProcess:
 
 
 def _run(target: Callable[..., None], *arguments: object) -> None:
+    settle()
+    target(*arguments)
+
+
+def settle() -> None:
+    """Let this new process ignore Ctrl-C, and end with the one that started it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if _SERVED:
         # Without the server this process could be neither observed nor ended.
         die_with_parent()
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    target(*arguments)
 
 
 def die_with_parent() -> None:
@@ -110,7 +115,8 @@ def _ensure_server() -> None:
 
 
 @contextlib.contextmanager
-def _failing_in_one_sentence() -> Generator[None]:
+def failing_in_one_sentence() -> Generator[None]:
+    """Raise a ConfigError, in one sentence, where no process can be started."""
     try:
         yield
     except (EOFError, OSError) as error:

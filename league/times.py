@@ -5,10 +5,18 @@ from __future__ import annotations
 from datetime import UTC, datetime
 
 
-def clock(seconds: float) -> str:
-    """Return a time as people read it on a timing screen: m:ss.mmm."""
-    minutes, rest = divmod(round(seconds * 1000), 60_000)
-    return f"{minutes}:{rest / 1000:06.3f}"
+def clock(seconds: float, decimals: int = 3) -> str:
+    """Return a time as people read it on a timing screen: m:ss.mmm, or with fewer decimals."""
+    parts = 10**decimals
+    minutes, rest = divmod(round(seconds * parts), 60 * parts)
+    return f"{minutes}:{rest / parts:0{decimals + 3}.{decimals}f}"
+
+
+def duration(seconds: float) -> str:
+    """Return a duration in whole seconds as m:ss, or h:mm:ss."""
+    minutes, rest = divmod(int(seconds + 0.5), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
 
 
 def laps(count: int) -> str:

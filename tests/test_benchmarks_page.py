@@ -10,27 +10,37 @@ BY_HAND = "## Whole commands\n\n| what | measured |\n|---|--:|\n| `make test` | 
 @pytest.fixture
 def page(monkeypatch, tmp_path):
     path = tmp_path / "benchmarks.md"
-    path.write_text(benchmarks.page_of({"tracks": "drawn"}, BY_HAND), encoding="utf-8")
     monkeypatch.setattr(benchmarks, "PAGE", path)
+    path.write_text(benchmarks.summary(BY_HAND), encoding="utf-8")
     return path
 
 
-def test_a_written_section_leaves_the_others_and_what_is_written_by_hand(page):
+def test_a_benchmark_has_a_page_and_its_goals_stand_on_the_page_of_all(page):
     __import__("benchmarks.replays")
-    benchmarks.write("replays", "| reading | 7 ms | ≤ 5 ms | not met |")
-    found, by_hand = benchmarks.sections(page.read_text(encoding="utf-8"))
-    assert found["tracks"] == "drawn"
-    assert found["replays"].endswith("| reading | 7 ms | ≤ 5 ms | not met |")
-    assert by_hand == BY_HAND
-    head = page.read_text(encoding="utf-8").partition("# Figures")[0]
-    assert "| replays | reading | 7 ms | ≤ 5 ms |" in head
+    __import__("benchmarks.tracks")
+    rows = (
+        "| reading | 7 ms | ≤ 5 | not met |\n| writing | 6 ms | ≤ 6 | met |\n| size | 3 kB |  |  |"
+    )
+    benchmarks.write("replays", rows)
+    benchmarks.write("tracks", "| drawing | 3 s | ≤ 4 | met |")
+    text = page.read_text(encoding="utf-8")
+    missed, _, met = text.partition("# Goals that were met")
+    link = "[replays](benchmarks/replays.md)"
+    assert f"| {link} | reading | 7 ms | ≤ 5 |" in missed
+    assert f"| {link} | writing | 6 ms | ≤ 6 |" in met
+    assert "| drawing | 3 s | ≤ 4 |" in met
+    assert "size" not in text
+    assert text.endswith(f"{BY_HAND}\n")
+    assert rows in (tmp := page.parent / "benchmarks" / "replays.md").read_text(encoding="utf-8"), (
+        tmp
+    )
 
 
-def test_the_page_in_the_repository_survives_being_read_and_written():
+def test_the_page_in_the_repository_has_the_goals_of_the_pages_next_to_it():
     text = benchmarks.PAGE.read_text(encoding="utf-8")
-    found, by_hand = benchmarks.sections(text)
-    assert "## Whole commands" in by_hand
-    assert benchmarks.page_of(found, by_hand) == text
+    _, _, by_hand = text.partition(f"\n{benchmarks.BY_HAND}\n")
+    assert benchmarks.summary(by_hand.strip()) == text
+    assert len(text.splitlines()) < 200
 
 
 def test_mutants_are_run_only_by_name():

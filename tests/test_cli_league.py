@@ -20,7 +20,7 @@ from tests.matchmaking import leagues
 def league(tmp_path_factory) -> Path:
     """Return the folder of a league in which two entries have raced for a moment."""
     from league.matchmaking import loop
-    from league.matchmaking.pairing.matchmaker import Season
+    from league.matchmaking.pairing.matchmaker import Matchmaker
     from league.matchmaking.store import Store
     from league.matchmaking.workers.dispatcher import Dispatcher
     from tests.matchmaking.season_kit import Here, submitted
@@ -32,7 +32,7 @@ def league(tmp_path_factory) -> Path:
     with Store(url) as store:
         for number, name in enumerate(("ann", "bob")):
             submitted(store, name, seed=number, senses="blind")
-        loop.run(store, Dispatcher(store, Here()), Season(store), heats=10)
+        loop.run(store, Dispatcher(store, Here()), Matchmaker(store), heats=10)
     return folder
 
 

@@ -17,7 +17,7 @@ CLOSING, LINKED, OWNER = "[/x]", "[link=e]:car:", "[/b]"
 def folder(tmp_path_factory) -> Path:
     """Return the folder of a league whose entries have such names, and of their checkpoints."""
     from league.matchmaking import loop
-    from league.matchmaking.pairing.matchmaker import Season
+    from league.matchmaking.pairing.matchmaker import Matchmaker
     from league.matchmaking.store import Store
     from league.matchmaking.workers.dispatcher import Dispatcher
     from tests.agents.trained import make_checkpoint
@@ -30,7 +30,7 @@ def folder(tmp_path_factory) -> Path:
     with Store(url) as store:
         for number, name in enumerate((CLOSING, LINKED)):
             submitted(store, name, seed=number, senses="blind", owner=f"{OWNER}{number}")
-        loop.run(store, Dispatcher(store, Here()), Season(store), heats=8)
+        loop.run(store, Dispatcher(store, Here()), Matchmaker(store), heats=8)
     checkpoint.save(folder / "[x].pt", make_checkpoint("blind", name=LINKED))
     return folder
 
@@ -100,9 +100,9 @@ def test_a_file_whose_name_looks_like_markup_is_raced_and_evaluated_under_it(tol
 
 
 def test_the_page_of_a_run_shows_names_as_they_stand(folder, monkeypatch, capsys, tmp_path):
-    from league.cli.season.run import Page
+    from league.cli.season.run import LivePage
     from league.matchmaking import loop
-    from league.matchmaking.pairing.matchmaker import Season
+    from league.matchmaking.pairing.matchmaker import Matchmaker
     from league.matchmaking.store import Store
     from league.matchmaking.workers.dispatcher import Dispatcher
     from tests.matchmaking.season_kit import Here
@@ -113,8 +113,8 @@ def test_the_page_of_a_run_shows_names_as_they_stand(folder, monkeypatch, capsys
     copy.write_bytes((folder / "league.db").read_bytes())
     with Store(f"sqlite:///{copy}") as store:
         dispatcher = Dispatcher(store, Here())
-        with Page(store, dispatcher) as page:
-            loop.run(store, dispatcher, Season(store), heats=4, watch=page.show)
+        with LivePage(store, dispatcher) as page:
+            loop.run(store, dispatcher, Matchmaker(store), heats=4, watch=page.show)
     text = capsys.readouterr().out
     assert CLOSING in text and "\\[" not in text
     assert "\x1b]8" not in text and "\N{AUTOMOBILE}" not in text

@@ -8,7 +8,7 @@ import pytest
 
 from league.cli import main
 from league.matchmaking import loop
-from league.matchmaking.pairing.matchmaker import Season
+from league.matchmaking.pairing.matchmaker import Matchmaker
 from league.matchmaking.store import Store
 from league.matchmaking.workers.dispatcher import Dispatcher
 from tests.matchmaking.season_kit import Here, new_league
@@ -24,7 +24,7 @@ def url(tmp_path, monkeypatch):
 
 def raced(url, heats):
     with Store(url) as store:
-        loop.run(store, Dispatcher(store, Here()), Season(store, same_owner=True), heats=heats)
+        loop.run(store, Dispatcher(store, Here()), Matchmaker(store, same_owner=True), heats=heats)
 
 
 def test_a_league_goes_from_season_to_season(url, capsys):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from league.race_spec import CarResult, Entry, Event, RaceResult, RaceSpec
-from league.replay.commentary import Commentator, Line, shortened
+from league.replay.commentary import Commentator, Remark, shortened
 from league.replay.director import HOLD_S, SHORTEST_S, Director
 
 STEP_S = 1 / 15
@@ -140,8 +140,8 @@ def test_every_race_has_a_winner_however_it_ends(finished, settings, text):
 
 
 def test_a_short_story_keeps_what_matters_in_order_of_time():
-    lines = [Line(float(k), "attack", 0, 1, "") for k in range(20)]
-    lines += [Line(3.5, "overtake", 0, 1, ""), Line(21.0, "winner", 0, 3, "")]
+    lines = [Remark(float(k), "attack", 0, 1, "") for k in range(20)]
+    lines += [Remark(3.5, "overtake", 0, 1, ""), Remark(21.0, "winner", 0, 3, "")]
     short = shortened(lines, 4)
     assert [line.time_s for line in short] == [3.5, 18.0, 19.0, 21.0]
 

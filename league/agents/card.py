@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field
 from league.agents.network import NetworkConfig, group_shapes, weight_shapes
 from league.envs.actions import ContinuousActions, DiscreteActions
 from league.race_spec import FrozenModel, printable
-from league.sim.config import CameraConfig, LidarConfig, RaceKind, SensorConfig
+from league.sim.config import RaceKind, SensorConfig
 
 FORMAT = 1
 MAX_PIXELS = 640 * 480
@@ -25,25 +25,18 @@ def _reasonable(sensors: SensorConfig) -> SensorConfig:
             value = getattr(carried, name, 0.0)
             if not abs(value) <= largest:
                 raise ValueError(f"{name} is {value}: give at most {largest:g} to either side")
-    if sensors.camera is not None:
-        _check_camera(sensors.camera)
-    if sensors.lidar is not None:
-        _check_lidar(sensors.lidar)
-    return sensors
-
-
-def _check_camera(camera: CameraConfig) -> None:
-    if camera.width * camera.height > MAX_PIXELS:
+    camera, lidar = sensors.camera, sensors.lidar
+    if camera is not None and camera.width * camera.height > MAX_PIXELS:
         raise ValueError(
             f"pictures are {camera.width}x{camera.height}: give at most {MAX_PIXELS} pixels"
         )
-
-
-def _check_lidar(lidar: LidarConfig) -> None:
+    if lidar is None:
+        return sensors
     if not (lidar.max_range <= 100 and 0 < lidar.clip <= 100 and 0 <= lidar.noise <= 1):
         raise ValueError("a range of the lidar is beyond 100 m, or its noise beyond 1 m")
     if not (1 <= lidar.sectors <= 256 and 1 <= lidar.bins <= 64):
         raise ValueError("the lidar's sectors are not 1 to 256, or its bins not 1 to 64")
+    return sensors
 
 
 Label = Annotated[str, Field(min_length=1, max_length=80), AfterValidator(printable)]
@@ -51,7 +44,7 @@ Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Count = Annotated[int, Field(ge=0, lt=2**63)]
 
 
-class Reward(FrozenModel):
+class RewardCard(FrozenModel):
     """The reward a policy was trained with."""
 
     name: Label
@@ -77,7 +70,7 @@ class Card(FrozenModel):
     """Tracks it was trained on."""
     kind: RaceKind = "time_trial"
     """Kind of race it was trained for."""
-    reward: Reward | None = None
+    reward: RewardCard | None = None
     """The reward it was trained with; None: unknown."""
     steps: Count = 0
     """Decisions it learnt from, those of its parents not counted."""

@@ -81,7 +81,7 @@ def main(arguments: list[str]) -> int:
         from league import precompile  # late: Numba takes a while
 
         precompile.ensure()
-    return command.run()
+    return command.run() or 0
 
 
 def overview() -> str:

@@ -227,16 +227,11 @@ def _keep_replay(command: Evaluate, track: str) -> None:
         print(replay_line(path))
 
 
-_WIDTH = 80
-"""Letters across that the table's heads need when written out."""
-
-
 def print_table(done: Evaluation) -> None:
     """Print the console's table of trials and a line that sums it up."""
     title = f"{done.driver}: {done.kind.replace('_', ' ')} on {done.track}"
-    console = tables.console()
     heads = ["trial", "status", "time", "% completed", "off-tracks", "crashes"]
-    if console.width < _WIDTH:
+    if tables.is_narrow():
         heads = ["", "status", "time", "%", "off", "crash"]
     punished = any(one.penalty_s for one in done.trials)
     table = tables.table(title, *heads, *(["penalty"] if punished else []))
@@ -251,7 +246,7 @@ def print_table(done: Evaluation) -> None:
             f"{one.penalty_s:g} s" if one.penalty_s else "",
         )
         table.add_row(*row[: len(table.columns)])
-    console.print(table)
+    tables.console().print(table)
     print(summary(done))
 
 

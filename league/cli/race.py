@@ -23,7 +23,7 @@ from league.sim.config import USUAL_OBSTACLES
 if TYPE_CHECKING:
     from league.cli.evaluate import Evaluate
     from league.race_spec import RaceResult, RaceSpec
-    from league.replay.commentary import Line
+    from league.replay.commentary import Remark
     from league.rerun_view import Live
     from league.sim.records import World
     from league.track.track import Track
@@ -155,7 +155,7 @@ def _after_qualifying(spec: RaceSpec, track: Track, *, quiet: bool) -> RaceSpec:
 
 
 def _print_result(
-    command: Race, result: RaceResult, lines: Sequence[Line], replay: Path | None
+    command: Race, result: RaceResult, lines: Sequence[Remark], replay: Path | None
 ) -> None:
     if command.json:
         document = {**result.model_dump(mode="json"), "replay": str(replay) if replay else None}
@@ -305,7 +305,7 @@ def _print_classification(result: RaceResult) -> None:
         print(f"Lead changes: {result.lead_changes}")
 
 
-def _print_story(lines: Sequence[Line]) -> None:
+def _print_story(lines: Sequence[Remark]) -> None:
     """Print what mattered, a line each, and how much more there is to see."""
     from league.replay import commentary
 

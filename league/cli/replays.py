@@ -146,11 +146,6 @@ class Verify:
         return 0 if agreement.agrees else 1
 
 
-def _newest() -> Path:
-    """Return the newest replay."""
-    return _recordings(FOLDER)[-1]
-
-
 def _recordings(folder: Path) -> list[Path]:
     """Return the replays of a folder, the newest last.
 
@@ -192,7 +187,7 @@ def _view(command: View) -> int:
     from league import replay as replays
     from league import rerun_view
 
-    replay = command.replay or _newest()
+    replay = command.replay or _recordings(FOLDER)[-1]
     recorded = _recorded(command, replay)
     if command.save is not None:
         print(f"Replay: {replays.write(recorded, command.save)}")

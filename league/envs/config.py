@@ -5,7 +5,7 @@ from typing import Literal
 
 from league.errors import ConfigError
 from league.sim.config import SensorConfig, SimConfig, SolverName, VisualRandomization
-from league.sim.validation import check, ranged
+from league.sim.validation import Checked, ranged
 
 
 def _weight(default: float) -> float:
@@ -13,7 +13,7 @@ def _weight(default: float) -> float:
 
 
 @dataclass(frozen=True)
-class RewardConfig:
+class RewardConfig(Checked, what="reward"):
     """Weights of the built-in reward terms (league/envs/rewards.py)."""
 
     progress: float = _weight(1.0)
@@ -38,9 +38,6 @@ class RewardConfig:
     closing: float = _weight(0.0)
     """For each step of such a contact, times the square of the closing speed [m^2/s^2]."""
 
-    def __post_init__(self) -> None:
-        check(self, "reward")
-
     @property
     def terms(self) -> tuple[str, ...]:
         """Names of the terms that count, in order."""
@@ -48,7 +45,7 @@ class RewardConfig:
 
 
 @dataclass(frozen=True)
-class Scenarios:
+class Scenarios(Checked, what="scenarios"):
     """Situations in which the cars of a world meet in training (league/envs/scenarios.py).
 
     All cars begin together, and together they end: when time is up, when the attacker is far from
@@ -75,15 +72,15 @@ class Scenarios:
     fastest_rival: float = ranged(0.7, 0.0, 1.0)
     """Largest top speed of rivals, likewise; what a curriculum raises."""
     last_car: float = ranged(1.0, 0.0, 1.0)
-    """Largest top speed of the last car, as a share of the car's: that of a slow scripted driver,
-    so that attacks on it count as those on roadblocks do."""
+    """Largest top speed of the last car, as a share of the car's: that of a slow scripted driver.
+    Below 1 attacks on it do not count, as those on roadblocks do not."""
     lost: float = ranged(4.5, 0.5, 1000.0)
     """Distance along the track at which the attacker has lost all other cars [m]."""
     shortest: float = ranged(6.0, 0.1, 1e6)
     """Shortest scenario [s]; the longest is that of episodes."""
 
     def __post_init__(self) -> None:
-        check(self, "scenarios")
+        super().__post_init__()
         if self.alone + self.standing + self.abreast > 1:
             raise ConfigError(
                 f"scenarios alone, standing and abreast are {self.alone}, {self.standing} and "
@@ -97,7 +94,7 @@ class Scenarios:
 
 
 @dataclass(frozen=True)
-class EnvConfig:
+class EnvConfig(Checked, what="environment"):
     """Everything a RaceEnv needs but its tracks and its seed."""
 
     sim: SimConfig = field(default_factory=SimConfig)
@@ -124,7 +121,7 @@ class EnvConfig:
     stretch anywhere."""
 
     def __post_init__(self) -> None:
-        check(self, "environment")
+        super().__post_init__()
         if self.sim.kind == "time_trial" and self.sim.num_obstacles:
             raise ConfigError(
                 f"a time_trial race has {self.sim.num_obstacles} obstacles: its track is empty, "

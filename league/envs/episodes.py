@@ -6,20 +6,17 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from league.envs import scenarios
+from league.envs.config import EnvConfig, Scenarios
 from league.jit import inner
 from league.portable_math import clamp, f32
 from league.sim import grid
 from league.sim import obstacles as obstacle_kernels
 from league.sim.rng import SEED_MASK, bits_of, purposes, uniform_of
 from league.track.projection import frame_at, signed_gap
-
-if TYPE_CHECKING:
-    from league.envs.config import EnvConfig
 
 EPISODES = np.dtype(
     [
@@ -28,19 +25,7 @@ EPISODES = np.dtype(
         ("all_restart", np.bool_),  # whether every car begins its next episode by itself
         ("restarting", np.uint8),  # otherwise the cars that do; the others are retired
         ("meeting", np.bool_),  # whether cars meet in scenarios instead
-        # The fields of Scenarios.
-        ("alone", f32),
-        ("standing", f32),
-        ("abreast", f32),
-        ("attack", f32),
-        ("learner", f32),
-        ("limited", f32),
-        ("roadblock", f32),
-        ("slowest_rival", f32),
-        ("fastest_rival", f32),
-        ("last_car", f32),
-        ("lost", f32),
-        ("shortest", f32),
+        *((item.name, f32) for item in fields(Scenarios)),
         ("longest_s", f32),
     ],
     align=True,

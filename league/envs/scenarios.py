@@ -38,7 +38,7 @@ ENCOUNTER = np.dtype(
 NO_ATTACK, FAILED, PASSED, CLEAN = 0, 1, 2, 3
 """How an attack ended: none was made, not passed, passed with a mistake, passed without one."""
 
-_BASE, _KIND, _GROUPS, _SHIFT, _LENGTH, _FIRST, _FAST, _SLOW, _WHICH = purposes(221, 230)
+_BASE, _KIND, _GROUPS, _ORDER, _LENGTH, _FIRST, _FAST, _SLOW, _WHICH = purposes(221, 230)
 _GAP, _LANE, _PACE, _OWN_PACE, _QUEUE, _QUEUE_PACE, _LEARNER = purposes(231, 238)
 _ATTEMPTS, _CLEAR = 12, f32(0.8)
 _SIDE_LEAST, _SIDE_MORE, _SIDE_SHIFT, _ROW = f32(0.45), f32(0.2), f32(0.3), f32(1.0)
@@ -86,9 +86,8 @@ def begin(encounter, cars, obstacles, world, points, course, sim, rules):
     elif num_cars > 2 and course.closed and uniform_of(seed, _GROUPS, step) < _HALF:
         size = 2
     first = _fastest(0, size, world, rules)
-    shift = np.int64(uniform_of(seed, _SHIFT, step) * f32(num_cars))
-    if uniform_of(seed, _LEARNER, step) < rules.learner:
-        shift = num_cars - first
+    order = np.empty(num_cars, np.int64)
+    _draw_order(order, first, world, rules)
     spots = np.empty((num_cars, 2), np.float32)
     _find_spots(spots, size, standing, abreast, obstacles, world, points, course, sim, rules)
     base = _ZERO
@@ -97,7 +96,7 @@ def begin(encounter, cars, obstacles, world, points, course, sim, rules):
         base = (_SLOWEST + _FASTER * drawn) * sim.max_speed
     ahead = _ZERO
     for place in range(num_cars):
-        c = (place + shift) % num_cars
+        c = order[place]
         grid.stand(cars[c], points, course, spots[place, 0], spots[place, 1])
         cars[c].zero_s = cars[c].s if course.closed else _ZERO
         grid.blank_book(cars[c], cars[c].s - cars[c].zero_s, f32(step) * sim.step_dt)
@@ -109,19 +108,20 @@ def begin(encounter, cars, obstacles, world, points, course, sim, rules):
         limit = min(_allowed(cars[c], points, course, sim), cars[c].top_speed)
         speed = min(base * (_ONE + _SPREAD * own), limit)
         if place % size and not abreast:
-            gap = signed_gap(course, cars[(c - 1) % num_cars].s, cars[c].s)
+            gap = signed_gap(course, cars[order[place - 1]].s, cars[c].s)
             speed = min(speed, _can_stop_behind(ahead, gap, sim))
         ahead = speed
         if speed > _ZERO:
             _roll(cars[c], speed, points, course, sim)
     target = first - 1 if first > 0 else min(1, num_cars - 1)
-    encounter.attacker = (first + shift) % num_cars
-    encounter.target = (target + shift) % num_cars
+    encounter.attacker, encounter.target = order[first], order[target]
     encounter.attack = size > 1 and first > 0
     if encounter.attack:
         gap = signed_gap(course, cars[encounter.target].s, cars[encounter.attacker].s)
-        # Anyone passes a roadblock: it says nothing about how fast rivals may be.
-        slow = (
+        # Passing a roadblock, or the last car's slow driver, says nothing about how fast rivals
+        # may be.
+        slow = rules.last_car < _ONE and encounter.target == num_cars - 1
+        slow = slow or (
             cars[encounter.target].top_speed
             < rules.slowest_rival * cars[encounter.attacker].top_speed
         )
@@ -234,6 +234,22 @@ def _draw_spots(attempt, spots, size, standing, abreast, world, points, course, 
             s = min(max(s, _START), course.length - _END)
         frame = frame_at(points, course, s)
         spots[place, 0], spots[place, 1] = frame.s, share * min(frame.left, frame.right)
+
+
+@inner
+def _draw_order(order, first, world, rules):
+    """Draw which car takes each place; a learner's, car 0, may be sure to be the first attacker."""
+    for place in range(len(order)):
+        drawn = uniform_of(world.seed, _ORDER, world.step, place)
+        other = np.int64(drawn * f32(place + 1))
+        order[place] = order[other]
+        order[other] = place
+    if uniform_of(world.seed, _LEARNER, world.step) < rules.learner:
+        for place in range(len(order)):
+            if order[place] == 0:
+                order[place] = order[first]
+                order[first] = 0
+                return
 
 
 @inner

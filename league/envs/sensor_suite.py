@@ -19,6 +19,11 @@ if TYPE_CHECKING:  # OpenCV comes late
     from league.sim.camera.paint_renderer import Renderer
 
 Reading = Callable[[World, int, np.ndarray | None], np.ndarray]
+_COMPUTED: dict[str, tuple[Callable[..., int], int]] = {
+    "state": (observations.states, state.SIZE),
+    "truth": (truth.truths, truth.SIZE),
+}
+"""Loop and size of the groups that are computed on access."""
 
 
 class Groups(Mapping[str, np.ndarray]):
@@ -34,10 +39,8 @@ class Groups(Mapping[str, np.ndarray]):
     def __getitem__(self, name: str) -> np.ndarray:
         if name == "motion":
             return self._motions[self._car]
-        if name == "state":
-            return self._suite.states(self._world)[self._car]
-        if name == "truth":
-            return self._suite.truths(self._world)[self._car]
+        if name in _COMPUTED:
+            return self._suite.computed(name, self._world)[self._car]
         return self._suite.held[self._car][name]
 
     def __iter__(self) -> Iterator[str]:
@@ -65,9 +68,8 @@ class SensorSuite:
         self._frames = [cfg.sensors_of(car).frames for car in range(cfg.sim.num_cars)]
         self._carries = any(self._sensors) or any(self._history)
         self.sees_truth = [cfg.sensors_of(car).truth for car in range(cfg.sim.num_cars)]
-        self._states: np.ndarray | None = None
-        self._truths: np.ndarray | None = None
-        self._states_fresh = self._truths_fresh = False
+        self._computed: dict[str, np.ndarray] = {}
+        self._fresh: set[str] = set()
         self.reset()
 
     def reset(self) -> None:
@@ -96,32 +98,21 @@ class SensorSuite:
         """
         return tuple(Groups(self, car, world, motions) for car in range(len(self.held)))
 
-    def states(self, world: World) -> np.ndarray:
-        """Return the `state` groups of all cars, float32 (num_cars, num_worlds, 40)."""
-        if self._states is None:
-            self._states = np.empty((world.num_cars, world.num_worlds, state.SIZE), np.float32)
-        if not self._states_fresh:
-            self._states_fresh = True
-            self._write(observations.states, world, self._states)
-        return self._states
-
-    def truths(self, world: World) -> np.ndarray:
-        """Return the `truth` groups of all cars, float32 (num_cars, num_worlds, truth.SIZE)."""
-        if self._truths is None:
-            self._truths = np.empty((world.num_cars, world.num_worlds, truth.SIZE), np.float32)
-        if not self._truths_fresh:
-            self._truths_fresh = True
-            self._write(truth.truths, world, self._truths)
-        return self._truths
-
-    def _write(self, loop: Callable[..., int], world: World, out: np.ndarray) -> None:
-        tables = (self._tracks.points, self._tracks.courses)
-        arrays = (world.cars, world.obstacles, world.worlds, *tables, out)
-        over_worlds(loop, world.num_worlds, world.num_cars, *arrays)
+    def computed(self, name: str, world: World) -> np.ndarray:
+        """Return `state` or `truth` of all cars, float32 (num_cars, num_worlds, SIZE)."""
+        loop, size = _COMPUTED[name]
+        if name not in self._computed:
+            self._computed[name] = np.empty((world.num_cars, world.num_worlds, size), np.float32)
+        if name not in self._fresh:
+            self._fresh.add(name)
+            tables = (self._tracks.points, self._tracks.courses, self._computed[name])
+            arrays = (world.cars, world.obstacles, world.worlds, *tables)
+            over_worlds(loop, world.num_worlds, world.num_cars, *arrays)
+        return self._computed[name]
 
     def observe(self, world: World) -> None:
         """Read what is due, on each race's own clock: a race in a batch equals that race alone."""
-        self._states_fresh = self._truths_fresh = False
+        self._fresh.clear()
         if self._carries:
             self.read(world)
 
@@ -184,7 +175,7 @@ class SensorSuite:
 
     def observe_again(self, world: World, rows: np.ndarray) -> None:
         """Read the sensors of these races, which have just been started again; not the others'."""
-        self._states_fresh = self._truths_fresh = False
+        self._fresh.clear()
         self._stale = None
         for car, sensors in enumerate(self._sensors):
             for name, (_, read) in sensors.items():

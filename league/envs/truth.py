@@ -44,13 +44,6 @@ FIELDS = (
 """Gaps are along the track [m], x and y in the car's frame [m], lateral is the difference of places
 across the track [m], heading that of headings [rad], speeds are differences in the car's frame."""
 SIZE = len(FIELDS)
-SIDEWAYS = tuple(
-    name.startswith("curvature")
-    or name.endswith(("heading_error", "speed_left", "yaw_rate", "_y", "_lateral", "_heading"))
-    or name == "steering"
-    for name in FIELDS
-)
-"""Which fields change their sign in the mirror; those of the left and the right border swap."""
 
 _CURVES, _BORDERS = np.array(CURVES, np.float32), np.array(BORDERS, np.float32)
 _FIRST_CURVE = FIELDS.index(f"curvature_{CURVES[0]:g}m")

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from league.errors import StoreError, nearest_names
+from league.matchmaking import documents
 from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset
-from league.matchmaking.store import RATED, Cup, HeatState, Store
+from league.matchmaking.store import RATED, Cup, Entry, HeatState, Store
 
 DRAWS = 4096
 """Heats of a cup at most; heat k of cup n has the draw n * DRAWS + k."""
@@ -56,7 +57,7 @@ class CupHeat:
 
 
 @dataclass(frozen=True)
-class Stage:
+class CupStage:
     """Heats that are raced at the same time."""
 
     name: str
@@ -72,7 +73,7 @@ class Stage:
 class Bracket:
     """A cup as far as it has come."""
 
-    stages: tuple[Stage, ...]
+    stages: tuple[CupStage, ...]
     """Qualifying first; later stages appear when the one before is over."""
     order: tuple[str, ...]
     """Ids of the entries by how far they came, the winner first; empty before the end."""
@@ -144,35 +145,12 @@ def bracket(store: Store, cup: Cup) -> Bracket:
     return _computed(store, cup)[0]
 
 
-def document(cup: Cup, bracket: Bracket, entries: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a cup as plain data, with the names of its entries.
-
-    Args:
-        cup: the cup.
-        bracket: as far as it has come.
-        entries: all entries by their ids.
-    """
-    stages = [
-        {
-            "name": stage.name,
-            "heats": [
-                {
-                    **{key: getattr(heat, key) for key in ("number", "state", "track")},
-                    "runs": [
-                        {
-                            **asdict(run),
-                            "places": list(run.places),
-                            "entry": entries[run.entry].number,
-                            "name": entries[run.entry].name,
-                        }
-                        for run in heat.runs
-                    ],
-                }
-                for heat in stage.heats
-            ],
-        }
-        for stage in bracket.stages
-    ]
+def document(cup: Cup, bracket: Bracket, entries: Mapping[str, Entry]) -> dict[str, Any]:
+    """Return a cup as plain data, with the numbers and names of its entries (given by id)."""
+    stages = documents.plain(bracket.stages)
+    for run in (run for stage in stages for heat in stage["heats"] for run in heat["runs"]):
+        entry = entries[run["entry"]]
+        run |= {"entry": entry.number, "name": entry.name}
     order = [{"entry": entries[id].number, "name": entries[id].name} for id in bracket.order]
     about = {"number": cup.number, "name": cup.name, "season": cup.season, "seed": cup.seed}
     return {"cup": about, "stages": stages, "order": order}
@@ -221,7 +199,7 @@ def _groups(seeds: Sequence[str]) -> list[tuple[str, ...]]:
     return [tuple(seeds[index] for index in one) for one in picked]
 
 
-def _next_groups(stage: Stage, seed_of: Mapping[str, int]) -> list[tuple[str, ...]]:
+def _next_groups(stage: CupStage, seed_of: Mapping[str, int]) -> list[tuple[str, ...]]:
     """Return the next heats: those who advance from the first and the last heat meet, and so on."""
     through = [[run.entry for run in heat.runs[:ADVANCE]] for heat in stage.heats]
     pairs = zip(through[: len(through) // 2], reversed(through), strict=False)
@@ -247,7 +225,7 @@ def _stage(
     due: Sequence[Heat],
     seed_of: Mapping[str, int] | None = None,
     through: int = 0,
-) -> Stage:
+) -> CupStage:
     """Return a stage as far as it has been raced; without seeds it is the qualifying."""
     seed_of = seed_of or {}
     records = {one.heat.key: one for one in store.heats_by_key([heat.key for heat in due])}
@@ -266,7 +244,7 @@ def _stage(
         state = record.state if record else None
         number = record.number if record else None
         heats.append(CupHeat(number, state, heat.halves[0].track, tuple(runs)))
-    return Stage(name, tuple(heats))
+    return CupStage(name, tuple(heats))
 
 
 def _run(heat: Heat, entry: str, seed: int, done: Sequence[Any]) -> CupResult:
@@ -284,7 +262,7 @@ def _classified(runs: Sequence[CupResult], through: int) -> list[CupResult]:
     return [replace(run, advances=at < through) for at, run in enumerate(ordered)]
 
 
-def _qualified(cup: Cup, stage: Stage) -> Stage:
+def _qualified(cup: Cup, stage: CupStage) -> CupStage:
     """Return the qualifying, sorted by lap, distance and a draw, once it is over."""
     if not stage.over:
         return stage
@@ -300,10 +278,10 @@ def _qualified(cup: Cup, stage: Stage) -> Stage:
         replace(heat, runs=(replace(heat.runs[0], seed=place, advances=place <= through),))
         for place, heat in enumerate(sorted(stage.heats, key=merit), 1)
     ]
-    return Stage(stage.name, tuple(ordered))
+    return CupStage(stage.name, tuple(ordered))
 
 
-def _order(stages: Sequence[Stage]) -> tuple[str, ...]:
+def _order(stages: Sequence[CupStage]) -> tuple[str, ...]:
     """Return the entries by how far they came, then by their place there, then by qualifying."""
     order: dict[str, None] = {}
     for stage in stages[:0:-1]:

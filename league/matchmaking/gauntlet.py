@@ -17,7 +17,7 @@ from league.matchmaking.pairing.heat_spec import Heat
 from league.matchmaking.ratings import Ratings, Results, sprt
 from league.matchmaking.ratings.fit import SIGMAS_95
 from league.matchmaking.ratings.sprt import Comparison, SequentialSettings
-from league.matchmaking.scope import Scope, scope
+from league.matchmaking.scope import RatingScope, scope
 from league.matchmaking.store import RATED, Entry, HeatOutcome, Store
 from league.matchmaking.workers import Executor
 from league.matchmaking.workers.dispatcher import heat_driver
@@ -118,14 +118,9 @@ def race(
     *,
     watch: Callable[[HeatOutcome], bool] = lambda outcome: True,
 ) -> list[HeatOutcome]:
-    """Race heats that are not in the store's queue; return their outcomes in order.
+    """Race heats of a field (by id) that are not in the store's queue; return their outcomes.
 
-    Args:
-        executor: where they are raced.
-        store: the league that sets the rules.
-        heats: what is raced.
-        field: the contestants, by id.
-        watch: called with each outcome in the order of the heats; False ends it early.
+    `watch` is called with each outcome in the order of the heats; False ends it early.
 
     Raises:
         StoreError: a heat could not be raced three times in a row.
@@ -267,7 +262,7 @@ def _placed(
 
 
 def _fit_with(
-    within: Scope,
+    within: RatingScope,
     heats: Sequence[SeededHeat],
     outcomes: Sequence[HeatOutcome],
     number_of: dict[str, int],

@@ -6,6 +6,7 @@ import numpy as np
 
 from league.errors import StoreError, brief
 from league.matchmaking import standings
+from league.matchmaking.ratings import RatingData, refit
 from league.matchmaking.scope import scope
 from league.matchmaking.standings import HistoryPoint, Standings
 from league.matchmaking.store import Entry, Store
@@ -63,10 +64,9 @@ def trends(store: Store, rated: Standings) -> dict[int, float]:
     newest = heats[len(heats) - min(TREND_HEATS, len(heats) // 2) :]
     if not len(newest):
         return {}
-    within = scope(store, rated.ruleset, rated.season)
-    earlier = standings.results_of(within.races, before=int(newest[0]))
-    fitted = standings.rated(earlier, store.entries(), carried=within.carried)
-    if fitted is None:
-        return {}
-    then = dict(zip(fitted.entries.tolist(), fitted.elo.tolist(), strict=True))
-    return {row.number: row.elo - then[row.number] for row in rated.rows if row.number in then}
+    carried = scope(store, rated.ruleset, rated.season, rated.races).carried
+    earlier = standings.results_of(rated.races, before=int(newest[0]))
+    data = RatingData.of(earlier, rated.ratings.entries)
+    changes = rated.ratings.elo - refit(data, rated.ratings, carried)
+    raced = data.races > 0
+    return dict(zip(data.entries[raced].tolist(), changes[raced].tolist(), strict=True))

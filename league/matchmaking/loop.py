@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from league.matchmaking.pairing.matchmaker import Season
+from league.matchmaking.pairing.matchmaker import Matchmaker
 from league.matchmaking.store import Store
 from league.matchmaking.workers.dispatcher import Dispatcher, FinishedHeat
 
@@ -55,7 +55,7 @@ Watcher = Callable[[Tally, list[FinishedHeat]], None]
 def run(
     store: Store | None,
     dispatcher: Dispatcher,
-    season: Season | None,
+    matchmaker: Matchmaker | None,
     *,
     heats: int | None = None,
     seconds: float | None = None,
@@ -67,7 +67,7 @@ def run(
     Args:
         store: the league; not needed without a matchmaker.
         dispatcher: claims and races heats.
-        season: the matchmaker; without one the heats in the queue are raced.
+        matchmaker: without one the heats in the queue are raced.
         heats: end after so many, those that were given up included.
         seconds: begin no heat after this time [s].
         stop: called at each step; once it returns True no heat is begun.
@@ -80,8 +80,8 @@ def run(
         over = stop() or (seconds is not None and now_s - began_s > seconds)
         ended = tally.heats + tally.errors
         wanted = None if heats is None else max(0, heats - ended - len(dispatcher.running))
-        if season is not None and not over and (due or now_s - planned_s > PLAN_EVERY_S):
-            season.plan()
+        if matchmaker is not None and not over and (due or now_s - planned_s > PLAN_EVERY_S):
+            matchmaker.plan()
             planned_s = time.monotonic()
         finished = dispatcher.step(0.5 if dispatcher.running else 0.1, claim=0 if over else wanted)
         for one in finished:
@@ -93,18 +93,18 @@ def run(
             continue
         if over or (heats is not None and tally.heats + tally.errors >= heats):
             return tally
-        if store is not None and season is not None and _nothing_to_race(store, season):
+        if store is not None and matchmaker is not None and _nothing_to_race(store, matchmaker):
             tally.idle = True
             return tally
 
 
-def _nothing_to_race(store: Store, season: Season) -> bool:
+def _nothing_to_race(store: Store, matchmaker: Matchmaker) -> bool:
     """Return whether no heat waits and none can be planned.
 
     A round that another process has just planned adds no heat either, so the queue must be the
     same before and after planning.
     """
     counts = store.counts()
-    if counts.get("planned") or counts.get("claimed") or season.plan():
+    if counts.get("planned") or counts.get("claimed") or matchmaker.plan():
         return False
     return store.counts() == counts

@@ -7,7 +7,7 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 from urllib.parse import quote
 
 from league.atomic_file import replacing
@@ -20,6 +20,7 @@ from league.matchmaking.store import Entry, HeatOutcome, HeatRecord, HeatState, 
 from league.race_spec import FrozenModel
 from league.sim import PHYSICS
 
+_Answer = TypeVar("_Answer")
 WORK = "/api/v1/work"
 IDLE_S = 2.0
 """A league without heats is asked again after this time [s]."""
@@ -60,12 +61,7 @@ class RemoteQueue:
     """Lends heats over HTTP, as a Store does from its database."""
 
     def __init__(self, client: Client, *, folder: Path | None = None) -> None:
-        """Reach a league.
-
-        Args:
-            client: the league.
-            folder: for weights; by default in the user's cache.
-        """
+        """Reach a league; weights are kept in a folder, by default in the user's cache."""
         self._client = client
         self._rulesets: dict[str, Ruleset] = {}
         self._entries: dict[str, wire.LentEntry] = {}
@@ -79,7 +75,7 @@ class RemoteQueue:
         asked = wire.Claim(
             worker=worker, limit=min(limit, wire.MOST_HEATS), lease_s=lease_s, physics=PHYSICS
         )
-        lent: wire.Lent = self._ask("claim", asked, wire.Lent)
+        lent = self._ask("claim", asked, wire.Lent)
         if not lent.heats:
             self._asked_s = time.monotonic()
         self._rulesets |= {hash: Ruleset.of(one) for hash, one in lent.rulesets.items()}
@@ -89,24 +85,20 @@ class RemoteQueue:
     def heartbeat(self, worker: str, *, lease_s: float, keys: Sequence[str]) -> list[str]:
         """Renew the leases of heats; return the keys of those that the worker still holds."""
         asked = wire.Renewal(worker=worker, lease_s=lease_s, keys=tuple(keys))
-        held: wire.Held = self._ask("heartbeat", asked, wire.Held)
-        return list(held.keys)
+        return list(self._ask("heartbeat", asked, wire.Held).keys)
 
     def complete(self, worker: str, outcomes: Sequence[HeatOutcome]) -> Received:
         """Hand in results, one heat at a time."""
-        found: dict[str, list[str]] = {name: [] for name in Received.__dataclass_fields__}
+        received = Received()
         for outcome in outcomes:
             sent = wire.Sent(worker=worker, heats=(wire.sent_heat(outcome),))
-            answer = self._client.ask(f"{WORK}/complete", sent.model_dump_json().encode())
-            for name, keys in vars(wire.received_of(answer)).items():
-                found[name] += keys
-        return Received(**{name: tuple(keys) for name, keys in found.items()})
+            received = received.joined(self._ask("complete", sent, Received))
+        return received
 
     def fail(self, worker: str, key: str, traceback: str, *, lost: bool) -> HeatState:
         """Hand a heat back; return its state."""
         asked = wire.Failure(worker=worker, key=key, traceback=traceback[-8000:], lost=lost)
-        state: wire.State = self._ask("fail", asked, wire.State)
-        return state.state
+        return self._ask("fail", asked, wire.State).state
 
     def rulesets(self) -> dict[str, Ruleset]:
         """Return the rulesets of all heats that were lent."""
@@ -116,7 +108,7 @@ class RemoteQueue:
         """Return an entry of a heat that was lent, by its id."""
         return wire.entry_of(text, self._entries[text])
 
-    def _ask(self, what: str, asked: FrozenModel, answer: type[FrozenModel]) -> Any:  # noqa: ANN401
+    def _ask(self, what: str, asked: FrozenModel, answer: type[_Answer]) -> _Answer:
         content = self._client.fetch(
             f"{WORK}/{what}", asked.model_dump_json().encode(), "application/json"
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,35 +56,66 @@ def of(store: Store, ruleset: str | None = None, *, before: int | None = None) -
     """
     ruleset = ruleset or store.settings.ruleset.hash
     drives = store.drives(ruleset)
-    tracks = store.rulesets()[ruleset].tracks
-    known = (drives.track < len(tracks)) & (drives.distance_cm > 0)
     if before is not None:
-        known &= drives.heat < before
+        drives = drives.where(drives.heat < before)
+    return rated(drives, store.rulesets()[ruleset].tracks).by_entry
+
+
+@dataclass(frozen=True)
+class Record:
+    """Safety ratings, and what they are made of, so that later races can be added."""
+
+    by_entry: dict[int, Safety]
+    """Of each entry that raced, by its number."""
+    drives: Drives
+    """Those that count, entry by entry, the newest first."""
+
+
+def rated(drives: Drives, tracks: Sequence[str], earlier: Record | None = None) -> Record:
+    """Return the safety ratings that follow from some drives.
+
+    Args:
+        drives: of races under one ruleset.
+        tracks: its tracks.
+        earlier: what followed from the races before these, if they are not all.
+    """
+    later = drives.where((drives.track < len(tracks)) & (drives.distance_cm > 0))
+    if earlier is None:
+        return _rated(later, tracks)
+    # Only who raced since then changes.
+    theirs = np.isin(earlier.drives.entry, np.unique(later.entry))
+    new = _rated(earlier.drives.where(theirs).joined(later), tracks)
+    return Record(
+        {**earlier.by_entry, **new.by_entry}, earlier.drives.where(~theirs).joined(new.drives)
+    )
+
+
+def _rated(drives: Drives, tracks: Sequence[str]) -> Record:
+    drives = drives.where(np.lexsort((-drives.half, -drives.heat, drives.entry)))
+    entries, first, counts = np.unique(drives.entry, return_index=True, return_counts=True)
+    newest = np.arange(len(drives.entry)) - np.repeat(first, counts) < RACES
+    drives, ends = drives.where(newest), np.cumsum(np.minimum(counts, RACES))
     per_cm = np.zeros(len(tracks))
-    for index in np.unique(drives.track[known]):
+    for index in map(int, np.unique(drives.track)):
         track = files.load(tracks[index])
         per_cm[index] = corners(track) / track.length / 100
-    return _rated(drives, per_cm, np.flatnonzero(known))
+    turned, found = drives.distance_cm * per_cm[drives.track], {}
+    for entry, begin, end in zip(entries.tolist(), np.append(0, ends), ends, strict=False):
+        own = slice(begin, end)
+        found[entry] = _safety(drives.heat[own], drives.points[own], float(turned[own].sum()))
+    return Record(found, drives)
 
 
-def _rated(drives: Drives, per_cm: np.ndarray, rows: np.ndarray) -> dict[int, Safety]:
-    rows = rows[np.lexsort((-drives.half[rows], -drives.heat[rows], drives.entry[rows]))]
-    entries, first = np.unique(drives.entry[rows], return_index=True)
-    ends = np.append(first[1:], len(rows))[: len(first)]
-    found = {}
-    for entry, begin, end in zip(entries.tolist(), first, ends, strict=True):
-        own = rows[begin : min(end, begin + RACES)]
-        turned = float((drives.distance_cm[own] * per_cm[drives.track[own]]).sum())
-        points = int(drives.points[own].sum())
-        incidents = 100 * points / turned if turned > 0 else 0.0
-        worst = own[np.argsort(-drives.points[own], kind="stable")]
-        heats = dict.fromkeys(drives.heat[worst[drives.points[worst] > 0]].tolist())
-        found[entry] = Safety(
-            rating=BEST / (1 + incidents / HALF),
-            incidents=incidents,
-            points=points,
-            corners=turned,
-            races=len(own),
-            heats=tuple(heats)[:5],
-        )
-    return found
+def _safety(heats: np.ndarray, points: np.ndarray, turned: float) -> Safety:
+    """Return the rating of an entry by its newest races, (races,), in which it turned corners."""
+    total = int(points.sum())
+    incidents = 100 * total / turned if turned > 0 else 0.0
+    worst = np.argsort(-points, kind="stable")[: np.count_nonzero(points)]
+    return Safety(
+        rating=BEST / (1 + incidents / HALF),
+        incidents=incidents,
+        points=total,
+        corners=turned,
+        races=len(points),
+        heats=tuple(dict.fromkeys(heats[worst].tolist()))[:5],
+    )

@@ -15,7 +15,7 @@ are retrained, and a rating is a comparison with a field that changes, too."""
 
 
 @dataclass(frozen=True)
-class Scope:
+class RatingScope:
     """What ratings are made of: a season's races, and what was known before them."""
 
     races: Races
@@ -31,7 +31,7 @@ def scope(
     ruleset: str | None = None,
     season: Season | None = None,
     races: Races | None = None,
-) -> Scope:
+) -> RatingScope:
     """Return what the ratings of a season are made of.
 
     Args:
@@ -45,9 +45,9 @@ def scope(
     races = store.races(ruleset) if races is None else races
     season = season or (own[-1] if own else None)
     if season is None:
-        return Scope(races, None, None)
+        return RatingScope(races, None, None)
     before = next((one for one in own if one.number == season.number - 1), None)
-    return Scope(races.where(season.has(races.heat)), season, _carried(store, before))
+    return RatingScope(races.where(season.has(races.heat)), season, _carried(store, before))
 
 
 def _carried(store: Store, season: Season | None) -> Carried | None:

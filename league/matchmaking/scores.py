@@ -101,24 +101,36 @@ def best_laps(rated: Standings) -> dict[str, list[BestLap]]:
     )  # fmt: skip
 
 
-def time_attack(store: Store, kind: RaceKind) -> dict[str, list[BestLap]]:
+@dataclass(frozen=True)
+class Boards:
+    """Time-attack boards, which later races can be added to."""
+
+    laps: dict[str, list[BestLap]]
+    """The fastest clean lap of each entry, the fastest first, by track."""
+    last: dict[str, int]
+    """Store.drives.last of each ruleset, by its hash."""
+
+
+def time_attack(store: Store, kind: RaceKind, earlier: Boards | None = None) -> Boards:
     """Return the fastest clean lap of each entry in all races of a kind, by track.
 
     Races under all rules count that have the present physics, those of cups included. A lap is
     clean in a race without a fault: no leaving of the track, no contact to blame for, no standing
-    still, no driving backwards.
+    still, no driving backwards. With earlier boards only later races are read; that is right unless
+    heats were put in quarantine since.
     """
-    found: dict[str, list[BestLap]] = {}
+    found, last = (dict(earlier.laps), dict(earlier.last)) if earlier else ({}, {})
     physics = store.settings.ruleset.physics
     for hash, rules in store.rulesets().items():
         if (rules.kind, rules.physics) == (kind, physics):
-            drives = store.drives(hash, rated=False)
+            drives = store.drives(hash, since=last.get(hash, 0), rated=False)
+            last[hash] = drives.last
             laps = _fastest(
                 rules.tracks, drives.track, drives.entry, drives.clean_ms, drives.heat, drives.half
             )
             for track, own in laps.items():
                 found[track] = _best_of(found.get(track, []) + own)
-    return found
+    return Boards(found, last)
 
 
 def _best_of(laps: list[BestLap]) -> list[BestLap]:

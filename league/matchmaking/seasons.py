@@ -93,13 +93,9 @@ PLACES = ("Champion", "Second", "Third")
 def trophies(
     store: Store, rated: Standings, division_of: Mapping[int, int], safe: Mapping[int, Safety]
 ) -> list[Trophy]:
-    """Return a season's trophies; the league's own anchors win none.
+    """Return a season's trophies, by standings, divisions and safety (by entry number).
 
-    Args:
-        store: the league.
-        rated: the season's standings.
-        division_of: division of each entry, by its number.
-        safe: safety ratings by number.
+    The league's own anchors win none.
     """
     own = {row.number: row for row in rated.rows if not row.anchor and row.races}
     won = [

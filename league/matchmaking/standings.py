@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -150,8 +151,13 @@ def _data(
     return data if len(data.entries) else None
 
 
-def _fit(data: RatingData, entries: Sequence[Entry], carried: Carried | None) -> Ratings:
-    return fit(data, anchor=anchor_of(data.entries, entries), carried=carried)
+def _fit(
+    data: RatingData,
+    entries: Sequence[Entry],
+    carried: Carried | None,
+    near: Ratings | None = None,
+) -> Ratings:
+    return fit(data, anchor=anchor_of(data.entries, entries), carried=carried, near=near)
 
 
 def anchor_of(numbers: np.ndarray, entries: Sequence[Entry]) -> int | None:
@@ -194,6 +200,7 @@ def table(
     *,
     season: Season | None = None,
     carried: Carried | None = None,
+    near: Ratings | None = None,
 ) -> Standings | None:
     """Return the standings that follow from some races; None if no entry is rated.
 
@@ -204,11 +211,12 @@ def table(
         tracks: its tracks.
         season: that they belong to.
         carried: what was known before it.
+        near: ratings by nearly the same races, which make this quick.
     """
     data = _data(results_of(races), entries)
     if data is None:
         return None
-    fitted = _fit(data, entries, carried)
+    fitted = _fit(data, entries, carried, near)
     return Standings(
         rows=_rows(data, fitted, entries, Runs.of(races, tracks)),
         ratings=fitted,
@@ -323,8 +331,12 @@ class Runs:
         """Return an entry's best lap on each track that it completed one on."""
         if number >= len(self.known):
             return {}
-        laps = zip(self.tracks, self.best_ms[:, number].tolist(), strict=True)
+        laps = zip(self.tracks, self._laps_ms[number], strict=True)
         return {track: lap_ms / 1000 for track, lap_ms in laps if lap_ms < np.inf}
+
+    @cached_property
+    def _laps_ms(self) -> list[list[float]]:
+        return self.best_ms.T.tolist()
 
 
 @dataclass(frozen=True)

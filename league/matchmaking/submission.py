@@ -11,7 +11,7 @@ import json
 import os
 import struct
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -99,25 +99,18 @@ def _parsed(content: bytes) -> Checkpoint:
     return Checkpoint(card, weights, canonical)
 
 
-@dataclass(frozen=True)
-class Probe:
-    """What a policy showed before its first race."""
-
-    decision_s: float
-    """Fastest of some decisions [s of one core]."""
-    decisions: int
-    """Situations it was shown."""
-
-
-def probe(given: Checkpoint, what: str = "the submission") -> Probe:
+def probe(given: Checkpoint, what: str = "the submission") -> float:
     """Let a policy decide in made-up situations: finite, the same twice, and fast enough.
+
+    Returns:
+        Time of its fastest decision [s of one core].
 
     Raises:
         PolicyError: it is not.
     """
     policy = Policy(given, SimConfig().car)
-    fastest, situations = float("inf"), list(_situations(given.card))
-    for situation in situations:
+    fastest = float("inf")
+    for situation in _situations(given.card):
         # The processor's time of all threads: a busy machine must not refuse a policy.
         start = time.process_time()
         first = policy.outputs(situation)
@@ -138,7 +131,7 @@ def probe(given: Checkpoint, what: str = "the submission") -> Probe:
             f"{what} is refused: a decision takes {1e3 * fastest:.0f} ms on one core, at most "
             f"{1e3 * PROBE_S:.0f} ms are allowed; make its network or its pictures smaller"
         )
-    return Probe(fastest, len(situations))
+    return fastest
 
 
 def _situations(card: Card) -> list[dict[str, np.ndarray]]:

@@ -6,9 +6,9 @@ import base64
 import binascii
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import Annotated, Any, cast
+from typing import Annotated, Any, TypeVar, cast
 
-from pydantic import AfterValidator, Field, ValidationError, model_validator
+from pydantic import AfterValidator, Field, TypeAdapter, ValidationError, model_validator
 
 from league.errors import LeagueError, StoreError
 from league.matchmaking.pairing.heat_spec import Half, Heat, Purpose, Ruleset, canonical
@@ -18,12 +18,12 @@ from league.matchmaking.store import (
     HeatRecord,
     HeatState,
     RaceOutcome,
-    Received,
 )
 from league.matchmaking.workers.worker import outcome_in
 from league.race_spec import CarResult, FrozenModel, printable
 from league.sim.config import MAX_CARS
 
+_Answer = TypeVar("_Answer")
 MOST_HEATS = 64
 """Heats of one message."""
 MOST_REPLAY = 4 << 20
@@ -173,13 +173,7 @@ class State(FrozenModel):
 def lent(
     records: Sequence[HeatRecord], rules: Mapping[str, Ruleset], entries: Mapping[str, Entry]
 ) -> Lent:
-    """Return lent heats as they are sent.
-
-    Args:
-        records: the heats, with their seeds.
-        rules: the league's rulesets by hash.
-        entries: the league's entries by id.
-    """
+    """Return lent heats as they are sent, with their rules (by hash) and entries (by id)."""
     ids = sorted({id for record in records for id in record.heat.entries})
     return Lent(
         heats=tuple(map(_lent_heat, records)),
@@ -259,12 +253,8 @@ def sent_heat(outcome: HeatOutcome) -> SentHeat:
 def outcome_of(sent: SentHeat, record: HeatRecord, names: Mapping[str, str]) -> HeatOutcome:
     """Return the results that a stranger's worker sent, checked as far as one can without racing.
 
-    A recording must be of this race, and the result must be what follows from it.
-
-    Args:
-        sent: the results.
-        record: the heat, with its seeds.
-        names: of entries, by id.
+    A recording must be of this race, with the names of its entries (given by id), and the result
+    must be what follows from it.
 
     Raises:
         StoreError: they contradict the heat, or each other.
@@ -306,23 +296,14 @@ def _check_recording(
         raise StoreError(f"a result of heat {number} does not follow from its recording: send both")
 
 
-def received_of(answer: Mapping[str, Any]) -> Received:
-    """Return what a server did with results."""
-    try:
-        fields = {name: tuple(map(str, answer[name])) for name in Received.__dataclass_fields__}
-    except (KeyError, TypeError) as error:
-        raise StoreError("the server's answer about results is not one of a league's") from error
-    return Received(**fields)
-
-
-def checked(model: type[FrozenModel], content: bytes) -> Any:  # noqa: ANN401
+def checked(model: type[_Answer], content: bytes) -> _Answer:
     """Return a server's answer, checked.
 
     Raises:
         StoreError: it is not what a league of this version answers.
     """
     try:
-        return model.model_validate_json(content)
+        return TypeAdapter(model).validate_json(content)
     except ValidationError as error:
         raise StoreError(
             "the server does not answer as a league of this version does: use the same version of "

@@ -17,7 +17,7 @@ import numpy as np
 from league.jit import compiled, inner
 from league.portable_math import f32, heading_of
 from league.racing_line.search import fastest, sample
-from league.racing_line.speed_profile import Limits, speed_profile, travel_time
+from league.racing_line.speed_profile import CarLimits, speed_profile, travel_time
 from league.sim.config import CarConfig
 from league.track.projection import frame_at
 from league.track.track import Track, TrackSet
@@ -70,7 +70,7 @@ def optimal_line(
         spacing: distance between two control points of the line [m].
         curvature_rate: largest change of curvature along the line [1/m per m].
     """
-    limits = Limits.of(car, share, load_transfer=load_transfer)
+    limits = CarLimits.of(car, share, load_transfer=load_transfer)
     tracks = TrackSet(track)
     road = road_of(tracks, spacing, margin)
     offset = fastest(road, track.closed, limits, curvature_rate)
@@ -79,7 +79,7 @@ def optimal_line(
 
 def center_line(track: Track, car: CarConfig, *, share: float, top_speed: float) -> RacingLine:
     """Return the centreline itself, with the speed a share of the car's limits allows."""
-    limits = Limits.of(car, share)._replace(speed=top_speed)
+    limits = CarLimits.of(car, share)._replace(speed=top_speed)
     tracks = TrackSet(track)
     road = road_of(tracks, 0.12, 0.0)
     return _finished(tracks, road, road["aside"], limits)
@@ -91,7 +91,9 @@ def road_of(tracks: TrackSet, spacing: float, margin: float) -> np.ndarray:
     return sample(tracks.points, tracks.courses, steps, margin)
 
 
-def _finished(tracks: TrackSet, road: np.ndarray, offset: np.ndarray, limits: Limits) -> RacingLine:
+def _finished(
+    tracks: TrackSet, road: np.ndarray, offset: np.ndarray, limits: CarLimits
+) -> RacingLine:
     """Read the curve at even distances along the track, in the track's own frame."""
     length, closed = float(tracks.length[0]), bool(tracks.closed[0])
     steps = max(16, round(length / STEP))

@@ -20,7 +20,7 @@ from league.sim.config import CarConfig
 from league.sim.settings import GRAVITY
 
 
-class Limits(NamedTuple):
+class CarLimits(NamedTuple):
     """What the car's tyres, drive and steering allow."""
 
     lateral: float
@@ -37,7 +37,7 @@ class Limits(NamedTuple):
     """Share of an axle's load lost for each m/s^2 of drive or braking [s^2/m]; 0: none is."""
 
     @classmethod
-    def of(cls, car: CarConfig, share: float = 1.0, *, load_transfer: bool = True) -> Limits:
+    def of(cls, car: CarConfig, share: float = 1.0, *, load_transfer: bool = True) -> CarLimits:
         """Return a car's limits, with only a share of its grip used.
 
         With load transfer, the axle that braking or drive unloads slides first (each axle takes

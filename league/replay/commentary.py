@@ -51,7 +51,7 @@ _WEIGHT = {
 
 
 @dataclass(frozen=True)
-class Line:
+class Remark:
     """One sentence of the story."""
 
     time_s: float
@@ -102,17 +102,17 @@ class Commentator:
         self._crossings: dict[int, list[tuple[float, int]]] = {}
         self._won = False
 
-    def add(self, time_s: float, cars: Cars, events: Iterable[Event] = ()) -> list[Line]:
+    def add(self, time_s: float, cars: Cars, events: Iterable[Event] = ()) -> list[Remark]:
         """Return what is to be said about one step, which ended at `time_s`."""
         events = tuple(events)
         laps = np.asarray(cars["laps"])
         lines = [
-            Line(event.time_s, kind, car, 1 + int(laps[car]) - (event.kind == "lap"), text)
+            Remark(event.time_s, kind, car, 1 + int(laps[car]) - (event.kind == "lap"), text)
             for event in events
             for kind, car, text in self._about(event, events, cars)
         ]
         for kind, car, text in self._about_fights(time_s, cars):
-            lines.append(Line(time_s, kind, car, 1 + int(laps[car]), text))
+            lines.append(Remark(time_s, kind, car, 1 + int(laps[car]), text))
         self._before = time_s, np.array(cars["distance"], dtype=np.float64)
         self._moving = (
             np.stack([cars["x"], cars["y"]], axis=1).astype(np.float64),
@@ -120,11 +120,11 @@ class Commentator:
         )
         return [_on_lap(line, self._laps) for line in lines]
 
-    def end(self, result: RaceResult) -> list[Line]:
+    def end(self, result: RaceResult) -> list[Remark]:
         """Return what is said when the race is over."""
         lines, first = [], result.order[0]
         if not self._won and len(result.order) > 1:
-            lines.append(Line(result.race_s, "winner", first.car, first.laps, _won(result)))
+            lines.append(Remark(result.race_s, "winner", first.car, first.laps, _won(result)))
         fights = [(fight.near_s, pair) for pair, fight in self._fights.items() if fight.near_s]
         if fights:
             near_s, pair = max(fights, key=lambda one: (one[0], -min(one[1])))
@@ -133,7 +133,7 @@ class Commentator:
                 f"closest fight: {self._names[one]} and {self._names[other]}, within {ATTACK} m "
                 f"for {near_s:.1f} s"
             )
-            lines.append(Line(result.race_s, "closest_fight", one, first.laps, text))
+            lines.append(Remark(result.race_s, "closest_fight", one, first.laps, text))
         return [_on_lap(line, self._laps) for line in lines]
 
     def _about_fights(self, time_s: float, cars: Cars) -> Iterable[tuple[str, int, str]]:
@@ -270,7 +270,7 @@ def gap_s(cars: Cars, front: int, rear: int) -> float:
     return float(cars["distance"][front] - cars["distance"][rear]) / max(speed, 0.5)
 
 
-def shortened(lines: Sequence[Line], most: int = 12) -> list[Line]:
+def shortened(lines: Sequence[Remark], most: int = 12) -> list[Remark]:
     """Return the lines that matter most, in order of time; of equal ones the later."""
     kept = [line for line in lines if line.kind in _WEIGHT]
     kept.sort(key=lambda line: (_WEIGHT[line.kind], -line.time_s))
@@ -291,7 +291,7 @@ def _is_said(event: Event, events: Sequence[Event]) -> bool:
     return any(one.kind == "overtake" and one.car == event.car for one in events)
 
 
-def _on_lap(line: Line, laps: int) -> Line:
+def _on_lap(line: Remark, laps: int) -> Remark:
     """Return a line of the cooling lap, or of before the start, with a lap of the race."""
     lap = min(max(line.lap, 1), laps)
     return replace(line, lap=lap)
@@ -306,14 +306,14 @@ def _won(result: RaceResult) -> str:
     return f"{first.name} wins by its {result.spec.ranking} lap time, before {second.name}"
 
 
-def of_replay(replay: Replay) -> list[Line]:
+def of_replay(replay: Replay) -> list[Remark]:
     """Return the whole story of a recorded race, in order of time."""
     columns = {name: getattr(replay.columns, name) for name in FIELDS}
     events: dict[int, list[Event]] = {}
     for event in replay.result.events:
         events.setdefault(round(event.time_s * replay.step_hz), []).append(event)
     commentator = Commentator(replay.spec, replay.names, closed=replay.track.closed)
-    lines: list[Line] = []
+    lines: list[Remark] = []
     for frame, time_s in enumerate(replay.times_s.tolist()):
         cars = {name: column[frame] for name, column in columns.items()}
         lines += commentator.add(time_s, cars, events.get(frame, ()))

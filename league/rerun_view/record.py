@@ -47,7 +47,8 @@ def save(replay: Replay, path: str | os.PathLike[str], *, cameras: bool = True) 
         recording.save(file, default_blueprint=layout)
         writer = SceneWriter(recording, replay.track, replay.names, replay.step_hz)
         _send_race(writer, replay)
-        _send_events(writer, replay)
+        for line in commentary.of_replay(replay):
+            send_line(writer, line)
         _send_lidar(writer, replay)
         if cameras:
             _send_eyes(writer, replay)
@@ -103,12 +104,7 @@ def _send_obstacles(writer: SceneWriter, replay: Replay) -> None:
     writer.send_obstacles(times, things, bots=replay.spec.obstacle_kind == "bot")
 
 
-def _send_events(writer: SceneWriter, replay: Replay) -> None:
-    for line in commentary.of_replay(replay):
-        send_line(writer, line)
-
-
-def send_line(writer: SceneWriter, line: commentary.Line) -> None:
+def send_line(writer: SceneWriter, line: commentary.Remark) -> None:
     """Add a line of the race's story to the list of events."""
     colour = NEUTRAL if line.kind == "start" else CAR_COLOURS[line.car]
     level = EVENT_LEVELS.get(line.kind, "INFO")

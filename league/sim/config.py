@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from league.errors import ConfigError, brief
-from league.sim.validation import Checked, check, is_number, ranged
+from league.sim.validation import Checked, is_number, ranged
 
 RaceKind = Literal["time_trial", "obstacle_avoidance", "head_to_head"]
 SolverName = Literal["planar", "bullet"]
@@ -318,7 +318,7 @@ def _is_place(place: object) -> bool:
 
 
 @dataclass(frozen=True)
-class RaceRules:
+class RaceRules(Checked):
     """What ends a stretch, what it costs and how the order is made."""
 
     laps: int = ranged(3, 1, 1000)
@@ -362,7 +362,7 @@ class RaceRules:
     """The race is stopped after this time [s]; 0: 30 s plus the laps at 0.25 m/s."""
 
     def __post_init__(self) -> None:
-        check(self)
+        super().__post_init__()
         if self.light_contact > self.full_contact:
             raise ConfigError(
                 f"light_contact is {self.light_contact} m/s and full_contact {self.full_contact}: "

@@ -49,31 +49,15 @@ def scan(
     `car` is the slot of the car, `rows` the worlds to scan, int64 (None: all). The reading is
     float32, (num_rows, cfg.size): ranges [m], or 0 and 1 of the coarse forms.
     """
-    ranges = true_ranges(tracks, sim, cfg, world, car, rows, cfg.noise)
-    return read(np.clip(ranges, f32(cfg.min_range), f32(cfg.max_range)), cfg)
-
-
-def true_ranges(
-    tracks: TrackSet,
-    sim: SimConfig,
-    cfg: LidarConfig,
-    world: World,
-    car: int,
-    rows: np.ndarray | None = None,
-    noise: float = 0.0,
-) -> np.ndarray:
-    """Return the distance [m] along each beam, not clipped; float32 (num_rows, beams).
-
-    `noise` is the standard deviation of what is added [m]; for the rest see `scan`.
-    """
     if rows is None:
         rows = np.arange(world.num_worlds)
     angles = np.array(beam_angles(cfg), np.float32)
-    out = np.empty((len(rows), cfg.beams), np.float32)
+    ranges = np.empty((len(rows), cfg.beams), np.float32)
     half = (f32(sim.car.length / 2), f32(sim.car.width / 2))
     records = world.cars, world.obstacles, world.worlds
-    _scan(*records, tracks.courses, car, rows, angles, f32(cfg.forward), half, f32(noise), out)
-    return out
+    place, noise = f32(cfg.forward), f32(cfg.noise)
+    _scan(*records, tracks.courses, car, rows, angles, place, half, noise, ranges)
+    return read(np.clip(ranges, f32(cfg.min_range), f32(cfg.max_range)), cfg)
 
 
 def read(ranges: np.ndarray, cfg: LidarConfig) -> np.ndarray:

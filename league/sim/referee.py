@@ -24,7 +24,7 @@ _INFINITE = f32(np.inf)
 _ZERO, _ONE = f32(0.0), f32(1.0)
 
 
-@inner
+@compiled
 def judge(before, cars, obstacles, world, verdicts, contacts, points, course, settings):
     """Write down what happened to the cars of one world in a control step.
 
@@ -227,7 +227,7 @@ def stop_bots(cars, obstacles, verdicts, settings):
             obstacles[k].stopped_s = settings.bot_stop_s
 
 
-@inner
+@compiled
 def penalise(cars, obstacles, verdicts, points, course, settings):
     """Apply the race's penalties to one world: who made a mistake is frozen, then goes on.
 

@@ -5,14 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import field, fields
 from types import UnionType
-from typing import TYPE_CHECKING, Literal, TypeVar, get_args, get_origin
+from typing import Literal, TypeVar, get_args, get_origin
 
 import numpy as np
 
 from league.errors import ConfigError, brief
-
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
 
 Number = TypeVar("Number", int, float)
 Whole = int | np.integer
@@ -20,7 +17,7 @@ Real = Whole | float | np.floating
 
 
 def ranged(default: Number, low: float, high: float) -> Number:
-    """Return a field of a dataclass that `check` keeps from low to high, both included."""
+    """Return a field of a dataclass that `Checked` keeps from low to high, both included."""
     return field(default=default, metadata={"range": (low, high)})
 
 
@@ -31,20 +28,16 @@ class Checked:
         cls._what = what
 
     def __post_init__(self) -> None:
-        """Raise a ConfigError for a field of the wrong type or a number out of its range."""
-        check(self, self._what)  # type: ignore[arg-type]
+        """Raise a ConfigError for a field of the wrong type or a number out of its range.
 
-
-def check(cfg: DataclassInstance, what: str = "") -> None:
-    """Raise a ConfigError for a field of the wrong type or a number out of its range.
-
-    Types are written without quotes; tuples are left to their own class.
-    """
-    for item in fields(cfg):
-        value = getattr(cfg, item.name)
-        wanted = _wanted(item.type, value, *item.metadata.get("range", (-math.inf, math.inf)))
-        if wanted:
-            raise ConfigError(f"{f'{what} {item.name}'.strip()} is {brief(value)}: {wanted}")
+        Types are written without quotes; tuples are left to their own class.
+        """
+        for item in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, item.name)
+            wanted = _wanted(item.type, value, *item.metadata.get("range", (-math.inf, math.inf)))
+            if wanted:
+                name = f"{self._what} {item.name}".strip()
+                raise ConfigError(f"{name} is {brief(value)}: {wanted}")
 
 
 def is_number(value: object, low: float, high: float) -> bool:

@@ -43,7 +43,7 @@ Colour = tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
-class Floor:
+class FloorPicture:
     """The painted floor of the rectangle `Track.room`."""
 
     image: np.ndarray
@@ -60,7 +60,7 @@ class Floor:
         return (points - (self.origin_x, self.origin_y)) / self.metres_per_pixel - 0.5
 
 
-def floor(track: Track, metres_per_pixel: float, *, colour: bool) -> Floor:
+def floor(track: Track, metres_per_pixel: float, *, colour: bool) -> FloorPicture:
     """Paint the floor of the track's room; gray is the Rec. 601 luma of the colours."""
     x_min, y_min, x_max, y_max = track.room
     if not metres_per_pixel > 0:
@@ -98,7 +98,7 @@ def floor(track: Track, metres_per_pixel: float, *, colour: bool) -> Floor:
     image = cv2.add(image, cv2.merge([noise] * 3), dtype=cv2.CV_8U)
     if not colour:
         image = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    return Floor(image, x_min, y_min, metres_per_pixel)
+    return FloorPicture(image, x_min, y_min, metres_per_pixel)
 
 
 def _noise_tile() -> np.ndarray:

@@ -24,7 +24,7 @@ _SWEEPS = 60  # each halves what is missing at least
 
 
 @dataclass(frozen=True, eq=False)
-class Curve:
+class Spline:
     """A cubic spline through K points; a closed one repeats its first point as the last."""
 
     place: np.ndarray
@@ -44,7 +44,7 @@ class Curve:
         return v * self.points[row] + u * self.points[row + 1] + gap * gap / 6 * bent
 
 
-def through(points: np.ndarray, *, closed: bool) -> Curve:
+def through(points: np.ndarray, *, closed: bool) -> Spline:
     """Return the smooth curve through the points, by chord length: periodic, or natural if open."""
     ring = np.concatenate([points, points[:1]]) if closed else points
     gap = np.linalg.norm(np.diff(ring, axis=0), axis=1)[:, None]
@@ -62,7 +62,7 @@ def through(points: np.ndarray, *, closed: bool) -> Curve:
     if closed:
         bends[-1] = bends[0]
     chords = gap[1:, 0] if closed else gap[:, 0]
-    return Curve(np.concatenate([[0.0], np.cumsum(chords)]), ring, bends)
+    return Spline(np.concatenate([[0.0], np.cumsum(chords)]), ring, bends)
 
 
 def interpolate(wanted: np.ndarray, place: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -98,7 +98,7 @@ def resample(
     return np.ascontiguousarray(curve(interpolate(wanted, s, place)))
 
 
-def _arc_length(curve: Curve) -> tuple[np.ndarray, np.ndarray]:
+def _arc_length(curve: Spline) -> tuple[np.ndarray, np.ndarray]:
     """Return places along the curve, dense in every piece, and the distance travelled there [m]."""
     counts = np.clip(np.ceil(np.diff(curve.place) / 0.01), 8, 10_000).astype(int)
     pieces = [

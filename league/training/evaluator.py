@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import math
-import multiprocessing
 import os
-import queue
 import time
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
-from typing import Any
 
 from league import subprocesses
 from league.agents import roster
 from league.agents.checkpoint import Checkpoint
 from league.agents.policy import Policy
-from league.errors import LeagueError, PolicyError
+from league.errors import PolicyError
 from league.racing.evaluate import evaluate
 from league.racing.table import Evaluation
 from league.sim.config import ObstacleConfig, RaceKind, SimConfig
@@ -123,19 +122,17 @@ class Evaluator:
 
         Without `background` policies are evaluated at once, in this process.
         """
-        self._cfg, self._background, self._process = cfg, background, None
-        self._pending, self._results = 0, []
+        self._cfg, self._background = cfg, background
+        self._results: list[EvalResult] = []
+        self._jobs: list[Future[EvalResult]] = []
+        self._pool: ProcessPoolExecutor | None = None
         if background:
             subprocesses.prepare(MODULES)
-            self._policies = subprocesses.CONTEXT.Queue()
-            self._answers = subprocesses.CONTEXT.Queue()
-            # Left unread, a policy would keep this process from ending.
-            self._policies.cancel_join_thread()
 
     @property
     def pending(self) -> int:
         """Policies submitted and not yet evaluated."""
-        return self._pending
+        return len(self._jobs)
 
     def submit(self, number: int, checkpoint: Checkpoint) -> None:
         """Evaluate a policy as it was after an update.
@@ -146,10 +143,10 @@ class Evaluator:
         if not self._background:
             self._results.append(_evaluated(self._cfg, number, checkpoint))
             return
-        if self._process is None:
-            self._process = subprocesses.start(_work, self._cfg, self._policies, self._answers)
-        self._pending += 1
-        self._policies.put((number, checkpoint.card, dict(checkpoint.weights)))
+        with subprocesses.failing_in_one_sentence():
+            if self._pool is None:
+                self._pool = ProcessPoolExecutor(1, subprocesses.CONTEXT, _begin)
+            self._jobs.append(self._pool.submit(_evaluated, self._cfg, number, checkpoint))
 
     def take(self, *, wait: bool = False) -> list[EvalResult]:
         """Return and forget the results so far; with `wait` at least one, if any is pending.
@@ -158,12 +155,15 @@ class Evaluator:
             PolicyError: the process has died.
         """
         results, self._results = self._results, []
-        while self._pending:
+        while self._jobs and (self._jobs[0].done() or (wait and not results)):
             try:
-                results.append(self._next(wait and not results))
-            except queue.Empty:
-                break
-            self._pending -= 1
+                results.append(self._jobs.pop(0).result(TIMEOUT_S))
+            except (BrokenProcessPool, TimeoutError):
+                self._jobs.clear()
+                raise PolicyError(
+                    "the process that evaluates has died: see whether memory ran out, and "
+                    "go on with --resume"
+                ) from None
         return results
 
     def peek(self) -> tuple[EvalResult, ...]:
@@ -173,50 +173,19 @@ class Evaluator:
 
     def close(self) -> None:
         """Stop the process, whatever it is doing."""
-        if self._process is not None:
-            self._process.terminate()
-            self._process.join(5.0)
-            self._process = None
-        if self._background:
-            self._policies.close()
-            self._answers.close()
+        pool, self._pool = self._pool, None
+        if pool is not None:
+            for process in pool._processes.values():  # pyright: ignore[reportPrivateUsage]
+                process.terminate()
+            pool.shutdown(cancel_futures=True)
 
-    def _next(self, wait: bool) -> EvalResult:
-        assert self._process is not None
-        deadline = time.monotonic() + TIMEOUT_S
-        while True:
-            try:
-                answer = self._answers.get(timeout=0.5) if wait else self._answers.get_nowait()
-            except queue.Empty:
-                if self._process.is_alive() and time.monotonic() < deadline:
-                    if wait:
-                        continue
-                    raise
-                self._pending = 0
-                raise PolicyError(
-                    "the process that evaluates has died: see whether memory ran out, and "
-                    "go on with --resume"
-                ) from None
-            if isinstance(answer, str):
-                raise PolicyError(answer)
-            return answer
+
+def _begin() -> None:
+    subprocesses.settle()
+    os.nice(10)  # where cores are few, learning goes first
 
 
 def _evaluated(cfg: EvalConfig, number: int, checkpoint: Checkpoint) -> EvalResult:
     started = time.perf_counter()
     evaluation = evaluate_policy(cfg, checkpoint)
     return EvalResult(number, evaluation, time.perf_counter() - started)
-
-
-def _work(
-    cfg: EvalConfig, policies: multiprocessing.Queue[Any], answers: multiprocessing.Queue[Any]
-) -> None:
-    """Evaluate until stopped."""
-    os.nice(10)  # where cores are few, learning goes first
-    while True:
-        number, card, weights = policies.get()
-        try:
-            answers.put(_evaluated(cfg, number, Checkpoint(card, weights)))
-        except LeagueError as error:
-            answers.put(str(error))
-            return

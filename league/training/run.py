@@ -13,8 +13,7 @@ from pydantic import ValidationError
 
 from league import __version__
 from league.agents import checkpoint, roster
-from league.agents.card import Card
-from league.agents.card import Reward as RewardCard
+from league.agents.card import Card, RewardCard
 from league.agents.checkpoint import Checkpoint
 from league.agents.policy import Policy
 from league.atomic_file import replacing
@@ -37,7 +36,7 @@ from league.training.evaluator import (
     clean_share,
     evaluate_policy,
 )
-from league.training.monitor.history import History
+from league.training.monitor.history import TrainingHistory
 from league.training.ppo import distributed, make_env
 from league.training.ppo.learner import Update, check_device, make_learner, memory_explained
 from league.training.ppo.racer import Racer, RacingLearner, make_racing
@@ -142,7 +141,7 @@ class Run:
         self._submitted: dict[int, Checkpoint] = {}
         self._best: tuple[float, ...] | None = None
         self._best_evaluation: Evaluation | None = None
-        self.history = History()
+        self.history = TrainingHistory()
         self._duels: Threshold | None = None
         self._lock: int | None = None
 
@@ -172,7 +171,7 @@ class Run:
             self._simtrace.resume(notes.get("simtrace", (0, 0)))
             self._write_simtrace_metadata()
         self.history.close()
-        self.history = History.resumed(self.folder / "history.jsonl", self.learner.updates)
+        self.history = TrainingHistory.resumed(self.folder / "history.jsonl", self.learner.updates)
         if more and not self.over:
             config.write(self.cfg, self.folder)  # also for a resume after a kill
 
@@ -275,7 +274,7 @@ class Run:
         run_folder.clear(self.folder)
         if self._simtrace is not None:
             self._write_simtrace_metadata()
-        self.history = History(self.folder / "history.jsonl")
+        self.history = TrainingHistory(self.folder / "history.jsonl")
 
     def _write_simtrace_metadata(self) -> None:
         train, ppo = self.train, self.train.ppo

@@ -20,13 +20,13 @@ from league.sim.camera.ground import Floor, floor_of
 from league.sim.camera.paint_renderer import Painter
 from league.sim.camera.scene import CAR as CAR_MODEL
 from league.sim.camera.scene import FAR_CAR, SUN
-from league.sim.camera.stage import Lens, Stage, Thing
+from league.sim.camera.scene_state import Lens, SceneState, Thing
 from league.sim.config import CameraConfig
 from league.sim.records import CAR, World
 from league.track.track import Rgb
 from league.video.hud import Hud
 from league.video.mp4 import Coding, Mp4
-from league.video.pixels import draw_floor, draw_shadow, packed
+from league.video.pixels import draw_shadow
 
 SIZE = (1280, 720)
 FPS = 30
@@ -77,7 +77,7 @@ class Film:
         sky = (red, green, blue)
         lens = Lens.of(camera)
         floor = floor_of(replay.track, lens, ABOVE, TILT, colour=True)
-        self._camera, self._painter = camera, _FloorFirst(lens, floor, sky)
+        self._camera, self._painter = camera, _ShadowPainter(lens, floor, sky)
         # OpenCV's own threads cost more than they bring at these sizes.
         cv2.setNumThreads(1)
         self._size = size
@@ -90,11 +90,14 @@ class Film:
         """Return the pictures of these moments, RGB uint8, (height, width, 3) each."""
         world = self._replay.at(times_s)
         x, y, yaw = self._eye(np.clip(times_s, 0.0, self._replay.duration_s))
-        stage, eye = Stage(self._replay.sim, _with_eye(world, x, y, yaw)), self._replay.num_cars
+        state, eye = (
+            SceneState(self._replay.sim, _with_eye(world, x, y, yaw)),
+            self._replay.num_cars,
+        )
         pictures = []
         for row, time_s in enumerate(times_s):
-            pose = stage.camera(row, eye, self._camera)
-            picture = self._painter.picture(pose, stage.things(row, without=eye))
+            pose = state.camera(row, eye, self._camera)
+            picture = self._painter.picture(pose, state.things(row, without=eye))
             if time_s > self.ends_s:
                 self._hud.draw_result(picture)
             else:
@@ -135,30 +138,23 @@ class Film:
         return x, y, yaw
 
 
-class _FloorFirst(Painter):
-    """Paints whole pictures in colour of one track, the floor with the faster code."""
+class _ShadowPainter(Painter):
+    """Paints whole pictures in colour of one track, with shadows on the floor."""
 
     def __init__(self, lens: Lens, floor: Floor, sky: Rgb) -> None:
         super().__init__(lens, gray=False, sky=sky)
-        # Whole rows are copied much faster than single pixels.
-        self._sky = np.full((lens.width, 3), sky, np.uint8)
         self._floor = floor
-        self._levels = [packed(texture) for texture in floor.ground.levels]
 
     def picture(self, pose: raster.Pose, things: list[Thing]) -> np.ndarray:
         """Return what is seen from a place, RGB uint8, (height, width, 3)."""
-        lens, floor = self._lens, self._floor
-        picture = np.empty((lens.height, lens.width, 3), np.uint8)
-        top = self._first_floor_row(pose, floor.ground.room)
-        flat = picture.reshape(lens.height, -1)
-        for start, stop, level in floor.bands:
-            if stop > top:
-                draw_floor(flat, max(start, top), stop, self._levels[level], self._optics, pose)
+        pictures = np.empty((1, self._lens.height, self._lens.width, 3), np.uint8)
+        top = self._paint_floor(pictures, pose, self._floor)
+        flat = pictures.reshape(self._lens.height, -1)
         for thing in things:
             shadow = shadow_of(thing)
             draw_shadow(flat, top, shadow, SHADOW_EDGE, SHADOW_KEPT, self._optics, pose)
-        self.paint(picture[None], pose, floor._replace(bands=()), things)
-        return picture
+        self._paint_things(pictures, pose, self._floor.ground.room, things)
+        return pictures[0]
 
 
 def shadow_of(thing: Thing) -> np.ndarray:

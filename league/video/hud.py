@@ -8,9 +8,10 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from league import times
 from league.replay import Replay, commentary
 from league.sim.camera.scene import CAR_COLOURS
-from league.sim.camera.stage import Stage
+from league.sim.camera.scene_state import SceneState
 from league.sim.camera.top_view import draw_things
 from league.sim.records import World
 from league.track.markings import Plan
@@ -96,8 +97,8 @@ class Hud:
             self._draw_place(picture, car.place, left + px(43), y + px(6), px(19))
             put_text(picture, _short(car.name), left + px(76), y + px(4), px(22), weight=500)
             values = {
-                "total": clock(car.total_s) if car.finished else "not finished",
-                "best lap": clock(car.best_lap_s) if car.best_lap_s else "",
+                "total": times.clock(car.total_s, 2) if car.finished else "not finished",
+                "best lap": times.clock(car.best_lap_s, 2) if car.best_lap_s else "",
                 "penalty": f"{car.penalty_s:.1f}" if car.penalty_s else "",
             }
             for name, value in values.items():
@@ -133,7 +134,7 @@ class Hud:
         laps = self._replay.spec.laps
         done = int(self._replay.columns.laps[frame].max())
         lap = f"LAP {min(done + 1, laps)}/{laps}" if done < laps else "FINISH"
-        time_text = clock(min(time_s, self._replay.duration_s))
+        time_text = times.clock(min(time_s, self._replay.duration_s), 2)
         lap_width = text_width(lap, px(30), 700)
         width = lap_width + px(150)
         put_panel(picture, px(24), px(24), width, px(56), radius=px(10))
@@ -168,7 +169,7 @@ class Hud:
         """Return the text next to a name: time, penalty, speed or gap."""
         finish = self._finish.get(car)
         if finish is not None and finish.total_s <= time_s + 1e-6:
-            return clock(finish.total_s), WHITE
+            return times.clock(finish.total_s, 2), WHITE
         penalty = float(self._replay.columns.penalty_s[frame, car])
         if penalty > 0:
             return f"penalty {penalty:.1f}", (255, 176, 60)
@@ -235,26 +236,15 @@ class TopView:
         plan = Plan.of(track, pixel, _MARGIN, sideways=sideways)
         self._plan = replace(plan, picture=(plan.picture * _DIMMED).astype(np.uint8))
 
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height of the picture [px]."""
-        return self._plan.picture.shape[1], self._plan.picture.shape[0]
-
     def draw(self, replay: Replay, world: World, row: int) -> np.ndarray:
         """Return the picture of one world of a batch, RGB."""
         plan = replace(self._plan, picture=self._plan.picture.copy())
-        draw_things(plan, Stage(replay.sim, world.row(row)), size=_LARGER)
+        draw_things(plan, SceneState(replay.sim, world.row(row)), size=_LARGER)
         return plan.picture
 
 
 def _short(name: str) -> str:
     return name if len(name) <= NAME_LETTERS else name[: NAME_LETTERS - 1] + "\u2026"
-
-
-def clock(seconds: float) -> str:
-    """Return a time as on a timing screen: m:ss.hh."""
-    hundredths = round(seconds * 100)
-    return f"{hundredths // 6000}:{hundredths // 100 % 60:02d}.{hundredths % 100:02d}"
 
 
 @lru_cache(maxsize=1)

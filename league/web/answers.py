@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import threading
 import time
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 
 from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
 
+from league.errors import LeagueError
 from league.web.reader import FRESH_S, Reader
 
 MOST = 512
 """Answers that are kept."""
 LOOK_S = 0.5
 """The store is asked at most so often [s] whether something happened."""
+STALE_S = 8.0
+"""An answer that was up to date so short a time ago [s] is given while the next one is made."""
 Key = tuple[str, str, str]
 
 
@@ -33,12 +40,15 @@ class _Answer:
 
 
 class Answers:
-    """Keeps answers; asked by the event loop, filled by threads."""
+    """Keeps answers; asked by the event loop, filled by threads, each by one at a time."""
 
     def __init__(self, reader: Reader) -> None:
         self._reader = reader
         self._lock = threading.Lock()
         self._kept: OrderedDict[Key, _Answer] = OrderedDict()
+        self._making: dict[Key, threading.Event] = {}
+        self._later = ThreadPoolExecutor(1, "answers")  # one at a time: requests have their turn
+        self._renewed: set[Key] = set()
         self._revision, self._looked_s = 0, float("-inf")
 
     def shared(
@@ -54,31 +64,56 @@ class Answers:
 
         async def respond(request: Request) -> Response:
             key = (str(request.base_url), request.url.path, request.url.query)
-            found = self._found(key, lasting=lasting)
-            if found is None:
-                found = await run_in_threadpool(self._made, key, make, request)
+            made = partial(self._made, key, make, request, lasting=lasting)
+            found, now_s = self._kept.get(key), time.monotonic()
+            if found is None or now_s - found.seen_s >= (STALE_S if lasting else FRESH_S):
+                found = await run_in_threadpool(made)
+            elif now_s - found.seen_s >= FRESH_S and key not in self._renewed:
+                self._renewed.add(key)
+                self._later.submit(self._renew, key, made)
             if "gzip" in request.headers.get("accept-encoding", ""):
                 return Response(found.packed, headers={**found.headers, "content-encoding": "gzip"})
             return Response(gzip.decompress(found.packed), headers=found.headers)
 
         return respond
 
-    def _found(self, key: Key, *, lasting: bool) -> _Answer | None:
-        """Return an answer that may still be given."""
-        with self._lock:
-            found, now_s = self._kept.get(key), time.monotonic()
-            if found is None or now_s - found.seen_s < FRESH_S:
-                return found
-            if not lasting:
-                return None
-            if now_s - self._looked_s > LOOK_S:
-                self._revision, self._looked_s = self._reader.store.revision, now_s
-            if self._revision != found.revision:
-                return None
-            found.seen_s = now_s
-            return found
+    def _renew(self, key: Key, made: Callable[[], _Answer]) -> None:
+        try:
+            with contextlib.suppress(LeagueError, HTTPException):  # a later request is told
+                made()
+        finally:
+            self._renewed.discard(key)
 
-    def _made(self, key: Key, make: Callable[[Request], Response], request: Request) -> _Answer:
+    def _made(
+        self, key: Key, make: Callable[[Request], Response], request: Request, *, lasting: bool
+    ) -> _Answer:
+        """Return an answer that is up to date; it is made if no other thread makes it just now."""
+        while True:
+            with self._lock:
+                found, going = self._kept.get(key), self._making.get(key)
+                if found is not None and time.monotonic() - found.seen_s < FRESH_S:
+                    return found
+                if going is None:
+                    over = self._making[key] = threading.Event()
+                    break
+            going.wait()
+        try:
+            if found is not None and lasting and self._latest() <= found.revision:
+                found.seen_s = time.monotonic()
+                return found
+            return self._keep(key, make, request)
+        finally:
+            del self._making[key]
+            over.set()
+
+    def _latest(self) -> int:
+        """Return the store's revision, of now or of a moment ago."""
+        now_s = time.monotonic()
+        if now_s - self._looked_s > LOOK_S:
+            self._revision, self._looked_s = self._reader.store.revision, now_s
+        return self._revision
+
+    def _keep(self, key: Key, make: Callable[[Request], Response], request: Request) -> _Answer:
         # What is shown is at least as new as the snapshot, which may be older than the store.
         revision, seen_s = self._reader.snapshot().revision, time.monotonic()
         response = make(request)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gzip
+import hashlib
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from datetime import UTC, datetime
 from functools import partial
 from http import HTTPStatus
@@ -197,11 +199,26 @@ def _static_bytes(name: str) -> bytes:
     return resources.files("league.web").joinpath("static", name).read_bytes()
 
 
-def _static(name: str) -> Callable[[Request], Response]:
+def _static(name: str) -> Callable[[Request], Awaitable[Response]]:
+    """Return the endpoint of a static file; browsers keep it, and ask whether it is still this."""
     content = _static_bytes(name)
+    packed = gzip.compress(content, 9)
     # A new version of the program must not meet an old one's script in the browser's cache.
-    headers = {"Cache-Control": "no-cache"}
-    return lambda _: Response(content, media_type=STATIC[name], headers=headers)
+    headers = {
+        "Cache-Control": "no-cache",
+        "ETag": f'W/"{hashlib.sha256(content).hexdigest()[:32]}"',
+        "Vary": "Accept-Encoding",
+    }
+
+    async def respond(request: Request) -> Response:
+        if request.headers.get("if-none-match") == headers["ETag"]:
+            return Response(status_code=304, headers=headers)
+        if "gzip" not in request.headers.get("accept-encoding", ""):
+            return Response(content, media_type=STATIC[name], headers=headers)
+        sent = {**headers, "Content-Encoding": "gzip"}
+        return Response(packed, media_type=STATIC[name], headers=sent)
+
+    return respond
 
 
 class _SecurityHeaders:

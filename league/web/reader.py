@@ -25,7 +25,7 @@ FRESH_S = 2.0
 QUICK_S = 0.1
 """A snapshot that takes more of a processor than this [s] is taken by a thread of its own."""
 REST = 4.0
-"""The next one waits so many times as long as the last one took."""
+"""The next one waits so many times as long as the last one worked: a fifth of a processor."""
 MOST_KEPT = 64
 """Recordings and other slow answers that are kept."""
 MOST_LARGE = 128 << 20
@@ -90,14 +90,14 @@ class Reader:
 
     def _take(self) -> None:
         """Take the next snapshot, and decide when the one after it is due."""
-        start_s, worked_s = time.monotonic(), time.thread_time()
+        start_s = time.thread_time()
         if self._snapshot is None or self.store.revision != self._snapshot.revision:
             taken = snapshot.take(self.store, self._snapshot)
             taken.prepare()
             self._snapshot = taken
-            self._is_slow = time.thread_time() - worked_s > QUICK_S
-        now_s = time.monotonic()
-        self._due_s = now_s + max(FRESH_S, REST * (now_s - start_s))
+            self._is_slow = time.thread_time() - start_s > QUICK_S
+        worked_s = time.thread_time() - start_s
+        self._due_s = time.monotonic() + max(FRESH_S, REST * worked_s)
 
     def standings(self) -> Standings | None:
         """Return the standings; None if no entry is rated."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
-from league.matchmaking import divisions, history, safety
+from league.matchmaking import safety
+from league.matchmaking.standings import Row
 from league.web.reader import Reader
 
 
@@ -43,27 +45,22 @@ def moments(reader: Reader, number: int) -> list[tuple[int, str, str]]:
             continue
         if one.until is not None:
             marks.append((one.until, "S", f"{one.name} ended"))
-        for move in reader.store.division_moves(one.number):
-            if move.entry == number and move.division:
+        for move in reader.store.division_moves(one.number, number):
+            if move.division:
                 label = f"D{move.division}"
                 title = f"Division {move.division}, {WHY[move.reason]}, in {one.name}"
                 marks.append((move.heat, label, title))
     return marks
 
 
-def of(reader: Reader) -> dict[int, Marks]:
-    """Return the marks of all entries in the standings, by number."""
-    rated = reader.standings()
-    if rated is None:
-        return {}
-    store, last, season = reader.store, rated.races.last, rated.season
-    trends = reader.kept(
-        ("trends", last, season and season.number), lambda: history.trends(store, rated)
-    )
-    safe = reader.kept(("safety", last), lambda: safety.of(store, rated.ruleset))
-    moves = store.division_moves(season.number) if season else []
-    division_of = divisions.assigned(moves)
+def of(reader: Reader, rows: Iterable[Row]) -> dict[int, Marks]:
+    """Return the marks of some entries in the standings, by number."""
+    now = reader.snapshot()
     return {
-        row.number: Marks(division_of.get(row.number), safe.get(row.number), trends.get(row.number))
-        for row in rated.rows
+        row.number: Marks(
+            now.divisions.get(row.number),
+            now.safety.by_entry.get(row.number),
+            now.trends.get(row.number),
+        )
+        for row in rows
     }

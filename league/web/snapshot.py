@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from league.matchmaking import standings
+from league.matchmaking import divisions, history, safety, standings
+from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.scope import scope
 from league.matchmaking.scores import BestLap, best_laps
 from league.matchmaking.standings import Row, Standings
@@ -29,6 +31,12 @@ class Snapshot:
     """The last season under these rules; None in a league without seasons."""
     rated: Standings | None
     """Of the season; None if no entry is rated."""
+    divisions: Mapping[int, int]
+    """Division of each entry of the season, by its number."""
+    safety: safety.Record
+    """Safety ratings."""
+    trends: Mapping[int, float]
+    """By how much the season's newest heats changed each rating [Elo], by entry number."""
 
     def prepare(self) -> None:
         """Compute now what pages look up, so that no request has to."""
@@ -117,7 +125,7 @@ def take(store: Store, before: Snapshot | None = None) -> Snapshot:
         and before.races is races
         and (before.entries, before.season) == (entries, within.season)
     ):
-        rated = before.rated
+        rated, trends = before.rated, before.trends
     else:
         rated = standings.table(
             entries,
@@ -126,8 +134,30 @@ def take(store: Store, before: Snapshot | None = None) -> Snapshot:
             rules.tracks,
             season=within.season,
             carried=within.carried,
+            near=before.rated.ratings if before and before.rated else None,
         )
-    return Snapshot(revision, settings, entries, races, within.season, rated)
+        trends = history.trends(store, rated) if rated else {}
+    return Snapshot(
+        revision=revision,
+        settings=settings,
+        entries=entries,
+        races=races,
+        season=within.season,
+        rated=rated,
+        divisions=_divisions(store, within.season),
+        safety=_safety(store, rules, races, before),
+        trends=trends,
+    )
+
+
+def _divisions(store: Store, season: Season | None) -> dict[int, int]:
+    return divisions.assigned(store.division_moves(season.number)) if season else {}
+
+
+def _safety(store: Store, rules: Ruleset, races: Races, before: Snapshot | None) -> safety.Record:
+    earlier = before.safety if before and before.races.voided == races.voided else None
+    later = store.drives(rules.hash, since=earlier.drives.last if earlier else 0)
+    return safety.rated(later, rules.tracks, earlier)
 
 
 def _races(store: Store, before: Snapshot | None) -> Races:

@@ -7,7 +7,7 @@ import safetensors.torch
 import torch
 from pydantic import ValidationError
 
-from league.agents.card import Card, Reward
+from league.agents.card import Card, RewardCard
 from league.agents.network import NetworkConfig
 from league.envs.actions import ContinuousActions, grid
 from league.errors import ConfigError, PolicyError
@@ -26,7 +26,7 @@ def test_a_card_survives_json(senses, space):
         action_space=space,
         network=NetworkConfig(hidden=(64,), activation="relu"),
         tracks=("peanut", "harbour_oval"),
-        reward=Reward(name="mine.py", sha256="a" * 64),
+        reward=RewardCard(name="mine.py", sha256="a" * 64),
         parents=("b" * 64,),
         results={"best_lap_s": 9.25, "completion": 1.0, "laps": None},
         command="league train --minutes 1",

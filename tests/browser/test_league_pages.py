@@ -11,7 +11,7 @@ from playwright.sync_api import expect
 
 from league.matchmaking import loop
 from league.matchmaking.pairing.heat_spec import mirrored
-from league.matchmaking.pairing.matchmaker import Season
+from league.matchmaking.pairing.matchmaker import Matchmaker
 from league.matchmaking.workers.dispatcher import Dispatcher
 from tests.browser.looking import NEEDS_CHROMIUM, PATHS, PHONE, opened
 from tests.matchmaking.season_kit import Here
@@ -222,7 +222,7 @@ def test_the_live_page_shows_what_was_raced_since_it_was_opened(browser, origin,
     page.goto("/live")
     done = page.locator(".figures div", has_text="Done in all").locator("dd")
     before = int(done.inner_text())
-    loop.run(store, Dispatcher(store, Here()), Season(store, same_owner=True), heats=1)
+    loop.run(store, Dispatcher(store, Here()), Matchmaker(store, same_owner=True), heats=1)
     expect(done).to_have_text(str(before + 1), timeout=20_000)
     assert complaints == []
 
@@ -276,7 +276,7 @@ def test_the_live_page_goes_on_to_the_newest_race(browser, origin, store, compla
     screen = page.locator("[data-newest]")
     screen.locator("canvas").wait_for()
     before = int(screen.get_attribute("data-newest"))
-    loop.run(store, Dispatcher(store, Here()), Season(store, same_owner=True), heats=1)
+    loop.run(store, Dispatcher(store, Here()), Matchmaker(store, same_owner=True), heats=1)
     page.locator(".player").focus()
     expect(page.get_by_role("button", name="Pause")).to_be_visible()  # it plays by itself
     page.keyboard.press("End")

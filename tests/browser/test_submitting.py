@@ -12,7 +12,7 @@ from playwright.sync_api import Browser, Page, expect
 from league.agents import checkpoint
 from league.cli import main
 from league.matchmaking import loop, submission
-from league.matchmaking.pairing.matchmaker import Season
+from league.matchmaking.pairing.matchmaker import Matchmaker
 from league.matchmaking.store import Store
 from league.matchmaking.workers.dispatcher import Dispatcher
 from tests.agents.trained import make_checkpoint
@@ -65,9 +65,9 @@ def test_a_driver_is_entered_validated_and_rated_before_its_owners_eyes(
         expect(page).to_have_url(re.compile(r"/drivers/3$"))
         panel = page.get_by_label("First races")
         expect(panel.get_by_role("status")).to_contain_text("not planned yet")
-        loop.run(store, Dispatcher(store, Here()), Season(store), heats=2)
+        loop.run(store, Dispatcher(store, Here()), Matchmaker(store), heats=2)
         expect(panel.locator("tbody tr").first).to_contain_text("done")
-        loop.run(store, Dispatcher(store, Here()), Season(store), heats=24)
+        loop.run(store, Dispatcher(store, Here()), Matchmaker(store), heats=24)
         assert store.entry("Ann's car").state in ("placement", "provisional")
         expect(panel).to_have_count(0)  # its first races are over
         expect(page.get_by_text("Rating, 95 %")).to_be_visible()

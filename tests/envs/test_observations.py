@@ -74,6 +74,13 @@ def test_neighbours_are_told_nearest_first_ahead_or_behind(ring):
     assert told["car_1_speed"] == pytest.approx(1.5, abs=1e-3)
 
 
+def test_of_neighbours_equally_far_the_one_of_the_lower_number_comes_first(straight):
+    tracks, sim = straight(), field(3)
+    for gap in (0.5, -0.5):
+        told = seen(tracks, put_cars(tracks, sim, [(5.0, 0.0), (5.0 + gap, 0.1), (5.0 - gap, 0.2)]))
+        assert (told["car_0_gap"], told["car_1_gap"]) == (gap, -gap)
+
+
 @pytest.mark.parametrize("num_cars", [1, 2, 3])
 def test_absent_neighbours_are_told_as_far_away(ring, num_cars):
     tracks, sim = ring(), field(num_cars)

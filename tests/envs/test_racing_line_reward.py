@@ -8,7 +8,7 @@ import pytest
 from league.envs import rewards
 from league.envs.rewards import FAR, SLOW, BuiltIn, RacingLineReward, built_in
 from league.errors import ConfigError
-from league.racing_line.speed_profile import Limits
+from league.racing_line.speed_profile import CarLimits
 from league.sim.config import CarConfig, RaceRules, SimConfig
 from league.track.track import TrackSet
 from tests.scenes import Stages, go_to, make_ring, make_straight, put_cars
@@ -20,10 +20,17 @@ INSIDE = 0.4 + CAR.wheel_track / 2
 
 
 def speed_at(radius):
-    return math.sqrt(Limits.of(CAR).lateral * radius)
+    return math.sqrt(CarLimits.of(CAR).lateral * radius)
 
 
-def paid(tracks, aside, speed, track=0):
+@pytest.fixture(scope="module")
+def of_the_ring():
+    """Return the ring and its reward, whose line takes a while to find."""
+    tracks = TrackSet(make_ring())
+    return tracks, RacingLineReward(tracks, CAR)
+
+
+def paid(tracks, reward, aside, speed, track=0):
     """Return what two cars earn for 0.1 m at these places beside the centreline."""
     start, end = ([(3.0 + way, aside), (5.0 + way, -0.3)] for way in (0.0, 0.1))
     before = put_cars(tracks, TWO, start, num_worlds=2)
@@ -31,7 +38,6 @@ def paid(tracks, aside, speed, track=0):
     after = go_to(tracks, before, end, speed=speed)
     verdicts, after = Stages(tracks, TWO).judge(before, after)
     told = tracks, before, after, np.zeros((2, 2, 2), np.float32), verdicts
-    reward = RacingLineReward(tracks, CAR)
     total, terms = reward(*told)
     assert list(terms) == list(reward.terms)
     assert np.allclose(total, sum(terms.values()))
@@ -46,22 +52,21 @@ def near(metres, metres_per_second):
 
 @pytest.mark.parametrize("aside", [INSIDE, 0.3, 0.0, -0.3])
 @pytest.mark.parametrize("slower", [0.0, 0.5, -0.5, 1.6])
-def test_a_step_pays_for_being_on_the_line_at_its_speed(ring, aside, slower):
+def test_a_step_pays_for_being_on_the_line_at_its_speed(of_the_ring, aside, slower):
     radius = 0.025 / math.sin(math.pi / 240)
     speed = speed_at(radius - INSIDE)
-    found = paid(ring(), aside, speed - slower)
+    found = paid(*of_the_ring, aside, speed - slower)
     assert found.shape == (2, 2)
     wanted = [near(INSIDE - aside, slower), near(INSIDE + 0.3, slower)]
     assert found[1].tolist() == pytest.approx(wanted, abs=0.03)
 
 
-def test_far_from_the_line_nothing_is_paid_and_nothing_taken(ring):
-    assert paid(ring(), INSIDE, 0.1)[0, 0] == 0.0
+def test_far_from_the_line_nothing_is_paid_and_nothing_taken(of_the_ring):
+    assert paid(*of_the_ring, INSIDE, 0.1)[0, 0] == 0.0
 
 
-def test_who_drives_the_wrong_way_or_stands_is_not_paid(ring):
-    tracks = ring()
-    reward = RacingLineReward(tracks, CAR)
+def test_who_drives_the_wrong_way_or_stands_is_not_paid(of_the_ring):
+    tracks, reward = of_the_ring
     speed = speed_at(0.025 / math.sin(math.pi / 240) - INSIDE)
     before = put_cars(tracks, TWO, [(3.0, INSIDE), (5.0, INSIDE)])
     after = go_to(tracks, before, [(2.8, INSIDE), (5.0, INSIDE)], speed=speed)
@@ -73,7 +78,8 @@ def test_who_drives_the_wrong_way_or_stands_is_not_paid(ring):
 def test_each_world_is_told_the_line_of_its_own_track():
     tracks = TrackSet(make_ring(points=400), make_ring(clockwise=True))
     small = 0.025 / math.sin(math.pi / 240)
-    found = paid(tracks, -INSIDE, speed_at(small - INSIDE), track=1)
+    reward = RacingLineReward(tracks, CAR)
+    found = paid(tracks, reward, -INSIDE, speed_at(small - INSIDE), track=1)
     assert float(found[0, 0]) == pytest.approx(1.0, abs=0.03)
 
 
@@ -85,8 +91,8 @@ def test_an_open_track_has_a_line_to_its_end():
     assert speed.tolist() == [pytest.approx([CAR.max_speed] * 3, rel=0.02)]
 
 
-def test_a_lap_ends_where_it_begins(ring):
-    reward = RacingLineReward(ring(), CAR)
+def test_a_lap_ends_where_it_begins(of_the_ring):
+    _, reward = of_the_ring
     there = np.array([[0.0, 1.0]])
     lateral, speed = reward.line_at(np.zeros(there.shape, np.int64), there)
     assert lateral[0, 0] == pytest.approx(float(lateral[0, 1]), abs=1e-4)

@@ -69,6 +69,7 @@ def test_centerline_pays_by_the_three_bands(ring, lateral, reward):
         ("off_track", [(3.0, 0.4), (5.0, 0.1)], [(3.1, 0.5), (5.1, 0.1)], (), [1, 0]),
         ("crash", [(3.0, 0.1), (3.3, 0.1)], [(3.1, 0.1), (3.4, 0.1)], ((0, 1),), [1, 0]),
         ("contact", [(3.0, 0.1), (3.3, 0.1)], [(3.1, 0.1), (3.4, 0.1)], ((0, 1),), [0, 1]),
+        ("touch", [(3.0, 0.1), (3.3, 0.1)], [(3.1, 0.1), (3.4, 0.1)], ((0, 1),), [1, 0]),
         ("overtake", [(3.0, 0.2), (3.1, -0.2)], [(3.3, 0.2), (3.1, -0.2)], (), [1, -1]),
         # Nobody is near a car 1.6 m ahead, and across the start line 0.4 m is near.
         ("gain", [(3.0, 0.2), (4.4, -0.2)], [(3.25, 0.2), (4.85, -0.2)], (), [0, 0]),
@@ -85,6 +86,34 @@ def test_gain_is_what_one_car_drove_more_than_those_near_it(ring):
     start, end = [(lap - 0.3, 0.1), (0.1, -0.1)], [(lap - 0.05, 0.1), (0.2, -0.1)]
     total, _ = paid(ring(), replace(NOTHING, gain=2.0), start, end, ())
     assert total[0].tolist() == pytest.approx([2.0 * 0.15, -2.0 * 0.15], abs=1e-4)
+
+
+def test_closing_pays_the_square_of_the_speed_to_who_is_to_blame(straight):
+    # The rear car comes 0.1 m nearer within a step of 1/15 s, at 1.5 m/s.
+    start, end = [(3.0, 0.1), (3.3, 0.1)], [(3.2, 0.1), (3.4, 0.1)]
+    total, _ = paid(straight(), replace(NOTHING, closing=-2.0), start, end, ((0, 1),))
+    assert total[0].tolist() == pytest.approx([-2.0 * 1.5**2, 0.0], abs=1e-3)
+
+
+def test_pushing_a_car_off_the_road_is_a_crash(ring):
+    tracks, world = ring(), put_cars(ring(), TWO, [(3.0, 0.1), (3.5, -0.1)])
+    verdicts, world = Stages(tracks, TWO).judge(world, world)
+    verdicts["pushed_off"] = [[False, True]]
+    total, _ = pay(tracks, replace(NOTHING, crash=-2.0), world, verdicts)
+    assert total.tolist() == [[0.0, -2.0]]
+
+
+@pytest.mark.parametrize(("top_speed", "counts"), [(3.9, True), (4.0, True), (4.1, False)])
+def test_what_a_faster_rival_does_costs_nothing(ring, top_speed, counts):
+    tracks = ring()
+    before = put_cars(tracks, TWO, [(3.0, 0.2), (3.1, -0.2)])
+    after = go_to(tracks, before, [(3.3, 0.2), (3.1, -0.2)])
+    verdicts, after = Stages(tracks, TWO).judge(before, after)
+    after.cars["top_speed"] = [[top_speed, 4.0]]
+    passed = pay(tracks, replace(NOTHING, overtake=1.0), after, verdicts)[0][0]
+    gained = pay(tracks, replace(NOTHING, gain=1.0), after, verdicts)[0][0]
+    assert passed[1] == (-1.0 if counts else 0.0)
+    assert gained[1] == (pytest.approx(-0.3, abs=1e-4) if counts else 0.0)
 
 
 def test_nobody_gains_on_a_car_that_stands_or_is_home(ring):

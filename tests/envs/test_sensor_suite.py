@@ -53,7 +53,7 @@ def test_sensor_at_7_5_hz_is_due_on_every_second_step():
     assert told[1:] == [False, True] * 4
 
 
-@pytest.mark.parametrize("rate_hz", [0.3, 1.0, 3.7, 7.5, 10.0, 14.9])
+@pytest.mark.parametrize("rate_hz", [0.01, 0.3, 1.0, 3.7, 7.5, 10.0, 14.9])
 def test_rates_hold_over_an_hour(rate_hz):
     fresh = int(observations.due(rate_hz, 15, np.arange(1, 15 * 3600 + 1)).sum())
     assert fresh == pytest.approx(rate_hz * 3600, abs=1)
@@ -129,6 +129,31 @@ def test_car_that_was_put_back_in_a_race_sees_where_it_is_now(race_env, who):
             break
     assert moved
     assert bool(step.verdicts["crashed"]) == (who == "crashed")
+
+
+def test_state_and_truth_are_new_after_a_restart_between_two_steps(race_env):
+    env = race_env(num_worlds=2, sensors=(SensorConfig(truth=True),))
+    for _ in range(10):
+        env.step(np.ones((2, 1, 2), np.float32) * [0.0, 1.0])
+    before = {name: env.observations[0][name].copy() for name in ("state", "truth")}
+    env.restart(np.array([True, False]), np.array([7, 7]))
+    for name, old in before.items():
+        changed = (env.observations[0][name] != old).any(axis=1)
+        assert changed.tolist() == [True, False], name
+
+
+def test_pictures_are_painted_unless_rays_are_asked_for(race_env):
+    from league.sim.camera.paint_renderer import PaintRenderer
+
+    camera = CameraConfig(width=32, height=24)
+    painted, cast = (
+        race_env(sensors=(SensorConfig(camera=camera),), camera_path=path)
+        for path in ("paint", "ray")
+    )
+    one, other = (env.reset(seed=1)[0]["stereo"].copy() for env in (painted, cast))
+    world = painted.world
+    own = PaintRenderer(TrackSet(make_ring()), SimConfig(), camera, None).render(world, 0, None)
+    assert np.array_equal(one, own) and not np.array_equal(one, other)
 
 
 def test_sensors_do_not_change_the_race(race_env):

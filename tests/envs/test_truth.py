@@ -32,7 +32,7 @@ def place(cars: np.ndarray, s: float, lateral: float, turn: float = 0.0) -> None
 
 
 def seen(world: RaceEnv, car: int) -> dict[str, float]:
-    world._sensors._truths_fresh = False
+    world._sensors._fresh.clear()
     row = world.observations[car]["truth"][0]
     return {name: float(row[AT[name]]) for name in truth.FIELDS}
 
@@ -111,9 +111,12 @@ def test_the_mirror_image_is_what_the_mirrored_car_sees():
     boxes = other.world.obstacles
     boxes[:] = one.world.obstacles
     boxes["y"], boxes["lateral"] = -boxes["y"], -boxes["lateral"]
-    other._sensors._truths_fresh = one._sensors._truths_fresh = False
+    other._sensors._fresh.clear()
+    one._sensors._fresh.clear()
     for car in range(3):
-        mirrored = symmetry.truth(torch.from_numpy(one.observations[car]["truth"].copy()))
+        mirrored = symmetry.numbers(
+            torch.from_numpy(one.observations[car]["truth"].copy()), truth.FIELDS
+        )
         np.testing.assert_allclose(
             mirrored.numpy(), other.observations[car]["truth"], rtol=0, atol=2e-5
         )

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from league.matchmaking.pairing.schedule import Contender, HeatPlan, PairingSettings
+from league.matchmaking.pairing.schedule import Contender, HeatPlan
 from league.matchmaking.ratings import Ratings, Results, fit
 
 UNIT = np.log(10) / 400
@@ -79,8 +79,8 @@ def covered(ratings: Ratings, strengths) -> np.ndarray:
 class Season:
     """A league whose races are drawn from known strengths."""
 
-    def __init__(self, generator, strengths, settings: PairingSettings):
-        self.generator, self.strengths, self.settings = generator, strengths, settings
+    def __init__(self, generator, strengths):
+        self.generator, self.strengths = generator, strengths
         self.races: list[Race] = []
         self.counts: dict[tuple[int, int], int] = {}
         self.ratings = fit(results_of([]), entries=range(len(strengths)))

@@ -8,7 +8,7 @@ import pytest
 
 from league.matchmaking import loop, standings
 from league.matchmaking.pairing.heat_spec import Half, Ruleset
-from league.matchmaking.pairing.matchmaker import Season
+from league.matchmaking.pairing.matchmaker import Matchmaker
 from league.matchmaking.store import HeatOutcome, HeatRecord, RaceOutcome, Store
 from league.matchmaking.workers.dispatcher import Dispatcher, heat_driver
 from league.matchmaking.workers.worker import HeatJob, HeatReport, RaceWorker
@@ -53,8 +53,8 @@ def raced(tmp_path, rules: Ruleset, heats: int = 60) -> Store:
     store = new_league(f"sqlite:///{tmp_path / 'league.db'}", rules=rules)
     for number in range(3):
         submitted(store, f"e{number}", seed=number, senses="blind")
-    loop.run(store, Dispatcher(store, Known(store)), Season(store), heats=heats)
-    Season(store).plan()
+    loop.run(store, Dispatcher(store, Known(store)), Matchmaker(store), heats=heats)
+    Matchmaker(store).plan()
     return store
 
 
@@ -99,7 +99,7 @@ def test_qualifying_puts_the_best_lap_on_the_track_first_and_who_has_none_last(t
         # A newcomer has no lap, so it starts last.
         late = submitted(store, "a", seed=9, senses="blind")  # would have the fastest laps
         known = Known(store)
-        loop.run(store, Dispatcher(store, known), Season(store), heats=80)
+        loop.run(store, Dispatcher(store, known), Matchmaker(store), heats=80)
         heats = [record for record in rated(store) if late.id in record.heat.entries]
         assert heats and all(half.grid[-1] == late.id for half in heats[0].heat.halves)
 

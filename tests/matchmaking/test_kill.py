@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from league.matchmaking import standings
-from league.matchmaking.pairing.matchmaker import ROUND, Season
+from league.matchmaking.pairing.matchmaker import ROUND, Matchmaker
 from league.matchmaking.store import Store
 from tests.matchmaking.season_kit import SHORT, new_league, submitted
 
@@ -120,7 +120,7 @@ def finished(path: Path, rounds: int = 0) -> int:
             planned = max(record.heat.draw // ROUND for record in store.heats())
             if planned >= rounds:
                 return planned
-            assert Season(store).plan()
+            assert Matchmaker(store).plan()
 
 
 def outcome(path: Path) -> tuple:

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from league.matchmaking import loop
-from league.matchmaking.pairing.matchmaker import Season
+from league.matchmaking.pairing.matchmaker import Matchmaker
 from league.matchmaking.store import Store
 from league.matchmaking.workers.dispatcher import Dispatcher
 from tests.matchmaking.season_kit import Here, new_league, submitted
 
 
-class Overtaken(Season):
+class Overtaken(Matchmaker):
     """A matchmaker that finds nothing to plan at first, and then that another has planned it."""
 
     def __init__(self, store: Store) -> None:
         super().__init__(store)
-        self._other, self._calls = Season(store), 0
+        self._other, self._calls = Matchmaker(store), 0
 
     def plan(self) -> int:
         self._calls += 1
@@ -35,5 +35,5 @@ def test_a_run_goes_on_when_another_process_has_just_planned(tmp_path):
 
 def test_a_run_without_anything_to_race_ends(tmp_path):
     with new_league(f"sqlite:///{tmp_path / 'league.db'}") as store:
-        tally = loop.run(store, Dispatcher(store, Here()), Season(store), heats=12)
+        tally = loop.run(store, Dispatcher(store, Here()), Matchmaker(store), heats=12)
         assert tally.idle and tally.heats == 0

@@ -8,12 +8,13 @@ import pytest
 
 from league.errors import ConfigError
 from league.matchmaking.ratings import (
-    Finish,
+    Carried,
+    RatingData,
     RatingSettings,
     Results,
     expected_score,
     fit,
-    places_of,
+    refit,
 )
 from tests.matchmaking.fields import Race, covered, misses, raced, random_grids, results_of
 
@@ -238,6 +239,35 @@ def test_ordinary_fields_settle_their_spread_in_a_few_steps(spread):
     assert rated.num_spreads <= 8
 
 
+@pytest.mark.parametrize("dense_most", [1500, 10])
+def test_ratings_found_from_earlier_ones_are_the_same(dense_most):
+    generator, settings = np.random.default_rng(4), RatingSettings(dense_most=dense_most)
+    strengths = generator.normal(0, 200, 40)
+    grids = random_grids(generator, 40, 3, 400)
+    grids[:300][grids[:300] == 39] = 38  # one entry is new
+    results = raced(generator, strengths, np.array([row for row in grids if len({*row}) == 3]))
+    earlier = fit(results.rows(results.heats < 290), settings, anchor=0)
+    assert len(earlier.entries) == 39
+    whole = fit(results, settings, anchor=0)
+    again = fit(results, settings, anchor=0, near=earlier)
+    assert again.elo == pytest.approx(whole.elo, abs=1e-3)
+    assert again.sd == pytest.approx(whole.sd, abs=1e-3)
+    assert again.prior_sd == pytest.approx(whole.prior_sd, abs=1e-3)
+    assert again.num_spreads < whole.num_spreads
+    assert fit(results, settings, anchor=0, near=whole).num_spreads <= 2
+
+
+def test_a_refit_keeps_the_prior_and_tells_what_the_newest_races_changed():
+    generator = np.random.default_rng(4)
+    grids = random_grids(generator, 12, 2, 200)
+    results = raced(generator, generator.normal(0, 200, 12), grids)
+    rated, part = fit(results, anchor=0), results.rows(results.heats < 150)
+    data = RatingData.of(part, rated.entries)
+    alone = fit(data, RatingSettings(prior_sd=rated.prior_sd), anchor=0)
+    assert refit(data, rated) == pytest.approx(alone.elo, abs=1e-3)
+    assert np.abs(refit(data, rated) - rated.elo).max() > 5.0
+
+
 def test_learned_prior_of_one_entry_is_the_hand_worked_root():
     # Without a race the variance is the spread's own, so nothing is learned: 300 Elo stay.
     assert fit(results_of([]), entries=range(4)).prior_sd == pytest.approx(300, rel=1e-6)
@@ -354,6 +384,37 @@ def test_no_race_at_all_leaves_the_prior(entries):
     assert np.isfinite(fit(results_of([]), entries=range(entries)).sd).all()
 
 
+def test_entries_that_are_new_in_a_season_begin_at_the_mean_of_the_others():
+    # 1 and 3 raced before; 2 lies between their numbers, and 9 beyond them.
+    carried = Carried(np.array([1, 3]), np.array([1100.0, 900.0]), np.array([60.0, 80.0]), 150.0)
+    rated = fit(results_of([]), entries=[1, 2, 3, 9], carried=carried)
+    assert rated.elo - rated.elo[1] == pytest.approx([100.0, 0.0, -100.0, 0.0], abs=1e-6)
+
+
+@pytest.mark.parametrize("slot_sd", [60.0, 240.0])
+def test_a_slot_that_always_wins_is_worth_what_its_prior_allows(slot_sd):
+    # Each of two equal entries wins twice, from the front slot. With x the front's lead in natural
+    # units and v its variance before any race, the best x has 4 (1 - s(x)) = x / v.
+    races = duels((0, 1, 1), (1, 0, 1), (0, 1, 1), (1, 0, 1))
+    rated = fit(results_of(races), RatingSettings(prior_sd=100, slot_sd=slot_sd))
+    lead = (rated.slot_advantages[0] - rated.slot_advantages[1]) * math.log(10) / 400
+    variance = (slot_sd * math.log(10) / 400) ** 2
+    assert 4 * (1 - 1 / (1 + math.exp(-lead))) == pytest.approx(lead / variance, rel=1e-4)
+
+
+def test_many_differences_are_as_sure_as_each_of_them():
+    generator = np.random.default_rng(3)
+    grids = random_grids(generator, 14, 60, 2)
+    rated = fit(raced(generator, generator.normal(0, 100, 14), grids))
+    one, other = np.triu_indices(14, 1)
+    together = rated.gap_variances(one, other)
+    each = [
+        rated.difference(a, b).sd ** 2
+        for a, b in zip(rated.entries[one], rated.entries[other], strict=True)
+    ]
+    assert len(each) == 91 and together == pytest.approx(each, rel=1e-6)
+
+
 def test_races_in_which_nobody_finished_alike_are_ties():
     rated = fit(results_of([Race(k, (k % 3, (k + 1) % 3), (1, 1)) for k in range(30)]))
     assert rated.elo == pytest.approx(np.full(3, 1000.0), abs=1e-6)
@@ -415,21 +476,6 @@ def test_difference_of_two_neighbours_is_surer_than_their_intervals_suggest():
     gap = rated.difference(0, 1)
     assert gap.sd < 0.5 * rated.sd[0]
     assert gap.elo == pytest.approx(-rated.difference(1, 0).elo)
-
-
-def test_places_of_finishers_and_others():
-    runs = [
-        Finish(score_s=None, laps=2, distance=40.0, failed_s=60.0),
-        Finish(score_s=31.5),
-        Finish(score_s=30.0),
-        Finish(score_s=31.5),
-        Finish(score_s=None, laps=2, distance=41.0, failed_s=10.0),
-        Finish(score_s=None, laps=1, distance=99.0, failed_s=90.0),
-        Finish(score_s=None, laps=2, distance=40.0, failed_s=61.0),
-        Finish(score_s=None, laps=2, distance=40.0, failed_s=60.0),
-    ]
-    # Finishers by time, then laps, distance, and who lasted longer; equal runs share a place.
-    assert places_of(runs) == (6, 2, 1, 2, 4, 8, 5, 6)
 
 
 def test_impossible_requests_are_refused_with_a_reason():

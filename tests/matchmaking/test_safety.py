@@ -12,6 +12,7 @@ from league.matchmaking.pairing.heat_spec import Ruleset, mirrored
 from league.matchmaking.store import drives
 from league.track import files
 from league.track.corners import corners
+from league.web import snapshot
 from tests.matchmaking import leagues
 
 RULES = Ruleset(tracks=("reinvent_2018", "harbour_oval"))
@@ -90,18 +91,65 @@ def test_only_the_last_fifty_races_count(league):
     assert safety.of(league, before=2)[1].points == 72
 
 
+def test_later_races_are_added_to_a_record_one_way_or_the_other(league):
+    for draw in range(30):
+        faults = {"off_tracks": draw % 3, "crashes": draw % 2}
+        race(league, [car(0, 1, **faults), car(1, 1)], [car(0, 1), car(1, 2)], draw=draw)
+    league.submit("e3", "owner 3", weights=b"w3")
+    whole = league.drives(RULES.hash)
+    earlier = safety.rated(whole.where(whole.heat <= 20), RULES.tracks)
+    assert len(earlier.drives.heat) == 2 * 2 * 20
+    later = league.drives(RULES.hash, since=2 * 20)
+    assert later.heat.min() == 21 and later.last == whole.last == 60
+    record = safety.rated(later, RULES.tracks, earlier)
+    assert record.by_entry == safety.of(league) and record.drives.last == 60
+    assert len(record.drives.heat) == 2 * safety.RACES
+    nothing = league.drives(RULES.hash, since=60)
+    assert safety.rated(nothing, RULES.tracks, record).by_entry == record.by_entry
+    # Who did not race is not rated again.
+    mine = later.where(later.entry == 1)
+    part = safety.rated(mine, RULES.tracks, earlier).by_entry
+    assert part[1] == record.by_entry[1] and part[2] is earlier.by_entry[2]
+
+
+def test_a_snapshot_forgets_how_cars_drove_in_a_heat_that_is_in_quarantine(league):
+    race(league, [car(0, 3), car(1, 3)], [car(0, 3), car(1, 3)])
+    number = race(league, [car(0, 3, crashes=1), car(1, 3)], [car(0, 3), car(1, 3)], draw=1)
+    first = snapshot.take(league)
+    assert first.safety.by_entry == safety.of(league) and first.safety.by_entry[1].points == 4
+    orders = [car(0, 3), car(1, 3)], [car(0, 3), car(1, 3)]
+    changed = tuple(store.RaceOutcome((2, 1), {"order": order}) for order in orders)
+    league.complete("other", [store.HeatOutcome(league.heat(number).heat.key, changed)])
+    assert league.heat(number).state == "quarantined"
+    second = snapshot.take(league, first)
+    assert second.safety.by_entry == safety.of(league) and second.safety.by_entry[1].points == 0
+
+
 def test_a_clean_lap_is_from_a_race_without_any_fault(league):
     clean = race(league, [car(0, 2), car(1, 2)], [car(0, 2, reversed=1), car(1, 2, touches=1)])
-    board = scores.time_attack(league, "head_to_head")
+    board = scores.time_attack(league, "head_to_head").laps
     laps = [(lap.number, lap.lap_s, lap.heat, lap.race) for lap in board["reinvent_2018"]]
     assert laps == [(1, 9.0, clean, 1), (2, 10.0, clean, 1)]
     assert board["harbour_oval"] == []
-    assert scores.time_attack(league, "time_trial") == {}
+    assert scores.time_attack(league, "time_trial").laps == {}
+
+
+def test_boards_take_in_later_races(league):
+    race(league, [car(0, 2), car(1, 2)], [car(0, 2), car(1, 2)])
+    first = scores.time_attack(league, "head_to_head")
+    assert scores.time_attack(league, "head_to_head", first) == first
+    faster = {"lap_times_s": [8.5]}
+    number = race(league, [car(0, 2), car(1, 2, **faster)], [car(0, 2), car(1, 2)], draw=1)
+    second = scores.time_attack(league, "head_to_head", first)
+    assert second == scores.time_attack(league, "head_to_head")
+    laps = second.laps["reinvent_2018"]
+    assert [(lap.number, lap.lap_s, lap.heat) for lap in laps] == [(2, 8.5, number), (1, 9.0, 1)]
+    assert second.last == {RULES.hash: 4}
 
 
 def test_results_without_incidents_tell_nothing(league):
     race(league, [], [])
-    assert safety.of(league) == {} and scores.time_attack(league, "head_to_head") == {
+    assert safety.of(league) == {} and scores.time_attack(league, "head_to_head").laps == {
         "reinvent_2018": [],
         "harbour_oval": [],
     }

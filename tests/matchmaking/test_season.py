@@ -12,7 +12,7 @@ from league.cli import main
 from league.errors import StoreError
 from league.matchmaking import history, loop, standings
 from league.matchmaking.pairing import matchmaker
-from league.matchmaking.pairing.matchmaker import ROUND, Season
+from league.matchmaking.pairing.matchmaker import ROUND, Matchmaker
 from league.matchmaking.store import RATED, HeatOutcome, RaceOutcome, Store
 from league.matchmaking.workers.dispatcher import Dispatcher
 from league.matchmaking.workers.worker import HeatJob, HeatReport
@@ -73,7 +73,7 @@ def test_anchors_need_no_validation_and_the_first_is_1000(url):
 
 def test_a_newcomer_races_itself_and_an_anchor_before_it_is_paired(url):
     with grown(url, 1) as store:
-        planner = Season(store)
+        planner = Matchmaker(store)
         assert planner.plan() == 2  # nobody else to pair
         own, anchor = (record.heat for record in store.heats())
         assert own.purpose == anchor.purpose == "validation"
@@ -89,7 +89,7 @@ def test_a_newcomer_races_itself_and_an_anchor_before_it_is_paired(url):
 def test_a_new_leagues_first_entries_do_not_wait_behind_races_of_its_anchors(url):
     with new_league(url, anchors=("centerline", "cautious")) as store:
         submitted(store, "e0", senses="blind")
-        planner = Season(store)
+        planner = Matchmaker(store)
         assert [planner.plan(), planner.plan()] == [2, 0]
         assert all(record.heat.purpose == "validation" for record in store.heats())
         loop.run(store, Dispatcher(store, Coin()), None, heats=2)
@@ -101,7 +101,7 @@ def test_a_new_leagues_first_entries_do_not_wait_behind_races_of_its_anchors(url
 def test_anchors_go_on_racing_when_a_newcomer_cannot_be_validated(url):
     with new_league(url, anchors=("centerline", "cautious")) as store:
         submitted(store, "e0", senses="blind")
-        planner = Season(store)
+        planner = Matchmaker(store)
         planner.plan()
         while claims := store.claim("w", 9):
             for claim in claims:
@@ -114,7 +114,7 @@ def test_an_entry_that_is_not_rated_yet_says_what_it_waits_for(url):
         return matchmaker.entries_with_reasons(store)[-1].reason
 
     with grown(url, 1) as store:
-        planner = Season(store)
+        planner = Matchmaker(store)
         assert "not planned yet: `league run`" in reason()
         planner.plan()
         assert "waits for its validation heats (1, 2): `league run`" in reason()
@@ -132,7 +132,7 @@ def test_an_entry_that_is_not_rated_yet_says_what_it_waits_for(url):
 
 def test_two_rounds_are_in_the_queue_and_the_next_waits_for_the_older_one(url):
     with new_league(url, anchors=("centerline", "cautious", "blocker")) as store:
-        planner = Season(store)
+        planner = Matchmaker(store)
         assert [planner.plan() for _ in range(3)] == [8, 8, 0]
         dispatcher = Dispatcher(store, Coin())
         loop.run(store, dispatcher, None, heats=7)
@@ -159,7 +159,7 @@ def test_the_same_heats_are_planned_for_any_number_of_workers(url, monkeypatch, 
 
 def test_a_heat_is_two_races_with_the_grid_swapped(url):
     with new_league(url, anchors=("centerline", "cautious")) as store:
-        Season(store).plan()
+        Matchmaker(store).plan()
         for record in store.heats():
             one, other = record.heat.halves
             assert one.grid == other.grid[::-1] and len(set(one.grid)) == 2
@@ -170,9 +170,9 @@ def test_entries_of_one_owner_meet_only_if_the_league_allows_it(url):
         for name in ("e0", "e1"):
             submitted(store, name, seed=ord(name[1]), owner="ann", senses="blind")
         dispatcher = Dispatcher(store, Coin())
-        tally = loop.run(store, dispatcher, Season(store), heats=50)
+        tally = loop.run(store, dispatcher, Matchmaker(store), heats=50)
         assert tally.idle and tally.heats == 2  # each raced itself, there is no anchor
-        tally = loop.run(store, dispatcher, Season(store, same_owner=True), heats=10)
+        tally = loop.run(store, dispatcher, Matchmaker(store, same_owner=True), heats=10)
         assert tally.heats == 10 and not tally.idle
 
 
@@ -186,20 +186,20 @@ def test_a_season_ends_the_same_whoever_was_faster_and_however_often_it_was_rest
     path = url.removeprefix("sqlite:///")
     shutil.copy(path, f"{path}.copy")  # the same secret, so the same seeds
     with Store(url) as store:
-        loop.run(store, Dispatcher(store, Coin()), Season(store), heats=60)
+        loop.run(store, Dispatcher(store, Coin()), Matchmaker(store), heats=60)
         plain = fingerprint(store), [record.heat.key for record in store.heats()]
     with Store(f"{url}.copy") as store:
         for _ in range(12):  # a new matchmaker each time, workers that finish the other way round
-            loop.run(store, Dispatcher(store, Late(5)), Season(store), heats=5)
+            loop.run(store, Dispatcher(store, Late(5)), Matchmaker(store), heats=5)
         keys = [record.heat.key for record in store.heats()]
         assert keys == plain[1] and fingerprint(store) == plain[0]
 
 
 def test_entries_climb_from_placement_to_ranked_as_they_become_sure(url):
     with grown(url, 2) as store:
-        loop.run(store, Dispatcher(store, Coin()), Season(store), heats=24)
+        loop.run(store, Dispatcher(store, Coin()), Matchmaker(store), heats=24)
         assert set(states(store).values()) <= set(RATED)
-        loop.run(store, Dispatcher(store, Coin()), Season(store), heats=70)
+        loop.run(store, Dispatcher(store, Coin()), Matchmaker(store), heats=70)
         assert set(states(store).values()) == {"ranked"}
         table = standings.of(store)
         assert all(row.sd < 50 and not row.provisional for row in table.rows)
@@ -223,7 +223,7 @@ class Fickle(Coin):
 
 def test_an_entry_whose_validation_is_disputed_is_refused(url):
     with grown(url, 1) as store:
-        planner = Season(store)
+        planner = Matchmaker(store)
         planner.plan()
         (first, *_) = store.heats()
         for claim in store.claim("w", 1):
@@ -238,7 +238,7 @@ def test_an_entry_whose_validation_is_disputed_is_refused(url):
 
 def test_an_entry_refused_for_a_dispute_comes_back_when_a_third_worker_settles_it(url):
     with grown(url, 1) as store:
-        planner = Season(store)
+        planner = Matchmaker(store)
         planner.plan()
         (claim,) = store.claim("w", 1)
         rightly = HeatOutcome(claim.heat.key, (RaceOutcome((1, 2), {"n": 1}),))
@@ -250,7 +250,7 @@ def test_an_entry_refused_for_a_dispute_comes_back_when_a_third_worker_settles_i
         assert states(store)["e0"] == "validating"
         (again,) = store.claim("x", 1)
         assert store.complete("x", [HeatOutcome(again.heat.key, rightly.races)]).accepted
-        loop.run(store, Dispatcher(store, Coin()), Season(store), heats=4)
+        loop.run(store, Dispatcher(store, Coin()), Matchmaker(store), heats=4)
         assert states(store)["e0"] in RATED
 
 
@@ -260,7 +260,7 @@ def test_after_its_first_round_a_league_is_connected_to_the_pinned_anchor(url):
         for number in range(5):
             submitted(store, f"e{number}", seed=number, owner="garage", senses="blind")
         # Five entries validate in ten heats; eight rated ones are the fewest that connect nine.
-        loop.run(store, Dispatcher(store, Coin()), Season(store, same_owner=True), heats=18)
+        loop.run(store, Dispatcher(store, Coin()), Matchmaker(store, same_owner=True), heats=18)
         table = standings.of(store)
         assert len(table.rows) == 9 and table.num_races == 16
         assert all(row.connected and row.provisional for row in table.rows)
@@ -286,7 +286,7 @@ class Drivers(Coin):
 
 def test_standings_tell_races_not_finished_and_best_laps_of_accepted_results(url):
     with grown(url, 2) as store:
-        loop.run(store, Dispatcher(store, Drivers()), Season(store), heats=16)
+        loop.run(store, Dispatcher(store, Drivers()), Matchmaker(store), heats=16)
         table = standings.of(store)
         track = store.settings.ruleset.tracks[0]
         for row in table.rows:  # each heat is a race in front and one behind
@@ -304,12 +304,12 @@ def test_standings_tell_races_not_finished_and_best_laps_of_accepted_results(url
 
 def test_a_retired_entry_is_paired_no_more_and_keeps_its_results(url):
     with grown(url, 2) as store:
-        loop.run(store, Dispatcher(store, Coin()), Season(store), heats=40)
+        loop.run(store, Dispatcher(store, Coin()), Matchmaker(store), heats=40)
         gone = store.entry("e0")
         races = standings.of(store).row(gone.number).races
         store.move({gone.id: "retired"})
         since = store.heats()[-1].number
-        loop.run(store, Dispatcher(store, Coin()), Season(store), heats=30)
+        loop.run(store, Dispatcher(store, Coin()), Matchmaker(store), heats=30)
         later = store.heats(("done",), since=since)
         assert later and not any(gone.id in record.heat.entries for record in later)
         assert standings.of(store).row(gone.number).races >= races > 0
@@ -317,7 +317,7 @@ def test_a_retired_entry_is_paired_no_more_and_keeps_its_results(url):
 
 def test_head_to_head_records_add_up(url):
     with grown(url) as store:
-        loop.run(store, Dispatcher(store, Coin()), Season(store), heats=60)
+        loop.run(store, Dispatcher(store, Coin()), Matchmaker(store), heats=60)
         table = standings.of(store)
         for one in table.rows:
             others = [other.number for other in table.rows if other is not one]
@@ -333,7 +333,7 @@ def test_head_to_head_records_add_up(url):
 
 def test_the_last_moment_of_a_history_is_the_present(url):
     with grown(url) as store:
-        loop.run(store, Dispatcher(store, Coin()), Season(store), heats=40)
+        loop.run(store, Dispatcher(store, Coin()), Matchmaker(store), heats=40)
         table = standings.of(store)
         last = store.races().entries[-1]
         assert any(row.number not in last for row in table.rows)  # others raced after its last
@@ -350,7 +350,7 @@ def test_the_last_moment_of_a_history_is_the_present(url):
 
 def test_standings_do_not_depend_on_the_order_of_the_rows_in_the_database(url):
     with grown(url, 6) as store:
-        loop.run(store, Dispatcher(store, Coin()), Season(store), heats=40)
+        loop.run(store, Dispatcher(store, Coin()), Matchmaker(store), heats=40)
         before = standings.of(store)
         with sqlite3.connect(url.removeprefix("sqlite:///")) as database:
             rows = database.execute("SELECT * FROM races").fetchall()
@@ -369,7 +369,7 @@ def test_standings_do_not_depend_on_the_order_of_the_rows_in_the_database(url):
 
 def test_ranks_that_an_entry_may_have_leave_out_those_that_are_surely_apart(url):
     with grown(url, 4) as store:
-        loop.run(store, Dispatcher(store, Coin()), Season(store), heats=30)
+        loop.run(store, Dispatcher(store, Coin()), Matchmaker(store), heats=30)
         rows = standings.of(store).rows
     for row in rows:
         above = sum(other.elo - 1.96 * other.sd > row.elo + 1.96 * row.sd for other in rows)
@@ -387,11 +387,11 @@ def test_ratings_are_kept_apart_by_the_rules(url):
     from dataclasses import replace
 
     with grown(url) as store:
-        loop.run(store, Dispatcher(store, Coin()), Season(store), heats=40)
+        loop.run(store, Dispatcher(store, Coin()), Matchmaker(store), heats=40)
         leagues.set_ruleset(store, replace(store.settings.ruleset, laps=2))
         assert standings.of(store).num_races == 0
         loop.run(
-            store, Dispatcher(store, Coin()), Season(store), heats=24
+            store, Dispatcher(store, Coin()), Matchmaker(store), heats=24
         )  # old ones are in the queue
         assert 0 < standings.of(store).num_races <= 48
         assert np.isfinite([row.sd for row in standings.of(store).rows]).all()

@@ -41,8 +41,11 @@ def test_a_league_opened_again_is_the_league_that_was_made(url):
         assert [entry.name for entry in opened.entries()] == ["e1", "e2"]
 
 
-def test_migrations_build_exactly_the_tables_of_the_schema(url):
+@pytest.mark.parametrize("older", [(), leagues.FIRST_VERSION])
+def test_migrations_build_exactly_the_tables_of_the_schema(url, older):
     leagues.founded(url, entries=0).close()
+    leagues.change(url, *older)
+    store.upgrade(url)
     there = database.Database(url)
     with there.reading() as connection:
         context = MigrationContext.configure(connection, opts={"compare_type": True})
@@ -98,6 +101,27 @@ def test_an_older_league_says_how_to_bring_it_up_to_date(url):
     match = f"version 0000, this program needs {schema.SCHEMA}: make a backup"
     with pytest.raises(StoreError, match=match):
         store.Store(url)
+
+
+def test_the_newest_heats_are_found_without_sorting_all_that_are_done(url):
+    with leagues.founded(url) as league:
+        league.plan(leagues.duels(league, 9))
+        league.complete("w", leagues.raced(league.claim("w", 7)))
+        newest = league.heats(("done",), limit=2, newest=True)
+        assert [one.number for one in newest] == [6, 7]
+        assert len(league.heats(("planned", "done"), limit=9, newest=True)) == 9
+        asked = []
+
+        @sa.event.listens_for(league._database._engine, "before_cursor_execute")
+        def note(connection, cursor, statement, parameters, *_):
+            asked.append((statement, parameters))
+
+        league.heats(("done",), limit=2, newest=True)
+        if league._database.is_sqlite:
+            statement, parameters = next(one for one in asked if "halves" in one[0])
+            with league._database.reading() as connection:
+                plan = connection.exec_driver_sql(f"EXPLAIN QUERY PLAN {statement}", parameters)
+                assert not [row.detail for row in plan if "TEMP B-TREE" in row.detail]
 
 
 def test_upgrading_a_league_of_today_changes_nothing(url):

@@ -15,7 +15,6 @@ import pytest
 from league.errors import StoreError
 from league.matchmaking.pairing import heat_spec, matchmaker
 from league.matchmaking.pairing.heat_spec import Half
-from league.matchmaking.ratings import Finish, places_of
 from league.matchmaking.store import Store, create
 from league.matchmaking.workers.dispatcher import MOST_LOSSES, Dispatcher, FinishedHeat, heat_driver
 from league.matchmaking.workers.worker import (
@@ -149,7 +148,21 @@ def test_of_two_that_failed_at_the_same_place_the_one_that_lasted_longer_is_ahea
     # A car whose faults were forgiven drove to the end.
     forgiven = (Event(time_s=1.0, kind="driver_fault", car=0, value=3.0), faults[1])
     assert places(result(car(0, **out), car(1, **out), events=forgiven)) == (1, 2)
-    assert places_of([Finish(None, 0, 5.0, 3.0), Finish(None, 0, 5.0, 3.0)]) == (1, 1)
+    assert places(result(car(0, **out), car(1, **out))) == (1, 1)
+
+
+def test_finishers_come_before_those_who_drove_further_without_a_finish():
+    out = {"finished": False, "total_s": 10.0}
+    cars = (
+        car(0, **out, laps=2, distance=40.0),
+        car(1, total_s=31.5),
+        car(2, total_s=30.0),
+        car(3, total_s=31.5),
+        car(4, **out, laps=2, distance=41.0),
+        car(5, **out, laps=1, distance=99.0),
+        car(6, **out, laps=2, distance=40.0),
+    )
+    assert places(result(*cars)) == (5, 2, 1, 2, 4, 7, 5)
 
 
 def test_a_dispatcher_hands_in_what_its_workers_raced(league):

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.lap_optimum import lap_optimum, strays
 from league.racing_line.racing_line import center_line, lap_bound, optimal_line
-from league.racing_line.speed_profile import Limits
+from league.racing_line.speed_profile import CarLimits
 from league.sim.config import CarConfig
 from league.track import files
 from league.track.track import Track, TrackSet
@@ -38,7 +38,7 @@ def test_the_fastest_line_of_a_narrow_ring_hugs_the_inside():
     car = CarConfig()
     line = optimal_line(ring(1.5), car, margin=0.1)
     radius = 1.5 - 0.3
-    grip = Limits.of(car).lateral
+    grip = CarLimits.of(car).lateral
     assert line.lateral == pytest.approx(np.full(len(line.s), 0.3), abs=0.01)
     assert line.lap_time == pytest.approx(2 * math.pi * math.sqrt(radius / grip), rel=0.005)
 

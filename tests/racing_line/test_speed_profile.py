@@ -5,9 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from league.racing_line.speed_profile import Limits, spare_grip, speed_profile, travel_time
+from league.racing_line.speed_profile import CarLimits, spare_grip, speed_profile, travel_time
 
-POINT = Limits(lateral=6.0, acceleration=4.0, braking=5.0, speed=4.0, curvature=3.5, transfer=0.0)
+POINT = CarLimits(
+    lateral=6.0, acceleration=4.0, braking=5.0, speed=4.0, curvature=3.5, transfer=0.0
+)
 
 
 def test_speed_in_a_steady_corner_is_the_root_of_grip_times_radius():

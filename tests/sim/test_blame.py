@@ -12,7 +12,7 @@ from league.envs.race_env import RaceEnv
 from league.sim.config import RULES, ObstacleConfig, RaceRules, SimConfig
 from league.sim.records import NOBODY, members
 from league.track.track import TrackSet
-from tests.scenes import Stages, go_to, make_straight, put_cars, start, touch
+from tests.scenes import Stages, go_to, make_square, make_straight, put_cars, start, touch
 
 
 def racing(num_cars: int = 2, **rules) -> SimConfig:
@@ -130,6 +130,7 @@ def test_alongside_and_neither_moves_across_the_rear_car_is_to_blame(straight):
         tracks, sim, [(5.0, -0.1), (5.0, 0.1)], [(5.1, -0.1), (5.1, 0.1)], (0, 1), moving=still
     )
     assert to_blame(seen) == []  # exactly level
+    assert not seen["to_blame"].any()
 
 
 def test_car_across_the_road_is_short_so_whoever_hits_its_side_from_behind_is_behind(straight):
@@ -162,8 +163,9 @@ def test_car_that_drives_against_the_track_is_always_to_blame(ring, gap):
 def test_car_that_was_turned_round_or_knocked_back_does_not_drive_the_wrong_way(straight):
     tracks, sim = straight(), racing()
     before, after = [(5.0, 0.0), (5.35, 0.0)], [(5.05, 0.0), (5.36, 0.0)]
-    # It faces backwards and stands; it faces ahead and is thrown back.
-    for moving, facing in ([(2.0, 0.0), (0.0, 0.0)], [1]), ([(2.0, 0.0), (-0.3, 0.0)], []):
+    # It faces backwards and stands, or rolls at 5 cm/s; it faces ahead and is thrown back.
+    for speed, facing in (0.0, [1]), (-0.05, [1]), (-0.3, []):
+        moving = [(2.0, 0.0), (speed, 0.0)]
         seen, _, _ = scene(tracks, sim, before, after, (0, 1), moving=moving, facing=facing)
         assert to_blame(seen) == [0]
 
@@ -203,6 +205,15 @@ def test_penalty_grows_with_the_closing_speed(straight, closing, seconds, num_ca
         assert world.cars["penalty_s"][0, 0] == pytest.approx(steps / 15, abs=1e-6)
         assert seen["penalty_s"].tolist()[:2] == pytest.approx([steps / 15, 0.0], abs=1e-6)
     assert judged["contacts_taken"].tolist()[:2] == [0, 1]
+
+
+@pytest.mark.parametrize(("left", "closing"), [(1.0, 0.5 / 0.13**0.5), (-1.0, 0.1 / 0.13**0.5)])
+def test_cars_close_along_the_line_between_them(straight, left, closing):
+    # From 0.3 m behind and 0.2 m to the right: (1, left) m/s along (3, 2) / sqrt(13).
+    places = [(5.0, -0.1), (5.3, 0.1)]
+    moving = [(1.0, left), (0.0, 0.0)]
+    seen, _, _ = scene(straight(), racing(), places, places, (0, 1), moving=moving)
+    assert seen["closing_speed"].tolist() == pytest.approx([closing, 0.0], abs=1e-4)
 
 
 def test_a_touch_that_lasts_is_counted_once(straight):
@@ -245,6 +256,17 @@ def test_box_costs_all_however_lightly_it_is_touched(ring):
     assert world.cars["penalty_s"].tolist() == [[5.0, 0.0]]
 
 
+def test_a_bot_exactly_beside_is_not_run_into(straight):
+    # Half way along 10 m; who runs into whom is told by who is ahead.
+    things = ObstacleConfig(kind="bot", places=((0.5, 1.0),), lane_change=False)
+    tracks, sim = straight(), SimConfig(kind="head_to_head", num_cars=2, obstacles=things)
+    for place, crashed in ((5.0, False), (4.99, True)):
+        seen, _, _ = scene(
+            tracks, sim, [(4.9, 0.0), (3.0, 0.0)], [(place, 0.0), (3.0, 0.0)], things=((0, 0),)
+        )
+        assert seen["crashed"].tolist() == [crashed, False]
+
+
 # Impeding.
 
 
@@ -259,11 +281,13 @@ def slow_car_ahead(tracks, sim, *, pace=1.0, speed=1.0, asked=0.1, then=(), more
 
 def test_who_brakes_for_nothing_shares_the_blame_and_the_penalty(straight):
     tracks, sim = straight(), racing()
-    seen, _, world = slow_car_ahead(tracks, sim)
+    seen, judged, world = slow_car_ahead(tracks, sim)
     # 1.5 m/s of closing speed costs 5 s, half of it for each, 37.5 steps.
     assert to_blame(seen) == [0, 1]
     assert world.cars["penalty_s"][0].tolist() == pytest.approx([38 / 15] * 2, abs=1e-6)
     assert not seen["was_hit"].any()
+    # Neither was pushed by the other: who leaves the road now does so by itself.
+    assert judged["pushed_steps"].tolist() == [0, 0]
     # Both are put behind each other: the one that was hit loses its place.
     assert world.cars["distance"][0, 1] < world.cars["distance"][0, 0]
 
@@ -271,7 +295,8 @@ def test_who_brakes_for_nothing_shares_the_blame_and_the_penalty(straight):
 @pytest.mark.parametrize(
     ("scenery", "why"),
     [
-        ({"speed": 2.1}, "it is not far slower: the road allows 4 m/s"),
+        ({"speed": 2.0}, "it is not far slower: the road allows 4 m/s"),
+        ({"asked": 2.0}, "it wants to be as fast as that"),
         ({"asked": 3.0}, "it is slow because it gains speed after a start or a penalty"),
         ({"pace": 0.4, "speed": 0.9}, "it has never been faster"),
         ({"more": [(6.3, 0.2)], "then": [(0.2, 0.0)]}, "a car is in its way"),
@@ -297,6 +322,16 @@ def test_pace_is_what_the_bends_allow(ring):
     world = put_cars(tracks, sim, [(3.0, 0.0), (8.0, 0.0)], step=15)
     _, world = Stages(tracks, sim).judge(world, go_to(tracks, world, [(3.2, 0.0), (8.1, 0.0)]))
     assert world.cars["pace"][0].tolist() == pytest.approx([0.829, 0.414], abs=0.005)
+
+
+@pytest.mark.parametrize("ahead", [-0.8, -0.4, 0.0, 0.4, 0.8, 1.2])
+def test_pace_knows_a_short_bend_nearby(ahead):
+    # A corner of 0.3 m radius and 0.47 m length, from 3 m on: it allows 1.435 m/s.
+    tracks, sim = TrackSet(make_square(corner=0.3, width=0.5)), racing()
+    place = 3.0 + 0.3 * np.pi / 4 - ahead
+    world = put_cars(tracks, sim, [(place - 0.08, 0.0), (5.0, 0.0)], step=15)
+    _, world = Stages(tracks, sim).judge(world, go_to(tracks, world, [(place, 0.0), (5.0, 0.0)]))
+    assert world.cars["pace"][0, 0] == pytest.approx(1.2 / 1.435, rel=0.05)
 
 
 # Forcing off.

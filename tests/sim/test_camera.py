@@ -8,7 +8,7 @@ import pytest
 
 from league.sim.camera.paint_renderer import PaintRenderer
 from league.sim.camera.raycast import RayRenderer
-from league.sim.camera.stage import Lens
+from league.sim.camera.scene_state import Lens
 from league.sim.config import CameraConfig, SimConfig
 from league.track.track import TrackSet
 from tests.sim.looking import FOCAL, random_scenes, room, settings, world

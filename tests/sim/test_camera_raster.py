@@ -7,6 +7,7 @@ import pytest
 from numba import njit
 
 from league.sim.camera import floor_raster, raster
+from league.sim.camera.ground import texels
 from league.sim.camera.paint_renderer import MODELS, models
 from league.sim.camera.scene import CAR, DECK, FAR_CAR
 
@@ -90,7 +91,7 @@ def test_floor_is_the_bilinear_mean_of_four_texels(channels):
     # (1.025, 1.05): a column's centre lies 1/4 texel right of one, a row's 1/2 above one.
     draw = np.random.default_rng(4)
     image = draw.integers(0, 256, (20, 20, channels), dtype=np.uint8)
-    texture = raster.Texture(image.reshape(-1), 20, 0.0, 0.0, 0.1)
+    texture = raster.Texture(texels(image.squeeze()), 20, 0.0, 0.0, 0.1)
     down = raster.Pose(1.025, 1.05, 1.0, 1.0, 0.0, 0.0, 1.0)
     pictures = np.zeros((1, 9, 9 * channels), np.uint8)
     floor_raster.draw_floor(pictures, 0, 9, texture, optics(channels, cx=4.0, cy=4.0), down)

@@ -87,11 +87,16 @@ def test_car_alone_has_no_pairs():
 
 def crash(friction, restitution, steps=16, **motion):
     """Let two cars without grip meet; return them after some physics steps."""
+    return met(friction, restitution, steps, **motion).cars[0]
+
+
+def met(friction, restitution, steps, **motion):
+    """Return cars and contacts of the last of some physics steps."""
     contact = ContactConfig(friction, restitution)
     sim = open_floor.settings(2, contact=contact, step_hz=120, decimation=1)
     now = open_floor.slippery(open_floor.world(sim, **motion))
     asked = open_floor.control(now, [0.0], [0.0])
-    return open_floor.drive(open_floor.make("planar", sim), now, asked, steps)[-1].cars[0]
+    return open_floor.drive(open_floor.make("planar", sim), now, asked, steps)[-1]
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
@@ -124,6 +129,75 @@ def test_elastic_crash_keeps_the_energy():
     energy = linear + 0.5 * 0.085 * last["yaw_rate"] ** 2
     assert energy.sum() == pytest.approx(8.2, rel=1e-3)
     assert abs(last["yaw_rate"]).max() > 0.5
+
+
+def overlapping(generator, depth=0.0):
+    """Return two places that overlap by a little more than this, and their `manifold`."""
+    yaw, way = generator.uniform(-math.pi, math.pi, 2), generator.uniform(-math.pi, math.pi)
+    for far in np.arange(0.4, 0.15, -0.0002):
+        places = (0.0, 0.0, yaw[0]), (far * math.cos(way), far * math.sin(way), yaw[1])
+        exists, m = meet(*places)
+        if exists and m.gap.min() < -depth:
+            return places, m
+    raise AssertionError("they do not meet")
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_car_at_rest_in_another_touches_it_and_is_moved_out(seed):
+    (one, two), m = overlapping(np.random.default_rng(seed), depth=0.003)
+    x, y, yaw = ([a, b] for a, b in zip(one, two, strict=True))
+    last = met(0.3, 0.15, 1, x=x, y=y, yaw=yaw)
+    assert last.contacts["cars"].tolist() == [[2, 1]]
+    apart = [np.diff(last.cars[name][0] - was).item() for name, was in (("x", x), ("y", y))]
+    # A fifth of what is deeper than half a millimetre at the deeper point.
+    assert m.normal @ apart == pytest.approx(0.2 * (-m.gap.min() - 0.0005), abs=1e-5)
+
+
+def parting(cars, m):
+    """Return how fast two cars part at both points along the normal [m/s]."""
+    first = [
+        cars["velocity_x"][0] - cars["yaw_rate"][0] * m.first_y,
+        cars["velocity_y"][0] + cars["yaw_rate"][0] * m.first_x,
+    ]
+    second = [
+        cars["velocity_x"][1] - cars["yaw_rate"][1] * m.second_y,
+        cars["velocity_y"][1] + cars["yaw_rate"][1] * m.second_x,
+    ]
+    x, y = second[0] - first[0], second[1] - first[1]
+    return x * m.normal[0] + y * m.normal[1]
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.4])
+@pytest.mark.parametrize("seed", range(12))
+def test_points_press_only_as_much_as_parts_them(seed, friction):
+    generator = np.random.default_rng(seed)
+    (one, two), m = overlapping(generator)
+    speeds = {
+        "velocity_x": m.normal[0] * np.array([1.0, -0.5]) + generator.normal(0, 0.5, 2),
+        "velocity_y": m.normal[1] * np.array([1.0, -0.5]) + generator.normal(0, 0.5, 2),
+        "yaw_rate": generator.normal(0, 3.0, 2),
+    }
+    x, y, yaw = ([a, b] for a, b in zip(one, two, strict=True))
+    last = crash(friction, 0.3, steps=1, x=x, y=y, yaw=yaw, **speeds)
+    before = parting(speeds, m)
+    # Points that would meet within the step bounce, others close their gap at most.
+    meets = (before < -0.05) & (m.gap + before / 120 < 0)
+    goal = np.where(meets, -0.3 * before, -120 * np.maximum(m.gap, 0))
+    short = parting(last, m) - goal
+    assert (short > -1e-3).all()
+    # The impulses of both points and of friction, from what has changed of the second car.
+    way = 8.2 * np.array([last[name][1] - speeds[name][1] for name in ("velocity_x", "velocity_y")])
+    turned = 0.085 * (last["yaw_rate"][1] - speeds["yaw_rate"][1])
+    across = np.array([-m.normal[1], m.normal[0]])
+    near = int(m.gap[0] > m.gap[1])
+    arms = m.second_x * m.normal[1] - m.second_y * m.normal[0]
+    lever = m.second_x[near] * across[1] - m.second_y[near] * across[0]
+    pressed, rubbed = way @ m.normal, way @ across
+    pair = np.linalg.solve([[1.0, 1.0], arms], [pressed, turned - lever * rubbed])
+    assert (pair > -2e-3).all() and abs(rubbed) <= friction * pressed + 2e-3
+    assert pressed > 0.1
+    # What presses does so just as much as its point lacks.
+    assert (np.minimum(pair, short) < 2e-3).all()
 
 
 def test_boxes_put_into_each_other_come_apart_without_speed():

@@ -90,6 +90,16 @@ def test_wheels_stand_at_the_corners_of_wheelbase_and_wheel_track(straight):
     assert y[0, 0].tolist() == pytest.approx([0.18, 0.02, 0.18, 0.02], abs=1e-5)
 
 
+def test_wheels_of_a_car_across_the_track_stand_across_it(straight):
+    # The track runs along x, so the base's axles lie 0.082 m to either side of it.
+    world = put_cars(straight(), ALONE, [(3.0, 0.1)])
+    world.cars["yaw"] = np.pi / 2
+    arm, half_track = ALONE.car.wheelbase / 2, ALONE.car.wheel_track / 2
+    x, y = np.moveaxis(referee.wheel_positions(arm, half_track, world.cars), 3, 0)
+    assert x[0, 0].tolist() == pytest.approx([2.92, 3.08, 2.92, 3.08], abs=1e-5)
+    assert y[0, 0].tolist() == pytest.approx([0.182, 0.182, 0.018, 0.018], abs=1e-5)
+
+
 def test_off_track_car_is_frozen_where_it_stands_then_put_on_the_nearer_lane(ring):
     tracks = ring()
     before = put_cars(tracks, ALONE, [(3.0, -0.3)])
@@ -509,6 +519,16 @@ def test_who_is_home_by_a_nose_has_passed_and_stays_ahead(ring):
     verdict, world = judged(tracks, sim, world, [(12.1, 0.2), (12.4, -0.2)])
     assert not (verdict["overtook"].any() | verdict["lead_changed"].any())
     assert referee.running_order(world.cars, False).tolist() == [[0, 1]]
+
+
+def test_who_is_home_is_ahead_of_a_car_that_led_it_and_is_not(ring):
+    # Car 1 leads by less than a pass. Car 0 crosses the line in this step, car 1 1 mm short of it.
+    tracks, sim = ring(), head_to_head(laps=1)
+    world = put_cars(tracks, sim, [(11.85, 0.2), (11.9, -0.2)], step=99)
+    verdict, world = judged(tracks, sim, world, [(12.02, 0.2), (11.999, -0.2)])
+    assert verdict["finished"].tolist() == [[True, False]]
+    assert passes(verdict) == [[0, 1]]
+    assert world.worlds["leader"].tolist() == [0]
 
 
 def begin_at(cars: np.ndarray, zero_s: list[float]) -> None:

@@ -12,7 +12,7 @@ from tests.track import shapes
 MPP = 0.01
 
 
-def _mean_colour(floor: markings.Floor, x: float, y: float, reach: int = 2) -> np.ndarray:
+def _mean_colour(floor: markings.FloorPicture, x: float, y: float, reach: int = 2) -> np.ndarray:
     col, row = np.round(floor.pixel_of(np.array([x, y]))).astype(int)
     patch = floor.image[row - reach : row + reach + 1, col - reach : col + reach + 1]
     return patch.reshape(-1, 3).mean(axis=0)

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike
+from rsl_rl.algorithms import PPO
 
 from league.agents.network import NetworkConfig
 from league.envs.actions import ActionSpace, ContinuousActions, DiscreteActions
@@ -15,6 +16,7 @@ from league.track.track import TrackSet
 from league.training.config import PpoConfig, TrainConfig
 from league.training.ppo import make_env
 from league.training.ppo.learner import Learner
+from league.training.ppo.teacher import TaughtLearner, Teacher
 from tests.scenes import make_ring
 
 LIDAR = LidarConfig(beams=8)
@@ -54,3 +56,17 @@ def learner(cfg: TrainConfig | None = None, **wishes: object) -> Learner:
 
 def same(one: Mapping[str, ArrayLike], other: Mapping[str, ArrayLike]) -> bool:
     return one.keys() == other.keys() and all(np.array_equal(one[k], other[k]) for k in one)
+
+
+def algorithm(one: Learner) -> PPO:
+    """Return what rsl-rl learns with: its networks, its storage and its optimizer."""
+    return one._alg
+
+
+def teacher_of(one: TaughtLearner) -> Teacher:
+    return one._teacher
+
+
+def lesson_of(one: TaughtLearner):
+    """Return the loss that draws a policy towards its teacher."""
+    return one._lesson

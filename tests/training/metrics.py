@@ -7,7 +7,7 @@ from dataclasses import replace
 import torch
 
 from league.racing.table import Evaluation, Trial
-from league.training.monitor.history import TEACHING, History
+from league.training.monitor.history import TEACHING, TrainingHistory
 from league.training.ppo.learner import Update
 from league.training.ppo.statistics import EpisodeStatistics
 
@@ -69,9 +69,9 @@ def _trial(number: int, time_s: float, completion: float) -> Trial:
     )
 
 
-def history(updates: int, *, judged_every: int = 4, slow_s: float = 2.0) -> History:
+def history(updates: int, *, judged_every: int = 4, slow_s: float = 2.0) -> TrainingHistory:
     """Return a run that gets better: 2 s and 100 decisions an update, judged now and then."""
-    made = History()
+    made = TrainingHistory()
     for number in range(1, updates + 1):
         made.add_update(update(number), episodes(number / updates), slow_s * number)
         if number % judged_every == 0:
@@ -82,9 +82,9 @@ def history(updates: int, *, judged_every: int = 4, slow_s: float = 2.0) -> Hist
     return made
 
 
-def self_play(updates: int, *, update_s: float = 8.0) -> History:
+def self_play(updates: int, *, update_s: float = 8.0) -> TrainingHistory:
     """Return a run, one half of which a teacher learns from 20 times as many decisions."""
-    made, samples = History(), 0
+    made, samples = TrainingHistory(), 0
     for number in range(1, updates + 1):
         taught, stage = number <= updates // 2, 2 * number / updates % 1.0
         samples += 49_152 if taught else 2_048

@@ -6,10 +6,11 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
+from league import times
 from league.training.config import TrainConfig
 from league.training.monitor import dashboard
 from league.training.monitor.dashboard import Dashboard
-from league.training.monitor.history import TEACHING, History
+from league.training.monitor.history import TEACHING, TrainingHistory
 from tests.training.metrics import episodes, evaluation, history, update
 
 
@@ -29,7 +30,7 @@ def output(console: Console) -> str:
     return buffer.getvalue().decode()
 
 
-def drawn(made: History, width: int = 100) -> list[str]:
+def drawn(made: TrainingHistory, width: int = 100) -> list[str]:
     """Return the dashboard of a run as lines of text."""
     console = terminal(width, real=False)
     shown = Dashboard(TrainConfig(), 60.0, None, "rookie", plain=True, console=console)
@@ -93,7 +94,7 @@ def test_where_nothing_can_be_drawn_lines_are_printed(monkeypatch):
     now = [100.0]
     monkeypatch.setattr(dashboard.time, "monotonic", lambda: now[0])
     shown = Dashboard(TrainConfig(num_worlds=8), 60.0, None, "rookie", console=console)
-    made = History()
+    made = TrainingHistory()
     for number in range(1, 10):
         now[0] += 2.0
         made.add_update(update(number), episodes(0.5), 2.0 * number)
@@ -185,7 +186,7 @@ def test_shares_of_the_time_add_up():
     ("seconds", "wanted"), [(0, "0:00"), (59.6, "1:00"), (61, "1:01"), (3661, "1:01:01")]
 )
 def test_clock(seconds, wanted):
-    assert dashboard.clock(seconds) == wanted
+    assert times.duration(seconds) == wanted
 
 
 @pytest.mark.parametrize(

@@ -241,7 +241,7 @@ def test_without_torchrun_there_is_one_rank_and_nothing_changes(monkeypatch):
     assert distributed.rsl_rl_settings() is None
     assert distributed.device("cuda:1") == "cuda:1"
     assert distributed.seed(42) == 42
-    assert distributed.gather(1.0, 2.0) == [[1.0, 2.0]]
+    assert distributed.gather((1.0, 2.0)) == [(1.0, 2.0)]
     assert distributed.agreed(True) is True
     distributed.join("cpu")
     assert not torch.distributed.is_initialized()

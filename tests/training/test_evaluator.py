@@ -100,10 +100,10 @@ def test_death_of_the_process_is_told_in_one_sentence():
     one = Evaluator(ONE)
     try:
         one.submit(1, untrained())
-        assert one._process is not None
-        assert one._process.pid is not None
-        os.kill(one._process.pid, signal.SIGKILL)
-        one._process.join(10.0)
+        assert one._pool is not None
+        (process,) = one._pool._processes.values()
+        os.kill(process.pid, signal.SIGKILL)
+        process.join(10.0)
         with pytest.raises(PolicyError, match="the process that evaluates has died: see whether"):
             one.take(wait=True)
         assert one.take() == []  # told once

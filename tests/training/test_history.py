@@ -8,13 +8,13 @@ import pytest
 
 from league.errors import PolicyError
 from league.training.monitor import history
-from league.training.monitor.history import History
+from league.training.monitor.history import TrainingHistory
 from tests.training.metrics import episodes, evaluation, update
 
 
-def filled(path: Path | None = None, updates: int = 4) -> History:
+def filled(path: Path | None = None, updates: int = 4) -> TrainingHistory:
     """Return a history of some updates, with an evaluation after each second one."""
-    made = History(path)
+    made = TrainingHistory(path)
     for number in range(1, updates + 1):
         made.add_update(update(number), episodes(0.1 * number), 2.0 * number)
         if number % 2 == 0:
@@ -56,7 +56,7 @@ def test_the_best_is_the_last_that_was_the_best_so_far():
     assert made.best is made.evaluations[0]
     made.add_evaluation(evaluation(7.0), time_s=9.0, took_s=0.5, best=True)
     assert made.best is made.evaluations[2]
-    assert History().best is None
+    assert TrainingHistory().best is None
 
 
 def test_what_was_written_is_read_back(tmp_path):
@@ -78,7 +78,7 @@ def test_a_row_is_on_the_disk_as_soon_as_it_is_added(tmp_path):
 def test_a_resumed_run_goes_on_after_the_update_it_was_saved_at(tmp_path):
     path = tmp_path / "a.jsonl"
     filled(path).close()
-    made = History.resumed(path, 2)
+    made = TrainingHistory.resumed(path, 2)
     assert [row.number for row in made.updates] == [1, 2]
     assert [row.number for row in made.evaluations] == [2]
     assert (made.number, made.samples, made.time_s) == (2, 200, 4.5)
@@ -96,7 +96,7 @@ def test_a_line_that_a_kill_has_torn_is_left_out(tmp_path, torn):
     with path.open("a") as file:
         file.write(torn)
     assert len(history.read(path)) == 6
-    History.resumed(path, 4).close()
+    TrainingHistory.resumed(path, 4).close()
     assert path.read_text().endswith("}\n")
 
 
@@ -114,7 +114,7 @@ def test_a_file_cut_anywhere_is_read_as_far_as_it_goes(tmp_path, length):
 
 
 def test_a_loss_that_is_not_a_number_is_kept_as_such(tmp_path):
-    made = History(tmp_path / "a.jsonl")
+    made = TrainingHistory(tmp_path / "a.jsonl")
     made.add_update(update(1, loss=math.nan), episodes(0.5), 1.0)
     made.close()
     (row,) = history.read(tmp_path / "a.jsonl")
@@ -129,7 +129,7 @@ def test_a_foreign_file_is_refused(tmp_path, content):
     path = tmp_path / "a.jsonl"
     path.write_text(content)
     with pytest.raises(PolicyError, match="start a new run with another --out"):
-        History.resumed(path, 3)
+        TrainingHistory.resumed(path, 3)
     assert path.read_text() == content
 
 
@@ -148,14 +148,14 @@ def test_a_missing_file_is_told(tmp_path):
 def test_a_new_run_begins_with_an_empty_file(tmp_path):
     path = tmp_path / "a.jsonl"
     filled(path).close()
-    History(path).close()
+    TrainingHistory(path).close()
     assert history.read(path) == []
 
 
 def test_a_teachers_updates_are_known_in_the_files_of_older_versions(tmp_path):
     made = filled()
     made.updates[0].log[history.TEACHING] = 1.0
-    History(tmp_path / "history.jsonl", made.updates).close()
+    TrainingHistory(tmp_path / "history.jsonl", made.updates).close()
     text = (tmp_path / "history.jsonl").read_text()
     (tmp_path / "history.jsonl").write_text(text.replace("/teacher/learning", "/tutor/learning"))
     assert history.read(tmp_path / "history.jsonl") == made.updates

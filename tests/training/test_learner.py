@@ -8,16 +8,17 @@ import numpy as np
 import pytest
 import torch
 
+from league.agents.network import from_learner
 from league.envs.actions import ContinuousActions
 from league.errors import ConfigError, PolicyError
 from league.sim.config import SensorConfig
 from league.training.ppo.learner import Learner, check_device
-from tests.training.learners import CHOICES, LIDAR, learner, same, settings
+from tests.training.learners import CHOICES, LIDAR, algorithm, learner, same, settings
 
 
 def everything(made: Learner) -> dict[str, torch.Tensor]:
     """Return all that is learnt: the actor, the critic and the optimiser's memory."""
-    saved = made._alg.save()
+    saved = algorithm(made).save()
     found = {}
     for part in ("actor_state_dict", "critic_state_dict"):
         found |= {f"{part}.{name}": value for name, value in saved[part].items()}
@@ -34,7 +35,7 @@ def test_gradients_flow_to_every_weight_of_the_actor(space):
     made.update(0.0)
     for name, weight in made.weights().items():
         assert not np.array_equal(weight, before[name]), name
-    for name, parameter in made._alg.get_policy().named_parameters():
+    for name, parameter in algorithm(made).get_policy().named_parameters():
         # The spread of exploration is set by a schedule.
         if "log_std" not in name:
             assert parameter.grad is not None, name
@@ -79,6 +80,23 @@ def test_a_resumed_run_ends_as_one_that_was_never_interrupted(
     assert again.samples == told.samples == 128
 
 
+def test_weights_are_averaged_over_a_tenth_of_the_updates(tmp_path):
+    made = learner(save_every=1)
+    expected, path = made.weights(), tmp_path / "state.pt"
+    for number in range(1, 16):
+        made.update(0.0)
+        newest = from_learner(made._alg.get_policy().state_dict())
+        share = 1 / max(number / 10, 1)
+        expected = {key: old + share * (newest[key] - old) for key, old in expected.items()}
+        assert same(made.weights(), newest) == (number <= 10)
+        if number == 12:  # goes on with the same average
+            made.save(path, {})
+            made = learner(save_every=1)
+            made.restore(path)
+    for key, weight in made.weights().items():
+        assert weight == pytest.approx(expected[key], abs=1e-6)
+
+
 @pytest.mark.parametrize("save_every", [1, 2])
 def test_saving_does_not_change_what_is_learnt(tmp_path, save_every):
     found = []
@@ -100,7 +118,7 @@ def test_a_choice_from_a_list_is_learnt():
     assert not same(before, made.weights())
     obs = made.env.get_observations()
     with torch.no_grad():
-        chosen = made._alg.get_policy()(obs, stochastic_output=True)
+        chosen = algorithm(made).get_policy()(obs, stochastic_output=True)
     assert chosen.shape == (4, 4)
     assert chosen.sum(dim=1).tolist() == [1.0] * 4
     assert set(chosen.reshape(-1).tolist()) == {0.0, 1.0}
@@ -117,7 +135,7 @@ def test_mirroring_changes_what_is_learnt():
 @pytest.mark.parametrize("bootstrap", [False, True])
 def test_a_forgiven_mistake_costs_its_price_alone(bootstrap):
     made = learner(settings().with_ppo(bootstrap_on_failure=bootstrap))
-    step, first = made.env.step, made._alg.storage
+    step, first = made.env.step, algorithm(made).storage
 
     def mistaken(actions):
         """Pay 0 for a mistake of each row, none of which the clock has cut off."""
@@ -140,8 +158,8 @@ def test_exploration_and_step_size_fall_with_the_share_of_the_budget():
     found = []
     for share in (0.0, 0.5, 1.0, 2.0):
         made.update(share)
-        spread = made._alg.get_policy().distribution.log_std_param.exp()  # pyright: ignore
-        found.append((made._alg.optimizer.param_groups[0]["lr"], float(spread[0])))
+        spread = algorithm(made).get_policy().distribution.log_std_param.exp()  # pyright: ignore
+        found.append((algorithm(made).optimizer.param_groups[0]["lr"], float(spread[0])))
     assert found[0] == (pytest.approx(1e-3), pytest.approx(0.9))
     # Half way down a geometric fall: sqrt(1e-3 x 1e-5) and sqrt(0.9 x 0.1).
     assert found[1] == (pytest.approx(1e-4), pytest.approx(0.3))

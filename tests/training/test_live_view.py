@@ -15,7 +15,7 @@ from league.rerun_view.viewer import HOST
 from league.sim.config import SensorConfig
 from league.track.track import TrackSet
 from league.training.config import TrainConfig
-from league.training.monitor.history import History
+from league.training.monitor.history import TrainingHistory
 from league.training.monitor.sinks import LiveView
 from league.training.ppo import make_env
 from tests.recordings import rows_of
@@ -166,7 +166,7 @@ def test_the_live_view_serves_this_machine_alone_and_lets_go_of_the_worlds():
     view = LiveView(env, window=False)
     try:
         assert view.address.startswith(f"http://{HOST}:")
-        run = History()
+        run = TrainingHistory()
         for number in (1, 2):
             env.step(torch.zeros(2, 2))
             run.add_update(update(number), episodes(0.5), 2.0)
@@ -196,7 +196,7 @@ def test_learning_goes_on_where_the_viewer_has_been_closed():
     assert view._stream is not None
     view._stream._child.kill()
     view._stream._child.wait()
-    run = History()
+    run = TrainingHistory()
     run.add_update(update(1), episodes(0.5), 2.0)
     env.step(torch.zeros(1, 2))
     view.update(run, update(1))

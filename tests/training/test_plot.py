@@ -7,7 +7,7 @@ import pytest
 
 from league.errors import PolicyError
 from league.training.monitor import plot
-from league.training.monitor.history import TEACHING, History
+from league.training.monitor.history import TEACHING, TrainingHistory
 from league.training.monitor.plot import TrainingPlot
 from tests.training.metrics import evaluation, history, self_play, update
 
@@ -100,7 +100,7 @@ def test_the_plot_is_drawn_now_and_then(tmp_path):
 def test_nothing_is_drawn_of_nothing(tmp_path):
     sink = TrainingPlot(tmp_path / "a.png")
     sink.close()
-    sink.update(History(), update(1))
+    sink.update(TrainingHistory(), update(1))
     sink.close()
     assert list(tmp_path.iterdir()) == []
 

@@ -15,7 +15,7 @@ from league.training.ppo import racer
 from league.training.ppo.learner import Update
 from league.training.ppo.racer import Curriculum, Racer, RacingLearner, make_racing
 from tests.scenes import make_ring
-from tests.training.learners import settings
+from tests.training.learners import algorithm, settings
 
 RING = TrackSet(make_ring())
 SMALL = replace(
@@ -143,6 +143,6 @@ def test_the_racer_drives_the_other_cars(small):
     groups = {name: observed[name] for name in Racer.groups}
     actions = rival.act(groups)
     assert actions.shape == (4, 2) and np.abs(actions).max() <= 1.0
-    last = made.racer._alg.get_policy().mlp[-1]
+    last = algorithm(made.racer).get_policy().mlp[-1]
     last.bias.data.fill_(0.9)
     assert (rival.act(groups) > actions).all()

@@ -11,6 +11,7 @@ from league.training.config import RunConfig, TrainConfig
 from league.training.monitor import history
 from league.training.run import Run
 from tests.training import small
+from tests.training.learners import algorithm
 
 
 def gone_on(folder, updates: int) -> Run:
@@ -36,7 +37,7 @@ def test_schedules_follow_the_whole_of_a_larger_budget(tmp_path):
     run = gone_on(tmp_path, 8)
     rates = []
     run.learn(
-        [small.CallbackRecorder(after=lambda _: rates.append(run.learner._alg.learning_rate))]
+        [small.CallbackRecorder(after=lambda _: rates.append(algorithm(run.learner).learning_rate))]
     )
     # The fifth of eight updates begins with half of the decisions driven.
     assert rates[0] == pytest.approx((first * last) ** 0.5)

@@ -2,6 +2,7 @@
 
 import csv
 import re
+import shutil
 from itertools import groupby, pairwise
 
 import numpy as np
@@ -27,16 +28,29 @@ def files_of(folder):
     return sorted(paths, key=lambda path: int(path.name.partition("-")[0]))
 
 
+def traced_run(folder, updates, **changes):
+    """Return a run that is judged hardly ever."""
+    train = small.train(save_every=10)
+    return small.run(folder, small.cfg(updates, **{"simtrace": True, "train": train, **changes}))
+
+
 def traced(folder, updates, **changes):
-    run = small.run(folder, small.cfg(updates, simtrace=True, **changes))
-    run.learn()
+    traced_run(folder, updates, **changes).learn()
     return [row for path in files_of(folder) for row in rows_of(path)]
 
 
-def test_every_step_of_training_is_in_an_episode_of_the_files(tmp_path):
-    rows = traced(tmp_path, 40)
+@pytest.fixture(scope="module")
+def long_run(tmp_path_factory):
+    """Return the folder of a run of 60 updates."""
+    folder = tmp_path_factory.mktemp("long")
+    traced(folder, 60)
+    return folder
+
+
+def test_every_step_of_training_is_in_an_episode_of_the_files(long_run):
+    rows = [row for path in files_of(long_run) for row in rows_of(path)]
     assert tuple(rows[0]) == COLUMNS
-    assert len(rows) == 40 * small.SAMPLES
+    assert len(rows) == 60 * small.SAMPLES
     assert {row["episode_status"] for row in rows} <= STATUSES
     episodes = [list(group) for _, group in groupby(rows, key=lambda row: row["episode"])]
     assert [int(each[0]["episode"]) for each in episodes] == list(range(len(episodes)))
@@ -48,20 +62,19 @@ def test_every_step_of_training_is_in_an_episode_of_the_files(tmp_path):
         assert gaps == pytest.approx([1 / 15] * len(gaps), abs=1e-5)
 
 
-def test_every_file_but_the_last_has_as_many_episodes(tmp_path):
-    traced(tmp_path, 60)
-    counts = [len({row["episode"] for row in rows_of(path)}) for path in files_of(tmp_path)]
+def test_every_file_but_the_last_has_as_many_episodes(long_run):
+    counts = [len({row["episode"] for row in rows_of(path)}) for path in files_of(long_run)]
     assert len(counts) > 1
     assert counts[:-1] == [EPISODES] * (len(counts) - 1)
     assert 1 <= counts[-1] <= EPISODES
-    assert [path.name for path in files_of(tmp_path)] == [
+    assert [path.name for path in files_of(long_run)] == [
         f"{number}-iteration.csv" for number in range(len(counts))
     ]
 
 
 def test_reward_is_the_one_that_is_learnt_from_and_the_run_is_the_same(tmp_path):
     rows = traced(tmp_path / "traced", 4)
-    small.run(tmp_path / "plain", small.cfg(4)).learn()
+    traced_run(tmp_path / "plain", 4, simtrace=False).learn()
     one, other = (small.weights(tmp_path / name / "last.pt") for name in ("traced", "plain"))
     assert all(np.array_equal(one[name], other[name]) for name in one)
     assert {float(row["reward"]) for row in rows} <= {0.001, 0.1, 0.5, 1.0}  # centerline's bands
@@ -74,10 +87,10 @@ def test_resumed_run_goes_on_in_the_same_files(tmp_path):
         if update.number == 30:
             raise KeyboardInterrupt
 
-    parted = small.run(tmp_path / "parted", small.cfg(40, simtrace=True))
+    parted = traced_run(tmp_path / "parted", 40)
     with pytest.raises(KeyboardInterrupt):
         parted.learn([small.CallbackRecorder(after=stop)])
-    resumed = small.run(tmp_path / "parted", small.cfg(40, simtrace=True))
+    resumed = traced_run(tmp_path / "parted", 40)
     resumed.resume()
     resumed.learn()
     rows = [row for path in files_of(tmp_path / "parted") for row in rows_of(path)]
@@ -121,8 +134,7 @@ def test_evaluations_are_added_to_the_folder(league, tmp_path):
     assert (tmp_path / "model" / "ip" / "hyperparameters.json").exists()
 
 
-def test_new_run_removes_the_files_of_the_one_before(tmp_path):
-    traced(tmp_path, 60)
-    before = len(files_of(tmp_path))
-    traced(tmp_path, 4)
-    assert len(files_of(tmp_path)) < before
+def test_new_run_removes_the_files_of_the_one_before(long_run, tmp_path):
+    folder = shutil.copytree(long_run, tmp_path / "again")
+    traced(folder, 4)
+    assert 1 <= len(files_of(folder)) < len(files_of(long_run))

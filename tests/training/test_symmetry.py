@@ -10,7 +10,7 @@ from league.envs.config import EnvConfig
 from league.envs.observations import MOTION_FIELDS
 from league.envs.race_env import RaceEnv
 from league.envs.sensor_suite import SensorSuite
-from league.envs.state import INDEX
+from league.envs.state import FIELDS, INDEX
 from league.sim.config import CameraConfig, LidarConfig, ObstacleConfig, SensorConfig, SimConfig
 from league.sim.records import World
 from league.track.track import Track, TrackSet
@@ -122,14 +122,14 @@ def test_a_mirror_in_a_mirror_shows_the_original(form):
 def test_motion_keeps_its_speeds_and_turns_its_steering():
     assert MOTION_FIELDS == ("speed", "yaw_rate", "steering", "last_steering", "last_speed")
     told = torch.tensor([[0.5, 0.25, -0.125, 0.75, -1.0]])
-    assert symmetry.motion(told).tolist() == [[0.5, -0.25, 0.125, -0.75, -1.0]]
+    assert symmetry.numbers(told, MOTION_FIELDS).tolist() == [[0.5, -0.25, 0.125, -0.75, -1.0]]
 
 
 def test_state_swaps_the_borders():
     told = torch.zeros(1, len(INDEX))
     told[0, INDEX["left"]], told[0, INDEX["right"]] = 0.3, 0.5
     told[0, INDEX["car_0_gap"]], told[0, INDEX["car_0_lateral"]] = 2.0, 0.25
-    found = symmetry.state(told)[0]
+    found = symmetry.numbers(told, FIELDS)[0]
     assert float(found[INDEX["left"]]) == 0.5
     assert float(found[INDEX["right"]]) == pytest.approx(0.3)
     assert float(found[INDEX["car_0_gap"]]) == 2.0

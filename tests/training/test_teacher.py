@@ -10,6 +10,7 @@ import torch
 from league.agents.network import group_shapes
 from league.cli.train import Train, _kept
 from league.envs import state
+from league.envs.observations import MOTION_FIELDS
 from league.errors import ConfigError, PolicyError, RewardError
 from league.track.track import TrackSet
 from league.training.config import TrainConfig
@@ -18,12 +19,20 @@ from league.training.ppo import symmetry, teacher
 from league.training.ppo.teacher import NOISE_SHARE, TaughtLearner, Teacher
 from tests.scenes import make_ring
 from tests.training import small
-from tests.training.learners import CHOICES, learner, same, settings
+from tests.training.learners import (
+    CHOICES,
+    algorithm,
+    learner,
+    lesson_of,
+    same,
+    settings,
+    teacher_of,
+)
 
 
 def tutored(cfg: TrainConfig | None = None) -> TaughtLearner:
     made = teacher.make_taught(TrackSet(make_ring()), cfg or replace(settings(), teacher=0.5))
-    last = made._teacher._alg.get_policy().mlp[-1]
+    last = algorithm(teacher_of(made)).get_policy().mlp[-1]
     with torch.no_grad():  # untaught, it asks for next to nothing
         last.weight.mul_(100.0)
         last.bias.copy_(torch.linspace(-0.5, 0.3, len(last.bias)))
@@ -32,7 +41,7 @@ def tutored(cfg: TrainConfig | None = None) -> TaughtLearner:
 
 def batch(made: TaughtLearner):
     """Return a mini-batch as rsl-rl makes it, after a round of the policy's own."""
-    return next(made._alg.storage.mini_batch_generator(1, 1))
+    return next(algorithm(made).storage.mini_batch_generator(1, 1))
 
 
 def collected(made: TaughtLearner):
@@ -40,42 +49,42 @@ def collected(made: TaughtLearner):
     made._schedule(0.0)
     made._collect()
     found = batch(made)
-    made._alg.get_policy()(found.observations, stochastic_output=True)
-    return found, made._alg.get_policy()
+    algorithm(made).get_policy()(found.observations, stochastic_output=True)
+    return found, algorithm(made).get_policy()
 
 
 def test_a_teacher_is_told_the_truth_and_sees_nothing():
-    made = tutored()._teacher
+    made = teacher_of(tutored())
     assert "stereo" not in group_shapes(made.cfg.sensors)
-    actor = made._alg.get_policy()
+    actor = algorithm(made).get_policy()
     assert actor.obs_groups == list(Teacher.groups)
     assert actor.obs_dim == state.SIZE + 5
 
 
 def test_first_the_teacher_learns_and_then_the_policy_does():
     made = tutored()
-    policy, taught = made.weights(), made._teacher.weights()
+    policy, taught = made.weights(), teacher_of(made).weights()
     first = made.update(0.0)
     assert same(made.weights(), policy)
-    assert not same(made._teacher.weights(), taught)
+    assert not same(teacher_of(made).weights(), taught)
     assert (made.has_learnt, first.number, first.samples) == (False, 1, 32)
-    taught = made._teacher.weights()
+    taught = teacher_of(made).weights()
     then = made.update(0.5)
     assert not same(made.weights(), policy)
-    assert same(made._teacher.weights(), taught)
+    assert same(teacher_of(made).weights(), taught)
     assert (made.has_learnt, then.number, then.samples) == (True, 2, 64)
     assert "advice" in then.losses
     made.update(0.2)  # of a larger budget: what is taught is taught
-    assert same(made._teacher.weights(), taught)
+    assert same(teacher_of(made).weights(), taught)
 
 
 def test_schedules_run_once_for_each_of_them():
     made = tutored(replace(settings(), teacher=0.5).with_ppo(learning_rate=(1e-3, 1e-5)))
     made.update(0.25)
-    rates = [made._teacher._alg.optimizer.param_groups[0]["lr"]]
+    rates = [algorithm(teacher_of(made)).optimizer.param_groups[0]["lr"]]
     for share in (0.5, 0.75, 1.0):
         made.update(share)
-        rates.append(made._alg.optimizer.param_groups[0]["lr"])
+        rates.append(algorithm(made).optimizer.param_groups[0]["lr"])
     assert rates == pytest.approx([1e-4, 1e-3, 1e-4, 1e-5])
 
 
@@ -84,7 +93,7 @@ def test_advice_counts_less_and_less():
     found = []
     for share in (0.5, 0.75, 0.9, 1.0):
         made.update(share)
-        found.append(made._lesson.weight)
+        found.append(lesson_of(made).weight)
     assert found == pytest.approx([1.0, 0.5, 0.2, 0.0])
 
 
@@ -98,17 +107,17 @@ def test_the_policy_explores_less_than_its_teacher_did(noise, calm):
 def test_the_loss_is_the_divergence_from_what_the_teacher_asks_for():
     made = tutored(replace(settings(symmetry=False), teacher=0.5).with_ppo(noise=(0.5, 0.5)))
     found, actor = collected(made)
-    wanted = made._teacher.targets(found.observations.select(*Teacher.groups))
+    wanted = teacher_of(made).targets(found.observations.select(*Teacher.groups))
     assert wanted.abs().max() <= 1
-    made._lesson.weight = 0.5
-    loss = made._lesson.compute_loss(actor, found, 32)
+    lesson_of(made).weight = 0.5
+    loss = lesson_of(made).compute_loss(actor, found, 32)
     # KL of two Gaussians with one deviation, summed over steering and speed.
     by_hand = ((actor.output_mean - wanted) ** 2 / (2 * 0.5**2)).sum(dim=1).mean()
     assert loss.item() == pytest.approx(0.5 * by_hand.item(), rel=1e-4)
     assert loss.item() > 0
     loss.backward()
     assert any(p.grad is not None and p.grad.abs().sum() > 0 for p in actor.parameters())
-    assert all(p.grad is None for p in made._teacher._alg.get_policy().parameters())
+    assert all(p.grad is None for p in algorithm(teacher_of(made)).get_policy().parameters())
 
 
 def test_learning_from_advice_alone_comes_to_ask_for_the_same():
@@ -118,7 +127,7 @@ def test_learning_from_advice_alone_comes_to_ask_for_the_same():
     losses = []
     for _ in range(200):
         actor(found.observations, stochastic_output=True)
-        loss = made._lesson.compute_loss(actor, found, 32)
+        loss = lesson_of(made).compute_loss(actor, found, 32)
         steps.zero_grad()
         loss.backward()
         steps.step()
@@ -129,23 +138,23 @@ def test_learning_from_advice_alone_comes_to_ask_for_the_same():
 def test_for_mirror_images_the_advice_is_mirrored():
     made = tutored()
     found, _ = collected(made)
-    usual, seen = made._lesson.targets(found.observations), found.observations["motion"].clone()
-    made._lesson.augment_batch(found, 32)
+    usual, seen = lesson_of(made).targets(found.observations), found.observations["motion"].clone()
+    lesson_of(made).augment_batch(found, 32)
     assert torch.equal(found.observations["motion"], seen)  # the first is never mirrored
-    made._lesson.augment_batch(found, 32)
-    assert torch.equal(found.observations["motion"], symmetry.motion(seen))
-    turned = made._lesson.targets(found.observations)
+    lesson_of(made).augment_batch(found, 32)
+    assert torch.equal(found.observations["motion"], symmetry.numbers(seen, MOTION_FIELDS))
+    turned = lesson_of(made).targets(found.observations)
     assert torch.allclose(turned, made.cfg.action_space.mirror(usual), atol=1e-5)
 
 
 def test_choices_are_advised_by_their_log_probabilities():
     made = tutored(replace(settings(space=CHOICES), teacher=0.5))
     found, actor = collected(made)
-    wanted = made._teacher.targets(found.observations.select(*Teacher.groups))
+    wanted = teacher_of(made).targets(found.observations.select(*Teacher.groups))
     assert torch.allclose(wanted.exp().sum(dim=1), torch.ones(32), atol=1e-5)
     scores = actor.output_distribution_params[0]
     by_hand = (wanted.exp() * (wanted - scores)).sum(dim=1).mean()
-    loss = made._lesson.compute_loss(actor, found, 32)
+    loss = lesson_of(made).compute_loss(actor, found, 32)
     assert loss.item() == pytest.approx(by_hand.item(), abs=1e-6)
 
 
@@ -162,7 +171,7 @@ def test_what_both_have_learnt_is_kept_and_taken_up_again(tmp_path):
     made.save(tmp_path / "state.pt", {"of": "mine"})
     assert other.restore(tmp_path / "state.pt") == {"of": "mine"}
     assert same(made.weights(), other.weights())
-    assert same(made._teacher.weights(), other._teacher.weights())
+    assert same(teacher_of(made).weights(), teacher_of(other).weights())
     assert (other.updates, other.samples, other.has_learnt) == (2, 64, True)
 
 

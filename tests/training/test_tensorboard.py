@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from league.training.monitor.history import History
+from league.training.monitor.history import TrainingHistory
 from league.training.monitor.sinks import TensorBoard
 from tests.training.metrics import episodes, evaluation, update
 
@@ -23,7 +23,7 @@ def points(folder: Path) -> dict[str, list[tuple[int, float]]]:
 
 
 def run(folder: Path, numbers: range, *, loss: float = 0.25) -> None:
-    made, sink = History(), TensorBoard(folder)
+    made, sink = TrainingHistory(), TensorBoard(folder)
     for number in numbers:
         made.add_update(update(number, loss=loss), episodes(0.5), 2.0 * number)
         sink.update(made, update(number, loss=loss))
@@ -49,7 +49,7 @@ def test_charts_have_the_names_that_users_of_rsl_rl_know(tmp_path):
 
 
 def test_step_size_exploration_and_length_of_episodes_have_rsl_rl_s_names(tmp_path):
-    made, sink = History(), TensorBoard(tmp_path)
+    made, sink = TrainingHistory(), TensorBoard(tmp_path)
     brought = replace(update(2), learning_rate=0.5, mean_std=0.25, episode_steps=40.0)
     for one in (update(1), brought):  # the first has none of them
         made.add_update(one, episodes(0.5), 2.0 * one.number)

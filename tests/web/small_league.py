@@ -1,15 +1,20 @@
-"""A league of scripted drivers with recorded races, one of them with HTML in its names."""
+"""Small leagues: one with recorded races and HTML in a name, one with heats that wait."""
 
 from __future__ import annotations
 
+import itertools
+
 from league.matchmaking import cups, divisions, loop, seasons
+from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Ruleset
-from league.matchmaking.pairing.matchmaker import Season
+from league.matchmaking.pairing.matchmaker import Matchmaker
 from league.matchmaking.store import Store
 from league.matchmaking.workers.dispatcher import Dispatcher
-from tests.matchmaking.season_kit import Here, new_league
+from tests.matchmaking.season_kit import SHORT, Here, new_league, submitted
 
 ORIGIN = "http://127.0.0.1"
+ANCHORS = ("centerline", "racing_line")
+TRACKS = ("reinvent_2018", "reinvent_2018")
 RULES = Ruleset(solver="planar", laps=1, max_time_s=8.0)
 NAME = "<img src=x onerror=name='owned'>"
 OWNER = "</td><script>name='owned'</script>"
@@ -17,10 +22,20 @@ OWNER = "</td><script>name='owned'</script>"
 
 def raced_league(url: str, *, heats: int = 24) -> Store:
     """Return a league in which that many heats were raced."""
-    store = new_league(url, anchors=("centerline", "racing_line"), rules=RULES)
+    store = new_league(url, anchors=ANCHORS, rules=RULES)
     store.submit(NAME, OWNER, scripted="cautious")
     dispatcher = Dispatcher(store, Here())
-    loop.run(store, dispatcher, Season(store, same_owner=True), heats=heats)
+    loop.run(store, dispatcher, Matchmaker(store, same_owner=True), heats=heats)
+    return store
+
+
+def queued_league(url: str) -> Store:
+    """Return a league with seven rated heats in its queue."""
+    store = new_league(url, anchors=ANCHORS)
+    for number, name in enumerate(("e0", "e1")):
+        submitted(store, name, seed=number, senses="blind")
+    pairs = [*itertools.combinations([entry.id for entry in store.entries()], 2)]
+    store.plan([heat_spec.mirrored(SHORT.hash, TRACKS, pair) for pair in [*pairs, pairs[0][::-1]]])
     return store
 
 
@@ -29,7 +44,7 @@ def seasoned_league(url: str) -> Store:
     store = new_league(url, anchors=("centerline", "racing_line"), rules=RULES)
     store.submit(NAME, OWNER, scripted="cautious")
     store.submit("blocks", "someone", scripted="blocker")
-    worker, season = Dispatcher(store, Here()), Season(store, same_owner=True)
+    worker, season = Dispatcher(store, Here()), Matchmaker(store, same_owner=True)
     seasons.start(store, "Spring", divisions.SeasonSettings(division_size=2))
     loop.run(store, worker, season, heats=16)
     cups.start(store, "May Cup", anchors=True)

@@ -78,7 +78,7 @@ def test_an_audit_that_agrees_verifies_a_heat(tmp_path):
     from starlette.testclient import TestClient
 
     from league.matchmaking import gauntlet, loop
-    from league.matchmaking.pairing.matchmaker import Season
+    from league.matchmaking.pairing.matchmaker import Matchmaker
     from league.matchmaking.workers.dispatcher import Dispatcher
     from league.web.app import make_app
     from tests.matchmaking.season_kit import Here, new_league
@@ -86,7 +86,7 @@ def test_an_audit_that_agrees_verifies_a_heat(tmp_path):
 
     anchors = ("centerline", "racing_line")
     with new_league(f"sqlite:///{tmp_path / 'league.db'}", anchors=anchors) as store:
-        loop.run(store, Dispatcher(store, Here()), Season(store, same_owner=True), heats=3)
+        loop.run(store, Dispatcher(store, Here()), Matchmaker(store, same_owner=True), heats=3)
         number = rated_heat(store)
         with TestClient(make_app(store), base_url=ORIGIN) as client:
             before = client.get(f"/api/v1/heats/{number}").json()

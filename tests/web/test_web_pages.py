@@ -183,6 +183,20 @@ def test_only_get_and_head_are_answered(client, method):
     assert client.head("/standings").content == b""
 
 
+def test_a_static_file_is_sent_packed_and_only_if_the_browser_has_another_one(client):
+    first = client.get("/static/player.js")
+    assert (first.status_code, first.headers["content-encoding"]) == (200, "gzip")
+    assert first.headers["cache-control"] == "no-cache"
+    plain = client.get("/static/player.js", headers={"accept-encoding": "identity"})
+    assert "content-encoding" not in plain.headers and plain.content == first.content
+    known = {"if-none-match": first.headers["etag"]}
+    again = client.get("/static/player.js", headers=known)
+    assert (again.status_code, again.content) == (304, b"")
+    other = client.get("/static/style.css", headers=known)
+    assert other.status_code == 200 and other.headers["etag"] != first.headers["etag"]
+    assert client.head("/static/player.js").content == b""
+
+
 def test_another_host_name_is_refused(client):
     assert client.get("/", headers={"host": "evil.example"}).status_code == 400
 
@@ -203,14 +217,14 @@ def test_pages_of_a_league_without_races_say_what_to_do(tmp_path):
 
 def test_a_race_whose_recording_was_not_kept_has_a_page(tmp_path):
     from league.matchmaking import loop
-    from league.matchmaking.pairing.matchmaker import Season
+    from league.matchmaking.pairing.matchmaker import Matchmaker
     from league.matchmaking.workers.dispatcher import Dispatcher
     from tests.matchmaking.season_kit import Here
 
     anchors = ("centerline", "racing_line")
     with new_league(f"sqlite:///{tmp_path / 'league.db'}", anchors=anchors) as store:
         dispatcher = Dispatcher(store, Here(), keep_replays=False)
-        loop.run(store, dispatcher, Season(store, same_owner=True), heats=2)
+        loop.run(store, dispatcher, Matchmaker(store, same_owner=True), heats=2)
         with TestClient(make_app(store), base_url=ORIGIN) as client:
             heat = rated_heat(store)
             assert "No recording was kept" in client.get(f"/heats/{heat}").text

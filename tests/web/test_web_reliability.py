@@ -28,8 +28,7 @@ from league.web.security import Access
 from tests.agents.trained import make_checkpoint
 from tests.matchmaking.season_kit import Here
 from tests.web.serving import FREE
-from tests.web.small_league import ORIGIN
-from tests.web.test_web_workers import small
+from tests.web.small_league import ORIGIN, queued_league
 
 
 def packed(seed: int) -> bytes:
@@ -39,7 +38,7 @@ def packed(seed: int) -> bytes:
 
 def test_kill_nine_of_the_server_loses_nothing_acknowledged(tmp_path):
     url = f"sqlite:///{tmp_path / 'league.db'}"
-    with small(url) as store:
+    with queued_league(url) as store:
         secrets = [store.tokens.create(f"o{n}", ("submit", "worker"))[0] for n in range(4)]
     command = [sys.executable, "-m", "league.cli", "serve", "--league", url, "--port", "0"]
     entered: list[str] = []
@@ -97,7 +96,7 @@ def impatient(monkeypatch):
 
 
 def test_a_reader_never_blocks_the_writer_and_sees_one_state(tmp_path, impatient):
-    with small(f"sqlite:///{tmp_path / 'league.db'}") as store:
+    with queued_league(f"sqlite:///{tmp_path / 'league.db'}") as store:
         done = sa.select(sa.func.count()).select_from(schema.results)
         with store._database.reading() as connection:
             assert connection.scalar(done) == 0
@@ -107,7 +106,7 @@ def test_a_reader_never_blocks_the_writer_and_sees_one_state(tmp_path, impatient
 
 
 def test_pages_under_load_never_block_the_seasons_writer(tmp_path, impatient):
-    with small(f"sqlite:///{tmp_path / 'league.db'}") as store:
+    with queued_league(f"sqlite:///{tmp_path / 'league.db'}") as store:
         app = make_app(store, access=Access(limits=FREE))
         over, answers = threading.Event(), []
 

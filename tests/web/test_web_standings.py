@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import threading
+import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
-from league.matchmaking import standings
+from league.matchmaking import history, standings
 from league.matchmaking.own_history import own_history
 from league.matchmaking.pairing.heat_spec import Half, Heat
 from league.matchmaking.store import HeatOutcome, RaceOutcome, Store
@@ -169,6 +172,16 @@ def test_a_snapshot_reads_only_what_is_new(league, monkeypatch):
         [row.elo for row in whole.rows], abs=1e-6
     )
     assert second.races.entries.shape == whole.races.entries.shape
+    assert second.trends == pytest.approx(history.trends(league, whole), abs=1e-3)
+    assert second.trends and second.trends != first.trends
+
+
+def test_only_the_lines_of_a_page_have_marks(pages, monkeypatch):
+    monkeypatch.setattr(table, "PER_PAGE", 3)
+    document = pages.get("/api/v1/standings?page=2").json()
+    assert list(document["marks"]) == [str(row["number"]) for row in document["rows"]]
+    assert len(document["rows"]) == 3
+    assert all(mark["trend"] for mark in document["marks"].values())
 
 
 def test_an_answer_is_kept_until_something_happens(pages, league, monkeypatch):
@@ -186,6 +199,7 @@ def test_an_answer_is_kept_until_something_happens(pages, league, monkeypatch):
     monkeypatch.setattr(reader, "REST", 0.0)
     monkeypatch.setattr(reader, "QUICK_S", 60.0)
     monkeypatch.setattr(answers, "LOOK_S", -1.0)
+    monkeypatch.setattr(answers, "STALE_S", 0.0)
     first = pages.get("/standings")
     assert pages.get("/standings").text == first.text
     assert made.count("/standings") == 1
@@ -200,6 +214,66 @@ def test_an_answer_is_kept_until_something_happens(pages, league, monkeypatch):
     plain = pages.get("/standings", headers={"accept-encoding": "identity"})
     assert "content-encoding" not in plain.headers
     assert re.search("<h1>Standings</h1>", plain.text)
+
+
+@pytest.fixture
+def making(monkeypatch):
+    """Keep answers; return a switch that must be on for pages to be made, and what was made."""
+    may, made, read = threading.Event(), [], Page.read
+    may.set()
+
+    def waiting(self, *asked):
+        made.append(self.path)
+        assert may.wait(60)
+        return read(self, *asked)
+
+    monkeypatch.setattr(Page, "read", waiting)
+    monkeypatch.setattr(answers, "MOST", 8)
+    monkeypatch.setattr(answers, "LOOK_S", -1.0)
+    return may, made
+
+
+def test_an_answer_that_was_just_up_to_date_is_given_while_the_next_is_made(
+    league, making, monkeypatch
+):
+    may, _ = making
+    for module in (reader, answers):
+        monkeypatch.setattr(module, "FRESH_S", 0.0)
+    monkeypatch.setattr(reader, "REST", 0.0)
+    monkeypatch.setattr(reader, "QUICK_S", 60.0)
+    with TestClient(make_app(league), base_url=ORIGIN) as pages:
+        first = pages.get("/standings").text
+        raced(league, leagues.duels(league, 3, first=500))
+        may.clear()
+        for _ in range(5):
+            assert pages.get("/standings").text == first
+        may.set()
+        give_up = time.monotonic() + 60
+        while pages.get("/standings").text == first:
+            assert time.monotonic() < give_up
+            time.sleep(0.01)
+        monkeypatch.setattr(answers, "STALE_S", 0.0)  # what is older is made before it is given
+        raced(league, leagues.duels(league, 3, first=600))
+        second = pages.get("/standings").text
+        assert f"{league.heats(limit=1, newest=True)[0].number * 2 - 1} races" in second
+
+
+def test_a_page_that_many_ask_for_at_once_is_made_once(league, making):
+    may, made = making
+    may.clear()
+    with (
+        TestClient(make_app(league), base_url=ORIGIN) as pages,
+        ThreadPoolExecutor(6) as visitors,
+    ):
+        asked = [visitors.submit(pages.get, "/standings") for _ in range(6)]
+        give_up = time.monotonic() + 60
+        while not made:
+            assert time.monotonic() < give_up
+            time.sleep(0.01)
+        time.sleep(0.1)  # the others arrive
+        may.set()
+        assert {one.result().status_code for one in asked} == {200}
+    assert made == ["/standings"]
 
 
 def test_a_newcomer_has_a_page_before_the_next_snapshot(pages, league):

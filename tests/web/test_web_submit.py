@@ -17,7 +17,7 @@ from league.matchmaking.store import Quota, Store
 from league.web.app import make_app
 from league.web.security import Access, Limit, Limits
 from tests.agents.trained import make_checkpoint
-from tests.matchmaking.test_submission import HOSTILE
+from tests.matchmaking.hostile_entries import HOSTILE
 from tests.web.serving import FREE
 from tests.web.small_league import ORIGIN, RULES, new_league
 

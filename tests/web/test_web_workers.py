@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 from collections.abc import Iterator
 from dataclasses import replace
@@ -13,7 +12,6 @@ from starlette.testclient import TestClient
 from league.errors import ConfigError, StoreError
 from league.matchmaking import loop, standings, wire
 from league.matchmaking.client import Client
-from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.remote import RemoteQueue
 from league.matchmaking.store import Store
@@ -22,28 +20,16 @@ from league.matchmaking.workers.worker import RaceWorker
 from league.sim import PHYSICS
 from league.web.app import make_app
 from league.web.security import Access
-from tests.matchmaking.season_kit import SHORT, Here, new_league, submitted
+from tests.matchmaking.season_kit import SHORT, Here
 from tests.web.serving import FREE, serving
-from tests.web.small_league import ORIGIN
+from tests.web.small_league import ORIGIN, queued_league
 
 WORK = "/api/v1/work"
-ANCHORS = ("centerline", "racing_line")
-TRACKS = ("reinvent_2018", "reinvent_2018")
-
-
-def small(url: str) -> Store:
-    """Return a league with seven rated heats in its queue."""
-    store = new_league(url, anchors=ANCHORS)
-    for number, name in enumerate(("e0", "e1")):
-        submitted(store, name, seed=number, senses="blind")
-    pairs = [*itertools.combinations([entry.id for entry in store.entries()], 2)]
-    store.plan([heat_spec.mirrored(SHORT.hash, TRACKS, pair) for pair in [*pairs, pairs[0][::-1]]])
-    return store
 
 
 @pytest.fixture
 def store(tmp_path) -> Iterator[Store]:
-    with small(f"sqlite:///{tmp_path / 'league.db'}") as store:
+    with queued_league(f"sqlite:///{tmp_path / 'league.db'}") as store:
         yield store
 
 
@@ -63,7 +49,7 @@ def hashes(store: Store) -> list:
 
 
 def test_a_remote_worker_makes_the_same_league_as_a_local_one(store, tmp_path):
-    with small(f"sqlite:///{tmp_path / 'local.db'}") as local:
+    with queued_league(f"sqlite:///{tmp_path / 'local.db'}") as local:
         number = len(local.heats())
         loop.run(local, Dispatcher(local, Here()), None, heats=number)
         with serving(store, Access(limits=FREE, audited=0.0)) as url:

@@ -29,7 +29,7 @@ class Cups(Reading):
     anchors: bool = False
     """Let the league's own drivers take part in the cup that starts."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the command."""
         from league.matchmaking import cups
 
@@ -40,14 +40,13 @@ class Cups(Reading):
                 cup = cups.start(store, self.name, anchors=self.anchors)
                 entrants = len(cup.settings["entrants"])
                 print(f"{cup.name} has begun with {entrants} entrants: `league run` races it.")
-                return 0
+                return
             cup = cups.named(store, self.name)
             document = _document(store, cup)
         if self.json:
             season.print_json(document)
-            return 0
+            return
         _print(document)
-        return 0
 
 
 def _document(store: Store, cup: Cup) -> dict[str, Any]:

@@ -21,6 +21,11 @@ if TYPE_CHECKING:
 ANCHORS = ("centerline", "racing_line", "cautious", "blocker")
 """Scripted drivers that a new league begins with; the first one is 1000."""
 
+GIVEN = (
+    "laps", "cars", "solver", "sensors", "max_time_s", "variation", "rules", "obstacles", "format",
+)  # fmt: skip
+"""Flags of `league init` that are settings of the rules."""
+
 
 @dataclass
 class Init(OnLeague):
@@ -56,7 +61,7 @@ class Init(OnLeague):
     blobs: str = ""
     """Directory or bucket (s3://...) for weights and recordings; by default the database."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the command."""
         from league.matchmaking.pairing import matchmaker
         from league.matchmaking.store import create
@@ -69,7 +74,6 @@ class Init(OnLeague):
         parts += [rules.format] if rules.format != "standing" else []
         print(f"Rules {rules.hash[:12]}: {', '.join(parts)}")
         print(f"Anchors: {', '.join(self.anchors) or 'none'}")
-        return 0
 
 
 @dataclass
@@ -86,7 +90,7 @@ class Submit(OnServer):
     download: bool = False
     """Let everyone download the weights from the driver's page."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the command."""
         name = self.name or Path(self.driver).stem
         entered = self._sent(name) if self.to else self._entered(name)
@@ -103,7 +107,6 @@ class Submit(OnServer):
         if entered.state == "pending":
             follow = entered.page or "`league run`, then `league entries`"
             print(f"It races itself and an anchor first: {follow}.")
-        return 0
 
     def _entered(self, name: str) -> _Entered:
         """Enter the driver here."""
@@ -158,7 +161,7 @@ class Pack:
     out: Path | None = None
     """Where to write it; by default here, under the checkpoint's name, ending in .safetensors."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the command."""
         from league.atomic_file import replacing
         from league.errors import PolicyError
@@ -168,7 +171,6 @@ class Pack:
         with replacing(path, "the packed checkpoint", PolicyError) as file:
             file.write_bytes(content)
         print(f"{path}: {len(content):,} bytes")
-        return 0
 
 
 def _packed(driver: str) -> bytes:
@@ -187,7 +189,7 @@ def _packed(driver: str) -> bytes:
 class Entries(Reading):
     """List the entries and their states."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the command."""
         from league.matchmaking.pairing import matchmaker
 
@@ -195,7 +197,7 @@ class Entries(Reading):
             entries = matchmaker.entries_with_reasons(store)
         if self.json:
             season.print_json(entries)
-            return 0
+            return
         table = tables.table("Entries", "name", "owner", "state", "id", "kind", "submitted")
         for entry in entries:
             kind = "anchor" if entry.anchor else entry.kind
@@ -213,7 +215,6 @@ class Entries(Reading):
                 print(f"{entry.name} is {entry.state}: {tables.spelled(entry.reason)}")
             if entry.near_copy_of:
                 print(f"{entry.name} is nearly a copy of {entry.near_copy_of}.")
-        return 0
 
 
 @dataclass
@@ -257,7 +258,7 @@ class Upgrade(OnLeague):
     """Also race with this program's physics from now on: heats that wait are cancelled, and ratings
     begin again, because results of different physics cannot be compared."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the command."""
         from league.matchmaking import store
         from league.sim import PHYSICS
@@ -279,7 +280,6 @@ class Upgrade(OnLeague):
                     f"ratings begin again, and {cancelled} waiting heats are cancelled."
                 )
             print(f"The league in {league.url} is up to date.")
-        return 0
 
 
 def _confirmed(what: str) -> bool:
@@ -330,19 +330,9 @@ def _rules(command: Init) -> Ruleset:
             )
         tracks.append(track.name)
     try:
-        return Ruleset(
-            tracks=tuple(tracks),
-            laps=command.laps,
-            cars=command.cars,
-            solver=command.solver,
-            sensors=command.sensors,
-            max_time_s=command.max_time_s,
-            variation=command.variation,
-            rules=command.rules,
-            obstacles=command.obstacles,
-            obstacle_kind="bot" if command.bots else "box",
-            format=command.format,
-        )
+        given = {name: getattr(command, name) for name in GIVEN}
+        kind = "bot" if command.bots else "box"
+        return Ruleset(**given, tracks=tuple(tracks), obstacle_kind=kind)
     except ValueError as error:
         raise ConfigError(f"these rules are not possible: {error}") from error
 

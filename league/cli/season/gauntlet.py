@@ -38,7 +38,7 @@ class Gauntlet(Reading):
     workers: int = 0
     """Worker processes; 0 takes one for each core."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the command."""
         from league.agents import checkpoint, roster
         from league.matchmaking import gauntlet
@@ -64,7 +64,7 @@ class Gauntlet(Reading):
                 )
         if self.json:
             season.print_json(placed)
-            return 0
+            return
         table = tables.table(f"Gauntlet of {newcomer.card.name}", "opponent", "races", "points")
         for name, races, points in placed.against:
             table.add_row(name, str(races), f"{points:g}")
@@ -77,7 +77,6 @@ class Gauntlet(Reading):
         if placed.provisional:
             print("More rounds give a narrower interval: --rounds 5")
         print(f"Nothing was kept; enter it with  league submit {shlex.quote(self.checkpoint)}")
-        return 0
 
 
 @dataclass
@@ -101,7 +100,7 @@ class Compare(Reading):
     workers: int = 0
     """Worker processes; 0 takes one for each core."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the command."""
         from league.matchmaking import gauntlet
         from league.matchmaking.ratings.sprt import SequentialSettings
@@ -140,14 +139,13 @@ class Compare(Reading):
                 )
         if self.json:
             season.print_json(result)
-            return 0
+            return
         print(self._verdict(result, one.name, other.name))
         print(
             f"{result.heats} heats, score {100 * result.score:.1f} %, lead {_elo(result.elo)} Elo "
             f"({_elo(result.low95)} to {_elo(result.high95)}), LLR {result.llr:+.2f} "
             f"({result.lower:.2f} to {result.upper:.2f})"
         )
-        return 0
 
     def _verdict(self, result: Comparison, one: str, other: str) -> str:
         if result.decision == "better":

@@ -53,7 +53,7 @@ class Heats(Reading):
     limit: int = 20
     """How many, the newest."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the command."""
         from league.matchmaking import documents
 
@@ -65,7 +65,7 @@ class Heats(Reading):
             names = documents.names_of(store.entries())
         if self.json:
             season.print_json([documents.heat_document(record, names) for record in records])
-            return 0
+            return
         when = () if tables.is_narrow() else ("done",)
         table = tables.table("Heats", "heat", "grid", "purpose", "state", "track", *when)
         table.padding = (0, 0)  # the box leaves space enough between columns
@@ -77,7 +77,6 @@ class Heats(Reading):
             what = record.heat.purpose, record.state, half.track
             table.add_row(str(record.number), grid, *what, *done)
         tables.console().print(table)
-        return 0
 
 
 @dataclass
@@ -87,10 +86,10 @@ class ShowHeat(Reading):
     heat: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="HEAT")]
     """Its number, or the beginning of its key."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the command."""
         with self.opened() as store:
-            return _show(store, store.heat(self.heat), self.json)
+            _show(store, store.heat(self.heat), self.json)
 
 
 @dataclass
@@ -104,7 +103,7 @@ class Retry(OnLeague):
     heat: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="HEAT")]
     """Its number, or the beginning of its key."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the command."""
         with self.opened() as store:
             record = store.heat(self.heat)
@@ -120,7 +119,6 @@ class Retry(OnLeague):
         print(f"{what} waits to be raced again: `league run` or `league work` does it.")
         if record.state == "quarantined":
             print(f"Then `league heat {number}` shows which result was found again, if any.")
-        return 0
 
 
 @dataclass
@@ -182,14 +180,14 @@ class Audit(OnLeague):
         return 1 if differ or found.mismatches else 0
 
 
-def _show(store: Store, record: HeatRecord, as_json: bool) -> int:
+def _show(store: Store, record: HeatRecord, as_json: bool) -> None:
     from league.matchmaking import documents
 
     names = documents.names_of(store.entries())
     results = store.results(record.number)
     if as_json:
         season.print_json({**documents.heat_document(record, names), "results": results})
-        return 0
+        return
     print(f"Heat {record.number} ({record.heat.purpose}), {record.state}, key {record.heat.key}")
     if record.worker:
         print(f"raced by {record.worker}, try {record.attempts}")
@@ -226,7 +224,6 @@ def _show(store: Store, record: HeatRecord, as_json: bool) -> int:
         print(f"Watch it: league view {record.number}   (the second race: --race 2)")
     if record.traceback:
         print(tables.spelled(record.traceback))
-    return 0
 
 
 def export_csv(store: Store, path: Path) -> None:

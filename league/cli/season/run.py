@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from league.matchmaking.loop import Tally
-    from league.matchmaking.pairing.matchmaker import Season
+    from league.matchmaking.pairing.matchmaker import Matchmaker
     from league.matchmaking.standings import Standings
     from league.matchmaking.store import Store
     from league.matchmaking.workers.dispatcher import Dispatcher, FinishedHeat, HeatSource
@@ -58,7 +58,7 @@ class Racing(OnLeague):
     plain: bool = False
     """Print a line for each heat instead of the page."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the command."""
         from league.matchmaking.workers.worker import check_physics
 
@@ -66,7 +66,6 @@ class Racing(OnLeague):
         with self.opened() as store:
             check_physics(store.settings.ruleset, f"the league in {store.url}")
             self._race(store, store)
-        return 0
 
     def _check(self) -> None:
         season.at_least(self, "heats", 1)
@@ -81,7 +80,7 @@ class Racing(OnLeague):
         from league.matchmaking.workers.dispatcher import Dispatcher
 
         with ExitStack() as stack:
-            matchmaker = self._season(store) if store else None
+            matchmaker = self._matchmaker(store) if store else None
             executor = workers.make_executor(self.executor, self.workers or os.cpu_count() or 1)
             stack.callback(executor.close)
             dispatcher = Dispatcher(
@@ -89,7 +88,7 @@ class Racing(OnLeague):
             )
             watch = _print_finished
             if store and sys.stdout.isatty() and not self.plain:
-                watch = stack.enter_context(Page(store, dispatcher)).show
+                watch = stack.enter_context(LivePage(store, dispatcher)).show
             tally = loop.run(
                 store,
                 dispatcher,
@@ -103,7 +102,7 @@ class Racing(OnLeague):
         over = seasons[-1].name if seasons and seasons[-1].until is not None else ""
         _print_tally(tally, over)
 
-    def _season(self, store: Store) -> Season | None:
+    def _matchmaker(self, store: Store) -> Matchmaker | None:
         """Return the matchmaker; None races what is in the queue."""
         return None
 
@@ -116,7 +115,7 @@ class Work(Racing, OnServer):
     because a worker of the owner raced them.
     """
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the command."""
         if not self.to:
             return super().run()
@@ -130,21 +129,20 @@ class Work(Racing, OnServer):
         RemoteQueue(client).heartbeat("hello", lease_s=60.0, keys=())  # fails at once, if at all
         print(f"Racing for {client.url}; Ctrl-C finishes the heats under way.", flush=True)
         self._race(queue, None)
-        return 0
 
 
 @dataclass
-class Run(Racing):
+class RunSeason(Racing):
     """Run the season: pair entries, race heats, rate, and again; Ctrl-C finishes what has begun."""
 
     same_owner: bool = False
     """Let entries of one owner meet, too. By default they race only entries of others and anchors,
     so that entering many gains nothing; a league of one person needs this."""
 
-    def _season(self, store: Store) -> Season:
-        from league.matchmaking.pairing.matchmaker import Season
+    def _matchmaker(self, store: Store) -> Matchmaker:
+        from league.matchmaking.pairing.matchmaker import Matchmaker
 
-        return Season(store, same_owner=self.same_owner)
+        return Matchmaker(store, same_owner=self.same_owner)
 
 
 @dataclass
@@ -164,7 +162,7 @@ class Serve(OnLeague):
     audit: str = "5%"
     """Share of the heats of remote workers that are run again by others, in percent."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the command."""
         from league.matchmaking.store import Quota
         from league.web import server
@@ -186,7 +184,6 @@ class Serve(OnLeague):
                 access=access,
                 ready=lambda url: print(f"{name}: {url}   (Ctrl-C ends it)", flush=True),
             )
-        return 0
 
 
 @dataclass
@@ -198,7 +195,7 @@ class Site(OnLeague):
     heats: int = 200
     """So many of the newest heats get pages, with their races to watch."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the command."""
         from league.web import site
 
@@ -209,7 +206,6 @@ class Site(OnLeague):
             f"{written.pages} pages, {written.heats} of them with a race to watch: "
             f"{self.folder / 'index.html'}"
         )
-        return 0
 
 
 @contextmanager
@@ -276,7 +272,7 @@ def _print_finished(_tally: Tally, finished: list[FinishedHeat]) -> None:
         print(describe(one), flush=True)
 
 
-class Page:
+class LivePage:
     """A page that is redrawn in place: rates, heats under way, last results, standings."""
 
     def __init__(self, store: Store, dispatcher: Dispatcher) -> None:
@@ -343,5 +339,5 @@ class Page:
         return Group(*parts)
 
 
-COMMANDS = {"run": Run, "work": Work}
+COMMANDS = {"run": RunSeason, "work": Work}
 SERVE = {"serve": Serve, "site": Site}

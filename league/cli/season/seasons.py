@@ -32,7 +32,7 @@ class Seasons(Reading):
     least_safety: float = 2.0
     """Safety rating, 0 to 5, that its top division asks for; 0 for none."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the command."""
         from league.matchmaking import seasons
         from league.matchmaking.divisions import SeasonSettings
@@ -47,24 +47,24 @@ class Seasons(Reading):
                 settings = SeasonSettings(self.division_size, self.least_safety)
                 begun = seasons.start(store, self.name, settings)
                 print(f"{begun.name} has begun: `league run` races it.")
-                return 0
+                return
             if self.action == "end":
                 ended = seasons.end(store)
                 print(f"{ended.name} has ended; its standings have the hash {ended.hash[:16]}.")
                 _print_trophies(store, ended.number)
-                return 0
-            return self._list(store)
+                return
+            self._list(store)
 
-    def _list(self, store: Store) -> int:
+    def _list(self, store: Store) -> None:
         known = store.seasons()
         if self.json:
             documents = {one.number: store.season_document(one.number) for one in known}
             season.print_json([{"season": one, "frozen": documents[one.number]} for one in known])
-            return 0
+            return
         if not known:
             print("This league has no seasons: all its races are one. `league season start` begins")
             print("the first one, which has all races so far, and `league season end` ends it.")
-            return 0
+            return
         table = tables.table("Seasons", "", "season", "heats", "from", "to", "standings")
         for one in known:
             heats = f"{one.after + 1}-{one.until or ''}"
@@ -76,7 +76,6 @@ class Seasons(Reading):
             if one.ended_s:
                 print(f"{one.name}:")
                 _print_trophies(store, one.number)
-        return 0
 
 
 def _print_trophies(store: Store, number: int) -> None:

@@ -33,7 +33,7 @@ class ShowStandings(Reading):
     top: int | None = None
     """Only so many."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the command."""
         from league.matchmaking import documents, standings
 
@@ -42,28 +42,27 @@ class ShowStandings(Reading):
             rated = standings.of(store)
         if self.json:
             season.print_json(documents.standings_document(rated, self.top))
-            return 0
+            return
         tables.console().print(standings_table(rated, self.top))
         for line in _notes(rated):
             print(line)
-        return 0
 
 
 @dataclass
-class Show(Reading):
+class ShowEntry(Reading):
     """Show an entry: rating, record against each opponent, last heats."""
 
     entry: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ENTRY")]
     """Name or id."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the command."""
         with self.opened() as store:
-            return _show(store, store.entry(self.entry), self.json)
+            _show(store, store.entry(self.entry), self.json)
 
 
 @dataclass
-class HeadToHead(Reading):
+class ShowHeadToHead(Reading):
     """Compare two entries: who is stronger, how sure that is, and their meetings.
 
     Without names: all of the best ones against each other, and where the ratings miss something.
@@ -76,7 +75,7 @@ class HeadToHead(Reading):
     top: int = 8
     """Largest size of the matrix, where no names are given; less where there is no space."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the command."""
         season.at_least(self, "top", 2)
         if self.one and not self.other:
@@ -85,13 +84,14 @@ class HeadToHead(Reading):
                 "matrix of the best"
             )
         with self.opened() as store:
-            if not self.one:
-                return _matrix(store, self.top, self.json)
-            return _h2h(store, store.entry(self.one), store.entry(self.other), self.json)
+            if self.one:
+                _h2h(store, store.entry(self.one), store.entry(self.other), self.json)
+            else:
+                _matrix(store, self.top, self.json)
 
 
 @dataclass
-class History(Reading):
+class ShowHistory(Reading):
     """Show how an entry's rating came about."""
 
     entry: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ENTRY")]
@@ -99,7 +99,7 @@ class History(Reading):
     points: int = 20
     """How many moments."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the command."""
         from league.matchmaking import history
 
@@ -109,7 +109,7 @@ class History(Reading):
             moments = history.history(store, entry, points=self.points)
         if self.json:
             season.print_json(moments)
-            return 0
+            return
         table = tables.table(f"{entry.name} over time", "heat", "races", "Elo, 95 %", "between")
         for moment in moments:
             table.add_row(
@@ -119,7 +119,6 @@ class History(Reading):
                 f"{moment.low95:.0f} to {moment.high95:.0f}",
             )
         tables.console().print(table)
-        return 0
 
 
 def document(store: Store) -> dict[str, object] | None:
@@ -204,7 +203,7 @@ def _notes(rated: Standings) -> list[str]:
     return lines
 
 
-def _show(store: Store, entry: Entry, as_json: bool) -> int:
+def _show(store: Store, entry: Entry, as_json: bool) -> None:
     from league.matchmaking import documents, standings
 
     rated: Standings | None = None
@@ -220,7 +219,7 @@ def _show(store: Store, entry: Entry, as_json: bool) -> int:
         heats = [{"number": heat.number, "state": heat.state} for heat in recent]
         document = {"entry": entry, "standing": row, "against": records, "heats": heats}
         season.print_json(document)
-        return 0
+        return
     print(f"{entry.name} by {entry.owner}   {entry.id}")
     reason = f", {tables.spelled(entry.reason)}" if entry.reason else ""
     print(f"{entry.state}{reason}, {entry.kind}")
@@ -251,10 +250,9 @@ def _show(store: Store, entry: Entry, as_json: bool) -> int:
     if others:
         tables.console().print(table)
     print("Last heats: " + (", ".join(f"{h.number} ({h.state})" for h in recent) or "none"))
-    return 0
 
 
-def _h2h(store: Store, one: Entry, other: Entry, as_json: bool) -> int:
+def _h2h(store: Store, one: Entry, other: Entry, as_json: bool) -> None:
     from league.matchmaking import standings
 
     if one.id == other.id:
@@ -268,7 +266,7 @@ def _h2h(store: Store, one: Entry, other: Entry, as_json: bool) -> int:
     if as_json:
         document = {"one": one.name, "other": other.name, "difference": gap, "record": record}
         season.print_json({**document, "heats": heats})
-        return 0
+        return
     print(f"{one.name} - {other.name}: {gap.elo:+.0f} Elo ({gap.low95:+.0f} to {gap.high95:+.0f})")
     print(f"{one.name} is the stronger one with probability {100 * gap.superiority:.1f} %")
     print(
@@ -277,10 +275,9 @@ def _h2h(store: Store, one: Entry, other: Entry, as_json: bool) -> int:
         f"promised, residual {record.residual:+.1f}"
     )
     print("Heats: " + (", ".join(map(str, heats[-20:])) or "none"))
-    return 0
 
 
-def _matrix(store: Store, top: int, as_json: bool) -> int:
+def _matrix(store: Store, top: int, as_json: bool) -> None:
     from itertools import combinations
 
     from league.matchmaking import documents, standings
@@ -297,7 +294,7 @@ def _matrix(store: Store, top: int, as_json: bool) -> int:
                 for (one, other), record in zip(pairs, forth, strict=True)
             ]
         )
-        return 0
+        return
     cells = {}
     for (one, other), record in zip(pairs, forth, strict=True):
         if record.races:
@@ -312,7 +309,6 @@ def _matrix(store: Store, top: int, as_json: bool) -> int:
     print("points of races; below: (points - promised) / standard deviation, * beyond 3")
     if rated.goodness.rejected:
         print("One number a driver does not explain these results: see `league standings`.")
-    return 0
 
 
 def _cell(points: float, races: int, residual: float) -> str:
@@ -320,4 +316,9 @@ def _cell(points: float, races: int, residual: float) -> str:
     return f"{points:g}/{races}\n{residual:+.1f}{'*' if abs(residual) > 3 else ''}"
 
 
-COMMANDS = {"standings": ShowStandings, "show": Show, "h2h": HeadToHead, "history": History}
+COMMANDS = {
+    "standings": ShowStandings,
+    "show": ShowEntry,
+    "h2h": ShowHeadToHead,
+    "history": ShowHistory,
+}

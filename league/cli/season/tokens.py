@@ -26,7 +26,7 @@ class Create(OnLeague):
     days: float = 365.0
     """It ends after so many days; 0 for never."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the command."""
         if not 0 <= self.days < 1e6:
             raise ConfigError(f"--days {self.days:g}: give 0 (never) or more")
@@ -39,20 +39,19 @@ class Create(OnLeague):
             f"Token {token.number} of {token.owner}: {', '.join(token.scopes)}; ends {ends}. It is "
             "shown only now; give it to its owner as LEAGUE_TOKEN."
         )
-        return 0
 
 
 @dataclass
 class List(Reading):
     """List all tokens, without their secrets."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the command."""
         with self.opened() as store:
             tokens = store.tokens.listed()
         if self.json:
             season.print_json(tokens)
-            return 0
+            return
         now_s = time.time()
         table = tables.table("Tokens", "number", "owner", "scopes", "state", "ends", "last used")
         for token in tokens:
@@ -65,7 +64,6 @@ class List(Reading):
                 _day(token.used_s),
             )
         tables.console().print(table)
-        return 0
 
 
 @dataclass
@@ -75,16 +73,15 @@ class Revoke(OnLeague):
     token: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="TOKEN")]
     """Its number, or the token itself."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the command."""
         with self.opened() as store:
             token = store.tokens.revoke(self.token)
         print(f"Token {token.number} of {token.owner} is revoked.")
-        return 0
 
 
 @dataclass
-class Token:
+class ManageTokens:
     """Make, list or revoke the tokens by which owners and workers are known over HTTP."""
 
     command: (
@@ -93,13 +90,13 @@ class Token:
         | Annotated[Revoke, tyro.conf.subcommand("revoke")]
     )
 
-    def run(self) -> int:
+    def run(self) -> None:
         """Run the command."""
-        return self.command.run()
+        self.command.run()
 
 
 def _day(seconds: float | None) -> str:
     return "never" if seconds is None else times.day(seconds)[:10]
 
 
-COMMANDS = {"token": Token}
+COMMANDS = {"token": ManageTokens}

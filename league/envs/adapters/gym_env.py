@@ -15,7 +15,7 @@ from gymnasium.vector.utils import batch_space
 from league.envs import make
 from league.envs.actions import SIZE, checked
 from league.envs.adapters import load_drivers, load_reward, spaces
-from league.envs.adapters.rendering import Renderer
+from league.envs.adapters.rendering import EnvRenderer
 from league.envs.driver import Driver, Opponents
 from league.envs.make import EnvOptions
 from league.envs.race_env import RaceEnv, Step
@@ -184,9 +184,9 @@ class GymEnv(gymnasium.Env[Any, np.ndarray]):
         make.check_options(options, GymEnv.__init__)
         self.learner = LearnerEnv(track, kind, sensors, car=car, opponents=opponents, **options)
         self.render_mode = render_mode
-        self._renderer = Renderer(self.learner.env, render_mode, view, car)
+        self._renderer = EnvRenderer(self.learner.env, render_mode, view, car)
         self.observation_space = spaces.observation_space(self.learner.sensors, privileged)
-        self._reader = spaces.Reader(self.observation_space)
+        self._reader = spaces.ObservationReader(self.observation_space)
         self._infos = spaces.Infos(self.learner.env, car)
         self.action_space = spaces.action_space()
         self._over = True
@@ -290,7 +290,7 @@ class GymVectorEnv(VectorEnv[Observation, np.ndarray, np.ndarray]):
         self.single_observation_space = spaces.observation_space(self.learner.sensors, privileged)
         self.single_action_space = spaces.action_space()
         self.observation_space = spaces.batched(self.single_observation_space, num_envs)
-        self._reader = spaces.Reader(self.observation_space)
+        self._reader = spaces.ObservationReader(self.observation_space)
         self._infos = spaces.Infos(self.learner.env, car)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._seeds = Seeds(num_envs)

@@ -12,7 +12,7 @@ from pettingzoo import ParallelEnv
 from league.envs import make
 from league.envs.actions import SIZE, of_agents
 from league.envs.adapters import load_reward, spaces
-from league.envs.adapters.rendering import Renderer
+from league.envs.adapters.rendering import EnvRenderer
 from league.envs.make import EnvOptions
 from league.envs.race_env import Observations, RaceEnv, Step
 from league.errors import ConfigError
@@ -89,7 +89,7 @@ class RaceParallelEnv(ParallelEnv[str, Any, np.ndarray]):
         view: str = "chase",
     ) -> None:
         self._env, self.render_mode = env, render_mode
-        self._renderer = Renderer(env, render_mode, view)
+        self._renderer = EnvRenderer(env, render_mode, view)
         self._generator: np.random.Generator | None = None
         self.possible_agents = [f"car_{car}" for car in range(env.num_cars)]
         self.agents: list[str] = []
@@ -101,7 +101,9 @@ class RaceParallelEnv(ParallelEnv[str, Any, np.ndarray]):
         self.observation_spaces = {**self._observation_spaces}
         self.action_spaces = {**self._action_spaces}
         self.state_space = spaces.state_space(env.num_cars)
-        self._readers = [spaces.Reader(space) for space in self._observation_spaces.values()]
+        self._readers = [
+            spaces.ObservationReader(space) for space in self._observation_spaces.values()
+        ]
         self._infos = [spaces.Infos(env, car) for car in range(env.num_cars)]
         self._cars = {agent: car for car, agent in enumerate(self.possible_agents)}
         self._actions = np.zeros((1, env.num_cars, SIZE), np.float32)

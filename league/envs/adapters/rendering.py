@@ -21,7 +21,7 @@ SIZE = (640, 360)
 """Width and height of pictures."""
 
 
-class Renderer:
+class EnvRenderer:
     """Shows the first world of a RaceEnv; it never changes it."""
 
     def __init__(self, env: RaceEnv, mode: str | None, view: str, car: int | None = None) -> None:

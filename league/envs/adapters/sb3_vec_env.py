@@ -49,7 +49,7 @@ class SB3VecEnv(VecEnv):
         self.sensors, self.render_mode = self.learner.sensors, None
         single = spaces.observation_space(self.sensors, privileged)
         self._infos = spaces.Infos(self.learner.env, car)
-        self._reader = spaces.Reader(spaces.batched(single, num_envs))
+        self._reader = spaces.ObservationReader(spaces.batched(single, num_envs))
         self._race_seeds, self._actions = Seeds(num_envs), np.zeros((num_envs, 2), np.float32)
         self._returns, self._lengths = np.zeros(num_envs), np.zeros(num_envs, np.int64)
         super().__init__(num_envs, single, spaces.action_space())

@@ -78,7 +78,7 @@ def state_space(num_cars: int) -> Box:
     return Box(-STATE_LIMIT, STATE_LIMIT, (num_cars * state.SIZE,), np.float32)
 
 
-class Reader:
+class ObservationReader:
     """Copies the groups of a space, bounded by it, out of a car's observations."""
 
     def __init__(self, space: Dict) -> None:

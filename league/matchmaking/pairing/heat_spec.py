@@ -149,7 +149,7 @@ class Heat:
     @cached_property
     def key(self) -> str:
         """SHA-256 of all the above."""
-        return digest(canonical(asdict(self)))
+        return digest(canonical({**vars(self), "halves": [vars(half) for half in self.halves]}))
 
     @property
     def entries(self) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ the same heats, and ends with the same ratings. A round's size depends on the fi
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
@@ -21,15 +22,14 @@ from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset
 from league.matchmaking.pairing.schedule import (
     Contender,
     HeatPlan,
-    PairingSettings,
+    Meetings,
     next_heats,
     rated_state,
     validation_heats,
 )
 from league.matchmaking.ratings import Carried, Ratings
 from league.matchmaking.scope import scope
-from league.matchmaking.store import RATED, Entry, EntryState, HeatRecord, Races, Store
-from league.matchmaking.store import Season as SeasonRecord
+from league.matchmaking.store import RATED, Entry, EntryState, HeatRecord, Races, Season, Store
 
 LineUp = Callable[[int, str], float]
 """What an entry's place on the grid of a track is decided by: its number and the track's name."""
@@ -115,19 +115,13 @@ class _Past:
     """What a round is planned from."""
 
     races: Races
-    """Rated races of the season."""
+    """Rated races of the season that count."""
     carried: Carried | None
     """Ratings of the season before."""
     before: int | None
     """Only heats with a smaller number count; None: all."""
     queued: list[HeatRecord]
     """Planned heats that do not count, whatever became of them."""
-
-    @property
-    def counted(self) -> np.ndarray:
-        """Which races may be looked at."""
-        heats = self.races.heat
-        return heats < (np.inf if self.before is None else self.before)
 
     def counts(self, heat: int) -> bool:
         """Return whether a heat's result may be looked at."""
@@ -139,34 +133,27 @@ class _Past:
             record.state == "done" and self.counts(record.number) for record in validations
         )
 
-    def meetings(self, number_of: dict[str, int]) -> dict[tuple[int, int], int]:
+    def meetings(self, number_of: dict[str, int]) -> Meetings:
         """Return the heats in which each pair met or is to meet, by entry numbers."""
-        races = self.races
-        grids = races.entries[(races.half == 0) & self.counted]
-        met: dict[tuple[int, int], int] = {}
+        grids = self.races.entries[self.races.half == 0]
+        met = Counter[tuple[int, int]]()
         for record in self.queued:
             if record.heat.purpose == "rated":
                 numbers = sorted(number_of[id] for id in record.heat.entries)
-                for pair in combinations(numbers, 2):
-                    met[pair] = met.get(pair, 0) + 1
+                met.update(combinations(numbers, 2))
         for one, other in combinations(range(grids.shape[1]), 2):
             both = grids[(grids[:, one] >= 0) & (grids[:, other] >= 0)][:, [one, other]]
             pairs, counts = np.unique(np.sort(both, axis=1), axis=0, return_counts=True)
             for (a, b), count in zip(pairs.tolist(), counts.tolist(), strict=True):
-                met[a, b] = met.get((a, b), 0) + count
+                met[a, b] += count
         return met
 
 
-class Season:
+class Matchmaker:
     """A league's matchmaker; all it knows is in the store, so another may take over any time."""
 
     def __init__(self, store: Store, *, same_owner: bool = False) -> None:
-        """Plan for a league.
-
-        Args:
-            store: the league.
-            same_owner: whether entries of one owner meet; a league of one person needs it.
-        """
+        """Plan for a league, in which entries of one owner meet or (the default) do not."""
         self._store, self._same_owner = store, same_owner
         self._latest = _Round()
 
@@ -220,12 +207,10 @@ class Season:
         queued = self._store.heats(since=before - 1) if before else []
         within = scope(self._store, rules.hash)
         season_heats = _season_heats(queued, rules.hash)
-        past = _Past(within.races, within.carried, before, season_heats)
+        races = within.races if before is None else within.races.where(within.races.heat < before)
+        past = _Past(races, within.carried, before, season_heats)
         number = latest.number + 1
         generator = np.random.default_rng([number, int(rules.hash[:12], 16)])
-        settings = PairingSettings(
-            field_size=rules.cars, tracks=rules.tracks, same_owner=self._same_owner
-        )
         entries = self._store.entries()
         validations = {
             entry.number: _validations(self._store, entry, rules.hash)
@@ -238,7 +223,7 @@ class Season:
             self._move_divisions(within.season, past, roster, number)
         plans: list[HeatPlan] = []
         for newcomer in roster.newcomers:
-            plans += validation_heats(newcomer, roster.contenders, settings, generator)
+            plans += validation_heats(newcomer, roster.contenders, rules, generator)
         rated = [one for one in roster.contenders if one.state in RATED]
         size = min(max(LEAST_ROUND, len(rated) // 2), ROUND // 2)
         if roster.undecided and all(one.anchor for one in rated):
@@ -249,15 +234,15 @@ class Season:
         id_of = {entry.number: entry.id for entry in entries}
         line_up = _line_up(rules, past, roster)
         meetings = past.meetings({id: number for number, id in id_of.items()})
-        plans += next_heats(rated, meetings, settings, generator, heats=size)
+        plans += next_heats(
+            rated, meetings, rules, generator, heats=size, same_owner=self._same_owner
+        )
         return [
             _heat(plan, rules.hash, number * ROUND + index, id_of, line_up)
             for index, plan in enumerate(plans)
         ]
 
-    def _move_divisions(
-        self, season: SeasonRecord, past: _Past, roster: _Roster, round: int
-    ) -> None:
+    def _move_divisions(self, season: Season, past: _Past, roster: _Roster, round: int) -> None:
         """Promote and relegate, by what the round is planned from."""
         if roster.fitted is None:
             return
@@ -268,7 +253,7 @@ class Season:
             safety.of(self._store, season.ruleset, before=past.before),
             SeasonSettings.of(season),
             round=round,
-            heat=int(past.races.heat[past.counted].max(initial=season.after)),
+            heat=int(past.races.heat.max(initial=season.after)),
         )
         self._store.move_divisions(season.number, moves)
 
@@ -309,7 +294,7 @@ class _Roster:
     ) -> _Roster:
         """Return where every entry stands."""
         roster = cls()
-        results = standings.results_of(past.races, before=past.before)
+        results = standings.results_of(past.races)
         passed = {number for number, heats in validations.items() if past.passed(heats)}
         fitted = roster.fitted = standings.rated(results, entries, passed, past.carried)
         for entry in entries:
@@ -349,7 +334,7 @@ def _line_up(rules: Ruleset, past: _Past, roster: _Roster) -> LineUp | None:
         elo = {one.entry: one.elo for one in roster.contenders}
         return lambda entry, track: elo[entry]
     if rules.format == "qualifying":
-        laps = standings.Runs.of(past.races, rules.tracks, before=past.before).best_ms
+        laps = standings.Runs.of(past.races, rules.tracks).best_ms
         known = laps.shape[1]
         return lambda entry, track: (
             float(laps[rules.tracks.index(track), entry]) if entry < known else math.inf

@@ -17,10 +17,10 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from league.errors import ConfigError
+from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.ratings.fit import PROVISIONAL_SD
 from league.matchmaking.ratings.pair_counts import ELO
 from league.matchmaking.store.records import RATED, EntryState
-from league.sim.config import MAX_CARS
 
 Lane = Literal["connection", "coverage", "informed", "random", "validation"]
 Meetings = Mapping[tuple[int, int], int]
@@ -34,39 +34,14 @@ PLACEMENT_SD = 75.0
 """Until an entry is this sure it is in placement [Elo]; then provisional until PROVISIONAL_SD."""
 SETTLED_SD = 25.0
 """An entry this sure is no longer the first choice for a heat, only an opponent [Elo]."""
+COVERAGE = 0.4
+"""Share of heats that begin with the entry least sure."""
+INFORMED = 0.3
+"""Share of heats between entries that may well be equal; the rest is random."""
+ANCHORED = 0.1
+"""Share of heats with an anchor in them."""
 GAPS, GAP_SHARES = np.polynomial.hermite_e.hermegauss(9)
 """Points and shares that stand for a normal distribution."""
-
-
-@dataclass(frozen=True)
-class PairingSettings:
-    """A league's choices about its heats."""
-
-    field_size: int = 2
-    """Cars in a race, 2 to 8; fewer if the field has not so many owners."""
-    tracks: tuple[str, ...] = ("reinvent_2018",)
-    """Tracks to race on."""
-    coverage_share: float = 0.4
-    """Share of heats that begin with the entry least sure."""
-    informed_share: float = 0.3
-    """Share of heats between entries that may well be equal; the rest is random."""
-    anchor_share: float = 0.1
-    """Share of heats with an anchor in them."""
-    same_owner: bool = False
-    """Whether entries of one owner may meet; a league of one person needs it."""
-
-    def __post_init__(self) -> None:
-        """Check sizes and shares."""
-        if not 2 <= self.field_size <= MAX_CARS:
-            raise ConfigError(f"field_size is {self.field_size}: races have 2 to {MAX_CARS} cars")
-        if not self.tracks:
-            raise ConfigError("there are no tracks to race on: name one or more")
-        shares = self.coverage_share, self.informed_share, self.anchor_share
-        if min(shares) < 0 or self.coverage_share + self.informed_share > 1 or shares[2] > 1:
-            raise ConfigError(
-                f"the shares of coverage, informed and anchors are {shares}: give numbers from 0, "
-                "the first two at most 1 together, the last at most 1"
-            )
 
 
 @dataclass(frozen=True)
@@ -113,11 +88,11 @@ def rated_state(sd: float) -> EntryState:
 def validation_heats(
     newcomer: Contender,
     field: Sequence[Contender],
-    settings: PairingSettings,
+    rules: Ruleset,
     generator: np.random.Generator,
 ) -> list[HeatPlan]:
     """Plan a newcomer's race against itself, and one against an anchor if there is one."""
-    own, other = (str(track) for track in generator.choice(settings.tracks, size=2))
+    own, other = (str(track) for track in generator.choice(rules.tracks, size=2))
     heats = [HeatPlan("validation", (newcomer.entry, newcomer.entry), (own,), rated=False)]
     anchors = [one.entry for one in field if one.anchor and one.entry != newcomer.entry]
     if anchors:
@@ -129,31 +104,33 @@ def validation_heats(
 def next_heats(
     field: Sequence[Contender],
     meetings: Meetings,
-    settings: PairingSettings,
+    rules: Ruleset,
     generator: np.random.Generator,
     *,
     heats: int | None = None,
+    same_owner: bool = False,
 ) -> list[HeatPlan]:
     """Plan a round of rated heats.
 
     Args:
         field: all entries; those not in a rated state are left out.
         meetings: how often pairs have met, planned heats included.
-        settings: the league's choices.
+        rules: cars of a race, fewer if the field has not so many owners, and tracks.
         generator: random numbers.
         heats: how many; by default half as many as there are entries, so that workers do not
             wait for a refit and no plan is older than a round.
+        same_owner: whether entries of one owner may meet; a league of one person needs it.
 
     Returns:
         Fewer heats than asked for, possibly none, if the rules let no more entries meet.
     """
     field = [one for one in field if one.state in RATED]
-    if len(field) < 2:
+    if min(len(field), rules.cars) < 2:
         return []
-    grids = _Grids(field, meetings, settings, generator)
+    grids = _Grids(field, meetings, rules, generator, same_owner=same_owner)
     number = max(1, len(field) // 2) if heats is None else heats
-    lanes = _lanes(number, settings, generator)
-    anchored = _quota(number, settings.anchor_share, generator)
+    lanes = _lanes(number, generator)
+    anchored = _quota(number, ANCHORED, generator)
     plans = []
     for lane, with_anchor in zip(lanes, anchored, strict=True):
         grid = grids.joining()
@@ -164,8 +141,8 @@ def next_heats(
         if grid is None:
             continue
         grids.note(grid)
-        second_too = len(settings.tracks) >= OTHER_TRACK_FROM
-        tracks = generator.choice(settings.tracks, size=1 + second_too, replace=False)
+        second_too = len(rules.tracks) >= OTHER_TRACK_FROM
+        tracks = generator.choice(rules.tracks, size=1 + second_too, replace=False)
         entries = tuple(int(grids.entries[index]) for index in grid)
         plans.append(HeatPlan(lane, entries, (str(tracks[0]), str(tracks[-1]))))
     return plans
@@ -179,9 +156,9 @@ def _quota(number: int, share: float, generator: np.random.Generator) -> np.ndar
     return generator.permutation(marked)
 
 
-def _lanes(number: int, settings: PairingSettings, generator: np.random.Generator) -> list[Lane]:
+def _lanes(number: int, generator: np.random.Generator) -> list[Lane]:
     """Return the lane of each heat; the shares are kept to within one heat."""
-    ends = np.cumsum([settings.coverage_share, settings.informed_share])
+    ends = np.cumsum([COVERAGE, INFORMED])
     # One random shift of evenly spaced points keeps every share as even as it can be.
     points = (np.arange(number) + generator.random()) / max(number, 1)
     which = np.searchsorted(ends, generator.permutation(points), side="right")
@@ -196,13 +173,15 @@ class _Grids:
         self,
         field: Sequence[Contender],
         meetings: Meetings,
-        settings: PairingSettings,
+        rules: Ruleset,
         generator: np.random.Generator,
+        *,
+        same_owner: bool,
     ) -> None:
         place = {one.entry: index for index, one in enumerate(field)}
         if len(place) != len(field):
             raise ConfigError("an entry stands twice in the standings: give each once")
-        self.settings, self.generator = settings, generator
+        self.cars, self.generator = rules.cars, generator
         self.entries = np.array([one.entry for one in field])
         self.elo = np.array([one.elo for one in field], dtype=float)
         self.sd = np.array([one.sd for one in field], dtype=float)
@@ -211,7 +190,7 @@ class _Grids:
         self.anchor = np.array([one.anchor for one in field])
         owners: dict[str, int] = {}  # an entry without an owner gets a number of its own
         self.owner = np.array([
-            owners.setdefault(one.owner, len(owners)) if one.owner and not settings.same_owner
+            owners.setdefault(one.owner, len(owners)) if one.owner and not same_owner
             else -1 - index
             for index, one in enumerate(field)
         ])  # fmt: skip
@@ -241,7 +220,7 @@ class _Grids:
                 break
         else:
             return None
-        while len(chosen) < self.settings.field_size:
+        while len(chosen) < self.cars:
             free = self._free(chosen)
             free = free & apart if (free & apart).any() else free
             if not free.any():
@@ -256,7 +235,7 @@ class _Grids:
         # opponents, and so is any entry that may turn out to be one.
         drawn = self.elo + self.sd * self.generator.standard_normal(len(self.elo))
         chosen = [first]
-        for _ in range(self.settings.field_size - 1):
+        for _ in range(self.cars - 1):
             free = self._free(chosen)
             if anchored and len(chosen) == 1 and (free & self.anchor).any():
                 free &= self.anchor

@@ -7,19 +7,19 @@ from league.matchmaking.ratings.fit import (
     RatingSettings,
     expected_score,
     fit,
+    refit,
 )
 from league.matchmaking.ratings.pair_counts import RatingData
-from league.matchmaking.ratings.results import Finish, Results, places_of
+from league.matchmaking.ratings.results import Results
 
 __all__ = [
     "Carried",
     "Difference",
-    "Finish",
     "RatingData",
     "RatingSettings",
     "Ratings",
     "Results",
     "expected_score",
     "fit",
-    "places_of",
+    "refit",
 ]

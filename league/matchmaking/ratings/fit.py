@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy.special import ndtr, wrightomega
@@ -168,10 +169,20 @@ class Ratings:
             superiority=float(ndtr(gap / sd)) if sd > 0 else 0.5,
         )
 
-    @property
+    @cached_property
     def listed_by(self) -> np.ndarray:
         """What entries are listed by: the rating, of provisional ones rating - 2 sd [Elo]."""
         return np.where(self.provisional, self.elo - 2 * self.sd, self.elo)
+
+    def at(self, entries: np.ndarray, size: int) -> np.ndarray:
+        """Return so many parameters [natural units]: of some entries, 0 if new, then of slots."""
+        place = np.searchsorted(self.entries, entries).clip(max=len(self.entries) - 1)
+        parameters = np.zeros(size)
+        parameters[: len(entries)] = (self.elo[place] - self.elo.mean()) / ELO
+        parameters[: len(entries)][self.entries[place] != entries] = 0.0
+        slots = min(size - len(entries), len(self.slot_advantages))
+        parameters[len(entries) :][:slots] = self.slot_advantages[:slots] / ELO
+        return parameters
 
     def order(self) -> np.ndarray:
         """Return indices from best to worst, see `listed_by`.
@@ -189,6 +200,7 @@ def fit(
     entries: Iterable[int] = (),
     anchor: int | None = None,
     carried: Carried | None = None,
+    near: Ratings | None = None,
 ) -> Ratings:
     """Rate a field from all its races.
 
@@ -198,6 +210,7 @@ def fit(
         entries: numbers to rate even if they have not raced yet (where races are not counted yet).
         anchor: the entry that is 1000.
         carried: ratings of an earlier season, which these races change.
+        near: ratings by nearly the same races: the search begins there and is short.
 
     Raises:
         ConfigError: no entry to rate, an anchor that is not in the field, contradicting results.
@@ -209,12 +222,28 @@ def fit(
     if anchor is not None and anchor not in data.entries:
         raise ConfigError(f"anchor {anchor} is not in the field: name one of its entries")
     known = carried if carried is not None and len(carried.entries) else None
-    model = _Model(data.counts, settings, known.at(data.entries) if known else None)
+    model = _model(data, settings, known, near)
     prior_sd = known.prior_sd if known and settings.prior_sd is None else settings.prior_sd
     posterior = model.learned() if prior_sd is None else model.at(prior_sd)
     squares = Squares.of(data.results, posterior.parameters, model.prior(posterior.prior_sd))
     variances = Variances.of(posterior.system, squares, posterior.weights)
     return _ratings(data, posterior, variances, anchor, model.num_spreads)
+
+
+def refit(data: RatingData, like: Ratings, carried: Carried | None = None) -> np.ndarray:
+    """Return what ratings would be by part of their races [Elo], under the same prior."""
+    known = carried if carried is not None and len(carried.entries) else None
+    posterior = _model(data, RatingSettings(), known, like).at(like.prior_sd)
+    return _elo(data, posterior, like.anchor)
+
+
+def _model(
+    data: RatingData, settings: RatingSettings, known: Carried | None, near: Ratings | None
+) -> _Model:
+    model = _Model(data.counts, settings, known.at(data.entries) if known else None)
+    if near is not None:
+        model.begin(near.at(data.entries, data.counts.size), near.prior_sd)
+    return model
 
 
 @dataclass(frozen=True)
@@ -246,7 +275,12 @@ class _Model:
         if known is not None:
             self._mean[: counts.num_entries], self._precisions = known
         self._last = self._mean
+        self._spread, self._enough = USUAL_SPREAD, ENOUGH_FAR
         self.num_spreads = 0
+
+    def begin(self, parameters: np.ndarray, prior_sd: float) -> None:
+        """Begin the first climb at parameters, and at a spread [Elo], that are nearly the best."""
+        self._last, self._spread, self._enough = parameters, prior_sd, ENOUGH
 
     def prior(self, prior_sd: float) -> np.ndarray:
         """Return the precision of each parameter."""
@@ -309,8 +343,8 @@ class _Model:
         Newton's steps on the logarithm of the variance, kept within a bracket.
         """
         bounds = low, high = tuple(float(2 * np.log(limit)) for limit in SPREAD_LIMITS)
-        spread = float(np.clip(2 * np.log(USUAL_SPREAD), low, high))
-        enough, last = ENOUGH_FAR, None
+        spread = float(np.clip(2 * np.log(self._spread), low, high))
+        enough, last = self._enough, None
         for _ in range(MOST_SPREADS):
             posterior = self.at(float(np.exp(0.5 * spread)), enough)
             drift, bend, towards = self._drift(posterior, spread)
@@ -368,6 +402,12 @@ def _likeliest(square: float, size: int) -> float:
     return float(usual - n + wrightomega(np.log(n * square) + n - usual).real)
 
 
+def _elo(data: RatingData, posterior: _Posterior, anchor: int | None) -> np.ndarray:
+    strengths = posterior.parameters[: len(data.entries)]
+    zero = strengths[np.searchsorted(data.entries, anchor)] if anchor is not None else 0.0
+    return ANCHOR_ELO + ELO * (strengths - zero)
+
+
 def _ratings(
     data: RatingData,
     posterior: _Posterior,
@@ -377,9 +417,7 @@ def _ratings(
 ) -> Ratings:
     """Convert a posterior to Elo, with intervals and flags."""
     entries, races, size = data.entries, data.races, len(data.entries)
-    strengths, slots = posterior.parameters[:size], posterior.parameters[size:]
-    zero = strengths[np.searchsorted(entries, anchor)] if anchor is not None else 0.0
-    elo = ANCHOR_ELO + ELO * (strengths - zero)
+    elo = _elo(data, posterior, anchor)
     sd = elo_sd = ELO * np.sqrt(variances.strengths)
     if anchor is not None:  # what is published is the lead over the anchor
         elo_sd = ELO * np.sqrt(variances.against(int(np.searchsorted(entries, anchor))))
@@ -400,7 +438,7 @@ def _ratings(
         provisional=(sd > PROVISIONAL_SD) | ~connected,
         connected=connected,
         one_sided=(pairs > 0) & ((points == 0) | (points == pairs)),
-        slot_advantages=ELO * slots,
+        slot_advantages=ELO * posterior.parameters[size:],
         slot_sd=ELO * np.sqrt(variances.slots()),
         prior_sd=posterior.prior_sd,
         anchor=anchor,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,31 +10,6 @@ from league.errors import ConfigError
 
 EMPTY = -1
 """Entry number of an empty grid slot."""
-
-
-@dataclass(frozen=True)
-class Finish:
-    """How one car's race ended, as far as its place depends on it."""
-
-    score_s: float | None
-    """What finishers are ordered by (total, best or average time) [s]; None: did not finish."""
-    laps: int = 0
-    """Laps completed; orders those who did not finish."""
-    distance: float = 0.0
-    """Distance driven [m]; decides between equal laps."""
-    failed_s: float = 0.0
-    """When its race ended without a finish [s]; the later one is placed before."""
-
-
-def places_of(finishes: Sequence[Finish]) -> tuple[int, ...]:
-    """Return the places, 1 the best; equals share a place, the next one is then left out."""
-    worth = [
-        (1, -finish.score_s, 0.0, 0.0)
-        if finish.score_s is not None
-        else (0, float(finish.laps), finish.distance, finish.failed_s)
-        for finish in finishes
-    ]
-    return tuple(1 + sum(other > own for other in worth) for own in worth)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ Functions of a connection within a transaction; store.py owns the transactions.
 from __future__ import annotations
 
 import json
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -15,21 +14,17 @@ import sqlalchemy as sa
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.store import seasons
+from league.matchmaking.store.database import made_of
 from league.matchmaking.store.records import Cup
 from league.matchmaking.store.schema import Record, add_ruleset, append, cups, log_event
 
 
 def listed(connection: sa.Connection) -> list[Cup]:
     """Return all cups, the first one first."""
-    names = [name for name in Cup.__dataclass_fields__ if name not in ("settings", "hash")]
-    query = sa.select(*(cups.c[name] for name in names), cups.c.settings, cups.c.hash)
+    columns = [column for column in cups.c if column is not cups.c.document]
     return [
-        Cup(
-            **{name: row[name] for name in names},
-            settings=json.loads(row["settings"]),
-            hash=row["hash"] or "",
-        )
-        for row in connection.execute(query.order_by(cups.c.number)).mappings()
+        made_of(Cup, row, settings=json.loads(row.settings), hash=row.hash or "")
+        for row in connection.execute(sa.select(*columns).order_by(cups.c.number))
     ]
 
 
@@ -70,14 +65,9 @@ def start(
 
 def end(connection: sa.Connection, now: float, number: int, document: Mapping[str, Any]) -> Cup:
     """Freeze a cup's bracket; a cup that has ended stays as it is."""
+    ended = seasons.end_with(connection, now, cups, number, document)
     cup = next(one for one in listed(connection) if one.number == number)
-    if cup.ended_s is None:
-        text = heat_spec.canonical(dict(document))
-        frozen = {"hash": heat_spec.digest(text), "document": zlib.compress(text, 6)}
-        connection.execute(
-            cups.update().where(cups.c.number == number).values(ended_s=now, **frozen)
-        )
-        cup = next(one for one in listed(connection) if one.number == number)
+    if ended:
         append(connection, [_ending(cup)])
         log_event(connection, now, "league", "cup end", cup.name, hash=cup.hash)
     return cup

@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import sqlalchemy as sa
 from sqlalchemy import event, exc
@@ -26,6 +26,10 @@ from sqlalchemy.engine import URL, make_url
 
 from league.errors import DatabaseError, StoreError, brief
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+_Data = TypeVar("_Data", bound="DataclassInstance")
 PATIENCE_S = 60.0
 """How long a write waits for other writers of a SQLite file [s]."""
 ALONE = 0x1EA60E
@@ -169,6 +173,13 @@ class Database:
             raise DatabaseError(
                 f"{self.shown} is in use by too many threads at once: use fewer"
             ) from refusal
+
+
+def made_of(cls: type[_Data], row: Any, **given: object) -> _Data:  # noqa: ANN401
+    """Return frozen data with the fields of a row, apart from those that are given."""
+    known = row._mapping
+    names = [name for name in cls.__dataclass_fields__ if name not in given]
+    return cls(**{name: known[name] for name in names}, **given)
 
 
 def insert_new(connection: sa.Connection, table: sa.Table) -> Any:  # noqa: ANN401

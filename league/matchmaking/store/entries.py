@@ -59,12 +59,7 @@ def submit(
 ) -> Entry:
     """Enter a driver as pending; the same content submitted again is the same entry.
 
-    Args:
-        connection: in a transaction.
-        now: time [s since 1970].
-        owner: name of the owner.
-        row: columns `id`, `name`, `kind`, `anchor` and `card` of the entry.
-        quota: how much the owner may enter; None for any number.
+    `row` has the columns `id`, `name`, `kind`, `anchor` and `card`.
     """
     name = row["name"]
     known = connection.execute(with_owners().where(entries.c.id == row["id"])).one_or_none()
@@ -203,7 +198,7 @@ def move(
         )
         log_event(connection, now, actor, state, row.id, was=row.state, reason=reason)
         if state in ("retired", "refused"):
-            queue.cancel(connection, now, number_of[row.id])
+            queue.cancel_entry(connection, now, number_of[row.id])
     return len(changes)
 
 
@@ -236,7 +231,8 @@ def with_owners() -> sa.Select[Any]:
 
 
 def _entry(row: Any) -> Entry:  # noqa: ANN401
-    fields = {name: row._mapping[name] for name in Entry.__dataclass_fields__}
+    known = row._mapping
+    fields = {name: known[name] for name in Entry.__dataclass_fields__}
     return Entry(**{**fields, "owner": row.owner_name, "card": json.loads(row.card)})
 
 

@@ -41,9 +41,8 @@ class Integrity:
 def verify(connection: sa.Connection, head: str = "") -> Integrity:
     """Check a league; what standings use is recomputed from the documents of all results.
 
-    Args:
-        connection: sees one state of the database throughout.
-        head: hash of a record that the ledger had at an earlier check; empty for none.
+    The connection must see one state of the database throughout, and the ledger still have the
+    record with the hash `head`, if there is one.
     """
     found = Integrity()
     simple = {record[:2]: record.content for record in _simple_records(connection)}

@@ -14,7 +14,7 @@ import sqlalchemy as sa
 
 from league.errors import StoreError
 from league.matchmaking.pairing.heat_spec import Half, Heat, Purpose
-from league.matchmaking.store.database import insert_new
+from league.matchmaking.store.database import insert_new, made_of
 from league.matchmaking.store.records import HeatRecord, HeatState
 from league.matchmaking.store.schema import (
     entries,
@@ -114,17 +114,10 @@ def claim(
     lease_s: float,
     lender: str = "",
 ) -> list[HeatRecord]:
-    """Lend up to `limit` heats to a worker; heats with an expired lease are first taken back.
+    """Lend up to `limit` heats for `lease_s` [s]; those with an expired lease are first taken back.
 
-    Args:
-        connection: in a transaction.
-        now: time [s since 1970].
-        secret: the league's, which makes the seeds.
-        worker: its name.
-        limit: heats at most.
-        lease_s: until when they are lent, from now [s].
-        lender: owner of the worker, who is not lent heats of the owner's entries, nor any that a
-            worker of the owner has raced; empty for the league itself.
+    The workers of a `lender` are lent neither heats of this owner's entries nor any that one of
+    them has raced; the league's own have none.
     """
     reap(connection, now)
     wanted = (
@@ -176,14 +169,9 @@ def heartbeat(
     lease_s: float,
     keys: Sequence[str] | None = None,
 ) -> list[str]:
-    """Renew the leases of a worker that have not been taken back; return their heats' keys.
+    """Renew a worker's leases for `lease_s` [s], if not taken back; return their heats' keys.
 
-    Args:
-        connection: in a transaction.
-        now: time [s since 1970].
-        worker: its name.
-        lease_s: until when they are lent, from now [s].
-        keys: only of these heats, so that those which it was lent without hearing of it end.
+    With `keys` only those of these heats, so that what it was lent without hearing of it ends.
     """
     held = sa.select(heats.c.number, heats.c.key).where(
         heats.c.state == "claimed", heats.c.worker == worker, heats.c.lease_s >= now
@@ -274,17 +262,18 @@ def retry(connection: sa.Connection, now: float, key: str) -> int:
     return number if changed else 0
 
 
-def cancel(connection: sa.Connection, now: float, entry: int) -> int:
-    """Take the waiting heats of an entry out of the queue; return how many."""
+def cancel_entry(connection: sa.Connection, now: float, entry: int) -> None:
+    """Take the waiting heats of an entry (number) out of the queue."""
     theirs = sa.select(heat_entries.c.heat).where(heat_entries.c.entry == entry)
-    changed = connection.execute(
-        heats.update()
-        .where(heats.c.state == "planned", heats.c.number.in_(theirs))
-        .values(state="cancelled")
-    ).rowcount
+    changed = cancel(connection, heats.c.number.in_(theirs))
     if changed:
         log_event(connection, now, "league", "cancel", str(entry), heats=changed)
-    return changed
+
+
+def cancel(connection: sa.Connection, which: sa.ColumnElement[bool]) -> int:
+    """Take those of some heats that wait out of the queue; return how many."""
+    waiting = heats.update().where(heats.c.state == "planned", which)
+    return connection.execute(waiting.values(state="cancelled")).rowcount
 
 
 def read(
@@ -322,17 +311,8 @@ def _record(row: Any, halves: list[Any], id_of: dict[int, str], secret: bytes) -
         purpose=row.purpose,
         audits=row.audited_key or "",
     )
-    return HeatRecord(
-        heat=heat,
-        number=row.number,
-        state=row.state,
-        worker=row.worker,
-        attempts=row.attempts,
-        traceback=row.traceback,
-        seeds=heat.seeds(secret) if row.state in OVER else None,
-        created_s=row.created_s,
-        done_s=row.done_s,
-    )
+    seeds = heat.seeds(secret) if row.state in OVER else None
+    return made_of(HeatRecord, row, heat=heat, seeds=seeds)
 
 
 def entry_numbers(connection: sa.Connection, ids: Iterable[str]) -> dict[str, int]:

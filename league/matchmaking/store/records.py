@@ -232,6 +232,11 @@ class Received:
     unverified: tuple[str, ...] = ()
     """Differ from results of another class of machine, which proves nothing: left out."""
 
+    def joined(self, more: Received) -> Received:
+        """Return the keys of both."""
+        fields = vars(self).items()
+        return Received(**{verdict: keys + getattr(more, verdict) for verdict, keys in fields})
+
     def verdict(self, key: str) -> str:
         """Return the name of the field that holds a heat, the worst one of several."""
         verdicts = ("quarantined", "unverified", "accepted", "repeated")
@@ -347,3 +352,18 @@ class Drives:
     """Driven along the centreline [cm]."""
     clean_ms: np.ndarray
     """Best lap of a race without any fault [ms], 0 for none."""
+    last: int = 0
+    """Pass this as `since` to read only later races next time."""
+
+    def where(self, kept: np.ndarray) -> Drives:
+        """Return those of the rows for which `kept` is true, or those with these numbers."""
+        return replace(self, **{name: getattr(self, name)[kept] for name in DRIVE_COLUMNS})
+
+    def joined(self, later: Drives) -> Drives:
+        """Return these rows and those of later races, read with `since`."""
+        parts = {name: (getattr(self, name), getattr(later, name)) for name in DRIVE_COLUMNS}
+        columns = {name: np.concatenate(part) for name, part in parts.items()}
+        return Drives(**columns, last=later.last)
+
+
+DRIVE_COLUMNS = ("heat", "half", "track", "entry", "points", "distance_cm", "clean_ms")

@@ -13,10 +13,12 @@ import sqlalchemy as sa
 
 from league.errors import StoreError
 from league.matchmaking.pairing import heat_spec
+from league.matchmaking.store.database import made_of
 from league.matchmaking.store.drives import driven
 from league.matchmaking.store.queue import chunked
 from league.matchmaking.store.records import (
     BEST_MS,
+    DRIVE_COLUMNS,
     FINISHED,
     KNOWN,
     Drives,
@@ -134,11 +136,17 @@ def packed(
 
 def _unpacked(text: str, cars: int) -> np.ndarray:
     """Return races of so many cars from their packed texts with spaces between."""
-    race = [
-        *(("heat", ">u4"), ("half", "u1"), ("track", "u1")),
-        *(("entries", ">u4", (cars,)), ("places", "u1", (cars,)), ("runs", ">u4", (cars,))),
-    ]
-    return np.frombuffer(bytes.fromhex(text), dtype=race)
+    return np.frombuffer(bytes.fromhex(text), dtype=race_type(cars))
+
+
+def race_type(cars: int) -> np.dtype[Any]:
+    """Return what the bytes of a packed race of so many cars are."""
+    return np.dtype(
+        [
+            *(("heat", ">u4"), ("half", "u1"), ("track", "u1")),
+            *(("entries", ">u4", (cars,)), ("places", "u1", (cars,)), ("runs", ">u4", (cars,))),
+        ]
+    )
 
 
 @dataclass
@@ -368,20 +376,8 @@ def read_results(connection: sa.Connection, numbers: Sequence[int]) -> list[Stor
     stored = []
     for row in chunked(connection, query, results.c.heat, sorted(numbers)):
         document = json.loads(zlib.decompress(row.document))
-        stored.append(
-            StoredResult(
-                heat=row.heat,
-                half=row.half,
-                hash=row.hash,
-                worker=row.worker,
-                received_s=row.received_s,
-                places=tuple(document["places"]),
-                result=document["result"],
-                replay=row.replay,
-                machine=row.machine,
-                rejected=row.rejected,
-            )
-        )
+        places = tuple(document["places"])
+        stored.append(made_of(StoredResult, row, places=places, result=document["result"]))
     return stored
 
 
@@ -426,16 +422,19 @@ def _joined(
             yield connection.scalar(joined.where(block, races.c.cars == cars)) or "", cars
 
 
-def read_drives(connection: sa.Connection, ruleset: str, *, rated: bool = True) -> Drives:
-    """Return how each car drove in the races under a ruleset that count, one row a car."""
+def read_drives(
+    connection: sa.Connection, ruleset: str, since: int = 0, *, rated: bool = True
+) -> Drives:
+    """Return how each car drove in the races under a ruleset that count, see `read_races`."""
+    last = _last(connection)
     counted = _counted(ruleset, rated=rated) & (races.c.driven != "")
     # Heat, half and track, then the entries of all cars: `packed` up to the places.
     text = sa.func.substr(races.c.packed, 1, 12 + 8 * races.c.cars) + races.c.driven
     pieces = [
         np.frombuffer(bytes.fromhex(joined), dtype=_drive_type(cars))
-        for joined, cars in _joined(connection, text, counted, 0, _last(connection))
+        for joined, cars in _joined(connection, text, counted, since, last)
     ]
-    columns: dict[str, list[np.ndarray]] = {name: [] for name in Drives.__dataclass_fields__}
+    columns: dict[str, list[np.ndarray]] = {name: [] for name in DRIVE_COLUMNS}
     for piece in pieces:
         cars = piece["entry"].shape[1]
         for name in ("heat", "half", "track"):
@@ -444,15 +443,19 @@ def read_drives(connection: sa.Connection, ruleset: str, *, rated: bool = True) 
         for name in ("points", "distance_cm", "clean_ms"):
             columns[name].append(piece["driven"][name].astype(np.int64).ravel())
     empty = np.zeros(0, np.int64)
-    return Drives(**{name: np.concatenate([empty, *parts]) for name, parts in columns.items()})
+    stacked = {name: np.concatenate([empty, *parts]) for name, parts in columns.items()}
+    return Drives(**stacked, last=max(last, since))
+
+
+DRIVEN = np.dtype([("points", ">u2"), ("distance_cm", ">u4"), ("clean_ms", ">u4")])
+"""What the bytes of `driven` are for each car."""
 
 
 def _drive_type(cars: int) -> np.dtype[Any]:
-    car = [("points", ">u2"), ("distance_cm", ">u4"), ("clean_ms", ">u4")]
     return np.dtype(
         [
             *(("heat", ">u4"), ("half", "u1"), ("track", "u1")),
-            *(("entry", ">u4", (cars,)), ("driven", car, (cars,))),
+            *(("entry", ">u4", (cars,)), ("driven", DRIVEN, (cars,))),
         ]
     )
 

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import json
 import secrets
-import warnings
 from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import sqlalchemy as sa
 from sqlalchemy import (
@@ -38,6 +37,10 @@ from league.errors import StoreError
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.store.database import Database
+
+if TYPE_CHECKING:
+    from alembic.runtime.migration import MigrationContext
+    from alembic.script import ScriptDirectory
 
 MIGRATIONS = Path(__file__).parent / "migrations"
 
@@ -347,7 +350,9 @@ def create_tables(database: Database, name: str, ruleset: Ruleset, blobs: str) -
                 f"{database.shown} holds tables of something else ({', '.join(sorted(tables)[:3])}"
                 "): give a database of its own"
             )
-        migrate(connection)
+        metadata.create_all(connection)
+        context, steps = _migrations(connection)
+        context.stamp(steps, SCHEMA)
         now = database.now(connection)
         connection.execute(
             league.insert().values(
@@ -395,22 +400,24 @@ def check_version(database: Database) -> None:
 
 def migrate(connection: sa.Connection) -> list[str]:
     """Bring the tables to the newest version within a transaction; return what that changed."""
-    from alembic import command
-    from alembic.config import Config
+    from alembic.operations import Operations
+
+    context, steps = _migrations(connection)
+    done = []
+    with Operations.context(context):
+        for step in list(steps.iterate_revisions("head", context.get_current_revision()))[::-1]:
+            step.module.upgrade()
+            context.stamp(steps, step.revision)
+            done.append(f"version {step.revision}: {step.doc}")
+    return done
+
+
+def _migrations(connection: sa.Connection) -> tuple[MigrationContext, ScriptDirectory]:
     from alembic.runtime.migration import MigrationContext
     from alembic.script import ScriptDirectory
 
-    config = Config()
-    # Alembic interpolates % in its options.
-    config.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
-    config.set_main_option("path_separator", "os")
-    config.attributes["connection"] = connection
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)
-        before = MigrationContext.configure(connection).get_current_revision() or "base"
-        command.upgrade(config, "head")
-        done = ScriptDirectory.from_config(config).iterate_revisions("head", before)
-    return [f"version {step.revision}: {step.doc}" for step in done][::-1]
+    options = {"target_metadata": metadata}  # names constraints by its convention
+    return MigrationContext.configure(connection, opts=options), ScriptDirectory(str(MIGRATIONS))
 
 
 def add_ruleset(connection: sa.Connection, now: float, ruleset: Ruleset) -> int:

@@ -15,7 +15,7 @@ import sqlalchemy as sa
 from league.errors import StoreError, brief
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.store import queue
-from league.matchmaking.store.database import insert_new
+from league.matchmaking.store.database import insert_new, made_of
 from league.matchmaking.store.records import Move, Season
 from league.matchmaking.store.schema import (
     Record,
@@ -36,17 +36,8 @@ def listed(connection: sa.Connection) -> list[Season]:
         rulesets, rulesets.c.number == seasons.c.ruleset
     )
     return [
-        Season(
-            number=row.number,
-            name=row.name,
-            ruleset=row.rules,
-            seed=row.seed,
-            settings=json.loads(row.settings),
-            after=row.after,
-            until=row.until,
-            started_s=row.started_s,
-            ended_s=row.ended_s,
-            hash=row.hash or "",
+        made_of(
+            Season, row, ruleset=row.rules, settings=json.loads(row.settings), hash=row.hash or ""
         )
         for row in connection.execute(query.order_by(seasons.c.number))
     ]
@@ -121,9 +112,7 @@ def close(connection: sa.Connection, now: float, number: int) -> int:
     queue.reap(connection, now)
     own = (heats.c.number > season.after) & (heats.c.number <= season.until)
     own &= heats.c.purpose == "rated"
-    cancelled = connection.execute(
-        heats.update().where(heats.c.state == "planned", own).values(state="cancelled")
-    ).rowcount
+    cancelled = queue.cancel(connection, own)
     log_event(connection, now, "league", "season close", season.name, cancelled=cancelled)
     racing = sa.select(sa.func.count()).where(heats.c.state == "claimed", own)
     return connection.scalar(racing) or 0
@@ -131,18 +120,27 @@ def close(connection: sa.Connection, now: float, number: int) -> int:
 
 def end(connection: sa.Connection, now: float, number: int, document: Mapping[str, Any]) -> Season:
     """Freeze a closed season's standings; a season that has ended stays as it is."""
-    season = _numbered(connection, number)
-    if season.ended_s is None:
-        text = heat_spec.canonical(dict(document))
-        connection.execute(
-            seasons.update()
-            .where(seasons.c.number == number)
-            .values(ended_s=now, hash=heat_spec.digest(text), document=zlib.compress(text, 6))
-        )
+    if end_with(connection, now, seasons, number, document):
         season = _numbered(connection, number)
         append(connection, [_ending(season)])
         log_event(connection, now, "league", "season end", season.name, hash=season.hash)
-    return season
+    return _numbered(connection, number)
+
+
+def end_with(
+    connection: sa.Connection,
+    now: float,
+    table: sa.Table,
+    number: int,
+    document: Mapping[str, Any],
+) -> bool:
+    """End a season or cup with a document; return False if it had ended, and stays as it is."""
+    text = heat_spec.canonical(dict(document))
+    running = (table.c.number == number) & table.c.ended_s.is_(None)
+    frozen = {"hash": heat_spec.digest(text), "document": zlib.compress(text, 6)}
+    return bool(
+        connection.execute(table.update().where(running).values(ended_s=now, **frozen)).rowcount
+    )
 
 
 def _numbered(connection: sa.Connection, number: int) -> Season:
@@ -170,11 +168,15 @@ def move(connection: sa.Connection, now: float, season: int, moves: Sequence[Mov
     return len(new)
 
 
-def moves_of(connection: sa.Connection, season: int | None = None) -> list[Move]:
-    """Return the moves between divisions in a season, or in all, the oldest first."""
+def moves_of(
+    connection: sa.Connection, season: int | None = None, entry: int | None = None
+) -> list[Move]:
+    """Return moves between divisions, the oldest first; in one season, of one entry (numbers)."""
     query = sa.select(divisions).order_by(*divisions.primary_key)
     if season is not None:
         query = query.where(divisions.c.season == season)
+    if entry is not None:
+        query = query.where(divisions.c.entry == entry)
     return [
         Move(**{name: row[name] for name in Move._fields})
         for row in connection.execute(query).mappings()

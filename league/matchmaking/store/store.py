@@ -128,15 +128,8 @@ class Store:
                 )
             number = schema.add_ruleset(connection, now, ruleset)
             connection.execute(league.update().values(ruleset=number))
-            cancelled = connection.execute(
-                heats.update()
-                .where(
-                    heats.c.state == "planned",
-                    heats.c.ruleset != number,
-                    heats.c.purpose != "cup",
-                )
-                .values(state="cancelled")
-            ).rowcount
+            others = (heats.c.ruleset != number) & (heats.c.purpose != "cup")
+            cancelled = queue.cancel(connection, others)
             schema.log_event(connection, now, "league", "rules", ruleset.hash, cancelled=cancelled)
             return cancelled
 
@@ -237,10 +230,10 @@ class Store:
         with self._writing(lock=True) as (connection, now):
             return seasons.move(connection, now, season, moves)
 
-    def division_moves(self, season: int) -> list[Move]:
-        """Return the moves between divisions in a season, the oldest first."""
+    def division_moves(self, season: int, entry: int | None = None) -> list[Move]:
+        """Return the moves between divisions in a season, of one entry or all, the oldest first."""
         with self._database.reading() as connection:
-            return seasons.moves_of(connection, season)
+            return seasons.moves_of(connection, season, entry)
 
     # Cups
 
@@ -310,13 +303,7 @@ class Store:
         _check_worker(worker)
         received = Received()
         for start in range(0, len(outcomes), BATCH):
-            part = self._complete(worker, outcomes[start : start + BATCH])
-            received = Received(
-                received.accepted + part.accepted,
-                received.repeated + part.repeated,
-                received.quarantined + part.quarantined,
-                received.unverified + part.unverified,
-            )
+            received = received.joined(self._complete(worker, outcomes[start : start + BATCH]))
         return received
 
     def _complete(self, worker: str, outcomes: Sequence[HeatOutcome]) -> Received:
@@ -374,10 +361,10 @@ class Store:
         with self._database.reading() as connection:
             return results.read_races(connection, ruleset, since, rated=rated)
 
-    def drives(self, ruleset: str, *, rated: bool = True) -> Drives:
+    def drives(self, ruleset: str, *, since: int = 0, rated: bool = True) -> Drives:
         """Return how each car drove in the races under a ruleset; see `races`."""
         with self._database.reading() as connection:
-            return results.read_drives(connection, ruleset, rated=rated)
+            return results.read_drives(connection, ruleset, since, rated=rated)
 
     def heat(self, name: str | int) -> HeatRecord:
         """Return the heat with this key, beginning of a key (6 digits or more), or number."""
@@ -398,6 +385,7 @@ class Store:
         self,
         states: Sequence[HeatState] | None = None,
         *,
+        numbers: Sequence[int] | None = None,
         entries: Sequence[int] = (),
         since: int = 0,
         limit: int | None = None,
@@ -407,6 +395,7 @@ class Store:
 
         Args:
             states: only those in one of them; by default all.
+            numbers: only those with one of these; by default all.
             entries: only those with all these entries (numbers) in them.
             since: only those with a larger number.
             limit: so many at most.
@@ -414,7 +403,11 @@ class Store:
         """
         match = heats.c.number > since
         if states is not None:
-            match &= heats.c.state.in_(states)
+            # By an index of states the database would sort all heats that are done for the newest.
+            state = heats.c.state.concat("") if newest else heats.c.state
+            match &= state.in_(states)
+        if numbers is not None:
+            match &= heats.c.number.in_(numbers)
         for entry in entries:
             match &= heats.c.number.in_(
                 sa.select(heat_entries.c.heat).where(heat_entries.c.entry == entry)

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import Any
 
 import sqlalchemy as sa
 
 from league.errors import StoreError, brief
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.store import entries
-from league.matchmaking.store.database import Database
+from league.matchmaking.store.database import Database, made_of
 from league.matchmaking.store.records import SCOPES, Scope, Token
 from league.matchmaking.store.schema import log_event, owners, tokens
 
@@ -127,12 +127,4 @@ def _with_owners() -> sa.Select[Any]:
 
 
 def _token(row: Any) -> Token:  # noqa: ANN401
-    return Token(
-        number=row.number,
-        owner=row.owner_name,
-        scopes=cast("tuple[Scope, ...]", tuple(row.scopes.split())),
-        created_s=row.created_s,
-        expires_s=row.expires_s,
-        revoked_s=row.revoked_s,
-        used_s=row.used_s,
-    )
+    return made_of(Token, row, owner=row.owner_name, scopes=tuple(row.scopes.split()))

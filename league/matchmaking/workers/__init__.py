@@ -9,7 +9,7 @@ import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Generic, Literal, Protocol, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 from league.errors import ConfigError, brief
 from league.matchmaking.workers.worker import HeatJob, HeatReport
@@ -18,32 +18,6 @@ WORKERS_PER_CORE = 4
 """Processes of one machine at most, for each of its cores."""
 MOST_ACTORS = 4096
 """Actors of a cluster at most."""
-
-
-class Executor(Protocol):
-    """Workers that race one job at a time each."""
-
-    @property
-    def num_workers(self) -> int:
-        """Number of workers."""
-        ...
-
-    @property
-    def free(self) -> int:
-        """Number of workers without a job."""
-        ...
-
-    def offer(self, job: HeatJob) -> None:
-        """Give a job to a worker that is free."""
-        ...
-
-    def wait(self, timeout_s: float) -> list[HeatReport]:
-        """Return reports of jobs that ended, including those of workers that died."""
-        ...
-
-    def close(self) -> None:
-        """End the workers; jobs under way are lost. May be called twice."""
-        ...
 
 
 @dataclass
@@ -64,15 +38,10 @@ AnySlot = TypeVar("AnySlot", bound=Slot)
 
 
 class SlotExecutor(Generic[AnySlot]):
-    """The part of an executor that does not depend on what its workers are."""
+    """Workers that race one job at a time each; a subclass says what they are."""
 
     def __init__(self, slots: list[AnySlot], job_limit_s: float) -> None:
         self._slots, self._limit_s = slots, job_limit_s
-
-    @property
-    def num_workers(self) -> int:
-        """Number of workers."""
-        return len(self._slots)
 
     @property
     def free(self) -> int:
@@ -104,6 +73,10 @@ class SlotExecutor(Generic[AnySlot]):
             self._lost(slot, f"took longer than {self._limit_s:.0f} s") for slot in stuck
         ]
 
+    def close(self) -> None:
+        """End the workers; jobs under way are lost. May be called twice."""
+        raise NotImplementedError
+
     def _lost(self, slot: AnySlot, how: str, *, killed: bool = False) -> HeatReport:
         """Replace a worker and return a report on its job."""
         assert slot.job is not None
@@ -124,6 +97,10 @@ class SlotExecutor(Generic[AnySlot]):
     def _replace(self, slot: AnySlot) -> None:
         """Start another worker in a slot; the slot's job waits for it."""
         raise NotImplementedError
+
+
+Executor = SlotExecutor[Any]
+"""Workers of any kind."""
 
 
 def make_executor(name: Literal["processes", "ray"], num_workers: int) -> Executor:

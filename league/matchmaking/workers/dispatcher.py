@@ -8,7 +8,7 @@ import secrets
 import socket
 import time
 import traceback
-from collections import Counter, OrderedDict
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -18,7 +18,13 @@ from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.store import Entry, HeatOutcome, HeatRecord, HeatState, Received
 from league.matchmaking.store.store import LEASE_S
 from league.matchmaking.workers import Executor
-from league.matchmaking.workers.worker import HeatDriver, HeatJob, HeatReport, check_physics
+from league.matchmaking.workers.worker import (
+    HeatDriver,
+    HeatJob,
+    HeatReport,
+    Recent,
+    check_physics,
+)
 
 KEPT = 256
 """Drivers kept in memory for the next job."""
@@ -120,7 +126,7 @@ class Dispatcher:
         self._lease_s, self._keep_replays = lease_s, keep_replays
         self._renewed_s = time.monotonic()
         self._rulesets: dict[str, Ruleset] = {}
-        self._drivers: OrderedDict[str, HeatDriver] = OrderedDict()
+        self._drivers: Recent[str, HeatDriver] = Recent(KEPT)
         self._losses: Counter[str] = Counter()
         self.running: dict[str, RunningHeat] = {}
 
@@ -173,12 +179,7 @@ class Dispatcher:
         )
 
     def _driver(self, id: str) -> HeatDriver:
-        if id not in self._drivers:
-            self._drivers[id] = heat_driver(self._store, self._store.entry(id))
-            while len(self._drivers) > KEPT:
-                self._drivers.popitem(last=False)
-        self._drivers.move_to_end(id)
-        return self._drivers[id]
+        return self._drivers.get(id, lambda: heat_driver(self._store, self._store.entry(id)))
 
     def _renew_leases(self) -> None:
         now = time.monotonic()

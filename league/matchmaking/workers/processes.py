@@ -31,7 +31,7 @@ KILLED = (-signal.SIGKILL, -signal.SIGTERM, 255)
 
 
 @dataclass(kw_only=True)
-class _Slot(Slot):
+class _Process(Slot):
     """One worker process."""
 
     process: BaseProcess
@@ -47,7 +47,7 @@ class _Slot(Slot):
         return f"worker process {self.process.pid}"
 
 
-class ProcessExecutor(SlotExecutor[_Slot]):
+class ProcessExecutor(SlotExecutor[_Process]):
     """An executor of processes."""
 
     def __init__(self, num_workers: int, *, job_limit_s: float = JOB_LIMIT_S) -> None:
@@ -63,23 +63,23 @@ class ProcessExecutor(SlotExecutor[_Slot]):
             slot.process.join(5.0)
         self._slots = []
 
-    def _begin(self, slot: _Slot) -> None:
+    def _begin(self, slot: _Process) -> None:
         if slot.ready:
             self._send(slot)
 
-    def _ended(self, busy: Sequence[_Slot], timeout_s: float) -> list[HeatReport]:
+    def _ended(self, busy: Sequence[_Process], timeout_s: float) -> list[HeatReport]:
         slot_of = {slot.pipe: slot for slot in busy}
         pipes = connection.wait(list(slot_of), timeout_s)
         reports = [self._read(slot_of[pipe]) for pipe in pipes if isinstance(pipe, Connection)]
         return [report for report in reports if report is not None]
 
-    def _send(self, slot: _Slot) -> None:
+    def _send(self, slot: _Process) -> None:
         try:
             slot.pipe.send(slot.job)
         except OSError:  # it died while it was idle
             self._replace(slot)
 
-    def _read(self, slot: _Slot) -> HeatReport | None:
+    def _read(self, slot: _Process) -> HeatReport | None:
         """Return the report on a worker's job; None if the worker has only just started."""
         try:
             report: HeatReport | None = slot.pipe.recv()
@@ -97,7 +97,7 @@ class ProcessExecutor(SlotExecutor[_Slot]):
             slot.job = None
         return report
 
-    def _start_again(self, slot: _Slot) -> None:
+    def _start_again(self, slot: _Process) -> None:
         """Replace a worker that died before it got its job: that is no try at the heat."""
         slot.failed_starts += 1
         if slot.failed_starts >= STARTS:
@@ -108,7 +108,7 @@ class ProcessExecutor(SlotExecutor[_Slot]):
             )
         self._replace(slot)
 
-    def _replace(self, slot: _Slot) -> None:
+    def _replace(self, slot: _Process) -> None:
         slot.pipe.close()
         slot.process.kill()
         slot.process.join(5.0)
@@ -116,11 +116,11 @@ class ProcessExecutor(SlotExecutor[_Slot]):
         slot.process, slot.pipe, slot.ready = fresh.process, fresh.pipe, False
 
 
-def _started() -> _Slot:
+def _started() -> _Process:
     pipe, workers_end = subprocesses.CONTEXT.Pipe()
     process = subprocesses.start(_work, workers_end)
     workers_end.close()  # so that reading ends when the worker does
-    return _Slot(process=process, pipe=pipe)
+    return _Process(process=process, pipe=pipe)
 
 
 def _work(pipe: Connection) -> None:

@@ -14,7 +14,7 @@ from league.matchmaking.workers.worker import JOB_LIMIT_S, HeatReport, RaceWorke
 
 
 @dataclass(kw_only=True)
-class _Slot(Slot):
+class _Actor(Slot):
     """One actor."""
 
     actor: Any
@@ -26,7 +26,7 @@ class _Slot(Slot):
         return "a Ray actor"
 
 
-class RayExecutor(SlotExecutor[_Slot]):
+class RayExecutor(SlotExecutor[_Actor]):
     """An executor of Ray actors, one CPU each; one that dies is replaced.
 
     With RAY_ADDRESS set it joins that cluster, otherwise it starts one of its own on this machine.
@@ -46,7 +46,7 @@ class RayExecutor(SlotExecutor[_Slot]):
                 **({} if address else local),
             )
         self._kind = self._ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0)(RaceWorker)
-        slots = [_Slot(actor=self._kind.remote()) for _ in range(num_workers)]
+        slots = [_Actor(actor=self._kind.remote()) for _ in range(num_workers)]
         super().__init__(slots, job_limit_s)
 
     def close(self) -> None:
@@ -57,14 +57,14 @@ class RayExecutor(SlotExecutor[_Slot]):
         if self._own and self._ray.is_initialized():
             self._ray.shutdown()
 
-    def _begin(self, slot: _Slot) -> None:
+    def _begin(self, slot: _Actor) -> None:
         slot.answer = slot.actor.race.remote(slot.job)
 
-    def _ended(self, busy: Sequence[_Slot], timeout_s: float) -> list[HeatReport]:
+    def _ended(self, busy: Sequence[_Actor], timeout_s: float) -> list[HeatReport]:
         ready, _ = self._ray.wait([slot.answer for slot in busy], num_returns=1, timeout=timeout_s)
         return [self._read(slot) for slot in busy if slot.answer in ready]
 
-    def _read(self, slot: _Slot) -> HeatReport:
+    def _read(self, slot: _Actor) -> HeatReport:
         try:
             report: HeatReport = self._ray.get(slot.answer)
         except self._ray.exceptions.RayError as lost:
@@ -73,7 +73,7 @@ class RayExecutor(SlotExecutor[_Slot]):
         slot.job = slot.answer = None
         return report
 
-    def _replace(self, slot: _Slot) -> None:
+    def _replace(self, slot: _Actor) -> None:
         self._ray.kill(slot.actor)
         slot.actor, slot.answer = self._kind.remote(), None
 

@@ -9,16 +9,15 @@ import platform
 import struct
 import traceback
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from league.errors import ConfigError
 from league.matchmaking.pairing.heat_spec import Half, Ruleset
-from league.matchmaking.ratings import Finish, places_of
 from league.matchmaking.store.records import HeatOutcome, RaceOutcome
 from league.sim import PHYSICS
 
@@ -40,6 +39,13 @@ JOB_LIMIT_S = 1800.0
 """A heat that takes longer than this is stuck: its worker is ended [s]."""
 FEATURES = ("avx", "avx2", "avx512f", "fma", "fma4")
 """Features of a processor by which libm chooses how it computes."""
+SPEC_FIELDS = (
+    "kind", "laps", "solver", "max_time_s", "rules", "obstacles", "obstacle_kind", "variation",
+    "format",
+)  # fmt: skip
+"""Settings that a ruleset and the spec of its races have in common."""
+_Key = TypeVar("_Key")
+_Value = TypeVar("_Value")
 _FUNCTIONS = (math.sin, math.cos, math.tan, math.asin, math.acos, math.atan, math.exp)
 
 
@@ -103,12 +109,29 @@ def check_physics(rules: Ruleset, what: str) -> None:
         )
 
 
+class Recent(Generic[_Key, _Value]):
+    """Values that were asked for last; older ones are made again."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._kept: OrderedDict[_Key, _Value] = OrderedDict()
+
+    def get(self, key: _Key, make: Callable[[], _Value]) -> _Value:
+        """Return the value of a key, made if it is not kept."""
+        if key not in self._kept:
+            self._kept[key] = make()
+            if len(self._kept) > self._most:
+                self._kept.popitem(last=False)
+        self._kept.move_to_end(key)
+        return self._kept[key]
+
+
 class RaceWorker:
     """Races jobs, and keeps drivers ready from one job to the next."""
 
     def __init__(self) -> None:
-        self._drivers: OrderedDict[tuple[str, str], Driver] = OrderedDict()
-        self._checkpoints: OrderedDict[str, Checkpoint] = OrderedDict()
+        self._drivers: Recent[tuple[str, str], Driver] = Recent(KEPT)
+        self._checkpoints: Recent[str, Checkpoint] = Recent(KEPT)
         self._tracks: dict[str, Track] = {}
 
     def race(self, job: HeatJob) -> HeatReport:
@@ -144,61 +167,35 @@ class RaceWorker:
             self._tracks[half.track] = files.load(half.track)
         track = self._tracks[half.track]
         grid = [job.drivers[id] for id in half.grid]
-        spec = checked(
+        entries = [
             {
-                "track": track.name,
-                "kind": rules.kind,
-                "laps": rules.laps,
-                "seed": seed,
-                "solver": rules.solver,
-                "max_time_s": rules.max_time_s,
-                "rules": rules.rules,
-                "obstacles": rules.obstacles,
-                "obstacle_kind": rules.obstacle_kind,
-                "variation": rules.variation,
-                "format": rules.format,
-                "entries": [
-                    {
-                        "name": driver.name,
-                        "digest": "" if driver.scripted else self._checkpoint(driver).digest,
-                    }
-                    for driver in grid
-                ],
+                "name": driver.name,
+                "digest": "" if driver.scripted else self._checkpoint(driver).digest,
             }
-        )
+            for driver in grid
+        ]
+        given = {name: getattr(rules, name) for name in SPEC_FIELDS}
+        spec = checked({**given, "track": track.name, "seed": seed, "entries": entries})
         tracks, car = TrackSet(track), race.sim_config(spec).car
         return race.RaceJob(spec, track, [self._driver(driver, tracks, car) for driver in grid])
 
     def _checkpoint(self, entry: HeatDriver) -> Checkpoint:
         from league.matchmaking import submission
 
-        if entry.id not in self._checkpoints:
-            self._checkpoints[entry.id] = submission.unpack(
-                entry.weights, f"the entry {entry.name!r}"
-            )
-            _trim(self._checkpoints)
-        return self._checkpoints[entry.id]
+        what = f"the entry {entry.name!r}"
+        return self._checkpoints.get(entry.id, lambda: submission.unpack(entry.weights, what))
 
     def _driver(self, entry: HeatDriver, tracks: TrackSet, car: CarConfig) -> Driver:
         """Return the driver of all cars of an entry; scripted ones are built for a track."""
         from league.agents import roster
         from league.agents.policy import Policy
 
-        key = (entry.id, tracks.tracks[0].name if entry.scripted else "")
-        if key not in self._drivers:
-            self._drivers[key] = (
-                roster.load(entry.scripted, tracks, car)
-                if entry.scripted
-                else Policy(self._checkpoint(entry), car, name=entry.name)
-            )
-            _trim(self._drivers)
-        self._drivers.move_to_end(key)
-        return self._drivers[key]
-
-
-def _trim(kept: OrderedDict[Any, Any]) -> None:
-    while len(kept) > KEPT:
-        kept.popitem(last=False)
+        if entry.scripted:
+            key = entry.id, tracks.tracks[0].name
+            return self._drivers.get(key, lambda: roster.load(entry.scripted, tracks, car))
+        return self._drivers.get(
+            (entry.id, ""), lambda: Policy(self._checkpoint(entry), car, name=entry.name)
+        )
 
 
 def outcome_of(finished: FinishedRace, *, keep_replay: bool = True) -> RaceOutcome:
@@ -227,7 +224,10 @@ def outcome_in(result: RaceResult, columns: Columns, replay: bytes | None) -> Ra
 
 
 def places(result: RaceResult) -> tuple[int, ...]:
-    """Return the place of the car in each grid slot; equal runs share a place."""
+    """Return the place of the car in each grid slot; equal runs share a place.
+
+    Finishers are ordered by time, the others by laps, distance and when their race ended.
+    """
     from league.racing.race import FAULTS_TO_END
 
     cars = sorted(result.order, key=lambda car: car.car)
@@ -235,14 +235,13 @@ def places(result: RaceResult) -> tuple[int, ...]:
     for event in result.events:
         if event.kind == "driver_fault" and event.value == FAULTS_TO_END:
             end_s[event.car] = event.time_s
-    return places_of(
-        [
-            Finish(car.total_s, car.laps)
-            if car.finished
-            else Finish(None, car.laps, car.distance, end_s[car.car])
-            for car in cars
-        ]
-    )
+    worth = [
+        (1, -car.total_s, 0.0, 0.0)
+        if car.finished
+        else (0, float(car.laps), car.distance, end_s[car.car])
+        for car in cars
+    ]
+    return tuple(1 + sum(other > own for other in worth) for own in worth)
 
 
 @cache

@@ -25,8 +25,7 @@ def draw_floor(pictures, start, stop, texture, optics, view):
     channels, columns, texels = optics.channels, texture.columns, texture.texels
     width = pictures.shape[2] // channels
     corner, share = np.empty(width, np.uint32), np.empty(width, np.uint32)
-    last_column = int32(columns - 2)
-    last_row = int32(texels.size // (columns * channels) - 2)
+    last_column, last_row = int32(columns - 2), int32(texels.size // columns - 2)
     across_texels = int32(columns)
     unit = 65536.0 / texture.size
     for row in range(start, stop):
@@ -34,17 +33,17 @@ def draw_floor(pictures, start, stop, texture, optics, view):
         fall = max(optics.focal * view.pitch_sin + down * view.pitch_cos, _LEAST_FALL)
         ahead = view.z * (optics.focal * view.pitch_cos - down * view.pitch_sin) / fall
         across = view.z / fall
-        dx, dy = fixed(unit * view.sin * across), fixed(-unit * view.cos * across)
+        dx, dy = _fixed(unit * view.sin * across), _fixed(-unit * view.cos * across)
         for eye, shift in enumerate(optics.eyes):
             left = shift + across * optics.cx
             world_x = view.x + view.cos * ahead - view.sin * left
             world_y = view.y + view.sin * ahead + view.cos * left
-            x = fixed(unit * (world_x - texture.origin_x) - 32768)
-            y = fixed(unit * (world_y - texture.origin_y) - 32768)
+            x = _fixed(unit * (world_x - texture.origin_x) - 32768)
+            y = _fixed(unit * (world_y - texture.origin_y) - 32768)
             for u in range(width):
                 here_x, here_y = int32(x + int32(u) * dx), int32(y + int32(u) * dy)
-                corner[u] = texel_at(here_x, here_y, last_column, last_row, across_texels)
-                share[u] = shares_at(here_x, here_y)
+                corner[u] = _texel_at(here_x, here_y, last_column, last_row, across_texels)
+                share[u] = _shares_at(here_x, here_y)
             _blend(pictures[eye, row], channels, texels, columns, corner, share)
 
 
@@ -58,8 +57,7 @@ def draw_tilted_floor(pictures, start, stop, texture, optics, view):
     channels, columns, texels = optics.channels, texture.columns, texture.texels
     width = pictures.shape[2] // channels
     corner, share = np.empty(width, np.uint32), np.empty(width, np.uint32)
-    last_column = int32(columns - 2)
-    last_row = int32(texels.size // (columns * channels) - 2)
+    last_column, last_row = int32(columns - 2), int32(texels.size // columns - 2)
     across_texels = int32(columns)
     unit = 65536.0 / texture.size
     for row in range(start, stop):
@@ -84,10 +82,10 @@ def draw_tilted_floor(pictures, start, stop, texture, optics, view):
             x, y = unit * (eye_x - texture.origin_x), unit * (eye_y - texture.origin_y)
             for u in range(first, last):
                 far = height / max(fall + u * falls, _LEAST_FALL)
-                here_x = fixed(x + far * (way_x + u * ways_x) - 32768)
-                here_y = fixed(y + far * (way_y + u * ways_y) - 32768)
-                corner[u] = texel_at(here_x, here_y, last_column, last_row, across_texels)
-                share[u] = shares_at(here_x, here_y)
+                here_x = _fixed(x + far * (way_x + u * ways_x) - 32768)
+                here_y = _fixed(y + far * (way_y + u * ways_y) - 32768)
+                corner[u] = _texel_at(here_x, here_y, last_column, last_row, across_texels)
+                share[u] = _shares_at(here_x, here_y)
             out = pictures[eye, row, first * channels : last * channels]
             _blend(out, channels, texels, columns, corner[first:last], share[first:last])
 
@@ -104,7 +102,7 @@ def _falling(fall, falls, width):
 
 
 @inner
-def texel_at(x, y, last_column, last_row, columns):
+def _texel_at(x, y, last_column, last_row, columns):
     """Return the number of the texel at a place with 16 bits of fraction, inside the texture."""
     column = min(max(int32(x >> 16), int32(0)), last_column)
     line = min(max(int32(y >> 16), int32(0)), last_row)
@@ -112,13 +110,13 @@ def texel_at(x, y, last_column, last_row, columns):
 
 
 @inner
-def shares_at(x, y):
+def _shares_at(x, y):
     """Return how far a place lies beyond its texel: 8 bits across, and from bit 16 on 8 bits up."""
     return uint32((x >> 8) & 255) | (uint32((y >> 8) & 255) << uint32(16))
 
 
 @inner
-def fixed(number):
+def _fixed(number):
     """Return a number as int32; floor so far away that it does not fit lies behind a wall."""
     return int32(min(max(number, -2147483000.0), 2147483000.0))
 
@@ -126,28 +124,34 @@ def fixed(number):
 @inner
 def _blend(out, channels, texels, columns, corner, share):
     """Mix four texels for each pixel of a row; gather them first, as only the rest vectorises."""
+    width, stride = len(corner), uint32(columns)
     if channels == 1:
-        for u in range(len(corner)):
-            corner[u] = _four(texels, corner[u], uint32(columns), uint32(1))
-        for u in range(len(corner)):
+        for u in range(width):
+            corner[u] = _four(texels, corner[u], stride)
+        for u in range(width):
             out[u] = _mixed(corner[u], share[u])
         return
-    four, step = np.empty(len(corner), np.uint32), uint32(channels)
-    for channel in range(channels):
-        for u in range(len(corner)):
-            four[u] = _four(texels[channel:], corner[u] * step, uint32(columns) * step, step)
-        for u in range(len(corner)):
-            out[u * channels + channel] = _mixed(four[u], share[u])
+    four = np.empty((4, width), np.uint32)
+    for u in range(width):
+        four[0, u], four[1, u] = texels[corner[u]], texels[corner[u] + uint32(1)]
+        above = corner[u] + stride
+        four[2, u], four[3, u] = texels[above], texels[above + uint32(1)]
+    for u in range(width):
+        corner[u] = _mixed_colours(four[0, u], four[1, u], four[2, u], four[3, u], share[u])
+    for u in range(width):
+        out[3 * u] = uint8(corner[u])
+        out[3 * u + 1] = uint8(corner[u] >> uint32(8))
+        out[3 * u + 2] = uint8(corner[u] >> uint32(16))
 
 
 @inner
-def _four(texels, here, stride, step):
-    """Return a texel, those to its right and above it, and the one to its upper right."""
+def _four(texels, here, stride):
+    """Return a gray texel, those to its right and above it, and the one to its upper right."""
     return (
         uint32(texels[here])
-        | (uint32(texels[here + step]) << uint32(8))
+        | (uint32(texels[here + uint32(1)]) << uint32(8))
         | (uint32(texels[here + stride]) << uint32(16))
-        | (uint32(texels[here + stride + step]) << uint32(24))
+        | (uint32(texels[here + stride + uint32(1)]) << uint32(24))
     )
 
 
@@ -159,3 +163,21 @@ def _mixed(four, share):
     pair = left_pair * (uint32(256) - right) + right_pair * right
     low, high = pair & uint32(0xFFFF), pair >> uint32(16)
     return uint8((low * (uint32(256) - up) + high * up + uint32(32768)) >> uint32(16))
+
+
+@inner
+def _mixed_colours(here, right, above, corner, share):
+    """Return the mean of four texels in colour, weighted by 8 bits across and 8 bits upwards."""
+    across, up = share & uint32(255), share >> uint32(16)
+    back, down, half = uint32(256) - across, uint32(256) - up, uint32(32768)
+    pair, one = uint32(0x00FF00FF), uint32(0x000000FF)
+    # Red and blue lie 16 bits apart, so one product holds both.
+    low = (here & pair) * back + (right & pair) * across
+    high = (above & pair) * back + (corner & pair) * across
+    low_g = ((here >> uint32(8)) & one) * back + ((right >> uint32(8)) & one) * across
+    high_g = ((above >> uint32(8)) & one) * back + ((corner >> uint32(8)) & one) * across
+    lane = uint32(0xFFFF)
+    red = ((low & lane) * down + (high & lane) * up + half) >> uint32(16)
+    green = (low_g * down + high_g * up + half) >> uint32(16)
+    blue = ((low >> uint32(16)) * down + (high >> uint32(16)) * up + half) >> uint32(16)
+    return red | (green << uint32(8)) | (blue << uint32(16))

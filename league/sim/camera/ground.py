@@ -10,7 +10,7 @@ import numpy as np
 
 from league.sim.camera import raster
 from league.sim.camera.scene import SUN, WALL_HEIGHT, lit
-from league.sim.camera.stage import Lens
+from league.sim.camera.scene_state import Lens
 from league.track import markings
 from league.track.track import Track
 
@@ -102,10 +102,18 @@ def _paint(track: Track, metres_per_pixel: float, colour: bool) -> Ground:
     levels = []
     for level in range(LEVELS):
         size = metres_per_pixel * 2**level
-        levels.append(raster.Texture(image.reshape(-1), image.shape[1], *corner, size))
+        levels.append(raster.Texture(texels(image), image.shape[1], *corner, size))
         half = (max(image.shape[1] // 2, 1), max(image.shape[0] // 2, 1))
         image = cv2.resize(image, half, interpolation=cv2.INTER_AREA)
     light = np.array(lit(track.colours.wall, not colour))
     facing = [max(nx * SUN[0] + ny * SUN[1], 0.0) for nx, ny in _WALL_NORMALS]
     walls = np.rint(light[:3] + np.outer(facing, light[3:])).astype(np.uint8)
     return Ground(tuple(levels), raster.Room(*track.room, WALL_HEIGHT, walls))
+
+
+def texels(image: np.ndarray) -> np.ndarray:
+    """Return the texels of a picture, gray or RGB; see Texture."""
+    if image.ndim == 2:
+        return image.reshape(-1)
+    red, green, blue = image.reshape(-1, 3).T.astype(np.uint32)
+    return red | green << 8 | blue << 16

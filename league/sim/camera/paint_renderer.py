@@ -31,7 +31,7 @@ from league.sim.camera.scene import (
     lit,
     luma,
 )
-from league.sim.camera.stage import NEAR, Lens, Stage, Thing
+from league.sim.camera.scene_state import NEAR, Lens, SceneState, Thing
 from league.sim.camera.visual_randomization import Look
 from league.sim.config import CameraConfig, SimConfig, VisualRandomization
 from league.sim.records import World
@@ -75,13 +75,13 @@ class Renderer(ABC):
         right eye's. `rows` are the worlds to render, int64; None for all.
         """
         if self._looks is None:
-            return self._draw(Stage(self._sim, world, rows), car, None)
+            return self._draw(SceneState(self._sim, world, rows), car, None)
         look = visual_randomization.draw(self._looks, world, rows, car, self._camera.colour)
-        return self._draw(Stage(self._sim, world, rows, look.tint), car, look)
+        return self._draw(SceneState(self._sim, world, rows, look.tint), car, look)
 
     @abstractmethod
-    def _draw(self, stage: Stage, car: int, look: Look | None) -> np.ndarray:
-        """Return the pictures of a car of all worlds of a stage."""
+    def _draw(self, state: SceneState, car: int, look: Look | None) -> np.ndarray:
+        """Return the pictures of a car in all worlds of a SceneState."""
 
     def _floor(self, track: int) -> Floor:
         if track not in self._floors:
@@ -99,13 +99,13 @@ class PaintRenderer(Renderer):
         cv2.setNumThreads(1)
         return Painter(self._lens, gray=not self._camera.colour, sky=self._sky)
 
-    def _draw(self, stage: Stage, car: int, look: Look | None) -> np.ndarray:
+    def _draw(self, state: SceneState, car: int, look: Look | None) -> np.ndarray:
         cfg, painter = self._camera, self._painter
-        shape = (len(stage.track), cfg.num_eyes, cfg.height, cfg.width)
+        shape = (len(state.track), cfg.num_eyes, cfg.height, cfg.width)
         pictures = np.empty((*shape, 3) if cfg.colour else shape, np.uint8)
-        for row, track in enumerate(stage.track):
-            pose = stage.camera(row, car, cfg)
-            painter.paint(pictures[row], pose, self._floor(track), stage.things(row, without=car))
+        for row, track in enumerate(state.track):
+            pose = state.camera(row, car, cfg)
+            painter.paint(pictures[row], pose, self._floor(track), state.things(row, without=car))
             if look is not None:
                 visual_randomization.develop(pictures[row], look, row)
         if cfg.colour:
@@ -123,7 +123,8 @@ class Painter:
         self._optics = raster.Optics(
             lens.focal, lens.cx, lens.cy, np.array(lens.eyes), channels, NEAR
         )
-        self._sky = luma(sky) if gray else sky
+        # Whole rows are copied much faster than single pixels.
+        self._sky = luma(sky) if gray else np.full((lens.width, 3), sky, np.uint8)
         self._models = models(gray)
         self._far = far_from(lens.focal)
 
@@ -131,23 +132,34 @@ class Painter:
         self, pictures: np.ndarray, pose: raster.Pose, floor: Floor, things: list[Thing]
     ) -> None:
         """Draw over all of (num_eyes, height, width) or (..., 3) pictures, uint8, contiguous."""
-        ground = floor.ground
+        self._paint_floor(pictures, pose, floor)
+        self._paint_things(pictures, pose, floor.ground.room, things)
+
+    def _paint_floor(self, pictures: np.ndarray, pose: raster.Pose, floor: Floor) -> int:
+        """Draw the sky and the floor; return the row of the farthest floor."""
         level = pose.roll_cos == 1 and pose.roll_sin == 0
-        top = self._first_floor_row(pose, ground.room) if level else 0
+        top = self._first_floor_row(pose, floor.ground.room) if level else 0
         draw_floor = floor_raster.draw_floor if level else floor_raster.draw_tilted_floor
         # Of a camera that rolls the horizon is a slope, and the sky lies next to the floor, too.
         pictures[:, : top if level else self._lens.height] = self._sky
         flat = pictures.reshape(len(pictures), self._lens.height, -1)
         for start, stop, number in floor.bands:
             if stop > top:
-                texture = ground.levels[number]
+                texture = floor.ground.levels[number]
                 draw_floor(flat, max(start, top), stop, texture, self._optics, pose)
+        return top
+
+    def _paint_things(
+        self, pictures: np.ndarray, pose: raster.Pose, room: raster.Room, things: list[Thing]
+    ) -> None:
+        """Draw the walls, and what stands before them, over the floor."""
+        flat = pictures.reshape(len(pictures), self._lens.height, -1)
         rows = [
             (MODELS.index(model), *place, *scale, *lit(colour, self._gray))
             for model, *place, colour, scale in things
         ]
         table = np.array(rows).reshape(-1, raster.THING_COLUMNS)
-        raster.draw_room(flat, self._optics, pose, ground.room, table, self._far, self._models)
+        raster.draw_room(flat, self._optics, pose, room, table, self._far, self._models)
 
     def _first_floor_row(self, pose: raster.Pose, room: raster.Room) -> int:
         """Return the row of the farthest floor in view: no floor lies beyond the room's corners."""

@@ -18,8 +18,8 @@ from league.jit import compiled, inner
 from league.portable_math import f32, sincos
 
 MODEL, X, Y, COS, SIN, STEERING, ALONG, ACROSS, UPWARD, SHADE, SUNLIT = (*range(10), 12)
-"""Columns of a thing: those of stage.Thing, with its colour as three numbers in the shade and three
-that full sun adds."""
+"""Columns of a thing: those of scene_state.Thing, with its colour as three numbers in the shade and
+three that full sun adds."""
 THING_COLUMNS = 15
 
 MOST_CORNERS = 16
@@ -74,7 +74,8 @@ class Texture(NamedTuple):
     """One picture of a floor."""
 
     texels: np.ndarray
-    """(rows * columns * channels,) uint8; rows grow with +y."""
+    """(rows * columns,), rows grow with +y: gray, uint8; or in colour, uint32, red lowest, because
+    three colours in one number are read at once and mixed in vector units."""
     columns: int
     """Texels across."""
     origin_x: float

@@ -16,7 +16,7 @@ from torch import Tensor
 from league.sim.camera import scene, visual_randomization
 from league.sim.camera.ground import Floor
 from league.sim.camera.paint_renderer import Renderer
-from league.sim.camera.stage import NEAR, Stage, Thing
+from league.sim.camera.scene_state import NEAR, SceneState, Thing
 from league.sim.camera.visual_randomization import Look
 from league.sim.config import CameraConfig, SimConfig, VisualRandomization
 from league.track.track import TrackSet
@@ -93,24 +93,24 @@ class RayRenderer(Renderer):
         self._device = torch.device(device)
         self._textures: dict[int, list[Tensor]] = {}
 
-    def _draw(self, stage: Stage, car: int, look: Look | None) -> np.ndarray:
+    def _draw(self, state: SceneState, car: int, look: Look | None) -> np.ndarray:
         cfg = self._camera
         pixels = cfg.num_eyes * cfg.height * cfg.width
         size = max(1, _PIXELS_AT_ONCE.get(self._device.type, 1 << 20) // pixels)
-        shape = (len(stage.track), *cfg.shape)
+        shape = (len(state.track), *cfg.shape)
         pictures = torch.zeros(shape, dtype=torch.uint8, device=self._device)
-        for start in range(0, len(stage.track), size):
-            part = range(start, min(start + size, len(stage.track)))
-            pictures[start : part.stop] = self._render(stage, car, part, look)
+        for start in range(0, len(state.track), size):
+            part = range(start, min(start + size, len(state.track)))
+            pictures[start : part.stop] = self._render(state, car, part, look)
         # On another device pictures stay there, for the learner that reads them.
         return pictures.numpy() if self._device.type == "cpu" else pictures  # type: ignore[return-value]
 
-    def _render(self, stage: Stage, car: int, rows: range, look: Look | None) -> Tensor:
+    def _render(self, state: SceneState, car: int, rows: range, look: Look | None) -> Tensor:
         cfg = self._camera
-        poses = self._tensor([stage.camera(row, car, cfg) for row in rows])
+        poses = self._tensor([state.camera(row, car, cfg) for row in rows])
         rays = self._rays(poses)
-        depth, pictures = self._room([stage.track[row] for row in rows], poses, rays)
-        for slot in zip(*(stage.things(row, without=car) for row in rows), strict=True):
+        depth, pictures = self._room([state.track[row] for row in rows], poses, rays)
+        for slot in zip(*(state.things(row, without=car) for row in rows), strict=True):
             body = self._body(poses, slot)
             if body.model is scene.CAR:
                 x, y = body.pose[:2]
@@ -218,7 +218,10 @@ class RayRenderer(Renderer):
         if track not in self._textures:
             channels = 3 if self._camera.colour else 1
             self._textures[track] = [
-                torch.from_numpy(level.texels).to(self._device).reshape(-1, channels)
+                # Of a texel in colour the lowest byte is red, and the highest one empty.
+                torch.from_numpy(level.texels.view(np.uint8))
+                .to(self._device)
+                .reshape(len(level.texels), -1)[:, :channels]
                 for level in self._floor(track).ground.levels
             ]
         return self._textures[track]

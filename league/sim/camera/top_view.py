@@ -12,7 +12,7 @@ from league.sim.camera.ground import floor_of
 from league.sim.camera.paint_renderer import Painter
 from league.sim.camera.raster import Pose
 from league.sim.camera.scene import BOX, CAR, GLASS, lit
-from league.sim.camera.stage import Lens, Stage, Thing
+from league.sim.camera.scene_state import Lens, SceneState, Thing
 from league.sim.config import SimConfig
 from league.sim.records import World
 from league.track.markings import SHIFT, Plan, placed
@@ -56,14 +56,14 @@ def chase_view(
     RGB uint8, (height, width, 3).
     """
     _check_size(width, height)
-    stage = Stage(sim, world.row(row))
-    track = tracks.tracks[stage.track[0]]
+    state = SceneState(sim, world.row(row))
+    track = tracks.tracks[state.track[0]]
     focal = width * _FINER / 2 / math.tan(CHASE_FIELD_OF_VIEW / 2)
     lens = Lens(width * _FINER, height * _FINER, focal)
-    pose = _behind(*stage.base(0, car), track.room)
+    pose = _behind(*state.base(0, car), track.room)
     floor = floor_of(track, lens, CHASE_UP, CHASE_PITCH, colour=True)
     picture = np.empty((1, lens.height, lens.width, 3), np.uint8)
-    Painter(lens, gray=False).paint(picture, pose, floor, stage.things(0))
+    Painter(lens, gray=False).paint(picture, pose, floor, state.things(0))
     return cv2.resize(picture[0], (width, height), interpolation=cv2.INTER_AREA)
 
 
@@ -72,28 +72,28 @@ def top_view(
 ) -> np.ndarray:
     """Return the whole room of a world from above, +y up, RGB uint8, (height, width, 3)."""
     _check_size(width, height)
-    stage = Stage(sim, world.row(row))
+    state = SceneState(sim, world.row(row))
     finer = _FINER if width * height <= _SMOOTHED else 1
-    plan = _room(tracks.tracks[stage.track[0]], width * finer, height * finer)
+    plan = _room(tracks.tracks[state.track[0]], width * finer, height * finer)
     plan = replace(plan, picture=plan.picture.copy())
     size = max(1.0, _SMALLEST_CAR * finer * plan.pixel / (2 * CAR.half_length))
-    draw_things(plan, stage, size=size, line=finer, numbers=True)
+    draw_things(plan, state, size=size, line=finer, numbers=True)
     return cv2.resize(plan.picture, (width, height), interpolation=cv2.INTER_AREA)
 
 
 def draw_things(
-    plan: Plan, stage: Stage, *, size: float, line: int = 1, numbers: bool = False
+    plan: Plan, state: SceneState, *, size: float, line: int = 1, numbers: bool = False
 ) -> None:
-    """Draw the obstacles and cars of a stage's first world on a plan.
+    """Draw the obstacles and cars of a SceneState's first world on a plan.
 
     Args:
         plan: its picture is drawn on.
-        stage: the world.
+        state: one world, or several.
         size: how many times larger than they are cars are drawn, so that they can be seen.
         line: width of a fine line [px].
         numbers: write each car's number on the left of its way.
     """
-    things, num_cars = stage.things(0), stage.num_cars
+    things, num_cars = state.things(0), state.num_cars
     # The first car on top.
     for slot in [*range(num_cars, len(things)), *reversed(range(num_cars))]:
         thing = things[slot]

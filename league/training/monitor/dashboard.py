@@ -8,6 +8,7 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from league.times import duration
 from league.training.monitor.history import TrainingCallback
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
     from league.racing.table import Evaluation
     from league.training.config import TrainConfig
-    from league.training.monitor.history import EvaluationRow, History, Row
+    from league.training.monitor.history import EvaluationRow, Row, TrainingHistory
     from league.training.ppo.learner import Update
 
 PLAIN_EVERY_S = 5.0
@@ -54,7 +55,7 @@ class Dashboard(TrainingCallback):
         self._kind, self._name = cfg.kind.replace("_", " "), name
         self._budget_s, self._budget_steps = budget_s, budget_steps
         self._console = console = console or Console()
-        self._history: History | None = None
+        self._history: TrainingHistory | None = None
         self._updated_s = self._printed_s = time.monotonic()
         self._racing = ""
         self._live: Live | None = None
@@ -66,14 +67,14 @@ class Dashboard(TrainingCallback):
         else:
             self._print(f"training {name}: {self._kind}, {cfg.num_worlds} worlds")
 
-    def update(self, history: History, update: Update) -> None:
+    def update(self, history: TrainingHistory, update: Update) -> None:
         """Show an update."""
         self._history, self._updated_s = history, time.monotonic()
         if self._live is None and self._updated_s - self._printed_s >= PLAIN_EVERY_S:
             self._printed_s = self._updated_s
             self._print(update_line(history, self._budget_s, self._budget_steps))
 
-    def evaluated(self, history: History, evaluation: Evaluation) -> None:
+    def evaluated(self, history: TrainingHistory, evaluation: Evaluation) -> None:
         """Show an evaluation."""
         self._history, self._updated_s = history, time.monotonic()
         self._refresh(_evaluation_line(history.evaluations[-1]))
@@ -143,50 +144,43 @@ class Dashboard(TrainingCallback):
         grid.add_column(justify="right", no_wrap=True)
         if left is None:
             end = f"to {self._budget_steps:,} decisions" if self._budget_steps else "until Ctrl-C"
-            grid.add_row(clock(spent), Text(""), end)
+            grid.add_row(duration(spent), Text(""), end)
             return grid
         left = max(left - since, 0.0)
         whole = max(spent + left, 1e-9)
         bar = ProgressBar(total=whole, completed=min(spent, whole), complete_style="cyan")
-        grid.add_row(clock(spent), bar, f"{clock(left)} left")
+        grid.add_row(duration(spent), bar, f"{duration(left)} left")
         return grid
 
 
-def _charts(history: History, width: int) -> RenderableType:
+def _charts(history: TrainingHistory, width: int) -> RenderableType:
     """Return the curves of reward and completion, in a row or, where it is narrow, in a column."""
     from rich.console import Group
     from rich.table import Table
 
     narrow = width < _NARROW
-    across = max(width if narrow else (width - 4) // 3, 8)
-    height = 2 if narrow else _HEIGHT
+    across, height = max(width if narrow else (width - 4) // 3, 8), 2 if narrow else _HEIGHT
     rewards = _curve(history, history.updates, "earned", across)
     known = [value for value in rewards if value is not None]
     low, high = min(known, default=0.0), max(known, default=1.0)
     if 0 < low < 0.5 * high:
         low = 0.0
-    driven = _curve(history, history.updates, "completion", across)
-    evaluated = _curve(history, history.evaluations, "completion", across)
-    last = history.updates[-1]
-    evaluation = percent(history.evaluations[-1].completion if history.evaluations else None)
+    last, judged = history.updates[-1], history.evaluations
     charts = [
-        _chart("reward", figure(last.earned), bars(rewards, low, high, height), "magenta", across),
-        _chart(
-            "completion, training",
-            percent(last.completion),
-            bars(driven, 0.0, 100.0, height),
-            "cyan",
-            across,
-        ),
-        _chart(
-            "completion, evaluation",
-            evaluation,
-            bars(evaluated, 0.0, 100.0, height),
-            "green",
-            across,
-            foot=_best_mark(history, across),
-        ),
+        _chart("reward", figure(last.earned), bars(rewards, low, high, height), "magenta", across)
     ]
+    for title, rows, value, style, foot in (
+        ("training", history.updates, last.completion, "cyan", ""),
+        (
+            "evaluation",
+            judged,
+            judged[-1].completion if judged else None,
+            "green",
+            _best_mark(history, across),
+        ),
+    ):
+        driven = bars(_curve(history, rows, "completion", across), 0.0, 100.0, height)
+        charts.append(_chart(f"completion, {title}", percent(value), driven, style, across, foot))
     if narrow:
         return Group(*charts)
     grid = Table.grid(padding=(0, 2))
@@ -196,7 +190,9 @@ def _charts(history: History, width: int) -> RenderableType:
     return grid
 
 
-def _curve(history: History, rows: Sequence[Row], name: str, width: int) -> list[float | None]:
+def _curve(
+    history: TrainingHistory, rows: Sequence[Row], name: str, width: int
+) -> list[float | None]:
     """Return a metric over the time of training, in so many columns."""
     values = [getattr(row, name) for row in rows]
     return resampled(history.learnt_s(rows), values, history.updates[-1].time_s, width)
@@ -216,7 +212,7 @@ def _chart(
     return text
 
 
-def _best_mark(history: History, width: int) -> str:
+def _best_mark(history: TrainingHistory, width: int) -> str:
     """Return the line below the evaluations, with a star below the best model."""
     best = history.best
     if best is None:
@@ -230,7 +226,7 @@ def _best_mark(history: History, width: int) -> str:
     return " " * max(column - len(left) + 1, 0) + left
 
 
-def _figures(history: History) -> RenderableType:
+def _figures(history: TrainingHistory) -> RenderableType:
     from rich.table import Table
     from rich.text import Text
 
@@ -266,11 +262,11 @@ def _figures(history: History) -> RenderableType:
     return grid
 
 
-def update_line(history: History, budget_s: float | None, budget_steps: int | None) -> str:
+def update_line(history: TrainingHistory, budget_s: float | None, budget_steps: int | None) -> str:
     """Return the last update as one line of ASCII."""
     row = history.updates[-1]
     parts = [
-        f"{clock(history.time_s):>7}",
+        f"{duration(history.time_s):>7}",
         f"{row.samples:>9,} samples",
         f"{speed(history):>6,.0f}/s",
         f"reward {figure(row.earned)}",
@@ -287,13 +283,13 @@ def update_line(history: History, budget_s: float | None, budget_steps: int | No
         parts.append(f"self-play: {text}")
     left = left_s(history, budget_s, budget_steps)
     if left is not None:
-        parts.append(f"{clock(left)} left")
+        parts.append(f"{duration(left)} left")
     return "  ".join(parts)
 
 
 def _evaluation_line(row: EvaluationRow) -> str:
     parts = [
-        f"{clock(row.time_s):>7}",
+        f"{duration(row.time_s):>7}",
         f"{row.samples:>9,} samples",
         f"evaluation: {row.complete_laps} of {row.asked} laps, {row.completion:.1f} % completed",
     ]
@@ -307,7 +303,7 @@ def _evaluation_line(row: EvaluationRow) -> str:
 
 
 def left_s(
-    history: History | None, budget_s: float | None, budget_steps: int | None
+    history: TrainingHistory | None, budget_s: float | None, budget_steps: int | None
 ) -> float | None:
     """Return the time until a limit is reached [s]; None without a limit, or without a speed."""
     times = []
@@ -322,7 +318,7 @@ def left_s(
     return max(min(times), 0.0) if times else None
 
 
-def speed(history: History) -> float:
+def speed(history: TrainingHistory) -> float:
     """Return decisions per second of collecting and learning, over the last updates."""
     recent = history.updates[-RECENT:]
     before = history.updates[-RECENT - 1].samples if len(history.updates) > RECENT else 0
@@ -330,7 +326,7 @@ def speed(history: History) -> float:
     return (recent[-1].samples - before) / took if took > 0 else 0.0
 
 
-def shares(history: History) -> dict[str, float]:
+def shares(history: TrainingHistory) -> dict[str, float]:
     """Return shares of the wall time, 0 to 1; `worlds` is the rollouts."""
     spent = {
         "worlds": sum(row.collect_s for row in history.updates),
@@ -342,7 +338,7 @@ def shares(history: History) -> dict[str, float]:
     return {name: part / whole for name, part in spent.items()}
 
 
-def self_play(history: History) -> str:
+def self_play(history: TrainingHistory) -> str:
     """Return how self-play comes along as a phrase; empty without self-play."""
     log = history.updates[-1].log
     pace, clean = log.get("/race/pace"), log.get("/race/clean")
@@ -387,13 +383,6 @@ def bars(values: Sequence[float | None], low: float, high: float, height: int) -
         "".join(_BLOCKS[max(0, min(8, eighths - 8 * line))] for eighths in filled)
         for line in reversed(range(height))
     ]
-
-
-def clock(seconds: float) -> str:
-    """Return a duration as m:ss, or h:mm:ss."""
-    minutes, rest = divmod(int(seconds + 0.5), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
 
 
 def percent(value: float | None) -> str:

@@ -103,11 +103,16 @@ class EvaluationRow:
     """Whether the policy was then the best so far."""
 
 
+_FIGURES = (
+    *("asked", "complete_laps", "clean_laps", "best_lap_s", "mean_lap_s", "best_flying_s"),
+    *("off_tracks", "crashes"),
+)
+"""Figures of an evaluation that its row takes as they are."""
 Row = UpdateRow | EvaluationRow
 _ROW: TypeAdapter[Row] = TypeAdapter(Annotated[Row, Discriminator("row")])
 
 
-class History:
+class TrainingHistory:
     """The rows of a run, in memory and, if it has a path, in a file that is appended to."""
 
     def __init__(self, path: Path | None = None, rows: Iterable[Row] = ()) -> None:
@@ -127,7 +132,7 @@ class History:
             self._file = path.open("ab")
 
     @classmethod
-    def resumed(cls, path: Path, number: int) -> History:
+    def resumed(cls, path: Path, number: int) -> TrainingHistory:
         """Continue a run's file after an update; rows of later updates are removed.
 
         Raises:
@@ -209,16 +214,9 @@ class History:
             time_s=round(time_s, 4),
             took_s=round(took_s, 4),
             completion=round(evaluation.completion, 4),
-            asked=evaluation.asked,
-            complete_laps=evaluation.complete_laps,
-            clean_laps=evaluation.clean_laps,
-            best_lap_s=evaluation.best_lap_s,
             last_lap_s=evaluation.lap_times_s[-1] if evaluation.lap_times_s else None,
-            mean_lap_s=evaluation.mean_lap_s,
-            best_flying_s=evaluation.best_flying_s,
-            off_tracks=evaluation.off_tracks,
-            crashes=evaluation.crashes,
             best=best,
+            **{name: getattr(evaluation, name) for name in _FIGURES},
         )
         self.evaluations.append(row)
         self._write(row)
@@ -291,11 +289,11 @@ def _line(row: Row) -> bytes:
 class TrainingCallback(Protocol):
     """Shows or writes the metrics of a run, which is the same without it."""
 
-    def update(self, history: History, update: Update) -> None:
+    def update(self, history: TrainingHistory, update: Update) -> None:
         """Called after an update, which is the last row of the history."""
         ...
 
-    def evaluated(self, history: History, evaluation: Evaluation) -> None:
+    def evaluated(self, history: TrainingHistory, evaluation: Evaluation) -> None:
         """Called after an evaluation, which is the last row of the history."""
         ...
 

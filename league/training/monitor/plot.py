@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from league import figures
 from league.errors import PolicyError
 from league.figures import GRID, INK
-from league.training.monitor.dashboard import clock
+from league.times import duration
 from league.training.monitor.history import TEACHING, TrainingCallback
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from league.racing.table import Evaluation
-    from league.training.monitor.history import History, Row
+    from league.training.monitor.history import Row, TrainingHistory
     from league.training.ppo.learner import Update
 
 EVERY_S = 60.0
@@ -32,13 +32,13 @@ class TrainingPlot(TrainingCallback):
     def __init__(self, path: Path, *, every_s: float = EVERY_S) -> None:
         self._path, self._every_s = path, every_s
         self._drawn_s = time.monotonic()
-        self._history: History | None = None
+        self._history: TrainingHistory | None = None
 
-    def update(self, history: History, update: Update) -> None:
+    def update(self, history: TrainingHistory, update: Update) -> None:
         """Keep the history for the plot at the end."""
         self._history = history
 
-    def evaluated(self, history: History, evaluation: Evaluation) -> None:
+    def evaluated(self, history: TrainingHistory, evaluation: Evaluation) -> None:
         """Draw, if the last plot is old enough."""
         self._history = history
         if time.monotonic() - self._drawn_s >= self._every_s:
@@ -52,7 +52,7 @@ class TrainingPlot(TrainingCallback):
             draw(history, self._path)
 
 
-def draw(history: History, path: Path) -> None:
+def draw(history: TrainingHistory, path: Path) -> None:
     """Write the curves of a run as a PNG, whole or not at all.
 
     Raises:
@@ -61,7 +61,7 @@ def draw(history: History, path: Path) -> None:
     figures.save(figure(history), path, "the plot of the training", PolicyError)
 
 
-def figure(history: History) -> Figure:
+def figure(history: TrainingHistory) -> Figure:
     """Return the three curves over the time of training, with samples along the upper edge.
 
     Time and not samples, since a teacher may decide 20 times as often in the same time as the
@@ -88,45 +88,37 @@ def figure(history: History) -> Figure:
     return drawn
 
 
-def _lines(history: History, completion: Axes, reward: Axes) -> list[Any]:
+def _lines(history: TrainingHistory, completion: Axes, reward: Axes) -> list[Any]:
     updates, evaluations = history.updates, history.evaluations
-    curves: tuple[tuple[Axes, Sequence[Row], str, dict[str, Any]], ...] = (
-        (
-            reward,
-            updates,
-            "earned",
-            {"label": "average reward (training)", "color": _EARNED, "alpha": 0.9},
-        ),
-        (
-            completion,
-            updates,
-            "completion",
-            {"label": "average % completion (training)", "color": _DRIVEN},
-        ),
+    dots: dict[str, Any] = {
+        "marker": "o",
+        "markersize": 5,
+        "markeredgecolor": "white",
+        "clip_on": False,
+    }
+    curves: tuple[tuple[Axes, Sequence[Row], str, str, str, dict[str, Any]], ...] = (
+        (reward, updates, "earned", "average reward (training)", _EARNED, {"alpha": 0.9}),
+        (completion, updates, "completion", "average % completion (training)", _DRIVEN, {}),
         (
             completion,
             evaluations,
             "completion",
-            {
-                "label": "average % completion (evaluation)",
-                "color": _EVALUATED,
-                "marker": "o",
-                "markersize": 5,
-                "markeredgecolor": "white",
-                "clip_on": False,
-            },
+            "average % completion (evaluation)",
+            _EVALUATED,
+            dots,
         ),
     )
     lines = []
-    for axes, rows, name, style in curves:
+    for axes, rows, name, label, colour, style in curves:
         known = [row for row in rows if getattr(row, name) is not None]
         values = [getattr(row, name) for row in known]
-        lines += axes.plot(history.learnt_s(known), values, linewidth=1.8, **style)
+        style |= {"label": label, "color": colour, "linewidth": 1.8}
+        lines += axes.plot(history.learnt_s(known), values, **style)
     completion.set_xlim(0, max(history.updates[-1].time_s, 1e-9))
     return lines
 
 
-def _shade_teacher(history: History, axes: Axes) -> None:
+def _shade_teacher(history: TrainingHistory, axes: Axes) -> None:
     """Shade the time in which the teacher learnt: until then the curves are the teacher's."""
     taught_s = [row.time_s for row in history.updates if TEACHING in row.log]
     if not taught_s:
@@ -144,7 +136,7 @@ def _shade_teacher(history: History, axes: Axes) -> None:
     )
 
 
-def _mark_best(history: History, axes: Axes) -> None:
+def _mark_best(history: TrainingHistory, axes: Axes) -> None:
     best = history.best
     if best is None:
         return
@@ -180,7 +172,7 @@ def _mark_best(history: History, axes: Axes) -> None:
     )
 
 
-def _label_axes(history: History, completion: Axes, reward: Axes) -> None:
+def _label_axes(history: TrainingHistory, completion: Axes, reward: Axes) -> None:
     from matplotlib.ticker import PercentFormatter
 
     completion.set_ylim(0, 104)
@@ -198,7 +190,7 @@ def _label_axes(history: History, completion: Axes, reward: Axes) -> None:
     _ticks(history, completion)
 
 
-def _ticks(history: History, axes: Axes) -> None:
+def _ticks(history: TrainingHistory, axes: Axes) -> None:
     """Mark round times along the lower edge, and the samples by then along the upper one."""
     import numpy as np
     from matplotlib.ticker import EngFormatter
@@ -207,7 +199,7 @@ def _ticks(history: History, axes: Axes) -> None:
     round_steps_s = (5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400)
     step_s = next((step for step in round_steps_s if last_s / step <= 9), last_s / 6)
     ticks_s = np.arange(0.0, last_s + 1e-9, step_s)
-    axes.set_xticks(ticks_s, [clock(tick) for tick in ticks_s])
+    axes.set_xticks(ticks_s, [duration(tick) for tick in ticks_s])
     axes.tick_params(axis="x", pad=8)
     rows = history.updates
     samples = np.interp(

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from league.envs.adapters.rsl_vec_env import RacingVecEnv
     from league.racing.table import Evaluation
     from league.rerun_view.viewer import Stream
-    from league.training.monitor.history import History
+    from league.training.monitor.history import TrainingHistory
     from league.training.ppo.learner import Update
 
 FLUSH_S = 10
@@ -30,7 +30,7 @@ class TensorBoard(TrainingCallback):
         self._folder = folder
         self._writer: SummaryWriter | None = None
 
-    def update(self, history: History, update: Update) -> None:
+    def update(self, history: TrainingHistory, update: Update) -> None:
         """Add the metrics of an update."""
         row = history.updates[-1]
         before = history.updates[-2].samples if len(history.updates) > 1 else 0
@@ -51,7 +51,7 @@ class TensorBoard(TrainingCallback):
         points |= {_chart(name): value for name, value in row.log.items()}
         self._add(points, row.number)
 
-    def evaluated(self, history: History, evaluation: Evaluation) -> None:
+    def evaluated(self, history: TrainingHistory, evaluation: Evaluation) -> None:
         """Add the metrics of an evaluation."""
         row = history.evaluations[-1]
         points = {
@@ -123,7 +123,7 @@ class LiveView(TrainingCallback):
         for env in envs:
             env.watch = self._cars.add
 
-    def update(self, history: History, update: Update) -> None:
+    def update(self, history: TrainingHistory, update: Update) -> None:
         """Add an update to the charts; stop watching if the viewer has been closed."""
         from league.rerun_view import paths
 
@@ -134,7 +134,7 @@ class LiveView(TrainingCallback):
             self._cars.add_metric(paths.PLOT_REWARD, row.earned)
             self._cars.add_metric(paths.PLOT_TRAINING, row.completion)
 
-    def evaluated(self, history: History, evaluation: Evaluation) -> None:
+    def evaluated(self, history: TrainingHistory, evaluation: Evaluation) -> None:
         """Add an evaluation to the chart and to the list."""
         from league.rerun_view import paths
 

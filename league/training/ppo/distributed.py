@@ -19,7 +19,7 @@ from torch import distributed
 
 from league.errors import ConfigError, LeagueError, brief
 
-_Number = TypeVar("_Number", bool, float)
+_Value = TypeVar("_Value")
 
 
 def count() -> int:
@@ -107,29 +107,28 @@ def close() -> None:
         distributed.destroy_process_group()
 
 
-def gather(*values: float) -> list[list[float]]:
-    """Return some numbers of every rank, in the ranks' order.
+def gather(value: _Value) -> list[_Value]:
+    """Return every rank's value, in the ranks' order.
 
     Raises:
         LeagueError: a rank has ended.
     """
     if count() == 1:
-        return [list(values)]
-    mine = torch.tensor(values, dtype=torch.float64)
-    all_values = [torch.empty_like(mine) for _ in range(count())]
+        return [value]
+    values: list[Any] = [None] * count()
     with exchange():
-        distributed.all_gather(all_values, mine)
-    return [rank.tolist() for rank in all_values]
+        distributed.all_gather_object(values, value)
+    return values
 
 
-def agreed(value: _Number) -> _Number:
+def agreed(value: _Value) -> _Value:
     """Return the first rank's value."""
-    return type(value)(gather(value)[0][0])
+    return gather(value)[0]
 
 
 def wait() -> None:
     """Wait until all ranks have come here."""
-    gather(0.0)
+    gather(None)
 
 
 @contextlib.contextmanager
@@ -165,12 +164,10 @@ def failing_together() -> Generator[None]:
         if count() == 1:
             raise
         failure = error
-    if not _any(failure is not None):
-        return
-    failures: list[LeagueError | None] = [None] * count()
-    distributed.all_gather_object(failures, failure)
-    _wait_for_first()
-    raise next(error for error in failures if error is not None)
+    failures = [error for error in gather(failure) if error is not None]
+    if failures:
+        _wait_for_first()
+        raise failures[0]
 
 
 @contextlib.contextmanager
@@ -186,7 +183,7 @@ def interrupted_together() -> Generator[Callable[[], None]]:
     received: list[int] = []
 
     def place() -> None:
-        if _any(bool(received)):
+        if any(gather(bool(received))):
             _wait_for_first()
             raise KeyboardInterrupt
 
@@ -199,10 +196,6 @@ def interrupted_together() -> Generator[Callable[[], None]]:
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)
-
-
-def _any(value: bool) -> bool:
-    return any(flag for (flag,) in gather(value))
 
 
 def _wait_for_first() -> None:

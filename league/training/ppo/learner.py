@@ -28,6 +28,8 @@ from league.training.ppo.models import actor_settings
 from league.training.ppo.statistics import EpisodeStatistics, RewardNormalization
 
 STATE_FORMAT = 1
+AVERAGED = 50
+"""Most updates that an averaged policy goes back; in the first 500 a tenth of all updates."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +88,7 @@ class Learner:
         self._episodes = EpisodeStatistics(env.num_envs)
         self._normalization = RewardNormalization(env.num_envs, cfg.ppo.gamma, cfg.device)
         self.updates = self.samples = 0
+        self._average, self._averaged = self._learnt(), 0
         if distributed.count() > 1:
             self._alg.broadcast_parameters()
             self.restart_rows()
@@ -111,8 +114,12 @@ class Learner:
         return self.updates > 0
 
     def weights(self) -> dict[str, np.ndarray]:
-        """Return the actor's weights as copies."""
-        return network.from_learner(self._alg.get_policy().state_dict())
+        """Return the actor's weights, averaged over the last updates, as copies.
+
+        One update can make a policy that rarely attacks, and the next one another: the average of
+        their weights drives better than any of them (docs/training.md).
+        """
+        return network.from_learner(self._average)
 
     def load_weights(self, weights: Mapping[str, np.ndarray]) -> None:
         """Take the actor's weights from a policy of the same shape.
@@ -129,6 +136,7 @@ class Learner:
             )
         new = {name: torch.from_numpy(value) for name, value in weights.items()}
         self._alg.get_policy().load_state_dict({**own, **new})
+        self._average, self._averaged = self._learnt(), 0
 
     def update(self, share: float) -> Update:
         """Collect one round of steps and learn from it.
@@ -153,6 +161,7 @@ class Learner:
             losses = self._alg.update()
         self.updates += 1
         self.samples += distributed.count() * self.env.num_envs * self.cfg.ppo.rollout
+        self._add_to_average()
         if self.updates % self.cfg.save_every == 0:
             self.restart_rows()
         return Update(
@@ -246,12 +255,27 @@ class Learner:
 
     def _state(self) -> dict[str, Any]:
         counts = {"updates": self.updates, "samples": self.samples}
-        return self._alg.save() | counts | {"scale": self._normalization.state()}
+        average = {"average": self._average, "averaged": self._averaged}
+        return self._alg.save() | counts | average | {"scale": self._normalization.state()}
 
     def _load_state(self, state: dict[str, Any]) -> None:
         self._alg.load(state, None, True)
         self.updates, self.samples = int(state["updates"]), int(state["samples"])
         self._normalization.restore(state["scale"])
+        # Older files have no average: it begins with the weights.
+        self._average = self._learnt() | state.get("average", {})
+        self._averaged = int(state.get("averaged", 0))
+
+    def _learnt(self) -> dict[str, torch.Tensor]:
+        """Return the actor's floating-point state as copies."""
+        state = self._alg.get_policy().state_dict()
+        return {name: value.clone() for name, value in state.items() if value.is_floating_point()}
+
+    def _add_to_average(self) -> None:
+        self._averaged += 1
+        share = 1.0 / min(max(self._averaged / 10.0, 1.0), AVERAGED)
+        for name, value in self._learnt().items():
+            self._average[name].lerp_(value, share)
 
     @property
     def _on_gpu(self) -> bool:

@@ -81,7 +81,6 @@ def make(
     *,
     opponents: Mapping[int, Driver | str] | None = None,
     reward: Reward | None = None,
-    last_car: float = 1.0,
 ) -> RacingVecEnv:
     """Build the worlds: in each, the cars without an opponent's driver learn.
 
@@ -90,12 +89,11 @@ def make(
         cfg: settings of the run.
         opponents: drivers of the other cars, by the number of the car.
         reward: in Python; None: the settings' own.
-        last_car: `Scenarios.last_car`.
     """
     settings = env_config(cfg)
     if opponents and settings.scenarios is not None:
         # Attacks teach most, and the other cars' drivers do not learn from them.
-        scenarios = replace(settings.scenarios, learner=LEARNER_ATTACKS, last_car=last_car)
+        scenarios = replace(settings.scenarios, learner=LEARNER_ATTACKS)
         settings = replace(settings, scenarios=scenarios)
     return RacingVecEnv(
         tracks,

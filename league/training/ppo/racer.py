@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from tensordict import TensorDict
 
+from league.agents import roster
 from league.agents.driver import Driver
 from league.envs.actions import to_actions
 from league.envs.race_env import RaceEnv
@@ -46,6 +47,9 @@ SLOW_DRIVER = "centerline"
 """Scripted driver of the last car, where a policy with its own sensors meets two or more."""
 SLOW_PACE = 0.5
 """Its top speed, as a share of the car's."""
+SLOW_FROM = 0.5
+"""Share of the second stage from which it drives: policies that meet it before they can race learn
+to keep away from it, and little else."""
 _LATELY = 100.0
 """Attacks after which what is known about earlier ones counts half."""
 
@@ -60,13 +64,15 @@ class Curriculum:
         """Largest top speed of rivals, as a share of the fastest car's."""
         self._share = self._attacks = self._passed = self._clean = 0.0
 
-    def prepare(self, worlds: RaceEnv, share: float) -> None:
-        """Set rivals' top speeds and the price of contacts, at a share of the stage."""
+    def prepare(self, worlds: RaceEnv, share: float, last_car: float = 1.0) -> None:
+        """Set rivals' top speeds and the price of contacts, at a share of the stage.
+
+        `last_car` is the last car's largest top speed, as a share of the car's.
+        """
         assert worlds.cfg.scenarios is not None
         least = max(self.pace - RANGE, 0.45)
-        worlds.change_scenarios(
-            replace(worlds.cfg.scenarios, fastest_rival=self.pace, slowest_rival=least)
-        )
+        rivals = {"fastest_rival": self.pace, "slowest_rival": least, "last_car": last_car}
+        worlds.change_scenarios(replace(worlds.cfg.scenarios, **rivals))
         first, dear = PRESETS["race"], 1.0 + (DEAR - 1.0) * min(share / 0.8, 1.0)
         worlds.change_weights(replace(first, touch=dear * first.touch, crash=dear * first.crash))
 
@@ -128,6 +134,23 @@ class Rival:
         return to_actions(self._racer.cfg.action_space, answer.numpy(), self._racer.car)
 
 
+class LastRival(Rival):
+    """A Driver of the last car: the racer, or a slow scripted driver."""
+
+    def __init__(self, racer: Racer, scripted: Driver) -> None:
+        """Begin with the racer."""
+        super().__init__(racer)
+        self._scripted, self.is_slow = scripted, False
+
+    def reset(self, rows: np.ndarray | None) -> None:
+        """Clear the scripted driver's memory."""
+        self._scripted.reset(rows)
+
+    def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Return actions [steering, speed] in [-1, 1], float32 (num_rows, 2)."""
+        return self._scripted.act(observations) if self.is_slow else super().act(observations)
+
+
 class Racer(Teacher):
     """PPO learner of all cars, with a curriculum."""
 
@@ -170,11 +193,13 @@ class RacingLearner(TaughtLearner):
             settings: of make_env.make.
         """
         rivals: dict[int, Driver | str] = {car: Rival(racer) for car in range(1, cfg.num_cars)}
-        last_car = 1.0
+        self._last_rival = None
         if cfg.num_cars > 2:
             # The racer drives slow cars well; others brake for bends and keep to the middle.
-            rivals[cfg.num_cars - 1], last_car = SLOW_DRIVER, SLOW_PACE
-        env = make_env.make(tracks, cfg, opponents=rivals, last_car=last_car, **settings)
+            scripted = roster.load(SLOW_DRIVER, tracks, racer.car)
+            self._last_rival = LastRival(racer, scripted)
+            rivals[cfg.num_cars - 1] = self._last_rival
+        env = make_env.make(tracks, cfg, opponents=rivals, **settings)
         super().__init__(env, cfg, racer)
         self.racer = racer
         """The network that sees the true state."""
@@ -182,7 +207,10 @@ class RacingLearner(TaughtLearner):
 
     def _learn(self, share: float) -> Update:
         """Collect and learn at a share of its own stage, with rivals as fast as it can pass."""
-        self.curriculum.prepare(self.env.race_env, share)
+        last_car = 1.0
+        if self._last_rival is not None and share >= SLOW_FROM:
+            self._last_rival.is_slow, last_car = True, SLOW_PACE
+        self.curriculum.prepare(self.env.race_env, share, last_car)
         return self.curriculum.add(super()._learn(share), share)
 
     def _state(self) -> dict[str, Any]:

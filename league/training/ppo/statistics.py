@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import asdict, astuple, dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import torch
@@ -185,8 +185,8 @@ class RewardNormalization:
         if distributed.count() == 1:
             return
         seen = self._shared
-        for recent in distributed.gather(*astuple(self._recent)):
-            seen = seen.joined(Moments(*recent))
+        for recent in distributed.gather(self._recent):
+            seen = seen.joined(recent)
         self._set(seen)
 
     @property

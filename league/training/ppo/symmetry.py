@@ -2,46 +2,40 @@
 
 from __future__ import annotations
 
+import re
+from functools import cache
+
 import torch
 from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 from torch import Tensor
 
-from league.envs import truth as truth_group
+from league.envs import state, truth
 from league.envs.actions import ActionSpace
 from league.envs.observations import MOTION_FIELDS
-from league.envs.state import FIELDS
 from league.sim.config import LidarConfig, SensorConfig
 
-_SIDEWAYS = ("lateral", "heading_error", "speed_left", "yaw_rate", "steering", "last_steering")
-_SWAPPED = [
-    truth_group.FIELDS.index(
-        name.replace("left", "right") if name.startswith("left") else name.replace("right", "left")
-    )
-    if name.startswith(("left", "right"))
-    else place
-    for place, name in enumerate(truth_group.FIELDS)
-]
+NUMBERS = {"motion": MOTION_FIELDS, "state": state.FIELDS, "truth": truth.FIELDS}
+"""Fields of the groups of named numbers."""
+_SIDEWAYS = ("lateral", "heading_error", "_heading", "speed_left", "yaw_rate", "steering", "_y")
+"""Ends of the names of fields that change their sign in the mirror; curvatures do, too."""
 
 
-def motion(group: Tensor) -> Tensor:
-    """Return the `motion` group of the mirrored car."""
-    return group * _signs(MOTION_FIELDS, group)
+@cache
+def _image(names: tuple[str, ...]) -> tuple[list[int], list[float]]:
+    """Return which field each field of the mirrored car is, and with which sign."""
+    swapped = {"left": "right", "right": "left"}
+    order = [
+        names.index(re.sub("^(left|right)", lambda side: swapped[side[0]], name)) for name in names
+    ]
+    flips = [name.startswith("curvature") or name.endswith(_SIDEWAYS) for name in names]
+    return order, [-1.0 if flip else 1.0 for flip in flips]
 
 
-def state(group: Tensor) -> Tensor:
-    """Return the `state` group of the mirrored car."""
-    flipped = group * _signs(FIELDS, group)
-    left, right = FIELDS.index("left"), FIELDS.index("right")
-    order = list(range(len(FIELDS)))
-    order[left], order[right] = right, left
-    return flipped[:, order]
-
-
-def truth(group: Tensor) -> Tensor:
-    """Return the `truth` group of the mirrored car."""
-    sideways = torch.tensor(truth_group.SIDEWAYS, device=group.device)
-    return (group * torch.where(sideways, -1.0, 1.0))[:, _SWAPPED]
+def numbers(group: Tensor, names: tuple[str, ...]) -> Tensor:
+    """Return a group of named numbers of the mirrored car, (num_rows, num_names)."""
+    order, signs = _image(names)
+    return (group * group.new_tensor(signs))[:, order]
 
 
 def stereo(group: Tensor, num_eyes: int, frames: int = 1) -> Tensor:
@@ -62,7 +56,7 @@ def history(group: Tensor, sensors: SensorConfig) -> Tensor:
     """Return the `history` group of the mirrored car: each reading of motion and lidar."""
     readings = group.reshape(len(group) * sensors.history, -1)
     own, scans = readings[:, : len(MOTION_FIELDS)], readings[:, len(MOTION_FIELDS) :]
-    mirrored = motion(own)
+    mirrored = numbers(own, MOTION_FIELDS)
     if sensors.lidar is not None:
         mirrored = torch.cat([mirrored, lidar(scans, _parts(sensors.lidar))], dim=1)
     return mirrored.reshape(group.shape)
@@ -87,7 +81,7 @@ def observations(groups: TensorDict, sensors: SensorConfig) -> TensorDict:
         elif name == "history":
             mirrored[name] = history(group, sensors)
         else:
-            mirrored[name] = {"motion": motion, "state": state, "truth": truth}[name](group)
+            mirrored[name] = numbers(group, NUMBERS[name])
     return TensorDict(mirrored, batch_size=groups.batch_size, device=groups.device)
 
 
@@ -134,11 +128,3 @@ class Symmetry:
     def compute_loss(self, actor: object, batch: object, original_batch_size: int) -> Tensor:
         """Return 0: there is no loss besides the mirrored samples."""
         return torch.zeros(())
-
-
-def _signs(names: tuple[str, ...], like: Tensor) -> Tensor:
-    sideways = [
-        name in _SIDEWAYS or name.startswith("curvature") or name.endswith("_lateral")
-        for name in names
-    ]
-    return torch.where(torch.tensor(sideways, device=like.device), -1.0, 1.0)

@@ -109,6 +109,7 @@ class TaughtLearner(Learner):
                 self.updates, self.samples = self._teacher.updates, self._teacher.samples
             return replace(update, log=update.log | {TEACHING: 1.0})
         if not self.has_learnt:
+            self._teacher.load_weights(self._teacher.weights())  # their average teaches
             super().restart_rows()  # as after a resume from here
         done = max(share - until, 0.0) / (1.0 - until)
         self._lesson.weight = max(0.0, 1.0 - done)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import cast
 
-from league.matchmaking.scores import BestLap, time_attack
+from league.matchmaking.scores import BestLap, Boards, time_attack
 from league.sim.config import RaceKind
 from league.track import files
 from league.web import medals
@@ -26,20 +26,21 @@ def document(reader: Reader, races: str = "") -> Document:
     shown = cast(RaceKind, asked)
     if shown not in kinds:
         raise NotFoundError(f"This league has races of the kinds {', '.join(kinds)}.")
-    done = reader.store.counts().get("done", 0)
-    boards = reader.kept(("boards", shown, done), lambda: time_attack(reader.store, shown))
+    voided = reader.snapshot().races.voided
+    kept: list[Boards | None] = reader.kept(("boards", shown, voided), lambda: [None])
+    kept[0] = boards = time_attack(reader.store, shown, kept[0])
     return {
         "kind": shown,
         "kinds": [{"kind": one, "title": TITLES.get(one, one)} for one in kinds],
-        "boards": [_board(reader, track, laps) for track, laps in sorted(boards.items())],
+        "boards": [_board(reader, track, laps) for track, laps in sorted(boards.laps.items())],
     }
 
 
 def _board(reader: Reader, name: str, laps: list[BestLap]) -> Document:
     track = files.load(name)
     bound_s = reader.bound_s(track)
-    drivers = {entry.number: entry for entry in reader.store.entries()}
-    ranks = {row.number: row.rank for row in reader.rows()}
+    drivers = {lap.number: reader.entry(lap.number) for lap in laps[:MOST]}
+    rows = {number: reader.row(number) for number in drivers}
     return {
         "track": name,
         "title": track.title,
@@ -52,7 +53,7 @@ def _board(reader: Reader, name: str, laps: list[BestLap]) -> Document:
                 "lap_s": lap.lap_s,
                 "behind_s": lap.lap_s - laps[0].lap_s,
                 "medal": medals.medal(lap.lap_s, bound_s),
-                "rank": ranks.get(lap.number),
+                "rank": row.rank if (row := rows[lap.number]) else None,
                 "heat": lap.heat,
                 "race": lap.race,
             }

@@ -53,7 +53,7 @@ def document(reader: Reader, number: int) -> Document:
     return {
         "entry": entry,
         "standing": row,
-        "marks": season_marks.of(reader).get(number),
+        "marks": season_marks.of(reader, [row]).get(number) if row else None,
         "trophies": _trophies(reader, number),
         "history": moments,
         "fitted": bool(rated and rated.num_races <= FITTED_RACES),
@@ -109,7 +109,9 @@ def _surplus(score: Document) -> float:
 
 def _named(reader: Reader, scores: list[Document]) -> list[Document]:
     """Return heats with their grids and tracks."""
-    listed = reader.listed([reader.record(score["number"]) for score in scores])
+    numbers = [score["number"] for score in scores]
+    records = {one.number: one for one in reader.store.heats(numbers=numbers)}
+    listed = reader.listed([records[number] for number in numbers])
     return [{**heat, **score} for heat, score in zip(listed, scores, strict=True)]
 
 

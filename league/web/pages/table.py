@@ -86,7 +86,7 @@ def document(
         "scale": charts.interval_scale(on_page) if on_page else None,
         "rows": on_page,
         "season": rated.season if rated else None,
-        "marks": season_marks.of(reader),
+        "marks": season_marks.of(reader, on_page),
         "entries": len(shown),
         "page": number,
         "pages": pages,

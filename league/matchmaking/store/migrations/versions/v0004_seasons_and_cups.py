@@ -60,8 +60,10 @@ def _let_heats_be_of_cups(connection: sa.Connection) -> None:
     for changes that do not affect what is stored.
     """
     if connection.dialect.name != "sqlite":
-        op.drop_constraint("ck_heats_purpose", "heats", type_="check")
-        op.create_check_constraint("ck_heats_purpose", "heats", PURPOSES)
+        # Leagues that migrations made have the name with its prefix twice.
+        for name in ("ck_heats_purpose", "ck_heats_ck_heats_purpose"):
+            op.execute(f"ALTER TABLE heats DROP CONSTRAINT IF EXISTS {name}")
+        op.create_check_constraint(op.f("ck_heats_purpose"), "heats", PURPOSES)
         return
     version = connection.exec_driver_sql("PRAGMA schema_version").scalar_one()
     connection.exec_driver_sql("PRAGMA writable_schema = ON")

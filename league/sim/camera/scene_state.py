@@ -92,7 +92,7 @@ class Thing(NamedTuple):
     """Stretch of the model ahead, to the side and upwards."""
 
 
-class Stage:
+class SceneState:
     """Some worlds of a batch, ready to be looked at from any car."""
 
     def __init__(

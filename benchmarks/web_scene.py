@@ -1,0 +1,146 @@
+"""A large league with a season that goes on, for the benchmark of its pages."""
+
+import threading
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import sqlalchemy as sa
+
+from benchmarks import store as stores
+from league.agents import checkpoint
+from league.matchmaking.divisions import SeasonSettings
+from league.matchmaking.pairing import heat_spec
+from league.matchmaking.pairing.heat_spec import Half, Heat, mirrored
+from league.matchmaking.store import (
+    HeatOutcome,
+    Move,
+    RaceOutcome,
+    Store,
+    create,
+    database,
+    results,
+    schema,
+)
+
+RECORDED = 200
+"""Newest heats that have results and recordings."""
+DRIVER = 77
+"""The entry that visitors look at: its heats have results and recordings, too."""
+CARD = checkpoint.load(Path(__file__).parents[1] / "garage" / "racer.pt").text
+"""What each entry's card says."""
+RACING = 80
+"""Entries that the season's further heats are drawn from."""
+
+
+def founded(url: str, strengths: np.ndarray, heats: int, outcome: RaceOutcome) -> Store:
+    """Return a league of many entries and heats, with a season that runs.
+
+    Args:
+        url: of the new league.
+        strengths: of its entries [Elo], (entries,).
+        heats: how many are over, two races of two cars each.
+        outcome: of the races that pages show, with its recording.
+    """
+    league = create(url, ruleset=stores.RULES)
+    _enter(url, len(strengths))
+    stores.fill(url, strengths, heats)
+    _record(url, heats, outcome)
+    _begin_season(league, strengths, heats)
+    return league
+
+
+def _enter(url: str, count: int) -> None:
+    """Write entries past the checks of their names, each of an owner of its own."""
+    numbers = range(1, count + 1)
+    owners = [{"number": n, "name": f"owner {n}", "created_s": 0.0} for n in numbers]
+    there = database.Database(url)
+    with there.writing() as connection:
+        connection.execute(schema.owners.insert(), owners)
+        connection.execute(schema.entries.insert(), [_entry(number) for number in numbers])
+    there.close()
+
+
+def _entry(number: int) -> dict[str, object]:
+    return {
+        "number": number,
+        "id": _id(number),
+        "name": f"driver {number}",
+        "owner": number,
+        "kind": "policy",
+        "anchor": False,
+        "state": "ranked",
+        "reason": "",
+        "card": CARD,
+        "created_s": float(number),
+    }
+
+
+def _id(number: int) -> str:
+    return heat_spec.digest(f"entry {number}".encode())
+
+
+def _record(url: str, heats: int, outcome: RaceOutcome) -> None:
+    """Give the newest heats, and those of one entry, results and a recording."""
+    assert outcome.replay is not None
+    digest = heat_spec.digest(outcome.replay)
+    packed = results.pack(HeatOutcome("", (outcome, outcome)), (digest, digest))
+    kept = {"worker": "bench", "received_s": 0.0, "replay": digest}
+    there = database.Database(url)
+    with there.writing() as connection:
+        of_entry = sa.select(schema.heat_entries.c.heat).where(
+            schema.heat_entries.c.entry == DRIVER
+        )
+        recorded = {*range(max(1, heats - RECORDED + 1), heats + 1), *connection.scalars(of_entry)}
+        rows = [
+            {"heat": heat, "half": half, "hash": one.hash, "document": one.document, **kept}
+            for heat in sorted(recorded)
+            for half, one in enumerate(packed)
+        ]
+        connection.execute(schema.results.insert(), rows)
+        blob = {"digest": digest, "size": len(outcome.replay), "created_s": 0.0}
+        connection.execute(schema.blobs.insert().values(content=outcome.replay, **blob))
+    there.close()
+
+
+def _begin_season(league: Store, strengths: np.ndarray, heats: int) -> None:
+    """Begin a season that has all races so far, with divisions by strength."""
+    settings = SeasonSettings()
+    season = league.start_season("", asdict(settings))
+    ranked = enumerate(np.argsort(-strengths).tolist())
+    league.move_divisions(
+        season.number,
+        [
+            Move(1, entry + 1, 1 + rank // settings.division_size, heats, "start")
+            for rank, entry in ranked
+        ],
+    )
+
+
+def race_heat(league: Store, outcome: RaceOutcome, draw: int) -> None:
+    """Plan, claim and complete a heat of two entries; `draw` tells it from others."""
+    one = draw % RACING
+    other = (one + 1 + draw // RACING % (RACING - 1)) % RACING
+    tracks = stores.RULES.tracks[0], stores.RULES.tracks[0]
+    league.plan([mirrored(stores.RULES.hash, tracks, (_id(one + 1), _id(other + 1)), draw)])
+    for claim in league.claim("bench", 1):
+        league.complete("bench", [HeatOutcome(claim.heat.key, (outcome, outcome))])
+
+
+def race_cup_heat(league: Store, outcome: RaceOutcome) -> int:
+    """Race a heat of many cars that counts for no rating, and return its number."""
+    grid = tuple(_id(number) for number in range(1, len(outcome.places) + 1))
+    heat = Heat(stores.RULES.hash, (Half(stores.RULES.tracks[0], grid),), purpose="cup")
+    league.plan([heat])
+    (claim,) = league.claim("bench", 1)
+    league.complete("bench", [HeatOutcome(heat.key, (outcome,))])
+    return claim.number
+
+
+def race_on(
+    url: str, outcome: RaceOutcome, heats_a_second: float, stop: threading.Event, draw: int
+) -> None:
+    """Race so many heats a second, if the machine is fast enough, until `stop`."""
+    with Store(url) as league:
+        while not stop.wait(1 / heats_a_second):
+            race_heat(league, outcome, draw := draw + 1)
