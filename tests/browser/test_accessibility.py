@@ -32,7 +32,7 @@ def faults(page) -> list[str]:
 
 
 @pytest.mark.parametrize("look", LOOKS)
-@pytest.mark.parametrize("path", [*PATHS, "/drivers/99"])
+@pytest.mark.parametrize("path", [*PATHS, "/submit", "/drivers/3/retire", "/drivers/99"])
 def test_axe_finds_nothing_serious(browser, origin, store, path, look):
     page = opened(browser, origin, [], reduced_motion="reduce", **LOOKS[look])
     page.goto(path.format(heat=rated_heat(store)))

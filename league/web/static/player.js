@@ -3,6 +3,7 @@
 
 const TRAIL_S = 1.5;
 const CAPTION_S = 2.5;
+const CAPTION_PX = 30; // height of a caption's line
 const LEAD_S = 1; // events are shown from this long before they happen
 const LATEST = 9;
 const PANEL_HZ = 6;
@@ -176,14 +177,15 @@ class Player {
       for (let i = 0; i < side.length; i += 2) xs.push(side[i]), ys.push(side[i + 1]);
     }
     const [x0, x1, y0, y1] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
-    const margin = 40;
-    this.fit = {
-      x: (x0 + x1) / 2,
-      y: (y0 + y1) / 2,
-      zoom: Math.min(
-        this.canvas.width / (x1 - x0 + 2 * margin), this.canvas.height / (y1 - y0 + 2 * margin),
-      ),
-    };
+    const margin = 30;
+    // A caption that lies over the picture leaves its place free of the track.
+    const over = getComputedStyle(this.caption).position === "absolute";
+    const strip = over ? CAPTION_PX * scale : 0;
+    const zoom = Math.min(
+      this.canvas.width / (x1 - x0 + 2 * margin),
+      (this.canvas.height - strip) / (y1 - y0 + 2 * margin),
+    );
+    this.fit = { x: (x0 + x1) / 2, y: (y0 + y1) / 2 - strip / 2 / zoom, zoom };
     this.draw();
   }
 
