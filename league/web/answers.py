@@ -79,7 +79,7 @@ class Answers:
 
     def _renew(self, key: Key, made: Callable[[], _Answer]) -> None:
         try:
-            with contextlib.suppress(LeagueError, HTTPException):  # a later request is told
+            with contextlib.suppress(LeagueError, HTTPException):  # a later request meets it
                 made()
         finally:
             self._renewed.discard(key)
