@@ -108,6 +108,7 @@ def single_pages(league: Store, names: dict[str, int]) -> None:
         figure("the same, wall time", time.perf_counter() - start, "s")
         row = table("page", "made, processor time [ms]", "size [kB]", "sent [kB]")
         largest = max(_made(client, path, path.format(**names), row) for path in PAGES)
+        note("Pages are made by the application itself, without a server or a network between.")
         figure("the largest page", largest, "kB", GOAL_PAGE_KB, most=True)
         warm = [_answered(client, "/standings") for _ in range(200)]
         worked_ms, took_ms = 1e3 * np.median(warm, axis=0)
