@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import gzip
 import json
 import re
@@ -195,6 +196,14 @@ def test_a_static_file_is_sent_packed_and_only_if_the_browser_has_another_one(cl
     other = client.get("/static/style.css", headers=known)
     assert other.status_code == 200 and other.headers["etag"] != first.headers["etag"]
     assert client.head("/static/player.js").content == b""
+
+
+def test_a_server_rarely_looks_through_all_objects_and_leaves_others_alone(store, monkeypatch):
+    before, seen = gc.get_threshold(), []
+    monkeypatch.setattr("uvicorn.Server.run", lambda *_, **__: seen.append(gc.get_threshold()))
+    server.serve(store, 0, ready=seen.append)
+    assert seen[1] == (*before[:2], 100 * before[2])
+    assert gc.get_threshold() == before
 
 
 def test_another_host_name_is_refused(client):
