@@ -18,6 +18,7 @@ from types import CodeType, FunctionType
 from typing import TextIO
 
 import pytest
+from numba.core.registry import CPUDispatcher
 
 ENDED = "(the process ended)"
 """What caught a mutant that no test reported."""
@@ -132,10 +133,12 @@ def _imported(code: CodeType) -> tuple[object, ...]:
 
 
 def live_functions(paths: list[Path]) -> list[FunctionType]:
-    """Return the functions of imported files, wherever they are bound."""
+    """Return the functions of imported files, wherever they are bound, but for compiled ones."""
     names = {str(path.resolve()) for path in paths}
     # Lazy objects of libraries answer isinstance with warnings.
-    functions = [one for one in gc.get_objects() if type(one) is FunctionType]
+    objects = gc.get_objects()
+    compiled = {one.py_func for one in objects if type(one) is CPUDispatcher}
+    functions = [one for one in objects if type(one) is FunctionType and one not in compiled]
     return [one for one in functions if one.__code__.co_filename in names]
 
 

@@ -196,3 +196,14 @@ def test_guard_sees_a_forbidden_arrow_and_a_circle():
         "sim.grid -> envs.race_env"
     ]
     assert circle({("a", "b"), ("b", "c"), ("c", "b"), ("c", "d")}) == ["a", "b", "c"]
+
+
+def test_no_module_imports_what_it_needs_from_tests():
+    # What several tests need lies in modules of its own, as CONTRIBUTING.md asks.
+    found = [
+        f"{path.name}: {node.module}"
+        for path in (LEAGUE.parent / "tests").rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ImportFrom) and re.match(r"tests\.(\w+\.)*test_", node.module or "")
+    ]
+    assert found == []

@@ -8,10 +8,11 @@ import pytest
 from league.envs import rewards
 from league.envs.rewards import FAR, SLOW, BuiltIn, RacingLineReward, built_in
 from league.errors import ConfigError
+from league.racing_line.racing_line import optimal_line
 from league.racing_line.speed_profile import CarLimits
 from league.sim.config import CarConfig, RaceRules, SimConfig
 from league.track.track import TrackSet
-from tests.scenes import Stages, go_to, make_ring, make_straight, put_cars
+from tests.scenes import Stages, go_to, make_ring, make_square, make_straight, put_cars
 
 CAR = CarConfig()
 TWO = SimConfig(kind="head_to_head", num_cars=2, rules=RaceRules(laps=1))
@@ -83,6 +84,20 @@ def test_each_world_is_told_the_line_of_its_own_track():
     assert float(found[0, 0]) == pytest.approx(1.0, abs=0.03)
 
 
+def test_on_a_square_the_line_is_that_of_the_place_where_a_car_is():
+    track = make_square()
+    tracks, line = TrackSet(track), optimal_line(track, CAR, -CAR.wheel_track / 2)
+    reward, alone = RacingLineReward(tracks, CAR), SimConfig()
+    for place in (0.2, 1.5, 3.4, 7.0, track.length - 0.05):
+        there = [(place, float(np.interp(place, line.s, line.lateral, period=track.length)))]
+        speed = float(np.interp(place, line.s, line.speed, period=track.length))
+        before = put_cars(tracks, alone, [(place - 0.05, there[0][1])])
+        after = go_to(tracks, before, there, speed=speed)
+        verdicts, after = Stages(tracks, alone).judge(before, after)
+        _, terms = reward(tracks, before, after, np.zeros((1, 1, 2), np.float32), verdicts)
+        assert terms["racing_line"].item() == pytest.approx(1.0, abs=2e-3), place
+
+
 def test_an_open_track_has_a_line_to_its_end():
     track = make_straight()
     reward = RacingLineReward(TrackSet(track), CAR)
@@ -110,3 +125,4 @@ def test_so_many_tracks_that_their_lines_take_minutes_are_refused(ring, monkeypa
     monkeypatch.setattr(rewards, "MOST_TRACKS", 2)
     with pytest.raises(ConfigError, match=r"on each of 3 tracks.*give at most 2"):
         RacingLineReward(TrackSet(*[make_ring()] * 3), CAR)
+    rewards.check_name("racing_line", 2)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
 
 from league.errors import StoreError
 from league.matchmaking import cups, store
 from tests.matchmaking import leagues
+from tests.matchmaking.cup_races import race_on
 
 
 @pytest.fixture
@@ -25,42 +24,6 @@ def new_league(url):
     yield make
     for league in opened:
         league.close()
-
-
-def raced(league, claims, strength):
-    """Return results in which the stronger one (by number) is ahead, alone or together."""
-    number_of = {entry.id: entry.number for entry in league.entries()}
-    outcomes = []
-    for claim in claims:
-        races = []
-        for half in claim.heat.halves:
-            grid = [number_of[id] for id in half.grid]
-            by_strength = sorted(grid, key=strength, reverse=True)
-            order = [
-                {
-                    "car": slot,
-                    "finished": True,
-                    "lap_times_s": [20.0 - strength(number) / 10],
-                    "distance": 10.0,
-                }
-                for slot, number in enumerate(grid)
-            ]
-            places = tuple(1 + by_strength.index(number) for number in grid)
-            races.append(store.RaceOutcome(places, {"order": order}))
-        outcomes.append(store.HeatOutcome(claim.heat.key, tuple(races)))
-    return outcomes
-
-
-def race_on(league, strength: Callable[[int], float] = float, *, most=1000):
-    """Race and plan until a cup is over, or `most` heats are raced; return how many."""
-    heats = 0
-    while heats < most:
-        claims = league.claim("w", min(4, most - heats))
-        if not claims and not cups.advance(league):
-            break
-        league.complete("w", raced(league, claims, strength))
-        heats += len(claims)
-    return heats
 
 
 def bracket_of(league, cup):

@@ -64,6 +64,14 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path):
     assert os.listdir(tmp_path) == ["taken"]
 
 
+def test_a_file_that_cannot_be_read_is_refused_with_the_systems_reason(tmp_path):
+    kept = FolderBlobs(str(tmp_path))
+    digest = heat_spec.digest(b"weights")
+    (tmp_path / digest[:2] / digest).mkdir(parents=True)
+    with pytest.raises(StoreError, match=r"cannot be read from .* \(Is a directory\): check that"):
+        kept.get(digest)
+
+
 def test_an_unknown_kind_of_bucket_is_refused():
     with pytest.raises(StoreError, match="cannot be used"):
         FolderBlobs("nosuch://bucket")

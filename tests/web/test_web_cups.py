@@ -10,7 +10,7 @@ from starlette.testclient import TestClient
 from league.matchmaking import cups
 from league.web.app import make_app
 from tests.matchmaking import leagues
-from tests.matchmaking.test_cups import race_on
+from tests.matchmaking.cup_races import race_on
 from tests.web.small_league import ORIGIN
 
 
