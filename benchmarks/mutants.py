@@ -127,7 +127,7 @@ def listed(field: Any) -> list[ast.AST]:
 
 def spans_of(path: Path, *fields: str) -> list[Span]:
     """Return the spans of what stands in these fields of a file's syntax tree."""
-    nodes = [
+    nodes: list[Any] = [
         one
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
         for name in fields
