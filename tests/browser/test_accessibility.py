@@ -2,33 +2,13 @@
 
 from __future__ import annotations
 
-from importlib import resources
-
 import pytest
 
-from tests.browser.looking import NEEDS_CHROMIUM, PATHS, PHONE, opened
+from tests.browser.axe import LOOKS, faults
+from tests.browser.looking import NEEDS_CHROMIUM, PATHS, opened
 from tests.web.small_league import rated_heat
 
 pytestmark = NEEDS_CHROMIUM
-AXE = resources.files("axe_playwright_python").joinpath("axe.min.js")
-SERIOUS = {"serious", "critical"}
-LOOKS = {
-    "wide_light": {"color_scheme": "light"},
-    "phone_dark": {"color_scheme": "dark", "viewport": PHONE},
-}
-
-
-def faults(page) -> list[str]:
-    """Return what axe-core finds serious or worse on a page, a line each."""
-    # Evaluated by the debugger, which the page's own policy does not bind.
-    page.evaluate(AXE.read_text(encoding="utf-8"))
-    found = page.evaluate("axe.run(document, { resultTypes: ['violations'] })")
-    return [
-        f"{rule['id']}: {node['html'][:120]} ({node['failureSummary'][:200]})"
-        for rule in found["violations"]
-        if rule["impact"] in SERIOUS
-        for node in rule["nodes"]
-    ]
 
 
 @pytest.mark.parametrize("look", LOOKS)

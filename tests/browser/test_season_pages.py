@@ -8,8 +8,8 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from league.matchmaking.store import Store
+from tests.browser.axe import LOOKS, faults
 from tests.browser.looking import NEEDS_CHROMIUM, PHONE, opened
-from tests.browser.test_accessibility import LOOKS, faults
 from tests.web.small_league import seasoned_league
 
 pytestmark = NEEDS_CHROMIUM
