@@ -88,10 +88,10 @@ class Learner:
         self._episodes = EpisodeStatistics(env.num_envs)
         self._normalization = RewardNormalization(env.num_envs, cfg.ppo.gamma, cfg.device)
         self.updates = self.samples = 0
-        self._average, self._averaged = self._learnt(), 0
         if distributed.count() > 1:
             self._alg.broadcast_parameters()
             self.restart_rows()
+        self._begin_average()
 
     @property
     def device(self) -> str:
@@ -136,7 +136,7 @@ class Learner:
             )
         new = {name: torch.from_numpy(value) for name, value in weights.items()}
         self._alg.get_policy().load_state_dict({**own, **new})
-        self._average, self._averaged = self._learnt(), 0
+        self._begin_average()
 
     def update(self, share: float) -> Update:
         """Collect one round of steps and learn from it.
@@ -262,14 +262,20 @@ class Learner:
         self._alg.load(state, None, True)
         self.updates, self.samples = int(state["updates"]), int(state["samples"])
         self._normalization.restore(state["scale"])
-        # Older files have no average: it begins with the weights.
-        self._average = self._learnt() | state.get("average", {})
+        self._begin_average()
+        for name, value in state.get("average", {}).items():  # missing in older files
+            self._average[name].copy_(value)
         self._averaged = int(state.get("averaged", 0))
 
     def _learnt(self) -> dict[str, torch.Tensor]:
-        """Return the actor's floating-point state as copies."""
+        """Return the actor's floating-point state, which goes on changing."""
         state = self._alg.get_policy().state_dict()
-        return {name: value.clone() for name, value in state.items() if value.is_floating_point()}
+        return {name: value for name, value in state.items() if value.is_floating_point()}
+
+    def _begin_average(self) -> None:
+        """Begin with the weights of now."""
+        self._average = {name: value.clone() for name, value in self._learnt().items()}
+        self._averaged = 0
 
     def _add_to_average(self) -> None:
         self._averaged += 1
