@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from league.agents import roster
 from league.envs.rewards import PRESETS
 from league.sim.config import CameraConfig, SensorConfig
 from league.track.track import TrackSet
@@ -134,6 +135,20 @@ def test_a_camera_driver_learns_from_the_racer_and_against_it(small):
     assert worlds.cfg.scenarios is not None
     assert worlds.cfg.scenarios.fastest_rival == racer.FIRST_PACE
     assert worlds.cfg.reward.touch > 2.5 * PRESETS["race"].touch
+
+
+def test_a_slow_driver_has_the_last_car_from_the_middle_of_the_stage(small):
+    made = make_racing(RING, replace(small, num_cars=3))
+    worlds = made.env.race_env
+    slow = roster.load(racer.SLOW_DRIVER, RING, worlds.cfg.sim.car)
+    made.update(0.0)
+    for share, last_car, scripted in ((0.7, 1.0, False), (0.8, racer.SLOW_PACE, True)):
+        made.update(share)  # from 0.5 on it is the stage of the policy with its own sensors
+        assert worlds.cfg.scenarios is not None and worlds.cfg.scenarios.last_car == last_car
+        made._last_rival.reset(None)
+        slow.reset(None)
+        driven = made._last_rival.act(worlds.observations[2])
+        assert np.array_equal(driven, slow.act(worlds.observations[2])) == scripted
 
 
 def test_the_racer_drives_the_other_cars(small):

@@ -207,10 +207,10 @@ class RacingLearner(TaughtLearner):
 
     def _learn(self, share: float) -> Update:
         """Collect and learn at a share of its own stage, with rivals as fast as it can pass."""
-        last_car = 1.0
-        if self._last_rival is not None and share >= SLOW_FROM:
-            self._last_rival.is_slow, last_car = True, SLOW_PACE
-        self.curriculum.prepare(self.env.race_env, share, last_car)
+        slow = self._last_rival is not None and share >= SLOW_FROM
+        if self._last_rival is not None:
+            self._last_rival.is_slow = slow
+        self.curriculum.prepare(self.env.race_env, share, SLOW_PACE if slow else 1.0)
         return self.curriculum.add(super()._learn(share), share)
 
     def _state(self) -> dict[str, Any]:
