@@ -314,7 +314,8 @@ def main(names: Iterable[str] = tuple(PARTS)) -> None:
     for name, number, tried, caught in rows:
         row(name, number, tried, caught, f"{100 * caught / tried:.0f} %")
     tried, caught = (sum(int(one[k]) for one in rows) for k in (2, 3))
-    figure(f"caught of {tried} sampled mutants", 100 * caught / tried, "%", GOAL)
+    parts = f"{len(rows)} of {len(PARTS)} parts"
+    figure(f"caught of {tried} sampled mutants, {parts}", 100 * caught / tried, "%", GOAL)
 
 
 if __name__ == "__main__":
