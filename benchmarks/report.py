@@ -8,7 +8,10 @@ import statistics
 import time
 from collections.abc import Callable, Iterable
 from importlib.metadata import version
+from itertools import takewhile
 
+FIGURE = ("figure", "measured", "goal", "met")
+"""Columns of the table that figures stand in."""
 _lines: list[str] = []
 """What was printed since it was last taken, as Markdown."""
 
@@ -42,8 +45,9 @@ def figure(
     aim = "" if goal is None else f"  goal {sign} {goal:g}"
     verdict = "" if goal is None else ("  met" if met else "  NOT MET")
     print(f"{name:62s} {value:12,.4g} {unit:18s}{aim}{verdict}", flush=True)
-    if not _lines or not _lines[-1].startswith("| "):
-        _lines.extend(("", *_head(("figure", "measured", "goal", "met"))))
+    open_table = list(takewhile(lambda line: line.startswith("| "), reversed(_lines)))
+    if not open_table or open_table[-1] != _row(FIGURE):
+        _lines.extend(("", *_head(FIGURE)))
     written = "" if goal is None else f"{'≤' if most else '≥'} {_number(goal)}"
     _lines.append(_row((name, f"{_number(value)} {unit}", written, verdict.strip().lower())))
     return met

@@ -3,6 +3,7 @@
 import pytest
 
 from benchmarks import __main__ as benchmarks
+from benchmarks import report
 
 BY_HAND = "## Whole commands\n\n| what | measured |\n|---|--:|\n| `make test` | 6 min |"
 
@@ -45,3 +46,13 @@ def test_the_page_in_the_repository_has_the_goals_of_the_pages_next_to_it():
 
 def test_mutants_are_run_only_by_name():
     assert set(benchmarks.BY_NAME_ONLY) < set(benchmarks.NAMES)
+
+
+def test_figures_after_a_table_stand_in_a_table_of_their_own():
+    report.taken()
+    report.table("driver", "lap")("racer", "4.5 s")
+    for name in ("one", "two"):
+        report.figure(name, 1.0, "s", 2.0, most=True)
+    head = "| figure | measured | goal | met |\n| --- | --: | --: | --: |"
+    rows = "| one | 1 s | ≤ 2 | met |\n| two | 1 s | ≤ 2 | met |"
+    assert report.taken().endswith(f"| racer | 4.5 s |\n\n{head}\n{rows}")
