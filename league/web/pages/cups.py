@@ -15,7 +15,7 @@ def document(reader: Reader, number: int) -> Document:
     cup = next((one for one in reader.store.cups() if one.number == number), None)
     if cup is None:
         raise NotFoundError(f"This league has no cup {number}.")
-    document = frozen(reader, "cup", number)
+    document = frozen(reader, cup)
     if document is None:
         names = {entry.id: entry for entry in reader.store.entries()}
         document = cups.document(cup, cups.bracket(reader.store, cup), names)

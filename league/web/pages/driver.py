@@ -147,7 +147,7 @@ def _trophies(reader: Reader, number: int) -> list[Document]:
     return [
         {**trophy, "season": season.number, "of": season.name}
         for season in reader.store.seasons()
-        for trophy in (frozen(reader, "season", season.number) or {}).get("trophies", ())
+        for trophy in (frozen(reader, season) or {}).get("trophies", ())
         if trophy["number"] == number
     ]
 
