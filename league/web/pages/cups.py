@@ -17,8 +17,8 @@ def document(reader: Reader, number: int) -> Document:
         raise NotFoundError(f"This league has no cup {number}.")
     document = frozen(reader, cup)
     if document is None:
-        names = {entry.id: entry for entry in reader.store.entries()}
-        document = cups.document(cup, cups.bracket(reader.store, cup), names)
+        entrants = {id: reader.entry_of(id) for id in cup.settings["entrants"]}
+        document = cups.document(cup, cups.bracket(reader.store, cup), entrants)
     qualifying, *rounds = document["stages"]
     return {
         "cup": cup,
