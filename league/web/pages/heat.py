@@ -9,7 +9,7 @@ from league.matchmaking.store import HeatRecord, RaceOutcome, StoredResult
 from league.replay import Replay
 from league.web import charts, faults, lap_charts, race_charts
 from league.web.reader import Document, NotFoundError, Reader, accepted
-from league.web.replay_data import player_data
+from league.web.replay_data import events, player_data
 
 
 def document(reader: Reader, number: int, race: str = "", lap: str = "") -> Document:
@@ -44,7 +44,7 @@ def document(reader: Reader, number: int, race: str = "", lap: str = "") -> Docu
         "lap_rows": max([laps, *map(len, wrong)]),
         "lap": int(lap) if lap else None,
         "compared": lap_charts.of(replay, int(lap) if lap else None) if replay else None,
-        "events": player_data(replay)["events"] if replay else [],
+        "events": events(replay) if replay else [],
         **_proof(reader, at),
         "spec": replay.spec.model_dump(exclude={"entries"}) if replay else None,
         "physics": replay.physics if replay else None,
