@@ -14,7 +14,7 @@ from league.replay import Replay
 from league.web import charts, ghosts, lap_charts, medals
 from league.web.lap_charts import Lap
 from league.web.pages import heat as heats
-from league.web.reader import Document, NotFoundError, Reader, heat_number
+from league.web.reader import Document, NotFoundError, Reader, accepted, heat_number
 
 MOST = 100
 """Fastest drivers on a track that are offered; others are reached from their own pages."""
@@ -177,17 +177,17 @@ def _of_heat(reader: Reader, heat: str, track: str) -> list[_Ghost]:
     """Return the laps of a heat's recorded races on a track."""
     if not heat:
         return []
-    asked = heat_number(heat)
+    number = heat_number(heat)
+    record, results = reader.record(number), reader.store.results(number)
     found: list[_Ghost] = []
-    for number, half in enumerate(reader.record(asked).heat.halves, 1):
-        try:
-            result = heats.result(reader, asked, number)
-        except NotFoundError:
-            continue  # it has not been raced yet
-        for row in result.result["order"] if result.replay and half.track == track else ():
-            entry = reader.entry_of(half.grid[row["car"]])
+    for half, race in enumerate(record.heat.halves):
+        result = accepted(results, half)
+        if result is None or not result.replay or race.track != track:
+            continue
+        for row in result.result["order"]:
+            entry = reader.entry_of(race.grid[row["car"]])
             for lap, lap_s in enumerate(row["lap_times_s"], 1):
-                name = LapName(asked, number, row["car"] + 1, lap)
+                name = LapName(number, half + 1, row["car"] + 1, lap)
                 found.append(_Ghost(name, entry.number, entry.name, track, lap_s))
     return found
 
