@@ -132,20 +132,19 @@ def _asked(reader: Reader, text: str, best: Sequence[BestLap]) -> _Ghost | None:
 
 
 def _best(reader: Reader, lap: BestLap) -> _Ghost:
-    grid = reader.record(lap.heat).heat.halves[lap.race - 1].grid
-    car = grid.index(reader.entry(lap.number).id)
-    times_s = _lap_times_s(reader, lap.heat, lap.race, car + 1)
-    return _ghost(reader, LapName(lap.heat, lap.race, car + 1, int(np.argmin(times_s)) + 1))
+    half, entry = reader.record(lap.heat).heat.halves[lap.race - 1], reader.entry(lap.number)
+    car = half.grid.index(entry.id) + 1
+    times_s = _lap_times_s(reader, lap.heat, lap.race, car)
+    fastest = int(np.argmin(times_s))
+    name = LapName(lap.heat, lap.race, car, fastest + 1)
+    return _Ghost(name, entry.number, entry.name, half.track, times_s[fastest])
 
 
 def _named(reader: Reader, text: str) -> _Ghost:
     match = LAP.fullmatch(text)
     if match is None:
         raise NotFoundError(f"{text[:20]!r} is no lap: write heat.race.car.lap, as in 12.1.2.3.")
-    return _ghost(reader, LapName(*map(int, match.groups())))
-
-
-def _ghost(reader: Reader, name: LapName) -> _Ghost:
+    name = LapName(*map(int, match.groups()))
     times_s = _lap_times_s(reader, name.heat, name.race, name.car)
     if not 1 <= name.lap <= len(times_s):
         raise NotFoundError(f"Car {name.car} has no lap {name.lap} in that race.")
