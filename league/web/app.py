@@ -28,6 +28,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from league import times
 from league.errors import LeagueError
+from league.matchmaking import safety
 from league.matchmaking.documents import plain
 from league.matchmaking.store import Store
 from league.web import charts, openapi, submit
@@ -80,6 +81,7 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
         "league_name": store.settings.name,
         "static": _static_text,
         "exported": exported,
+        "enough_corners": safety.ENOUGH_CORNERS,
     }
     templates.globals.update(names)
 

@@ -13,9 +13,6 @@ from league.web import rerun
 from league.web.pages import heat
 from league.web.reader import NotFoundError, Reader
 
-FOR_GOOD = {"Cache-Control": "public, max-age=86400, immutable"}
-"""Of what never changes: a race that was raced, a file of one version."""
-
 
 @dataclass(frozen=True)
 class Download:
@@ -38,7 +35,7 @@ def camera(reader: Reader, _: Request, number: int, race: int, car: int) -> Resp
     if not 1 <= car <= replay.num_cars:
         raise NotFoundError(f"This race has the cars 1 to {replay.num_cars}.")
     content = reader.large(("strip", digest, car), lambda: strip.picture(replay, car - 1))
-    return Response(content, media_type="image/jpeg", headers=FOR_GOOD)
+    return Response(content, media_type="image/jpeg", headers=rerun.FOR_GOOD)
 
 
 def checkpoint(reader: Reader, _: Request, number: int) -> Response:
@@ -55,7 +52,7 @@ def recording(reader: Reader, _: Request, number: int, race: int) -> Response:
     """Return a race as a file of the Rerun viewer."""
     digest = heat.recording(reader, number, race)
     content = reader.large(("rerun", digest), lambda: rerun.recording(reader.store, digest))
-    return Response(content, media_type="application/octet-stream", headers=FOR_GOOD)
+    return Response(content, media_type="application/octet-stream", headers=rerun.FOR_GOOD)
 
 
 DOWNLOADS = (

@@ -91,8 +91,7 @@ def _asked(reader: Reader, access: Access, request: Request, fields: Fields) -> 
     """Return a form with the token that it holds; refuse one that may not do this, or not now."""
     secret = text(fields, "token")
     token = access.token(reader.store, secret, "submit", client_of(request))
-    access.limits.submissions.check(token.owner)
-    access.limits.submissions.take(token.owner)
+    access.limits.submissions.charge(token.owner)
     return Asked(reader.store, access, token, fields, request.path_params)
 
 

@@ -85,9 +85,7 @@ class Protected:
         token = access.token(store, bearer(request), self.scope, client_of(request))
         is_work = self.scope == "worker"
         limit = access.limits.work if is_work else access.limits.submissions
-        key = str(token.number) if is_work else token.owner
-        limit.check(key)
-        limit.take(key)
+        limit.charge(str(token.number) if is_work else token.owner)
         return token
 
     def _answer(self, asked: Asked) -> Response:

@@ -267,6 +267,13 @@ class _Names(Mapping[str, str]):
         return len(self._reader.entries())
 
 
+def heat_number(text: str) -> int:
+    """Return the number of a heat that was asked for; whether there is one is not looked up."""
+    if not (text.isascii() and text.isdecimal() and len(text) < 16):
+        raise NotFoundError(f"{text[:20]!r} is no heat: give a number.")
+    return int(text)
+
+
 def accepted(results: list[StoredResult], half: int) -> StoredResult | None:
     """Return the result of a race that was not rejected, if there is one."""
     return next((one for one in results if one.half == half and not one.rejected), None)

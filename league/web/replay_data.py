@@ -41,11 +41,16 @@ def player_data(replay: Replay) -> dict[str, object]:
             np.stack([replay.columns.obstacle_x[0], replay.columns.obstacle_y[0]], axis=1), every=1
         ),
         "cars": cars,
-        "events": [
-            {"time_s": line.time_s, "kind": line.kind, "car": line.car + 1, "text": line.text}
-            for line in commentary.of_replay(replay)
-        ],
+        "events": events(replay),
     }
+
+
+def events(replay: Replay) -> list[dict[str, object]]:
+    """Return what happens in a race, a sentence each."""
+    return [
+        {"time_s": line.time_s, "kind": line.kind, "car": line.car + 1, "text": line.text}
+        for line in commentary.of_replay(replay)
+    ]
 
 
 def drawn_car(

@@ -29,6 +29,8 @@ from league.web.reader import NotFoundError, Reader
 LIMIT_S = 300.0
 """Time after which the making of a recording is given up [s]."""
 PAGE = "index.html"
+FOR_GOOD = {"Cache-Control": "public, max-age=86400, immutable"}
+"""Of what never changes: a race that was raced, a file of one version."""
 
 
 def version() -> str:
@@ -58,7 +60,7 @@ def viewer_file(_reader: Reader, _request: Request, version: str, name: str) -> 
     content, policy, size = files[name]
     headers = {
         "Content-Encoding": "gzip",
-        "Cache-Control": "public, max-age=86400, immutable",
+        **FOR_GOOD,
         # The page's progress display reads the unpacked size from here.
         "rerun-final-length": str(size),
         **({"Content-Security-Policy": policy} if policy else {}),

@@ -61,6 +61,15 @@ class Limit:
                 {"Retry-After": str(wait_s)},
             )
 
+    def charge(self, key: str) -> None:
+        """Take one from a client's bucket, or refuse the request if it does not hold one.
+
+        Raises:
+            HTTPException: 429, with the time to wait.
+        """
+        self.check(key)
+        self.take(key)
+
     def _level(self, key: str) -> float:
         level, at_s = self._buckets.get(key, (self._burst, 0.0))
         return min(self._burst, level + self._per_s * (self._clock() - at_s))
@@ -114,8 +123,7 @@ class Access:
         token = store.tokens.find(secret) if secret else None
         if token is not None and token.allows(scope):
             return token  # others behind the same address cannot lock it out
-        self.limits.refusals.check(client)
-        self.limits.refusals.take(client)
+        self.limits.refusals.charge(client)
         if token is not None:
             raise HTTPException(
                 403, f"This token does not allow this: it needs the scope {scope}.", None

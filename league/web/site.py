@@ -22,7 +22,10 @@ from league.web.app import make_app
 LINK = re.compile(r' (href|src|data-replay)="(/[^"]*)"')
 """Links within the site, in the pages' own markup."""
 KEPT = re.compile(
-    r"/(standings|heats|tracks|seasons|time-attack|definitions)?|/(seasons|cups)/\d+|/time-attack\?races=\w+|/standings\?(against=\d+(&page=\d+)?|page=\d+)|/drivers/\d+|/heats/\d+(\?race=\d+)?"
+    r"/(standings|heats|tracks|seasons|time-attack|definitions)?"
+    r"|/(seasons|cups)/\d+|/time-attack\?races=\w+"
+    r"|/standings\?(against=\d+(&page=\d+)?|page=\d+)"
+    r"|/drivers/\d+|/heats/\d+(\?race=\d+)?"
     r"|/matchups/\d+/\d+(\?before=\d+)?|/static/[\w.]+"
 )
 """Addresses that become files."""

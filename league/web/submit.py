@@ -113,9 +113,8 @@ def _entered(asked: Asked, _: Document) -> str:
     if not asked.body.get("file"):
         raise HTTPException(422, "There was no file: choose the one that `league pack` wrote.")
     name = text(asked.body, "name")
-    return (
-        f"/drivers/{enter(asked.store, asked.access, asked.token, asked.body['file'], name).number}"
-    )
+    entry = enter(asked.store, asked.access, asked.token, asked.body["file"], name)
+    return f"/drivers/{entry.number}"
 
 
 def _leaving(reader: Reader, number: int) -> Document:

@@ -4,21 +4,15 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-import pytest
 
 from league import rerun_view
 from league.sim.camera.scene import CAR_COLOURS
 from league.track import files
 from tests.browser import chromium
+from tests.browser.looking import NEEDS_CHROMIUM
 from tests.recorded import raced
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(
-        chromium.program() is None,
-        reason="needs Chromium: install it, or set CHROMIUM to its path",
-    ),
-]
+pytestmark = NEEDS_CHROMIUM
 
 WIDTH, HEIGHT = 1200, 760
 LIMIT_S = 240.0

@@ -20,10 +20,16 @@ NAME = "<img src=x onerror=name='owned'>"
 OWNER = "</td><script>name='owned'</script>"
 
 
-def raced_league(url: str, *, heats: int = 24) -> Store:
-    """Return a league in which that many heats were raced."""
+def _founded(url: str) -> Store:
+    """Return a league of three entries, one of them with HTML in its names."""
     store = new_league(url, anchors=ANCHORS, rules=RULES)
     store.submit(NAME, OWNER, scripted="cautious")
+    return store
+
+
+def raced_league(url: str, *, heats: int = 24) -> Store:
+    """Return a league in which that many heats were raced."""
+    store = _founded(url)
     dispatcher = Dispatcher(store, Here())
     loop.run(store, dispatcher, Matchmaker(store, same_owner=True), heats=heats)
     return store
@@ -41,8 +47,7 @@ def queued_league(url: str) -> Store:
 
 def seasoned_league(url: str) -> Store:
     """Return a league with a season that is over, a cup in it, and a season that is running."""
-    store = new_league(url, anchors=("centerline", "racing_line"), rules=RULES)
-    store.submit(NAME, OWNER, scripted="cautious")
+    store = _founded(url)
     store.submit("blocks", "someone", scripted="blocker")
     worker, season = Dispatcher(store, Here()), Matchmaker(store, same_owner=True)
     seasons.start(store, "Spring", divisions.SeasonSettings(division_size=2))

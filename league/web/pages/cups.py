@@ -15,10 +15,10 @@ def document(reader: Reader, number: int) -> Document:
     cup = next((one for one in reader.store.cups() if one.number == number), None)
     if cup is None:
         raise NotFoundError(f"This league has no cup {number}.")
-    document = frozen(reader, "cup", number)
+    document = frozen(reader, cup)
     if document is None:
-        names = {entry.id: entry for entry in reader.store.entries()}
-        document = cups.document(cup, cups.bracket(reader.store, cup), names)
+        entrants = {id: reader.entry_of(id) for id in cup.settings["entrants"]}
+        document = cups.document(cup, cups.bracket(reader.store, cup), entrants)
     qualifying, *rounds = document["stages"]
     return {
         "cup": cup,

@@ -26,7 +26,8 @@ NEWEST = 200
 """Newest heats that are looked at."""
 FIRST_HEATS = 8
 """Heats of a new entry that are followed live."""
-OVER = ("done", "error", "quarantined", "cancelled")
+WAITING = ("planned", "claimed")
+"""States of the heats that are still to be raced, or are being raced."""
 HEATS = 14
 """Newest heats that are listed."""
 NEIGHBOURS = 10
@@ -43,8 +44,7 @@ def document(reader: Reader, number: int) -> Document:
     """Return an entry: its rating and how it came about, its record, its heats, its card."""
     entry, entries, rated = reader.entry(number), reader.entries(), reader.standings()
     row, raced = reader.row(number), reader.store.heats(entries=[number], limit=NEWEST, newest=True)
-    waiting = [record for record in raced if record.state in ("planned", "claimed")]
-    over = [record for record in raced if record not in waiting and record.state != "cancelled"]
+    over = [record for record in raced if record.state not in (*WAITING, "cancelled")]
     moments = _history(reader, entry, rated) if rated and row and row.races else []
     heats = _heat_scores(rated, number) if rated and row else []
     best = heapq.nlargest(EXTREMES, heats, key=_surplus)
@@ -62,7 +62,7 @@ def document(reader: Reader, number: int) -> Document:
         "worst": _named(reader, [heat for heat in worst if _surplus(heat) < 0]),
         "laps": _laps(reader, number),
         "heats": reader.listed(over[-HEATS:][::-1]),
-        "waiting": len(waiting),
+        "waiting": sum(record.state in WAITING for record in raced),
         "joining": _joining(reader, entry, raced),
         "camera": _camera(reader, entry, over[-HEATS:][::-1]),
         "card": _card(entry),
@@ -76,7 +76,7 @@ def document(reader: Reader, number: int) -> Document:
 def _joining(reader: Reader, entry: Entry, raced: list[HeatRecord]) -> Document | None:
     """Return how far a new entry is: what it waits for, and its first heats; None for others."""
     first = raced[:FIRST_HEATS]
-    over = len(first) == FIRST_HEATS and all(one.state in OVER for one in first)
+    over = len(first) == FIRST_HEATS and not any(one.state in WAITING for one in first)
     if entry.anchor or over or entry.state not in ("pending", "validating", "placement"):
         return None
     waits = "" if entry.state == "placement" else matchmaker.waits_for(reader.store, entry)
@@ -147,7 +147,7 @@ def _trophies(reader: Reader, number: int) -> list[Document]:
     return [
         {**trophy, "season": season.number, "of": season.name}
         for season in reader.store.seasons()
-        for trophy in (frozen(reader, "season", season.number) or {}).get("trophies", ())
+        for trophy in (frozen(reader, season) or {}).get("trophies", ())
         if trophy["number"] == number
     ]
 

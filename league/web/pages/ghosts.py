@@ -14,7 +14,7 @@ from league.replay import Replay
 from league.web import charts, ghosts, lap_charts, medals
 from league.web.lap_charts import Lap
 from league.web.pages import heat as heats
-from league.web.reader import Document, NotFoundError, Reader
+from league.web.reader import Document, NotFoundError, Reader, accepted, heat_number
 
 MOST = 100
 """Fastest drivers on a track that are offered; others are reached from their own pages."""
@@ -132,20 +132,19 @@ def _asked(reader: Reader, text: str, best: Sequence[BestLap]) -> _Ghost | None:
 
 
 def _best(reader: Reader, lap: BestLap) -> _Ghost:
-    grid = reader.record(lap.heat).heat.halves[lap.race - 1].grid
-    car = grid.index(reader.entry(lap.number).id)
-    times_s = _lap_times_s(reader, lap.heat, lap.race, car + 1)
-    return _ghost(reader, LapName(lap.heat, lap.race, car + 1, int(np.argmin(times_s)) + 1))
+    half, entry = reader.record(lap.heat).heat.halves[lap.race - 1], reader.entry(lap.number)
+    car = half.grid.index(entry.id) + 1
+    times_s = _lap_times_s(reader, lap.heat, lap.race, car)
+    fastest = int(np.argmin(times_s))
+    name = LapName(lap.heat, lap.race, car, fastest + 1)
+    return _Ghost(name, entry.number, entry.name, half.track, times_s[fastest])
 
 
 def _named(reader: Reader, text: str) -> _Ghost:
     match = LAP.fullmatch(text)
     if match is None:
         raise NotFoundError(f"{text[:20]!r} is no lap: write heat.race.car.lap, as in 12.1.2.3.")
-    return _ghost(reader, LapName(*map(int, match.groups())))
-
-
-def _ghost(reader: Reader, name: LapName) -> _Ghost:
+    name = LapName(*map(int, match.groups()))
     times_s = _lap_times_s(reader, name.heat, name.race, name.car)
     if not 1 <= name.lap <= len(times_s):
         raise NotFoundError(f"Car {name.car} has no lap {name.lap} in that race.")
@@ -177,18 +176,17 @@ def _of_heat(reader: Reader, heat: str, track: str) -> list[_Ghost]:
     """Return the laps of a heat's recorded races on a track."""
     if not heat:
         return []
-    if not (heat.isascii() and heat.isdecimal() and len(heat) < 16):
-        raise NotFoundError(f"{heat[:20]!r} is no heat: give a number.")
+    number = heat_number(heat)
+    record, results = reader.record(number), reader.store.results(number)
     found: list[_Ghost] = []
-    for number, half in enumerate(reader.record(int(heat)).heat.halves, 1):
-        try:
-            result = heats.result(reader, int(heat), number)
-        except NotFoundError:
-            continue  # it has not been raced yet
-        for row in result.result["order"] if result.replay and half.track == track else ():
-            entry = reader.entry_of(half.grid[row["car"]])
+    for half, race in enumerate(record.heat.halves):
+        result = accepted(results, half)
+        if result is None or not result.replay or race.track != track:
+            continue
+        for row in result.result["order"]:
+            entry = reader.entry_of(race.grid[row["car"]])
             for lap, lap_s in enumerate(row["lap_times_s"], 1):
-                name = LapName(int(heat), number, row["car"] + 1, lap)
+                name = LapName(number, half + 1, row["car"] + 1, lap)
                 found.append(_Ghost(name, entry.number, entry.name, track, lap_s))
     return found
 

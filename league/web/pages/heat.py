@@ -9,7 +9,7 @@ from league.matchmaking.store import HeatRecord, RaceOutcome, StoredResult
 from league.replay import Replay
 from league.web import charts, faults, lap_charts, race_charts
 from league.web.reader import Document, NotFoundError, Reader, accepted
-from league.web.replay_data import player_data
+from league.web.replay_data import events, player_data
 
 
 def document(reader: Reader, number: int, race: str = "", lap: str = "") -> Document:
@@ -44,7 +44,7 @@ def document(reader: Reader, number: int, race: str = "", lap: str = "") -> Docu
         "lap_rows": max([laps, *map(len, wrong)]),
         "lap": int(lap) if lap else None,
         "compared": lap_charts.of(replay, int(lap) if lap else None) if replay else None,
-        "events": player_data(replay)["events"] if replay else [],
+        "events": events(replay) if replay else [],
         **_proof(reader, at),
         "spec": replay.spec.model_dump(exclude={"entries"}) if replay else None,
         "physics": replay.physics if replay else None,
@@ -89,6 +89,8 @@ class _Race:
     record: HeatRecord
     half: int
     """Number of the race, from 0."""
+    results: list[StoredResult]
+    """Of all races of the heat."""
     result: StoredResult | None
     replay: Replay | None
 
@@ -99,10 +101,10 @@ def _race(reader: Reader, number: int, race: str) -> _Race:
     if (race or "1") not in valid:
         raise NotFoundError(f"Heat {number} has the races {' and '.join(valid)}.")
     half = int(race or "1") - 1
-    result = accepted(reader.store.results(number), half)
-    return _Race(
-        record, half, result, reader.replay(result.replay) if result and result.replay else None
-    )
+    results = reader.store.results(number)
+    result = accepted(results, half)
+    replay = reader.replay(result.replay) if result and result.replay else None
+    return _Race(record, half, results, result, replay)
 
 
 def _summary(reader: Reader, at: _Race) -> Document:
@@ -125,11 +127,10 @@ def _summary(reader: Reader, at: _Race) -> Document:
 
 def _proof(reader: Reader, at: _Race) -> Document:
     """Return what speaks for a result: its hash, who raced it, and whether others found it, too."""
-    record, result = at.record, at.result
+    record, results, result = at.record, at.results, at.result
     numbers = [reader.entry_of(id).number for id in record.heat.entries]
     later = reader.store.heats(entries=numbers, since=record.number)
     audits = [one for one in later if one.heat.audits == record.heat.key]
-    results = reader.store.results(record.number)
     halves = {one.half for one in results}
     return {
         "hash": result.hash if result else None,

@@ -29,7 +29,8 @@ def document(reader: Reader) -> Document:
         "rows": rated.rows[:TOP] if rated else (),
         "entries": len(reader.entries()),
         "running": [
-            heat_document(one, reader.names) for one in reader.store.heats(("claimed",))[:LISTED]
+            heat_document(one, reader.names)
+            for one in reader.store.heats(("claimed",), limit=LISTED)
         ],
         "newest": reader.listed(reader.newest(LISTED)),
     }

@@ -24,7 +24,8 @@ def document(reader: Reader) -> Document:
     names = reader.names
     counts = store.counts()
     running = store.heats(("claimed",))
-    done = [one for one in reader.newest(NEWEST) if now_s - (one.done_s or 0.0) < WINDOW_S]
+    newest = reader.newest(NEWEST)
+    done = [one for one in newest if now_s - (one.done_s or 0.0) < WINDOW_S]
     per_minute = 60 * len(done) / WINDOW_S
     waiting = counts.get("planned", 0)
     troubled = store.heats(("error", "quarantined"))
@@ -33,7 +34,7 @@ def document(reader: Reader) -> Document:
         return [heat_document(record, names) for record in records[:LISTED]]
 
     return {
-        "newest": _newest(reader),
+        "newest": _newest(reader, newest[:LISTED]),
         "counts": counts,
         "per_minute": per_minute,
         "wait_minutes": waiting / per_minute if per_minute else None,
@@ -50,9 +51,9 @@ def document(reader: Reader) -> Document:
     }
 
 
-def _newest(reader: Reader) -> Document | None:
-    """Return the first race of the newest heat that was recorded."""
-    for record in reader.newest(LISTED):
+def _newest(reader: Reader, records: Sequence[HeatRecord]) -> Document | None:
+    """Return the first race of the first of some heats that was recorded."""
+    for record in records:
         summary = heat.summary(reader, record.number)
         if summary["recording"]:
             return summary

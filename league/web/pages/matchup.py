@@ -10,7 +10,7 @@ from league.matchmaking import standings
 from league.matchmaking.scores import RaceScore, race_scores
 from league.matchmaking.store import Entry
 from league.web import charts
-from league.web.reader import Document, NotFoundError, Reader, accepted
+from league.web.reader import Document, NotFoundError, Reader, accepted, heat_number
 
 HEATS = 40
 """Heats on one page."""
@@ -30,17 +30,14 @@ def document(reader: Reader, one: int, other: int, before: str = "") -> Document
     pair = reader.entry(one), reader.entry(other)
     if one == other:
         raise NotFoundError("A driver does not meet itself: name two different ones.")
-    if before and not (before.isdecimal() and len(before) < 16):
-        raise NotFoundError(f"{before[:20]!r} is no heat: give a number.")
+    end = heat_number(before) if before else None
     rated = reader.standings()
     rows = reader.row(one), reader.row(other)
     both = rated if all(rows) else None
     scores = race_scores(both, one, other) if both else []
     met = reader.store.heats(entries=[one, other])
     records = [
-        record
-        for record in met
-        if record.state in OVER and (not before or record.number < int(before))
+        record for record in met if record.state in OVER and (end is None or record.number < end)
     ]
     return {
         "one": pair[0],

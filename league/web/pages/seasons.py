@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from league.matchmaking.store import Season
+from league.matchmaking.store import Cup, Season
 from league.web.reader import Document, NotFoundError, Reader
 
 TOP = 3
@@ -23,7 +23,7 @@ def document(reader: Reader) -> Document:
             if not row.anchor
         ][:TOP],
         "cups": [
-            {"cup": cup, "winner": _winner(frozen(reader, "cup", cup.number))}
+            {"cup": cup, "winner": _winner(frozen(reader, cup))}
             for cup in reader.store.cups()[::-1]
         ],
     }
@@ -37,16 +37,16 @@ def season(reader: Reader, number: int) -> Document:
     return _season(reader, known)
 
 
-def frozen(reader: Reader, what: str, number: int) -> dict[str, Any] | None:
+def frozen(reader: Reader, one: Season | Cup) -> dict[str, Any] | None:
     """Return what a season, or a cup, was frozen as; None before its end."""
-    read = reader.store.cup_document if what == "cup" else reader.store.season_document
-    found = reader.kept(("frozen", what, number), lambda: read(number) or {})
-    # An answer that is kept must not say for ever that a season is running.
-    return found or read(number)
+    if one.ended_s is None:
+        return None
+    read = reader.store.cup_document if isinstance(one, Cup) else reader.store.season_document
+    return reader.kept(("frozen", type(one), one.number), lambda: read(one.number))
 
 
 def _season(reader: Reader, known: Season) -> Document:
-    document = frozen(reader, "season", known.number) or {}
+    document = frozen(reader, known) or {}
     table = document.get("standings", {})
     return {
         "season": known,
