@@ -32,7 +32,7 @@ def history(store: Store, entry: Entry, *, points: int = 20) -> list[HistoryPoin
     moments: list[HistoryPoint] = []
     raced = 0
     for season in seasons:
-        within = scope(store, ruleset, season)
+        within = scope(store, ruleset, season, races)
         # Others may have raced since its last heat, and their races move its rating too.
         heats = {*mine[picked[:-1]].tolist(), int(within.races.heat.max(initial=0))}
         own = np.array(sorted(heats - {0}), dtype=np.int64)
