@@ -80,10 +80,8 @@ class Carried:
 
     def at(self, entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the means [natural units] of some entries, and their precisions, NaN if new."""
-        place = np.searchsorted(self.entries, entries).clip(max=len(self.entries) - 1)
-        known = self.entries[place] == entries
-        mean = np.where(known, (self.elo[place] - self.elo.mean()) / ELO, 0.0)
-        return mean, np.where(known, (ELO / self.sd[place]) ** 2, np.nan)
+        mean, place = _strengths(self, entries)
+        return mean, np.where(place >= 0, (ELO / self.sd[place]) ** 2, np.nan)
 
 
 @dataclass(frozen=True)
@@ -176,10 +174,8 @@ class Ratings:
 
     def at(self, entries: np.ndarray, size: int) -> np.ndarray:
         """Return so many parameters [natural units]: of some entries, 0 if new, then of slots."""
-        place = np.searchsorted(self.entries, entries).clip(max=len(self.entries) - 1)
         parameters = np.zeros(size)
-        parameters[: len(entries)] = (self.elo[place] - self.elo.mean()) / ELO
-        parameters[: len(entries)][self.entries[place] != entries] = 0.0
+        parameters[: len(entries)], _ = _strengths(self, entries)
         slots = min(size - len(entries), len(self.slot_advantages))
         parameters[len(entries) :][:slots] = self.slot_advantages[:slots] / ELO
         return parameters
@@ -191,6 +187,16 @@ class Ratings:
         races were read, must not change their order.
         """
         return np.argsort(-np.round(self.listed_by, 6), kind="stable")
+
+
+def _strengths(rated: Carried | Ratings, entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return strengths of some entries [natural units], 0 if new, and their places, -1 if new.
+
+    Strengths count from the mean of all that are rated.
+    """
+    nearest = np.searchsorted(rated.entries, entries).clip(max=len(rated.entries) - 1)
+    place = np.where(rated.entries[nearest] == entries, nearest, -1)
+    return np.where(place >= 0, (rated.elo[place] - rated.elo.mean()) / ELO, 0.0), place
 
 
 def fit(
