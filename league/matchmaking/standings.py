@@ -298,10 +298,8 @@ class Runs:
     """Best lap, infinite for none, (tracks, numbers)."""
 
     @classmethod
-    def of(cls, races: Races, tracks: tuple[str, ...], *, before: int | None = None) -> Runs:
-        """Count each entry's races, finishes and best laps, in heats with a smaller number."""
-        if before is not None:
-            races = races.where(races.heat < before)
+    def of(cls, races: Races, tracks: tuple[str, ...]) -> Runs:
+        """Count each entry's races, finishes and best laps."""
         size = int(races.entries.max(initial=-1)) + 1
         first, known, finished = np.zeros(size), np.zeros(size), np.zeros(size)
         best_ms = np.full(len(tracks) * size, np.inf)
