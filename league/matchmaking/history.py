@@ -6,7 +6,7 @@ import numpy as np
 
 from league.errors import StoreError, brief
 from league.matchmaking import standings
-from league.matchmaking.ratings import RatingData, refit
+from league.matchmaking.ratings import Carried, RatingData, refit
 from league.matchmaking.ratings.fit import SIGMAS_95, expected_score
 from league.matchmaking.ratings.pair_counts import ELO
 from league.matchmaking.scope import scope
@@ -60,13 +60,15 @@ TREND_HEATS = 50
 """So many of a season's newest heats, at most half of them, make the trend of a rating."""
 
 
-def trends(store: Store, rated: Standings) -> dict[int, float]:
-    """Return by how much the season's newest heats changed each rating [Elo], by entry number."""
+def trends(rated: Standings, carried: Carried | None) -> dict[int, float]:
+    """Return by how much the season's newest heats changed each rating [Elo], by entry number.
+
+    `carried` is what was known before the season.
+    """
     heats = np.unique(rated.races.heat)
     newest = heats[len(heats) - min(TREND_HEATS, len(heats) // 2) :]
     if not len(newest):
         return {}
-    carried = scope(store, rated.ruleset, rated.season, rated.races).carried
     earlier = standings.results_of(rated.races, before=int(newest[0]))
     data = RatingData.of(earlier, rated.ratings.entries)
     changes = rated.ratings.elo - refit(data, rated.ratings, carried)

@@ -136,7 +136,7 @@ def take(store: Store, before: Snapshot | None = None) -> Snapshot:
             carried=within.carried,
             near=before.rated.ratings if before and before.rated else None,
         )
-        trends = history.trends(store, rated) if rated else {}
+        trends = history.trends(rated, within.carried) if rated else {}
     return Snapshot(
         revision=revision,
         settings=settings,
