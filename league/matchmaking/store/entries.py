@@ -14,7 +14,7 @@ import sqlalchemy as sa
 
 from league.errors import QuotaError, StoreError, brief, nearest_names
 from league.matchmaking.store import queue
-from league.matchmaking.store.database import insert_new
+from league.matchmaking.store.database import insert_new, made_of
 from league.matchmaking.store.records import NEXT, Entry, EntryState, Quota
 from league.matchmaking.store.schema import (
     LedgerRecord,
@@ -231,9 +231,7 @@ def with_owners() -> sa.Select[Any]:
 
 
 def _entry(row: Any) -> Entry:  # noqa: ANN401
-    known = row._mapping
-    fields = {name: known[name] for name in Entry.__dataclass_fields__}
-    return Entry(**{**fields, "owner": row.owner_name, "card": json.loads(row.card)})
+    return made_of(Entry, row, owner=row.owner_name, card=json.loads(row.card))
 
 
 def _skeleton(name: str) -> str:
