@@ -139,8 +139,7 @@ def free_name(connection: sa.Connection, table: sa.Table, name: str, what: str) 
         StoreError: it cannot be shown, or is taken.
     """
     check_printable(name, f"the name of {what}")
-    taken = [one for one in connection.scalars(sa.select(table.c.name)) if one == name]
-    if taken:
+    if connection.scalar(sa.select(table.c.number).where(table.c.name == name)) is not None:
         raise StoreError(f"there is {what} {name!r} already: choose another name")
     return name
 
