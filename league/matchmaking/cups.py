@@ -133,7 +133,8 @@ def advance(store: Store) -> int:
         if cup.ended_s is not None:
             continue
         now, due = _computed(store, cup)
-        planned += store.plan(due)
+        if any(heat.number is None for heat in now.stages[-1].heats):
+            planned += store.plan(due)
         if now.order:
             names = {entry.id: entry for entry in store.entries()}
             store.end_cup(cup.number, document(cup, now, names))
