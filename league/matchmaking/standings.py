@@ -213,14 +213,15 @@ def table(
         carried: what was known before it.
         near: ratings by nearly the same races, which make this quick.
     """
-    data = _data(results_of(races), entries)
+    results = results_of(races)
+    data = _data(results, entries)
     if data is None:
         return None
     fitted = _fit(data, entries, carried, near)
     return Standings(
         rows=_rows(data, fitted, entries, Runs.of(races, tracks)),
         ratings=fitted,
-        results=results_of(races),
+        results=results,
         goodness=goodness_of_fit(data, fitted),
         ruleset=ruleset,
         num_races=len(data.results),
