@@ -133,7 +133,8 @@ def advance(store: Store) -> int:
         if cup.ended_s is not None:
             continue
         now, due = _computed(store, cup)
-        planned += store.plan(due)
+        if any(heat.number is None for heat in now.stages[-1].heats):
+            planned += store.plan(due)
         if now.order:
             names = {entry.id: entry for entry in store.entries()}
             store.end_cup(cup.number, document(cup, now, names))
@@ -161,7 +162,7 @@ def _computed(store: Store, cup: Cup) -> tuple[Bracket, list[Heat]]:
     rules = store.rulesets()
     qualifying, knock_out = (rules[cup.settings[name]] for name in ("qualifying", "knock_out"))
     entrants = cup.settings["entrants"]
-    due = [_heat(cup, qualifying, (entry,), index, stage=0) for index, entry in enumerate(entrants)]
+    due = _heats(cup, qualifying, [(entry,) for entry in entrants], 0, stage=0)
     stages = [_qualified(cup, _stage(store, "Qualifying", due))]
     if not stages[0].over:
         return Bracket(tuple(stages), ()), due
@@ -169,10 +170,7 @@ def _computed(store: Store, cup: Cup) -> tuple[Bracket, list[Heat]]:
     seed_of = {entry: place for place, entry in enumerate(seeds, 1)}
     groups, used = _groups(seeds[: field_size(len(seeds))]), len(entrants)
     while True:
-        due = [
-            _heat(cup, knock_out, group, used + index, stage=len(stages))
-            for index, group in enumerate(groups)
-        ]
+        due = _heats(cup, knock_out, groups, used, stage=len(stages))
         used += len(due)
         through = ADVANCE if len(groups) > 1 else 1
         stages.append(_stage(store, stage_name(len(groups)), due, seed_of, through))
@@ -211,12 +209,20 @@ def stage_name(heats: int) -> str:
     return {1: "Final", 2: "Semi-finals", 4: "Quarter-finals"}.get(heats, f"Last {HEAT_OF * heats}")
 
 
-def _heat(cup: Cup, rules: Ruleset, grid: tuple[str, ...], index: int, *, stage: int) -> Heat:
-    """Return a heat: one race alone, or two with the grid by qualifying and reversed."""
-    generator = np.random.default_rng([cup.seed, stage])
-    track = str(generator.choice(rules.tracks))
-    halves = [Half(track, grid)] if stage == 0 else [Half(track, grid), Half(track, grid[::-1])]
-    return Heat(rules.hash, tuple(halves), draw=cup.number * DRAWS + index, purpose="cup")
+def _heats(
+    cup: Cup, rules: Ruleset, grids: Sequence[tuple[str, ...]], first: int, *, stage: int
+) -> list[Heat]:
+    """Return the heats of a stage: one race alone, or two with the grid by qualifying and reversed.
+
+    All are on the track that is drawn for the stage; `first` is the index of its first heat.
+    """
+    track = str(np.random.default_rng([cup.seed, stage]).choice(rules.tracks))
+    heats: list[Heat] = []
+    for draw, grid in enumerate(grids, cup.number * DRAWS + first):
+        ways = (grid,) if stage == 0 else (grid, grid[::-1])
+        halves = tuple(Half(track, way) for way in ways)
+        heats.append(Heat(rules.hash, halves, draw=draw, purpose="cup"))
+    return heats
 
 
 def _stage(

@@ -6,7 +6,7 @@ import numpy as np
 
 from league.errors import StoreError, brief
 from league.matchmaking import standings
-from league.matchmaking.ratings import RatingData, refit
+from league.matchmaking.ratings import Carried, RatingData, refit
 from league.matchmaking.ratings.fit import SIGMAS_95, expected_score
 from league.matchmaking.ratings.pair_counts import ELO
 from league.matchmaking.scope import scope
@@ -32,7 +32,7 @@ def history(store: Store, entry: Entry, *, points: int = 20) -> list[HistoryPoin
     moments: list[HistoryPoint] = []
     raced = 0
     for season in seasons:
-        within = scope(store, ruleset, season)
+        within = scope(store, ruleset, season, races)
         # Others may have raced since its last heat, and their races move its rating too.
         heats = {*mine[picked[:-1]].tolist(), int(within.races.heat.max(initial=0))}
         own = np.array(sorted(heats - {0}), dtype=np.int64)
@@ -60,13 +60,15 @@ TREND_HEATS = 50
 """So many of a season's newest heats, at most half of them, make the trend of a rating."""
 
 
-def trends(store: Store, rated: Standings) -> dict[int, float]:
-    """Return by how much the season's newest heats changed each rating [Elo], by entry number."""
+def trends(rated: Standings, carried: Carried | None) -> dict[int, float]:
+    """Return by how much the season's newest heats changed each rating [Elo], by entry number.
+
+    `carried` is what was known before the season.
+    """
     heats = np.unique(rated.races.heat)
     newest = heats[len(heats) - min(TREND_HEATS, len(heats) // 2) :]
     if not len(newest):
         return {}
-    carried = scope(store, rated.ruleset, rated.season, rated.races).carried
     earlier = standings.results_of(rated.races, before=int(newest[0]))
     data = RatingData.of(earlier, rated.ratings.entries)
     changes = rated.ratings.elo - refit(data, rated.ratings, carried)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -10,7 +10,7 @@ from league.errors import StoreError
 from league.matchmaking import divisions, documents, safety, standings
 from league.matchmaking.divisions import SeasonSettings
 from league.matchmaking.safety import Safety
-from league.matchmaking.scores import best_laps
+from league.matchmaking.scores import BestLap, best_laps
 from league.matchmaking.standings import Row, Standings
 from league.matchmaking.store import Season, Store
 
@@ -56,19 +56,17 @@ def freeze(store: Store, season: Season) -> dict[str, Any]:
     rated = standings.of(store, season.ruleset, season)
     now = divisions.assigned(store.division_moves(season.number))
     safe = safety.of(store, season.ruleset)
-    laps = {
-        track: [documents.plain(lap) for lap in found] for track, found in best_laps(rated).items()
-    }
+    laps = best_laps(rated)
     return {
         "season": {
             name: documents.plain(getattr(season, name))
             for name in ("number", "name", "ruleset", "settings", "after", "until", "started_s")
         },
         "standings": documents.standings_document(rated),
-        "laps": laps,
+        "laps": documents.plain(laps),
         "safety": {str(number): asdict(one) for number, one in sorted(safe.items())},
         "divisions": {str(number): division for number, division in sorted(now.items())},
-        "trophies": [asdict(one) for one in trophies(store, rated, now, safe)],
+        "trophies": [asdict(one) for one in trophies(store, rated, now, safe, laps)],
     }
 
 
@@ -91,9 +89,13 @@ PLACES = ("Champion", "Second", "Third")
 
 
 def trophies(
-    store: Store, rated: Standings, division_of: Mapping[int, int], safe: Mapping[int, Safety]
+    store: Store,
+    rated: Standings,
+    division_of: Mapping[int, int],
+    safe: Mapping[int, Safety],
+    laps: Mapping[str, Sequence[BestLap]],
 ) -> list[Trophy]:
-    """Return a season's trophies, by standings, divisions and safety (by entry number).
+    """Return a season's trophies: by standings, divisions and safety (by entry number), and laps.
 
     The league's own anchors win none.
     """
@@ -111,7 +113,7 @@ def trophies(
         safest = max(known, key=lambda number: (safe[number].rating, own[number].listed_by))
         value = f"{safe[safest].rating:.2f}, {safe[safest].incidents:.1f} points per 100 corners"
         won.append(_trophy("Safest driver", own[safest], value))
-    return won + _fastest(rated, own) + _cup_winners(store, rated)
+    return won + _fastest(laps, own) + _cup_winners(store, rated)
 
 
 def _cup_winners(store: Store, rated: Standings) -> list[Trophy]:
@@ -128,10 +130,10 @@ def _cup_winners(store: Store, rated: Standings) -> list[Trophy]:
     return won
 
 
-def _fastest(rated: Standings, own: Mapping[int, Row]) -> list[Trophy]:
+def _fastest(laps: Mapping[str, Sequence[BestLap]], own: Mapping[int, Row]) -> list[Trophy]:
     won: list[Trophy] = []
-    for track, laps in best_laps(rated).items():
-        lap = next((lap for lap in laps if lap.number in own), None)
+    for track, fastest in laps.items():
+        lap = next((lap for lap in fastest if lap.number in own), None)
         if lap is not None:
             row = own[lap.number]
             won.append(_trophy(f"Fastest lap, {track}", row, f"{lap.lap_s:.3f} s", lap.heat))

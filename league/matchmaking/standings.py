@@ -12,7 +12,7 @@ from league.errors import StoreError, brief
 from league.matchmaking.ratings import Carried, RatingData, Ratings, Results, fit
 from league.matchmaking.ratings.fit import SIGMAS_95
 from league.matchmaking.ratings.goodness_of_fit import Goodness, goodness_of_fit
-from league.matchmaking.scope import scope
+from league.matchmaking.scope import RatingScope, scope
 from league.matchmaking.store import (
     BEST_MS,
     FINISHED,
@@ -181,9 +181,7 @@ def of(store: Store, ruleset: str | None = None, season: Season | None = None) -
     known = store.rulesets().get(ruleset)
     within = scope(store, ruleset, season)
     tracks = known.tracks if known else ()
-    found = table(
-        store.entries(), within.races, ruleset, tracks, season=within.season, carried=within.carried
-    )
+    found = table(store.entries(), within, ruleset, tracks)
     if found is None:
         raise StoreError(
             "no entry is rated in this league yet: submit entries with `league submit`, then let "
@@ -194,39 +192,36 @@ def of(store: Store, ruleset: str | None = None, season: Season | None = None) -
 
 def table(
     entries: Sequence[Entry],
-    races: Races,
+    within: RatingScope,
     ruleset: str,
     tracks: tuple[str, ...],
     *,
-    season: Season | None = None,
-    carried: Carried | None = None,
     near: Ratings | None = None,
 ) -> Standings | None:
     """Return the standings that follow from some races; None if no entry is rated.
 
     Args:
         entries: all of the league.
-        races: of one ruleset; those that count.
+        within: the races, all of one ruleset, and what was known before them.
         ruleset: its hash.
         tracks: its tracks.
-        season: that they belong to.
-        carried: what was known before it.
         near: ratings by nearly the same races, which make this quick.
     """
-    data = _data(results_of(races), entries)
+    results = results_of(within.races)
+    data = _data(results, entries)
     if data is None:
         return None
-    fitted = _fit(data, entries, carried, near)
+    fitted = _fit(data, entries, within.carried, near)
     return Standings(
-        rows=_rows(data, fitted, entries, Runs.of(races, tracks)),
+        rows=_rows(data, fitted, entries, Runs.of(within.races, tracks)),
         ratings=fitted,
-        results=results_of(races),
+        results=results,
         goodness=goodness_of_fit(data, fitted),
         ruleset=ruleset,
         num_races=len(data.results),
-        races=races,
+        races=within.races,
         tracks=tracks,
-        season=season,
+        season=within.season,
     )
 
 
@@ -298,10 +293,8 @@ class Runs:
     """Best lap, infinite for none, (tracks, numbers)."""
 
     @classmethod
-    def of(cls, races: Races, tracks: tuple[str, ...], *, before: int | None = None) -> Runs:
-        """Count each entry's races, finishes and best laps, in heats with a smaller number."""
-        if before is not None:
-            races = races.where(races.heat < before)
+    def of(cls, races: Races, tracks: tuple[str, ...]) -> Runs:
+        """Count each entry's races, finishes and best laps."""
         size = int(races.entries.max(initial=-1)) + 1
         first, known, finished = np.zeros(size), np.zeros(size), np.zeros(size)
         best_ms = np.full(len(tracks) * size, np.inf)

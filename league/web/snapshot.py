@@ -10,7 +10,7 @@ import numpy as np
 
 from league.matchmaking import divisions, history, safety, standings
 from league.matchmaking.pairing.heat_spec import Ruleset
-from league.matchmaking.scope import scope
+from league.matchmaking.scope import RatingScope, scope
 from league.matchmaking.scores import BestLap, best_laps
 from league.matchmaking.standings import Row, Standings
 from league.matchmaking.store import Entry, Races, Season, Store
@@ -94,7 +94,8 @@ class Snapshot:
         races = counted.where(kept)
         numbers = set(np.unique(races.entries).tolist())
         entries = [entry for entry in self.entries if entry.number in numbers]
-        return standings.table(entries, races, rules.hash, rules.tracks, season=self.season)
+        within = RatingScope(races, self.season, None)
+        return standings.table(entries, within, rules.hash, rules.tracks)
 
     @cached_property
     def owners(self) -> list[str]:
@@ -129,14 +130,12 @@ def take(store: Store, before: Snapshot | None = None) -> Snapshot:
     else:
         rated = standings.table(
             entries,
-            within.races,
+            within,
             rules.hash,
             rules.tracks,
-            season=within.season,
-            carried=within.carried,
             near=before.rated.ratings if before and before.rated else None,
         )
-        trends = history.trends(store, rated) if rated else {}
+        trends = history.trends(rated, within.carried) if rated else {}
     return Snapshot(
         revision=revision,
         settings=settings,

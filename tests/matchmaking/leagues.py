@@ -50,6 +50,14 @@ def founded(url: str, *, entries: int = 4, **settings) -> store.Store:
     return league
 
 
+def rated(url: str, *, entries: int = 4) -> store.Store:
+    """Return a new league whose entries are in a rated state, without a race."""
+    league = founded(url, entries=entries)
+    for state in ("validating", "placement"):
+        league.move({entry.id: state for entry in league.entries()})
+    return league
+
+
 def events(league: store.Store) -> list[sa.Row]:
     """Return the lines of a league's audit log, oldest first."""
     database = Database(league.url)

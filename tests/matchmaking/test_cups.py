@@ -15,19 +15,13 @@ def new_league(url):
     opened = []
 
     def make(entries):
-        league = leagues.founded(url, entries=entries)
-        for state in ("validating", "placement"):
-            league.move({entry.id: state for entry in league.entries()})
+        league = leagues.rated(url, entries=entries)
         opened.append(league)
         return league
 
     yield make
     for league in opened:
         league.close()
-
-
-def bracket_of(league, cup):
-    return cups.bracket(league, cup)
 
 
 @pytest.mark.parametrize(
@@ -41,7 +35,7 @@ def test_the_best_qualifiers_meet_as_late_as_possible(new_league):
     league = new_league(18)
     cup = cups.start(league, "Cup")
     assert race_on(league) == 18 + 4 + 2 + 1
-    done = bracket_of(league, cup)
+    done = cups.bracket(league, cup)
     names = [stage.name for stage in done.stages]
     assert names == ["Qualifying", "Quarter-finals", "Semi-finals", "Final"]
     seeds = [sorted(run.seed for run in heat.runs) for heat in done.stages[1].heats]
@@ -82,9 +76,9 @@ def test_a_cup_goes_on_after_a_kill_as_if_there_was_none(new_league, killed_afte
     cup = cups.start(league)
     race_on(league, most=killed_after)
     league.claim("killed", 3)
-    before = bracket_of(league, cup)
+    before = cups.bracket(league, cup)
     with store.Store(league.url, clock=_later) as after:  # the leases have ended
-        assert bracket_of(after, cup).stages[0].name == before.stages[0].name
+        assert cups.bracket(after, cup).stages[0].name == before.stages[0].name
         race_on(after)
         frozen = after.cup_document(1) or {}
         assert len(after.heats()) == 9 + 2 + 1
@@ -108,7 +102,7 @@ def test_places_of_two_races_are_added_and_qualifying_decides_equals(new_league)
     first, second = store.RaceOutcome((3, 1, 2, 4), {}), store.RaceOutcome((4, 2, 3, 1), {})
     league.complete("w", [store.HeatOutcome(claim.heat.key, (first, second))])
     cups.advance(league)
-    runs = bracket_of(league, cup).stages[-1].heats[0].runs
+    runs = cups.bracket(league, cup).stages[-1].heats[0].runs
     assert [(league.entry(run.entry).name, run.places) for run in runs] == [
         ("e4", (3, 1)),
         ("e3", (1, 3)),
@@ -123,7 +117,7 @@ def test_equal_qualifiers_are_decided_by_a_draw_from_the_seed(new_league):
     race_on(league, lambda _: 1.0, most=9)
     cups.advance(league)
     orders = [
-        [heat.runs[0].entry for heat in bracket_of(league, one).stages[0].heats]
+        [heat.runs[0].entry for heat in cups.bracket(league, one).stages[0].heats]
         for one in (cup, cup)
     ]
     assert orders[0] == orders[1] != cup.settings["entrants"]

@@ -16,9 +16,7 @@ from tests.matchmaking import fields, leagues
 
 @pytest.fixture
 def league(url):
-    with leagues.founded(url) as league:
-        for state in ("validating", "placement"):
-            league.move({entry.id: state for entry in league.entries()})
+    with leagues.rated(url) as league:
         yield league
 
 

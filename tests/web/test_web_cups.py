@@ -14,15 +14,8 @@ from tests.matchmaking.cup_races import race_on
 from tests.web.small_league import ORIGIN
 
 
-def founded(url: str, entries: int):
-    store = leagues.founded(url, entries=entries)
-    for state in ("validating", "placement"):
-        store.move({entry.id: state for entry in store.entries()})
-    return store
-
-
 def test_two_neighbours_of_a_round_meet_in_the_heat_between_them(tmp_path):
-    with founded(f"sqlite:///{tmp_path / 'league.db'}", 18) as store:
+    with leagues.rated(f"sqlite:///{tmp_path / 'league.db'}", entries=18) as store:
         cups.start(store, "Cup")
         race_on(store)
         with TestClient(make_app(store), base_url=ORIGIN) as client:
@@ -37,7 +30,7 @@ def test_two_neighbours_of_a_round_meet_in_the_heat_between_them(tmp_path):
 
 
 def test_a_cup_that_is_raced_shows_the_rounds_to_come(tmp_path):
-    with founded(f"sqlite:///{tmp_path / 'league.db'}", 18) as store:
+    with leagues.rated(f"sqlite:///{tmp_path / 'league.db'}", entries=18) as store:
         cups.start(store, "Cup")
         with TestClient(make_app(store), base_url=ORIGIN) as client:
             assert "Bracket" not in client.get("/cups/1").text  # the qualifying decides it

@@ -52,9 +52,11 @@ class Cups(Reading):
 def _document(store: Store, cup: Cup) -> dict[str, Any]:
     from league.matchmaking import cups
 
-    names = {entry.id: entry for entry in store.entries()}
     frozen = store.cup_document(cup.number)
-    return frozen or cups.document(cup, cups.bracket(store, cup), names)
+    if frozen is not None:
+        return frozen
+    entries = {entry.id: entry for entry in store.entries()}
+    return cups.document(cup, cups.bracket(store, cup), entries)
 
 
 def _print(document: dict[str, Any]) -> None:

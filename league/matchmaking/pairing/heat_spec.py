@@ -89,7 +89,7 @@ class Ruleset:
         if not 0 <= self.obstacles <= MAX_OBSTACLES:
             raise ValueError(f"{self.obstacles} obstacles: 0 to {MAX_OBSTACLES} are possible")
 
-    @property
+    @cached_property
     def hash(self) -> str:
         """SHA-256 of the settings; those that older rulesets lack are left out as they imply."""
         settings = asdict(self).items()

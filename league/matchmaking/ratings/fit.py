@@ -70,7 +70,7 @@ class Carried:
     """What is known of a field before its first race: the ratings of an earlier season."""
 
     entries: np.ndarray
-    """Entry numbers, ascending, (entries,)."""
+    """Entry numbers, one or more, ascending, (entries,)."""
     elo: np.ndarray
     """Their ratings then [Elo], (entries,); all others are expected at the mean of these."""
     sd: np.ndarray
@@ -80,10 +80,8 @@ class Carried:
 
     def at(self, entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the means [natural units] of some entries, and their precisions, NaN if new."""
-        place = np.searchsorted(self.entries, entries).clip(max=len(self.entries) - 1)
-        known = self.entries[place] == entries
-        mean = np.where(known, (self.elo[place] - self.elo.mean()) / ELO, 0.0)
-        return mean, np.where(known, (ELO / self.sd[place]) ** 2, np.nan)
+        mean, place = _strengths(self, entries)
+        return mean, np.where(place >= 0, (ELO / self.sd[place]) ** 2, np.nan)
 
 
 @dataclass(frozen=True)
@@ -176,10 +174,8 @@ class Ratings:
 
     def at(self, entries: np.ndarray, size: int) -> np.ndarray:
         """Return so many parameters [natural units]: of some entries, 0 if new, then of slots."""
-        place = np.searchsorted(self.entries, entries).clip(max=len(self.entries) - 1)
         parameters = np.zeros(size)
-        parameters[: len(entries)] = (self.elo[place] - self.elo.mean()) / ELO
-        parameters[: len(entries)][self.entries[place] != entries] = 0.0
+        parameters[: len(entries)], _ = _strengths(self, entries)
         slots = min(size - len(entries), len(self.slot_advantages))
         parameters[len(entries) :][:slots] = self.slot_advantages[:slots] / ELO
         return parameters
@@ -191,6 +187,16 @@ class Ratings:
         races were read, must not change their order.
         """
         return np.argsort(-np.round(self.listed_by, 6), kind="stable")
+
+
+def _strengths(rated: Carried | Ratings, entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return strengths of some entries [natural units], 0 if new, and their places, -1 if new.
+
+    Strengths count from the mean of all that are rated.
+    """
+    nearest = np.searchsorted(rated.entries, entries).clip(max=len(rated.entries) - 1)
+    place = np.where(rated.entries[nearest] == entries, nearest, -1)
+    return np.where(place >= 0, (rated.elo[place] - rated.elo.mean()) / ELO, 0.0), place
 
 
 def fit(
@@ -221,9 +227,8 @@ def fit(
         raise ConfigError("there are no entries to rate: submit one, or give results")
     if anchor is not None and anchor not in data.entries:
         raise ConfigError(f"anchor {anchor} is not in the field: name one of its entries")
-    known = carried if carried is not None and len(carried.entries) else None
-    model = _model(data, settings, known, near)
-    prior_sd = known.prior_sd if known and settings.prior_sd is None else settings.prior_sd
+    model = _model(data, settings, carried, near)
+    prior_sd = carried.prior_sd if carried and settings.prior_sd is None else settings.prior_sd
     posterior = model.learned() if prior_sd is None else model.at(prior_sd)
     squares = Squares.of(data.results, posterior.parameters, model.prior(posterior.prior_sd))
     variances = Variances.of(posterior.system, squares, posterior.weights)
@@ -232,15 +237,14 @@ def fit(
 
 def refit(data: RatingData, like: Ratings, carried: Carried | None = None) -> np.ndarray:
     """Return what ratings would be by part of their races [Elo], under the same prior."""
-    known = carried if carried is not None and len(carried.entries) else None
-    posterior = _model(data, RatingSettings(), known, like).at(like.prior_sd)
+    posterior = _model(data, RatingSettings(), carried, like).at(like.prior_sd)
     return _elo(data, posterior, like.anchor)
 
 
 def _model(
-    data: RatingData, settings: RatingSettings, known: Carried | None, near: Ratings | None
+    data: RatingData, settings: RatingSettings, carried: Carried | None, near: Ratings | None
 ) -> _Model:
-    model = _Model(data.counts, settings, known.at(data.entries) if known else None)
+    model = _Model(data.counts, settings, carried.at(data.entries) if carried else None)
     if near is not None:
         model.begin(near.at(data.entries, data.counts.size), near.prior_sd)
     return model

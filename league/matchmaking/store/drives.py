@@ -59,10 +59,13 @@ def fill_driven(connection: sa.Connection) -> int:
     while rows := connection.execute(query.where(races.c.number > last)).all():
         last = rows[-1].number
         found = [
-            {"number_": row.number, "driven": driven(json.loads(text)["result"], row.cars)}
+            {"number_": row.number, "driven": driven(_result(row.document), row.cars)}
             for row in rows
-            if (text := zlib.decompress(row.document))
         ]
         connection.execute(races.update().where(races.c.number == sa.bindparam("number_")), found)
         filled += len(found)
     return filled
+
+
+def _result(document: bytes) -> dict[str, Any]:
+    return json.loads(zlib.decompress(document))["result"]

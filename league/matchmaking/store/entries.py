@@ -14,7 +14,7 @@ import sqlalchemy as sa
 
 from league.errors import QuotaError, StoreError, brief, nearest_names
 from league.matchmaking.store import queue
-from league.matchmaking.store.database import insert_new
+from league.matchmaking.store.database import insert_new, made_of
 from league.matchmaking.store.records import NEXT, Entry, EntryState, Quota
 from league.matchmaking.store.schema import (
     LedgerRecord,
@@ -231,9 +231,7 @@ def with_owners() -> sa.Select[Any]:
 
 
 def _entry(row: Any) -> Entry:  # noqa: ANN401
-    known = row._mapping
-    fields = {name: known[name] for name in Entry.__dataclass_fields__}
-    return Entry(**{**fields, "owner": row.owner_name, "card": json.loads(row.card)})
+    return made_of(Entry, row, owner=row.owner_name, card=json.loads(row.card))
 
 
 def _skeleton(name: str) -> str:
@@ -242,16 +240,25 @@ def _skeleton(name: str) -> str:
     return " ".join(folded.split())
 
 
+def check_printable(name: str, what: str) -> None:
+    """Refuse a name that is too long or cannot be printed.
+
+    Raises:
+        StoreError: it is.
+    """
+    if not 1 <= len(name) <= 100 or not name.isprintable() or name != name.strip():
+        raise StoreError(
+            f"{what} is {brief(name)}: give 1 to 100 printable characters without spaces around"
+        )
+
+
 def _check_name(name: str, what: str) -> None:
     """Refuse a name that cannot be shown, or that passes for another.
 
     Raises:
         StoreError: it is too long, not printable, holds invisible characters or mixes scripts.
     """
-    if not 1 <= len(name) <= 100 or not name.isprintable() or name != name.strip():
-        raise StoreError(
-            f"{what} is {brief(name)}: give 1 to 100 printable characters without spaces around"
-        )
+    check_printable(name, what)
     begins_with_mark = unicodedata.category(name[0]).startswith("M")  # an accent without a letter
     if INVISIBLE & set(name) or begins_with_mark or not _skeleton(name):
         raise StoreError(f"{what} is {name!a}: leave out characters that cannot be seen")

@@ -314,14 +314,13 @@ class Races:
 
     def where(self, kept: np.ndarray) -> Races:
         """Return those of the races for which `kept` is true, (num_races,)."""
-        parts = ("heat", "half", "track", "entries", "places", "runs")
-        return replace(self, **{name: getattr(self, name)[kept] for name in parts})
+        return replace(self, **{name: getattr(self, name)[kept] for name in RACE_COLUMNS})
 
     def joined(self, later: Races) -> Races:
         """Return these races and later ones, read with `since`."""
         cars = max(self.entries.shape[1], later.entries.shape[1])
         columns: dict[str, np.ndarray] = {}
-        for name in ("heat", "half", "track", "entries", "places", "runs"):
+        for name in RACE_COLUMNS:
             parts = [getattr(one, name) for one in (self, later)]
             if parts[0].ndim > 1:
                 empty = -1 if name == "entries" else 0
@@ -366,4 +365,5 @@ class Drives:
         return Drives(**columns, last=later.last)
 
 
+RACE_COLUMNS = ("heat", "half", "track", "entries", "places", "runs")
 DRIVE_COLUMNS = ("heat", "half", "track", "entry", "points", "distance_cm", "clean_ms")

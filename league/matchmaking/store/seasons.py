@@ -9,10 +9,11 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from league.errors import StoreError, brief
+from league.errors import StoreError
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.store import queue
 from league.matchmaking.store.database import Transactional, insert_new, made_of
+from league.matchmaking.store.entries import check_printable
 from league.matchmaking.store.records import Move, Season
 from league.matchmaking.store.schema import (
     LedgerRecord,
@@ -137,13 +138,8 @@ def free_name(connection: sa.Connection, table: sa.Table, name: str, what: str) 
     Raises:
         StoreError: it cannot be shown, or is taken.
     """
-    if not 1 <= len(name) <= 100 or not name.isprintable() or name != name.strip():
-        raise StoreError(
-            f"the name of {what} is {brief(name)}: give 1 to 100 printable characters without "
-            "spaces around"
-        )
-    taken = [one for one in connection.scalars(sa.select(table.c.name)) if one == name]
-    if taken:
+    check_printable(name, f"the name of {what}")
+    if connection.scalar(sa.select(table.c.number).where(table.c.name == name)) is not None:
         raise StoreError(f"there is {what} {name!r} already: choose another name")
     return name
 
