@@ -60,6 +60,6 @@ DOWNLOADS = (
     Download("/heats/{number:number}/races/{race:number}/cars/{car:number}/camera.jpg", camera),
     Download("/heats/{number:number}/races/{race:number}/race.rrd", recording),
     Download("/heats/{number:number}/races/{race:number}/rerun", rerun.open_race),
-    Download("/rerun/{version}/{name}", rerun.viewer_file),
+    Download("/rerun/{release}/{name}", rerun.viewer_file),
 )
 """All of them."""

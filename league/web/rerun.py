@@ -13,6 +13,7 @@ import re
 import subprocess
 import sys
 import tempfile
+import threading
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -31,6 +32,8 @@ LIMIT_S = 300.0
 PAGE = "index.html"
 FOR_GOOD = {"Cache-Control": "public, max-age=86400, immutable"}
 """Of what never changes: a race that was raced, a file of one version."""
+_PACKING = threading.Lock()
+"""The first visitors wait for one of them to pack the viewer, which takes seconds."""
 
 
 def version() -> str:
@@ -48,13 +51,14 @@ def open_race(reader: Reader, request: Request, number: int, race: int) -> Respo
     return RedirectResponse(f"/rerun/{version()}/{PAGE}?url={url}&{viewer.OPTIONS}", 303)
 
 
-def viewer_file(_reader: Reader, _request: Request, version: str, name: str) -> Response:
+def viewer_file(_reader: Reader, _request: Request, release: str, name: str) -> Response:
     """Return a file of the viewer, packed: it takes 14 MB instead of 43."""
     from league.rerun_view import viewer
 
-    if version != metadata.version("rerun-sdk") or name not in viewer.FILES:
+    if release != version() or name not in viewer.FILES:
         raise NotFoundError("The viewer has no such file.")
-    files = _packed_viewer()
+    with _PACKING:
+        files = _packed_viewer()
     if name not in files:
         raise NotFoundError("The viewer has no such file.")
     content, policy, size = files[name]
