@@ -1,11 +1,12 @@
 """The fastest flying lap that the simulated car itself could drive, on every closed shipped track.
 
-Where lap_bound.py has a point, this has the car of sim/physics/vehicle.py: inertia, two axles,
-brush tyres, load that moves with drive and brakes, a steering that takes time. Its base may be
-where the point's may. The lap is found by direct collocation (J. Betts, Practical Methods for
-Optimal Control and Estimation, chapter 4): states and controls at each 10 cm of road, the
-trapezoidal rule between them, time minimised by an interior-point method. It decides at each of
-these points, where drivers decide 15 times a second, so they cannot quite reach it.
+Where `lap_bound` (racing_line/racing_line.py) has a point, this has the car of
+sim/physics/vehicle.py: inertia, two axles, brush tyres, load that moves with drive and brakes, a
+steering that takes time. Its base may be where the point's may. The lap is found by direct
+collocation (J. Betts, Practical Methods for Optimal Control and Estimation, chapter 4): states and
+controls at each 10 cm of road, the trapezoidal rule between them, time minimised by an
+interior-point method. It decides at each of these points, where drivers decide 15 times a second,
+so they cannot quite reach it.
 
 Whether the equations here are the simulator's is checked by driving the lap piece by piece with the
 forces of vehicle.py, with its controls and nothing that corrects them.

@@ -126,6 +126,24 @@ def put_cars(
     return world
 
 
+def stand(
+    tracks: TrackSet,
+    cars: np.ndarray | np.void,
+    s: float,
+    lateral: float = 0.0,
+    *,
+    turn: float = 0.0,
+) -> None:
+    """Put one or several cars at rest somewhere on the first track, turned from its direction."""
+    frame = tracks.at(np.zeros(1, np.int64), np.array([s], np.float32))
+    x, y, cos, sin = frame.x[0], frame.y[0], frame.cos[0], frame.sin[0]
+    cars["s"], cars["lateral"] = frame.s[0], lateral
+    cars["x"], cars["y"] = x - sin * lateral, y + cos * lateral
+    cars["yaw"] = np.arctan2(sin, cos) + turn
+    for name in ("velocity_x", "velocity_y", "yaw_rate"):
+        cars[name] = 0.0
+
+
 def go_to(
     tracks: TrackSet, world: World, places: list[tuple[float, float]], *, speed: float = 1.0
 ) -> World:

@@ -36,7 +36,7 @@ from league.training.evaluator import (
     clean_share,
     evaluate_policy,
 )
-from league.training.monitor.history import TrainingHistory
+from league.training.monitor.history import TrainingCallback, TrainingHistory
 from league.training.ppo import distributed, make_env
 from league.training.ppo.learner import Update, check_device, make_learner, memory_explained
 from league.training.ppo.racer import Racer, RacingLearner, make_racing
@@ -45,8 +45,6 @@ from league.training.ppo.teacher import make_taught
 if TYPE_CHECKING:
     from league.racing.table import Evaluation
     from league.sim.config import RaceKind
-    from league.training.monitor.history import TrainingCallback
-
 
 _DUELS = 60
 """Races at each pace, for the card of a policy of self-play."""

@@ -90,10 +90,8 @@ class Film:
         """Return the pictures of these moments, RGB uint8, (height, width, 3) each."""
         world = self._replay.at(times_s)
         x, y, yaw = self._eye(np.clip(times_s, 0.0, self._replay.duration_s))
-        state, eye = (
-            SceneState(self._replay.sim, _with_eye(world, x, y, yaw)),
-            self._replay.num_cars,
-        )
+        state = SceneState(self._replay.sim, _with_eye(world, x, y, yaw))
+        eye = self._replay.num_cars
         pictures = []
         for row, time_s in enumerate(times_s):
             pose = state.camera(row, eye, self._camera)

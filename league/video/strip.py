@@ -44,7 +44,7 @@ def picture(replay: Replay, car: int) -> bytes:
     driven = next(row for row in result.order if row.car == car)
     times_s = moments(driven.total_s if driven.finished else np.inf, result.race_s)
     renderer = PaintRenderer(replay.tracks, replay.sim, CAMERA)
-    planes = renderer.render(replay.at(np.array(times_s)), car)[:, :3]
+    planes = renderer.render(replay.at(np.array(times_s)), car)
     cells = planes.transpose(0, 2, 3, 1).reshape(ROWS, COLUMNS, CAMERA.height, CAMERA.width, 3)
     sheet = cells.swapaxes(1, 2).reshape(ROWS * CAMERA.height, COLUMNS * CAMERA.width, 3)
     _, encoded = cv2.imencode(".jpg", sheet[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, QUALITY])

@@ -26,7 +26,7 @@ def speed_at(radius):
 
 @pytest.fixture(scope="module")
 def of_the_ring():
-    """Return the ring and its reward, whose line takes a while to find."""
+    """Return the ring and its reward; its line takes a while to find."""
     tracks = TrackSet(make_ring())
     return tracks, RacingLineReward(tracks, CAR)
 

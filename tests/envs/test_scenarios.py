@@ -13,7 +13,7 @@ from league.envs.race_env import RaceEnv
 from league.errors import ConfigError
 from league.sim.config import ObstacleConfig, SimConfig
 from league.track.track import TrackSet
-from tests.scenes import make_ring
+from tests.scenes import make_ring, stand
 
 RING = TrackSet(make_ring())
 ROLLING = Scenarios(alone=0.0, standing=0.0, abreast=0.0)
@@ -102,20 +102,12 @@ def test_a_scenario_lasts_until_the_attacker_has_lost_all_cars():
     env._encounters["length"] = 1000
     cars, meeting = env.world.cars, env._encounters
 
-    def move(world: int, car: int, s: float) -> None:
-        place = RING.at(np.zeros(1, np.int64), np.array([s], np.float32))
-        cars["x"][world, car], cars["y"][world, car] = place.x[0], place.y[0]
-        cars["yaw"][world, car] = np.arctan2(place.sin[0], place.cos[0])
-        for name in ("velocity_x", "velocity_y", "yaw_rate", "lateral"):
-            cars[name][world, car] = 0.0
-        cars["s"][world, car] = place.s[0]
-
     for world in together[:2]:
         attacker, target = int(meeting["attacker"][world]), int(meeting["target"][world])
         third = 3 - attacker - target
-        move(world, attacker, 6.0)
-        move(world, target, 3.0)
-        move(world, third, 7.0 if world == together[0] else 9.0)
+        stand(RING, cars[world, attacker], 6.0)
+        stand(RING, cars[world, target], 3.0)
+        stand(RING, cars[world, third], 7.0 if world == together[0] else 9.0)
     began = env.step(drive(env, speed=-1.0)).began.all(axis=1)
     assert not began[together[0]] and began[together[1]]
 

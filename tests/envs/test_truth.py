@@ -12,7 +12,7 @@ from league.envs.race_env import RaceEnv
 from league.sim.config import ObstacleConfig, SensorConfig, SimConfig
 from league.track.track import TrackSet
 from league.training.ppo import symmetry
-from tests.scenes import make_ring
+from tests.scenes import make_ring, stand
 
 RING = TrackSet(make_ring())
 AT = {name: place for place, name in enumerate(truth.FIELDS)}
@@ -21,14 +21,6 @@ AT = {name: place for place, name in enumerate(truth.FIELDS)}
 def env(num_cars: int = 2, tracks: TrackSet = RING, **settings) -> RaceEnv:
     sim = SimConfig(kind="head_to_head", num_cars=num_cars, **settings)
     return RaceEnv(tracks, EnvConfig(sim=sim), num_worlds=3)
-
-
-def place(cars: np.ndarray, s: float, lateral: float, turn: float = 0.0) -> None:
-    frame = RING.at(np.zeros(1, np.int64), np.array([s], np.float32))
-    cars["s"], cars["lateral"] = s, lateral
-    cars["x"] = frame.x - frame.sin * lateral
-    cars["y"] = frame.y + frame.cos * lateral
-    cars["yaw"] = np.arctan2(frame.sin, frame.cos) + turn
 
 
 def seen(world: RaceEnv, car: int) -> dict[str, float]:
@@ -40,8 +32,8 @@ def seen(world: RaceEnv, car: int) -> dict[str, float]:
 def test_a_rival_ahead_and_to_the_left_is_where_it_is():
     world = env()
     cars = world.world.cars
-    place(cars[:, 0], 3.0, -0.1, turn=0.3)
-    place(cars[:, 1], 4.0, 0.2)
+    stand(RING, cars[:, 0], 3.0, -0.1, turn=0.3)
+    stand(RING, cars[:, 1], 4.0, 0.2)
     found = seen(world, 0)
     assert found["car_0_present"] == 1.0
     assert abs(found["car_0_gap"] - 1.0) < 1e-5
@@ -60,8 +52,8 @@ def test_a_rival_ahead_and_to_the_left_is_where_it_is():
 
 def test_a_rival_out_of_reach_is_not_there():
     world = env()
-    place(world.world.cars[:, 0], 0.0, 0.0)
-    place(world.world.cars[:, 1], truth.REACH + 0.1, 0.0)
+    stand(RING, world.world.cars[:, 0], 0.0)
+    stand(RING, world.world.cars[:, 1], truth.REACH + 0.1)
     found = seen(world, 0)
     assert all(value == 0.0 for name, value in found.items() if name.startswith("car_"))
 
@@ -69,7 +61,7 @@ def test_a_rival_out_of_reach_is_not_there():
 def test_the_nearest_three_rivals_come_in_order():
     world = env(5)
     for car, s in enumerate((3.0, 4.5, 2.5, 6.0, 6.9)):
-        place(world.world.cars[:, car], s, 0.0)
+        stand(RING, world.world.cars[:, car], s)
     found = seen(world, 0)
     gaps = [found[f"car_{rank}_gap"] for rank in range(truth.RIVALS)]
     np.testing.assert_allclose(gaps, [-0.5, 1.5, 3.0], rtol=0, atol=1e-5)
@@ -79,7 +71,7 @@ def test_obstacles_ahead_are_given_and_passed_ones_not():
     things = ObstacleConfig(count=2)
     world = env(obstacles=things)
     cars, boxes = world.world.cars, world.world.obstacles
-    place(cars[:, 0], 3.0, 0.0)
+    stand(RING, cars[:, 0], 3.0)
     boxes["s"] = [5.0, 2.0]
     found = seen(world, 0)
     assert abs(found["obstacle_0_gap"] - 2.0) < 1e-5

@@ -85,7 +85,7 @@ def test_weights_are_averaged_over_a_tenth_of_the_updates(tmp_path):
     expected, path = made.weights(), tmp_path / "state.pt"
     for number in range(1, 16):
         made.update(0.0)
-        newest = from_learner(made._alg.get_policy().state_dict())
+        newest = from_learner(algorithm(made).get_policy().state_dict())
         share = 1 / max(number / 10, 1)
         expected = {key: old + share * (newest[key] - old) for key, old in expected.items()}
         assert same(made.weights(), newest) == (number <= 10)

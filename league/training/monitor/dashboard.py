@@ -159,28 +159,27 @@ def _charts(history: TrainingHistory, width: int) -> RenderableType:
     from rich.table import Table
 
     narrow = width < _NARROW
-    across, height = max(width if narrow else (width - 4) // 3, 8), 2 if narrow else _HEIGHT
+    across = max(width if narrow else (width - 4) // 3, 8)
+    height = 2 if narrow else _HEIGHT
+
+    def completion(
+        title: str, rows: Sequence[Row], value: float | None, style: str, foot: str = ""
+    ) -> RenderableType:
+        driven = bars(_curve(history, rows, "completion", across), 0.0, 100.0, height)
+        return _chart(f"completion, {title}", percent(value), driven, style, across, foot)
+
     rewards = _curve(history, history.updates, "earned", across)
     known = [value for value in rewards if value is not None]
     low, high = min(known, default=0.0), max(known, default=1.0)
     if 0 < low < 0.5 * high:
         low = 0.0
     last, judged = history.updates[-1], history.evaluations
+    evaluated = judged[-1].completion if judged else None
     charts = [
-        _chart("reward", figure(last.earned), bars(rewards, low, high, height), "magenta", across)
+        _chart("reward", figure(last.earned), bars(rewards, low, high, height), "magenta", across),
+        completion("training", history.updates, last.completion, "cyan"),
+        completion("evaluation", judged, evaluated, "green", _best_mark(history, across)),
     ]
-    for title, rows, value, style, foot in (
-        ("training", history.updates, last.completion, "cyan", ""),
-        (
-            "evaluation",
-            judged,
-            judged[-1].completion if judged else None,
-            "green",
-            _best_mark(history, across),
-        ),
-    ):
-        driven = bars(_curve(history, rows, "completion", across), 0.0, 100.0, height)
-        charts.append(_chart(f"completion, {title}", percent(value), driven, style, across, foot))
     if narrow:
         return Group(*charts)
     grid = Table.grid(padding=(0, 2))

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from league.training.ppo.learner import Update
     from league.training.ppo.statistics import EpisodeStatistics
 
-
 FORMAT = 1
 TEACHING = "/teacher/learning"
 """Logged as 1 while a teacher learns (ppo/teacher.py)."""
