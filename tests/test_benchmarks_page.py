@@ -32,9 +32,8 @@ def test_a_benchmark_has_a_page_and_its_goals_stand_on_the_page_of_all(page):
     assert "| drawing | 3 s | ≤ 4 |" in met
     assert "size" not in text
     assert text.endswith(f"{BY_HAND}\n")
-    assert rows in (tmp := page.parent / "benchmarks" / "replays.md").read_text(encoding="utf-8"), (
-        tmp
-    )
+    own = page.parent / "benchmarks" / "replays.md"
+    assert rows in own.read_text(encoding="utf-8")
 
 
 def test_the_page_in_the_repository_has_the_goals_of_the_pages_next_to_it():
