@@ -125,3 +125,7 @@ def specialise(function: Any, *arguments: object) -> None:  # noqa: ANN401
 
 inner = njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 """Compiles a function that only compiled functions call."""
+
+spliced = njit(error_model="numpy", inline="always", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+"""Compiles a long function of one caller as a part of that caller, which is optimised once and not
+once for each function that it is made of."""

@@ -198,25 +198,20 @@ def _cameras() -> None:
         np.zeros((1, 2), records.CAR),
         np.zeros((1, 0), records.OBSTACLE),
     )
-    world.cars["roll"][:, 1] = 0.1  # the floor has a loop of its own for a camera that rolls
     sim = SimConfig(kind="head_to_head", num_cars=2)
-    for colour in (False, True):
-        camera = CameraConfig(width=32, height=24, colour=colour)
-        renderer = PaintRenderer(_tracks(), sim, camera, None)
-        for car in range(2):
-            renderer.render(world, car)
+    PaintRenderer(_tracks(), sim, CameraConfig(width=32, height=24)).render(world, 0)
 
 
 def _videos() -> None:
     """What films draw on whole pictures."""
     import numpy as np
 
-    from league.sim.camera import raster
     from league.sim.camera.scene_state import NEAR
+    from league.sim.camera.tables import Optics, Pose
     from league.video.pixels import draw_shadow, mix
 
-    pose = raster.Pose(0.0, 0.0, 0.5, 1.0, 0.0, 1.0, 0.0)
-    optics = raster.Optics(1.0, 1.0, 1.0, np.zeros(1), 3, NEAR)
+    pose = Pose(0.0, 0.0, 0.5, 1.0, 0.0, 1.0, 0.0)
+    optics = Optics(1.0, 1.0, 1.0, np.zeros(1), 3, NEAR)
     picture = np.zeros((4, 4, 3), np.uint8)
     draw_shadow(
         picture.reshape(4, -1), 3, np.column_stack([np.eye(2), [0, 0]]), 0.1, 0.5, optics, pose

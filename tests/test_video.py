@@ -7,10 +7,10 @@ import torch
 
 from league import times, video
 from league.errors import ReplayError
-from league.sim.camera import raster
 from league.sim.camera.paint_renderer import Painter
 from league.sim.camera.scene import BOX, BOX_COLOUR, CAR, CAR_COLOURS
 from league.sim.camera.scene_state import Thing
+from league.sim.camera.tables import Pose
 from league.video import hud
 from league.video.film import SHADOW_EDGE, SHADOW_KEPT, Film, shadow_of
 from league.video.mp4 import Coding, Mp4
@@ -181,7 +181,7 @@ def test_torch_threads_are_left_alone():
 @pytest.mark.parametrize("time_s", [0.0, 0.4])
 def test_floor_of_a_film_is_that_of_the_cameras_to_the_last_bit(time_s):
     made = Film(driving(3), (640, 360))
-    pose = raster.Pose(*made._replay.track.center[round(30 * time_s)], 0.56, 0.8, 0.6, 0.96, 0.28)
+    pose = Pose(*made._replay.track.center[round(30 * time_s)], 0.56, 0.8, 0.6, 0.96, 0.28)
     wanted = np.empty((1, 360, 640, 3), np.uint8)
     Painter.paint(made._painter, wanted, pose, made._painter._floor, [])
     assert len(np.unique(wanted[0, 200:])) > 20
@@ -202,7 +202,7 @@ def test_shadow_of_a_box_reaches_from_its_foot_along_the_light():
 def test_cars_darken_the_floor_in_their_shadow_and_nowhere_else():
     film = Film(driving(3), (640, 360))
     painter = film._painter
-    pose = raster.Pose(3.0, 0.7, 0.56, 1.0, 0.0, np.cos(0.27), np.sin(0.27))
+    pose = Pose(3.0, 0.7, 0.56, 1.0, 0.0, np.cos(0.27), np.sin(0.27))
     car = Thing(CAR, 4.4, 0.7, 1.0, 0.0, 0.0, CAR_COLOURS[0], (1.0, 1.0, 1.0))
     bare, shaded = painter.picture(pose, []), painter.picture(pose, [car])
     # Where each pixel's ray meets the floor, and how far outside the shadow that is.

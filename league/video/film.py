@@ -15,12 +15,13 @@ from av.error import FFmpegError
 from league.atomic_file import replacing
 from league.errors import ReplayError
 from league.replay import Replay, director
-from league.sim.camera import raster
-from league.sim.camera.ground import Floor, floor_of
+from league.sim.camera import painting
+from league.sim.camera.ground import floor_of
 from league.sim.camera.paint_renderer import Painter
 from league.sim.camera.scene import CAR as CAR_MODEL
 from league.sim.camera.scene import FAR_CAR, SUN
 from league.sim.camera.scene_state import Lens, SceneState, Thing
+from league.sim.camera.tables import Floor, Pose
 from league.sim.config import CameraConfig
 from league.sim.records import CAR, World
 from league.track.track import Rgb
@@ -143,15 +144,15 @@ class _ShadowPainter(Painter):
         super().__init__(lens, gray=False, sky=sky)
         self._floor = floor
 
-    def picture(self, pose: raster.Pose, things: list[Thing]) -> np.ndarray:
+    def picture(self, pose: Pose, things: list[Thing]) -> np.ndarray:
         """Return what is seen from a place, RGB uint8, (height, width, 3)."""
         pictures = np.empty((1, self._lens.height, self._lens.width, 3), np.uint8)
-        top = self._paint_floor(pictures, pose, self._floor)
+        top = self.paint(pictures, pose, self._floor, [], painting.FLOOR)
         flat = pictures.reshape(self._lens.height, -1)
         for thing in things:
             shadow = shadow_of(thing)
             draw_shadow(flat, top, shadow, SHADOW_EDGE, SHADOW_KEPT, self._optics, pose)
-        self._paint_things(pictures, pose, self._floor.ground.room, things)
+        self.paint(pictures, pose, self._floor, things, painting.ROOM)
         return pictures[0]
 
 

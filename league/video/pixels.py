@@ -20,8 +20,8 @@ def draw_shadow(picture, start, outline, edge, kept, optics, view):
         outline: outward normal and offset of each side, n . p <= d inside, world frame; (sides, 3).
         edge: how far inside the outline the shadow is full, and outside it none [m].
         kept: share of the brightness that is left in the full shadow.
-        optics: the lens, raster.Optics.
-        view: where the camera is, raster.Pose; it does not roll.
+        optics: the lens, tables.Optics.
+        view: where the camera is, tables.Pose; it does not roll.
     """
     for row in range(start, len(picture)):
         down = row - optics.cy

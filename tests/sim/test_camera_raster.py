@@ -10,27 +10,38 @@ from league.sim.camera import floor_raster, raster
 from league.sim.camera.ground import texels
 from league.sim.camera.paint_renderer import MODELS, models
 from league.sim.camera.scene import CAR, DECK, FAR_CAR
+from league.sim.camera.tables import THING_COLUMNS, Optics, Pose, Room, Texture
+
+
+@njit
+def draw_room(pictures, optics, view, room, things, far, models):
+    raster.draw_room(pictures, optics, view, room, things, far, models)
+
+
+@njit
+def draw_floor(pictures, start, stop, texture, optics, view):
+    floor_raster.draw_floor(pictures, start, stop, texture, optics, view)
 
 
 def optics(channels=1, eyes=(0.0,), focal=10.0, cx=4.5, cy=4.5):
-    return raster.Optics(focal, cx, cy, np.array(eyes), channels, 0.02)
+    return Optics(focal, cx, cy, np.array(eyes), channels, 0.02)
 
 
-def level(z=1.0) -> raster.Pose:
+def level(z=1.0) -> Pose:
     """Return a camera at the origin that looks along +x, level."""
-    return raster.Pose(0.0, 0.0, z, 1.0, 0.0, 1.0, 0.0)
+    return Pose(0.0, 0.0, z, 1.0, 0.0, 1.0, 0.0)
 
 
 def room(colours=(10, 20, 30, 40), half=5.0, height=2.0):
     table = np.zeros((4, 3), np.uint8)
     table[:, 0] = colours
-    return raster.Room(-half, -half, half, half, height, table)
+    return Room(-half, -half, half, half, height, table)
 
 
 def drawn(things=(), walls=None, size=10, channels=1, pose=None, **lens) -> np.ndarray:
     pictures = np.full((1, size, size * channels), 99, np.uint8)
-    table = np.array(things, float).reshape(-1, raster.THING_COLUMNS)
-    raster.draw_room(
+    table = np.array(things, float).reshape(-1, THING_COLUMNS)
+    draw_room(
         pictures,
         optics(channels, **lens),
         pose or level(),
@@ -55,7 +66,7 @@ def test_a_wall_fills_the_pixels_whose_centres_it_covers():
 
 def test_walls_that_meet_in_a_corner_leave_no_pixel_between_them():
     # Turned by 45 degrees the corner at (5, 5) is straight ahead.
-    turned = raster.Pose(0.0, 0.0, 1.0, math.sqrt(0.5), math.sqrt(0.5), 1.0, 0.0)
+    turned = Pose(0.0, 0.0, 1.0, math.sqrt(0.5), math.sqrt(0.5), 1.0, 0.0)
     seen = drawn(pose=turned)[4, :, 0]
     assert set(seen[:5].tolist()) == {30} and set(seen[5:].tolist()) == {20}
 
@@ -81,7 +92,7 @@ def test_what_reaches_behind_the_camera_is_cut_and_not_mirrored():
 
 def test_in_colour_each_channel_gets_its_own_value():
     colours = np.array([[1, 2, 3], [4, 5, 6], [7, 8, 9], [10, 11, 12]], np.uint8)
-    walls = raster.Room(-5.0, -5.0, 5.0, 5.0, 2.0, colours)
+    walls = Room(-5.0, -5.0, 5.0, 5.0, 2.0, colours)
     assert (drawn(walls=walls, channels=3)[4, 4] == (4, 5, 6)).all()
 
 
@@ -91,10 +102,10 @@ def test_floor_is_the_bilinear_mean_of_four_texels(channels):
     # (1.025, 1.05): a column's centre lies 1/4 texel right of one, a row's 1/2 above one.
     draw = np.random.default_rng(4)
     image = draw.integers(0, 256, (20, 20, channels), dtype=np.uint8)
-    texture = raster.Texture(texels(image.squeeze()), 20, 0.0, 0.0, 0.1)
-    down = raster.Pose(1.025, 1.05, 1.0, 1.0, 0.0, 0.0, 1.0)
+    texture = Texture(texels(image.squeeze()), 20, 0.0, 0.0, 0.1)
+    down = Pose(1.025, 1.05, 1.0, 1.0, 0.0, 0.0, 1.0)
     pictures = np.zeros((1, 9, 9 * channels), np.uint8)
-    floor_raster.draw_floor(pictures, 0, 9, texture, optics(channels, cx=4.0, cy=4.0), down)
+    draw_floor(pictures, 0, 9, texture, optics(channels, cx=4.0, cy=4.0), down)
     # Row 4, column 4 is the camera's own foot: texel (1.025 / 0.1 - 0.5, 1.05 / 0.1 - 0.5). Rows go
     # towards -x and columns towards -y.
     got = pictures.reshape(9, 9, channels)
@@ -107,11 +118,11 @@ def test_floor_is_the_bilinear_mean_of_four_texels(channels):
 
 def test_floor_beyond_the_texture_repeats_its_rim_and_reads_nothing_outside():
     image = np.full((4, 4), 77, np.uint8)
-    texture = raster.Texture(image.reshape(-1), 4, 0.0, 0.0, 0.1)
+    texture = Texture(image.reshape(-1), 4, 0.0, 0.0, 0.1)
     pictures = np.zeros((1, 10, 10), np.uint8)
     level_ = level(1.0)
-    floor_raster.draw_floor(pictures, 5, 10, texture, optics(), level_._replace(x=1e7, y=-1e7))
-    floor_raster.draw_floor(pictures, 0, 5, texture, optics(), level_)  # above the horizon
+    draw_floor(pictures, 5, 10, texture, optics(), level_._replace(x=1e7, y=-1e7))
+    draw_floor(pictures, 0, 5, texture, optics(), level_)  # above the horizon
     assert (pictures == 77).all()
 
 

@@ -8,13 +8,13 @@ import math
 import numpy as np
 from numba import int32, uint8, uint32
 
-from league.jit import compiled, inner
+from league.jit import inner
 
 _LEAST_FALL = 1e-6
 """How far a view that reaches the floor falls at least, over its way ahead in focal lengths."""
 
 
-@compiled
+@inner
 def draw_floor(pictures, start, stop, texture, optics, view):
     """Draw the floor into rows start to stop, below the horizon, of each eye's picture.
 
@@ -25,7 +25,7 @@ def draw_floor(pictures, start, stop, texture, optics, view):
     channels, columns, texels = optics.channels, texture.columns, texture.texels
     width = pictures.shape[2] // channels
     corner, share = np.empty(width, np.uint32), np.empty(width, np.uint32)
-    last_column, last_row = int32(columns - 2), int32(texels.size // columns - 2)
+    last_column, last_row = _last_texel(texture, channels)
     across_texels = int32(columns)
     unit = 65536.0 / texture.size
     for row in range(start, stop):
@@ -47,7 +47,7 @@ def draw_floor(pictures, start, stop, texture, optics, view):
             _blend(pictures[eye, row], channels, texels, columns, corner, share)
 
 
-@compiled
+@inner
 def draw_tilted_floor(pictures, start, stop, texture, optics, view):
     """Draw the floor below the horizon into rows start to stop, for a camera that may roll.
 
@@ -57,7 +57,7 @@ def draw_tilted_floor(pictures, start, stop, texture, optics, view):
     channels, columns, texels = optics.channels, texture.columns, texture.texels
     width = pictures.shape[2] // channels
     corner, share = np.empty(width, np.uint32), np.empty(width, np.uint32)
-    last_column, last_row = int32(columns - 2), int32(texels.size // columns - 2)
+    last_column, last_row = _last_texel(texture, channels)
     across_texels = int32(columns)
     unit = 65536.0 / texture.size
     for row in range(start, stop):
@@ -88,6 +88,13 @@ def draw_tilted_floor(pictures, start, stop, texture, optics, view):
                 share[u] = _shares_at(here_x, here_y)
             out = pictures[eye, row, first * channels : last * channels]
             _blend(out, channels, texels, columns, corner[first:last], share[first:last])
+
+
+@inner
+def _last_texel(texture, channels):
+    """Return the last column and the last row of texels that have others to the right and above."""
+    rows = texture.texels.size // (1 if channels == 1 else 4) // texture.columns
+    return int32(texture.columns - 2), int32(rows - 2)
 
 
 @inner
@@ -131,11 +138,11 @@ def _blend(out, channels, texels, columns, corner, share):
         for u in range(width):
             out[u] = _mixed(corner[u], share[u])
         return
-    four = np.empty((4, width), np.uint32)
+    colours, four = texels.view(np.uint32), np.empty((4, width), np.uint32)
     for u in range(width):
-        four[0, u], four[1, u] = texels[corner[u]], texels[corner[u] + uint32(1)]
+        four[0, u], four[1, u] = colours[corner[u]], colours[corner[u] + uint32(1)]
         above = corner[u] + stride
-        four[2, u], four[3, u] = texels[above], texels[above + uint32(1)]
+        four[2, u], four[3, u] = colours[above], colours[above + uint32(1)]
     for u in range(width):
         corner[u] = _mixed_colours(four[0, u], four[1, u], four[2, u], four[3, u], share[u])
     for u in range(width):

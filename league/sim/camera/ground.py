@@ -8,9 +8,9 @@ from weakref import WeakKeyDictionary
 import cv2
 import numpy as np
 
-from league.sim.camera import raster
 from league.sim.camera.scene import SUN, WALL_HEIGHT, lit
 from league.sim.camera.scene_state import Lens
+from league.sim.camera.tables import Floor, Room, Texture
 from league.track import markings
 from league.track.track import Track
 
@@ -25,15 +25,6 @@ _FINEST = ((40, 0.02), (240, 0.01), (10**9, 0.005))
 _WALL_NORMALS = ((0.0, 1.0), (-1.0, 0.0), (0.0, -1.0), (1.0, 0.0))
 
 
-class Ground(NamedTuple):
-    """A track's floor and the wall round it, ready to be drawn."""
-
-    levels: tuple[raster.Texture, ...]
-    """Textures, finest first."""
-    room: raster.Room
-    """The walls, lit by the sun."""
-
-
 class Band(NamedTuple):
     """Rows of a picture that read one texture."""
 
@@ -42,14 +33,10 @@ class Band(NamedTuple):
     level: int
 
 
-class Floor(NamedTuple):
-    """A floor as one camera reads it."""
+_Ground = tuple[tuple[Texture, ...], Room]
+"""A track's floor and the wall round it: the first two fields of a Floor."""
 
-    ground: Ground
-    bands: tuple[Band, ...]
-
-
-_grounds: WeakKeyDictionary[Track, dict[tuple[float, bool], Ground]] = WeakKeyDictionary()
+_grounds: WeakKeyDictionary[Track, dict[tuple[float, bool], _Ground]] = WeakKeyDictionary()
 
 
 def floor_of(track: Track, lens: Lens, height: float, pitch: float, colour: bool) -> Floor:
@@ -64,7 +51,8 @@ def floor_of(track: Track, lens: Lens, height: float, pitch: float, colour: bool
     kept = _grounds.setdefault(track, {})
     if (finest, colour) not in kept:
         kept[finest, colour] = _paint(track, finest, colour)
-    return Floor(kept[finest, colour], _bands(lens, height, pitch, finest))
+    bands = np.array(_bands(lens, height, pitch, finest), np.int64)
+    return Floor(*kept[finest, colour], bands)
 
 
 @lru_cache(maxsize=256)
@@ -90,7 +78,7 @@ def _bands(lens: Lens, height: float, pitch: float, finest: float) -> tuple[Band
     return tuple(bands)
 
 
-def _paint(track: Track, metres_per_pixel: float, colour: bool) -> Ground:
+def _paint(track: Track, metres_per_pixel: float, colour: bool) -> _Ground:
     floor = markings.floor(track, metres_per_pixel, colour=colour)
     image = np.ascontiguousarray(floor.image)
     # A rim of the floor's own colours, so that no texel mixes with what lies outside; and a size
@@ -102,18 +90,19 @@ def _paint(track: Track, metres_per_pixel: float, colour: bool) -> Ground:
     levels = []
     for level in range(LEVELS):
         size = metres_per_pixel * 2**level
-        levels.append(raster.Texture(texels(image), image.shape[1], *corner, size))
+        levels.append(Texture(texels(image), image.shape[1], *corner, size))
         half = (max(image.shape[1] // 2, 1), max(image.shape[0] // 2, 1))
         image = cv2.resize(image, half, interpolation=cv2.INTER_AREA)
-    light = np.array(lit(track.colours.wall, not colour))
+    light = lit(track.colours.wall, not colour)
     facing = [max(nx * SUN[0] + ny * SUN[1], 0.0) for nx, ny in _WALL_NORMALS]
     walls = np.rint(light[:3] + np.outer(facing, light[3:])).astype(np.uint8)
-    return Ground(tuple(levels), raster.Room(*track.room, WALL_HEIGHT, walls))
+    return tuple(levels), Room(*track.room, WALL_HEIGHT, walls)
 
 
 def texels(image: np.ndarray) -> np.ndarray:
     """Return the texels of a picture, gray or RGB; see Texture."""
     if image.ndim == 2:
         return image.reshape(-1)
-    red, green, blue = image.reshape(-1, 3).T.astype(np.uint32)
-    return red | green << 8 | blue << 16
+    texel = np.zeros((image.size // 3, 4), np.uint8)
+    texel[:, :3] = image.reshape(-1, 3)
+    return texel.reshape(-1)

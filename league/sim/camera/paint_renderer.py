@@ -1,6 +1,6 @@
 """Renderer, what makes the pictures of a car's camera, and PaintRenderer, which paints on the CPU.
 
-Painting one scene: the sky, the floor from its textures, then walls and things (raster.py) from
+Painting one scene (painting.py): the sky, the floor from its textures, then walls and things from
 tables of their models.
 """
 
@@ -14,31 +14,29 @@ from functools import cache, cached_property
 import cv2
 import numpy as np
 
-from league.sim.camera import floor_raster, raster, visual_randomization
-from league.sim.camera.ground import Floor, floor_of
+from league.sim.camera import painting, visual_randomization
+from league.sim.camera.ground import floor_of
 from league.sim.camera.scene import (
-    BOX,
     CAR,
     FAR_CAR,
     HIDDEN,
+    MODELS,
     PAINTS,
     RUBBER,
     SKY_COLOUR,
     SUN,
-    Model,
     Solid,
     far_from,
     lit,
     luma,
 )
-from league.sim.camera.scene_state import NEAR, Lens, SceneState, Thing
+from league.sim.camera.scene_state import NEAR, Lens, SceneState, Thing, mount_of, table
+from league.sim.camera.tables import MOST_CORNERS, Floor, Models, Mount, Optics, Pose
 from league.sim.camera.visual_randomization import Look
 from league.sim.config import CameraConfig, SimConfig, VisualRandomization
 from league.sim.records import World
 from league.track.track import Rgb, TrackSet
 
-MODELS: tuple[Model, ...] = (CAR, FAR_CAR, BOX)
-"""Every model there is; compiled code names a model by its place in this list."""
 _WHEN_FAR = {CAR: FAR_CAR}
 _MAX_STEERING = math.radians(30)
 _TOUCH = 1e-6
@@ -99,15 +97,21 @@ class PaintRenderer(Renderer):
         cv2.setNumThreads(1)
         return Painter(self._lens, gray=not self._camera.colour, sky=self._sky)
 
+    @cached_property
+    def _mount(self) -> Mount:
+        return mount_of(self._camera)
+
     def _draw(self, state: SceneState, car: int, look: Look | None) -> np.ndarray:
         cfg, painter = self._camera, self._painter
-        shape = (len(state.track), cfg.num_eyes, cfg.height, cfg.width)
+        poses, things = state.tables(car, self._mount, gray=not cfg.colour)
+        shape = (len(poses), cfg.num_eyes, cfg.height, cfg.width)
         pictures = np.empty((*shape, 3) if cfg.colour else shape, np.uint8)
-        for row, track in enumerate(state.track):
-            pose = state.camera(row, car, cfg)
-            painter.paint(pictures[row], pose, self._floor(track), state.things(row, without=car))
-            if look is not None:
-                visual_randomization.develop(pictures[row], look, row)
+        for track in set(state.track.tolist()):
+            rows = np.flatnonzero(state.track == track)
+            painter.paint_rows(rows, pictures, poses, things, self._floor(track))
+        if look is not None:
+            for row, picture in enumerate(pictures):
+                visual_randomization.develop(picture, look, row)
         if cfg.colour:
             channels_first = pictures.transpose(0, 1, 4, 2, 3)  # (rows, eyes, 3, height, width)
             pictures = np.ascontiguousarray(channels_first).reshape(-1, *cfg.shape)
@@ -120,64 +124,58 @@ class Painter:
     def __init__(self, lens: Lens, gray: bool, sky: Rgb = SKY_COLOUR) -> None:
         self._lens, self._gray = lens, gray
         channels = 1 if gray else 3
-        self._optics = raster.Optics(
-            lens.focal, lens.cx, lens.cy, np.array(lens.eyes), channels, NEAR
-        )
-        # Whole rows are copied much faster than single pixels.
-        self._sky = luma(sky) if gray else np.full((lens.width, 3), sky, np.uint8)
+        self._optics = Optics(lens.focal, lens.cx, lens.cy, np.array(lens.eyes), channels, NEAR)
+        shown = np.array([luma(sky)] if gray else sky)
+        self._sky = np.tile(shown.astype(np.uint8), lens.width)
         self._models = models(gray)
         self._far = far_from(lens.focal)
 
     def paint(
-        self, pictures: np.ndarray, pose: raster.Pose, floor: Floor, things: list[Thing]
-    ) -> None:
-        """Draw over all of (num_eyes, height, width) or (..., 3) pictures, uint8, contiguous."""
-        self._paint_floor(pictures, pose, floor)
-        self._paint_things(pictures, pose, floor.ground.room, things)
+        self,
+        pictures: np.ndarray,
+        pose: Pose,
+        floor: Floor,
+        things: list[Thing],
+        phases: int = painting.FLOOR | painting.ROOM,
+    ) -> int:
+        """Draw over (num_eyes, height, width) or (..., 3) pictures, uint8, contiguous.
 
-    def _paint_floor(self, pictures: np.ndarray, pose: raster.Pose, floor: Floor) -> int:
-        """Draw the sky and the floor; return the row of the farthest floor."""
-        level = pose.roll_cos == 1 and pose.roll_sin == 0
-        top = self._first_floor_row(pose, floor.ground.room) if level else 0
-        draw_floor = floor_raster.draw_floor if level else floor_raster.draw_tilted_floor
-        # Of a camera that rolls the horizon is a slope, and the sky lies next to the floor, too.
-        pictures[:, : top if level else self._lens.height] = self._sky
-        flat = pictures.reshape(len(pictures), self._lens.height, -1)
-        for start, stop, number in floor.bands:
-            if stop > top:
-                texture = floor.ground.levels[number]
-                draw_floor(flat, max(start, top), stop, texture, self._optics, pose)
-        return top
+        `phases` is which parts to draw. The row of the farthest floor is returned.
+        """
+        seen = table(things, gray=self._gray)[None]
+        only = np.zeros(1, np.int64)
+        return self.paint_rows(only, pictures[None], np.array([pose]), seen, floor, phases)
 
-    def _paint_things(
-        self, pictures: np.ndarray, pose: raster.Pose, room: raster.Room, things: list[Thing]
-    ) -> None:
-        """Draw the walls, and what stands before them, over the floor."""
-        flat = pictures.reshape(len(pictures), self._lens.height, -1)
-        rows = [
-            (MODELS.index(model), *place, *scale, *lit(colour, self._gray))
-            for model, *place, colour, scale in things
-        ]
-        table = np.array(rows).reshape(-1, raster.THING_COLUMNS)
-        raster.draw_room(flat, self._optics, pose, room, table, self._far, self._models)
-
-    def _first_floor_row(self, pose: raster.Pose, room: raster.Room) -> int:
-        """Return the row of the farthest floor in view: no floor lies beyond the room's corners."""
-        lens = self._lens
-        along_x = pose.cos * ((room.x_max if pose.cos > 0 else room.x_min) - pose.x)
-        farthest = along_x + pose.sin * ((room.y_max if pose.sin > 0 else room.y_min) - pose.y)
-        depth = farthest * pose.pitch_cos + pose.z * pose.pitch_sin
-        if depth <= NEAR:
-            return 0
-        rise = pose.z * pose.pitch_cos - farthest * pose.pitch_sin
-        return min(max(int(lens.cy + lens.focal * rise / depth), 0), lens.height)
+    def paint_rows(
+        self,
+        rows: np.ndarray,
+        pictures: np.ndarray,
+        poses: np.ndarray,
+        things: np.ndarray,
+        floor: Floor,
+        phases: int = painting.FLOOR | painting.ROOM,
+    ) -> int:
+        """Draw the pictures of some worlds on one track; see painting.paint."""
+        flat = pictures.reshape(*pictures.shape[:2], self._lens.height, -1)
+        return painting.paint(
+            phases,
+            rows,
+            flat,
+            poses,
+            things,
+            floor,
+            self._sky,
+            self._optics,
+            self._far,
+            self._models,
+        )
 
 
 @cache
-def models(gray: bool) -> raster.Models:
+def models(gray: bool) -> Models:
     """Return the tables of every model, for gray pictures or for RGB."""
     solids = [solid for model in MODELS for solid in model.solids]
-    assert max(len(face) for solid in solids for face in solid.faces) <= raster.MOST_CORNERS
+    assert max(len(face) for solid in solids for face in solid.faces) <= MOST_CORNERS
     vertices = np.concatenate([solid.vertices for solid in solids])
     first_vertex = np.cumsum([0, *(len(solid.vertices) for solid in solids)])
     corners, faces, planes, rows = [], [], [], []
@@ -195,7 +193,7 @@ def models(gray: bool) -> raster.Models:
     first_solid = np.cumsum([0, *(len(model.solids) for model in MODELS)]).tolist()
     when_far = [MODELS.index(_WHEN_FAR.get(model, model)) for model in MODELS]
     flat_rubber = (luma(RUBBER), 0.0, 0.0) if gray else RUBBER
-    return raster.Models(
+    return Models(
         vertices=vertices,
         corners=np.array(corners),
         faces=np.array(faces),
@@ -205,7 +203,7 @@ def models(gray: bool) -> raster.Models:
         parting=_parting(),
         models=np.array(list(zip(first_solid[:-1], first_solid[1:], when_far, strict=True))),
         sizes=np.array([(model.half_length, model.half_width) for model in MODELS]),
-        paints=np.array([lit(paint, gray) for paint in PAINTS] + [(*flat_rubber, 0.0, 0.0, 0.0)]),
+        paints=np.array([*lit(PAINTS, gray), (*flat_rubber, 0.0, 0.0, 0.0)]),
         sun=np.array(SUN),
     )
 

@@ -1,132 +1,32 @@
 """Compiled painting: walls and things as convex polygons; the floor is in floor_raster.py.
 
-All that other files know (shapes, colours, sizes) comes as an argument, so that a change of theirs
-compiles nothing again (league/jit.py). A pixel belongs to a polygon if its centre lies inside:
-neighbours share no pixel and leave none out.
+A pixel belongs to a polygon if its centre lies inside: neighbours share no pixel and leave none
+out.
 """
 
 # Numba gives its types a meaning that the checker does not know.
 # pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numba import uint8
 
-from league.jit import compiled, inner
+from league.jit import inner, spliced
 from league.portable_math import f32, sincos
-
-MODEL, X, Y, COS, SIN, STEERING, ALONG, ACROSS, UPWARD, SHADE, SUNLIT = (*range(10), 12)
-"""Columns of a thing: those of scene_state.Thing, with its colour as three numbers in the shade and
-three that full sun adds."""
-THING_COLUMNS = 15
-
-MOST_CORNERS = 16
-"""Of a face."""
-
-
-# Machine code on disk names the classes below: rename what is compiled for them with a class or a
-# field (draw_room, and floor_raster.py).
-
-
-class Pose(NamedTuple):
-    """Where a camera is; for a pair, the middle between the eyes."""
-
-    x: float
-    """World frame [m]."""
-    y: float
-    """World frame [m]."""
-    z: float
-    """Above the floor [m]."""
-    cos: float
-    """Cosine of the yaw."""
-    sin: float
-    """Sine of the yaw."""
-    pitch_cos: float
-    """Cosine of the downward tilt."""
-    pitch_sin: float
-    """Sine of the downward tilt."""
-    roll_cos: float = 1.0
-    """Cosine of the turn about the view."""
-    roll_sin: float = 0.0
-    """Sine of that turn, positive when the camera leans to the right."""
-
-
-class Optics(NamedTuple):
-    """A lens as plain numbers, and what it draws with."""
-
-    focal: float
-    """[px]."""
-    cx: float
-    """Column of the optical axis [px]."""
-    cy: float
-    """Row of the optical axis [px]."""
-    eyes: np.ndarray
-    """(num_eyes,): how far each sits to the left of the middle [m]."""
-    channels: int
-    """1 for gray, 3 for RGB."""
-    near: float
-    """Nothing nearer than this is seen [m]."""
-
-
-class Texture(NamedTuple):
-    """One picture of a floor."""
-
-    texels: np.ndarray
-    """(rows * columns,), rows grow with +y: gray, uint8; or in colour, uint32, red lowest, because
-    three colours in one number are read at once and mixed in vector units."""
-    columns: int
-    """Texels across."""
-    origin_x: float
-    """World x of the left edge [m]."""
-    origin_y: float
-    """World y of the lower edge [m]."""
-    size: float
-    """Of a texel [m]."""
-
-
-class Room(NamedTuple):
-    """The walls round a track."""
-
-    x_min: float
-    y_min: float
-    x_max: float
-    y_max: float
-    height: float
-    """Of the walls [m]."""
-    colours: np.ndarray
-    """(4, 3) uint8: the wall at y_min, x_max, y_max, x_min; in gray the first number counts."""
-
-
-class Models(NamedTuple):
-    """The shapes of all models, one after the other; paint_renderer.py makes them."""
-
-    vertices: np.ndarray
-    """(num_vertices, 3): in the model's frame, of steered solids from their pivot [m]."""
-    corners: np.ndarray
-    """(num_corners,) int64: vertices of each face, in order round it."""
-    faces: np.ndarray
-    """(num_faces, 3) int64: first corner, one past the last, and paint; -1 is the thing's own."""
-    planes: np.ndarray
-    """(num_faces, 4): outward normal and offset in the frame of the vertices."""
-    solids: np.ndarray
-    """(num_solids, 5) int64: first vertex, one past the last, first face, one past the last, and 1
-    if steered."""
-    pivots: np.ndarray
-    """(num_solids, 2): where a steered solid turns [m]."""
-    parting: np.ndarray
-    """(num_solids, largest number of solids, 4): plane n . p = d with the first solid at n . p <= d
-    and the second one, by its number in the model, beyond."""
-    models: np.ndarray
-    """(num_models, 3) int64: first solid, one past the last, and what it becomes when it is far."""
-    sizes: np.ndarray
-    """(num_models, 2): half length and half width of the footprint [m]."""
-    paints: np.ndarray
-    """(num_paints, 6): what a paint shows in the shade, and what full sun adds."""
-    sun: np.ndarray
-    """(3,): unit vector towards the sun, world frame."""
-
+from league.sim.camera.tables import (
+    ACROSS,
+    ALONG,
+    COS,
+    MODEL,
+    MOST_CORNERS,
+    SHADE,
+    SIN,
+    STEERING,
+    UPWARD,
+    X,
+    Y,
+)
 
 # Pixels --------------------------------------------------------------------------------------
 
@@ -197,7 +97,7 @@ def _polygon(pictures, eye, points, count, colour, optics, scratch):
 # The room ------------------------------------------------------------------------------------
 
 
-@compiled
+@spliced
 def draw_room(pictures, optics, view, room, things, far, models):
     """Draw the walls round a room, then the things in it, far to near.
 
@@ -227,7 +127,7 @@ def draw_room(pictures, optics, view, room, things, far, models):
         _thing(pictures, optics, view, thing, foot, far, models, scratch)
 
 
-@inner
+@spliced
 def _walls(pictures, optics, view, room, scratch):
     (x_min, y_min), (x_max, y_max) = (room.x_min, room.y_min), (room.x_max, room.y_max)
     corners = ((x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max))
@@ -292,7 +192,7 @@ def _stand(foot, thing, view, optics, slope, models):
     return looks_up or (depth + reach >= optics.near and aside <= slope * depth)
 
 
-@inner
+@spliced
 def _thing(pictures, optics, view, thing, foot, far, models, scratch):
     """Draw one thing: for each eye its solids, far to near, and of each the faces turned to it."""
     model = int(thing[MODEL])

@@ -13,10 +13,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from league.sim.camera import scene, visual_randomization
-from league.sim.camera.ground import Floor
+from league.sim.camera import scene, tables, visual_randomization
 from league.sim.camera.paint_renderer import Renderer
-from league.sim.camera.scene_state import NEAR, SceneState, Thing
+from league.sim.camera.scene_state import NEAR, SceneState, mount_of
+from league.sim.camera.tables import Floor
 from league.sim.camera.visual_randomization import Look
 from league.sim.config import CameraConfig, SimConfig, VisualRandomization
 from league.track.track import TrackSet
@@ -99,19 +99,28 @@ class RayRenderer(Renderer):
         size = max(1, _PIXELS_AT_ONCE.get(self._device.type, 1 << 20) // pixels)
         shape = (len(state.track), *cfg.shape)
         pictures = torch.zeros(shape, dtype=torch.uint8, device=self._device)
+        poses, things = state.tables(car, mount_of(cfg))
         for start in range(0, len(state.track), size):
-            part = range(start, min(start + size, len(state.track)))
-            pictures[start : part.stop] = self._render(state, car, part, look)
+            part = slice(start, min(start + size, len(state.track)))
+            tracks = state.track[part].tolist()
+            pictures[part] = self._render(tracks, poses[part], things[part], look, part)
         # On another device pictures stay there, for the learner that reads them.
         return pictures.numpy() if self._device.type == "cpu" else pictures  # type: ignore[return-value]
 
-    def _render(self, state: SceneState, car: int, rows: range, look: Look | None) -> Tensor:
-        cfg = self._camera
-        poses = self._tensor([state.camera(row, car, cfg) for row in rows])
+    def _render(
+        self,
+        tracks: list[int],
+        places: np.ndarray,
+        things: np.ndarray,
+        look: Look | None,
+        part: slice,
+    ) -> Tensor:
+        """Return the pictures of a part of the rows, from its tracks and tables."""
+        cfg, poses = self._camera, self._tensor(places)
         rays = self._rays(poses)
-        depth, pictures = self._room([state.track[row] for row in rows], poses, rays)
-        for slot in zip(*(state.things(row, without=car) for row in rows), strict=True):
-            body = self._body(poses, slot)
+        depth, pictures = self._room(tracks, poses, rays)
+        for slot in range(things.shape[1]):
+            body = self._body(poses, things[:, slot])
             if body.model is scene.CAR:
                 x, y = body.pose[:2]
                 distance = torch.sqrt(x * x + y * y)
@@ -124,7 +133,7 @@ class RayRenderer(Renderer):
                 mask = torch.ones_like(body.pose[0], dtype=torch.bool)
                 depth, pictures = self._meet(rays, body, mask, depth, pictures)
         if look is not None:
-            pictures = self._developed(pictures, look, rows)
+            pictures = self._developed(pictures, look, part)
         # (rows, eyes, height, width, channels) -> (rows, eyes * channels, height, width)
         pictures = pictures.permute(0, 1, 4, 2, 3).reshape(-1, *cfg.shape)
         return torch.clamp(torch.floor(pictures + 0.5), 0, 255).to(torch.uint8)
@@ -132,9 +141,8 @@ class RayRenderer(Renderer):
     def _tensor(self, values: Sequence[Any] | np.ndarray) -> Tensor:
         return torch.tensor(values, dtype=torch.float32, device=self._device)
 
-    def _developed(self, pictures: Tensor, look: Look, rows: range) -> Tensor:
+    def _developed(self, pictures: Tensor, look: Look, part: slice) -> Tensor:
         """Return float pictures, (num_rows, num_eyes, height, width, channels), with their look."""
-        part = slice(rows.start, rows.stop)
         leak = self._tensor(look.leak[part]).reshape(-1, 1, 1, 1, 1)
         for axis in (2, 3):
             size = pictures.shape[axis]
@@ -206,7 +214,7 @@ class RayRenderer(Renderer):
         for track in sorted(set(tracks)):
             here = (index == track).nonzero()[:, 0]
             floor, textures = self._floor(track), self._textures_of(track)
-            backs = self._tensor(floor.ground.room.colours)[:, :channels]
+            backs = self._tensor(floor.room.colours)[:, :channels]
             backs = torch.cat([backs, self._tensor([sky])])
             ground = self._sample(floor, textures, floor_x[here], floor_y[here])
             on_floor = is_floor[here].unsqueeze(-1)
@@ -218,23 +226,23 @@ class RayRenderer(Renderer):
         if track not in self._textures:
             channels = 3 if self._camera.colour else 1
             self._textures[track] = [
-                # Of a texel in colour the lowest byte is red, and the highest one empty.
-                torch.from_numpy(level.texels.view(np.uint8))
+                # Of a texel in colour the first byte is red, and the last one empty.
+                torch.from_numpy(level.texels)
                 .to(self._device)
-                .reshape(len(level.texels), -1)[:, :channels]
-                for level in self._floor(track).ground.levels
+                .reshape(-1, 4 if channels == 3 else 1)[:, :channels]
+                for level in self._floor(track).levels
             ]
         return self._textures[track]
 
     def _sample(self, floor: Floor, textures: list[Tensor], x: Tensor, y: Tensor) -> Tensor:
         """Return the floor's colour at places in the world, bilinear; (..., channels)."""
         colours = []
-        for band in floor.bands:
-            level, texture = floor.ground.levels[band.level], textures[band.level]
+        for start, stop, number in floor.bands.tolist():
+            level, texture = floor.levels[number], textures[number]
             width = level.columns
             height = len(texture) // width
-            column = (x[:, :, band.start : band.stop] - level.origin_x) / level.size - 0.5
-            line = (y[:, :, band.start : band.stop] - level.origin_y) / level.size - 0.5
+            column = (x[:, :, start:stop] - level.origin_x) / level.size - 0.5
+            line = (y[:, :, start:stop] - level.origin_y) / level.size - 0.5
             column = torch.clamp(column, 0, width - 1)
             line = torch.clamp(line, 0, height - 1)
             left = torch.clamp(column.to(torch.int64), max=width - 2)
@@ -248,23 +256,21 @@ class RayRenderer(Renderer):
 
     # Things --------------------------------------------------------------------------------
 
-    def _body(self, poses: Tensor, slot: Sequence[Thing]) -> _Body:
-        """Return what stands in one slot of each world, as tensors."""
+    def _body(self, poses: Tensor, things: np.ndarray) -> _Body:
+        """Return what stands in one slot of each world, as tensors; (num_rows, THING_COLUMNS)."""
         x, y, _, cos, sin = poses.unbind(1)[:5]
-        places = self._tensor([(thing.x, thing.y, thing.cos, thing.sin) for thing in slot])
-        steering = self._tensor([thing.steering for thing in slot])
-        along, across, upward = self._tensor([thing.scale for thing in slot]).unbind(1)
-        dx, dy = places[:, 0] - x, places[:, 1] - y
-        body_cos, body_sin = places[:, 2], places[:, 3]
+        columns = self._tensor(things).unbind(1)
+        dx, dy = columns[tables.X] - x, columns[tables.Y] - y
+        body_cos, body_sin, steering = columns[tables.COS : tables.STEERING + 1]
         turn = (body_cos * cos + body_sin * sin, body_sin * cos - body_cos * sin)
         sun_x, sun_y, _ = scene.SUN
         return _Body(
-            model=slot[0].model,
+            model=scene.MODELS[int(things[0, tables.MODEL])],
             pose=(cos * dx + sin * dy, cos * dy - sin * dx, *turn),
             sun=(sun_x * body_cos + sun_y * body_sin, sun_y * body_cos - sun_x * body_sin),
             steering=(torch.cos(steering), torch.sin(steering)),
-            scale=(along, across, upward),
-            colour=self._tensor([thing.colour for thing in slot]),
+            scale=columns[tables.ALONG : tables.UPWARD + 1],
+            colour=torch.stack(columns[tables.SHADE : tables.SUNLIT], dim=1),
         )
 
     def _meet(

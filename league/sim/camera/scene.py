@@ -7,11 +7,13 @@ other. All lengths in metres, all colours sRGB 0-255.
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from league.track.track import Rgb
 
@@ -198,6 +200,9 @@ FAR_CAR = Model((_SKIRT, SHELL, CABIN), 0.162, 0.098)
 BOX = Model((_block(0.5, -0.5, 0.5, 0.0, 1.0, (*[BODY] * 5, HIDDEN)),), 0.5, 0.5)
 """A box of size 1 that is stretched to its own size."""
 
+MODELS: tuple[Model, ...] = (CAR, FAR_CAR, BOX)
+"""Every model there is; tables name a model by its place in this list."""
+
 FAR_WHEEL_PIXELS = 9.0
 """A car is drawn as FAR_CAR where a wheel's height would be fewer pixels than this."""
 
@@ -207,20 +212,22 @@ def far_from(focal: float) -> float:
     return focal * 2 * WHEEL_RADIUS / FAR_WHEEL_PIXELS
 
 
-@lru_cache(maxsize=4096)
-def lit(colour: tuple[float, float, float], gray: bool) -> tuple[float, ...]:
-    """Return what a colour shows in the shade, then what full sun adds; three numbers each.
+def lit(colours: ArrayLike, gray: bool) -> np.ndarray:
+    """Return what colours show in the shade, then what full sun adds; three numbers each.
 
-    Of gray pictures the first number of three counts.
+    Colours are (..., 3), the result is (..., 6). Of gray pictures the first number of three counts.
     """
-    red, green, blue = colour
-    shade = (AMBIENT * red, AMBIENT * green, AMBIENT * blue)
-    sun = (DIFFUSE[0] * red, DIFFUSE[1] * green, DIFFUSE[2] * blue)
-    return (luma(shade), 0.0, 0.0, luma(sun), 0.0, 0.0) if gray else (*shade, *sun)
+    colours = np.asarray(colours, float)
+    light = np.concatenate([AMBIENT * colours, np.array(DIFFUSE) * colours], axis=-1)
+    if gray:
+        for start in (0, 3):
+            light[..., start] = luma(np.moveaxis(light[..., start : start + 3], -1, 0))
+            light[..., start + 1 : start + 3] = 0.0
+    return light
 
 
-def luma(colour: tuple[float, float, float]) -> float:
-    """Return the gray value of a colour."""
+def luma(colour: Sequence[float] | np.ndarray) -> float:
+    """Return the gray value of a colour; of three arrays of numbers it is an array."""
     return LUMA[0] * colour[0] + LUMA[1] * colour[1] + LUMA[2] * colour[2]
 
 

@@ -1,8 +1,5 @@
 """A batch of worlds as plain numbers: where each camera is, its lens, and which things stand where.
 
-Plain floats, because at a hundred numbers a picture they are faster than arrays, and because a
-picture made one world at a time cannot depend on its batch.
-
 Camera frame: X to the right, Y down, Z along the view. Pixel (0, 0) has its centre at (0, 0), row 0
 on top. A camera is bolted to its car's chassis and rises, rolls and pitches with it. What it sees
 is drawn upright on the floor.
@@ -10,24 +7,33 @@ is drawn upright on the floor.
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, NamedTuple
+from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
 from league.portable_math import direction
-from league.sim.camera.raster import Pose
-from league.sim.camera.scene import BOT_COLOUR, BOX, BOX_COLOUR, CAR, CAR_COLOURS, Model, faded
+from league.sim.camera import tables
+from league.sim.camera.scene import (
+    BOT_COLOUR,
+    BOX,
+    BOX_COLOUR,
+    CAR,
+    CAR_COLOURS,
+    MODELS,
+    Model,
+    faded,
+    lit,
+)
+from league.sim.camera.standing import stand
+from league.sim.camera.tables import Mount, Pose
 from league.sim.config import CameraConfig, SimConfig
-from league.sim.records import World, is_frozen
+from league.sim.records import World
 
 NEAR = 0.02
 """Nothing nearer to a camera's plane than this is seen [m]."""
 MIN_HEIGHT = 0.01
 """No eye of a camera sinks lower than this above the floor [m]."""
-
-_FADED = tuple(faded(colour) for colour in CAR_COLOURS)
-_UNSTRETCHED = (1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -102,108 +108,111 @@ class SceneState:
         rows: np.ndarray | None = None,
         tint: np.ndarray | None = None,
     ) -> None:
-        """Read the worlds at `rows` (None: all), with bodies tinted as Look.tint says."""
-        if rows is not None:
-            world = world.rows(rows)
-        cars, obstacles = world.cars, world.obstacles
+        """Look at the worlds at `rows` (None: all), with bodies tinted as Look.tint says."""
+        self._rows = np.arange(world.num_worlds) if rows is None else rows
+        self._cars, self._obstacles = _plain(world.cars), _plain(world.obstacles)
+        self._tint = tint
         self.num_cars = world.num_cars
-        self.track: list[int] = world.track.tolist()
-        self._frozen = is_frozen(cars).tolist()
-        self._x, self._y, self._yaw, self._steering, self._up, self._tilt = (
-            cars[name].tolist()
-            for name in ("x", "y", "yaw", "steering", "camera_up", "camera_pitch")
+        self.track = world.track if rows is None else world.track[rows]
+        """Row of the TrackSet that each world is on, int64 (num_rows,)."""
+        things = sim.obstacles
+        self._obstacle_model, self._box_height = _BOX, float(things.height)
+        if things.kind == "bot":
+            self._obstacle_model = _CAR
+
+    def tables(
+        self, car: int, mount: Mount, *, gray: bool | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return where a car's camera is in each world, and which things it may see.
+
+        Args:
+            car: the slot, and this car is not among the things.
+            mount: how the camera is bolted to the car.
+            gray: for which pictures colours are lit; None leaves them as they are.
+
+        Returns:
+            Fields of Pose, float64 (num_rows, 9), and things, float64 (num_rows, num_things,
+            THING_COLUMNS): the cars, by slot, then the obstacles.
+        """
+        num_obstacles = self._obstacles.shape[1]
+        colours = _colours(self.num_cars, num_obstacles, self._obstacle_model, gray)
+        if self._tint is not None:
+            plain = _colours(self.num_cars, num_obstacles, self._obstacle_model, None)[..., :3]
+            colours = np.minimum(plain * self._tint[:, :, None], 255.0)  # (rows, bodies, 2, 3)
+            colours = _lit(colours, gray)
+        count = self.num_cars + num_obstacles - (car >= 0)
+        poses = np.empty((len(self._rows), len(Pose._fields)))
+        things = np.empty((len(self._rows), count, tables.THING_COLUMNS))
+        stand(
+            self._rows,
+            car,
+            self._cars,
+            self._obstacles,
+            mount,
+            (_CAR, self._obstacle_model),
+            self._box_height,
+            colours,
+            poses,
+            things,
         )
-        self._z, self._roll, self._pitch = (cars[name].tolist() for name in ("z", "roll", "pitch"))
-        self._obstacles = [
-            obstacles[name].tolist() for name in ("x", "y", "yaw", "half_length", "half_width")
-        ]
-        self._sim = sim
-        self._tints = None if tint is None else tint.tolist()
+        return poses, things
 
     def camera(self, row: int, car: int, cfg: CameraConfig) -> Pose:
         """Return where a car's camera is in the world at `row`."""
-        x, y, yaw = self.base(row, car)
-        z, roll, pitch = self._z[row][car], self._roll[row][car], self._pitch[row][car]
-        cos, sin = direction(yaw)
-        up, tilt = cfg.up + self._up[row][car], cfg.pitch + self._tilt[row][car]
-        if roll == 0 and pitch == 0:
-            x, y = x + cos * cfg.forward, y + sin * cfg.forward
-            return Pose(x, y, max(up + z, MIN_HEIGHT), cos, sin, *direction(tilt))
-        body = _axes(roll, pitch)
-        left_up = body[2][1]
-        ahead, left, rise = (cfg.forward * a + up * u for a, _, u in body)
-        x, y = x + cos * ahead - sin * left, y + sin * ahead + cos * left
-        turns = _turned(cos, sin, body, direction(tilt))
-        sink = cfg.baseline / 2 * abs(left_up)  # of the lower eye below the middle
-        return Pose(x, y, max(z + rise, MIN_HEIGHT + sink), *turns)
-
-    def base(self, row: int, car: int) -> tuple[float, float, float]:
-        """Return x, y, yaw of a car's base in the world at `row`."""
-        return self._x[row][car], self._y[row][car], self._yaw[row][car]
+        poses, _ = self.tables(car, mount_of(cfg))
+        return Pose(*poses[row].tolist())
 
     def things(self, row: int, without: int | None = None) -> list[Thing]:
         """Return the cars, by slot, but for the slot `without`, then the obstacles of a world."""
-        things = []
-        for car, frozen in enumerate(self._frozen[row]):
-            if car != without:
-                colour = (_FADED if frozen else CAR_COLOURS)[car % len(CAR_COLOURS)]
-                things.append(_car(*self.base(row, car), self._steering[row][car], colour))
-        for x, y, yaw, along, across in zip(*(part[row] for part in self._obstacles), strict=True):
-            if self._sim.obstacles.kind == "bot":
-                things.append(_car(x, y, yaw, 0.0, BOT_COLOUR))
-            else:
-                scale = (2 * along, 2 * across, self._sim.obstacles.height)
-                things.append(Thing(BOX, x, y, *direction(yaw), 0.0, BOX_COLOUR, scale))
-        if self._tints is not None:
-            tints = [tint for slot, tint in enumerate(self._tints[row]) if slot != without]
-            things = [_tinted(thing, tint) for thing, tint in zip(things, tints, strict=True)]
-        return things
+        _, things = self.tables(-1 if without is None else without, _NO_MOUNT)
+        return [_thing(*columns) for columns in things[row].tolist()]
 
 
-_Row = tuple[float, float, float]
+_CAR, _BOX = MODELS.index(CAR), MODELS.index(BOX)
+_NO_MOUNT = Mount(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def _axes(roll: float, pitch: float) -> tuple[_Row, _Row, _Row]:
-    """Return the body's axes (columns: x, y, z) in the frame of its yaw (rows: ahead, left, up)."""
-    (roll_cos, roll_sin), (cos, sin) = direction(roll), direction(pitch)
-    return (
-        (cos, sin * roll_sin, sin * roll_cos),
-        (0.0, roll_cos, -roll_sin),
-        (-sin, cos * roll_sin, cos * roll_cos),
+def mount_of(cfg: CameraConfig) -> Mount:
+    """Return how a car's camera is bolted to it."""
+    lengths = cfg.forward, cfg.up, cfg.pitch, cfg.baseline / 2, MIN_HEIGHT
+    return Mount(*map(float, lengths))
+
+
+def table(things: list[Thing], *, gray: bool) -> np.ndarray:
+    """Return things as float64 (num_things, THING_COLUMNS), their colours lit."""
+    rows = [
+        (MODELS.index(model), *place, *scale, *lit(colour, gray))
+        for model, *place, colour, scale in things
+    ]
+    return np.array(rows).reshape(-1, tables.THING_COLUMNS)
+
+
+def _thing(model: float, *columns: float) -> Thing:
+    """Return a thing of a table whose colours are as they are."""
+    x, y, cos, sin, steering, along, across, upward, red, green, blue, *_ = columns
+    return Thing(
+        MODELS[int(model)], x, y, cos, sin, steering, (red, green, blue), (along, across, upward)
     )
 
 
-def _turned(
-    cos: float, sin: float, body: tuple[_Row, _Row, _Row], tilt: tuple[float, float]
-) -> tuple[float, float, float, float, float, float]:
-    """Return cosine and sine of a camera's yaw, downward tilt and roll about its view.
-
-    `cos` and `sin` are of the body's yaw, `tilt` those of the camera's tilt on the body.
-    """
-    ahead, aside, rise = (tilt[0] * x - tilt[1] * z for x, _, z in body)  # the view
-    flat = math.sqrt(ahead * ahead + aside * aside)
-    # The yaw of a view straight up or down is that of the body.
-    turn_cos, turn_sin = (ahead / flat, aside / flat) if flat > 1e-6 else (1.0, 0.0)
-    # The body's left axis lies across the view: in the plane of a level camera's left and up.
-    x, y, z = (left for _, left, _ in body)
-    roll_cos = y * turn_cos - x * turn_sin
-    roll_sin = z * flat - (x * turn_cos + y * turn_sin) * rise
-    return (
-        cos * turn_cos - sin * turn_sin,
-        sin * turn_cos + cos * turn_sin,
-        flat,
-        -rise,
-        roll_cos,
-        roll_sin,
-    )
+@lru_cache(maxsize=64)
+def _colours(
+    num_cars: int, num_obstacles: int, obstacle_model: int, gray: bool | None
+) -> np.ndarray:
+    """Return what cars and obstacles show, and when they are frozen; (1, num_bodies, 2, 6)."""
+    cars = [CAR_COLOURS[car % len(CAR_COLOURS)] for car in range(num_cars)]
+    obstacle = BOT_COLOUR if obstacle_model == _CAR else BOX_COLOUR
+    pairs = [(colour, faded(colour)) for colour in cars] + [(obstacle, obstacle)] * num_obstacles
+    return _lit(np.array(pairs, float).reshape(1, -1, 2, 3), gray)
 
 
-def _tinted(thing: Thing, tint: list[float]) -> Thing:
-    red, green, blue = (
-        min(part * gain, 255.0) for part, gain in zip(thing.colour, tint, strict=True)
-    )
-    return thing._replace(colour=(red, green, blue))
+def _lit(colours: np.ndarray, gray: bool | None) -> np.ndarray:
+    """Return colours (..., 3) lit, or followed by zeros if `gray` is None; (..., 6)."""
+    if gray is None:
+        return np.concatenate([colours, np.zeros_like(colours)], axis=-1)
+    return lit(colours, gray)
 
 
-def _car(x: float, y: float, yaw: float, steering: float, colour: tuple[Any, ...]) -> Thing:
-    return Thing(CAR, x, y, *direction(yaw), steering, colour, _UNSTRETCHED)
+def _plain(array: np.ndarray) -> np.ndarray:
+    """Return an array in the order and with the rights that compiled code was made for."""
+    return array if array.flags.carray else array.copy()

@@ -10,9 +10,9 @@ import numpy as np
 from league.errors import ConfigError
 from league.sim.camera.ground import floor_of
 from league.sim.camera.paint_renderer import Painter
-from league.sim.camera.raster import Pose
 from league.sim.camera.scene import BOX, CAR, GLASS, lit
 from league.sim.camera.scene_state import Lens, SceneState, Thing
+from league.sim.camera.tables import Pose
 from league.sim.config import SimConfig
 from league.sim.records import World
 from league.track.markings import SHIFT, Plan, placed
@@ -60,7 +60,7 @@ def chase_view(
     track = tracks.tracks[state.track[0]]
     focal = width * _FINER / 2 / math.tan(CHASE_FIELD_OF_VIEW / 2)
     lens = Lens(width * _FINER, height * _FINER, focal)
-    pose = _behind(*state.base(0, car), track.room)
+    pose = _behind(*world.cars[row, car][["x", "y", "yaw"]].tolist(), track.room)
     floor = floor_of(track, lens, CHASE_UP, CHASE_PITCH, colour=True)
     picture = np.empty((1, lens.height, lens.width, 3), np.uint8)
     Painter(lens, gray=False).paint(picture, pose, floor, state.things(0))
