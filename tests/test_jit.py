@@ -187,6 +187,32 @@ def test_worlds_of_any_size_meet_the_code_that_is_compiled_already(race_env):
         assert signatures == known
 
 
+def test_pictures_of_any_kind_meet_the_code_that_is_compiled_already(race_env):
+    from league.sim.camera import painting, standing
+    from league.sim.camera.paint_renderer import PaintRenderer
+    from league.sim.camera.top_view import chase_view
+    from league.sim.config import CameraConfig, ObstacleConfig, SimConfig, VisualRandomization
+
+    boxes = SimConfig(kind="obstacle_avoidance", obstacles=ObstacleConfig(count=2))
+    pack, stereo = SimConfig(kind="head_to_head", num_cars=3), CameraConfig(width=16, height=12)
+    known = None
+    for sim, camera, looks in (
+        (pack, stereo, None),
+        (boxes, CameraConfig(width=16, height=12, colour=True, eyes="mono", up=1), None),
+        (pack, stereo, VisualRandomization(colour=0.5, noise=2.0)),
+    ):
+        env = race_env(sim=sim, num_worlds=3)
+        world = env.world.copy()
+        world.cars.setflags(write=False)
+        renderer = PaintRenderer(env.tracks, sim, camera, looks)
+        for rows in (None, np.array([2, 0])):
+            renderer.render(world, 0, rows)
+        chase_view(env.tracks, sim, world, 1, 0, 64, 36)
+        signatures = [*painting.paint.signatures, *standing.stand.signatures]
+        known = known or signatures
+        assert signatures == known and len(known) == 2
+
+
 def compiled_in_advance(tmp_path: Path) -> set[str]:
     """Return which functions `python -m league.precompile` has compiled, as file.function.
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from league.sim.camera.scene import SUN, WALL_HEIGHT, lit
 from league.sim.camera.scene_state import Lens
-from league.sim.camera.tables import Floor, Room, Texture
+from league.sim.camera.tables import Floor, Room
 from league.track import markings
 from league.track.track import Track
 
@@ -33,8 +33,8 @@ class Band(NamedTuple):
     level: int
 
 
-_Ground = tuple[tuple[Texture, ...], Room]
-"""A track's floor and the wall round it: the first two fields of a Floor."""
+_Ground = tuple[tuple[np.ndarray, ...], np.ndarray, Room]
+"""A track's floor and the wall round it: the first fields of a Floor."""
 
 _grounds: WeakKeyDictionary[Track, dict[tuple[float, bool], _Ground]] = WeakKeyDictionary()
 
@@ -87,16 +87,17 @@ def _paint(track: Track, metres_per_pixel: float, colour: bool) -> _Ground:
     above, aside = rim + -image.shape[0] % rim, rim + -image.shape[1] % rim
     image = cv2.copyMakeBorder(image, rim, above, rim, aside, cv2.BORDER_REPLICATE)
     corner = floor.origin_x - rim * metres_per_pixel, floor.origin_y - rim * metres_per_pixel
-    levels = []
+    pictures, levels = [], []
     for level in range(LEVELS):
         size = metres_per_pixel * 2**level
-        levels.append(Texture(texels(image), image.shape[1], *corner, size))
+        pictures.append(texels(image))
+        levels.append((image.shape[1], *corner, size))
         half = (max(image.shape[1] // 2, 1), max(image.shape[0] // 2, 1))
         image = cv2.resize(image, half, interpolation=cv2.INTER_AREA)
     light = lit(track.colours.wall, not colour)
     facing = [max(nx * SUN[0] + ny * SUN[1], 0.0) for nx, ny in _WALL_NORMALS]
     walls = np.rint(light[:3] + np.outer(facing, light[3:])).astype(np.uint8)
-    return tuple(levels), Room(*track.room, WALL_HEIGHT, walls)
+    return tuple(pictures), np.array(levels), Room(*track.room, WALL_HEIGHT, walls)
 
 
 def texels(image: np.ndarray) -> np.ndarray:

@@ -89,7 +89,7 @@ class Renderer(ABC):
 
 
 class PaintRenderer(Renderer):
-    """Paints one world after the other."""
+    """Paints all worlds on one track in one call."""
 
     @cached_property
     def _painter(self) -> Painter:

@@ -6,7 +6,7 @@
 from league.jit import compiled, inner, spliced
 from league.sim.camera.floor_raster import draw_floor, draw_tilted_floor
 from league.sim.camera.raster import draw_room
-from league.sim.camera.tables import Pose
+from league.sim.camera.tables import Pose, Texture
 
 FLOOR, ROOM = 1, 2
 """Phases of a picture: the sky and the floor; the walls and what stands before them."""
@@ -56,7 +56,10 @@ def _draw_ground(pictures, floor, sky, optics, view):
                 out[k] = sky[k]
     for band in range(len(floor.bands)):
         start, stop = max(floor.bands[band, 0], top), floor.bands[band, 1]
-        texture = floor.levels[floor.bands[band, 2]]
+        number = floor.bands[band, 2]
+        fields = floor.levels[number]
+        columns, size = int(fields[0]), fields[3]
+        texture = Texture(floor.texels[number], columns, fields[1], fields[2], size)
         if start < stop and level:
             draw_floor(pictures, start, stop, texture, optics, view)
         elif start < stop:

@@ -227,10 +227,10 @@ class RayRenderer(Renderer):
             channels = 3 if self._camera.colour else 1
             self._textures[track] = [
                 # Of a texel in colour the first byte is red, and the last one empty.
-                torch.from_numpy(level.texels)
+                torch.from_numpy(texels)
                 .to(self._device)
                 .reshape(-1, 4 if channels == 3 else 1)[:, :channels]
-                for level in self._floor(track).levels
+                for texels in self._floor(track).texels
             ]
         return self._textures[track]
 
@@ -238,11 +238,12 @@ class RayRenderer(Renderer):
         """Return the floor's colour at places in the world, bilinear; (..., channels)."""
         colours = []
         for start, stop, number in floor.bands.tolist():
-            level, texture = floor.levels[number], textures[number]
-            width = level.columns
+            texture = textures[number]
+            columns, origin_x, origin_y, size = floor.levels[number].tolist()
+            width = int(columns)
             height = len(texture) // width
-            column = (x[:, :, start:stop] - level.origin_x) / level.size - 0.5
-            line = (y[:, :, start:stop] - level.origin_y) / level.size - 0.5
+            column = (x[:, :, start:stop] - origin_x) / size - 0.5
+            line = (y[:, :, start:stop] - origin_y) / size - 0.5
             column = torch.clamp(column, 0, width - 1)
             line = torch.clamp(line, 0, height - 1)
             left = torch.clamp(column.to(torch.int64), max=width - 2)
@@ -269,7 +270,7 @@ class RayRenderer(Renderer):
             pose=(cos * dx + sin * dy, cos * dy - sin * dx, *turn),
             sun=(sun_x * body_cos + sun_y * body_sin, sun_y * body_cos - sun_x * body_sin),
             steering=(torch.cos(steering), torch.sin(steering)),
-            scale=columns[tables.ALONG : tables.UPWARD + 1],
+            scale=(columns[tables.ALONG], columns[tables.ACROSS], columns[tables.UPWARD]),
             colour=torch.stack(columns[tables.SHADE : tables.SUNLIT], dim=1),
         )
 

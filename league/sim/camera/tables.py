@@ -105,8 +105,10 @@ class Room(NamedTuple):
 class Floor(NamedTuple):
     """A track's floor and the walls round it, as one camera reads them."""
 
-    levels: tuple[Texture, ...]
-    """Textures, finest first."""
+    texels: tuple[np.ndarray, ...]
+    """Of each texture, finest first."""
+    levels: np.ndarray
+    """(num_levels, 4): the other fields of each Texture."""
     room: Room
     """The walls, lit by the sun."""
     bands: np.ndarray

@@ -60,7 +60,8 @@ def chase_view(
     track = tracks.tracks[state.track[0]]
     focal = width * _FINER / 2 / math.tan(CHASE_FIELD_OF_VIEW / 2)
     lens = Lens(width * _FINER, height * _FINER, focal)
-    pose = _behind(*world.cars[row, car][["x", "y", "yaw"]].tolist(), track.room)
+    x, y, yaw = world.cars[["x", "y", "yaw"]][row, car].tolist()
+    pose = _behind(x, y, yaw, track.room)
     floor = floor_of(track, lens, CHASE_UP, CHASE_PITCH, colour=True)
     picture = np.empty((1, lens.height, lens.width, 3), np.uint8)
     Painter(lens, gray=False).paint(picture, pose, floor, state.things(0))
