@@ -188,7 +188,7 @@ def table(things: list[Thing], *, gray: bool) -> np.ndarray:
 
 
 def _thing(model: float, *columns: float) -> Thing:
-    """Return a thing of a table whose colours are as they are."""
+    """Return a thing of a table with colours that are not lit."""
     x, y, cos, sin, steering, along, across, upward, red, green, blue, *_ = columns
     return Thing(
         MODELS[int(model)], x, y, cos, sin, steering, (red, green, blue), (along, across, upward)
