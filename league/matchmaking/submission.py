@@ -16,8 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from league.agents import checkpoint
-from league.agents.card import Card
-from league.agents.checkpoint import MAX_SIZE_CAMERA, Checkpoint
+from league.agents.checkpoint import MAX_SIZE_CAMERA, Card, Checkpoint
 from league.agents.policy import Policy
 from league.agents.torch_archive import RefusedError
 from league.errors import LeagueError, PolicyError, brief

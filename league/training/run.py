@@ -13,8 +13,7 @@ from pydantic import ValidationError
 
 from league import __version__
 from league.agents import checkpoint, roster
-from league.agents.card import Card, RewardCard
-from league.agents.checkpoint import Checkpoint
+from league.agents.checkpoint import Card, Checkpoint, RewardCard
 from league.agents.policy import Policy
 from league.atomic_file import replacing
 from league.envs import rewards
