@@ -20,9 +20,9 @@ from league.envs import rewards
 from league.envs.driver import Driver
 from league.envs.rewards import Reward
 from league.errors import ConfigError, LeagueError, PolicyError, brief
-from league.racing import duels, simtrace
+from league.racing import duels, trace
 from league.racing.duels import DuelConfig, Threshold
-from league.racing.simtrace import TrainingTrace
+from league.racing.trace import TrainingTrace
 from league.sim.config import SimConfig
 from league.track.track import Track
 from league.training import config, run_folder, track_selection
@@ -281,12 +281,12 @@ class Run:
             "lr": ppo.learning_rate[0],
             "beta_entropy": ppo.entropy[0],
             "discount_factor": ppo.gamma,
-            "num_episodes_between_training": simtrace.EPISODES,
+            "num_episodes_between_training": trace.EPISODES,
             "exploration_type": "categorical",
             "stack_size": 1,
         }
         folder = self.folder / run_folder.SIMTRACE
-        simtrace.write_metadata(folder, train.action_space, train.sensors, hyperparameters)
+        trace.write_metadata(folder, train.action_space, train.sensors, hyperparameters)
 
     def _progress(self) -> float:
         cfg = self.cfg
