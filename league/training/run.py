@@ -25,7 +25,7 @@ from league.racing.duels import DuelConfig, Threshold
 from league.racing.trace import TrainingTrace
 from league.sim.config import SimConfig
 from league.track.track import Track
-from league.training import config, run_folder, track_selection
+from league.training import config, run_folder
 from league.training.config import RunConfig
 from league.training.evaluator import (
     CLEAN_RUNS,
@@ -87,8 +87,8 @@ class Run:
         self.cfg, self.folder = cfg, folder
         if not cfg.reward.endswith(".py"):
             ways = 2 if cfg.train.both_directions else 1
-            rewards.check_name(cfg.reward, ways * track_selection.count(cfg.tracks))
-        named_tracks = track_selection.load(cfg.tracks)
+            rewards.check_name(cfg.reward, ways * make_env.count_tracks(cfg.tracks))
+        named_tracks = make_env.load_tracks(cfg.tracks)
         self._eval_cfg = _eval_config(cfg)
         self._parents: tuple[str, ...] = ()
         self._reward, self._reward_card = _reward(cfg)
@@ -107,7 +107,7 @@ class Run:
                 "a teacher is for a policy that has learnt nothing yet: omit --teacher or "
                 "--init-from"
             )
-        tracks = track_selection.together(named_tracks, train.both_directions)
+        tracks = make_env.track_set(named_tracks, train.both_directions)
         self._parent = checkpoint.load(cfg.init_from) if cfg.init_from else None
         if self._parent is not None:
             self._parents = (self._parent.digest, *self._parent.card.parents)[:64]
@@ -472,9 +472,9 @@ def _merit(evaluation: Evaluation) -> tuple[float, ...]:
 
 def _eval_config(cfg: RunConfig) -> EvalConfig:
     tracks: list[Track] = (
-        track_selection.load(cfg.eval_tracks)
+        make_env.load_tracks(cfg.eval_tracks)
         if cfg.eval_tracks
-        else track_selection.for_evaluation(cfg.tracks)
+        else make_env.tracks_for_evaluation(cfg.tracks)
     )
     # A policy that learns to race others is evaluated by racing them; in self-play the matrix is.
     opponents = cfg.eval_opponents or cfg.opponents
