@@ -64,5 +64,6 @@ def heat_document(record: HeatRecord, names: Mapping[str, str]) -> dict[str, obj
         "attempts": record.attempts,
         "traceback": record.traceback,
         "audits": record.heat.audits,
+        "claimed_s": record.claimed_s,
         "done_s": record.done_s,
     }

@@ -226,6 +226,7 @@ def record_of(sent: LentHeat, worker: str) -> HeatRecord:
         traceback="",
         seeds=tuple(one.seed for one in sent.races),
         created_s=0.0,
+        claimed_s=None,
         done_s=None,
     )
 

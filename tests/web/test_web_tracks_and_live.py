@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 from markupsafe import escape
 from starlette.testclient import TestClient
 
+from league import times
 from league.matchmaking import standings
 from league.matchmaking.pairing.heat_spec import mirrored
 from league.racing_line.racing_line import lap_bound
@@ -70,7 +73,10 @@ def test_a_running_heat_its_worker_and_the_queue_are_live(client, store):
         assert now["counts"]["planned"] == before["counts"]["planned"] - 1
         worker = next(one for one in now["workers"] if one["name"] == "a worker")
         assert (worker["racing"], worker["done"]) == (1, 0)
-        assert "1 heat is racing" in client.get("/live").text
+        page, since_s = client.get("/live").text, now["running"][0]["claimed_s"]
+        assert "1 heat is racing" in page
+        assert claim.claimed_s == since_s and 0 <= time.time() - since_s < 600
+        assert f'<td class="number dim">{times.time_of_day(since_s)}</td>' in page
     finally:
         store.fail("a worker", claim.heat.key, "", lost=True)
 
@@ -85,7 +91,8 @@ def test_home_names_the_heats_that_race_and_has_the_newest_results(client, store
         grid = [names[id] for id in claim.heat.halves[0].grid]
         assert (running["number"], running["races"][0]["grid"]) == (claim.number, grid)
         assert f'href="/heats/{claim.number}">{escape(" – ".join(grid))}</a>' in page
-        assert "1 heat races" in page and "a worker" in page
+        since = f"a worker, since {times.time_of_day(claim.claimed_s)} UTC"
+        assert "1 heat races" in page and since in page
     finally:
         store.fail("a worker", claim.heat.key, "", lost=True)
     done = sorted(store.heats(("done",)), key=lambda one: (-(one.done_s or 0.0), -one.number))
