@@ -14,7 +14,6 @@ from league.matchmaking.standings import HeadToHead, HistoryPoint, Row
 from league.matchmaking.store import Cup, Entry, Season
 from league.web.pages import (
     boards,
-    cups,
     definitions,
     driver,
     ghosts,
@@ -140,7 +139,7 @@ PAGES = (
          parts={"running": Season | None}),
     Page("/seasons/{number:number}", "A season's final standings and trophies", seasons.season,
          "season.html", parts={"season": Season}),
-    Page("/cups/{number:number}", "A cup: qualifying and bracket", cups.document, "cup.html",
+    Page("/cups/{number:number}", "A cup: qualifying and bracket", seasons.cup, "cup.html",
          parts={"cup": Cup}),
     Page("/definitions", "What the numbers mean", definitions.document, "definitions.html"),
     Page("/live", "Running heats, queue, workers, heats per minute", live.document, "live.html",
