@@ -13,7 +13,6 @@ from league.matchmaking.ratings.fit import Difference
 from league.matchmaking.standings import HeadToHead, HistoryPoint, Row
 from league.matchmaking.store import Cup, Entry, Season
 from league.web.pages import (
-    boards,
     definitions,
     driver,
     ghosts,
@@ -133,7 +132,7 @@ PAGES = (
     Page("/ghosts/replay", "What the player draws of two laps", ghosts.replay, shared=True,
          query={"one": "A lap as heat.race.car.lap", "other": "The second lap"}),
     Page("/time-attack", "The fastest clean laps on each track, for each kind of race",
-         boards.document, "boards.html", shared=True,
+         tracks.boards, "boards.html", shared=True,
          query={"races": "Kind of race: head_to_head, time_trial or obstacle_avoidance"}),
     Page("/seasons", "Past seasons with their trophies, and cups", seasons.document, "seasons.html",
          parts={"running": Season | None}),

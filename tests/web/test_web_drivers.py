@@ -8,7 +8,7 @@ from league.matchmaking import standings
 from league.matchmaking.scores import race_scores
 from league.matchmaking.store import Entry
 from league.web import family
-from league.web.medals import medal, times
+from league.web.pages.tracks import medal, medal_times
 
 
 @pytest.mark.parametrize(
@@ -20,13 +20,13 @@ from league.web.medals import medal, times
 )
 def test_medals_are_shares_of_the_lap_bound(lap_s, name):
     assert medal(lap_s, 10.0) == name
-    assert times(10.0) == pytest.approx(
+    assert medal_times(10.0) == pytest.approx(
         {"platinum": 10.3, "gold": 11.0, "silver": 12.0, "bronze": 13.5}
     )
 
 
 def test_no_medal_where_the_bound_is_unknown():
-    assert medal(1.0, None) == "" and times(None) == {}
+    assert medal(1.0, None) == "" and medal_times(None) == {}
 
 
 def test_best_laps_are_those_of_the_standings_and_lead_to_their_race(client, store):

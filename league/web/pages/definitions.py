@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from league.matchmaking import divisions, history, safety
 from league.matchmaking.scope import SEASON_SD
-from league.web.medals import MEDALS
+from league.web.pages.tracks import MEDALS
 from league.web.reader import Document, Reader
 
 

@@ -18,8 +18,8 @@ from league.matchmaking.store import Entry, HeatRecord
 from league.track import files
 from league.video import strip
 from league.web import charts, family, season_marks
-from league.web.medals import medal
 from league.web.pages.seasons import frozen
+from league.web.pages.tracks import medal
 from league.web.reader import Document, Reader, accepted
 
 NEWEST = 200

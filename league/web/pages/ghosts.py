@@ -11,9 +11,10 @@ import numpy as np
 
 from league.matchmaking.scores import BestLap
 from league.replay import Replay
-from league.web import charts, ghosts, lap_charts, medals
+from league.web import charts, ghosts, lap_charts
 from league.web.lap_charts import Lap
 from league.web.pages import heat as heats
+from league.web.pages import tracks
 from league.web.reader import Document, NotFoundError, Reader, accepted, heat_number
 
 MOST = 100
@@ -198,5 +199,5 @@ def _line(bound_s: float | None, ghost: _Ghost) -> Document:
         "entry": ghost.entry,
         "name": ghost.driver,
         "lap_s": ghost.lap_s,
-        "medal": medals.medal(ghost.lap_s, bound_s),
+        "medal": tracks.medal(ghost.lap_s, bound_s),
     }
