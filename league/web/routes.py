@@ -13,7 +13,6 @@ from league.matchmaking.ratings.fit import Difference
 from league.matchmaking.standings import HeadToHead, HistoryPoint, Row
 from league.matchmaking.store import Cup, Entry, Season
 from league.web.pages import (
-    definitions,
     driver,
     ghosts,
     heat,
@@ -25,8 +24,8 @@ from league.web.pages import (
     table,
     tracks,
 )
+from league.web.pages.table import Marks
 from league.web.reader import Document, Reader
-from league.web.season_marks import Marks
 
 
 class _Number(Convertor[int]):
@@ -140,7 +139,7 @@ PAGES = (
          "season.html", parts={"season": Season}),
     Page("/cups/{number:number}", "A cup: qualifying and bracket", seasons.cup, "cup.html",
          parts={"cup": Cup}),
-    Page("/definitions", "What the numbers mean", definitions.document, "definitions.html"),
+    Page("/definitions", "What the numbers mean", table.definitions, "definitions.html"),
     Page("/live", "Running heats, queue, workers, heats per minute", live.document, "live.html",
          shared=True, fleeting=True),
 )  # fmt: skip

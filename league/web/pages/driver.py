@@ -17,7 +17,8 @@ from league.matchmaking.standings import HeadToHead, HistoryPoint, Row, Standing
 from league.matchmaking.store import Entry, HeatRecord
 from league.track import files
 from league.video import strip
-from league.web import charts, family, season_marks
+from league.web import charts, family
+from league.web.pages import table
 from league.web.pages.seasons import frozen
 from league.web.pages.tracks import medal
 from league.web.reader import Document, Reader, accepted
@@ -52,7 +53,7 @@ def document(reader: Reader, number: int) -> Document:
     return {
         "entry": entry,
         "standing": row,
-        "marks": season_marks.of(reader, [row]).get(number) if row else None,
+        "marks": table.marks_of(reader, [row]).get(number) if row else None,
         "trophies": _trophies(reader, number),
         "history": moments,
         "fitted": bool(rated and rated.num_races <= FITTED_RACES),
@@ -139,7 +140,7 @@ def _laps(reader: Reader, number: int) -> list[Document]:
 def _chart(reader: Reader, number: int, moments: list[HistoryPoint]) -> charts.Chart | None:
     if len(moments) < 2 or moments[0].races == moments[-1].races:
         return None
-    return charts.rating_history(moments, season_marks.moments(reader, number))
+    return charts.rating_history(moments, table.season_moments(reader, number))
 
 
 def _trophies(reader: Reader, number: int) -> list[Document]:
