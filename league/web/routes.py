@@ -12,18 +12,7 @@ from starlette.requests import Request
 from league.matchmaking.ratings.fit import Difference
 from league.matchmaking.standings import HeadToHead, HistoryPoint, Row
 from league.matchmaking.store import Cup, Entry, Season
-from league.web.pages import (
-    driver,
-    ghosts,
-    heat,
-    heats,
-    home,
-    live,
-    matchup,
-    seasons,
-    table,
-    tracks,
-)
+from league.web.pages import driver, ghosts, heat, home, matchup, seasons, table, tracks
 from league.web.pages.table import Marks
 from league.web.reader import Document, Reader
 
@@ -108,8 +97,8 @@ PAGES = (
          query={"before": "Number of a heat: only earlier ones are listed"},
          parts={"one": Entry, "other": Entry, "difference": Difference | None,
                 "record": HeadToHead | None}),
-    Page("/heats", "The newest heats", heats.document, "heats.html", shared=True),
-    Page("/feed.atom", "The newest heats as a feed", heats.document, "feed.xml", shared=True,
+    Page("/heats", "The newest heats", home.heats, "heats.html", shared=True),
+    Page("/feed.atom", "The newest heats as a feed", home.heats, "feed.xml", shared=True,
          media_type="application/atom+xml"),
     Page("/heats/{number:number}", "A heat, and one of its races", heat.document, "heat.html",
          shared=True,
@@ -140,7 +129,7 @@ PAGES = (
     Page("/cups/{number:number}", "A cup: qualifying and bracket", seasons.cup, "cup.html",
          parts={"cup": Cup}),
     Page("/definitions", "What the numbers mean", table.definitions, "definitions.html"),
-    Page("/live", "Running heats, queue, workers, heats per minute", live.document, "live.html",
+    Page("/live", "Running heats, queue, workers, heats per minute", home.live, "live.html",
          shared=True, fleeting=True),
 )  # fmt: skip
 """All pages, and data without a page."""

@@ -111,10 +111,10 @@ def test_a_duel_is_shown_with_its_score(client, store):
 
 def test_the_pace_is_of_the_last_five_minutes(client, store, monkeypatch):
     done = [heat.done_s for heat in store.heats(("done",))]
-    monkeypatch.setattr("league.web.pages.live.time.time", lambda: max(done) + 1.0)
+    monkeypatch.setattr("league.web.pages.home.time.time", lambda: max(done) + 1.0)
     recent = sum(max(done) + 1.0 - one < 300 for one in done)
     assert client.get("/api/v1/live").json()["per_minute"] == pytest.approx(recent / 5)
-    monkeypatch.setattr("league.web.pages.live.time.time", lambda: max(done) + 301.0)
+    monkeypatch.setattr("league.web.pages.home.time.time", lambda: max(done) + 301.0)
     later = client.get("/api/v1/live").json()
     assert later["per_minute"] == 0 and later["wait_minutes"] is None
 
