@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from league.replay import format
-from league.web import lap_charts, race_charts
+from league.web import lap_charts
 from tests.web.small_league import NAME, lapped_heat, rated_heat
 
 
@@ -32,7 +32,7 @@ def test_positions_after_each_lap_are_by_time():
         {"car": 0, "lap_times_s": (4.0, 6.0, 6.0)},
         {"car": 2, "lap_times_s": (6.0,)},
     ]
-    chart = race_charts.position_chart(order, ["a", "b", "c"])
+    chart = lap_charts.position_chart(order, ["a", "b", "c"])
     # After lap 1: 4, 5 and 6 s. After lap 2: 10 and 9 s; c never got there.
     values = [chart_values(line, chart) for line in chart.lines]
     assert values[0] == pytest.approx([1, 1, 2, 2], abs=0.02)
