@@ -12,8 +12,9 @@ from league.matchmaking import standings
 from league.matchmaking.scores import best_laps
 from league.race_spec import Entry, RaceSpec
 from league.racing import race
-from league.web import ghosts, lap_charts
+from league.web import lap_charts
 from league.web.app import make_app
+from league.web.pages import ghosts
 from league.web.pages import heat as heats
 from league.web.reader import NotFoundError
 from tests.web.small_league import NAME, ORIGIN, RULES, lapped_heat, new_league
