@@ -15,10 +15,10 @@ from league.matchmaking.scores import BestLap
 from league.replay import Replay
 from league.replay.replay import seconds_behind
 from league.track.track import Track
-from league.web import charts, lap_charts
-from league.web.lap_charts import Lap
+from league.web import charts, race_charts
 from league.web.pages import heat as heats
 from league.web.pages import tracks
+from league.web.race_charts import Lap
 from league.web.reader import Document, NotFoundError, Reader, accepted, heat_number
 from league.web.replay_data import drawn_car, drawn_track
 
@@ -88,7 +88,7 @@ def document(
         "pair": [_line(bound_s, ghost) for ghost in pair],
         "laps": [lap.label for lap in laps],
         "map": charts.track_map(shown) if shown else None,
-        "compared": lap_charts.compared(laps, shown.length) if shown else None,
+        "compared": race_charts.compared(laps, shown.length) if shown else None,
         "options": [
             {"entry": lap.number, "name": drivers[lap.number].name, "lap_s": lap.lap_s}
             for lap in best[:MOST]
@@ -174,7 +174,7 @@ def _lap_times_s(reader: Reader, heat: int, race: int, car: int) -> list[float]:
 def _lap(reader: Reader, ghost: _Ghost, car: int) -> Lap:
     """Return a lap, as that of a car (from 0), which decides its colour."""
     name = ghost.name
-    lap = lap_charts.lap_of(_replay(reader, name), name.car - 1, name.lap)
+    lap = race_charts.lap_of(_replay(reader, name), name.car - 1, name.lap)
     return replace(lap, car=car)
 
 

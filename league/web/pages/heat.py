@@ -8,7 +8,7 @@ from league.matchmaking.documents import heat_document
 from league.matchmaking.store import HeatRecord, RaceOutcome, StoredResult
 from league.race_spec import Event, RaceResult
 from league.replay import Replay
-from league.web import charts, lap_charts
+from league.web import charts, race_charts
 from league.web.reader import Document, NotFoundError, Reader, accepted
 from league.web.replay_data import events, player_data
 
@@ -52,13 +52,13 @@ def document(reader: Reader, number: int, race: str = "", lap: str = "") -> Docu
         "seed": at.record.seeds[at.half] if at.record.seeds else None,
         "ruleset": at.record.heat.ruleset,
         "best_lap_s": min(laps_s, default=None),
-        "positions": lap_charts.position_chart(order, names) if laps else None,
-        "gaps": lap_charts.gap_chart(replay) if replay else None,
+        "positions": race_charts.position_chart(order, names) if laps else None,
+        "gaps": race_charts.gap_chart(replay) if replay else None,
         "laps": laps,
         "faults": wrong,
         "lap_rows": max([laps, *map(len, wrong)]),
         "lap": int(lap) if lap else None,
-        "compared": lap_charts.of(replay, int(lap) if lap else None) if replay else None,
+        "compared": race_charts.of(replay, int(lap) if lap else None) if replay else None,
         "events": events(replay) if replay else [],
         **_proof(reader, at),
         "spec": replay.spec.model_dump(exclude={"entries"}) if replay else None,

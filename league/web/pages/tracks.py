@@ -10,8 +10,8 @@ from league.matchmaking.scores import BestLap, Boards, time_attack
 from league.sim.config import RaceKind
 from league.track import files
 from league.track.track import Track
-from league.web import charts, lap_charts
-from league.web.lap_charts import SpeedMap
+from league.web import charts, race_charts
+from league.web.race_charts import SpeedMap
 from league.web.reader import Document, NotFoundError, Reader, accepted
 
 MEDALS = {"platinum": 1.03, "gold": 1.10, "silver": 1.20, "bronze": 1.35}
@@ -86,7 +86,7 @@ def _speeds(reader: Reader, lap: BestLap | None) -> SpeedMap | None:
     car = reader.record(lap.heat).heat.halves[lap.race - 1].grid.index(entry.id)
     replay = reader.replay(result.replay)
     times_s = next(row.lap_times_s for row in replay.result.order if row.car == car)
-    return lap_charts.speed_map(lap_charts.lap_of(replay, car, int(np.argmin(times_s)) + 1))
+    return race_charts.speed_map(race_charts.lap_of(replay, car, int(np.argmin(times_s)) + 1))
 
 
 def boards(reader: Reader, races: str = "") -> Document:
