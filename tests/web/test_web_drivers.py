@@ -7,7 +7,7 @@ import pytest
 from league.matchmaking import standings
 from league.matchmaking.scores import race_scores
 from league.matchmaking.store import Entry
-from league.web import family
+from league.web.pages import driver
 from league.web.pages.tracks import medal, medal_times
 
 
@@ -76,16 +76,16 @@ def entry(number: int, digest: str, *parents: str) -> Entry:
 
 def test_a_family_has_all_its_generations():
     league = [entry(1, "a"), entry(2, "b", "a", "x"), entry(3, "c", "b")]
-    (parent,) = family.ancestors(league, league[2])
+    (parent,) = driver.ancestors(league, league[2])
     assert (parent.number, parent.name) == (2, "entry 2")
     assert [(one.number, one.digest) for one in parent.parents] == [(1, "a"), (None, "x")]
-    assert [one.number for one in family.children(league, league[0])] == [2]
-    assert family.children(league, league[2]) == []
+    assert [one.number for one in driver.children(league, league[0])] == [2]
+    assert driver.children(league, league[2]) == []
 
 
 def test_a_card_that_names_its_own_descendant_ends():
     league = [entry(1, "a", "b", "a"), entry(2, "b", "a")]
-    (parent,) = family.ancestors(league, league[0])
+    (parent,) = driver.ancestors(league, league[0])
     assert (parent.number, parent.parents) == (2, [])
 
 
@@ -96,4 +96,4 @@ def test_many_parents_of_many_parents_are_cut():
     def count(parents) -> int:
         return sum(1 + count(one.parents) for one in parents)
 
-    assert count(family.ancestors(league, league[0])) <= family.MOST
+    assert count(driver.ancestors(league, league[0])) <= driver.MOST_ANCESTORS

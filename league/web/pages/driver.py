@@ -1,4 +1,4 @@
-"""A driver: its rating and how it came about, its record, its heats, its card."""
+"""A driver: its rating and how it came about, its record, its heats, its card, its family."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import heapq
 import itertools
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from league.errors import StoreError
@@ -17,7 +18,7 @@ from league.matchmaking.standings import HeadToHead, HistoryPoint, Row, Standing
 from league.matchmaking.store import Entry, HeatRecord
 from league.track import files
 from league.video import strip
-from league.web import charts, family
+from league.web import charts
 from league.web.pages import table
 from league.web.pages.seasons import frozen
 from league.web.pages.tracks import medal
@@ -39,6 +40,10 @@ HISTORY_POINTS = 24
 """Moments of the rating's history."""
 FITTED_RACES = 20_000
 """Races of a league up to which each moment is fitted to all races up to then."""
+GENERATIONS = 8
+"""Generations of ancestors that are shown."""
+MOST_ANCESTORS = 40
+"""Ancestors that are shown; cards are strangers' texts, and may name any number."""
 
 
 def document(reader: Reader, number: int) -> Document:
@@ -67,10 +72,8 @@ def document(reader: Reader, number: int) -> Document:
         "joining": _joining(reader, entry, raced),
         "camera": _camera(reader, entry, over[-HEATS:][::-1]),
         "card": _card(entry),
-        "ancestors": family.ancestors(entries, entry),
-        "children": [
-            {"number": one.number, "name": one.name} for one in family.children(entries, entry)
-        ],
+        "ancestors": ancestors(entries, entry),
+        "children": [{"number": one.number, "name": one.name} for one in children(entries, entry)],
     }
 
 
@@ -219,3 +222,57 @@ def _card(entry: Entry) -> dict[str, str]:
 
 def _mapping(value: object) -> Mapping[str, Any]:
     return value if isinstance(value, Mapping) else {}
+
+
+@dataclass(frozen=True)
+class Ancestor:
+    """A checkpoint that a policy was trained from."""
+
+    digest: str
+    """Of its file."""
+    number: int | None
+    """Number of the entry it is; None if it was never entered in this league."""
+    name: str
+    """Name of that entry; empty if unknown."""
+    parents: list[Ancestor] = field(default_factory=list)
+    """What it was trained from, as far as its entry tells."""
+
+
+def ancestors(entries: Sequence[Entry], entry: Entry) -> list[Ancestor]:
+    """Return the parents of an entry, each with its own."""
+    by_digest = {digest: one for one in entries if (digest := _digest(one))}
+    left = MOST_ANCESTORS
+
+    def parents_of(one: Entry, above: tuple[str, ...]) -> list[Ancestor]:
+        nonlocal left
+        found = []
+        for digest in _parents(one):
+            # A card may name its own descendant.
+            if digest in above or len(above) > GENERATIONS or left <= 0:
+                continue
+            left -= 1
+            known = by_digest.get(digest)
+            own = parents_of(known, (*above, digest)) if known else []
+            found.append(
+                Ancestor(digest, known.number if known else None, known.name if known else "", own)
+            )
+        return found
+
+    return parents_of(entry, (_digest(entry),))
+
+
+def children(entries: Sequence[Entry], entry: Entry) -> list[Entry]:
+    """Return the entries that were trained from this one."""
+    digest = _digest(entry)
+    return [one for one in entries if digest and digest in _parents(one)]
+
+
+def _digest(entry: Entry) -> str:
+    return str(entry.card.get("digest", ""))
+
+
+def _parents(entry: Entry) -> list[str]:
+    match entry.card.get("parents"):
+        case [*digests]:
+            return [str(digest) for digest in digests]
+    return []
