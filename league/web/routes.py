@@ -12,7 +12,7 @@ from starlette.requests import Request
 from league.matchmaking.ratings.fit import Difference
 from league.matchmaking.standings import HeadToHead, HistoryPoint, Row
 from league.matchmaking.store import Cup, Entry, Season
-from league.web.pages import driver, ghosts, heat, home, matchup, seasons, table, tracks
+from league.web.pages import driver, ghosts, heat, home, seasons, table, tracks
 from league.web.pages.table import Marks
 from league.web.reader import Document, Reader
 
@@ -93,7 +93,7 @@ PAGES = (
                 "against": list[tuple[Row, HeadToHead | None]]}),
     Page("/matchups/{one:number}/{other:number}",
          "Two drivers: their heats, expected and actual score",
-         matchup.document, "matchup.html", shared=True,
+         driver.matchup, "matchup.html", shared=True,
          query={"before": "Number of a heat: only earlier ones are listed"},
          parts={"one": Entry, "other": Entry, "difference": Difference | None,
                 "record": HeadToHead | None}),
