@@ -12,8 +12,7 @@ from league.agents.checkpoint import MAX_SIZE_CAMERA
 from league.matchmaking import submission
 from league.matchmaking.store import Entry, EntryState, Store, Token
 from league.race_spec import printable
-from league.web.forms import Form, text
-from league.web.protected import Asked, Protected
+from league.web.protected import Asked, Form, Protected, text
 from league.web.reader import Document, Reader
 from league.web.security import Access
 
