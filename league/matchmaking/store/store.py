@@ -22,7 +22,6 @@ from league.matchmaking.store import (
     seasons,
 )
 from league.matchmaking.store.blobs import Blobs, FolderBlobs, TableBlobs
-from league.matchmaking.store.cups import CupStore
 from league.matchmaking.store.database import Database
 from league.matchmaking.store.integrity import Integrity
 from league.matchmaking.store.records import (
@@ -48,7 +47,7 @@ BATCH = 1000
 """Heats planned or completed per transaction."""
 
 
-class Store(SeasonStore, CupStore):
+class Store(SeasonStore):
     """A league on SQLite or PostgreSQL.
 
     Each method is one transaction (plan and complete: one per 1,000 heats), on the disk when it
