@@ -11,10 +11,10 @@ from league.matchmaking.ratings.fit import SIGMAS_95, expected_score
 from league.matchmaking.ratings.pair_counts import ELO
 from league.matchmaking.scope import scope
 from league.matchmaking.standings import HistoryPoint, Standings
-from league.matchmaking.store import Entry, Store
+from league.matchmaking.store import LeagueEntry, Store
 
 
-def history(store: Store, entry: Entry, *, points: int = 20) -> list[HistoryPoint]:
+def history(store: Store, entry: LeagueEntry, *, points: int = 20) -> list[HistoryPoint]:
     """Return an entry's rating as it was after evenly many of its heats, and last as it is now.
 
     Each is fitted to the races of its season up to then, so later corrections of results count.

@@ -21,7 +21,7 @@ from league.errors import ConfigError, StoreError, brief
 from league.matchmaking import wire
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Ruleset
-from league.matchmaking.store import Entry, HeatOutcome, HeatRecord, HeatState, Received
+from league.matchmaking.store import HeatOutcome, HeatRecord, HeatState, LeagueEntry, Received
 from league.race_spec import FrozenModel
 from league.sim import PHYSICS
 
@@ -243,7 +243,7 @@ class RemoteQueue:
         """Return the rulesets of all heats that were lent."""
         return self._rulesets
 
-    def entry(self, text: str) -> Entry:
+    def entry(self, text: str) -> LeagueEntry:
         """Return an entry of a heat that was lent, by its id."""
         return wire.entry_of(text, self._entries[text])
 

@@ -22,7 +22,7 @@ from league.agents.torch_archive import RefusedError
 from league.errors import LeagueError, PolicyError, brief
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Ruleset
-from league.matchmaking.store import Entry, Quota, Store
+from league.matchmaking.store import LeagueEntry, Quota, Store
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig, SimConfig
 
 MAX_HEADER = 64 << 10
@@ -228,7 +228,7 @@ def accept(
     quota: Quota | None = None,
     *,
     download: bool = False,
-) -> Entry:
+) -> LeagueEntry:
     """Check what an owner sent, and enter it; nothing is kept if it is refused.
 
     Args:
@@ -273,6 +273,6 @@ def accept(
 
 def submit(
     store: Store, path: str | os.PathLike[str], name: str, owner: str, *, download: bool = False
-) -> Entry:
+) -> LeagueEntry:
     """Submit a checkpoint file: read and packed here, on its owner's machine, then handed in."""
     return accept(store, pack(checkpoint.load(path)), name, owner, download=download)

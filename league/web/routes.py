@@ -11,7 +11,7 @@ from starlette.requests import Request
 
 from league.matchmaking.ratings.fit import Difference
 from league.matchmaking.standings import HeadToHead, HistoryPoint, Row
-from league.matchmaking.store import Cup, Entry, Season
+from league.matchmaking.store import Cup, LeagueEntry, Season
 from league.web.pages import driver, ghosts, heat, home, seasons, table, tracks
 from league.web.pages.table import Marks
 from league.web.reader import Document, Reader
@@ -89,13 +89,13 @@ PAGES = (
                 "marks": dict[int, Marks], "season": Season | None}),
     Page("/drivers/{number:number}", "A driver: rating, history, records, heats, card",
          driver.document, "driver.html", shared=True,
-         parts={"entry": Entry, "standing": Row | None, "history": list[HistoryPoint],
+         parts={"entry": LeagueEntry, "standing": Row | None, "history": list[HistoryPoint],
                 "against": list[tuple[Row, HeadToHead | None]]}),
     Page("/matchups/{one:number}/{other:number}",
          "Two drivers: their heats, expected and actual score",
          driver.matchup, "matchup.html", shared=True,
          query={"before": "Number of a heat: only earlier ones are listed"},
-         parts={"one": Entry, "other": Entry, "difference": Difference | None,
+         parts={"one": LeagueEntry, "other": LeagueEntry, "difference": Difference | None,
                 "record": HeadToHead | None}),
     Page("/heats", "The newest heats", home.heats, "heats.html", shared=True),
     Page("/feed.atom", "The newest heats as a feed", home.heats, "feed.xml", shared=True,

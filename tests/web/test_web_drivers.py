@@ -6,7 +6,7 @@ import pytest
 
 from league.matchmaking import standings
 from league.matchmaking.scores import race_scores
-from league.matchmaking.store import Entry
+from league.matchmaking.store import LeagueEntry
 from league.web.pages import driver
 from league.web.pages.tracks import medal, medal_times
 
@@ -68,10 +68,10 @@ def test_surprises_are_the_heats_farthest_from_what_was_expected(client, store):
     assert best or worst
 
 
-def entry(number: int, digest: str, *parents: str) -> Entry:
+def entry(number: int, digest: str, *parents: str) -> LeagueEntry:
     card = {"digest": digest, "parents": list(parents)}
     name = f"entry {number}"
-    return Entry(number, digest * 64, name, "ann", "policy", False, "ranked", "", card, 0.0)
+    return LeagueEntry(number, digest * 64, name, "ann", "policy", False, "ranked", "", card, 0.0)
 
 
 def test_a_family_has_all_its_generations():

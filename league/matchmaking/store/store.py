@@ -26,11 +26,11 @@ from league.matchmaking.store.database import Database
 from league.matchmaking.store.integrity import Integrity
 from league.matchmaking.store.records import (
     Drives,
-    Entry,
     EntryState,
     HeatOutcome,
     HeatRecord,
     HeatState,
+    LeagueEntry,
     LeagueSettings,
     Quota,
     Races,
@@ -152,7 +152,7 @@ class Store(SeasonStore):
         card: Mapping[str, Any] | None = None,
         id: str = "",
         quota: Quota | None = None,
-    ) -> Entry:
+    ) -> LeagueEntry:
         """Enter a driver: a policy's weights, or the name of a scripted driver.
 
         The same driver submitted again by its owner is the entry it was. A policy is known by its
@@ -177,12 +177,12 @@ class Store(SeasonStore):
                 blobs.insert(connection, now, weights)
             return entry
 
-    def entry(self, text: str) -> Entry:
+    def entry(self, text: str) -> LeagueEntry:
         """Return the entry with this name, id or beginning of an id; StoreError names others."""
         with self._database.reading() as connection:
             return entries.find(connection, text)
 
-    def entries(self, states: Sequence[EntryState] | None = None) -> list[Entry]:
+    def entries(self, states: Sequence[EntryState] | None = None) -> list[LeagueEntry]:
         """Return the entries in these states (all by default), in the order they came."""
         with self._database.reading() as connection:
             return entries.listed(connection, states)

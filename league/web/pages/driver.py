@@ -16,7 +16,7 @@ from league.matchmaking.history import history, own_history
 from league.matchmaking.pairing import matchmaker
 from league.matchmaking.scores import RaceScore, race_scores
 from league.matchmaking.standings import HeadToHead, HistoryPoint, Row, Standings
-from league.matchmaking.store import Entry, HeatRecord
+from league.matchmaking.store import HeatRecord, LeagueEntry
 from league.track import files
 from league.video import strip
 from league.web import charts
@@ -82,7 +82,7 @@ def document(reader: Reader, number: int) -> Document:
     }
 
 
-def _joining(reader: Reader, entry: Entry, raced: list[HeatRecord]) -> Document | None:
+def _joining(reader: Reader, entry: LeagueEntry, raced: list[HeatRecord]) -> Document | None:
     """Return how far a new entry is: what it waits for, and its first heats; None for others."""
     first = raced[:FIRST_HEATS]
     over = len(first) == FIRST_HEATS and not any(one.state in WAITING for one in first)
@@ -161,7 +161,7 @@ def _trophies(reader: Reader, number: int) -> list[Document]:
     ]
 
 
-def _camera(reader: Reader, entry: Entry, records: Sequence[HeatRecord]) -> Document | None:
+def _camera(reader: Reader, entry: LeagueEntry, records: Sequence[HeatRecord]) -> Document | None:
     """Return the newest recorded race of an entry, and the moments that its film strip shows."""
     for record in records:
         results = reader.store.results(record.number)
@@ -182,7 +182,7 @@ def _camera(reader: Reader, entry: Entry, records: Sequence[HeatRecord]) -> Docu
     return None
 
 
-def _history(reader: Reader, entry: Entry, rated: Standings) -> list[HistoryPoint]:
+def _history(reader: Reader, entry: LeagueEntry, rated: Standings) -> list[HistoryPoint]:
     """Return an entry's history, as of the league's newest race; none before its first race."""
     if rated.num_races > FITTED_RACES:
         return own_history(rated, entry.number, points=HISTORY_POINTS)
@@ -196,7 +196,7 @@ def _history(reader: Reader, entry: Entry, rated: Standings) -> list[HistoryPoin
     return reader.kept(("history", entry.number, rated.races.last), moments)
 
 
-def _card(entry: Entry) -> dict[str, str]:
+def _card(entry: LeagueEntry) -> dict[str, str]:
     """Return what a checkpoint's card says, in the words of the page."""
     card = entry.card
     if entry.kind == "scripted":
@@ -243,12 +243,12 @@ class Ancestor:
     """What it was trained from, as far as its entry tells."""
 
 
-def ancestors(entries: Sequence[Entry], entry: Entry) -> list[Ancestor]:
+def ancestors(entries: Sequence[LeagueEntry], entry: LeagueEntry) -> list[Ancestor]:
     """Return the parents of an entry, each with its own."""
     by_digest = {digest: one for one in entries if (digest := _digest(one))}
     left = MOST_ANCESTORS
 
-    def parents_of(one: Entry, above: tuple[str, ...]) -> list[Ancestor]:
+    def parents_of(one: LeagueEntry, above: tuple[str, ...]) -> list[Ancestor]:
         nonlocal left
         found = []
         for digest in _parents(one):
@@ -266,17 +266,17 @@ def ancestors(entries: Sequence[Entry], entry: Entry) -> list[Ancestor]:
     return parents_of(entry, (_digest(entry),))
 
 
-def children(entries: Sequence[Entry], entry: Entry) -> list[Entry]:
+def children(entries: Sequence[LeagueEntry], entry: LeagueEntry) -> list[LeagueEntry]:
     """Return the entries that were trained from this one."""
     digest = _digest(entry)
     return [one for one in entries if digest and digest in _parents(one)]
 
 
-def _digest(entry: Entry) -> str:
+def _digest(entry: LeagueEntry) -> str:
     return str(entry.card.get("digest", ""))
 
 
-def _parents(entry: Entry) -> list[str]:
+def _parents(entry: LeagueEntry) -> list[str]:
     match entry.card.get("parents"):
         case [*digests]:
             return [str(digest) for digest in digests]
@@ -334,7 +334,10 @@ def _points_by_track(scores: Sequence[RaceScore]) -> list[Document]:
 
 
 def _races_met(
-    reader: Reader, pair: tuple[Entry, Entry], records: list[Any], scores: Sequence[RaceScore]
+    reader: Reader,
+    pair: tuple[LeagueEntry, LeagueEntry],
+    records: list[Any],
+    scores: Sequence[RaceScore],
 ) -> list[Document]:
     """Return each race of some heats: who came in ahead, by how much, and what was promised."""
     results = defaultdict(list)
