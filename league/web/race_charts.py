@@ -80,7 +80,7 @@ def of(replay: Replay, number: int | None) -> ComparedLaps | None:
     laps = []
     for row in sorted(replay.result.order, key=lambda row: row.car):
         if number is None and row.lap_times_s:
-            laps.append(lap_of(replay, row.car, int(np.argmin(row.lap_times_s)) + 1))
+            laps.append(lap_of(replay, row.car, fastest_lap(row.lap_times_s)))
         elif number is not None and number <= len(row.lap_times_s):
             laps.append(lap_of(replay, row.car, number))
     return compared([lap for lap in laps if len(lap.place) > 1], replay.track.length)
@@ -103,6 +103,11 @@ def compared(laps: Sequence[Lap], length: float) -> ComparedLaps | None:
         fastest=fastest.car + 1,
         lines=tuple(Line(lap.driver, _line(lap), f"car-{lap.car + 1}") for lap in laps),
     )
+
+
+def fastest_lap(lap_times_s: Sequence[float]) -> int:
+    """Return the number, from 1, of the fastest of a car's laps."""
+    return int(np.argmin(lap_times_s)) + 1
 
 
 def lap_of(replay: Replay, car: int, number: int) -> Lap:

@@ -145,9 +145,9 @@ def _best(reader: Reader, lap: BestLap) -> _Ghost:
     half, entry = reader.record(lap.heat).heat.halves[lap.race - 1], reader.entry(lap.number)
     car = half.grid.index(entry.id) + 1
     times_s = _lap_times_s(reader, lap.heat, lap.race, car)
-    fastest = int(np.argmin(times_s))
-    name = LapName(lap.heat, lap.race, car, fastest + 1)
-    return _Ghost(name, entry.number, entry.name, half.track, times_s[fastest])
+    fastest = race_charts.fastest_lap(times_s)
+    name = LapName(lap.heat, lap.race, car, fastest)
+    return _Ghost(name, entry.number, entry.name, half.track, times_s[fastest - 1])
 
 
 def _named(reader: Reader, text: str) -> _Ghost:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import cast
 
-import numpy as np
-
 from league.matchmaking.scores import BestLap, Boards, time_attack
 from league.sim.config import RaceKind
 from league.track import files
@@ -86,7 +84,7 @@ def _speeds(reader: Reader, lap: BestLap | None) -> SpeedMap | None:
     car = reader.record(lap.heat).heat.halves[lap.race - 1].grid.index(entry.id)
     replay = reader.replay(result.replay)
     times_s = next(row.lap_times_s for row in replay.result.order if row.car == car)
-    return race_charts.speed_map(race_charts.lap_of(replay, car, int(np.argmin(times_s)) + 1))
+    return race_charts.speed_map(race_charts.lap_of(replay, car, race_charts.fastest_lap(times_s)))
 
 
 def boards(reader: Reader, races: str = "") -> Document:
