@@ -439,7 +439,7 @@ class Run:
                 f"{first['msg'].removeprefix('Value error, ')}"
             ) from None
 
-    def _card(self, samples: int = 0, spent_s: float | None = None) -> Card:
+    def _card(self, samples: int = 0) -> Card:
         cfg = self.cfg
         return Card(
             name=cfg.name,
@@ -450,7 +450,7 @@ class Run:
             kind=cfg.train.kind,
             reward=self._reward_card,
             steps=samples,
-            train_s=round(self._spent_s if spent_s is None else spent_s, 1),
+            train_s=round(self._spent_s, 1),
             seed=cfg.train.seed,
             parents=self._parents,
             licence=cfg.licence,
