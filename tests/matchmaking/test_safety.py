@@ -9,7 +9,7 @@ import pytest
 
 from league.matchmaking import safety, scores, store
 from league.matchmaking.pairing.heat_spec import Ruleset, mirrored
-from league.matchmaking.store import drives
+from league.matchmaking.store import race_table
 from league.track import files
 from league.web import snapshot
 from tests.matchmaking import leagues
@@ -20,7 +20,7 @@ LENGTH = files.load("reinvent_2018").length
 
 def car(number, laps, **faults):
     """Return a car's line in a result, after so many laps of reinvent_2018."""
-    none = dict.fromkeys(drives.FAULTS, 0)
+    none = dict.fromkeys(race_table.FAULTS, 0)
     return {
         **none,
         "car": number,

@@ -13,10 +13,10 @@ from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Heat, Ruleset
 from league.matchmaking.store import (
     blobs,
-    drives,
     entries,
     integrity,
     queue,
+    race_table,
     results,
     schema,
     seasons,
@@ -296,12 +296,12 @@ class Store(SeasonStore):
         """
         ruleset = ruleset or self.settings.ruleset.hash
         with self._database.reading() as connection:
-            return results.read_races(connection, ruleset, since, rated=rated)
+            return race_table.read_races(connection, ruleset, since, rated=rated)
 
     def drives(self, ruleset: str, *, since: int = 0, rated: bool = True) -> Drives:
         """Return how each car drove in the races under a ruleset; see `races`."""
         with self._database.reading() as connection:
-            return results.read_drives(connection, ruleset, since, rated=rated)
+            return race_table.read_drives(connection, ruleset, since, rated=rated)
 
     def heat(self, name: str | int) -> HeatRecord:
         """Return the heat with this key, beginning of a key (6 digits or more), or number."""
@@ -431,7 +431,7 @@ def upgrade(url: str) -> list[str]:
             database.lock(connection)
             steps = schema.migrate(connection)
             if version < "0004":
-                steps.append(f"{drives.fill_driven(connection)} races tell their incidents")
+                steps.append(f"{race_table.fill_driven(connection)} races tell their incidents")
             if version < "0003":
                 steps.append(f"{integrity.adopt(connection)} records begin the ledger")
             return steps
