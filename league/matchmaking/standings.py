@@ -458,21 +458,3 @@ def records(standings: Standings, number: int) -> list[tuple[Row, HeadToHead]]:
     """Return an entry's record against each one that it met, the best of them first."""
     met = meetings(standings, number)
     return [(row, met[row.number]) for row in standings.rows if row.number in met]
-
-
-@dataclass(frozen=True)
-class HistoryPoint:
-    """An entry's rating at some time."""
-
-    heat: int
-    """Number of the last heat counted."""
-    races: int
-    """Races of the entry up to then, those of earlier seasons under the same rules included."""
-    elo: float
-    """Strength [Elo]."""
-    low95: float
-    """Lower end of the 95 % interval [Elo]."""
-    high95: float
-    """Upper end of the 95 % interval [Elo]."""
-    season: int = 0
-    """Number of the season; 0 in a league without seasons."""

@@ -9,8 +9,9 @@ from typing import Any
 from starlette.convertors import Convertor, register_url_convertor
 from starlette.requests import Request
 
+from league.matchmaking.history import HistoryPoint
 from league.matchmaking.ratings.fit import Difference
-from league.matchmaking.standings import HeadToHead, HistoryPoint, Row
+from league.matchmaking.standings import HeadToHead, Row
 from league.matchmaking.store import Cup, LeagueEntry, Season
 from league.web.pages import driver, ghosts, heat, home, seasons, table, tracks
 from league.web.pages.table import Marks

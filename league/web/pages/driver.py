@@ -12,10 +12,10 @@ from typing import Any
 
 from league.errors import StoreError
 from league.matchmaking import standings
-from league.matchmaking.history import history, own_history
+from league.matchmaking.history import HistoryPoint, history, own_history
 from league.matchmaking.pairing import matchmaker
 from league.matchmaking.scores import RaceScore, race_scores
-from league.matchmaking.standings import HeadToHead, HistoryPoint, Row, Standings
+from league.matchmaking.standings import HeadToHead, Row, Standings
 from league.matchmaking.store import HeatRecord, LeagueEntry
 from league.track import files
 from league.video import strip
