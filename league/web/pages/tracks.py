@@ -59,17 +59,18 @@ def _track(reader: Reader, track: Track, laps: list[BestLap]) -> Document:
         "speeds": reader.kept(("speeds", record), lambda: _speeds(reader, record)),
         "bound_s": bound_s,
         "medals": medal_times(bound_s),
-        "records": [
-            {
-                "entry": lap.number,
-                "name": drivers[lap.number].name,
-                "lap_s": lap.lap_s,
-                "medal": medal(lap.lap_s, bound_s),
-                "heat": lap.heat,
-                "race": lap.race,
-            }
-            for lap in laps[:RECORDS]
-        ],
+        "records": [_line(lap, drivers[lap.number].name, bound_s) for lap in laps[:RECORDS]],
+    }
+
+
+def _line(lap: BestLap, name: str, bound_s: float | None) -> Document:
+    return {
+        "entry": lap.number,
+        "name": name,
+        "lap_s": lap.lap_s,
+        "medal": medal(lap.lap_s, bound_s),
+        "heat": lap.heat,
+        "race": lap.race,
     }
 
 
@@ -115,15 +116,10 @@ def _board(reader: Reader, name: str, laps: list[BestLap]) -> Document:
         "bound_s": bound_s,
         "laps": [
             {
-                "entry": lap.number,
-                "name": drivers[lap.number].name,
+                **_line(lap, drivers[lap.number].name, bound_s),
                 "owner": drivers[lap.number].owner,
-                "lap_s": lap.lap_s,
                 "behind_s": lap.lap_s - laps[0].lap_s,
-                "medal": medal(lap.lap_s, bound_s),
                 "rank": row.rank if (row := rows[lap.number]) else None,
-                "heat": lap.heat,
-                "race": lap.race,
             }
             for lap in laps[:MOST_ON_BOARD]
         ],
