@@ -6,7 +6,6 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from statistics import fmean
 from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
@@ -34,6 +33,7 @@ from league.training.evaluator import (
     Evaluator,
     clean_share,
     evaluate_policy,
+    merit_of,
 )
 from league.training.monitor.history import TrainingCallback, TrainingHistory
 from league.training.ppo import distributed, make_env
@@ -334,7 +334,7 @@ class Run:
         number, evaluation = result.number, result.evaluation
         policy = self._submitted.pop(number)
         self._complete = self._complete + 1 if evaluation.all_complete else 0
-        merit = _merit(evaluation)
+        merit = merit_of(evaluation)
         if self.cfg.self_play:
             # Laps alone do not decide duels: of those that come as far, the newest races best.
             merit = (*merit[:2], float(number))
@@ -457,17 +457,6 @@ class Run:
             league_version=__version__,
             command=cfg.command,
         )
-
-
-def _merit(evaluation: Evaluation) -> tuple[float, ...]:
-    """Return what the best policy has most of: laps, then how far it came, then pace.
-
-    Against others, places count before all that.
-    """
-    mean = evaluation.mean_lap_s
-    laps = evaluation.complete_laps / evaluation.asked
-    driven = (laps, round(evaluation.completion, 3), -mean if mean is not None else -1e9)
-    return (-fmean(evaluation.places), *driven) if evaluation.places else driven
 
 
 def _eval_config(cfg: RunConfig) -> EvalConfig:
