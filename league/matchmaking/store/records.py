@@ -114,7 +114,7 @@ class Move(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Entry:
+class LeagueEntry:
     """A driver submitted to a league."""
 
     number: int

@@ -192,8 +192,8 @@ races = Table(
     UniqueConstraint("heat", "half"),
     sqlite_autoincrement=True,
 )
-"""Races that count: at most one result per race of a heat. `packed`: see results.packed; `driven`:
-see drives.driven."""
+"""Races that count: at most one result per race of a heat. `packed` and
+`driven`: see race_table.py."""
 
 results = Table(
     "results",
