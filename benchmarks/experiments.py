@@ -24,8 +24,7 @@ from rsl_rl.storage import RolloutStorage
 from torch import Tensor, nn
 
 from benchmarks.report import heading, machine
-from league.agents.card import Card
-from league.agents.checkpoint import Checkpoint
+from league.agents.checkpoint import Card, Checkpoint
 from league.envs.actions import ContinuousActions
 from league.envs.rewards import preset
 from league.sim.config import CameraConfig, SensorConfig

@@ -82,7 +82,7 @@ PARTS = {
     ),
     "ratings": Part(
         ("matchmaking/ratings/fit.py", "matchmaking/ratings/systems.py",
-         "matchmaking/ratings/pair_counts.py", "matchmaking/ratings/results.py"),
+         "matchmaking/ratings/pair_counts.py", "matchmaking/ratings/pair_counts.py"),
         ("matchmaking/test_ratings.py",),
         plain=False,
     ),

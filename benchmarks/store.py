@@ -18,7 +18,7 @@ from benchmarks.report import figure, heading, note, seconds
 from league.matchmaking import standings, store
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Ruleset, mirrored
-from league.matchmaking.store import FINISHED, KNOWN, database, results, schema
+from league.matchmaking.store import FINISHED, KNOWN, database, race_table, schema
 
 RULES = Ruleset()
 ENTRIES = 5000
@@ -136,13 +136,13 @@ def _races(
     lead = (strengths[one] - strengths[other])[:, None] + [FRONT_WORTH, -FRONT_WORTH]
     won = generator.random((count, 2)) < 1 / (1 + 10 ** (-lead / 400))
     best_ms = generator.integers(11_000, 13_000, (count, 2, 2))
-    races = np.zeros((count, 2), results.race_type(2))
+    races = np.zeros((count, 2), race_table.race_type(2))
     races["heat"], races["half"] = numbers[:, None], [0, 1]
     races["entries"] = np.stack([grids, grids[:, ::-1]], axis=1)
     in_front = won ^ [False, True]  # whether the car in the front slot won
     races["places"] = np.where(in_front[:, :, None], [1, 2], [2, 1])
     races["runs"] = KNOWN | FINISHED | best_ms
-    driven = np.zeros((count, 2, 2), results.DRIVEN)
+    driven = np.zeros((count, 2, 2), race_table.DRIVEN)
     driven["points"], driven["distance_cm"] = generator.poisson(0.5, driven.shape), DISTANCE_CM
     driven["clean_ms"] = np.where(driven["points"], 0, best_ms)
     halves = zip(numbers.repeat(2).tolist(), [0, 1] * count, strict=True)

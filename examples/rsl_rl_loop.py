@@ -8,7 +8,7 @@ import sys
 from rsl_rl.runners import OnPolicyRunner
 
 from league.agents import checkpoint, convert
-from league.agents.card import Card
+from league.agents.checkpoint import Card
 from league.agents.network import NetworkConfig, from_learner
 from league.envs import RacingVecEnv
 

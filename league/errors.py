@@ -45,11 +45,11 @@ class WorldError(LeagueError):
     """A world that left the numbers: NaN or infinity in a car's state."""
 
 
-def nearest_names(name: str, known: list[str], limit: int = 3) -> str:
+def nearest_names(name: str, known: list[str]) -> str:
     """Return a phrase for an error message: the nearest names, or all where none is near."""
     import difflib
 
-    close = difflib.get_close_matches(name, known, n=limit, cutoff=0.6)
+    close = difflib.get_close_matches(name, known, n=3, cutoff=0.6)
     return f"nearest: {', '.join(close)}" if close else f"there are {', '.join(sorted(known))}"
 
 

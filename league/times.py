@@ -26,6 +26,13 @@ def laps(count: int) -> str:
 
 def day(seconds: float | None) -> str:
     """Return a time [s since 1970] as people read it, in UTC."""
-    if seconds is None:
-        return ""
-    return datetime.fromtimestamp(seconds, tz=UTC).strftime("%Y-%m-%d %H:%M")
+    return _in_utc(seconds, "%Y-%m-%d %H:%M")
+
+
+def time_of_day(seconds: float | None) -> str:
+    """Return the time of day, to the second, of a time [s since 1970], in UTC."""
+    return _in_utc(seconds, "%H:%M:%S")
+
+
+def _in_utc(seconds: float | None, form: str) -> str:
+    return "" if seconds is None else datetime.fromtimestamp(seconds, tz=UTC).strftime(form)

@@ -7,8 +7,7 @@ from collections.abc import Callable, Mapping
 import torch
 from torch import Tensor, nn
 
-from league.agents.card import Card
-from league.agents.checkpoint import Checkpoint
+from league.agents.checkpoint import Card, Checkpoint
 from league.agents.network import (
     NORMALISER_EPS,
     NetworkConfig,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from league.agents import checkpoint
-from league.agents.card import Card
+from league.agents.checkpoint import Card
 from league.cli.race import entries, labels
 from league.sim.config import SensorConfig
 

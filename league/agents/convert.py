@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from league.agents.card import Card
-from league.agents.checkpoint import Checkpoint
+from league.agents.checkpoint import Card, Checkpoint
 from league.agents.network import Activation, NetworkConfig, group_shapes
 from league.envs import make
 from league.envs.actions import MAX_SPEED, MIN_SPEED, ActionSpace, ContinuousActions

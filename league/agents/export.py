@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from league.agents.card import Card
-from league.agents.checkpoint import Checkpoint
+from league.agents.checkpoint import Card, Checkpoint
 from league.agents.network import NORMALISER_EPS
 from league.atomic_file import replacing
 from league.envs.actions import ContinuousActions

@@ -17,7 +17,7 @@ from typing import Annotated, Any
 import tyro
 
 from league.cli import drivers, evaluate, race, replays, rewards, tracks
-from league.cli.season import cups, entries, gauntlet, heats, run, seasons, standings, tokens
+from league.cli.season import entries, gauntlet, heats, run, seasons, standings, tokens
 
 
 @dataclass
@@ -40,7 +40,6 @@ GROUPS: dict[str, dict[str, type]] = {
         **run.COMMANDS,
         **standings.COMMANDS,
         **seasons.COMMANDS,
-        **cups.COMMANDS,
         **heats.COMMANDS,
         **gauntlet.COMMANDS,
         **run.SERVE,

@@ -14,8 +14,7 @@ from league.cli.season import OnLeague
 from league.errors import ConfigError
 
 if TYPE_CHECKING:
-    from league.agents.card import Card
-    from league.agents.checkpoint import Checkpoint
+    from league.agents.checkpoint import Card, Checkpoint
 
 
 @dataclass

@@ -74,7 +74,7 @@ class Evaluate:
 
 
 def _evaluate(command: Evaluate) -> int:
-    from league.racing import simtrace
+    from league.racing.trace import write_evaluation
 
     _check(command)
     evaluations = []
@@ -85,7 +85,7 @@ def _evaluate(command: Evaluate) -> int:
             print_table(evaluation)
         if trace is not None and command.trace is not None:
             if _is_folder(command.trace):
-                path = simtrace.write_evaluation(trace, command.trace)
+                path = write_evaluation(trace, command.trace)
             else:
                 path = trace.write(command.trace)
             if not command.json:

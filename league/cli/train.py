@@ -248,7 +248,7 @@ def _budget(cfg: RunConfig) -> str:
 
 def _callbacks(command: Train, run: Run) -> list[TrainingCallback]:
     from league.training.monitor.dashboard import Dashboard
-    from league.training.monitor.plot import TrainingPlot
+    from league.training.monitor.sinks import TrainingPlot
 
     cfg = run.cfg
     callbacks: list[TrainingCallback] = []

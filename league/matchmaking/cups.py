@@ -16,7 +16,7 @@ import numpy as np
 from league.errors import StoreError, nearest_names
 from league.matchmaking import documents
 from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset
-from league.matchmaking.store import RATED, Cup, Entry, HeatState, Store
+from league.matchmaking.store import RATED, Cup, HeatState, LeagueEntry, Store
 
 DRAWS = 4096
 """Heats of a cup at most; heat k of cup n has the draw n * DRAWS + k."""
@@ -146,7 +146,7 @@ def bracket(store: Store, cup: Cup) -> Bracket:
     return _computed(store, cup)[0]
 
 
-def document(cup: Cup, bracket: Bracket, entries: Mapping[str, Entry]) -> dict[str, Any]:
+def document(cup: Cup, bracket: Bracket, entries: Mapping[str, LeagueEntry]) -> dict[str, Any]:
     """Return a cup as plain data, with the numbers and names of its entries (given by id)."""
     stages = documents.plain(bracket.stages)
     for run in (run for stage in stages for heat in stage["heats"] for run in heat["runs"]):

@@ -8,7 +8,7 @@ from dataclasses import asdict, is_dataclass
 from typing import Any
 
 from league.matchmaking.standings import Standings, pole
-from league.matchmaking.store import Entry, HeatRecord
+from league.matchmaking.store import HeatRecord, LeagueEntry
 
 
 def plain(value: object) -> Any:  # noqa: ANN401
@@ -24,7 +24,7 @@ def plain(value: object) -> Any:  # noqa: ANN401
     return value
 
 
-def names_of(entries: Sequence[Entry]) -> dict[str, str]:
+def names_of(entries: Sequence[LeagueEntry]) -> dict[str, str]:
     """Return the names of entries by their ids."""
     return {entry.id: entry.name for entry in entries}
 
@@ -64,5 +64,6 @@ def heat_document(record: HeatRecord, names: Mapping[str, str]) -> dict[str, obj
         "attempts": record.attempts,
         "traceback": record.traceback,
         "audits": record.heat.audits,
+        "claimed_s": record.claimed_s,
         "done_s": record.done_s,
     }

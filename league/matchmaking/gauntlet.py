@@ -18,7 +18,7 @@ from league.matchmaking.ratings import Ratings, Results, sprt
 from league.matchmaking.ratings.fit import SIGMAS_95
 from league.matchmaking.ratings.sprt import Comparison, SequentialSettings
 from league.matchmaking.scope import RatingScope, scope
-from league.matchmaking.store import RATED, Entry, HeatOutcome, Store
+from league.matchmaking.store import RATED, HeatOutcome, LeagueEntry, Store
 from league.matchmaking.workers import Executor
 from league.matchmaking.workers.dispatcher import heat_driver
 from league.matchmaking.workers.worker import HeatDriver, HeatJob, check_physics
@@ -190,7 +190,7 @@ class GauntletResult:
     """Name, races and points against each opponent."""
 
 
-def opponents(store: Store, *, most: int = 8) -> list[Entry]:
+def opponents(store: Store, *, most: int = 8) -> list[LeagueEntry]:
     """Return opponents for a gauntlet: rated entries evenly spread over the table."""
     entries = {e.number: e for e in store.entries(RATED)}
     try:
@@ -208,7 +208,7 @@ def gauntlet(
     store: Store,
     executor: Executor,
     newcomer: Checkpoint,
-    field: Sequence[Entry],
+    field: Sequence[LeagueEntry],
     *,
     rounds: int = 1,
     watch: Callable[[HeatOutcome], bool] = lambda outcome: True,
@@ -231,7 +231,7 @@ def gauntlet(
 def _placed(
     store: Store,
     newcomer: str,
-    field: Sequence[Entry],
+    field: Sequence[LeagueEntry],
     heats: Sequence[SeededHeat],
     outcomes: Sequence[HeatOutcome],
 ) -> GauntletResult:
@@ -266,7 +266,7 @@ def _fit_with(
     heats: Sequence[SeededHeat],
     outcomes: Sequence[HeatOutcome],
     number_of: dict[str, int],
-    entries: Sequence[Entry],
+    entries: Sequence[LeagueEntry],
 ) -> Ratings:
     """Return the fit of a season with some heats more, of at least a newcomer's spread."""
     season = standings.results_of(within.races)

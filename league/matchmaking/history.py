@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from league.errors import StoreError, brief
@@ -10,11 +12,32 @@ from league.matchmaking.ratings import Carried, RatingData, refit
 from league.matchmaking.ratings.fit import SIGMAS_95, expected_score
 from league.matchmaking.ratings.pair_counts import ELO
 from league.matchmaking.scope import scope
-from league.matchmaking.standings import HistoryPoint, Standings
-from league.matchmaking.store import Entry, Store
+from league.matchmaking.standings import Standings
+from league.matchmaking.store import LeagueEntry, Store
+
+TREND_HEATS = 50
+"""So many of a season's newest heats, at most half of them, make the trend of a rating."""
 
 
-def history(store: Store, entry: Entry, *, points: int = 20) -> list[HistoryPoint]:
+@dataclass(frozen=True)
+class HistoryPoint:
+    """An entry's rating at some time."""
+
+    heat: int
+    """Number of the last heat counted."""
+    races: int
+    """Races of the entry up to then, those of earlier seasons under the same rules included."""
+    elo: float
+    """Strength [Elo]."""
+    low95: float
+    """Lower end of the 95 % interval [Elo]."""
+    high95: float
+    """Upper end of the 95 % interval [Elo]."""
+    season: int = 0
+    """Number of the season; 0 in a league without seasons."""
+
+
+def history(store: Store, entry: LeagueEntry, *, points: int = 20) -> list[HistoryPoint]:
     """Return an entry's rating as it was after evenly many of its heats, and last as it is now.
 
     Each is fitted to the races of its season up to then, so later corrections of results count.
@@ -54,10 +77,6 @@ def history(store: Store, entry: Entry, *, points: int = 20) -> list[HistoryPoin
             )
         raced = moments[-1].races if moments else 0
     return moments
-
-
-TREND_HEATS = 50
-"""So many of a season's newest heats, at most half of them, make the trend of a rating."""
 
 
 def trends(rated: Standings, carried: Carried | None) -> dict[int, float]:

@@ -9,7 +9,6 @@ import numpy as np
 
 from league.matchmaking.store import Drives, Store
 from league.track import files
-from league.track.corners import corners
 
 RACES = 50
 """Newest rated races of an entry that count."""
@@ -98,7 +97,7 @@ def _rated(drives: Drives, tracks: Sequence[str]) -> Record:
     per_cm = np.zeros(len(tracks))
     for index in map(int, np.unique(drives.track)):
         track = files.load(tracks[index])
-        per_cm[index] = corners(track) / track.length / 100
+        per_cm[index] = track.num_corners / track.length / 100
     turned, found = drives.distance_cm * per_cm[drives.track], {}
     for entry, begin, end in zip(entries.tolist(), np.append(0, ends), ends, strict=False):
         own = slice(begin, end)

@@ -18,8 +18,8 @@ from league.matchmaking.store import (
     FINISHED,
     KNOWN,
     RATED,
-    Entry,
     EntryState,
+    LeagueEntry,
     Races,
     Season,
     Store,
@@ -127,7 +127,7 @@ def results_of(races: Races, *, before: int | None = None) -> Results:
 
 def rated(
     results: Results,
-    entries: Sequence[Entry],
+    entries: Sequence[LeagueEntry],
     also: Collection[int] = (),
     carried: Carried | None = None,
 ) -> Ratings | None:
@@ -144,7 +144,7 @@ def rated(
 
 
 def _data(
-    results: Results, entries: Sequence[Entry], also: Collection[int] = ()
+    results: Results, entries: Sequence[LeagueEntry], also: Collection[int] = ()
 ) -> RatingData | None:
     numbers = {entry.number for entry in entries if entry.state in RATED} | set(also)
     data = RatingData.of(results, sorted(numbers))
@@ -153,14 +153,14 @@ def _data(
 
 def _fit(
     data: RatingData,
-    entries: Sequence[Entry],
+    entries: Sequence[LeagueEntry],
     carried: Carried | None,
     near: Ratings | None = None,
 ) -> Ratings:
     return fit(data, anchor=anchor_of(data.entries, entries), carried=carried, near=near)
 
 
-def anchor_of(numbers: np.ndarray, entries: Sequence[Entry]) -> int | None:
+def anchor_of(numbers: np.ndarray, entries: Sequence[LeagueEntry]) -> int | None:
     """Return the first of some entries (numbers) that is an anchor."""
     known = set(numbers.ravel().tolist())
     return min((e.number for e in entries if e.anchor and e.number in known), default=None)
@@ -191,7 +191,7 @@ def of(store: Store, ruleset: str | None = None, season: Season | None = None) -
 
 
 def table(
-    entries: Sequence[Entry],
+    entries: Sequence[LeagueEntry],
     within: RatingScope,
     ruleset: str,
     tracks: tuple[str, ...],
@@ -240,7 +240,7 @@ def possible_ranks(fitted: Ratings) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _rows(
-    data: RatingData, fitted: Ratings, entries: Sequence[Entry], runs: Runs
+    data: RatingData, fitted: Ratings, entries: Sequence[LeagueEntry], runs: Runs
 ) -> tuple[Row, ...]:
     by_number = {entry.number: entry for entry in entries}
     pairs, points = data.counts.points()
@@ -458,21 +458,3 @@ def records(standings: Standings, number: int) -> list[tuple[Row, HeadToHead]]:
     """Return an entry's record against each one that it met, the best of them first."""
     met = meetings(standings, number)
     return [(row, met[row.number]) for row in standings.rows if row.number in met]
-
-
-@dataclass(frozen=True)
-class HistoryPoint:
-    """An entry's rating at some time."""
-
-    heat: int
-    """Number of the last heat counted."""
-    races: int
-    """Races of the entry up to then, those of earlier seasons under the same rules included."""
-    elo: float
-    """Strength [Elo]."""
-    low95: float
-    """Lower end of the 95 % interval [Elo]."""
-    high95: float
-    """Upper end of the 95 % interval [Elo]."""
-    season: int = 0
-    """Number of the season; 0 in a league without seasons."""

@@ -16,14 +16,13 @@ from dataclasses import replace
 import numpy as np
 
 from league.agents import checkpoint
-from league.agents.card import Card
-from league.agents.checkpoint import MAX_SIZE_CAMERA, Checkpoint
+from league.agents.checkpoint import MAX_SIZE_CAMERA, Card, Checkpoint
 from league.agents.policy import Policy
 from league.agents.torch_archive import RefusedError
 from league.errors import LeagueError, PolicyError, brief
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Ruleset
-from league.matchmaking.store import Entry, Quota, Store
+from league.matchmaking.store import LeagueEntry, Quota, Store
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig, SimConfig
 
 MAX_HEADER = 64 << 10
@@ -229,7 +228,7 @@ def accept(
     quota: Quota | None = None,
     *,
     download: bool = False,
-) -> Entry:
+) -> LeagueEntry:
     """Check what an owner sent, and enter it; nothing is kept if it is refused.
 
     Args:
@@ -274,6 +273,6 @@ def accept(
 
 def submit(
     store: Store, path: str | os.PathLike[str], name: str, owner: str, *, download: bool = False
-) -> Entry:
+) -> LeagueEntry:
     """Submit a checkpoint file: read and packed here, on its owner's machine, then handed in."""
     return accept(store, pack(checkpoint.load(path)), name, owner, download=download)

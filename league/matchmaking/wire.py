@@ -13,10 +13,10 @@ from pydantic import AfterValidator, Field, TypeAdapter, ValidationError, model_
 from league.errors import LeagueError, StoreError
 from league.matchmaking.pairing.heat_spec import Half, Heat, Purpose, Ruleset, canonical
 from league.matchmaking.store import (
-    Entry,
     HeatOutcome,
     HeatRecord,
     HeatState,
+    LeagueEntry,
     RaceOutcome,
 )
 from league.matchmaking.workers.worker import outcome_in
@@ -171,7 +171,7 @@ class State(FrozenModel):
 
 
 def lent(
-    records: Sequence[HeatRecord], rules: Mapping[str, Ruleset], entries: Mapping[str, Entry]
+    records: Sequence[HeatRecord], rules: Mapping[str, Ruleset], entries: Mapping[str, LeagueEntry]
 ) -> Lent:
     """Return lent heats as they are sent, with their rules (by hash) and entries (by id)."""
     ids = sorted({id for record in records for id in record.heat.entries})
@@ -226,15 +226,16 @@ def record_of(sent: LentHeat, worker: str) -> HeatRecord:
         traceback="",
         seeds=tuple(one.seed for one in sent.races),
         created_s=0.0,
+        claimed_s=None,
         done_s=None,
     )
 
 
-def entry_of(id: str, sent: LentEntry) -> Entry:
+def entry_of(id: str, sent: LentEntry) -> LeagueEntry:
     """Return an entry that came over the wire, with what racing it needs."""
     card = {"driver": sent.driver} if sent.driver else {"blob": sent.blob}
     kind = "scripted" if sent.driver else "policy"
-    return Entry(0, id, sent.name, "", kind, False, "ranked", "", card, 0.0)
+    return LeagueEntry(0, id, sent.name, "", kind, False, "ranked", "", card, 0.0)
 
 
 def sent_heat(outcome: HeatOutcome) -> SentHeat:

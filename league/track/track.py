@@ -21,6 +21,10 @@ SPACING = 0.05
 
 ROOM_MARGIN = 0.84
 """From the road's bounding box to the room's wall [m]; the original's is 0.76 to 0.92."""
+LEAST_BEND = 0.25
+"""Curvature from which on the road bends [1/m]: a radius of 4 m, at which no car has to brake."""
+LEAST_TURN = np.radians(20.0)
+"""A bend that turns less than this is no corner [rad]."""
 
 Rgb = tuple[int, int, int]
 
@@ -105,6 +109,21 @@ class Track:
     def min_radius(self) -> float:
         """Smallest radius of the centreline [m], smoothed over 0.3 m."""
         return float(1.0 / max(np.abs(self.curvature).max(), 1e-9))
+
+    @cached_property
+    def num_corners(self) -> int:
+        """Number of stretches that bend to one side and turn enough; over the start line, one."""
+        side = np.sign(self.curvature) * (np.abs(self.curvature) >= LEAST_BEND)
+        turned = self.curvature * self.length / len(self.segment_lengths)
+        if self.closed and (side == side[0]).all():
+            return int(side[0] != 0)
+        if self.closed:
+            # Begin where one stretch ends and the next one begins.
+            start = int(np.flatnonzero(side != np.roll(side, 1))[0])
+            side, turned = np.roll(side, -start), np.roll(turned, -start)
+        first = np.flatnonzero(np.diff(side, prepend=np.nan))
+        turns = np.abs(np.add.reduceat(turned, first))
+        return int(((side[first] != 0) & (turns >= LEAST_TURN)).sum())
 
     @cached_property
     def direction(self) -> Literal["counter-clockwise", "clockwise", "open"]:

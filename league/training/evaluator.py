@@ -8,6 +8,7 @@ import time
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
+from statistics import fmean
 
 from league import subprocesses
 from league.agents import roster
@@ -102,6 +103,17 @@ def clean_share(cfg: EvalConfig, checkpoint: Checkpoint) -> float:
     trials = math.ceil(CLEAN_RUNS / len(cfg.tracks))
     evaluation = evaluate_policy(replace(cfg, trials=trials), checkpoint)
     return round(evaluation.clean_runs / evaluation.runs, 4)
+
+
+def merit_of(evaluation: Evaluation) -> tuple[float, ...]:
+    """Return what the best policy has most of: laps, then how far it came, then pace.
+
+    Against others, places count before all that.
+    """
+    mean = evaluation.mean_lap_s
+    laps = evaluation.complete_laps / evaluation.asked
+    driven = (laps, round(evaluation.completion, 3), -mean if mean is not None else -1e9)
+    return (-fmean(evaluation.places), *driven) if evaluation.places else driven
 
 
 MODULES = (

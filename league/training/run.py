@@ -6,27 +6,25 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from statistics import fmean
 from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
 
 from league import __version__
 from league.agents import checkpoint, roster
-from league.agents.card import Card, RewardCard
-from league.agents.checkpoint import Checkpoint
+from league.agents.checkpoint import Card, Checkpoint, RewardCard
 from league.agents.policy import Policy
 from league.atomic_file import replacing
 from league.envs import rewards
 from league.envs.driver import Driver
 from league.envs.rewards import Reward
 from league.errors import ConfigError, LeagueError, PolicyError, brief
-from league.racing import duels, simtrace
+from league.racing import duels, trace
 from league.racing.duels import DuelConfig, Threshold
-from league.racing.simtrace import TrainingTrace
+from league.racing.trace import TrainingTrace
 from league.sim.config import SimConfig
 from league.track.track import Track
-from league.training import config, run_folder, track_selection
+from league.training import config, run_folder
 from league.training.config import RunConfig
 from league.training.evaluator import (
     CLEAN_RUNS,
@@ -35,6 +33,7 @@ from league.training.evaluator import (
     Evaluator,
     clean_share,
     evaluate_policy,
+    merit_of,
 )
 from league.training.monitor.history import TrainingCallback, TrainingHistory
 from league.training.ppo import distributed, make_env
@@ -88,8 +87,8 @@ class Run:
         self.cfg, self.folder = cfg, folder
         if not cfg.reward.endswith(".py"):
             ways = 2 if cfg.train.both_directions else 1
-            rewards.check_name(cfg.reward, ways * track_selection.count(cfg.tracks))
-        named_tracks = track_selection.load(cfg.tracks)
+            rewards.check_name(cfg.reward, ways * make_env.count_tracks(cfg.tracks))
+        named_tracks = make_env.load_tracks(cfg.tracks)
         self._eval_cfg = _eval_config(cfg)
         self._parents: tuple[str, ...] = ()
         self._reward, self._reward_card = _reward(cfg)
@@ -108,7 +107,7 @@ class Run:
                 "a teacher is for a policy that has learnt nothing yet: omit --teacher or "
                 "--init-from"
             )
-        tracks = track_selection.together(named_tracks, train.both_directions)
+        tracks = make_env.track_set(named_tracks, train.both_directions)
         self._parent = checkpoint.load(cfg.init_from) if cfg.init_from else None
         if self._parent is not None:
             self._parents = (self._parent.digest, *self._parent.card.parents)[:64]
@@ -282,12 +281,12 @@ class Run:
             "lr": ppo.learning_rate[0],
             "beta_entropy": ppo.entropy[0],
             "discount_factor": ppo.gamma,
-            "num_episodes_between_training": simtrace.EPISODES,
+            "num_episodes_between_training": trace.EPISODES,
             "exploration_type": "categorical",
             "stack_size": 1,
         }
         folder = self.folder / run_folder.SIMTRACE
-        simtrace.write_metadata(folder, train.action_space, train.sensors, hyperparameters)
+        trace.write_metadata(folder, train.action_space, train.sensors, hyperparameters)
 
     def _progress(self) -> float:
         cfg = self.cfg
@@ -335,7 +334,7 @@ class Run:
         number, evaluation = result.number, result.evaluation
         policy = self._submitted.pop(number)
         self._complete = self._complete + 1 if evaluation.all_complete else 0
-        merit = _merit(evaluation)
+        merit = merit_of(evaluation)
         if self.cfg.self_play:
             # Laps alone do not decide duels: of those that come as far, the newest races best.
             merit = (*merit[:2], float(number))
@@ -440,7 +439,7 @@ class Run:
                 f"{first['msg'].removeprefix('Value error, ')}"
             ) from None
 
-    def _card(self, samples: int = 0, spent_s: float | None = None) -> Card:
+    def _card(self, samples: int = 0) -> Card:
         cfg = self.cfg
         return Card(
             name=cfg.name,
@@ -451,7 +450,7 @@ class Run:
             kind=cfg.train.kind,
             reward=self._reward_card,
             steps=samples,
-            train_s=round(self._spent_s if spent_s is None else spent_s, 1),
+            train_s=round(self._spent_s, 1),
             seed=cfg.train.seed,
             parents=self._parents,
             licence=cfg.licence,
@@ -460,22 +459,11 @@ class Run:
         )
 
 
-def _merit(evaluation: Evaluation) -> tuple[float, ...]:
-    """Return what the best policy has most of: laps, then how far it came, then pace.
-
-    Against others, places count before all that.
-    """
-    mean = evaluation.mean_lap_s
-    laps = evaluation.complete_laps / evaluation.asked
-    driven = (laps, round(evaluation.completion, 3), -mean if mean is not None else -1e9)
-    return (-fmean(evaluation.places), *driven) if evaluation.places else driven
-
-
 def _eval_config(cfg: RunConfig) -> EvalConfig:
     tracks: list[Track] = (
-        track_selection.load(cfg.eval_tracks)
+        make_env.load_tracks(cfg.eval_tracks)
         if cfg.eval_tracks
-        else track_selection.for_evaluation(cfg.tracks)
+        else make_env.tracks_for_evaluation(cfg.tracks)
     )
     # A policy that learns to race others is evaluated by racing them; in self-play the matrix is.
     opponents = cfg.eval_opponents or cfg.opponents

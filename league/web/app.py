@@ -76,7 +76,8 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    templates.filters |= {"clock": times.clock, "day": times.day, "iso": _iso, "code": _code}
+    shown = {"clock": times.clock, "day": times.day, "time_of_day": times.time_of_day}
+    templates.filters |= shown | {"iso": _iso, "code": _code}
     names: dict[str, Any] = {
         "league_name": store.settings.name,
         "static": _static_text,

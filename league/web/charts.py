@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from league.matchmaking.history import HistoryPoint
 from league.matchmaking.scores import RaceScore
-from league.matchmaking.standings import HistoryPoint, Row
+from league.matchmaking.standings import Row
 from league.track.track import Track
 
 WIDTH, HEIGHT = 520, 180

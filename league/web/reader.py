@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from league.errors import LeagueError, StoreError
 from league.matchmaking.documents import heat_document
 from league.matchmaking.standings import Row, Standings
-from league.matchmaking.store import Entry, HeatRecord, Store, StoredResult
+from league.matchmaking.store import HeatRecord, LeagueEntry, Store, StoredResult
 from league.racing_line.racing_line import lap_bound
 from league.replay import Replay, format
 from league.sim.config import CarConfig
@@ -132,24 +132,24 @@ class Reader:
             "solver": rules.solver,
         }
 
-    def entries(self) -> tuple[Entry, ...]:
+    def entries(self) -> tuple[LeagueEntry, ...]:
         """Return all entries, in the order they came."""
         return self.snapshot().entries
 
-    def entry(self, number: int) -> Entry:
+    def entry(self, number: int) -> LeagueEntry:
         """Return an entry by its number."""
         entry = self.snapshot().by_number.get(number) or self._newcomer("number", number)
         if entry is None:
             raise NotFoundError(f"This league has no driver {number}: the standings list them.")
         return entry
 
-    def entry_of(self, id: str) -> Entry:
+    def entry_of(self, id: str) -> LeagueEntry:
         """Return an entry by its id, which a heat names."""
         entry = self.snapshot().by_id.get(id) or self._newcomer("id", id)
         assert entry is not None, "a heat names an entry that does not exist"
         return entry
 
-    def _newcomer(self, name: str, value: object) -> Entry | None:
+    def _newcomer(self, name: str, value: object) -> LeagueEntry | None:
         """Return an entry that came after the snapshot was taken."""
         if self.store.revision == self.snapshot().revision:
             return None

@@ -9,26 +9,13 @@ from typing import Any
 from starlette.convertors import Convertor, register_url_convertor
 from starlette.requests import Request
 
+from league.matchmaking.history import HistoryPoint
 from league.matchmaking.ratings.fit import Difference
-from league.matchmaking.standings import HeadToHead, HistoryPoint, Row
-from league.matchmaking.store import Cup, Entry, Season
-from league.web.pages import (
-    boards,
-    cups,
-    definitions,
-    driver,
-    ghosts,
-    heat,
-    heats,
-    home,
-    live,
-    matchup,
-    seasons,
-    table,
-    tracks,
-)
+from league.matchmaking.standings import HeadToHead, Row
+from league.matchmaking.store import Cup, LeagueEntry, Season
+from league.web.pages import driver, ghosts, heat, home, seasons, table, tracks
+from league.web.pages.table import Marks
 from league.web.reader import Document, Reader
-from league.web.season_marks import Marks
 
 
 class _Number(Convertor[int]):
@@ -103,16 +90,16 @@ PAGES = (
                 "marks": dict[int, Marks], "season": Season | None}),
     Page("/drivers/{number:number}", "A driver: rating, history, records, heats, card",
          driver.document, "driver.html", shared=True,
-         parts={"entry": Entry, "standing": Row | None, "history": list[HistoryPoint],
+         parts={"entry": LeagueEntry, "standing": Row | None, "history": list[HistoryPoint],
                 "against": list[tuple[Row, HeadToHead | None]]}),
     Page("/matchups/{one:number}/{other:number}",
          "Two drivers: their heats, expected and actual score",
-         matchup.document, "matchup.html", shared=True,
+         driver.matchup, "matchup.html", shared=True,
          query={"before": "Number of a heat: only earlier ones are listed"},
-         parts={"one": Entry, "other": Entry, "difference": Difference | None,
+         parts={"one": LeagueEntry, "other": LeagueEntry, "difference": Difference | None,
                 "record": HeadToHead | None}),
-    Page("/heats", "The newest heats", heats.document, "heats.html", shared=True),
-    Page("/feed.atom", "The newest heats as a feed", heats.document, "feed.xml", shared=True,
+    Page("/heats", "The newest heats", home.heats, "heats.html", shared=True),
+    Page("/feed.atom", "The newest heats as a feed", home.heats, "feed.xml", shared=True,
          media_type="application/atom+xml"),
     Page("/heats/{number:number}", "A heat, and one of its races", heat.document, "heat.html",
          shared=True,
@@ -134,16 +121,16 @@ PAGES = (
     Page("/ghosts/replay", "What the player draws of two laps", ghosts.replay, shared=True,
          query={"one": "A lap as heat.race.car.lap", "other": "The second lap"}),
     Page("/time-attack", "The fastest clean laps on each track, for each kind of race",
-         boards.document, "boards.html", shared=True,
+         tracks.boards, "boards.html", shared=True,
          query={"races": "Kind of race: head_to_head, time_trial or obstacle_avoidance"}),
     Page("/seasons", "Past seasons with their trophies, and cups", seasons.document, "seasons.html",
          parts={"running": Season | None}),
     Page("/seasons/{number:number}", "A season's final standings and trophies", seasons.season,
          "season.html", parts={"season": Season}),
-    Page("/cups/{number:number}", "A cup: qualifying and bracket", cups.document, "cup.html",
+    Page("/cups/{number:number}", "A cup: qualifying and bracket", seasons.cup, "cup.html",
          parts={"cup": Cup}),
-    Page("/definitions", "What the numbers mean", definitions.document, "definitions.html"),
-    Page("/live", "Running heats, queue, workers, heats per minute", live.document, "live.html",
+    Page("/definitions", "What the numbers mean", table.definitions, "definitions.html"),
+    Page("/live", "Running heats, queue, workers, heats per minute", home.live, "live.html",
          shared=True, fleeting=True),
 )  # fmt: skip
 """All pages, and data without a page."""

@@ -48,7 +48,9 @@ def serve(
     if not 0 <= port < 65536:
         raise ConfigError(f"the port {port} is not possible: give 0 to 65535")
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    with socket.socket(family) as listener:
+    # asyncio sends small packets at once (TCP_NODELAY) only where the protocol is named: else each
+    # answer waits 40 ms for the acknowledgement of its head.
+    with socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP) as listener:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             listener.bind((host, port))

@@ -54,7 +54,7 @@ def export(store: Store, folder: Path, *, heats: int) -> Exported:
     """
     if folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
         raise ConfigError(f"{folder} is not empty: give a new folder, so that nothing is mixed up")
-    numbers = {record.number for record in store.heats(("done",))[-heats:]}
+    numbers = {one.number for one in store.heats(("done",), limit=heats, newest=True)}
     return asyncio.run(_export(make_app(store, exported=True), folder, numbers))
 
 

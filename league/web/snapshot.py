@@ -13,7 +13,7 @@ from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.scope import RatingScope, scope
 from league.matchmaking.scores import BestLap, best_laps
 from league.matchmaking.standings import Row, Standings
-from league.matchmaking.store import Entry, Races, Season, Store
+from league.matchmaking.store import LeagueEntry, Races, Season, Store
 from league.matchmaking.store.records import LeagueSettings
 
 
@@ -24,7 +24,7 @@ class Snapshot:
     revision: int
     """Store.revision at that moment, or shortly before."""
     settings: LeagueSettings
-    entries: tuple[Entry, ...]
+    entries: tuple[LeagueEntry, ...]
     races: Races
     """Those of the present rules that count, of all seasons."""
     season: Season | None
@@ -44,12 +44,12 @@ class Snapshot:
             getattr(self, name)
 
     @cached_property
-    def by_number(self) -> dict[int, Entry]:
+    def by_number(self) -> dict[int, LeagueEntry]:
         """The entries by their numbers."""
         return {entry.number: entry for entry in self.entries}
 
     @cached_property
-    def by_id(self) -> dict[str, Entry]:
+    def by_id(self) -> dict[str, LeagueEntry]:
         """The entries by their ids."""
         return {entry.id: entry for entry in self.entries}
 
@@ -103,7 +103,7 @@ class Snapshot:
         return sorted({row.owner for row in self.rows.values()})
 
 
-def kind_of(entry: Entry) -> str:
+def kind_of(entry: LeagueEntry) -> str:
     """Return what an entry is, in one word."""
     return "anchor" if entry.anchor else entry.kind
 

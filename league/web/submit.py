@@ -10,10 +10,9 @@ from starlette.exceptions import HTTPException
 
 from league.agents.checkpoint import MAX_SIZE_CAMERA
 from league.matchmaking import submission
-from league.matchmaking.store import Entry, EntryState, Store, Token
+from league.matchmaking.store import EntryState, LeagueEntry, Store, Token
 from league.race_spec import printable
-from league.web.forms import Form, text
-from league.web.protected import Asked, Protected
+from league.web.protected import Asked, Form, Protected, text
 from league.web.reader import Document, Reader
 from league.web.security import Access
 
@@ -55,7 +54,7 @@ class Retired:
     """False if it was retired already."""
 
 
-def enter(store: Store, access: Access, token: Token, content: bytes, name: str) -> Entry:
+def enter(store: Store, access: Access, token: Token, content: bytes, name: str) -> LeagueEntry:
     """Check what the owner of a token sent, and enter it, as `league submit` does."""
     if not name:
         raise HTTPException(422, "The entry has no name: give one.")
@@ -123,7 +122,7 @@ def _leaving(reader: Reader, number: int) -> Document:
 
 
 def _left(asked: Asked, document: Document) -> str:
-    entry: Entry = document["entry"]
+    entry: LeagueEntry = document["entry"]
     if not text(asked.body, "sure"):
         raise HTTPException(422, f"{entry.name} stays: tick the box to retire it for good.")
     try:

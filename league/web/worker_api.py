@@ -8,6 +8,7 @@ from starlette.exceptions import HTTPException
 
 from league.errors import StoreError
 from league.matchmaking import wire
+from league.matchmaking.documents import names_of
 from league.matchmaking.store import HeatRecord, Received, Token
 from league.matchmaking.store.store import LEASE_S
 from league.web.protected import Asked, Protected
@@ -64,7 +65,7 @@ def _complete(asked: Asked) -> Received:
     """Take in results of heats that this worker was lent last; others count as repeated."""
     sent: wire.Sent = asked.body
     store, worker = asked.store, worker_of(asked.token, sent.worker)
-    names = {entry.id: entry.name for entry in store.entries()}
+    names = names_of(store.entries())
     rules, outcomes, late = store.rulesets(), [], []
     for one in sent.heats:
         record = store.heat(one.key)

@@ -7,7 +7,7 @@ import safetensors.torch
 import torch
 from pydantic import ValidationError
 
-from league.agents.card import Card, RewardCard
+from league.agents.checkpoint import Card, RewardCard
 from league.agents.network import NetworkConfig
 from league.envs.actions import ContinuousActions, grid
 from league.errors import ConfigError, PolicyError

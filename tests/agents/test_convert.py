@@ -6,7 +6,7 @@ import torch
 from torch import nn
 
 from league.agents import checkpoint, convert
-from league.agents.card import Card
+from league.agents.checkpoint import Card
 from league.agents.network import from_learner
 from league.agents.policy import Policy
 from league.envs import RacingVecEnv

@@ -9,7 +9,7 @@ import onnx
 import onnxruntime
 import pytest
 
-from league.agents.card import Card
+from league.agents.checkpoint import Card
 from league.agents.export import input_notes, to_onnx
 from league.agents.network import Activation, NetworkConfig
 from league.agents.policy import Policy

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from league.agents.card import Card
-from league.agents.checkpoint import Checkpoint
+from league.agents.checkpoint import Card, Checkpoint
 from league.agents.network import NetworkConfig
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig
 from tests.actor import untrained

@@ -20,6 +20,7 @@ WITHOUT_SEASONS = (
     "DROP TABLE cups",
     "DROP TABLE seasons",
     "ALTER TABLE races DROP COLUMN driven",
+    "ALTER TABLE heats DROP COLUMN claimed_s",
 )
 """Statements that take away what versions after 0003 added to a league's tables."""
 FIRST_VERSION = (

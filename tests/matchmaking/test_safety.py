@@ -9,9 +9,8 @@ import pytest
 
 from league.matchmaking import safety, scores, store
 from league.matchmaking.pairing.heat_spec import Ruleset, mirrored
-from league.matchmaking.store import drives
+from league.matchmaking.store import race_table
 from league.track import files
-from league.track.corners import corners
 from league.web import snapshot
 from tests.matchmaking import leagues
 
@@ -21,7 +20,7 @@ LENGTH = files.load("reinvent_2018").length
 
 def car(number, laps, **faults):
     """Return a car's line in a result, after so many laps of reinvent_2018."""
-    none = dict.fromkeys(drives.FAULTS, 0)
+    none = dict.fromkeys(race_table.FAULTS, 0)
     return {
         **none,
         "car": number,
@@ -55,7 +54,7 @@ def race(league, *orders, draw=0):
 )
 def test_corners_are_counted_alike_both_ways_and_from_any_start(name, number):
     track = files.load(name)
-    assert corners(track) == number == corners(track.reversed())
+    assert track.num_corners == number == track.reversed().num_corners
     shift = len(track.center) // 3
     turned = replace(
         track,
@@ -63,7 +62,7 @@ def test_corners_are_counted_alike_both_ways_and_from_any_start(name, number):
         left=np.roll(track.left, shift, axis=0),
         right=np.roll(track.right, shift, axis=0),
     )
-    assert corners(turned) == number
+    assert turned.num_corners == number
 
 
 def test_incidents_are_weighted_and_counted_by_corners(league):

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from league.agents import checkpoint
-from league.agents.card import Card
-from league.agents.checkpoint import Checkpoint
+from league.agents.checkpoint import Card, Checkpoint
 from league.agents.network import NetworkConfig
 from league.envs.actions import ContinuousActions
 from league.sim.config import CameraConfig, SensorConfig

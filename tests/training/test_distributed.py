@@ -18,7 +18,6 @@ import torch
 from league.agents.network import NetworkConfig
 from league.errors import ConfigError, LeagueError, RewardError
 from league.sim.config import SensorConfig
-from league.training import track_selection
 from league.training.config import PpoConfig, TrainConfig
 from league.training.ppo import distributed, make_env
 from league.training.ppo.learner import Learner
@@ -41,13 +40,13 @@ def settings() -> TrainConfig:
 
 
 def learner() -> Learner:
-    tracks = track_selection.together(track_selection.load(("generated:8",)), both_directions=False)
+    tracks = make_env.track_set(make_env.load_tracks(("generated:8",)), both_directions=False)
     return Learner(make_env.make(tracks, settings()), settings())
 
 
 def with_teacher() -> TaughtLearner:
     """Return a learner whose tutor has three of four updates."""
-    tracks = track_selection.together(track_selection.load(("generated:8",)), both_directions=False)
+    tracks = make_env.track_set(make_env.load_tracks(("generated:8",)), both_directions=False)
     return make_taught(tracks, replace(settings(), teacher=0.6))
 
 

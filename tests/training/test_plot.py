@@ -6,15 +6,15 @@ import cv2
 import pytest
 
 from league.errors import PolicyError
-from league.training.monitor import plot
+from league.training.monitor import sinks
 from league.training.monitor.history import TEACHING, TrainingHistory
-from league.training.monitor.plot import TrainingPlot
+from league.training.monitor.sinks import TrainingPlot
 from tests.training.metrics import evaluation, history, self_play, update
 
 
 def test_the_three_curves_are_drawn_over_time():
     made = history(20)
-    completion, reward, upper = plot.figure(made).axes
+    completion, reward, upper = sinks.plot_figure(made).axes
     found = {line.get_label(): line for axes in (completion, reward) for line in axes.lines}
     times_s = [row.time_s for row in made.updates]
     assert list(found["average reward (training)"].get_xdata()) == times_s
@@ -35,7 +35,7 @@ def test_the_three_curves_are_drawn_over_time():
 
 def test_a_teacher_of_many_samples_has_the_width_of_its_time():
     made = self_play(400)
-    completion, reward, upper = plot.figure(made).axes
+    completion, reward, upper = sinks.plot_figure(made).axes
     (shade,) = reward.patches
     assert shade.get_extents().width == pytest.approx(0.5 * completion.bbox.width, rel=0.01)
     assert made.updates[199].samples > 0.95 * made.samples
@@ -48,7 +48,7 @@ def test_a_teacher_of_many_samples_has_the_width_of_its_time():
 
 def test_the_best_model_is_marked():
     made = history(20)
-    (star,) = [line for line in plot.figure(made).axes[0].lines if line.get_marker() == "*"]
+    (star,) = [line for line in sinks.plot_figure(made).axes[0].lines if line.get_marker() == "*"]
     best = made.best
     assert best is not None
     assert best.samples == 1600
@@ -60,7 +60,7 @@ def test_the_teachers_time_is_shaded_behind_the_curves():
     made = history(20)
     for row in made.updates[:5]:
         row.log[TEACHING] = 1.0
-    completion, reward, _ = plot.figure(made).axes
+    completion, reward, _ = sinks.plot_figure(made).axes
     (shade,) = reward.patches
     assert shade.get_extents().width == pytest.approx(
         reward.transData.transform((10, 0))[0] - reward.transData.transform((0, 0))[0]
@@ -68,12 +68,12 @@ def test_the_teachers_time_is_shaded_behind_the_curves():
     assert shade.get_zorder() < reward.lines[0].get_zorder()
     assert not completion.patches  # it lies before the reward
     assert any(text.get_text() == "the teacher learns" for text in reward.texts)
-    assert not plot.figure(history(20)).axes[1].patches
+    assert not sinks.plot_figure(history(20)).axes[1].patches
 
 
 def test_a_run_without_evaluations_is_drawn_too(tmp_path):
     for updates in (1, 2):
-        plot.draw(history(updates), tmp_path / "a.png")
+        sinks.draw_plot(history(updates), tmp_path / "a.png")
         assert cv2.imread(str(tmp_path / "a.png")) is not None
 
 
@@ -108,4 +108,4 @@ def test_nothing_is_drawn_of_nothing(tmp_path):
 def test_a_place_that_cannot_be_written_is_reported(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(PolicyError, match="the plot of the training cannot be written"):
-        plot.draw(history(4), tmp_path / "file" / "a.png")
+        sinks.draw_plot(history(4), tmp_path / "file" / "a.png")

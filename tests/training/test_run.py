@@ -17,6 +17,7 @@ from league.racing.evaluate import evaluate
 from league.training import evaluator
 from league.training import run as run_room
 from league.training.config import TrainConfig, read
+from league.training.evaluator import merit_of
 from league.training.monitor import history
 from league.training.monitor.history import TEACHING
 from league.training.ppo.learner import Learner
@@ -126,7 +127,7 @@ def test_who_learns_to_race_others_is_judged_by_racing_them(tmp_path):
     evaluation = run.learn().evaluation
     assert evaluation is not None
     assert (evaluation.kind, len(evaluation.places)) == ("head_to_head", 1)
-    assert run_room._merit(evaluation.model_copy(update={"places": (1, 2)}))[0] == -1.5
+    assert merit_of(evaluation.model_copy(update={"places": (1, 2)}))[0] == -1.5
 
 
 def test_a_parent_that_is_only_watched_yet_is_not_judged(tmp_path):

@@ -10,8 +10,7 @@ import pytest
 
 from league.deepracer import hyperparameters, model_metadata
 from league.envs.actions import DiscreteActions
-from league.racing.simtrace import EPISODES
-from league.racing.trace import COLUMNS
+from league.racing.trace import COLUMNS, EPISODES
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig
 from tests.training import small
 

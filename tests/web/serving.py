@@ -22,7 +22,9 @@ FREE = Limits(Limit(1e6, 1e6), Limit(1e6, 1e6), Limit(1e6, 1e6), Limit(1e6, 1e6)
 def serving(store: Store, access: Access | None = None) -> Iterator[str]:
     """Serve a league; yield its address."""
     app = make_app(store, access=access or Access(limits=FREE))
-    with socket.create_server(("127.0.0.1", 0)) as listener:
+    with socket.socket(proto=socket.IPPROTO_TCP) as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.listen()
         config = uvicorn.Config(app, log_level="warning", lifespan="off")
         server = uvicorn.Server(config)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})

@@ -13,7 +13,7 @@ from starlette.testclient import TestClient
 from league.replay import format
 from league.sim.camera.paint_renderer import PaintRenderer
 from league.video import strip
-from league.web import reader, rerun
+from league.web import downloads, reader
 from league.web.app import make_app
 from league.web.reader import BusyError, Reader
 from tests.web.small_league import ORIGIN, RULES, new_league, rated_heat
@@ -63,7 +63,7 @@ def test_moments_of_a_strip_end_with_the_cars_own_race():
     ],
 )
 def test_what_is_not_there_is_404(client, heat, path):
-    path = path.format(heat=heat, version=rerun.version())
+    path = path.format(heat=heat, version=downloads.viewer_version())
     assert client.get(path, follow_redirects=False).status_code == 404
 
 
@@ -95,14 +95,16 @@ def test_the_viewer_has_a_policy_of_its_own_that_names_its_scripts(client, heat)
     answer = client.get(f"{heat}/races/1/rerun", follow_redirects=False)
     assert answer.status_code == 303
     address = answer.headers["location"]
-    assert address.startswith(f"/rerun/{rerun.version()}/index.html?url=http%3A%2F%2F127.0.0.1")
+    assert address.startswith(
+        f"/rerun/{downloads.viewer_version()}/index.html?url=http%3A%2F%2F127.0.0.1"
+    )
     assert "unsafe" not in answer.headers["content-security-policy"]
     page = client.get(address)
     policy = page.headers["content-security-policy"]
     assert "'wasm-unsafe-eval'" in policy and "unsafe-inline" not in policy
     assert policy.count("'sha256-") == page.text.count("<script>") + page.text.count("<style>")
     assert "https://" not in page.text.split("<body>")[0]
-    wasm = client.get(f"/rerun/{rerun.version()}/re_viewer_bg.wasm")
+    wasm = client.get(f"/rerun/{downloads.viewer_version()}/re_viewer_bg.wasm")
     assert wasm.headers["content-type"] == "application/wasm"
     assert int(wasm.headers["rerun-final-length"]) == len(wasm.content) > 1e7
     assert int(wasm.headers["content-length"]) < 16e6
@@ -111,8 +113,8 @@ def test_the_viewer_has_a_policy_of_its_own_that_names_its_scripts(client, heat)
 
 def test_a_changed_script_is_not_named_by_the_policy():
     page = "<style>a{}</style><script>one()</script><script src='x.js'></script>"
-    assert rerun.page_policy(page) != rerun.page_policy(page.replace("one", "two"))
-    assert rerun.page_policy(page).count("sha256") == 2
+    assert downloads.page_policy(page) != downloads.page_policy(page.replace("one", "two"))
+    assert downloads.page_policy(page).count("sha256") == 2
 
 
 def test_more_slow_requests_than_may_wait_are_asked_to_come_back(store):

@@ -6,9 +6,9 @@ import pytest
 
 from league.matchmaking import standings
 from league.matchmaking.scores import race_scores
-from league.matchmaking.store import Entry
-from league.web import family
-from league.web.medals import medal, times
+from league.matchmaking.store import LeagueEntry
+from league.web.pages import driver
+from league.web.pages.tracks import medal, medal_times
 
 
 @pytest.mark.parametrize(
@@ -20,13 +20,13 @@ from league.web.medals import medal, times
 )
 def test_medals_are_shares_of_the_lap_bound(lap_s, name):
     assert medal(lap_s, 10.0) == name
-    assert times(10.0) == pytest.approx(
+    assert medal_times(10.0) == pytest.approx(
         {"platinum": 10.3, "gold": 11.0, "silver": 12.0, "bronze": 13.5}
     )
 
 
 def test_no_medal_where_the_bound_is_unknown():
-    assert medal(1.0, None) == "" and times(None) == {}
+    assert medal(1.0, None) == "" and medal_times(None) == {}
 
 
 def test_best_laps_are_those_of_the_standings_and_lead_to_their_race(client, store):
@@ -68,24 +68,24 @@ def test_surprises_are_the_heats_farthest_from_what_was_expected(client, store):
     assert best or worst
 
 
-def entry(number: int, digest: str, *parents: str) -> Entry:
+def entry(number: int, digest: str, *parents: str) -> LeagueEntry:
     card = {"digest": digest, "parents": list(parents)}
     name = f"entry {number}"
-    return Entry(number, digest * 64, name, "ann", "policy", False, "ranked", "", card, 0.0)
+    return LeagueEntry(number, digest * 64, name, "ann", "policy", False, "ranked", "", card, 0.0)
 
 
 def test_a_family_has_all_its_generations():
     league = [entry(1, "a"), entry(2, "b", "a", "x"), entry(3, "c", "b")]
-    (parent,) = family.ancestors(league, league[2])
+    (parent,) = driver.ancestors(league, league[2])
     assert (parent.number, parent.name) == (2, "entry 2")
     assert [(one.number, one.digest) for one in parent.parents] == [(1, "a"), (None, "x")]
-    assert [one.number for one in family.children(league, league[0])] == [2]
-    assert family.children(league, league[2]) == []
+    assert [one.number for one in driver.children(league, league[0])] == [2]
+    assert driver.children(league, league[2]) == []
 
 
 def test_a_card_that_names_its_own_descendant_ends():
     league = [entry(1, "a", "b", "a"), entry(2, "b", "a")]
-    (parent,) = family.ancestors(league, league[0])
+    (parent,) = driver.ancestors(league, league[0])
     assert (parent.number, parent.parents) == (2, [])
 
 
@@ -96,4 +96,4 @@ def test_many_parents_of_many_parents_are_cut():
     def count(parents) -> int:
         return sum(1 + count(one.parents) for one in parents)
 
-    assert count(family.ancestors(league, league[0])) <= family.MOST
+    assert count(driver.ancestors(league, league[0])) <= driver.MOST_ANCESTORS

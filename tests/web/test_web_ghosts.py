@@ -12,8 +12,9 @@ from league.matchmaking import standings
 from league.matchmaking.scores import best_laps
 from league.race_spec import Entry, RaceSpec
 from league.racing import race
-from league.web import ghosts, lap_charts
+from league.web import race_charts
 from league.web.app import make_app
+from league.web.pages import ghosts
 from league.web.pages import heat as heats
 from league.web.reader import NotFoundError
 from tests.web.small_league import NAME, ORIGIN, RULES, lapped_heat, new_league
@@ -62,7 +63,7 @@ def test_a_later_lap_begins_at_the_line_and_the_first_with_the_signal():
     entries = (Entry(name="racing_line"), Entry(name="cautious"))
     replay = race.run(RaceSpec(entries=entries, laps=2, solver="planar", seed=3)).replay
     car = 1  # the second on the grid
-    laps = [lap_charts.lap_of(replay, car, number) for number in (1, 2)]
+    laps = [race_charts.lap_of(replay, car, number) for number in (1, 2)]
     drawn = ghosts.player_data(laps, replay.track)["cars"]
     first, second = (summed(one["distance"], 2) for one in drawn)
     assert first[0] < -0.05  # the grid is behind the line

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from league.replay import format
-from league.web import lap_charts, race_charts
+from league.web import race_charts
 from tests.web.small_league import NAME, lapped_heat, rated_heat
 
 
@@ -42,15 +42,15 @@ def test_positions_after_each_lap_are_by_time():
 
 def test_laps_compared_are_each_cars_best_or_the_same_lap(store):
     replay = recorded(store, lapped_heat(store))
-    best = lap_charts.of(replay, None)
+    best = race_charts.of(replay, None)
     finishers = {row.car + 1 for row in replay.result.order if row.lap_times_s}
     assert best.laps == dict.fromkeys(sorted(finishers), 1)
-    assert lap_charts.of(replay, 2) is None  # the races of this league have one lap
+    assert race_charts.of(replay, 2) is None  # the races of this league have one lap
 
 
 def test_speed_and_lost_time_along_the_lap_agree_with_the_recording(store):
     replay = recorded(store, lapped_heat(store))
-    compared = lap_charts.of(replay, None)
+    compared = race_charts.of(replay, None)
     row = min(replay.result.order, key=lambda row: min(row.lap_times_s, default=np.inf))
     speeds = chart_values(
         next(line for line in compared.speed.lines if line.kind == f"car-{row.car + 1}"),

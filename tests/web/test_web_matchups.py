@@ -49,7 +49,7 @@ def test_the_matchup_page_lists_each_race_with_its_result(client, store):
 
 
 def test_earlier_heats_are_on_pages_of_their_own(client, monkeypatch):
-    monkeypatch.setattr("league.web.pages.matchup.HEATS", 1)
+    monkeypatch.setattr("league.web.pages.driver.HEATS_MET", 1)
     first = client.get("/api/v1/matchups/2/3").json()
     assert f"before={first['older']}" in client.get("/matchups/2/3").text
     second = client.get(f"/api/v1/matchups/2/3?before={first['older']}").json()

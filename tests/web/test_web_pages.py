@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import gc
 import gzip
 import json
@@ -204,6 +205,29 @@ def test_a_server_rarely_looks_through_all_objects_and_leaves_others_alone(store
     server.serve(store, 0, ready=seen.append)
     assert seen[1] == (*before[:2], 100 * before[2])
     assert gc.get_threshold() == before
+
+
+def test_answers_are_sent_at_once(store, monkeypatch):
+    nodelay = []
+
+    def run(_, sockets):
+        # As the server's event loop does with a connection.
+        async def answer(reader, writer):
+            asked = writer.get_extra_info("socket")
+            nodelay.append(asked.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
+            writer.close()
+
+        async def serve_once():
+            async with await asyncio.start_server(answer, sock=sockets[0]):
+                reader, writer = await asyncio.open_connection(*sockets[0].getsockname())
+                await reader.read()
+                writer.close()
+
+        asyncio.run(serve_once())
+
+    monkeypatch.setattr("uvicorn.Server.run", run)
+    server.serve(store, 0, ready=lambda url: None)
+    assert nodelay == [1]
 
 
 def test_another_host_name_is_refused(client):

@@ -19,8 +19,7 @@ from starlette.testclient import TestClient
 from league.agents.network import NetworkConfig
 from league.errors import StoreError
 from league.matchmaking import loop, submission
-from league.matchmaking.client import Client
-from league.matchmaking.remote import RemoteQueue
+from league.matchmaking.remote import Client, RemoteQueue
 from league.matchmaking.store import Store, database, schema
 from league.matchmaking.workers.dispatcher import Dispatcher
 from league.web.app import make_app

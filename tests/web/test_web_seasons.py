@@ -105,6 +105,12 @@ def test_files_of_a_site_include_the_seasons(store, tmp_path):
     assert {"time-attack.html", "time-attack-races-time_trial.html"} <= names
 
 
+def test_files_of_a_site_without_heats_have_none(store, tmp_path):
+    written = site.export(store, tmp_path / "site", heats=0)
+    assert written.heats == 0
+    assert not (tmp_path / "site" / "heats").exists()
+
+
 def test_a_league_without_seasons_says_so(tmp_path):
     with new_league(f"sqlite:///{tmp_path / 'league.db'}", rules=RULES) as store:
         client = TestClient(make_app(store), base_url=ORIGIN)

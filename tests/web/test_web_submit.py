@@ -305,7 +305,7 @@ def test_a_form_of_another_site_is_refused(store, headers, status):
 
 
 def test_ten_thousand_mutated_forms_make_no_internal_error(store):
-    from league.web.forms import form_fields
+    from league.web.protected import form_fields
 
     body = (
         b'--xyz\r\nContent-Disposition: form-data; name="name"\r\n\r\nAnn\r\n'

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 from markupsafe import escape
 from starlette.testclient import TestClient
 
+from league import times
 from league.matchmaking import standings
 from league.matchmaking.pairing.heat_spec import mirrored
 from league.racing_line.racing_line import lap_bound
 from league.replay import format
 from league.sim.config import CarConfig
 from league.track import files
-from league.web import lap_charts
+from league.web import race_charts
 from league.web.app import make_app
 from tests.web.small_league import ORIGIN, RULES, lapped_heat, new_league
 
@@ -42,8 +45,8 @@ def test_medals_are_by_the_lap_bound_of_the_track(client):
 def test_a_speed_map_has_the_whole_lap_and_its_slowest_and_fastest_part(store):
     number = lapped_heat(store)
     replay = format.decode(store.blobs.get(store.results(number)[0].replay))
-    lap = lap_charts.lap_of(replay, replay.result.order[0].car, 1)
-    shown = lap_charts.speed_map(lap)
+    lap = race_charts.lap_of(replay, replay.result.order[0].car, 1)
+    shown = race_charts.speed_map(lap)
     assert sum(line.path.count("M") for line in shown.lines) == len(lap.points) - 1
     middle = (lap.speed[1:] + lap.speed[:-1]) / 2
     assert (shown.low, shown.high) == (middle.min(), middle.max())
@@ -56,7 +59,7 @@ def test_a_speed_map_has_the_whole_lap_and_its_slowest_and_fastest_part(store):
 def test_a_lap_begins_at_the_start_line_and_ends_there(store):
     replay = format.decode(store.blobs.get(store.results(lapped_heat(store))[0].replay))
     car = replay.result.order[0]
-    lap = lap_charts.lap_of(replay, car.car, 1)
+    lap = race_charts.lap_of(replay, car.car, 1)
     assert lap.place[-1] == pytest.approx(replay.track.length, abs=0.4)
     assert lap.time_s[-1] == pytest.approx(car.lap_times_s[0], abs=1 / replay.step_hz)
 
@@ -70,7 +73,10 @@ def test_a_running_heat_its_worker_and_the_queue_are_live(client, store):
         assert now["counts"]["planned"] == before["counts"]["planned"] - 1
         worker = next(one for one in now["workers"] if one["name"] == "a worker")
         assert (worker["racing"], worker["done"]) == (1, 0)
-        assert "1 heat is racing" in client.get("/live").text
+        page, since_s = client.get("/live").text, now["running"][0]["claimed_s"]
+        assert "1 heat is racing" in page
+        assert claim.claimed_s == since_s and 0 <= time.time() - since_s < 600
+        assert f'<td class="number dim">{times.time_of_day(since_s)}</td>' in page
     finally:
         store.fail("a worker", claim.heat.key, "", lost=True)
 
@@ -85,7 +91,8 @@ def test_home_names_the_heats_that_race_and_has_the_newest_results(client, store
         grid = [names[id] for id in claim.heat.halves[0].grid]
         assert (running["number"], running["races"][0]["grid"]) == (claim.number, grid)
         assert f'href="/heats/{claim.number}">{escape(" – ".join(grid))}</a>' in page
-        assert "1 heat races" in page and "a worker" in page
+        since = f"a worker, since {times.time_of_day(claim.claimed_s)} UTC"
+        assert "1 heat races" in page and since in page
     finally:
         store.fail("a worker", claim.heat.key, "", lost=True)
     done = sorted(store.heats(("done",)), key=lambda one: (-(one.done_s or 0.0), -one.number))
@@ -104,10 +111,10 @@ def test_a_duel_is_shown_with_its_score(client, store):
 
 def test_the_pace_is_of_the_last_five_minutes(client, store, monkeypatch):
     done = [heat.done_s for heat in store.heats(("done",))]
-    monkeypatch.setattr("league.web.pages.live.time.time", lambda: max(done) + 1.0)
+    monkeypatch.setattr("league.web.pages.home.time.time", lambda: max(done) + 1.0)
     recent = sum(max(done) + 1.0 - one < 300 for one in done)
     assert client.get("/api/v1/live").json()["per_minute"] == pytest.approx(recent / 5)
-    monkeypatch.setattr("league.web.pages.live.time.time", lambda: max(done) + 301.0)
+    monkeypatch.setattr("league.web.pages.home.time.time", lambda: max(done) + 301.0)
     later = client.get("/api/v1/live").json()
     assert later["per_minute"] == 0 and later["wait_minutes"] is None
 

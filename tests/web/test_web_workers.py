@@ -11,9 +11,8 @@ from starlette.testclient import TestClient
 
 from league.errors import ConfigError, StoreError
 from league.matchmaking import loop, standings, wire
-from league.matchmaking.client import Client
 from league.matchmaking.pairing.heat_spec import Ruleset
-from league.matchmaking.remote import RemoteQueue
+from league.matchmaking.remote import Client, RemoteQueue
 from league.matchmaking.store import Store
 from league.matchmaking.workers.dispatcher import Dispatcher
 from league.matchmaking.workers.worker import RaceWorker

@@ -14,7 +14,7 @@ from league.errors import ConfigError, brief
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-    from league.matchmaking.client import Client
+    from league.matchmaking.remote import Client
     from league.matchmaking.store import Store
     from league.matchmaking.workers import Executor
 
@@ -55,7 +55,7 @@ class OnServer(OnLeague):
 
     def client(self) -> Client:
         """Return the served league."""
-        from league.matchmaking.client import Client
+        from league.matchmaking.remote import Client
 
         secret = self.token or os.environ.get("LEAGUE_TOKEN", "")
         return Client.of(self.to, secret.strip(), insecure=self.insecure)

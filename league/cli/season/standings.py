@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from league.matchmaking.standings import Row, Standings
-    from league.matchmaking.store import Entry, Store
+    from league.matchmaking.store import LeagueEntry, Store
 
 
 WIDE_ONLY = ("owner", "DNF", "ranks")
@@ -203,7 +203,7 @@ def _notes(rated: Standings) -> list[str]:
     return lines
 
 
-def _show(store: Store, entry: Entry, as_json: bool) -> None:
+def _show(store: Store, entry: LeagueEntry, as_json: bool) -> None:
     from league.matchmaking import documents, standings
 
     rated: Standings | None = None
@@ -252,7 +252,7 @@ def _show(store: Store, entry: Entry, as_json: bool) -> None:
     print("Last heats: " + (", ".join(f"{h.number} ({h.state})" for h in recent) or "none"))
 
 
-def _h2h(store: Store, one: Entry, other: Entry, as_json: bool) -> None:
+def _h2h(store: Store, one: LeagueEntry, other: LeagueEntry, as_json: bool) -> None:
     from league.matchmaking import standings
 
     if one.id == other.id:

@@ -29,7 +29,15 @@ from league.matchmaking.pairing.schedule import (
 )
 from league.matchmaking.ratings import Carried, Ratings
 from league.matchmaking.scope import scope
-from league.matchmaking.store import RATED, Entry, EntryState, HeatRecord, Races, Season, Store
+from league.matchmaking.store import (
+    RATED,
+    EntryState,
+    HeatRecord,
+    LeagueEntry,
+    Races,
+    Season,
+    Store,
+)
 
 LineUp = Callable[[int, str], float]
 """What an entry's place on the grid of a track is decided by: its number and the track's name."""
@@ -41,7 +49,7 @@ LOOK_BACK = 3000
 """Heats among which the latest round is looked for first."""
 
 
-def enter_anchors(store: Store, anchors: Sequence[str]) -> list[Entry]:
+def enter_anchors(store: Store, anchors: Sequence[str]) -> list[LeagueEntry]:
     """Enter scripted drivers as a new league's anchors; the first one is pinned to 1000.
 
     They ship with the program, so they need no validation.
@@ -56,7 +64,7 @@ def enter_anchors(store: Store, anchors: Sequence[str]) -> list[Entry]:
     return store.entries()
 
 
-def entries_with_reasons(store: Store) -> list[Entry]:
+def entries_with_reasons(store: Store) -> list[LeagueEntry]:
     """Return a league's entries; the reason of one that is not rated yet is what it waits for."""
     return [
         replace(entry, reason=waits_for(store, entry))
@@ -66,7 +74,7 @@ def entries_with_reasons(store: Store) -> list[Entry]:
     ]
 
 
-def waits_for(store: Store, entry: Entry) -> str:
+def waits_for(store: Store, entry: LeagueEntry) -> str:
     """Return why an entry is not rated yet, and what to do about it."""
     heats = _validations(store, entry, store.settings.ruleset.hash)
     if not heats:
@@ -87,7 +95,7 @@ def waits_for(store: Store, entry: Entry) -> str:
     return "its validation heats are done: `league run` rates it when it plans its next round"
 
 
-def _validations(store: Store, entry: Entry, ruleset: str) -> list[HeatRecord]:
+def _validations(store: Store, entry: LeagueEntry, ruleset: str) -> list[HeatRecord]:
     """Return an entry's validation heats under a ruleset."""
     return [
         record
@@ -257,7 +265,7 @@ class Matchmaker:
         )
         self._store.move_divisions(season.number, moves)
 
-    def _move(self, entries: Sequence[Entry], roster: _Roster) -> None:
+    def _move(self, entries: Sequence[LeagueEntry], roster: _Roster) -> None:
         """Write into the store where entries stand, one lawful step at a time."""
         for entry in entries:
             state, reason = roster.states[entry.number]
@@ -288,7 +296,7 @@ class _Roster:
     @classmethod
     def of(
         cls,
-        entries: Sequence[Entry],
+        entries: Sequence[LeagueEntry],
         past: _Past,
         validations: dict[int, list[HeatRecord]],
     ) -> _Roster:

@@ -9,8 +9,7 @@ from league.matchmaking.ratings.fit import (
     fit,
     refit,
 )
-from league.matchmaking.ratings.pair_counts import RatingData
-from league.matchmaking.ratings.results import Results
+from league.matchmaking.ratings.pair_counts import RatingData, Results
 
 __all__ = [
     "Carried",

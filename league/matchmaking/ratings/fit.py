@@ -11,8 +11,7 @@ from scipy.special import ndtr, wrightomega
 
 from league.errors import ConfigError
 from league.matchmaking.ratings import systems
-from league.matchmaking.ratings.pair_counts import ELO, PairCounts, RatingData, slope
-from league.matchmaking.ratings.results import Results
+from league.matchmaking.ratings.pair_counts import ELO, PairCounts, RatingData, Results, slope
 from league.matchmaking.ratings.systems import Squares, System, Variances
 
 SIGMAS_95 = 1.959963984540054

@@ -17,8 +17,7 @@ import numpy as np
 from scipy import linalg, sparse
 from scipy.sparse.linalg import aslinearoperator, cg
 
-from league.matchmaking.ratings.pair_counts import PairCounts, race_scores
-from league.matchmaking.ratings.results import Results
+from league.matchmaking.ratings.pair_counts import PairCounts, Results, race_scores
 
 DENSE_MOST = 1500
 """Entries up to which H is factored; beyond, the cube of the field is too slow."""

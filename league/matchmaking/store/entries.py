@@ -15,7 +15,7 @@ import sqlalchemy as sa
 from league.errors import QuotaError, StoreError, brief, nearest_names
 from league.matchmaking.store import queue
 from league.matchmaking.store.database import insert_new, made_of
-from league.matchmaking.store.records import NEXT, Entry, EntryState, Quota
+from league.matchmaking.store.records import NEXT, EntryState, LeagueEntry, Quota
 from league.matchmaking.store.schema import (
     LedgerRecord,
     append,
@@ -56,7 +56,7 @@ def submit(
     owner: str,
     row: Mapping[str, Any],
     quota: Quota | None = None,
-) -> Entry:
+) -> LeagueEntry:
     """Enter a driver as pending; the same content submitted again is the same entry.
 
     `row` has the columns `id`, `name`, `kind`, `anchor` and `card`.
@@ -141,7 +141,7 @@ def ledger_record(row: Any) -> LedgerRecord:  # noqa: ANN401
     return LedgerRecord("entry", row.id, [row._mapping[name] for name in names])
 
 
-def find(connection: sa.Connection, text: str) -> Entry:
+def find(connection: sa.Connection, text: str) -> LeagueEntry:
     """Return the entry with this name, id, or beginning of an id (6 digits or more)."""
     match = entries.c.name == text
     if len(text) >= 6 and set(text) <= set("0123456789abcdef"):
@@ -162,7 +162,7 @@ def find(connection: sa.Connection, text: str) -> Entry:
     )
 
 
-def listed(connection: sa.Connection, states: Sequence[EntryState] | None) -> list[Entry]:
+def listed(connection: sa.Connection, states: Sequence[EntryState] | None) -> list[LeagueEntry]:
     """Return the entries in these states (None: all), in the order they came."""
     query = with_owners().order_by(entries.c.number)
     if states is not None:
@@ -230,8 +230,8 @@ def with_owners() -> sa.Select[Any]:
     )
 
 
-def _entry(row: Any) -> Entry:  # noqa: ANN401
-    return made_of(Entry, row, owner=row.owner_name, card=json.loads(row.card))
+def _entry(row: Any) -> LeagueEntry:  # noqa: ANN401
+    return made_of(LeagueEntry, row, owner=row.owner_name, card=json.loads(row.card))
 
 
 def _skeleton(name: str) -> str:

@@ -13,7 +13,7 @@ import sqlalchemy as sa
 
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset
-from league.matchmaking.store import cups, entries, results, schema, seasons
+from league.matchmaking.store import entries, results, schema, seasons
 from league.matchmaking.store.queue import chunked
 from league.matchmaking.store.results import PackedResult
 from league.matchmaking.store.schema import (
@@ -89,7 +89,6 @@ def _simple_records(connection: sa.Connection) -> Iterator[LedgerRecord]:
     for row in connection.execute(entries.with_owners().order_by(entries.entries.c.number)):
         yield entries.ledger_record(row)
     yield from seasons.ledger_records(connection)
-    yield from cups.ledger_records(connection)
 
 
 def _result_records(connection: sa.Connection, numbers: list[int]) -> Iterator[LedgerRecord]:

@@ -136,6 +136,7 @@ def claim(
         .values(
             state="claimed",
             worker=worker,
+            claimed_s=now,
             lease_s=now + lease_s,
             attempts=heats.c.attempts + 1,
         )

@@ -114,7 +114,7 @@ class Move(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Entry:
+class LeagueEntry:
     """A driver submitted to a league."""
 
     number: int
@@ -261,6 +261,8 @@ class HeatRecord:
     """Seed of each race; secret (None) until the heat is over, but for its worker."""
     created_s: float
     """When it was planned [s since 1970]."""
+    claimed_s: float | None
+    """When its worker took it [s since 1970]; None before, and in heats of older versions."""
     done_s: float | None
     """When its results came [s since 1970]."""
 

@@ -1,29 +1,22 @@
-"""Results: each is taken in once, however often it is sent, and read as arrays for the rating."""
+"""Results: each is taken in once, however often it is sent, and compared with those of others."""
 
 from __future__ import annotations
 
 import json
 import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
 import sqlalchemy as sa
 
 from league.errors import StoreError
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.store.database import made_of
-from league.matchmaking.store.drives import driven
 from league.matchmaking.store.queue import chunked
+from league.matchmaking.store.race_table import NO_TRACK, driven, packed, runs_of
 from league.matchmaking.store.records import (
-    BEST_MS,
-    DRIVE_COLUMNS,
-    FINISHED,
-    KNOWN,
-    Drives,
     HeatOutcome,
-    Races,
     Received,
     StoredResult,
 )
@@ -36,11 +29,6 @@ from league.matchmaking.store.schema import (
     results,
     rulesets,
 )
-
-BLOCK = 1 << 20
-"""Races read at a time."""
-NO_TRACK = 255
-"""Number of a track that is not in the ruleset, or has a number too large for one byte."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +67,7 @@ def pack(outcome: HeatOutcome, replays: Sequence[str | None]) -> tuple[PackedRes
                 hash=heat_spec.digest(document),
                 document=zlib.compress(document, 6),
                 places=race.places,
-                runs=_runs(race.result, len(race.places)),
+                runs=runs_of(race.result, len(race.places)),
                 driven=driven(race.result, len(race.places)),
                 replay=replay,
                 machine=outcome.machine,
@@ -96,56 +84,10 @@ def unpack(document: bytes, replay: str | None, machine: str) -> PackedResult:
         hash=heat_spec.digest(document),
         document=document,
         places=places,
-        runs=_runs(plain["result"], len(places)),
+        runs=runs_of(plain["result"], len(places)),
         driven=driven(plain["result"], len(places)),
         replay=replay,
         machine=machine,
-    )
-
-
-def _runs(result: Mapping[str, Any], cars: int) -> tuple[int, ...]:
-    """Return the bits of Races.runs for each car; 0 for a car that the result does not describe."""
-    runs = [0] * cars
-    order = result.get("order")
-    for row in order if isinstance(order, list | tuple) else ():
-        match row:
-            case {"car": int(car), "finished": bool(finished), "lap_times_s": laps} if car < cars:
-                best_ms = round(1000 * min(laps, default=0.0))
-                runs[car] = KNOWN | finished * FINISHED | min(best_ms, BEST_MS)
-    return tuple(runs)
-
-
-def packed(
-    heat: int,
-    half: int,
-    grid: Sequence[int],
-    places: Sequence[int],
-    *,
-    track: int = NO_TRACK,
-    runs: Sequence[int] = (),
-) -> str:
-    """Return a race in hexadecimal: heat, half, track; its cars' entries, their places, their runs.
-
-    That is 12 digits, and 18 for each car. The database joins a million of these into one text,
-    which numpy reads at once; as rows of columns they would take seconds.
-    """
-    entries = "".join(f"{number:08x}" for number in grid)
-    run_digits = "".join(f"{run:08x}" for run in runs or (0,) * len(grid))
-    return f"{heat:08x}{half:02x}{track:02x}{entries}{bytes(places).hex()}{run_digits}"
-
-
-def _unpacked(text: str, cars: int) -> np.ndarray:
-    """Return races of so many cars from their packed texts with spaces between."""
-    return np.frombuffer(bytes.fromhex(text), dtype=race_type(cars))
-
-
-def race_type(cars: int) -> np.dtype[Any]:
-    """Return what the bytes of a packed race of so many cars are."""
-    return np.dtype(
-        [
-            *(("heat", ">u4"), ("half", "u1"), ("track", "u1")),
-            *(("entries", ">u4", (cars,)), ("places", "u1", (cars,)), ("runs", ">u4", (cars,))),
-        ]
     )
 
 
@@ -381,106 +323,3 @@ def read_results(connection: sa.Connection, numbers: Sequence[int]) -> list[Stor
         places = tuple(document["places"])
         stored.append(made_of(StoredResult, row, places=places, result=document["result"]))
     return stored
-
-
-def read_races(
-    connection: sa.Connection, ruleset: str, since: int = 0, *, rated: bool = True
-) -> Races:
-    """Return the races under a ruleset that count, those after number `since` only."""
-    last = _last(connection)
-    voided = connection.scalar(
-        sa.select(sa.func.count()).select_from(heats).where(heats.c.state == "quarantined")
-    )
-    counted = _counted(ruleset, rated=rated)
-    pieces = [
-        _unpacked(text, cars)
-        for text, cars in _joined(connection, races.c.packed, counted, since, last)
-    ]
-    return _stacked(pieces, max(last, since), voided or 0)
-
-
-def _last(connection: sa.Connection) -> int:
-    return connection.scalar(sa.select(sa.func.coalesce(sa.func.max(races.c.number), 0))) or 0
-
-
-def _counted(ruleset: str, *, rated: bool) -> sa.ColumnElement[bool]:
-    rules = sa.select(rulesets.c.number).where(rulesets.c.hash == ruleset).scalar_subquery()
-    return sa.and_(races.c.ruleset == rules, *([races.c.rated] if rated else []))
-
-
-def _joined(
-    connection: sa.Connection,
-    text: sa.ColumnElement[str],
-    counted: sa.ColumnElement[bool],
-    since: int,
-    last: int,
-) -> Iterator[tuple[str, int]]:
-    """Yield a text of each of some races, with spaces between, and the cars that these have."""
-    for start in range(since, last, BLOCK):
-        block = sa.and_(races.c.number > start, races.c.number <= min(start + BLOCK, last), counted)
-        fields = sa.select(races.c.cars).where(block).distinct().order_by(races.c.cars)
-        for cars in connection.scalars(fields).all():
-            joined = sa.select(sa.func.aggregate_strings(text, " "))
-            yield connection.scalar(joined.where(block, races.c.cars == cars)) or "", cars
-
-
-def read_drives(
-    connection: sa.Connection, ruleset: str, since: int = 0, *, rated: bool = True
-) -> Drives:
-    """Return how each car drove in the races under a ruleset that count, see `read_races`."""
-    last = _last(connection)
-    counted = _counted(ruleset, rated=rated) & (races.c.driven != "")
-    # Heat, half and track, then the entries of all cars: `packed` up to the places.
-    text = sa.func.substr(races.c.packed, 1, 12 + 8 * races.c.cars) + races.c.driven
-    pieces = [
-        np.frombuffer(bytes.fromhex(joined), dtype=_drive_type(cars))
-        for joined, cars in _joined(connection, text, counted, since, last)
-    ]
-    columns: dict[str, list[np.ndarray]] = {name: [] for name in DRIVE_COLUMNS}
-    for piece in pieces:
-        cars = piece["entry"].shape[1]
-        for name in ("heat", "half", "track"):
-            columns[name].append(np.repeat(piece[name].astype(np.int64), cars))
-        columns["entry"].append(piece["entry"].astype(np.int64).ravel())
-        for name in ("points", "distance_cm", "clean_ms"):
-            columns[name].append(piece["driven"][name].astype(np.int64).ravel())
-    empty = np.zeros(0, np.int64)
-    stacked = {name: np.concatenate([empty, *parts]) for name, parts in columns.items()}
-    return Drives(**stacked, last=max(last, since))
-
-
-DRIVEN = np.dtype([("points", ">u2"), ("distance_cm", ">u4"), ("clean_ms", ">u4")])
-"""What the bytes of `driven` are for each car."""
-
-
-def _drive_type(cars: int) -> np.dtype[Any]:
-    return np.dtype(
-        [
-            *(("heat", ">u4"), ("half", "u1"), ("track", "u1")),
-            *(("entry", ">u4", (cars,)), ("driven", DRIVEN, (cars,))),
-        ]
-    )
-
-
-def _stacked(pieces: list[np.ndarray], last: int, voided: int) -> Races:
-    total = sum(len(piece) for piece in pieces)
-    cars = max((piece["entries"].shape[1] for piece in pieces), default=2)
-    stacked = Races(
-        heat=np.empty(total, np.int64),
-        half=np.empty(total, np.uint8),
-        track=np.empty(total, np.uint8),
-        entries=np.full((total, cars), -1, np.int32),
-        places=np.zeros((total, cars), np.uint8),
-        runs=np.zeros((total, cars), np.uint32),
-        last=last,
-        voided=voided,
-    )
-    start = 0
-    for piece in pieces:
-        end, width = start + len(piece), piece["entries"].shape[1]
-        for name in ("heat", "half", "track"):
-            getattr(stacked, name)[start:end] = piece[name]
-        for name in ("entries", "places", "runs"):
-            getattr(stacked, name)[start:end, :width] = piece[name]
-        start = end
-    return stacked

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 MIGRATIONS = Path(__file__).parent / "migrations"
 
-SCHEMA = "0005"
+SCHEMA = "0006"
 """Version of these tables: the newest revision in migrations/versions."""
 
 # SQLite numbers rows by itself only in a column that is declared INTEGER PRIMARY KEY.
@@ -150,6 +150,7 @@ heats = Table(
     Column("audits", Number, ForeignKey("heats.number")),
     Column("state", String(16), nullable=False),
     Column("worker", String(200)),
+    Column("claimed_s", Float(53)),
     Column("lease_s", Float(53)),
     Column("attempts", SmallInteger, nullable=False),
     Column("traceback", Text, nullable=False),
@@ -165,7 +166,8 @@ heats = Table(
     Index("ix_heats_lease_s", "lease_s"),
     sqlite_autoincrement=True,
 )
-"""The queue. `lease_s` is when the lease ends, NULL unless claimed."""
+"""The queue. `claimed_s` is when the last lease began, `lease_s` when it ends, NULL unless claimed.
+"""
 
 heat_entries = Table(
     "heat_entries",
@@ -190,8 +192,8 @@ races = Table(
     UniqueConstraint("heat", "half"),
     sqlite_autoincrement=True,
 )
-"""Races that count: at most one result per race of a heat. `packed`: see results.packed; `driven`:
-see drives.driven."""
+"""Races that count: at most one result per race of a heat. `packed` and
+`driven`: see race_table.py."""
 
 results = Table(
     "results",

@@ -1,4 +1,4 @@
-"""Seasons of a league, and the moves of entries between divisions."""
+"""Seasons, divisions and cups of a league: begun, ended, and what they were frozen as."""
 
 from __future__ import annotations
 
@@ -11,13 +11,16 @@ import sqlalchemy as sa
 
 from league.errors import StoreError
 from league.matchmaking.pairing import heat_spec
+from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.store import queue
 from league.matchmaking.store.database import Transactional, insert_new, made_of
 from league.matchmaking.store.entries import check_printable
-from league.matchmaking.store.records import Move, Season
+from league.matchmaking.store.records import Cup, Move, Season
 from league.matchmaking.store.schema import (
     LedgerRecord,
+    add_ruleset,
     append,
+    cups,
     divisions,
     heats,
     league,
@@ -28,7 +31,7 @@ from league.matchmaking.store.schema import (
 
 
 class SeasonStore(Transactional):
-    """The part of a Store that is about seasons and divisions."""
+    """The part of a Store that is about seasons, divisions and cups."""
 
     _secret: bytes
     """The league's, which makes the seeds."""
@@ -117,6 +120,52 @@ class SeasonStore(Transactional):
         with self._database.reading() as connection:
             return moves_of(connection, season, entry)
 
+    def cups(self) -> list[Cup]:
+        """Return all cups, the first one first."""
+        with self._database.reading() as connection:
+            return cups_listed(connection)
+
+    def start_cup(self, name: str, settings: Mapping[str, Any], rules: Sequence[Ruleset]) -> Cup:
+        """Begin a cup under some rules; an empty name is its number.
+
+        Raises:
+            StoreError: the name cannot be shown, or is taken.
+        """
+        with self._writing(lock=True) as (connection, now):
+            number = len(cups_listed(connection)) + 1
+            running = [one.number for one in listed(connection) if one.until is None]
+            row = {
+                "number": number,
+                "name": free_name(connection, cups, name or f"Cup {number}", "a cup"),
+                "season": running[-1] if running else None,
+                "seed": heat_spec.seed(self._secret, f"cup {number}", 0),
+                "settings": heat_spec.canonical(dict(settings)).decode(),
+                "started_s": now,
+            }
+            for one in rules:
+                add_ruleset(connection, now, one)
+            connection.execute(cups.insert().values(row))
+            cup = cups_listed(connection)[-1]
+            append(connection, [_cup_beginning(cup)])
+            entrants = len(settings["entrants"])
+            log_event(connection, now, "league", "cup start", cup.name, entrants=entrants)
+            return cup
+
+    def end_cup(self, number: int, document: Mapping[str, Any]) -> Cup:
+        """Freeze a cup as a document; one that has ended stays as it is."""
+        with self._writing(lock=True) as (connection, now):
+            ended = end_with(connection, now, cups, number, document)
+            cup = next(one for one in cups_listed(connection) if one.number == number)
+            if ended:
+                append(connection, [_cup_ending(cup)])
+                log_event(connection, now, "league", "cup end", cup.name, hash=cup.hash)
+            return cup
+
+    def cup_document(self, number: int) -> dict[str, Any] | None:
+        """Return what a cup was frozen as; None before its end."""
+        with self._database.reading() as connection:
+            return document_of(connection, cups, number)
+
 
 def listed(connection: sa.Connection) -> list[Season]:
     """Return all seasons, the first one first."""
@@ -196,13 +245,17 @@ def moves_of(connection: sa.Connection, season: int, entry: int | None = None) -
 
 
 def ledger_records(connection: sa.Connection) -> Iterator[LedgerRecord]:
-    """Yield what the ledger records of all seasons and divisions."""
+    """Yield what the ledger records of all seasons, divisions and cups."""
     for season in listed(connection):
         yield _beginning(season)
         if season.ended_s is not None:
             yield _ending(season)
         for one in moves_of(connection, season.number):
             yield _moving(season.number, one)
+    for cup in cups_listed(connection):
+        yield _cup_beginning(cup)
+        if cup.ended_s is not None:
+            yield _cup_ending(cup)
 
 
 def damaged(connection: sa.Connection, table: sa.Table) -> list[str]:
@@ -232,3 +285,21 @@ def _ending(season: Season) -> LedgerRecord:
 def _moving(season: int, one: Move) -> LedgerRecord:
     subject = f"{season}/{one.round}/{one.entry}"
     return LedgerRecord("division", subject, [one.division, one.heat, one.reason])
+
+
+def cups_listed(connection: sa.Connection) -> list[Cup]:
+    """Return all cups, the first one first."""
+    columns = [column for column in cups.c if column is not cups.c.document]
+    return [
+        made_of(Cup, row, settings=json.loads(row.settings), hash=row.hash or "")
+        for row in connection.execute(sa.select(*columns).order_by(cups.c.number))
+    ]
+
+
+def _cup_beginning(cup: Cup) -> LedgerRecord:
+    content = [cup.name, cup.season, cup.seed, dict(cup.settings), cup.started_s]
+    return LedgerRecord("cup", str(cup.number), content)
+
+
+def _cup_ending(cup: Cup) -> LedgerRecord:
+    return LedgerRecord("cup end", str(cup.number), [cup.ended_s, cup.hash])

@@ -13,25 +13,24 @@ from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Heat, Ruleset
 from league.matchmaking.store import (
     blobs,
-    drives,
     entries,
     integrity,
     queue,
+    race_table,
     results,
     schema,
     seasons,
 )
 from league.matchmaking.store.blobs import Blobs, FolderBlobs, TableBlobs
-from league.matchmaking.store.cups import CupStore
 from league.matchmaking.store.database import Database
 from league.matchmaking.store.integrity import Integrity
 from league.matchmaking.store.records import (
     Drives,
-    Entry,
     EntryState,
     HeatOutcome,
     HeatRecord,
     HeatState,
+    LeagueEntry,
     LeagueSettings,
     Quota,
     Races,
@@ -48,7 +47,7 @@ BATCH = 1000
 """Heats planned or completed per transaction."""
 
 
-class Store(SeasonStore, CupStore):
+class Store(SeasonStore):
     """A league on SQLite or PostgreSQL.
 
     Each method is one transaction (plan and complete: one per 1,000 heats), on the disk when it
@@ -153,7 +152,7 @@ class Store(SeasonStore, CupStore):
         card: Mapping[str, Any] | None = None,
         id: str = "",
         quota: Quota | None = None,
-    ) -> Entry:
+    ) -> LeagueEntry:
         """Enter a driver: a policy's weights, or the name of a scripted driver.
 
         The same driver submitted again by its owner is the entry it was. A policy is known by its
@@ -178,12 +177,12 @@ class Store(SeasonStore, CupStore):
                 blobs.insert(connection, now, weights)
             return entry
 
-    def entry(self, text: str) -> Entry:
+    def entry(self, text: str) -> LeagueEntry:
         """Return the entry with this name, id or beginning of an id; StoreError names others."""
         with self._database.reading() as connection:
             return entries.find(connection, text)
 
-    def entries(self, states: Sequence[EntryState] | None = None) -> list[Entry]:
+    def entries(self, states: Sequence[EntryState] | None = None) -> list[LeagueEntry]:
         """Return the entries in these states (all by default), in the order they came."""
         with self._database.reading() as connection:
             return entries.listed(connection, states)
@@ -297,12 +296,12 @@ class Store(SeasonStore, CupStore):
         """
         ruleset = ruleset or self.settings.ruleset.hash
         with self._database.reading() as connection:
-            return results.read_races(connection, ruleset, since, rated=rated)
+            return race_table.read_races(connection, ruleset, since, rated=rated)
 
     def drives(self, ruleset: str, *, since: int = 0, rated: bool = True) -> Drives:
         """Return how each car drove in the races under a ruleset; see `races`."""
         with self._database.reading() as connection:
-            return results.read_drives(connection, ruleset, since, rated=rated)
+            return race_table.read_drives(connection, ruleset, since, rated=rated)
 
     def heat(self, name: str | int) -> HeatRecord:
         """Return the heat with this key, beginning of a key (6 digits or more), or number."""
@@ -432,7 +431,7 @@ def upgrade(url: str) -> list[str]:
             database.lock(connection)
             steps = schema.migrate(connection)
             if version < "0004":
-                steps.append(f"{drives.fill_driven(connection)} races tell their incidents")
+                steps.append(f"{race_table.fill_driven(connection)} races tell their incidents")
             if version < "0003":
                 steps.append(f"{integrity.adopt(connection)} records begin the ledger")
             return steps

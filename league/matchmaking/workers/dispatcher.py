@@ -15,7 +15,7 @@ from typing import Protocol
 
 from league.errors import LeagueError
 from league.matchmaking.pairing.heat_spec import Ruleset
-from league.matchmaking.store import Entry, HeatOutcome, HeatRecord, HeatState, Received
+from league.matchmaking.store import HeatOutcome, HeatRecord, HeatState, LeagueEntry, Received
 from league.matchmaking.store.store import LEASE_S
 from league.matchmaking.workers import Executor
 from league.matchmaking.workers.worker import (
@@ -92,7 +92,7 @@ class HeatSource(Protocol):
         """Return the rulesets of lent heats, at least, by hash."""
         ...
 
-    def entry(self, text: str) -> Entry:
+    def entry(self, text: str) -> LeagueEntry:
         """Return the entry with this id."""
         ...
 
@@ -212,7 +212,7 @@ class Dispatcher:
         return FinishedHeat(running, report, state)
 
 
-def heat_driver(store: HeatSource, entry: Entry) -> HeatDriver:
+def heat_driver(store: HeatSource, entry: LeagueEntry) -> HeatDriver:
     """Return an entry as a worker needs it."""
     if entry.kind == "scripted":
         return HeatDriver(entry.id, entry.name, scripted=str(entry.card["driver"]))

@@ -1,21 +1,29 @@
-"""Where a run's metrics go while it learns: TensorBoard, and the live viewer with its cars."""
+"""Where a run's metrics go while it learns: TensorBoard, training.png and the live viewer."""
 
 from __future__ import annotations
 
 import math
+import time
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from league import figures
+from league.errors import PolicyError
+from league.figures import GRID, INK
+from league.times import duration
 from league.training.monitor.dashboard import seconds
-from league.training.monitor.history import TrainingCallback
+from league.training.monitor.history import TEACHING, TrainingCallback
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
     from torch.utils.tensorboard import SummaryWriter
 
     from league.envs.adapters.rsl_vec_env import RacingVecEnv
     from league.racing.table import Evaluation
     from league.rerun_view.viewer import Stream
-    from league.training.monitor.history import TrainingHistory
+    from league.training.monitor.history import Row, TrainingHistory
     from league.training.ppo.learner import Update
 
 FLUSH_S = 10
@@ -158,3 +166,195 @@ class LiveView(TrainingCallback):
             if stream.is_open:
                 self._cars.send()
             stream.close()
+
+
+EVERY_S = 60.0
+"""Seconds between two plots while learning goes on: one takes about half a second."""
+_EARNED, _DRIVEN, _EVALUATED, _BEST = "#2f9e63", "#3178c6", "#d9483b", "#e0a100"
+
+
+class TrainingPlot(TrainingCallback):
+    """Draws the curves every `every_s` seconds, at an evaluation, and at the end of the run."""
+
+    def __init__(self, path: Path, *, every_s: float = EVERY_S) -> None:
+        self._path, self._every_s = path, every_s
+        self._drawn_s = time.monotonic()
+        self._history: TrainingHistory | None = None
+
+    def update(self, history: TrainingHistory, update: Update) -> None:
+        """Keep the history for the plot at the end."""
+        self._history = history
+
+    def evaluated(self, history: TrainingHistory, evaluation: Evaluation) -> None:
+        """Draw, if the last plot is old enough."""
+        self._history = history
+        if time.monotonic() - self._drawn_s >= self._every_s:
+            draw_plot(history, self._path)
+            self._drawn_s = time.monotonic()
+
+    def close(self) -> None:
+        """Draw the whole run, if it had an update."""
+        history, self._history = self._history, None
+        if history is not None and history.updates:
+            draw_plot(history, self._path)
+
+
+def draw_plot(history: TrainingHistory, path: Path) -> None:
+    """Write the curves of a run as a PNG, whole or not at all.
+
+    Raises:
+        PolicyError: the file cannot be written.
+    """
+    figures.save(plot_figure(history), path, "the plot of the training", PolicyError)
+
+
+def plot_figure(history: TrainingHistory) -> Figure:
+    """Return the three curves over the time of training, with samples along the upper edge.
+
+    Time and not samples, since a teacher may decide 20 times as often in the same time as the
+    policy that learns from it.
+    """
+    drawn = figures.figure(10.0, 5.4)
+    completion = drawn.add_subplot()
+    reward = completion.twinx()
+    # The reward lies behind: completion is what people look for.
+    completion.set_zorder(reward.get_zorder() + 1)
+    completion.patch.set_visible(False)
+    lines = _lines(history, completion, reward)
+    _shade_teacher(history, reward)
+    _mark_best(history, completion)
+    _label_axes(history, completion, reward)
+    drawn.legend(
+        handles=lines,
+        loc="outside lower center",
+        ncols=3,
+        frameon=False,
+        fontsize=10,
+        labelcolor=INK,
+    )
+    return drawn
+
+
+def _lines(history: TrainingHistory, completion: Axes, reward: Axes) -> list[Any]:
+    updates, evaluations = history.updates, history.evaluations
+    dots: dict[str, Any] = {
+        "marker": "o",
+        "markersize": 5,
+        "markeredgecolor": "white",
+        "clip_on": False,
+    }
+    curves: tuple[tuple[Axes, Sequence[Row], str, str, str, dict[str, Any]], ...] = (
+        (reward, updates, "earned", "average reward (training)", _EARNED, {"alpha": 0.9}),
+        (completion, updates, "completion", "average % completion (training)", _DRIVEN, {}),
+        (
+            completion,
+            evaluations,
+            "completion",
+            "average % completion (evaluation)",
+            _EVALUATED,
+            dots,
+        ),
+    )
+    lines = []
+    for axes, rows, name, label, colour, style in curves:
+        known = [row for row in rows if getattr(row, name) is not None]
+        values = [getattr(row, name) for row in known]
+        style |= {"label": label, "color": colour, "linewidth": 1.8}
+        lines += axes.plot(history.learnt_s(known), values, **style)
+    completion.set_xlim(0, max(history.updates[-1].time_s, 1e-9))
+    return lines
+
+
+def _shade_teacher(history: TrainingHistory, axes: Axes) -> None:
+    """Shade the time in which the teacher learnt: until then the curves are the teacher's."""
+    taught_s = [row.time_s for row in history.updates if TEACHING in row.log]
+    if not taught_s:
+        return
+    axes.axvspan(0, taught_s[-1], color=GRID, alpha=0.6, linewidth=0, zorder=0)
+    axes.annotate(
+        "the teacher learns",
+        (0.0, 1.0),
+        xytext=(6, -22),
+        xycoords="axes fraction",
+        textcoords="offset points",
+        va="top",
+        color=INK,
+        fontsize=10,
+    )
+
+
+def _mark_best(history: TrainingHistory, axes: Axes) -> None:
+    best = history.best
+    if best is None:
+        return
+    (best_s,) = history.learnt_s([best])
+    axes.axvline(best_s, color=_BEST, linewidth=1.2, linestyle=(0, (4, 3)), zorder=1)
+    axes.plot(
+        best_s,
+        best.completion,
+        marker="*",
+        markersize=19,
+        color=_BEST,
+        markeredgecolor="white",
+        markeredgewidth=1.2,
+        zorder=5,
+        clip_on=False,
+    )
+    label = "best model"
+    if best.best_lap_s is not None:
+        label += f": {best.best_lap_s:.2f} s a lap"
+    right = best_s < 0.6 * axes.get_xlim()[1]
+    # At the foot, below the curves: where a policy is good they are high.
+    axes.annotate(
+        label,
+        (best_s, 0.0),
+        xytext=(9 if right else -9, 12),
+        textcoords="offset points",
+        ha="left" if right else "right",
+        color=INK,
+        fontsize=10,
+        fontweight="bold",
+        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 2.0},
+        zorder=6,
+    )
+
+
+def _label_axes(history: TrainingHistory, completion: Axes, reward: Axes) -> None:
+    from matplotlib.ticker import PercentFormatter
+
+    completion.set_ylim(0, 104)
+    completion.set_yticks(range(0, 101, 20))
+    completion.yaxis.set_major_formatter(PercentFormatter(decimals=0))
+    completion.set_xlabel("time of training [min:s]", color=INK)
+    completion.set_ylabel("average % completion", color=_DRIVEN)
+    reward.set_ylabel("average reward of an episode", color=_EARNED)
+    if not any(row.earned is not None for row in history.updates):
+        reward.set_yticks([])
+    completion.grid(color=GRID, linewidth=0.8)
+    completion.set_axisbelow(True)
+    figures.strip(completion)
+    figures.strip(reward)
+    _ticks(history, completion)
+
+
+def _ticks(history: TrainingHistory, axes: Axes) -> None:
+    """Mark round times along the lower edge, and the samples by then along the upper one."""
+    import numpy as np
+    from matplotlib.ticker import EngFormatter
+
+    last_s = axes.get_xlim()[1]
+    round_steps_s = (5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400)
+    step_s = next((step for step in round_steps_s if last_s / step <= 9), last_s / 6)
+    ticks_s = np.arange(0.0, last_s + 1e-9, step_s)
+    axes.set_xticks(ticks_s, [duration(tick) for tick in ticks_s])
+    axes.tick_params(axis="x", pad=8)
+    rows = history.updates
+    samples = np.interp(
+        ticks_s, [0.0, *(row.time_s for row in rows)], [0, *(row.samples for row in rows)]
+    )
+    written = EngFormatter(sep="")
+    upper = axes.twiny()
+    upper.set_xlim(axes.get_xlim())
+    upper.set_xticks(ticks_s, [written.format_eng(float(f"{sample:.3g}")) for sample in samples])
+    upper.set_xlabel("samples (decisions learnt from)", color=INK)
+    figures.strip(upper)

@@ -1,26 +1,29 @@
-"""A driver: its rating and how it came about, its record, its heats, its card."""
+"""A driver: rating, record, heats, card, family; and two drivers against each other."""
 
 from __future__ import annotations
 
 import heapq
 import itertools
 import math
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from league.errors import StoreError
 from league.matchmaking import standings
-from league.matchmaking.history import history, own_history
+from league.matchmaking.history import HistoryPoint, history, own_history
 from league.matchmaking.pairing import matchmaker
-from league.matchmaking.scores import race_scores
-from league.matchmaking.standings import HeadToHead, HistoryPoint, Row, Standings
-from league.matchmaking.store import Entry, HeatRecord
+from league.matchmaking.scores import RaceScore, race_scores
+from league.matchmaking.standings import HeadToHead, Row, Standings
+from league.matchmaking.store import HeatRecord, LeagueEntry
 from league.track import files
 from league.video import strip
-from league.web import charts, family, season_marks
-from league.web.medals import medal
+from league.web import charts
+from league.web.pages import table
 from league.web.pages.seasons import frozen
-from league.web.reader import Document, Reader, accepted
+from league.web.pages.tracks import medal
+from league.web.reader import Document, NotFoundError, Reader, accepted, heat_number
 
 NEWEST = 200
 """Newest heats that are looked at."""
@@ -38,6 +41,14 @@ HISTORY_POINTS = 24
 """Moments of the rating's history."""
 FITTED_RACES = 20_000
 """Races of a league up to which each moment is fitted to all races up to then."""
+GENERATIONS = 8
+"""Generations of ancestors that are shown."""
+MOST_ANCESTORS = 40
+"""Ancestors that are shown; cards are strangers' texts, and may name any number."""
+HEATS_MET = 40
+"""Heats on one page."""
+OVER = ("done", "quarantined", "error")
+"""States of the heats that are listed."""
 
 
 def document(reader: Reader, number: int) -> Document:
@@ -52,7 +63,7 @@ def document(reader: Reader, number: int) -> Document:
     return {
         "entry": entry,
         "standing": row,
-        "marks": season_marks.of(reader, [row]).get(number) if row else None,
+        "marks": table.marks_of(reader, [row]).get(number) if row else None,
         "trophies": _trophies(reader, number),
         "history": moments,
         "fitted": bool(rated and rated.num_races <= FITTED_RACES),
@@ -66,14 +77,12 @@ def document(reader: Reader, number: int) -> Document:
         "joining": _joining(reader, entry, raced),
         "camera": _camera(reader, entry, over[-HEATS:][::-1]),
         "card": _card(entry),
-        "ancestors": family.ancestors(entries, entry),
-        "children": [
-            {"number": one.number, "name": one.name} for one in family.children(entries, entry)
-        ],
+        "ancestors": ancestors(entries, entry),
+        "children": [{"number": one.number, "name": one.name} for one in children(entries, entry)],
     }
 
 
-def _joining(reader: Reader, entry: Entry, raced: list[HeatRecord]) -> Document | None:
+def _joining(reader: Reader, entry: LeagueEntry, raced: list[HeatRecord]) -> Document | None:
     """Return how far a new entry is: what it waits for, and its first heats; None for others."""
     first = raced[:FIRST_HEATS]
     over = len(first) == FIRST_HEATS and not any(one.state in WAITING for one in first)
@@ -139,7 +148,7 @@ def _laps(reader: Reader, number: int) -> list[Document]:
 def _chart(reader: Reader, number: int, moments: list[HistoryPoint]) -> charts.Chart | None:
     if len(moments) < 2 or moments[0].races == moments[-1].races:
         return None
-    return charts.rating_history(moments, season_marks.moments(reader, number))
+    return charts.rating_history(moments, table.season_moments(reader, number))
 
 
 def _trophies(reader: Reader, number: int) -> list[Document]:
@@ -152,7 +161,7 @@ def _trophies(reader: Reader, number: int) -> list[Document]:
     ]
 
 
-def _camera(reader: Reader, entry: Entry, records: Sequence[HeatRecord]) -> Document | None:
+def _camera(reader: Reader, entry: LeagueEntry, records: Sequence[HeatRecord]) -> Document | None:
     """Return the newest recorded race of an entry, and the moments that its film strip shows."""
     for record in records:
         results = reader.store.results(record.number)
@@ -173,7 +182,7 @@ def _camera(reader: Reader, entry: Entry, records: Sequence[HeatRecord]) -> Docu
     return None
 
 
-def _history(reader: Reader, entry: Entry, rated: Standings) -> list[HistoryPoint]:
+def _history(reader: Reader, entry: LeagueEntry, rated: Standings) -> list[HistoryPoint]:
     """Return an entry's history, as of the league's newest race; none before its first race."""
     if rated.num_races > FITTED_RACES:
         return own_history(rated, entry.number, points=HISTORY_POINTS)
@@ -187,7 +196,7 @@ def _history(reader: Reader, entry: Entry, rated: Standings) -> list[HistoryPoin
     return reader.kept(("history", entry.number, rated.races.last), moments)
 
 
-def _card(entry: Entry) -> dict[str, str]:
+def _card(entry: LeagueEntry) -> dict[str, str]:
     """Return what a checkpoint's card says, in the words of the page."""
     card = entry.card
     if entry.kind == "scripted":
@@ -218,3 +227,149 @@ def _card(entry: Entry) -> dict[str, str]:
 
 def _mapping(value: object) -> Mapping[str, Any]:
     return value if isinstance(value, Mapping) else {}
+
+
+@dataclass(frozen=True)
+class Ancestor:
+    """A checkpoint that a policy was trained from."""
+
+    digest: str
+    """Of its file."""
+    number: int | None
+    """Number of the entry it is; None if it was never entered in this league."""
+    name: str
+    """Name of that entry; empty if unknown."""
+    parents: list[Ancestor] = field(default_factory=list)
+    """What it was trained from, as far as its entry tells."""
+
+
+def ancestors(entries: Sequence[LeagueEntry], entry: LeagueEntry) -> list[Ancestor]:
+    """Return the parents of an entry, each with its own."""
+    by_digest = {digest: one for one in entries if (digest := _digest(one))}
+    left = MOST_ANCESTORS
+
+    def parents_of(one: LeagueEntry, above: tuple[str, ...]) -> list[Ancestor]:
+        nonlocal left
+        found = []
+        for digest in _parents(one):
+            # A card may name its own descendant.
+            if digest in above or len(above) > GENERATIONS or left <= 0:
+                continue
+            left -= 1
+            known = by_digest.get(digest)
+            own = parents_of(known, (*above, digest)) if known else []
+            found.append(
+                Ancestor(digest, known.number if known else None, known.name if known else "", own)
+            )
+        return found
+
+    return parents_of(entry, (_digest(entry),))
+
+
+def children(entries: Sequence[LeagueEntry], entry: LeagueEntry) -> list[LeagueEntry]:
+    """Return the entries that were trained from this one."""
+    digest = _digest(entry)
+    return [one for one in entries if digest and digest in _parents(one)]
+
+
+def _digest(entry: LeagueEntry) -> str:
+    return str(entry.card.get("digest", ""))
+
+
+def _parents(entry: LeagueEntry) -> list[str]:
+    match entry.card.get("parents"):
+        case [*digests]:
+            return [str(digest) for digest in digests]
+    return []
+
+
+def matchup(reader: Reader, one: int, other: int, before: str = "") -> Document:
+    """Return who is stronger, how sure that is, and their meetings, the newest first.
+
+    Args:
+        reader: reads the league.
+        one: number of the entry that points count for.
+        other: number of the other entry.
+        before: number of a heat: only earlier ones are listed; empty for all.
+    """
+    pair = reader.entry(one), reader.entry(other)
+    if one == other:
+        raise NotFoundError("A driver does not meet itself: name two different ones.")
+    end = heat_number(before) if before else None
+    rated = reader.standings()
+    rows = reader.row(one), reader.row(other)
+    both = rated if all(rows) else None
+    scores = race_scores(both, one, other) if both else []
+    met = reader.store.heats(entries=[one, other])
+    records = [
+        record for record in met if record.state in OVER and (end is None or record.number < end)
+    ]
+    return {
+        "one": pair[0],
+        "other": pair[1],
+        "standings": rows,
+        "difference": both.ratings.difference(one, other) if both else None,
+        "record": standings.head_to_head(both, one, other) if both else None,
+        "chart": charts.points_chart(scores) if len(scores) > 1 else None,
+        "tracks": _points_by_track(scores),
+        "heats": _races_met(reader, pair, records[-HEATS_MET:][::-1], scores),
+        "waiting": sum(record.state in ("planned", "claimed") for record in met),
+        "older": records[-HEATS_MET].number if len(records) > HEATS_MET else None,
+    }
+
+
+def _points_by_track(scores: Sequence[RaceScore]) -> list[Document]:
+    by_track = defaultdict(list)
+    for score in scores:
+        by_track[score.track].append(score)
+    return [
+        {
+            "track": track,
+            "races": len(some),
+            "points": sum(score.points for score in some),
+            "expected": sum(score.expected for score in some),
+        }
+        for track, some in sorted(by_track.items())
+    ]
+
+
+def _races_met(
+    reader: Reader,
+    pair: tuple[LeagueEntry, LeagueEntry],
+    records: list[Any],
+    scores: Sequence[RaceScore],
+) -> list[Document]:
+    """Return each race of some heats: who came in ahead, by how much, and what was promised."""
+    results = defaultdict(list)
+    for result in reader.store.results(*(record.number for record in records)):
+        results[result.heat].append(result)
+    expected = {(score.heat, score.race): score.expected for score in scores}
+    lines = []
+    for record in records:
+        for half, race in enumerate(record.heat.halves):
+            result = accepted(results[record.number], half)
+            slots = [race.grid.index(entry.id) for entry in pair if entry.id in race.grid]
+            if len(slots) < 2:
+                continue
+            line: Document = {
+                "heat": record.number,
+                "race": half + 1,
+                "purpose": record.heat.purpose,
+                "state": record.state,
+                "track": race.track,
+                "done_s": record.done_s,
+                "front": pair[slots.index(min(slots))].name,
+                "expected": expected.get((record.number, half + 1)),
+                "ahead": None,
+                "margin_s": None,
+            }
+            if result is not None:
+                places = [result.places[slot] for slot in slots]
+                if places[0] != places[1]:
+                    line["ahead"] = pair[places.index(min(places))].name
+                cars = {car["car"]: car for car in result.result["order"]}
+                ends = [cars[slot] for slot in slots if cars[slot]["finished"]]
+                if len(ends) == 2:
+                    line["margin_s"] = abs(ends[0]["total_s"] - ends[1]["total_s"])
+            lines.append(line)
+    return lines

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,18 +10,27 @@ from typing import NamedTuple
 
 import numpy as np
 
+from league import times
 from league.matchmaking.scores import BestLap
 from league.replay import Replay
-from league.web import charts, ghosts, lap_charts, medals
-from league.web.lap_charts import Lap
+from league.replay.replay import seconds_behind
+from league.track.track import Track
+from league.web import charts, race_charts
 from league.web.pages import heat as heats
+from league.web.pages import tracks
+from league.web.race_charts import Lap
 from league.web.reader import Document, NotFoundError, Reader, accepted, heat_number
+from league.web.replay_data import drawn_car, drawn_track
 
 MOST = 100
 """Fastest drivers on a track that are offered; others are reached from their own pages."""
 TRIED = 20
 """Fastest drivers among which recorded laps are looked for where none is asked for."""
 LAP = re.compile(r"(\d{1,15})\.(\d{1,2})\.(\d{1,2})\.(\d{1,4})")
+STEP_HZ = 15
+"""Frames in a second of what the player gets."""
+CLEAR = 0.15
+"""A ghost leads once it is so far ahead [m]: half a car's length, as in a race."""
 
 
 class LapName(NamedTuple):
@@ -78,7 +88,7 @@ def document(
         "pair": [_line(bound_s, ghost) for ghost in pair],
         "laps": [lap.label for lap in laps],
         "map": charts.track_map(shown) if shown else None,
-        "compared": lap_charts.compared(laps, shown.length) if shown else None,
+        "compared": race_charts.compared(laps, shown.length) if shown else None,
         "options": [
             {"entry": lap.number, "name": drivers[lap.number].name, "lap_s": lap.lap_s}
             for lap in best[:MOST]
@@ -94,7 +104,7 @@ def replay(reader: Reader, one: str = "", other: str = "") -> Document:
     if pair[0].track != pair[1].track:
         raise NotFoundError(f"One lap is on {pair[0].track}, the other on {pair[1].track}.")
     laps = [_lap(reader, ghost, car) for car, ghost in enumerate(pair)]
-    return ghosts.player_data(laps, _replay(reader, pair[0].name).track)
+    return player_data(laps, _replay(reader, pair[0].name).track)
 
 
 def _pair(
@@ -135,9 +145,9 @@ def _best(reader: Reader, lap: BestLap) -> _Ghost:
     half, entry = reader.record(lap.heat).heat.halves[lap.race - 1], reader.entry(lap.number)
     car = half.grid.index(entry.id) + 1
     times_s = _lap_times_s(reader, lap.heat, lap.race, car)
-    fastest = int(np.argmin(times_s))
-    name = LapName(lap.heat, lap.race, car, fastest + 1)
-    return _Ghost(name, entry.number, entry.name, half.track, times_s[fastest])
+    fastest = race_charts.fastest_lap(times_s)
+    name = LapName(lap.heat, lap.race, car, fastest)
+    return _Ghost(name, entry.number, entry.name, half.track, times_s[fastest - 1])
 
 
 def _named(reader: Reader, text: str) -> _Ghost:
@@ -164,7 +174,7 @@ def _lap_times_s(reader: Reader, heat: int, race: int, car: int) -> list[float]:
 def _lap(reader: Reader, ghost: _Ghost, car: int) -> Lap:
     """Return a lap, as that of a car (from 0), which decides its colour."""
     name = ghost.name
-    lap = lap_charts.lap_of(_replay(reader, name), name.car - 1, name.lap)
+    lap = race_charts.lap_of(_replay(reader, name), name.car - 1, name.lap)
     return replace(lap, car=car)
 
 
@@ -198,5 +208,84 @@ def _line(bound_s: float | None, ghost: _Ghost) -> Document:
         "entry": ghost.entry,
         "name": ghost.driver,
         "lap_s": ghost.lap_s,
-        "medal": medals.medal(ghost.lap_s, bound_s),
+        "medal": tracks.medal(ghost.lap_s, bound_s),
     }
+
+
+def player_data(laps: Sequence[Lap], track: Track) -> dict[str, object]:
+    """Return what the player draws of laps that begin together.
+
+    A lap begins where its car crosses the line, the first one of a race with the start signal.
+    """
+    begins = [0.0 if lap.number == 1 else _crossed_s(lap, 0.0) for lap in laps]
+    takes = [_crossed_s(lap, track.length) - begin for lap, begin in zip(laps, begins, strict=True)]
+    frames = math.ceil(max(takes) * STEP_HZ) + 1
+    times_s = np.arange(frames) / STEP_HZ
+    distance = np.stack(
+        [
+            np.where(times_s < take, np.interp(begin + times_s, lap.time_s, lap.place), np.inf)
+            for lap, begin, take in zip(laps, begins, takes, strict=True)
+        ],
+        axis=1,
+    )
+    # Over the line a lap goes on at its speed, so that the gap is the difference of the times.
+    over = track.length + np.array([lap.speed[-1] for lap in laps]) * (
+        times_s[:, None] - np.array(takes)
+    )
+    distance = np.where(np.isfinite(distance), distance, over)
+    gaps_s = seconds_behind(distance, times_s)
+    cars: list[dict[str, object]] = []
+    for car, (lap, begin, take) in enumerate(zip(laps, begins, takes, strict=True)):
+        moments = np.minimum(begin + times_s, lap.time_s[-1])
+        x, y, yaw = (
+            np.interp(moments, lap.time_s, column)
+            for column in (lap.points[:, 0], lap.points[:, 1], lap.yaw)
+        )
+        cars.append(
+            drawn_car(
+                car + 1,
+                lap.label,
+                x=x,
+                y=y,
+                yaw=yaw,
+                distance=distance[:, car],
+                gap_s=gaps_s[:, car],
+                laps=np.array([min(math.ceil(take * STEP_HZ), frames - 1)]),
+            )
+        )
+    return {
+        "step_hz": STEP_HZ,
+        "duration_s": round((frames - 1) / STEP_HZ, 3),
+        "laps": 1,
+        "track": drawn_track(track),
+        "obstacles": [],
+        "cars": cars,
+        "events": _events(laps, takes, times_s, distance),
+    }
+
+
+def _crossed_s(lap: Lap, place: float) -> float:
+    return float(lap.reached_s(np.array([place]))[0])
+
+
+def _events(
+    laps: Sequence[Lap], takes: Sequence[float], times_s: np.ndarray, distance: np.ndarray
+) -> list[dict[str, object]]:
+    """Return who takes the lead when, and the times over the line."""
+    events: list[dict[str, object]] = []
+    leader = None
+    for time_s, row in zip(times_s.tolist(), distance, strict=True):
+        first = int(row.argmax())
+        if first == leader or np.sort(row)[-1] - np.sort(row)[-2] < CLEAR or time_s > min(takes):
+            continue
+        verb = "leads" if leader is None else "takes the lead"
+        events.append(_event(time_s, "lead_change", first, f"{laps[first].label} {verb}"))
+        leader = first
+    for car, (lap, take) in enumerate(zip(laps, takes, strict=True)):
+        text = f"{lap.label} is over the line in {times.clock(take)}"
+        events.append(_event(round(take, 3), "finish", car, text))
+    return sorted(events, key=lambda event: float(str(event["time_s"])))
+
+
+def _event(time_s: float, kind: str, car: int, text: str) -> dict[str, object]:
+    return {"time_s": round(time_s, 3), "kind": kind, "car": car + 1, "text": text}

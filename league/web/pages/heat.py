@@ -1,15 +1,30 @@
-"""A heat, and one of its races: classification, laps, gaps, events, and what proves them."""
+"""A heat and its races: results, faults on each lap, charts, and what the player draws."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from league.matchmaking.documents import heat_document
 from league.matchmaking.store import HeatRecord, RaceOutcome, StoredResult
+from league.race_spec import Event, RaceResult
 from league.replay import Replay
-from league.web import charts, faults, lap_charts, race_charts
+from league.web import charts, race_charts
 from league.web.reader import Document, NotFoundError, Reader, accepted
 from league.web.replay_data import events, player_data
+
+FAULT_WORDS = {
+    "off_track": "off",
+    "crash": "contact",
+    "touch": "light contact",
+    "forced_off": "pushed off",
+    "obstacle_contact": "obstacle",
+    "wall_contact": "wall",
+    "immobilised": "stuck",
+    "reversed": "backwards",
+}
+"""Kinds of events that are the car's own fault, in the words of the page."""
+UNPENALISED = ("touch", "wall_contact")
+"""Kinds of which the value is no penalty."""
 
 
 def document(reader: Reader, number: int, race: str = "", lap: str = "") -> Document:
@@ -30,7 +45,7 @@ def document(reader: Reader, number: int, race: str = "", lap: str = "") -> Docu
         raise NotFoundError(f"This race has the laps 1 to {laps}.")
     shown, replay = _summary(reader, at), at.replay
     names = [car["name"] for car in shown["cars"]]
-    wrong = faults.by_lap(replay.result) if replay else []
+    wrong = faults_by_lap(replay.result) if replay else []
     return {
         **shown,
         "queue": reader.store.counts().get("planned", 0) if not at.result else 0,
@@ -43,7 +58,7 @@ def document(reader: Reader, number: int, race: str = "", lap: str = "") -> Docu
         "faults": wrong,
         "lap_rows": max([laps, *map(len, wrong)]),
         "lap": int(lap) if lap else None,
-        "compared": lap_charts.of(replay, int(lap) if lap else None) if replay else None,
+        "compared": race_charts.of(replay, int(lap) if lap else None) if replay else None,
         "events": events(replay) if replay else [],
         **_proof(reader, at),
         "spec": replay.spec.model_dump(exclude={"entries"}) if replay else None,
@@ -144,3 +159,39 @@ def _proof(reader: Reader, at: _Race) -> Document:
             for one in audits
         ],
     }
+
+
+@dataclass
+class LapFaults:
+    """The faults of one car on one lap."""
+
+    counts: dict[str, int] = field(default_factory=dict)
+    """How often, by the page's word."""
+    penalty_s: float = 0.0
+    """Seconds of penalty that they cost."""
+
+
+def faults_by_lap(result: RaceResult) -> list[list[LapFaults]]:
+    """Return the faults of each car, by grid slot, on each of its laps.
+
+    The lap that a car was on when the race ended is the last one, where it did not finish.
+    """
+    cars = sorted(result.order, key=lambda row: row.car)
+    found = [[LapFaults() for _ in range(row.laps + (not row.finished))] for row in cars]
+    laps, steps = [0] * len(cars), dict[tuple[int, float], float]()
+    for event in result.events:
+        car = event.car
+        laps[car] += event.kind == "lap"
+        if event.kind in FAULT_WORDS and laps[car] < len(found[car]):
+            _add_fault(found[car][laps[car]], event, steps)
+    return found
+
+
+def _add_fault(lap: LapFaults, event: Event, steps: dict[tuple[int, float], float]) -> None:
+    """Count a fault; faults of one step share its penalty, which is kept in `steps`."""
+    word = FAULT_WORDS[event.kind]
+    lap.counts[word] = lap.counts.get(word, 0) + 1
+    if event.kind not in UNPENALISED and event.value:
+        step, paid_s = (event.car, event.time_s), steps.get((event.car, event.time_s), 0.0)
+        lap.penalty_s += max(event.value - paid_s, 0.0)
+        steps[step] = max(event.value, paid_s)

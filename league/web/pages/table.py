@@ -1,16 +1,19 @@
-"""The standings: of all races or of some, filtered, a page at a time."""
+"""The standings: of all races or of some, filtered, a page at a time; what their numbers mean."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
 from urllib.parse import urlencode
 
-from league.matchmaking import standings
+from league.matchmaking import divisions, history, safety, standings
+from league.matchmaking.scope import SEASON_SD
 from league.matchmaking.standings import HeadToHead, Row, Standings
-from league.web import charts, season_marks
+from league.web import charts
+from league.web.pages.tracks import MEDALS
 from league.web.reader import Document, NotFoundError, Reader
 from league.web.snapshot import kind_of
 
@@ -31,6 +34,62 @@ ORDERS: dict[str, Callable[[str, Row], Any]] = {
 }
 """What the lines may be sorted by, a key of the track of the laps and of a line, the first first;
 equals stay in the order of their ranks."""
+
+
+@dataclass(frozen=True)
+class Marks:
+    """What the standings show of one entry besides its rating."""
+
+    division: int | None
+    """From 1, the top one; None without a season, or before it has one."""
+    safety: safety.Safety | None
+    """None before its first race."""
+    trend: float | None
+    """By how much the season's newest heats changed its rating [Elo]; None for newcomers."""
+
+
+WHY = {
+    "start": "at the start of the season",
+    "new": "as a newcomer",
+    "rating": "by rating",
+    "place": "as a place was free, or none was left",
+    "safety": "by safety rating",
+    "left": "left",
+}
+"""What the reasons of moves between divisions mean."""
+
+
+def season_moments(reader: Reader, number: int) -> list[tuple[int, str, str]]:
+    """Return what a driver's history marks: newest heat before it, label, and what happened.
+
+    That is the ends of seasons, and its own moves between divisions.
+    """
+    marks: list[tuple[int, str, str]] = []
+    ruleset = reader.store.settings.ruleset.hash
+    for one in reader.store.seasons():
+        if one.ruleset != ruleset:
+            continue
+        if one.until is not None:
+            marks.append((one.until, "S", f"{one.name} ended"))
+        for move in reader.store.division_moves(one.number, number):
+            if move.division:
+                label = f"D{move.division}"
+                title = f"Division {move.division}, {WHY[move.reason]}, in {one.name}"
+                marks.append((move.heat, label, title))
+    return marks
+
+
+def marks_of(reader: Reader, rows: Iterable[Row]) -> dict[int, Marks]:
+    """Return the marks of some entries in the standings, by number."""
+    now = reader.snapshot()
+    return {
+        row.number: Marks(
+            now.divisions.get(row.number),
+            now.safety.by_entry.get(row.number),
+            now.trends.get(row.number),
+        )
+        for row in rows
+    }
 
 
 def document(
@@ -86,7 +145,7 @@ def document(
         "scale": charts.interval_scale(on_page) if on_page else None,
         "rows": on_page,
         "season": rated.season if rated else None,
-        "marks": season_marks.of(reader, on_page),
+        "marks": marks_of(reader, on_page),
         "entries": len(shown),
         "page": number,
         "pages": pages,
@@ -146,3 +205,20 @@ def _records(rated: Standings, rival: Row, rows: Sequence[Row]) -> dict[int, Hea
     """Return the record of each entry against the rival, by its number; only those that met it."""
     met = standings.meetings(rated, rival.number)
     return {row.number: met[row.number].turned for row in rows if row.number in met}
+
+
+def definitions(reader: Reader) -> Document:
+    """Return the definitions, with the numbers in them."""
+    season = next(iter(reader.store.seasons()[::-1]), None)
+    settings = divisions.SeasonSettings.of(season) if season else divisions.SeasonSettings()
+    return {
+        "settings": settings,
+        "safety_margin": divisions.SAFETY_MARGIN,
+        "safety_races": safety.RACES,
+        "safety_half": safety.HALF,
+        "safety_best": safety.BEST,
+        "safety_corners": safety.ENOUGH_CORNERS,
+        "season_sd": SEASON_SD,
+        "trend_heats": history.TREND_HEATS,
+        "medals": MEDALS,
+    }

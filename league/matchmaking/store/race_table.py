@@ -1,0 +1,223 @@
+"""The table of races: each as packed text, with how its cars drove; read as arrays for ratings."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import sqlalchemy as sa
+
+from league.matchmaking.store.records import BEST_MS, DRIVE_COLUMNS, FINISHED, KNOWN, Drives, Races
+from league.matchmaking.store.schema import heats, races, results, rulesets
+
+OFF_TRACK, TOUCH, CRASH = 1, 1, 4
+"""Incident points of leaving the track, of a light contact and of a crash one is to blame for."""
+FAULTS = ("off_tracks", "crashes", "touches", "immobilised", "reversed")
+"""What a result counts of each car; a lap is clean in a race without any of them."""
+FILLED = 5000
+"""Races of an older league brought up to date at a time."""
+BLOCK = 1 << 20
+"""Races read at a time."""
+NO_TRACK = 255
+"""Number of a track that is not in the ruleset, or has a number too large for one byte."""
+DRIVEN = np.dtype([("points", ">u2"), ("distance_cm", ">u4"), ("clean_ms", ">u4")])
+"""What the bytes of `driven` are for each car."""
+
+
+def driven(result: Mapping[str, Any], cars: int) -> str:
+    """Return how each car drove, in hexadecimal: incident points, distance [cm], clean lap [ms].
+
+    That is 4, 8 and 8 digits for each car, and nothing for a result that does not tell. The clean
+    lap is the best one of a race without any fault, 0 for none.
+    """
+    order = result.get("order")
+    parts = ["0" * 20] * cars
+    for row in order if isinstance(order, list | tuple) else ():
+        match row:
+            case {
+                "car": int(car),
+                "distance": float() | int() as distance,
+                "lap_times_s": laps,
+            } if car < cars:
+                off, crashes, touches, *_ = faults = [int(row.get(name, 0)) for name in FAULTS]
+                points = OFF_TRACK * off + CRASH * crashes + TOUCH * touches
+                clean_ms = 0 if any(faults) else round(1000 * min(laps, default=0.0))
+                parts[car] = (
+                    f"{min(points, 0xFFFF):04x}{round(100 * max(distance, 0.0)):08x}"
+                    f"{min(clean_ms, BEST_MS):08x}"
+                )
+    text = "".join(parts)
+    return text if text.strip("0") else ""
+
+
+def runs_of(result: Mapping[str, Any], cars: int) -> tuple[int, ...]:
+    """Return the bits of Races.runs for each car; 0 for a car that the result does not describe."""
+    runs = [0] * cars
+    order = result.get("order")
+    for row in order if isinstance(order, list | tuple) else ():
+        match row:
+            case {"car": int(car), "finished": bool(finished), "lap_times_s": laps} if car < cars:
+                best_ms = round(1000 * min(laps, default=0.0))
+                runs[car] = KNOWN | finished * FINISHED | min(best_ms, BEST_MS)
+    return tuple(runs)
+
+
+def packed(
+    heat: int,
+    half: int,
+    grid: Sequence[int],
+    places: Sequence[int],
+    *,
+    track: int = NO_TRACK,
+    runs: Sequence[int] = (),
+) -> str:
+    """Return a race in hexadecimal: heat, half, track; its cars' entries, their places, their runs.
+
+    That is 12 digits, and 18 for each car. The database joins a million of these into one text,
+    which numpy reads at once; as rows of columns they would take seconds.
+    """
+    entries = "".join(f"{number:08x}" for number in grid)
+    run_digits = "".join(f"{run:08x}" for run in runs or (0,) * len(grid))
+    return f"{heat:08x}{half:02x}{track:02x}{entries}{bytes(places).hex()}{run_digits}"
+
+
+def fill_driven(connection: sa.Connection) -> int:
+    """Let races of an older league tell how cars drove, from their results; return how many."""
+    query = (
+        sa.select(races.c.number, races.c.cars, results.c.document)
+        .join(results, (results.c.heat == races.c.heat) & (results.c.half == races.c.half))
+        .where(~results.c.rejected)
+        .order_by(races.c.number)
+        .limit(FILLED)
+    )
+    last = filled = 0
+    while rows := connection.execute(query.where(races.c.number > last)).all():
+        last = rows[-1].number
+        found = [
+            {"number_": row.number, "driven": driven(_result(row.document), row.cars)}
+            for row in rows
+        ]
+        connection.execute(races.update().where(races.c.number == sa.bindparam("number_")), found)
+        filled += len(found)
+    return filled
+
+
+def _result(document: bytes) -> dict[str, Any]:
+    return json.loads(zlib.decompress(document))["result"]
+
+
+def race_type(cars: int) -> np.dtype[Any]:
+    """Return what the bytes of a packed race of so many cars are."""
+    return np.dtype(
+        [
+            *(("heat", ">u4"), ("half", "u1"), ("track", "u1")),
+            *(("entries", ">u4", (cars,)), ("places", "u1", (cars,)), ("runs", ">u4", (cars,))),
+        ]
+    )
+
+
+def read_races(
+    connection: sa.Connection, ruleset: str, since: int = 0, *, rated: bool = True
+) -> Races:
+    """Return the races under a ruleset that count, those after number `since` only."""
+    last = _last(connection)
+    voided = connection.scalar(
+        sa.select(sa.func.count()).select_from(heats).where(heats.c.state == "quarantined")
+    )
+    counted = _counted(ruleset, rated=rated)
+    pieces = [
+        _unpacked(text, cars)
+        for text, cars in _joined(connection, races.c.packed, counted, since, last)
+    ]
+    return _stacked(pieces, max(last, since), voided or 0)
+
+
+def _unpacked(text: str, cars: int) -> np.ndarray:
+    """Return races of so many cars from their packed texts with spaces between."""
+    return np.frombuffer(bytes.fromhex(text), dtype=race_type(cars))
+
+
+def _stacked(pieces: list[np.ndarray], last: int, voided: int) -> Races:
+    total = sum(len(piece) for piece in pieces)
+    cars = max((piece["entries"].shape[1] for piece in pieces), default=2)
+    stacked = Races(
+        heat=np.empty(total, np.int64),
+        half=np.empty(total, np.uint8),
+        track=np.empty(total, np.uint8),
+        entries=np.full((total, cars), -1, np.int32),
+        places=np.zeros((total, cars), np.uint8),
+        runs=np.zeros((total, cars), np.uint32),
+        last=last,
+        voided=voided,
+    )
+    start = 0
+    for piece in pieces:
+        end, width = start + len(piece), piece["entries"].shape[1]
+        for name in ("heat", "half", "track"):
+            getattr(stacked, name)[start:end] = piece[name]
+        for name in ("entries", "places", "runs"):
+            getattr(stacked, name)[start:end, :width] = piece[name]
+        start = end
+    return stacked
+
+
+def read_drives(
+    connection: sa.Connection, ruleset: str, since: int = 0, *, rated: bool = True
+) -> Drives:
+    """Return how each car drove in the races under a ruleset that count, see `read_races`."""
+    last = _last(connection)
+    counted = _counted(ruleset, rated=rated) & (races.c.driven != "")
+    # Heat, half and track, then the entries of all cars: `packed` up to the places.
+    text = sa.func.substr(races.c.packed, 1, 12 + 8 * races.c.cars) + races.c.driven
+    pieces = [
+        np.frombuffer(bytes.fromhex(joined), dtype=_drive_type(cars))
+        for joined, cars in _joined(connection, text, counted, since, last)
+    ]
+    columns: dict[str, list[np.ndarray]] = {name: [] for name in DRIVE_COLUMNS}
+    for piece in pieces:
+        cars = piece["entry"].shape[1]
+        for name in ("heat", "half", "track"):
+            columns[name].append(np.repeat(piece[name].astype(np.int64), cars))
+        columns["entry"].append(piece["entry"].astype(np.int64).ravel())
+        for name in ("points", "distance_cm", "clean_ms"):
+            columns[name].append(piece["driven"][name].astype(np.int64).ravel())
+    empty = np.zeros(0, np.int64)
+    stacked = {name: np.concatenate([empty, *parts]) for name, parts in columns.items()}
+    return Drives(**stacked, last=max(last, since))
+
+
+def _drive_type(cars: int) -> np.dtype[Any]:
+    return np.dtype(
+        [
+            *(("heat", ">u4"), ("half", "u1"), ("track", "u1")),
+            *(("entry", ">u4", (cars,)), ("driven", DRIVEN, (cars,))),
+        ]
+    )
+
+
+def _last(connection: sa.Connection) -> int:
+    return connection.scalar(sa.select(sa.func.coalesce(sa.func.max(races.c.number), 0))) or 0
+
+
+def _counted(ruleset: str, *, rated: bool) -> sa.ColumnElement[bool]:
+    rules = sa.select(rulesets.c.number).where(rulesets.c.hash == ruleset).scalar_subquery()
+    return sa.and_(races.c.ruleset == rules, *([races.c.rated] if rated else []))
+
+
+def _joined(
+    connection: sa.Connection,
+    text: sa.ColumnElement[str],
+    counted: sa.ColumnElement[bool],
+    since: int,
+    last: int,
+) -> Iterator[tuple[str, int]]:
+    """Yield a text of each of some races, with spaces between, and the cars that these have."""
+    for start in range(since, last, BLOCK):
+        block = sa.and_(races.c.number > start, races.c.number <= min(start + BLOCK, last), counted)
+        fields = sa.select(races.c.cars).where(block).distinct().order_by(races.c.cars)
+        for cars in connection.scalars(fields).all():
+            joined = sa.select(sa.func.aggregate_strings(text, " "))
+            yield connection.scalar(joined.where(block, races.c.cars == cars)) or "", cars
