@@ -36,7 +36,7 @@ HEATS_A_SECOND = 10.0
 """Of the season that goes on."""
 NEW_HEATS = 25
 """That come in before the standings are asked for again."""
-REQUESTS, THREADS = 4000, 8
+REQUESTS, THREADS = 40_000, 8
 GOAL_RATE, GOAL_P99_MS = 300.0, 150.0
 GOAL_PAGE_KB, GOAL_REPLAY_KB = 200.0, 60.0
 GOAL_WARM_MS, GOAL_NEW_MS = 50.0, 200.0
@@ -205,7 +205,12 @@ def _season(url: str, outcome: RaceOutcome) -> Generator[None]:
     stop = context.Event()
     asked = url, outcome, HEATS_A_SECOND, stop, 2 * 10**6
     season = context.Process(target=web_scene.race_on, args=asked, daemon=True)
-    season.start()
+    with Store(url) as league:
+        before = league.counts()["done"]
+        season.start()
+        while league.counts()["done"] == before:
+            assert season.is_alive()
+            time.sleep(0.05)
     try:
         yield
     finally:

@@ -71,9 +71,6 @@ class Scenarios(Checked, what="scenarios"):
     """Least top speed of the other rivals, as a share of the fastest car's."""
     fastest_rival: float = ranged(0.7, 0.0, 1.0)
     """Largest top speed of rivals, likewise; what a curriculum raises."""
-    last_car: float = ranged(1.0, 0.0, 1.0)
-    """Largest top speed of the last car, as a share of the car's: that of a slow scripted driver.
-    Below 1 attacks on it do not count, as those on roadblocks do not."""
     lost: float = ranged(4.5, 0.5, 1000.0)
     """Distance along the track at which the attacker has lost all other cars [m]."""
     shortest: float = ranged(6.0, 0.1, 1e6)

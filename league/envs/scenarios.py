@@ -102,8 +102,6 @@ def begin(encounter, cars, obstacles, world, points, course, sim, rules):
         grid.blank_book(cars[c], cars[c].s - cars[c].zero_s, f32(step) * sim.step_dt)
         grid.draw_parameters(cars[c], c, seed, step, sim)
         cars[c].top_speed = _top_speed(place, size, world, sim, rules)
-        if c == num_cars - 1:
-            cars[c].top_speed = min(cars[c].top_speed, rules.last_car * sim.max_speed)
         own = _TWO * uniform_of(seed, _OWN_PACE, step, c) - _ONE
         limit = min(_allowed(cars[c], points, course, sim), cars[c].top_speed)
         speed = min(base * (_ONE + _SPREAD * own), limit)
@@ -118,14 +116,9 @@ def begin(encounter, cars, obstacles, world, points, course, sim, rules):
     encounter.attack = size > 1 and first > 0
     if encounter.attack:
         gap = signed_gap(course, cars[encounter.target].s, cars[encounter.attacker].s)
-        # Passing a roadblock, or the last car's slow driver, says nothing about how fast rivals
-        # may be.
-        slow = rules.last_car < _ONE and encounter.target == num_cars - 1
-        slow = slow or (
-            cars[encounter.target].top_speed
-            < rules.slowest_rival * cars[encounter.attacker].top_speed
-        )
-        encounter.attack = gap >= _PARTED and not slow
+        # Passing a roadblock says nothing about how fast rivals may be.
+        least = rules.slowest_rival * cars[encounter.attacker].top_speed
+        encounter.attack = gap >= _PARTED and cars[encounter.target].top_speed >= least
     seconds = rules.shortest + uniform_of(seed, _LENGTH, step) * (rules.longest_s - rules.shortest)
     encounter.length = np.int64(seconds * sim.step_hz)
     encounter.steps, encounter.dirty = 0, False

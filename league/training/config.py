@@ -100,7 +100,8 @@ class PpoConfig:
             gamma=0.987,
             lam=0.95,
             bootstrap_on_failure=True,
-            learning_rate=(2e-3, 2e-4),
+            learning_rate=(2e-3, 1e-4),
+            noise=(0.4, 0.03),
         )
 
 

@@ -87,15 +87,6 @@ def test_a_learner_that_attacks_meets_each_other_car_as_often():
     assert np.bincount(met) / 600 == pytest.approx([0, 1 / 3, 1 / 3, 1 / 3], abs=0.06)
 
 
-@pytest.mark.parametrize("last_car", [0.9, 1.0])
-def test_attacks_on_a_slow_last_car_do_not_count(last_car):
-    how = replace(ROLLING, learner=1.0, attack=1.0, roadblock=0.0, last_car=last_car)
-    seen = make(how, 300, 4)._encounters
-    on_last = seen["target"] == 3
-    assert seen["attack"][~on_last].all()
-    assert (seen["attack"][on_last] == (last_car == 1.0)).all()
-
-
 def test_a_scenario_lasts_until_the_attacker_has_lost_all_cars():
     env = make(replace(ROLLING, attack=1.0, lost=2.0), num_worlds=64, num_cars=3)
     together = np.flatnonzero(np.abs(gaps(env)).max(axis=1) < 1.9)

@@ -137,27 +137,31 @@ def test_a_camera_driver_learns_from_the_racer_and_against_it(small):
     assert worlds.cfg.reward.touch > 2.5 * PRESETS["race"].touch
 
 
-def test_a_slow_driver_has_the_last_car_from_the_middle_of_the_stage(small):
-    made = make_racing(RING, replace(small, num_cars=3))
+def test_scripted_drivers_have_the_other_cars_of_some_worlds(small):
+    made = make_racing(RING, replace(small, num_cars=3, num_worlds=8))
     worlds = made.env.race_env
-    slow = roster.load(racer.SLOW_DRIVER, RING, worlds.cfg.sim.car)
-    made.update(0.0)
-    for share, last_car, scripted in ((0.7, 1.0, False), (0.8, racer.SLOW_PACE, True)):
-        made.update(share)  # from 0.5 on it is the stage of the policy with its own sensors
-        assert worlds.cfg.scenarios is not None and worlds.cfg.scenarios.last_car == last_car
-        made._last_rival.reset(None)
-        slow.reset(None)
-        driven = made._last_rival.act(worlds.observations[2])
-        assert np.array_equal(driven, slow.act(worlds.observations[2])) == scripted
+    made.update(0.7)  # the stage of the policy with its own sensors
+    (slow, (name,)), (fast, names) = racer.SCRIPTED
+    assert (8 * slow, 8 * fast, len(names)) == (2, 1, 3)
+    for car in (1, 2):
+        actions = racer.Rival(made.racer, RING, car).act(worlds.observations[car])
+        for driver, expected in ((name, [0, 1]), (names[car - 1], [2])):
+            scripted = roster.load(driver, RING, made.racer.car).act(worlds.observations[car])
+            same = np.flatnonzero((actions == scripted).all(axis=1))
+            assert same.tolist() == expected
+
+
+def test_the_racer_drives_all_other_cars_where_there_are_several_tracks(small):
+    tracks = TrackSet(RING.tracks[0], RING.tracks[0].reversed())
+    both = make_racing(tracks, replace(small, num_cars=3))
+    assert np.isfinite(both.update(0.6).reward)  # scripted drivers would refuse two tracks
 
 
 def test_the_racer_drives_the_other_cars(small):
     made = make_racing(RING, small)
-    rival = racer.Rival(made.racer)
-    observed = made.env.race_env.observations[1]
-    groups = {name: observed[name] for name in Racer.groups}
-    actions = rival.act(groups)
+    rival = racer.Rival(made.racer, RING, 1)
+    actions = rival.act(made.env.race_env.observations[1])
     assert actions.shape == (4, 2) and np.abs(actions).max() <= 1.0
     last = algorithm(made.racer).get_policy().mlp[-1]
     last.bias.data.fill_(0.9)
-    assert (rival.act(groups) > actions).all()
+    assert (rival.act(made.env.race_env.observations[1]) > actions)[1:].all()

@@ -31,7 +31,8 @@ from league.training.ppo.teacher import TaughtLearner, Teacher
 WARM_UP = 0.04
 """Share of a stage before rivals become faster or slower: the cars learn to drive."""
 ENOUGH, AT_LAST = 0.45, 0.7
-"""Share of clean attacks above which rivals become faster, at the start and the end of a stage."""
+"""Share of clean attacks above which rivals become faster, at the start and the end of the first
+stage; in the second it stays at the first value."""
 SLACK = 0.1
 """How far below that share rivals become slower."""
 PACE_STEP = 2.5
@@ -43,13 +44,13 @@ DEAR = 6.0
 pass earns."""
 SPREAD = 0.5
 """Least randomisation of the cars; see TrainConfig."""
-SLOW_DRIVER = "centerline"
-"""Scripted driver of the last car, where a policy with its own sensors meets two or more."""
-SLOW_PACE = 0.5
-"""Its top speed, as a share of the car's."""
-SLOW_FROM = 0.5
-"""Share of the second stage from which it drives: policies that meet it before they can race learn
-to keep away from it, and little else."""
+SCRIPTED: tuple[tuple[float, tuple[str, ...]], ...] = (
+    (0.25, ("centerline",)),
+    (0.125, ("racing_line", "cautious", "blocker")),
+)
+"""Shares of the worlds of a policy with its own sensors in which scripted drivers have the other
+cars, in turn. The racer drives slow cars well; others brake for bends and keep to lines of their
+own."""
 _LATELY = 100.0
 """Attacks after which what is known about earlier ones counts half."""
 
@@ -57,21 +58,21 @@ _LATELY = 100.0
 class Curriculum:
     """Rivals as fast as can just be passed, and contacts that become dear, over one stage."""
 
-    def __init__(self, rows: int) -> None:
-        """Start with slow rivals and cheap contacts, for updates of so many decisions."""
-        self._rows = rows
+    def __init__(self, rows: int, at_last: float = AT_LAST) -> None:
+        """Start with slow rivals and cheap contacts, for updates of so many decisions.
+
+        `at_last` is the share of clean attacks above which rivals become faster at its end.
+        """
+        self._rows, self._at_last = rows, at_last
         self.pace = FIRST_PACE
         """Largest top speed of rivals, as a share of the fastest car's."""
         self._share = self._attacks = self._passed = self._clean = 0.0
 
-    def prepare(self, worlds: RaceEnv, share: float, last_car: float = 1.0) -> None:
-        """Set rivals' top speeds and the price of contacts, at a share of the stage.
-
-        `last_car` is the last car's largest top speed, as a share of the car's.
-        """
+    def prepare(self, worlds: RaceEnv, share: float) -> None:
+        """Set rivals' top speeds and the price of contacts, at a share of the stage."""
         assert worlds.cfg.scenarios is not None
         least = max(self.pace - RANGE, 0.45)
-        rivals = {"fastest_rival": self.pace, "slowest_rival": least, "last_car": last_car}
+        rivals = {"fastest_rival": self.pace, "slowest_rival": least}
         worlds.change_scenarios(replace(worlds.cfg.scenarios, **rivals))
         first, dear = PRESETS["race"], 1.0 + (DEAR - 1.0) * min(share / 0.8, 1.0)
         worlds.change_weights(replace(first, touch=dear * first.touch, crash=dear * first.crash))
@@ -85,7 +86,7 @@ class Curriculum:
         self._attacks = kept * self._attacks + attacks
         self._passed = kept * self._passed + passed
         self._clean = kept * self._clean + clean
-        enough = ENOUGH + (AT_LAST - ENOUGH) * share
+        enough = ENOUGH + (self._at_last - ENOUGH) * share
         step = PACE_STEP * max(share - self._share, 0.0)
         self._share = share
         succeeded = self._clean / max(self._attacks, 1.0)
@@ -115,40 +116,41 @@ class Curriculum:
 
 
 class Rival:
-    """A Driver of the other cars of a camera driver's worlds: the racer as it is now."""
+    """A Driver of another car of a camera driver's worlds: the racer as it is now.
+
+    In the first worlds a scripted driver has the car.
+    """
 
     sensors = SensorConfig(truth=True)
 
-    def __init__(self, racer: Racer) -> None:
-        """Take the racer, which goes on learning."""
+    def __init__(self, racer: Racer, tracks: TrackSet, car: int) -> None:
+        """Take the racer, which goes on learning, the tracks of the worlds, and which car it is.
+
+        Scripted drivers know one track: on several the racer drives in all worlds.
+        """
         self.name, self._racer = "racer", racer
+        self._scripted: list[tuple[float, Driver]] = []
+        for share, names in SCRIPTED if len(tracks.tracks) == 1 else ():
+            driver = roster.load(names[(car - 1) % len(names)], tracks, racer.car)
+            self._scripted.append((share, driver))
 
     def reset(self, rows: np.ndarray | None) -> None:
-        """Do nothing: it remembers nothing."""
+        """Clear the scripted drivers' memory; the racer remembers nothing."""
+        for _, driver in self._scripted:
+            driver.reset(rows)
 
     def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Return actions [steering, speed] in [-1, 1], float32 (num_rows, 2)."""
+        """Return actions [steering, speed] in [-1, 1], float32 (num_worlds, 2)."""
         groups = {name: torch.from_numpy(observations[name].copy()) for name in Racer.groups}
         rows = len(groups["motion"])
         answer = self._racer.targets(TensorDict(groups, batch_size=[rows]))
-        return to_actions(self._racer.cfg.action_space, answer.numpy(), self._racer.car)
-
-
-class LastRival(Rival):
-    """A Driver of the last car: the racer, or a slow scripted driver."""
-
-    def __init__(self, racer: Racer, scripted: Driver) -> None:
-        """Begin with the racer."""
-        super().__init__(racer)
-        self._scripted, self.is_slow = scripted, False
-
-    def reset(self, rows: np.ndarray | None) -> None:
-        """Clear the scripted driver's memory."""
-        self._scripted.reset(rows)
-
-    def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Return actions [steering, speed] in [-1, 1], float32 (num_rows, 2)."""
-        return self._scripted.act(observations) if self.is_slow else super().act(observations)
+        actions = to_actions(self._racer.cfg.action_space, answer.numpy(), self._racer.car)
+        first = 0
+        for share, driver in self._scripted:
+            last = first + round(share * rows)
+            actions[first:last] = driver.act(observations)[first:last]
+            first = last
+        return actions
 
 
 class Racer(Teacher):
@@ -192,25 +194,18 @@ class RacingLearner(TaughtLearner):
             racer: in worlds of its own.
             settings: of make_env.make.
         """
-        rivals: dict[int, Driver | str] = {car: Rival(racer) for car in range(1, cfg.num_cars)}
-        self._last_rival = None
-        if cfg.num_cars > 2:
-            # The racer drives slow cars well; others brake for bends and keep to the middle.
-            scripted = roster.load(SLOW_DRIVER, tracks, racer.car)
-            self._last_rival = LastRival(racer, scripted)
-            rivals[cfg.num_cars - 1] = self._last_rival
+        rivals: dict[int, Driver | str] = {
+            car: Rival(racer, tracks, car) for car in range(1, cfg.num_cars)
+        }
         env = make_env.make(tracks, cfg, opponents=rivals, **settings)
         super().__init__(env, cfg, racer)
         self.racer = racer
         """The network that sees the true state."""
-        self.curriculum = Curriculum(self.env.num_envs * cfg.ppo.rollout)
+        self.curriculum = Curriculum(self.env.num_envs * cfg.ppo.rollout, at_last=ENOUGH)
 
     def _learn(self, share: float) -> Update:
         """Collect and learn at a share of its own stage, with rivals as fast as it can pass."""
-        slow = self._last_rival is not None and share >= SLOW_FROM
-        if self._last_rival is not None:
-            self._last_rival.is_slow = slow
-        self.curriculum.prepare(self.env.race_env, share, SLOW_PACE if slow else 1.0)
+        self.curriculum.prepare(self.env.race_env, share)
         return self.curriculum.add(super()._learn(share), share)
 
     def _state(self) -> dict[str, Any]:
