@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator
 
 import pytest
+from markupsafe import escape
 from starlette.testclient import TestClient
 
 from league.matchmaking.store import Store
@@ -44,8 +45,20 @@ def test_a_season_shows_its_standings_as_they_were_frozen(client, store):
     assert store.seasons()[0].hash in page
     names = re.findall(r'<td class="name"><a href="/drivers/(\d+)">', page)
     assert [int(one) for one in names] == [row["number"] for row in frozen["standings"]["entries"]]
-    assert client.get("/seasons/2").status_code == 200  # it is running
     assert client.get("/seasons/9").status_code == 404
+
+
+def test_the_running_season_shows_who_leads_and_its_newest_heats(client, store):
+    document, page = client.get("/api/v1/seasons/2").json(), client.get("/seasons/2").text
+    assert document["leaders"] == client.get("/api/v1/seasons").json()["leaders"] != []
+    for row in document["leaders"]:
+        assert f'<a href="/drivers/{row["number"]}">{escape(row["name"])}</a>' in page
+    first = store.seasons()[1].after
+    done = [one.number for one in store.heats(("done",)) if one.number > first][::-1]
+    assert [one["number"] for one in document["newest"]] == done[:20]
+    assert all(f'href="/heats/{number}"' in page for number in done[:20])
+    assert "Newest heats" in page or "No heat of this season is done yet" in page
+    assert "leaders" not in client.get("/api/v1/seasons/1").json()
 
 
 def test_a_cup_shows_its_bracket_with_links_to_its_heats(client, store):

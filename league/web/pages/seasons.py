@@ -9,7 +9,9 @@ from league.matchmaking.store import Cup, Season
 from league.web.reader import Document, NotFoundError, Reader
 
 TOP = 3
-"""Entries of each season on the page of all seasons."""
+"""Entries that lead the running season."""
+LISTED = 20
+"""Newest heats of the running season, at most."""
 
 
 def document(reader: Reader) -> Document:
@@ -18,11 +20,7 @@ def document(reader: Reader) -> Document:
     return {
         "seasons": [_season(reader, one) for one in known],
         "running": known[0] if known and known[0].until is None else None,
-        "leaders": [
-            {"number": row.number, "name": row.name, "elo": row.elo, "races": row.races}
-            for row in reader.rows()
-            if not row.anchor
-        ][:TOP],
+        "leaders": _leaders(reader),
         "cups": [
             {"cup": cup, "winner": _winner(frozen(reader, cup))}
             for cup in reader.store.cups()[::-1]
@@ -31,11 +29,24 @@ def document(reader: Reader) -> Document:
 
 
 def season(reader: Reader, number: int) -> Document:
-    """Return a season as it was frozen."""
+    """Return a season as it was frozen, or who leads it and what was raced last."""
     known = next((one for one in reader.store.seasons() if one.number == number), None)
     if known is None:
         raise NotFoundError(f"This league has no season {number}.")
-    return _season(reader, known)
+    document = _season(reader, known)
+    if known.ended_s is None:
+        newest = [one for one in reader.newest(LISTED) if one.number > known.after]
+        document |= {"leaders": _leaders(reader), "newest": reader.listed(newest)}
+    return document
+
+
+def _leaders(reader: Reader) -> list[Document]:
+    """Return the first entries of the standings that are no anchors."""
+    return [
+        {"number": row.number, "name": row.name, "elo": row.elo, "races": row.races}
+        for row in reader.rows()
+        if not row.anchor
+    ][:TOP]
 
 
 def frozen(reader: Reader, one: Season | Cup) -> dict[str, Any] | None:
