@@ -10,7 +10,7 @@ from league.errors import StoreError
 from league.matchmaking import wire
 from league.matchmaking.documents import names_of
 from league.matchmaking.store import HeatRecord, Received, Token
-from league.matchmaking.store.store import LEASE_S
+from league.matchmaking.store.queue import LEASE_S
 from league.web.protected import Asked, Protected
 
 WORK = "/api/v1/work"

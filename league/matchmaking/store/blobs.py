@@ -6,8 +6,6 @@ swapped file is noticed.
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import sqlalchemy as sa
 
 from league.atomic_file import replacing
@@ -18,22 +16,6 @@ from league.matchmaking.store.schema import blobs
 
 MAX_BYTES = 64 * 1024 * 1024
 """Largest blob [bytes]."""
-
-
-class Blobs(Protocol):
-    """A place for blobs."""
-
-    def put(self, content: bytes) -> str:
-        """Keep some bytes and return their SHA-256; keeping them again changes nothing."""
-        ...
-
-    def get(self, digest: str) -> bytes:
-        """Return the bytes with this SHA-256; StoreError if they are gone or damaged."""
-        ...
-
-    def has(self, digest: str) -> bool:
-        """Return whether the bytes with this SHA-256 are kept."""
-        ...
 
 
 def _checked(content: bytes) -> bytes:
@@ -58,7 +40,7 @@ def _verified(content: bytes | None, digest: str, where: str) -> bytes:
     return content
 
 
-def insert(connection: sa.Connection, now: float, content: bytes) -> str:
+def insert_blob(connection: sa.Connection, now: float, content: bytes) -> str:
     """Keep some bytes in the database and return their SHA-256."""
     digest = heat_spec.digest(_checked(content))
     row = {"digest": digest, "size": len(content), "created_s": now, "content": content}
@@ -75,7 +57,7 @@ class TableBlobs(Transactional):
     def put(self, content: bytes) -> str:
         """Keep some bytes and return their SHA-256."""
         with self._writing() as (connection, now):
-            return insert(connection, now, content)
+            return insert_blob(connection, now, content)
 
     def get(self, digest: str) -> bytes:
         """Return the bytes with this SHA-256."""
@@ -153,3 +135,18 @@ class FolderBlobs:
 
 def _reason(refusal: Exception) -> str:
     return getattr(refusal, "strerror", None) or str(refusal) or type(refusal).__name__
+
+
+Blobs = TableBlobs | FolderBlobs
+
+
+class BlobStore(Transactional):
+    """The part of a Store that is about files."""
+
+    _blobs_url: str
+    """Directory or bucket that they are in; empty for the database itself."""
+
+    @property
+    def blobs(self) -> Blobs:
+        """Where weights and recordings are kept."""
+        return FolderBlobs(self._blobs_url) if self._blobs_url else TableBlobs(self._database)

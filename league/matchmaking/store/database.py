@@ -202,6 +202,19 @@ def insert_new(connection: sa.Connection, table: sa.Table) -> Any:  # noqa: ANN4
     return dialect.insert(table).on_conflict_do_nothing()
 
 
+def chunked(
+    connection: sa.Connection,
+    query: Any,  # noqa: ANN401
+    column: sa.ColumnElement[Any],
+    values: list[Any],
+) -> list[Any]:
+    """Return the rows in which a column has one of many values, asking for 5,000 at a time."""
+    rows: list[Any] = []
+    for start in range(0, len(values), 5000):  # SQLite allows 32,766 parameters
+        rows += connection.execute(query.where(column.in_(values[start : start + 5000]))).all()
+    return rows
+
+
 def _prepare(raw: Any, _record: object) -> None:  # noqa: ANN401
     raw.isolation_level = None  # transactions begin where we say
     for setting in ("busy_timeout = 10000", "synchronous = FULL", "foreign_keys = ON"):

@@ -1,7 +1,4 @@
-"""Entries and their owners: names, submission, look-up and states.
-
-Functions of a connection within a transaction; store.py owns the transactions.
-"""
+"""Entries and their owners: names, submission, look-up and states."""
 
 from __future__ import annotations
 
@@ -13,14 +10,15 @@ from typing import Any, cast
 import sqlalchemy as sa
 
 from league.errors import QuotaError, StoreError, brief, nearest_names
-from league.matchmaking.store import queue
-from league.matchmaking.store.database import insert_new, made_of
+from league.matchmaking.pairing import heat_spec
+from league.matchmaking.store.blobs import BlobStore, insert_blob
+from league.matchmaking.store.database import chunked, insert_new, made_of
+from league.matchmaking.store.queue import cancel, entry_numbers, of_entry
 from league.matchmaking.store.records import NEXT, EntryState, LeagueEntry, Quota
 from league.matchmaking.store.schema import (
     LedgerRecord,
     append,
     entries,
-    heat_entries,
     heats,
     log_event,
     owners,
@@ -50,26 +48,136 @@ LOOKALIKES = {ord(pair[0]): pair[1] for pair in _PAIRS.split()}
 """Cyrillic and Greek small letters, and the dotless i, with the Latin ones that they look like."""
 
 
-def submit(
-    connection: sa.Connection,
-    now: float,
-    owner: str,
-    row: Mapping[str, Any],
-    quota: Quota | None = None,
-) -> LeagueEntry:
-    """Enter a driver as pending; the same content submitted again is the same entry.
+class EntryStore(BlobStore):
+    """The part of a Store that is about entries."""
 
-    `row` has the columns `id`, `name`, `kind`, `anchor` and `card`.
-    """
-    name = row["name"]
-    known = connection.execute(with_owners().where(entries.c.id == row["id"])).one_or_none()
-    if known is not None:
-        if known.owner_name != owner:
+    def submit(
+        self,
+        name: str,
+        owner: str,
+        *,
+        weights: bytes | None = None,
+        scripted: str | None = None,
+        anchor: bool = False,
+        card: Mapping[str, Any] | None = None,
+        id: str = "",
+        quota: Quota | None = None,
+    ) -> LeagueEntry:
+        """Enter a driver as pending: a policy's weights, or the name of a scripted driver.
+
+        The same driver submitted again by its owner is the entry it was. A policy is known by its
+        `id`, by default the hash of its file. A `quota` is refused with a QuotaError.
+        """
+        if (weights is None) == (scripted is None):
+            raise ValueError("give either weights or the name of a scripted driver")
+        if weights is not None and self._blobs_url:
+            self.blobs.put(weights)
+        blob = heat_spec.digest(weights or b"")
+        card = {**(card or {}), **({"driver": scripted} if scripted else {"blob": blob})}
+        id = heat_spec.scripted_id(scripted) if scripted else id or blob
+        kind = "policy" if scripted is None else "scripted"
+        with self._writing(lock=True) as (connection, now):
+            query = with_owners().where(entries.c.id == id)
+            row = connection.execute(query).one_or_none()
+            if row is not None and row.owner_name != owner:
+                raise StoreError(
+                    f"these weights are entered already, as {row.name!r} by {row.owner_name!r}: "
+                    "submit weights of your own"
+                )
+            if row is None:
+                _check_free(connection, name)
+                number = owner_number(connection, now, owner)
+                if quota is not None:
+                    check_quota(connection, now, owner, quota)
+                connection.execute(
+                    entries.insert().values(
+                        id=id,
+                        name=name,
+                        owner=number,
+                        kind=kind,
+                        anchor=anchor,
+                        state="pending",
+                        reason="",
+                        card=heat_spec.canonical(card).decode(),
+                        created_s=now,
+                    )
+                )
+                log_event(connection, now, owner, "submit", id, name=name, kind=kind)
+                row = connection.execute(query).one()
+                append(connection, [ledger_record(row)])
+            entry = _entry(row)
+            if weights is not None and not self._blobs_url and entry.blob == blob:
+                insert_blob(connection, now, weights)
+            return entry
+
+    def entry(self, text: str) -> LeagueEntry:
+        """Return the entry with this name, id, or beginning of an id (6 digits or more).
+
+        Raises:
+            StoreError: none has it, or several; it names the nearest.
+        """
+        match = entries.c.name == text
+        if len(text) >= 6 and set(text) <= set("0123456789abcdef"):
+            match = match | entries.c.id.like(f"{text}%")
+        with self._database.reading() as connection:
+            rows = connection.execute(with_owners().where(match).limit(20)).all()
+            exact = [row for row in rows if text in (row.name, row.id)]
+            if len(exact or rows) == 1:
+                return _entry((exact or rows)[0])
+            known = list(connection.scalars(sa.select(entries.c.name)))
+        if rows:
             raise StoreError(
-                f"these weights are entered already, as {known.name!r} by {known.owner_name!r}: "
-                "submit weights of your own"
+                f"{brief(text)} begins the ids of {len(rows)} entries: give more digits, or the "
+                "name"
             )
-        return _entry(known)
+        if not known:
+            raise StoreError(
+                f"there is no entry {brief(text)}: this league has none yet, submit one"
+            )
+        raise StoreError(
+            f"there is no entry {brief(text)} in this league; {nearest_names(text, known)}"
+        )
+
+    def entries(self, states: Sequence[EntryState] | None = None) -> list[LeagueEntry]:
+        """Return the entries in these states (all by default), in the order they came."""
+        query = with_owners().order_by(entries.c.number)
+        if states is not None:
+            query = query.where(entries.c.state.in_(states))
+        with self._database.reading() as connection:
+            return [_entry(row) for row in connection.execute(query)]
+
+    def move(
+        self, states: Mapping[str, EntryState], *, reason: str = "", actor: str = "league"
+    ) -> int:
+        """Change the states of entries (by id), all or none; return how many changed.
+
+        The planned heats of one that leaves the league are cancelled.
+        """
+        with self._writing(lock=True) as (connection, now):
+            entry_numbers(connection, states)
+            query = sa.select(entries).with_for_update()
+            rows = chunked(connection, query, entries.c.id, sorted(states))
+            changes = [(row, states[row.id]) for row in rows if row.state != states[row.id]]
+            for row, state in changes:
+                possible = NEXT[cast(EntryState, row.state)]
+                if state not in possible:
+                    raise StoreError(
+                        f"entry {row.name!r} is {row.state} and cannot become {state}: "
+                        f"possible is {', '.join(possible) or 'nothing more'}"
+                    )
+            for row, state in changes:
+                own = entries.c.id == row.id
+                connection.execute(entries.update().where(own).values(state=state, reason=reason))
+                log_event(connection, now, actor, state, row.id, was=row.state, reason=reason)
+                if state in ("retired", "refused"):
+                    waiting = cancel(connection, heats.c.number.in_(of_entry(row.number)))
+                    if waiting:
+                        subject = str(row.number)
+                        log_event(connection, now, "league", "cancel", subject, heats=waiting)
+            return len(changes)
+
+
+def _check_free(connection: sa.Connection, name: str) -> None:
     _check_name(name, "an entry's name")
     for taken, taken_id in connection.execute(sa.select(entries.c.name, entries.c.id)):
         if taken == name:
@@ -78,15 +186,6 @@ def submit(
             raise StoreError(
                 f"the name {name!r} looks like {taken!r} of entry {taken_id[:12]}: choose another"
             )
-    number = owner_number(connection, now, owner)
-    if quota is not None:
-        check_quota(connection, now, owner, quota)
-    state = {"owner": number, "state": "pending", "reason": "", "created_s": now}
-    connection.execute(entries.insert().values(**row, **state))
-    log_event(connection, now, owner, "submit", row["id"], name=name, kind=row["kind"])
-    added = connection.execute(with_owners().where(entries.c.id == row["id"])).one()
-    append(connection, [ledger_record(added)])
-    return _entry(added)
 
 
 def owner_number(connection: sa.Connection, now: float, name: str) -> int:
@@ -139,88 +238,6 @@ def ledger_record(row: Any) -> LedgerRecord:  # noqa: ANN401
     """Return what the ledger records of an entry: all but its state and the reason of it."""
     names = ("number", "name", "owner_name", "kind", "anchor", "card", "created_s")
     return LedgerRecord("entry", row.id, [row._mapping[name] for name in names])
-
-
-def find(connection: sa.Connection, text: str) -> LeagueEntry:
-    """Return the entry with this name, id, or beginning of an id (6 digits or more)."""
-    match = entries.c.name == text
-    if len(text) >= 6 and set(text) <= set("0123456789abcdef"):
-        match = match | entries.c.id.like(f"{text}%")
-    rows = connection.execute(with_owners().where(match).limit(20)).all()
-    exact = [row for row in rows if text in (row.name, row.id)]
-    if len(exact or rows) == 1:
-        return _entry((exact or rows)[0])
-    if rows:
-        raise StoreError(
-            f"{brief(text)} begins the ids of {len(rows)} entries: give more digits, or the name"
-        )
-    known = list(connection.scalars(sa.select(entries.c.name)))
-    if not known:
-        raise StoreError(f"there is no entry {brief(text)}: this league has none yet, submit one")
-    raise StoreError(
-        f"there is no entry {brief(text)} in this league; {nearest_names(text, known)}"
-    )
-
-
-def listed(connection: sa.Connection, states: Sequence[EntryState] | None) -> list[LeagueEntry]:
-    """Return the entries in these states (None: all), in the order they came."""
-    query = with_owners().order_by(entries.c.number)
-    if states is not None:
-        query = query.where(entries.c.state.in_(states))
-    return [_entry(row) for row in connection.execute(query)]
-
-
-def move(
-    connection: sa.Connection,
-    now: float,
-    wanted: Mapping[str, EntryState],
-    *,
-    reason: str,
-    actor: str,
-) -> int:
-    """Change the states of entries (by id); return how many changed.
-
-    The planned heats of one that leaves the league are cancelled.
-    """
-    number_of = queue.entry_numbers(connection, wanted)
-    query = sa.select(entries.c.id, entries.c.state, entries.c.name).with_for_update()
-    rows = queue.chunked(connection, query, entries.c.id, sorted(wanted))
-    changes = [(row, wanted[row.id]) for row in rows if row.state != wanted[row.id]]
-    for row, state in changes:
-        if state not in NEXT[cast(EntryState, row.state)]:
-            raise StoreError(
-                f"entry {row.name!r} is {row.state} and cannot become {state}: "
-                f"possible is {', '.join(NEXT[cast(EntryState, row.state)]) or 'nothing more'}"
-            )
-    for row, state in changes:
-        connection.execute(
-            entries.update().where(entries.c.id == row.id).values(state=state, reason=reason)
-        )
-        log_event(connection, now, actor, state, row.id, was=row.state, reason=reason)
-        if state in ("retired", "refused"):
-            queue.cancel_entry(connection, now, number_of[row.id])
-    return len(changes)
-
-
-def reopen(connection: sa.Connection, now: float, heat: int) -> None:
-    """Move entries that were refused for a validation heat back to `validating`.
-
-    Their other validation heats, which were cancelled, are planned again.
-    """
-    of_heat = sa.select(heat_entries.c.entry).where(heat_entries.c.heat == heat)
-    validates = sa.exists().where(heats.c.number == heat, heats.c.purpose == "validation")
-    refused = (entries.c.state == "refused") & entries.c.number.in_(of_heat) & validates
-    for row in connection.execute(sa.select(entries.c.number, entries.c.id).where(refused)).all():
-        own = entries.c.number == row.number
-        connection.execute(entries.update().where(own).values(state="validating", reason=""))
-        others = sa.select(heat_entries.c.heat).where(heat_entries.c.entry == row.number)
-        cancelled = (heats.c.purpose == "validation") & (heats.c.state == "cancelled")
-        connection.execute(
-            heats.update()
-            .where(heats.c.number.in_(others), cancelled)
-            .values(state="planned", attempts=0)
-        )
-        log_event(connection, now, "league", "validating", row.id, was="refused", heat=heat)
 
 
 def with_owners() -> sa.Select[Any]:

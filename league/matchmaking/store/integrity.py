@@ -12,9 +12,10 @@ from typing import Any
 import sqlalchemy as sa
 
 from league.matchmaking.pairing import heat_spec
-from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset
+from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.store import entries, results, schema, seasons
-from league.matchmaking.store.queue import chunked
+from league.matchmaking.store.database import chunked
+from league.matchmaking.store.queue import heat_in, with_rules
 from league.matchmaking.store.results import PackedResult
 from league.matchmaking.store.schema import (
     LedgerRecord,
@@ -137,14 +138,7 @@ def _check_heats(
 ) -> None:
     tracks = _sound_tracks(connection, found)
     id_of = {row.number: row.id for row in connection.execute(entries.with_owners())}
-    audited = heats.alias("audited")
-    query = (
-        sa.select(heats, rulesets.c.hash.label("rules"), audited.c.key.label("audited_key"))
-        .outerjoin(rulesets, rulesets.c.number == heats.c.ruleset)
-        .outerjoin(audited, audited.c.number == heats.c.audits)
-        .order_by(heats.c.number)
-        .limit(BLOCK)
-    )
+    query = with_rules().order_by(heats.c.number).limit(BLOCK)
     last = 0
     while rows := connection.execute(query.where(heats.c.number > last)).all():
         last, numbers = rows[-1].number, [row.number for row in rows]
@@ -172,14 +166,9 @@ def _check_heats(
 
 def _is_as_planned(row: Any, id_of: dict[int, str]) -> bool:  # noqa: ANN401
     try:
-        halves = tuple(
-            Half(track, tuple(id_of[number] for number in grid))
-            for track, grid in json.loads(row.halves)
-        )
-        heat = Heat(row.rules, halves, row.draw, row.purpose, row.audited_key or "")
+        return heat_in(row, id_of).key == row.key
     except (ValueError, KeyError, TypeError):
         return False
-    return heat.key == row.key
 
 
 def _check_races(
@@ -217,7 +206,7 @@ def _read(found: Integrity, row: Any) -> PackedResult | None:  # noqa: ANN401
     try:
         text = zlib.decompress(row.document)
         if heat_spec.digest(text) == row.hash:
-            result = results.unpack(text, row.replay, row.machine)
+            result = PackedResult.of(text, row.replay, row.machine)
             bytes(result.places)
             return result
     except (zlib.error, ValueError, KeyError, TypeError, AttributeError):

@@ -1,7 +1,4 @@
-"""The queue of heats: planned, claimed with a lease, renewed, failed, reaped.
-
-Functions of a connection within a transaction; store.py owns the transactions.
-"""
+"""The queue of heats: planned, claimed with a lease, renewed, failed, reaped."""
 
 from __future__ import annotations
 
@@ -12,9 +9,10 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from league.errors import StoreError
+from league.errors import StoreError, brief
+from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Half, Heat, Purpose
-from league.matchmaking.store.database import insert_new, made_of
+from league.matchmaking.store.database import Transactional, chunked, insert_new, made_of
 from league.matchmaking.store.records import HeatRecord, HeatState
 from league.matchmaking.store.schema import (
     entries,
@@ -27,6 +25,10 @@ from league.matchmaking.store.schema import (
     tokens,
 )
 
+LEASE_S = 60.0
+"""Lease of a heat [s]; dispatchers renew it every 10 s."""
+BATCH = 1000
+"""Heats planned or completed per transaction."""
 ATTEMPTS = 3
 """Failed races before a heat is marked as an error."""
 PRIORITY: dict[Purpose, int] = {
@@ -41,12 +43,241 @@ TRACEBACK_CHARS = 8000
 """The end of a traceback that is kept."""
 OVER = ("done", "quarantined")
 """States in which a heat's seeds are public."""
+RETRIED: tuple[HeatState, ...] = ("error", "cancelled", "quarantined")
+"""States out of which a heat may be raced again."""
 
 
-def plan(connection: sa.Connection, now: float, planned: Sequence[Heat]) -> int:
+class QueueStore(Transactional):
+    """The part of a Store that is about heats and their queue."""
+
+    _secret: bytes
+    """The league's, which makes the seeds."""
+
+    def plan(self, planned: Sequence[Heat]) -> int:
+        """Add heats to the queue and return how many are new; known ones are left as they are."""
+        added = 0
+        for start in range(0, len(planned), BATCH):
+            with self._writing(lock=True) as (connection, now):
+                added += _plan(connection, now, planned[start : start + BATCH])
+        return added
+
+    def claim(
+        self, worker: str, limit: int = 1, *, lease_s: float = LEASE_S, lender: str = ""
+    ) -> list[HeatRecord]:
+        """Lend up to `limit` heats to a worker; its name must be unique.
+
+        Heats with an expired lease are lent again. Workers of an owner (`lender`) race neither
+        heats of the owner's entries nor again what a worker of the owner has raced; the league's
+        own have none.
+        """
+        check_worker(worker)
+        with self._writing() as (connection, now):
+            reap(connection, now)
+            wanted = (
+                sa.select(heats.c.number)
+                .where(heats.c.state == "planned", *(_impartial(lender) if lender else ()))
+                .order_by(heats.c.priority, heats.c.number)
+                .limit(min(limit, BATCH))
+                .with_for_update(skip_locked=True)
+            )
+            numbers = list(connection.scalars(wanted))
+            if not numbers:
+                return []
+            connection.execute(
+                heats.update()
+                .where(heats.c.number.in_(numbers))
+                .values(
+                    state="claimed",
+                    worker=worker,
+                    claimed_s=now,
+                    lease_s=now + lease_s,
+                    attempts=heats.c.attempts + 1,
+                )
+            )
+            log_event(connection, now, worker, "claim", "", heats=numbers)
+            lent = self._read(connection, heats.c.number.in_(numbers))
+            lent.sort(key=lambda record: numbers.index(record.number))
+            return [replace(record, seeds=self.seeds(record.heat)) for record in lent]
+
+    def heartbeat(
+        self, worker: str, *, lease_s: float = LEASE_S, keys: Sequence[str] | None = None
+    ) -> list[str]:
+        """Renew a worker's leases, if not taken back; return the keys of what it holds.
+
+        With `keys` only those of these heats, so that what it was lent without hearing of it ends.
+        """
+        check_worker(worker)
+        with self._writing() as (connection, now):
+            held = sa.select(heats.c.number, heats.c.key).where(
+                heats.c.state == "claimed", heats.c.worker == worker, heats.c.lease_s >= now
+            )
+            if keys is not None:
+                held = held.where(heats.c.key.in_(keys))
+            # A row that is locked is being completed: it needs no lease any more.
+            rows = connection.execute(held.with_for_update(skip_locked=True)).all()
+            if rows:
+                connection.execute(
+                    heats.update()
+                    .where(heats.c.number.in_([row.number for row in rows]))
+                    .values(lease_s=now + lease_s)
+                )
+            return [row.key for row in rows]
+
+    def seeds(self, heat: Heat) -> tuple[int, ...]:
+        """Return the seed of each race of a heat; a secret until it is over."""
+        return heat.seeds(self._secret)
+
+    def audit(self, keys: Sequence[str], share: float) -> int:
+        """Plan a share of these heats again, drawn with the league's secret; return how many."""
+        drawn = [k for k in keys if heat_spec.seed(self._secret, f"audit {k}", 0) < share * 2**63]
+        records = [record for record in map(self.heat, drawn) if record.heat.purpose == "rated"]
+        return self.plan([heat_spec.audit_of(record.heat) for record in records])
+
+    def fail(self, worker: str, key: str, traceback: str, *, lost: bool = False) -> HeatState:
+        """Hand back a heat that could not be raced, and return its state: planned, or error.
+
+        A worker that has lost the lease changes nothing.
+
+        Args:
+            worker: the one that claimed it.
+            key: of the heat.
+            traceback: why it could not be raced.
+            lost: its worker was killed, so that this is no failed try of the heat.
+        """
+        check_worker(worker)
+        with self._writing() as (connection, now):
+            query = sa.select(heats.c.number, heats.c.state, heats.c.worker, heats.c.attempts)
+            query = query.where(heats.c.key == key).with_for_update()
+            row = connection.execute(query).one_or_none()
+            if row is None:
+                raise unknown_heat(key)
+            text = traceback.replace("\x00", "?")[-TRACEBACK_CHARS:]
+            tried = {"attempt": row.attempts, "traceback": text[-500:]}
+            log_event(connection, now, worker, "lose" if lost else "fail", key, **tried)
+            if row.state != "claimed" or row.worker != worker:
+                return row.state
+            state: HeatState = "planned" if lost or row.attempts < ATTEMPTS else "error"
+            connection.execute(
+                heats.update()
+                .where(heats.c.number == row.number)
+                .values(state=state, lease_s=None, attempts=row.attempts - lost, traceback=text)
+            )
+            return state
+
+    def retry(self, key: str) -> int:
+        """Plan a heat again that is an error, cancelled or in quarantine; return its number, or 0.
+
+        For an audit in quarantine the heat that it audited is planned. A result that agrees with
+        one of a dispute settles it; another one leaves it in quarantine. An entry that was refused
+        for the dispute is validating again.
+        """
+        with self._writing(lock=True) as (connection, now):
+            query = sa.select(heats.c.number, heats.c.state, heats.c.audits)
+            query = query.where(heats.c.key == key).with_for_update()
+            row = connection.execute(query).one_or_none()
+            if row is None:
+                return 0
+            number = row.audits if row.audits and row.state == "quarantined" else row.number
+            changed = connection.execute(
+                heats.update()
+                .where(heats.c.number == number, heats.c.state.in_(RETRIED))
+                .values(state="planned", attempts=0, done_s=None)
+            ).rowcount
+            if not changed:
+                return 0
+            log_event(connection, now, "league", "retry", key, heat=number, was=row.state)
+            _reopen_entries(connection, now, number)
+            return number
+
+    def heat(self, name: str | int) -> HeatRecord:
+        """Return the heat with this key, beginning of a key (6 digits or more), or number."""
+        text = str(name)
+        if text.isdigit() and len(text) < 16:
+            match = heats.c.number == int(text)
+        else:
+            match = heats.c.key.startswith(text, autoescape=True)
+        records = self._heats(match, 2) if text.isdigit() or len(text) >= 6 else []
+        if len(records) != 1:
+            raise StoreError(
+                f"{brief(name)} names {'several heats' if records else 'no heat'} of this league: "
+                "give its number or its key"
+            )
+        return records[0]
+
+    def heats(
+        self,
+        states: Sequence[HeatState] | None = None,
+        *,
+        numbers: Sequence[int] | None = None,
+        entries: Sequence[int] = (),
+        since: int = 0,
+        limit: int | None = None,
+        newest: bool = False,
+    ) -> list[HeatRecord]:
+        """Return heats by number.
+
+        Args:
+            states: only those in one of them; by default all.
+            numbers: only those with one of these; by default all.
+            entries: only those with all these entries (numbers) in them.
+            since: only those with a larger number.
+            limit: so many at most.
+            newest: with a limit, those with the largest numbers instead of the smallest.
+        """
+        match = heats.c.number > since
+        if states is not None:
+            # By an index of states the database would sort all heats that are done for the newest.
+            state = heats.c.state.concat("") if newest else heats.c.state
+            match &= state.in_(states)
+        if numbers is not None:
+            match &= heats.c.number.in_(numbers)
+        for entry in entries:
+            match &= heats.c.number.in_(of_entry(entry))
+        return self._heats(match, limit, newest=newest)
+
+    def heats_by_key(self, keys: Sequence[str]) -> list[HeatRecord]:
+        """Return those of some heats that are known, by number."""
+        records: list[HeatRecord] = []
+        for start in range(0, len(keys), BATCH):
+            records += self._heats(heats.c.key.in_(keys[start : start + BATCH]))
+        return sorted(records, key=lambda record: record.number)
+
+    def counts(self) -> dict[HeatState, int]:
+        """Return how many heats are in each state."""
+        query = sa.select(heats.c.state, sa.func.count()).group_by(heats.c.state)
+        with self._database.reading() as connection:
+            return {state: number for state, number in connection.execute(query)}
+
+    def _heats(
+        self, match: sa.ColumnElement[bool], limit: int | None = None, *, newest: bool = False
+    ) -> list[HeatRecord]:
+        with self._database.reading() as connection:
+            return self._read(connection, match, limit, newest=newest)
+
+    def _read(
+        self,
+        connection: sa.Connection,
+        match: sa.ColumnElement[bool],
+        limit: int | None = None,
+        *,
+        newest: bool = False,
+    ) -> list[HeatRecord]:
+        order = heats.c.number.desc() if newest else heats.c.number
+        rows = connection.execute(with_rules().where(match).order_by(order).limit(limit)).all()
+        numbers = {number for row in rows for _, grid in json.loads(row.halves) for number in grid}
+        query = sa.select(entries.c.number, entries.c.id)
+        named = chunked(connection, query, entries.c.number, sorted(numbers))
+        id_of = {row.number: row.id for row in named}
+        records = []
+        for row in sorted(rows, key=lambda row: row.number):
+            heat = heat_in(row, id_of)
+            seeds = self.seeds(heat) if row.state in OVER else None
+            records.append(made_of(HeatRecord, row, heat=heat, seeds=seeds))
+        return records
+
+
+def _plan(connection: sa.Connection, now: float, planned: Sequence[Heat]) -> int:
     """Add heats to the queue; those that were ever planned before are left out."""
-    if not planned:
-        return 0
     ruleset_of = dict(connection.execute(sa.select(rulesets.c.hash, rulesets.c.number)).all())
     number_of = entry_numbers(connection, {entry for heat in planned for entry in heat.entries})
     has_results = sa.exists().where(results.c.heat == heats.c.number)
@@ -58,9 +289,8 @@ def plan(connection: sa.Connection, now: float, planned: Sequence[Heat]) -> int:
     before = connection.scalar(sa.select(sa.func.coalesce(sa.func.max(heats.c.number), 0)))
     connection.execute(insert_new(connection, heats), rows)
     entries_of = {heat.key: heat.entries for heat in planned}
-    added = chunked(
-        connection, by_key.where(heats.c.number > before), heats.c.key, list(entries_of)
-    )
+    new = by_key.where(heats.c.number > before)
+    added = chunked(connection, new, heats.c.key, list(entries_of))
     links = [
         {"heat": row.number, "entry": number_of[entry]}
         for row in added
@@ -105,48 +335,6 @@ def _row(
     }
 
 
-def claim(
-    connection: sa.Connection,
-    now: float,
-    secret: bytes,
-    worker: str,
-    limit: int,
-    lease_s: float,
-    lender: str = "",
-) -> list[HeatRecord]:
-    """Lend up to `limit` heats for `lease_s` [s]; those with an expired lease are first taken back.
-
-    The workers of a `lender` are lent neither heats of this owner's entries nor any that one of
-    them has raced; the league's own have none.
-    """
-    reap(connection, now)
-    wanted = (
-        sa.select(heats.c.number)
-        .where(heats.c.state == "planned", *(_impartial(lender) if lender else ()))
-        .order_by(heats.c.priority, heats.c.number)
-        .limit(limit)
-        .with_for_update(skip_locked=True)
-    )
-    numbers = list(connection.scalars(wanted))
-    if not numbers:
-        return []
-    connection.execute(
-        heats.update()
-        .where(heats.c.number.in_(numbers))
-        .values(
-            state="claimed",
-            worker=worker,
-            claimed_s=now,
-            lease_s=now + lease_s,
-            attempts=heats.c.attempts + 1,
-        )
-    )
-    log_event(connection, now, worker, "claim", "", heats=numbers)
-    lent = read(connection, heats.c.number.in_(numbers), secret)
-    lent.sort(key=lambda record: numbers.index(record.number))
-    return [replace(record, seeds=record.heat.seeds(secret)) for record in lent]
-
-
 def _impartial(owner: str) -> tuple[sa.ColumnElement[bool], ...]:
     """Return what holds for heats that workers of an owner may race: others have to judge."""
     of_owner = sa.select(owners.c.number).where(owners.c.name == owner).scalar_subquery()
@@ -161,59 +349,6 @@ def _impartial(owner: str) -> tuple[sa.ColumnElement[bool], ...]:
         results.c.worker.like(sa.cast(tokens.c.number, sa.String) + "/%"),
     )
     return ~own_entry, ~raced
-
-
-def heartbeat(
-    connection: sa.Connection,
-    now: float,
-    worker: str,
-    lease_s: float,
-    keys: Sequence[str] | None = None,
-) -> list[str]:
-    """Renew a worker's leases for `lease_s` [s], if not taken back; return their heats' keys.
-
-    With `keys` only those of these heats, so that what it was lent without hearing of it ends.
-    """
-    held = sa.select(heats.c.number, heats.c.key).where(
-        heats.c.state == "claimed", heats.c.worker == worker, heats.c.lease_s >= now
-    )
-    if keys is not None:
-        held = held.where(heats.c.key.in_(keys))
-    # A row that is locked is being completed: it needs no lease any more.
-    rows = connection.execute(held.with_for_update(skip_locked=True)).all()
-    if rows:
-        connection.execute(
-            heats.update()
-            .where(heats.c.number.in_([row.number for row in rows]))
-            .values(lease_s=now + lease_s)
-        )
-    return [row.key for row in rows]
-
-
-def fail(
-    connection: sa.Connection, now: float, worker: str, key: str, traceback: str, *, lost: bool
-) -> HeatState:
-    """Take a heat back from a worker that could not race it; return its state.
-
-    A worker that has lost the lease changes nothing. A heat that was lost with its worker is
-    planned again: that is no failed try.
-    """
-    query = sa.select(heats.c.number, heats.c.state, heats.c.worker, heats.c.attempts)
-    row = connection.execute(query.where(heats.c.key == key).with_for_update()).one_or_none()
-    if row is None:
-        raise StoreError(f"there is no heat {key[:12]!r} in this league: give a key it planned")
-    text = traceback.replace("\x00", "?")[-TRACEBACK_CHARS:]
-    action = "lose" if lost else "fail"
-    log_event(connection, now, worker, action, key, attempt=row.attempts, traceback=text[-500:])
-    if row.state != "claimed" or row.worker != worker:
-        return row.state
-    state: HeatState = "planned" if lost or row.attempts < ATTEMPTS else "error"
-    connection.execute(
-        heats.update()
-        .where(heats.c.number == row.number)
-        .values(state=state, lease_s=None, attempts=row.attempts - lost, traceback=text)
-    )
-    return state
 
 
 def reap(connection: sa.Connection, now: float) -> None:
@@ -239,81 +374,10 @@ def reap(connection: sa.Connection, now: float) -> None:
         log_event(connection, now, "league", "reap", str(row.number), worker=row.worker)
 
 
-RETRIED: tuple[HeatState, ...] = ("error", "cancelled", "quarantined")
-"""States out of which a heat may be raced again."""
-
-
-def retry(connection: sa.Connection, now: float, key: str) -> int:
-    """Plan a heat again; return the number of the planned heat, or 0.
-
-    For an audit in quarantine it is the heat that was audited.
-    """
-    query = sa.select(heats.c.number, heats.c.state, heats.c.audits).where(heats.c.key == key)
-    row = connection.execute(query.with_for_update()).one_or_none()
-    if row is None:
-        return 0
-    number = row.audits if row.audits and row.state == "quarantined" else row.number
-    changed = connection.execute(
-        heats.update()
-        .where(heats.c.number == number, heats.c.state.in_(RETRIED))
-        .values(state="planned", attempts=0, done_s=None)
-    ).rowcount
-    if changed:
-        log_event(connection, now, "league", "retry", key, heat=number, was=row.state)
-    return number if changed else 0
-
-
-def cancel_entry(connection: sa.Connection, now: float, entry: int) -> None:
-    """Take the waiting heats of an entry (number) out of the queue."""
-    theirs = sa.select(heat_entries.c.heat).where(heat_entries.c.entry == entry)
-    changed = cancel(connection, heats.c.number.in_(theirs))
-    if changed:
-        log_event(connection, now, "league", "cancel", str(entry), heats=changed)
-
-
 def cancel(connection: sa.Connection, which: sa.ColumnElement[bool]) -> int:
     """Take those of some heats that wait out of the queue; return how many."""
     waiting = heats.update().where(heats.c.state == "planned", which)
     return connection.execute(waiting.values(state="cancelled")).rowcount
-
-
-def read(
-    connection: sa.Connection,
-    where: sa.ColumnElement[bool],
-    secret: bytes,
-    limit: int | None = None,
-    *,
-    newest: bool = False,
-) -> list[HeatRecord]:
-    """Return what is known about some heats, by number; see Store.heats."""
-    audited = heats.alias("audited")
-    query = (
-        sa.select(heats, rulesets.c.hash.label("rules"), audited.c.key.label("audited_key"))
-        .join(rulesets, rulesets.c.number == heats.c.ruleset)
-        .outerjoin(audited, audited.c.number == heats.c.audits)
-        .where(where)
-        .order_by(heats.c.number.desc() if newest else heats.c.number)
-        .limit(limit)
-    )
-    rows = sorted(connection.execute(query).all(), key=lambda row: row.number)
-    drawn = [json.loads(row.halves) for row in rows]
-    numbers = {number for halves in drawn for _, grid in halves for number in grid}
-    query = sa.select(entries.c.number, entries.c.id)
-    named = chunked(connection, query, entries.c.number, sorted(numbers))
-    id_of = {row.number: row.id for row in named}
-    return [_record(row, halves, id_of, secret) for row, halves in zip(rows, drawn, strict=True)]
-
-
-def _record(row: Any, halves: list[Any], id_of: dict[int, str], secret: bytes) -> HeatRecord:  # noqa: ANN401
-    heat = Heat(
-        ruleset=row.rules,
-        halves=tuple(Half(track, tuple(id_of[n] for n in grid)) for track, grid in halves),
-        draw=row.draw,
-        purpose=row.purpose,
-        audits=row.audited_key or "",
-    )
-    seeds = heat.seeds(secret) if row.state in OVER else None
-    return made_of(HeatRecord, row, heat=heat, seeds=seeds)
 
 
 def entry_numbers(connection: sa.Connection, ids: Iterable[str]) -> dict[str, int]:
@@ -329,14 +393,56 @@ def entry_numbers(connection: sa.Connection, ids: Iterable[str]) -> dict[str, in
     return number_of
 
 
-def chunked(
-    connection: sa.Connection,
-    query: Any,  # noqa: ANN401
-    column: sa.ColumnElement[Any],
-    values: list[Any],
-) -> list[Any]:
-    """Return the rows in which a column has one of many values, asking for 5,000 at a time."""
-    rows: list[Any] = []
-    for start in range(0, len(values), 5000):  # SQLite allows 32,766 parameters
-        rows += connection.execute(query.where(column.in_(values[start : start + 5000]))).all()
-    return rows
+def of_entry(entry: int) -> sa.Select[Any]:
+    """Select the numbers of an entry's heats."""
+    return sa.select(heat_entries.c.heat).where(heat_entries.c.entry == entry)
+
+
+def _reopen_entries(connection: sa.Connection, now: float, heat: int) -> None:
+    """Move entries that were refused for a validation heat back to `validating`.
+
+    Their other validation heats, which were cancelled, are planned again.
+    """
+    of_heat = sa.select(heat_entries.c.entry).where(heat_entries.c.heat == heat)
+    validates = sa.exists().where(heats.c.number == heat, heats.c.purpose == "validation")
+    refused = (entries.c.state == "refused") & entries.c.number.in_(of_heat) & validates
+    for row in connection.execute(sa.select(entries.c.number, entries.c.id).where(refused)).all():
+        own = entries.c.number == row.number
+        connection.execute(entries.update().where(own).values(state="validating", reason=""))
+        cancelled = (heats.c.purpose == "validation") & (heats.c.state == "cancelled")
+        connection.execute(
+            heats.update()
+            .where(heats.c.number.in_(of_entry(row.number)), cancelled)
+            .values(state="planned", attempts=0)
+        )
+        log_event(connection, now, "league", "validating", row.id, was="refused", heat=heat)
+
+
+def with_rules() -> sa.Select[Any]:
+    """Select heats, the hashes of their rules (`rules`) and the keys of those they audit."""
+    audited = heats.alias("audited")
+    return (
+        sa.select(heats, rulesets.c.hash.label("rules"), audited.c.key.label("audited_key"))
+        .outerjoin(rulesets, rulesets.c.number == heats.c.ruleset)
+        .outerjoin(audited, audited.c.number == heats.c.audits)
+    )
+
+
+def heat_in(row: Any, id_of: Mapping[int, str]) -> Heat:  # noqa: ANN401
+    """Return the heat in a row of `with_rules`, with the ids of entries (given by number)."""
+    halves = tuple(
+        Half(track, tuple(id_of[number] for number in grid))
+        for track, grid in json.loads(row.halves)
+    )
+    return Heat(row.rules, halves, row.draw, row.purpose, row.audited_key or "")
+
+
+def unknown_heat(key: str) -> StoreError:
+    """Return the error of a key that no heat has."""
+    return StoreError(f"there is no heat {key[:12]!r} in this league: give a key it planned")
+
+
+def check_worker(worker: str) -> None:
+    """Raise a StoreError if a worker's name cannot be shown."""
+    if not 1 <= len(worker) <= 200 or not worker.isprintable():
+        raise StoreError(f"a worker's name is {brief(worker)}: give 1 to 200 printable characters")

@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
+from functools import reduce
 from typing import Any
 
 import numpy as np
 import sqlalchemy as sa
 
-from league.matchmaking.store.records import BEST_MS, DRIVE_COLUMNS, FINISHED, KNOWN, Drives, Races
+from league.matchmaking.store.records import BEST_MS, FINISHED, KNOWN, Drives, Races
 from league.matchmaking.store.schema import heats, races, results, rulesets
 
 OFF_TRACK, TOUCH, CRASH = 1, 1, 4
@@ -25,6 +26,16 @@ NO_TRACK = 255
 """Number of a track that is not in the ruleset, or has a number too large for one byte."""
 DRIVEN = np.dtype([("points", ">u2"), ("distance_cm", ">u4"), ("clean_ms", ">u4")])
 """What the bytes of `driven` are for each car."""
+
+KINDS = {
+    "heat": np.int64,
+    "half": np.uint8,
+    "track": np.uint8,
+    "entries": np.int32,
+    "places": np.uint8,
+    "runs": np.uint32,
+}
+"""Types of the columns of Races."""
 
 
 def driven(result: Mapping[str, Any], cars: int) -> str:
@@ -129,39 +140,14 @@ def read_races(
     )
     counted = _counted(ruleset, rated=rated)
     pieces = [
-        _unpacked(text, cars)
+        np.frombuffer(bytes.fromhex(text), dtype=race_type(cars))
         for text, cars in _joined(connection, races.c.packed, counted, since, last)
     ]
-    return _stacked(pieces, max(last, since), voided or 0)
-
-
-def _unpacked(text: str, cars: int) -> np.ndarray:
-    """Return races of so many cars from their packed texts with spaces between."""
-    return np.frombuffer(bytes.fromhex(text), dtype=race_type(cars))
-
-
-def _stacked(pieces: list[np.ndarray], last: int, voided: int) -> Races:
-    total = sum(len(piece) for piece in pieces)
-    cars = max((piece["entries"].shape[1] for piece in pieces), default=2)
-    stacked = Races(
-        heat=np.empty(total, np.int64),
-        half=np.empty(total, np.uint8),
-        track=np.empty(total, np.uint8),
-        entries=np.full((total, cars), -1, np.int32),
-        places=np.zeros((total, cars), np.uint8),
-        runs=np.zeros((total, cars), np.uint32),
-        last=last,
-        voided=voided,
-    )
-    start = 0
-    for piece in pieces:
-        end, width = start + len(piece), piece["entries"].shape[1]
-        for name in ("heat", "half", "track"):
-            getattr(stacked, name)[start:end] = piece[name]
-        for name in ("entries", "places", "runs"):
-            getattr(stacked, name)[start:end, :width] = piece[name]
-        start = end
-    return stacked
+    parts = []
+    for piece in pieces or [np.empty(0, race_type(2))]:
+        columns = {name: piece[name].astype(kind) for name, kind in KINDS.items()}
+        parts.append(Races(**columns, last=max(last, since), voided=voided or 0))
+    return reduce(Races.joined, parts)
 
 
 def read_drives(
@@ -176,17 +162,15 @@ def read_drives(
         np.frombuffer(bytes.fromhex(joined), dtype=_drive_type(cars))
         for joined, cars in _joined(connection, text, counted, since, last)
     ]
-    columns: dict[str, list[np.ndarray]] = {name: [] for name in DRIVE_COLUMNS}
-    for piece in pieces:
+    parts = []
+    for piece in pieces or [np.empty(0, _drive_type(2))]:
         cars = piece["entry"].shape[1]
-        for name in ("heat", "half", "track"):
-            columns[name].append(np.repeat(piece[name].astype(np.int64), cars))
-        columns["entry"].append(piece["entry"].astype(np.int64).ravel())
-        for name in ("points", "distance_cm", "clean_ms"):
-            columns[name].append(piece["driven"][name].astype(np.int64).ravel())
-    empty = np.zeros(0, np.int64)
-    stacked = {name: np.concatenate([empty, *parts]) for name, parts in columns.items()}
-    return Drives(**stacked, last=max(last, since))
+        of_race = {name: np.repeat(piece[name], cars) for name in ("heat", "half", "track")}
+        of_car = {name: piece["driven"][name].ravel() for name in DRIVEN.names or ()}
+        columns = {**of_race, "entry": piece["entry"].ravel(), **of_car}
+        numbers = {name: column.astype(np.int64) for name, column in columns.items()}
+        parts.append(Drives(**numbers, last=max(last, since)))
+    return reduce(Drives.joined, parts)
 
 
 def _drive_type(cars: int) -> np.dtype[Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 
@@ -293,7 +293,35 @@ class StoredResult:
 
 
 @dataclass(frozen=True)
-class Races:
+class Columns:
+    """Arrays of one length."""
+
+    def where(self, kept: np.ndarray) -> Self:
+        """Return those of the rows for which `kept` is true, or those with these numbers."""
+        return replace(self, **{name: getattr(self, name)[kept] for name in self._names})
+
+    def joined(self, later: Self) -> Self:
+        """Return these rows and later ones, read with `since`."""
+        columns: dict[str, np.ndarray] = {}
+        for name in self._names:
+            parts = [getattr(one, name) for one in (self, later)]
+            if parts[0].ndim > 1:
+                cars = max(part.shape[1] for part in parts)
+                room = [((0, 0), (0, cars - part.shape[1])) for part in parts]
+                parts = [
+                    np.pad(part, wide, constant_values=-1 if name == "entries" else 0)
+                    for part, wide in zip(parts, room, strict=True)
+                ]
+            columns[name] = np.concatenate(parts)
+        return replace(later, **columns)
+
+    @property
+    def _names(self) -> list[str]:
+        return [name for name, value in vars(self).items() if isinstance(value, np.ndarray)]
+
+
+@dataclass(frozen=True)
+class Races(Columns):
     """Races that count, as arrays for the rating; slots beyond a race's cars hold -1 and 0."""
 
     heat: np.ndarray
@@ -314,29 +342,9 @@ class Races:
     voided: int = 0
     """How many heats are in quarantine: if it has changed, read all races again."""
 
-    def where(self, kept: np.ndarray) -> Races:
-        """Return those of the races for which `kept` is true, (num_races,)."""
-        return replace(self, **{name: getattr(self, name)[kept] for name in RACE_COLUMNS})
-
-    def joined(self, later: Races) -> Races:
-        """Return these races and later ones, read with `since`."""
-        cars = max(self.entries.shape[1], later.entries.shape[1])
-        columns: dict[str, np.ndarray] = {}
-        for name in RACE_COLUMNS:
-            parts = [getattr(one, name) for one in (self, later)]
-            if parts[0].ndim > 1:
-                empty = -1 if name == "entries" else 0
-                room = [((0, 0), (0, cars - part.shape[1])) for part in parts]
-                parts = [
-                    np.pad(part, wide, constant_values=empty)
-                    for part, wide in zip(parts, room, strict=True)
-                ]
-            columns[name] = np.concatenate(parts)
-        return Races(**columns, last=later.last, voided=later.voided)
-
 
 @dataclass(frozen=True)
-class Drives:
+class Drives(Columns):
     """How each car drove in races that count, one row a car, all (cars of all races,) int64."""
 
     heat: np.ndarray
@@ -355,17 +363,3 @@ class Drives:
     """Best lap of a race without any fault [ms], 0 for none."""
     last: int = 0
     """Pass this as `since` to read only later races next time."""
-
-    def where(self, kept: np.ndarray) -> Drives:
-        """Return those of the rows for which `kept` is true, or those with these numbers."""
-        return replace(self, **{name: getattr(self, name)[kept] for name in DRIVE_COLUMNS})
-
-    def joined(self, later: Drives) -> Drives:
-        """Return these rows and those of later races, read with `since`."""
-        parts = {name: (getattr(self, name), getattr(later, name)) for name in DRIVE_COLUMNS}
-        columns = {name: np.concatenate(part) for name, part in parts.items()}
-        return Drives(**columns, last=later.last)
-
-
-RACE_COLUMNS = ("heat", "half", "track", "entries", "places", "runs")
-DRIVE_COLUMNS = ("heat", "half", "track", "entry", "points", "distance_cm", "clean_ms")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,14 +12,11 @@ import sqlalchemy as sa
 
 from league.errors import StoreError
 from league.matchmaking.pairing import heat_spec
-from league.matchmaking.store.database import made_of
-from league.matchmaking.store.queue import chunked
+from league.matchmaking.store.blobs import BlobStore, insert_blob
+from league.matchmaking.store.database import chunked, made_of
+from league.matchmaking.store.queue import BATCH, check_worker, unknown_heat
 from league.matchmaking.store.race_table import NO_TRACK, driven, packed, runs_of
-from league.matchmaking.store.records import (
-    HeatOutcome,
-    Received,
-    StoredResult,
-)
+from league.matchmaking.store.records import HeatOutcome, RaceOutcome, Received, StoredResult
 from league.matchmaking.store.schema import (
     LedgerRecord,
     append,
@@ -29,6 +26,46 @@ from league.matchmaking.store.schema import (
     results,
     rulesets,
 )
+
+
+class ResultStore(BlobStore):
+    """The part of a Store that is about results."""
+
+    def complete(self, worker: str, outcomes: Sequence[HeatOutcome]) -> Received:
+        """Take in the results of heats, each once, however often they are sent.
+
+        A known result changes nothing. One that differs from what is known puts its heat in
+        quarantine, unless it comes late or from an audit, and from another class of machine. One
+        with a lost lease counts if no other came first. A quarantined heat that was
+        lent again is settled by a result that agrees with one it has.
+        """
+        check_worker(worker)
+        received = Received()
+        for start in range(0, len(outcomes), BATCH):
+            received = received.joined(self._complete(worker, outcomes[start : start + BATCH]))
+        return received
+
+    def _complete(self, worker: str, outcomes: Sequence[HeatOutcome]) -> Received:
+        keep = self.blobs.put if self._blobs_url else heat_spec.digest
+        batch = [
+            (outcome.key, [_pack(race, outcome, keep) for race in outcome.races])
+            for outcome in outcomes
+        ]
+        with self._writing(lock=True) as (connection, now):
+            received = _take_in(connection, now, worker, batch)
+            if not self._blobs_url:
+                races = (race for outcome in outcomes for race in outcome.races)
+                for replay in filter(None, (race.replay for race in races)):
+                    insert_blob(connection, now, replay)
+        return received
+
+    def results(self, *heats: int) -> list[StoredResult]:
+        """Return all results of heats (by number), by race and time.
+
+        Several for one race are a dispute.
+        """
+        with self._database.reading() as connection:
+            return read_results(connection, heats)
 
 
 @dataclass(frozen=True)
@@ -50,45 +87,32 @@ class PackedResult:
     machine: str
     """Class of the machine that raced it."""
 
-
-def pack(outcome: HeatOutcome, replays: Sequence[str | None]) -> tuple[PackedResult, ...]:
-    """Return an outcome's results ready to be stored."""
-    packed_results = []
-    for race, replay in zip(outcome.races, replays, strict=True):
-        try:
-            document = heat_spec.canonical({"places": race.places, "result": race.result})
-        except (TypeError, ValueError) as refusal:
-            raise StoreError(
-                f"the result of heat {outcome.key[:12]} is no plain data ({refusal}): "
-                "give texts, finite numbers, lists and mappings"
-            ) from refusal
-        packed_results.append(
-            PackedResult(
-                hash=heat_spec.digest(document),
-                document=zlib.compress(document, 6),
-                places=race.places,
-                runs=runs_of(race.result, len(race.places)),
-                driven=driven(race.result, len(race.places)),
-                replay=replay,
-                machine=outcome.machine,
-            )
+    @classmethod
+    def of(cls, text: bytes, replay: str | None, machine: str) -> PackedResult:
+        """Return a result by its canonical JSON."""
+        plain = json.loads(text)
+        places, result = tuple(plain["places"]), plain["result"]
+        return cls(
+            hash=heat_spec.digest(text),
+            document=zlib.compress(text, 6),
+            places=places,
+            runs=runs_of(result, len(places)),
+            driven=driven(result, len(places)),
+            replay=replay,
+            machine=machine,
         )
-    return tuple(packed_results)
 
 
-def unpack(document: bytes, replay: str | None, machine: str) -> PackedResult:
-    """Return a result of which a document was stored."""
-    plain = json.loads(document)
-    places = tuple(plain["places"])
-    return PackedResult(
-        hash=heat_spec.digest(document),
-        document=document,
-        places=places,
-        runs=runs_of(plain["result"], len(places)),
-        driven=driven(plain["result"], len(places)),
-        replay=replay,
-        machine=machine,
-    )
+def _pack(race: RaceOutcome, outcome: HeatOutcome, keep: Callable[[bytes], str]) -> PackedResult:
+    replay = None if race.replay is None else keep(race.replay)
+    try:
+        text = heat_spec.canonical({"places": race.places, "result": race.result})
+    except (TypeError, ValueError) as refusal:
+        raise StoreError(
+            f"the result of heat {outcome.key[:12]} is no plain data ({refusal}): "
+            "give texts, finite numbers, lists and mappings"
+        ) from refusal
+    return PackedResult.of(text, replay, outcome.machine)
 
 
 @dataclass
@@ -113,26 +137,20 @@ class _Intake:
     """Results of a dispute that a third worker found, too."""
 
 
-def complete(
+def _take_in(
     connection: sa.Connection,
     now: float,
     worker: str,
-    batch: Sequence[tuple[str, tuple[PackedResult, ...]]],
+    batch: Sequence[tuple[str, list[PackedResult]]],
 ) -> Received:
-    """Take in results of heats; the caller must hold the database's lock.
-
-    A known result changes nothing. One that differs from what is known puts its heat in
-    quarantine, unless it comes late or from an audit, and from another class of machine. One
-    with a lost lease counts if no other came first. A quarantined heat that was
-    lent again is settled by a result that agrees with one it has.
-    """
+    """Take in results of heats; the caller must hold the database's lock."""
     query = sa.select(heats).order_by(heats.c.number).with_for_update()
     rows = {row.key: row for row in chunked(connection, query, heats.c.key, [k for k, _ in batch])}
     intake = _intake(connection, sorted({row.audits or row.number for row in rows.values()}))
     keys: dict[str, list[str]] = {verdict: [] for verdict in Received.__dataclass_fields__}
     for key, sent in batch:
         if key not in rows:
-            raise StoreError(f"there is no heat {key[:12]!r} in this league: give a key it planned")
+            raise unknown_heat(key)
         keys[_judge(intake, rows[key], sent, worker, now)].append(key)
     _write(connection, intake, now)
     counts = {verdict: len(some) for verdict, some in keys.items() if some}
@@ -173,7 +191,7 @@ def tracks_of(connection: sa.Connection) -> dict[int, tuple[str, ...]]:
 def _judge(
     intake: _Intake,
     row: Any,  # noqa: ANN401
-    sent: tuple[PackedResult, ...],
+    sent: Sequence[PackedResult],
     worker: str,
     now: float,
 ) -> str:
@@ -227,7 +245,7 @@ def _judge(
     return "accepted"
 
 
-def _check_places(row: Any, sent: tuple[PackedResult, ...]) -> None:  # noqa: ANN401
+def _check_places(row: Any, sent: Sequence[PackedResult]) -> None:  # noqa: ANN401
     cars = [len(grid) for _, grid in json.loads(row.halves)]
     sent_cars = [len(one.places) for one in sent]
     if sent_cars != cars:

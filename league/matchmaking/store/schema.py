@@ -14,24 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import sqlalchemy as sa
-from sqlalchemy import (
-    BigInteger,
-    Boolean,
-    CheckConstraint,
-    Column,
-    Float,
-    ForeignKey,
-    Index,
-    Integer,
-    LargeBinary,
-    MetaData,
-    SmallInteger,
-    String,
-    Table,
-    Text,
-    UniqueConstraint,
-    false,
-)
 
 from league.errors import StoreError
 from league.matchmaking.pairing import heat_spec
@@ -48,9 +30,9 @@ SCHEMA = "0006"
 """Version of these tables: the newest revision in migrations/versions."""
 
 # SQLite numbers rows by itself only in a column that is declared INTEGER PRIMARY KEY.
-Number = BigInteger().with_variant(Integer, "sqlite")
+Number = sa.BigInteger().with_variant(sa.Integer, "sqlite")
 
-metadata = MetaData(
+metadata = sa.MetaData(
     naming_convention={
         "ix": "ix_%(table_name)s_%(column_0_N_name)s",
         "uq": "uq_%(table_name)s_%(column_0_N_name)s",
@@ -60,51 +42,51 @@ metadata = MetaData(
     }
 )
 
-league = Table(
+league = sa.Table(
     "league",
     metadata,
-    Column("number", Integer, primary_key=True, autoincrement=False),
-    Column("name", String(100), nullable=False),
-    Column("secret", LargeBinary, nullable=False),
-    Column("blobs", Text, nullable=False),
-    Column("ruleset", Integer, ForeignKey("rulesets.number"), nullable=False),
-    Column("created_s", Float(53), nullable=False),
-    CheckConstraint("number = 1", name="one_row"),
+    sa.Column("number", sa.Integer, primary_key=True, autoincrement=False),
+    sa.Column("name", sa.String(100), nullable=False),
+    sa.Column("secret", sa.LargeBinary, nullable=False),
+    sa.Column("blobs", sa.Text, nullable=False),
+    sa.Column("ruleset", sa.Integer, sa.ForeignKey("rulesets.number"), nullable=False),
+    sa.Column("created_s", sa.Float(53), nullable=False),
+    sa.CheckConstraint("number = 1", name="one_row"),
 )
 """One row: the league's own settings. `secret` makes the seeds; `blobs` is a URL, or empty."""
 
-rulesets = Table(
+rulesets = sa.Table(
     "rulesets",
     metadata,
-    Column("number", Integer, primary_key=True),
-    Column("hash", String(64), nullable=False, unique=True),
-    Column("settings", Text, nullable=False),
-    Column("created_s", Float(53), nullable=False),
+    sa.Column("number", sa.Integer, primary_key=True),
+    sa.Column("hash", sa.String(64), nullable=False, unique=True),
+    sa.Column("settings", sa.Text, nullable=False),
+    sa.Column("created_s", sa.Float(53), nullable=False),
 )
 
-owners = Table(
+owners = sa.Table(
     "owners",
     metadata,
-    Column("number", Integer, primary_key=True),
-    Column("name", String(100), nullable=False, unique=True),
-    Column("created_s", Float(53), nullable=False),
+    sa.Column("number", sa.Integer, primary_key=True),
+    sa.Column("name", sa.String(100), nullable=False, unique=True),
+    sa.Column("created_s", sa.Float(53), nullable=False),
 )
 
-entries = Table(
+entries = sa.Table(
     "entries",
     metadata,
-    Column("number", Integer, primary_key=True),
-    Column("id", String(64), nullable=False, unique=True),
-    Column("name", String(100), nullable=False, unique=True),
-    Column("owner", Integer, ForeignKey("owners.number"), nullable=False),
-    Column("kind", String(16), nullable=False),
-    Column("anchor", Boolean, nullable=False),
-    Column("state", String(16), nullable=False),
-    Column("reason", Text, nullable=False),
-    Column("card", Text, nullable=False),
-    Column("created_s", Float(53), nullable=False),
-    CheckConstraint("kind IN ('policy', 'scripted')", name="kind"),
-    CheckConstraint(
+    sa.Column("number", sa.Integer, primary_key=True),
+    sa.Column("id", sa.String(64), nullable=False, unique=True),
+    sa.Column("name", sa.String(100), nullable=False, unique=True),
+    sa.Column("owner", sa.Integer, sa.ForeignKey("owners.number"), nullable=False),
+    sa.Column("kind", sa.String(16), nullable=False),
+    sa.Column("anchor", sa.Boolean, nullable=False),
+    sa.Column("state", sa.String(16), nullable=False),
+    sa.Column("reason", sa.Text, nullable=False),
+    sa.Column("card", sa.Text, nullable=False),
+    sa.Column("created_s", sa.Float(53), nullable=False),
+    sa.CheckConstraint("kind IN ('policy', 'scripted')", name="kind"),
+    sa.CheckConstraint(
         "state IN ('pending', 'validating', 'placement', 'provisional', 'ranked', 'retired',"
         " 'refused')",
         name="state",
@@ -112,173 +94,173 @@ entries = Table(
 )
 """`id` is the content hash; a policy's weights are the blob of that name."""
 
-tokens = Table(
+tokens = sa.Table(
     "tokens",
     metadata,
-    Column("number", Integer, primary_key=True),
-    Column("hash", String(64), nullable=False, unique=True),
-    Column("owner", Integer, ForeignKey("owners.number"), nullable=False),
-    Column("scopes", String(40), nullable=False),
-    Column("created_s", Float(53), nullable=False),
-    Column("expires_s", Float(53)),
-    Column("revoked_s", Float(53)),
-    Column("used_s", Float(53)),
+    sa.Column("number", sa.Integer, primary_key=True),
+    sa.Column("hash", sa.String(64), nullable=False, unique=True),
+    sa.Column("owner", sa.Integer, sa.ForeignKey("owners.number"), nullable=False),
+    sa.Column("scopes", sa.String(40), nullable=False),
+    sa.Column("created_s", sa.Float(53), nullable=False),
+    sa.Column("expires_s", sa.Float(53)),
+    sa.Column("revoked_s", sa.Float(53)),
+    sa.Column("used_s", sa.Float(53)),
     sqlite_autoincrement=True,
 )
 """Secrets by which owners and workers are known over HTTP: only their SHA-256 is here. `scopes` are
 words with spaces between; `expires_s` NULL is never."""
 
-blobs = Table(
+blobs = sa.Table(
     "blobs",
     metadata,
-    Column("digest", String(64), primary_key=True),
-    Column("size", Integer, nullable=False),
-    Column("created_s", Float(53), nullable=False),
-    Column("content", LargeBinary, nullable=False),
+    sa.Column("digest", sa.String(64), primary_key=True),
+    sa.Column("size", sa.Integer, nullable=False),
+    sa.Column("created_s", sa.Float(53), nullable=False),
+    sa.Column("content", sa.LargeBinary, nullable=False),
 )
 
-heats = Table(
+heats = sa.Table(
     "heats",
     metadata,
-    Column("number", Number, primary_key=True),
-    Column("key", String(64), nullable=False, unique=True),
-    Column("ruleset", Integer, ForeignKey("rulesets.number"), nullable=False),
-    Column("purpose", String(16), nullable=False),
-    Column("priority", SmallInteger, nullable=False),
-    Column("halves", Text, nullable=False),
-    Column("draw", BigInteger, nullable=False),
-    Column("audits", Number, ForeignKey("heats.number")),
-    Column("state", String(16), nullable=False),
-    Column("worker", String(200)),
-    Column("claimed_s", Float(53)),
-    Column("lease_s", Float(53)),
-    Column("attempts", SmallInteger, nullable=False),
-    Column("traceback", Text, nullable=False),
-    Column("created_s", Float(53), nullable=False),
-    Column("done_s", Float(53)),
-    CheckConstraint(
+    sa.Column("number", Number, primary_key=True),
+    sa.Column("key", sa.String(64), nullable=False, unique=True),
+    sa.Column("ruleset", sa.Integer, sa.ForeignKey("rulesets.number"), nullable=False),
+    sa.Column("purpose", sa.String(16), nullable=False),
+    sa.Column("priority", sa.SmallInteger, nullable=False),
+    sa.Column("halves", sa.Text, nullable=False),
+    sa.Column("draw", sa.BigInteger, nullable=False),
+    sa.Column("audits", Number, sa.ForeignKey("heats.number")),
+    sa.Column("state", sa.String(16), nullable=False),
+    sa.Column("worker", sa.String(200)),
+    sa.Column("claimed_s", sa.Float(53)),
+    sa.Column("lease_s", sa.Float(53)),
+    sa.Column("attempts", sa.SmallInteger, nullable=False),
+    sa.Column("traceback", sa.Text, nullable=False),
+    sa.Column("created_s", sa.Float(53), nullable=False),
+    sa.Column("done_s", sa.Float(53)),
+    sa.CheckConstraint(
         "purpose IN ('rated', 'validation', 'audit', 'gauntlet', 'cup')", name="purpose"
     ),
-    CheckConstraint(
+    sa.CheckConstraint(
         "state IN ('planned', 'claimed', 'done', 'error', 'quarantined', 'cancelled')", name="state"
     ),
-    Index("ix_heats_queue", "state", "priority", "number"),
-    Index("ix_heats_lease_s", "lease_s"),
+    sa.Index("ix_heats_queue", "state", "priority", "number"),
+    sa.Index("ix_heats_lease_s", "lease_s"),
     sqlite_autoincrement=True,
 )
 """The queue. `claimed_s` is when the last lease began, `lease_s` when it ends, NULL unless claimed.
 """
 
-heat_entries = Table(
+heat_entries = sa.Table(
     "heat_entries",
     metadata,
-    Column("heat", Number, ForeignKey("heats.number"), primary_key=True),
-    Column("entry", Integer, ForeignKey("entries.number"), primary_key=True),
-    Index("ix_heat_entries_entry", "entry", "heat"),
+    sa.Column("heat", Number, sa.ForeignKey("heats.number"), primary_key=True),
+    sa.Column("entry", sa.Integer, sa.ForeignKey("entries.number"), primary_key=True),
+    sa.Index("ix_heat_entries_entry", "entry", "heat"),
     sqlite_with_rowid=False,
 )
 
-races = Table(
+races = sa.Table(
     "races",
     metadata,
-    Column("number", Number, primary_key=True),
-    Column("heat", Number, ForeignKey("heats.number"), nullable=False),
-    Column("half", SmallInteger, nullable=False),
-    Column("ruleset", Integer, nullable=False),
-    Column("rated", Boolean, nullable=False),
-    Column("cars", SmallInteger, nullable=False),
-    Column("packed", Text, nullable=False),
-    Column("driven", Text, nullable=False, server_default=""),
-    UniqueConstraint("heat", "half"),
+    sa.Column("number", Number, primary_key=True),
+    sa.Column("heat", Number, sa.ForeignKey("heats.number"), nullable=False),
+    sa.Column("half", sa.SmallInteger, nullable=False),
+    sa.Column("ruleset", sa.Integer, nullable=False),
+    sa.Column("rated", sa.Boolean, nullable=False),
+    sa.Column("cars", sa.SmallInteger, nullable=False),
+    sa.Column("packed", sa.Text, nullable=False),
+    sa.Column("driven", sa.Text, nullable=False, server_default=""),
+    sa.UniqueConstraint("heat", "half"),
     sqlite_autoincrement=True,
 )
 """Races that count: at most one result per race of a heat. `packed` and
 `driven`: see race_table.py."""
 
-results = Table(
+results = sa.Table(
     "results",
     metadata,
-    Column("heat", Number, ForeignKey("heats.number"), primary_key=True),
-    Column("half", SmallInteger, primary_key=True),
-    Column("hash", String(64), primary_key=True),
-    Column("worker", String(200), nullable=False),
-    Column("received_s", Float(53), nullable=False),
-    Column("document", LargeBinary, nullable=False),
-    Column("replay", String(64)),
-    Column("rejected", Boolean, nullable=False, server_default=false()),
-    Column("machine", String(200), nullable=False, server_default=""),
+    sa.Column("heat", Number, sa.ForeignKey("heats.number"), primary_key=True),
+    sa.Column("half", sa.SmallInteger, primary_key=True),
+    sa.Column("hash", sa.String(64), primary_key=True),
+    sa.Column("worker", sa.String(200), nullable=False),
+    sa.Column("received_s", sa.Float(53), nullable=False),
+    sa.Column("document", sa.LargeBinary, nullable=False),
+    sa.Column("replay", sa.String(64)),
+    sa.Column("rejected", sa.Boolean, nullable=False, server_default=sa.false()),
+    sa.Column("machine", sa.String(200), nullable=False, server_default=""),
 )
 """Every different result that ever came, as deflated JSON. Several for one race are a dispute,
 unless all but one are `rejected`, because a third worker found that one."""
 
-seasons = Table(
+seasons = sa.Table(
     "seasons",
     metadata,
-    Column("number", Integer, primary_key=True),
-    Column("name", String(100), nullable=False, unique=True),
-    Column("ruleset", Integer, ForeignKey("rulesets.number"), nullable=False),
-    Column("seed", BigInteger, nullable=False),
-    Column("settings", Text, nullable=False),
-    Column("after", Number, nullable=False),
-    Column("until", Number),
-    Column("started_s", Float(53), nullable=False),
-    Column("ended_s", Float(53)),
-    Column("hash", String(64)),
-    Column("document", LargeBinary),
+    sa.Column("number", sa.Integer, primary_key=True),
+    sa.Column("name", sa.String(100), nullable=False, unique=True),
+    sa.Column("ruleset", sa.Integer, sa.ForeignKey("rulesets.number"), nullable=False),
+    sa.Column("seed", sa.BigInteger, nullable=False),
+    sa.Column("settings", sa.Text, nullable=False),
+    sa.Column("after", Number, nullable=False),
+    sa.Column("until", Number),
+    sa.Column("started_s", sa.Float(53), nullable=False),
+    sa.Column("ended_s", sa.Float(53)),
+    sa.Column("hash", sa.String(64)),
+    sa.Column("document", sa.LargeBinary),
 )
 """A season has the heats numbered above `after`, up to `until`, which is NULL while it runs. At its
 end `document`, deflated JSON with the hash `hash`, freezes its standings."""
 
-divisions = Table(
+divisions = sa.Table(
     "divisions",
     metadata,
-    Column("season", Integer, ForeignKey("seasons.number"), primary_key=True),
-    Column("round", Integer, primary_key=True, autoincrement=False),
-    Column("entry", Integer, ForeignKey("entries.number"), primary_key=True),
-    Column("division", SmallInteger, nullable=False),
-    Column("heat", Number, nullable=False),
-    Column("reason", String(16), nullable=False),
+    sa.Column("season", sa.Integer, sa.ForeignKey("seasons.number"), primary_key=True),
+    sa.Column("round", sa.Integer, primary_key=True, autoincrement=False),
+    sa.Column("entry", sa.Integer, sa.ForeignKey("entries.number"), primary_key=True),
+    sa.Column("division", sa.SmallInteger, nullable=False),
+    sa.Column("heat", Number, nullable=False),
+    sa.Column("reason", sa.String(16), nullable=False),
     sqlite_with_rowid=False,
 )
 """Moves of entries between divisions, from 1 the top one: an entry is where its last one led.
 `heat` is the newest heat that counted."""
 
-cups = Table(
+cups = sa.Table(
     "cups",
     metadata,
-    Column("number", Integer, primary_key=True),
-    Column("name", String(100), nullable=False, unique=True),
-    Column("season", Integer, ForeignKey("seasons.number")),
-    Column("seed", BigInteger, nullable=False),
-    Column("settings", Text, nullable=False),
-    Column("started_s", Float(53), nullable=False),
-    Column("ended_s", Float(53)),
-    Column("hash", String(64)),
-    Column("document", LargeBinary),
+    sa.Column("number", sa.Integer, primary_key=True),
+    sa.Column("name", sa.String(100), nullable=False, unique=True),
+    sa.Column("season", sa.Integer, sa.ForeignKey("seasons.number")),
+    sa.Column("seed", sa.BigInteger, nullable=False),
+    sa.Column("settings", sa.Text, nullable=False),
+    sa.Column("started_s", sa.Float(53), nullable=False),
+    sa.Column("ended_s", sa.Float(53)),
+    sa.Column("hash", sa.String(64)),
+    sa.Column("document", sa.LargeBinary),
 )
 """`settings` has the entrants; all else of a running cup follows from it and its heats' results. At
 its end `document`, deflated JSON with the hash `hash`, freezes the bracket."""
 
-events = Table(
+events = sa.Table(
     "events",
     metadata,
-    Column("number", Number, primary_key=True),
-    Column("at_s", Float(53), nullable=False),
-    Column("actor", String(200), nullable=False),
-    Column("action", String(40), nullable=False),
-    Column("subject", String(100), nullable=False),
-    Column("detail", Text, nullable=False),
+    sa.Column("number", Number, primary_key=True),
+    sa.Column("at_s", sa.Float(53), nullable=False),
+    sa.Column("actor", sa.String(200), nullable=False),
+    sa.Column("action", sa.String(40), nullable=False),
+    sa.Column("subject", sa.String(100), nullable=False),
+    sa.Column("detail", sa.Text, nullable=False),
     sqlite_autoincrement=True,
 )
 """The audit log: who did what, when; written in the transaction that did it."""
 
-ledger = Table(
+ledger = sa.Table(
     "ledger",
     metadata,
-    Column("number", Number, primary_key=True, autoincrement=False),
-    Column("kind", String(16), nullable=False),
-    Column("subject", String(200), nullable=False),
-    Column("chain", String(64), nullable=False),
+    sa.Column("number", Number, primary_key=True, autoincrement=False),
+    sa.Column("kind", sa.String(16), nullable=False),
+    sa.Column("subject", sa.String(200), nullable=False),
+    sa.Column("chain", sa.String(64), nullable=False),
 )
 """A record of each ruleset, entry, result and settled dispute, from 1 without gaps. `chain` hashes
 the record's content and the record before it, so that what is changed later shows."""

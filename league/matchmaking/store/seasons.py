@@ -69,7 +69,7 @@ class SeasonStore(Transactional):
             }
             connection.execute(seasons.insert().values(row))
             begun = listed(connection)[-1]
-            append(connection, [_beginning(begun)])
+            append(connection, _season_records(begun))
             log_event(connection, now, "league", "season start", begun.name)
             if last is not None and last.ruleset == begun.ruleset:
                 were = {one.entry: one.division for one in moves_of(connection, last.number)}
@@ -101,7 +101,7 @@ class SeasonStore(Transactional):
             ended = end_with(connection, now, seasons, number, document)
             season = _numbered(connection, number)
             if ended:
-                append(connection, [_ending(season)])
+                append(connection, _season_records(season)[-1:])
                 log_event(connection, now, "league", "season end", season.name, hash=season.hash)
             return season
 
@@ -146,7 +146,7 @@ class SeasonStore(Transactional):
                 add_ruleset(connection, now, one)
             connection.execute(cups.insert().values(row))
             cup = cups_listed(connection)[-1]
-            append(connection, [_cup_beginning(cup)])
+            append(connection, _cup_records(cup))
             entrants = len(settings["entrants"])
             log_event(connection, now, "league", "cup start", cup.name, entrants=entrants)
             return cup
@@ -157,7 +157,7 @@ class SeasonStore(Transactional):
             ended = end_with(connection, now, cups, number, document)
             cup = next(one for one in cups_listed(connection) if one.number == number)
             if ended:
-                append(connection, [_cup_ending(cup)])
+                append(connection, _cup_records(cup)[-1:])
                 log_event(connection, now, "league", "cup end", cup.name, hash=cup.hash)
             return cup
 
@@ -247,39 +247,33 @@ def moves_of(connection: sa.Connection, season: int, entry: int | None = None) -
 def ledger_records(connection: sa.Connection) -> Iterator[LedgerRecord]:
     """Yield what the ledger records of all seasons, divisions and cups."""
     for season in listed(connection):
-        yield _beginning(season)
-        if season.ended_s is not None:
-            yield _ending(season)
+        yield from _season_records(season)
         for one in moves_of(connection, season.number):
             yield _moving(season.number, one)
     for cup in cups_listed(connection):
-        yield _cup_beginning(cup)
-        if cup.ended_s is not None:
-            yield _cup_ending(cup)
+        yield from _cup_records(cup)
 
 
 def damaged(connection: sa.Connection, table: sa.Table) -> list[str]:
     """Return the names of seasons or cups with documents that differ from their hashes."""
     query = sa.select(table.c.name, table.c.hash, table.c.document).where(table.c.hash.is_not(None))
-    return [row.name for row in connection.execute(query) if not _is_intact(row)]
+    names = []
+    for row in connection.execute(query):
+        try:
+            intact = heat_spec.digest(zlib.decompress(row.document)) == row.hash
+        except (zlib.error, TypeError):
+            intact = False
+        names += [] if intact else [row.name]
+    return names
 
 
-def _is_intact(row: Any) -> bool:  # noqa: ANN401
-    try:
-        return heat_spec.digest(zlib.decompress(row.document)) == row.hash
-    except (zlib.error, TypeError):
-        return False
-
-
-def _beginning(season: Season) -> LedgerRecord:
-    content = [season.name, season.ruleset, season.seed, dict(season.settings)]
-    return LedgerRecord("season", str(season.number), [*content, season.after, season.started_s])
-
-
-def _ending(season: Season) -> LedgerRecord:
-    return LedgerRecord(
-        "season end", str(season.number), [season.until, season.ended_s, season.hash]
-    )
+def _season_records(season: Season) -> list[LedgerRecord]:
+    """Return what the ledger records of a season: its beginning, and its end if it has ended."""
+    number, settings = str(season.number), dict(season.settings)
+    begun = [season.name, season.ruleset, season.seed, settings, season.after, season.started_s]
+    ended = [season.until, season.ended_s, season.hash]
+    records = [LedgerRecord("season", number, begun), LedgerRecord("season end", number, ended)]
+    return records if season.ended_s is not None else records[:1]
 
 
 def _moving(season: int, one: Move) -> LedgerRecord:
@@ -296,10 +290,9 @@ def cups_listed(connection: sa.Connection) -> list[Cup]:
     ]
 
 
-def _cup_beginning(cup: Cup) -> LedgerRecord:
-    content = [cup.name, cup.season, cup.seed, dict(cup.settings), cup.started_s]
-    return LedgerRecord("cup", str(cup.number), content)
-
-
-def _cup_ending(cup: Cup) -> LedgerRecord:
-    return LedgerRecord("cup end", str(cup.number), [cup.ended_s, cup.hash])
+def _cup_records(cup: Cup) -> list[LedgerRecord]:
+    """Return what the ledger records of a cup: its beginning, and its end if it has ended."""
+    number, ended = str(cup.number), [cup.ended_s, cup.hash]
+    begun = [cup.name, cup.season, cup.seed, dict(cup.settings), cup.started_s]
+    records = [LedgerRecord("cup", number, begun), LedgerRecord("cup end", number, ended)]
+    return records if cup.ended_s is not None else records[:1]
