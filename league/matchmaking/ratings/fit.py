@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtr, wrightomega
 
 from league.errors import ConfigError
 from league.matchmaking.ratings import systems
-from league.matchmaking.ratings.pair_counts import ELO, PairCounts, RatingData, Results, slope
+from league.matchmaking.ratings.pair_counts import ELO, RatingData, Results, slope
 from league.matchmaking.ratings.systems import Squares, System, Variances
 
 SIGMAS_95 = 1.959963984540054
@@ -153,6 +154,10 @@ class Ratings:
             )
         return place
 
+    def line(self, at: int, *names: str) -> dict[str, Any]:
+        """Return what some of the tables hold of an entry, by its index."""
+        return {name: getattr(self, name)[at].item() for name in names}
+
     def difference(self, one: int, other: int) -> Difference:
         """Return how far one entry is ahead of another, with its own interval."""
         a, b = self.index(one), self.index(other)
@@ -226,27 +231,18 @@ def fit(
         raise ConfigError("there are no entries to rate: submit one, or give results")
     if anchor is not None and anchor not in data.entries:
         raise ConfigError(f"anchor {anchor} is not in the field: name one of its entries")
-    model = _model(data, settings, carried, near)
+    model = _Model(data, settings, carried, near)
     prior_sd = carried.prior_sd if carried and settings.prior_sd is None else settings.prior_sd
     posterior = model.learned() if prior_sd is None else model.at(prior_sd)
     squares = Squares.of(data.results, posterior.parameters, model.prior(posterior.prior_sd))
-    variances = Variances.of(posterior.system, squares, posterior.weights)
+    variances = Variances(posterior.system, squares, posterior.weights)
     return _ratings(data, posterior, variances, anchor, model.num_spreads)
 
 
 def refit(data: RatingData, like: Ratings, carried: Carried | None = None) -> np.ndarray:
     """Return what ratings would be by part of their races [Elo], under the same prior."""
-    posterior = _model(data, RatingSettings(), carried, like).at(like.prior_sd)
+    posterior = _Model(data, RatingSettings(), carried, like).at(like.prior_sd)
     return _elo(data, posterior, like.anchor)
-
-
-def _model(
-    data: RatingData, settings: RatingSettings, carried: Carried | None, near: Ratings | None
-) -> _Model:
-    model = _Model(data.counts, settings, carried.at(data.entries) if carried else None)
-    if near is not None:
-        model.begin(near.at(data.entries, data.counts.size), near.prior_sd)
-    return model
 
 
 @dataclass(frozen=True)
@@ -268,22 +264,22 @@ class _Model:
 
     def __init__(
         self,
-        counts: PairCounts,
+        data: RatingData,
         settings: RatingSettings,
-        known: tuple[np.ndarray, np.ndarray] | None = None,
+        carried: Carried | None,
+        near: Ratings | None,
     ) -> None:
-        self._counts, self._settings = counts, settings
-        self._mean = np.zeros(counts.size)
-        self._precisions = np.full(counts.num_entries, np.nan)
-        if known is not None:
-            self._mean[: counts.num_entries], self._precisions = known
+        self._counts, self._settings = data.counts, settings
+        self._mean = np.zeros(data.counts.size)
+        self._precisions = np.full(len(data.entries), np.nan)
+        if carried is not None:
+            self._mean[: len(data.entries)], self._precisions = carried.at(data.entries)
         self._last = self._mean
         self._spread, self._enough = USUAL_SPREAD, ENOUGH_FAR
+        if near is not None:  # its parameters and spread are nearly the best
+            self._last = near.at(data.entries, data.counts.size)
+            self._spread, self._enough = near.prior_sd, ENOUGH
         self.num_spreads = 0
-
-    def begin(self, parameters: np.ndarray, prior_sd: float) -> None:
-        """Begin the first climb at parameters, and at a spread [Elo], that are nearly the best."""
-        self._last, self._spread, self._enough = parameters, prior_sd, ENOUGH
 
     def prior(self, prior_sd: float) -> np.ndarray:
         """Return the precision of each parameter."""

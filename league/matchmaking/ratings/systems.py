@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from scipy import linalg, sparse
@@ -31,22 +30,6 @@ COLUMNS = 64
 """Differences solved for together."""
 PULL = 50.0
 """Heats an entry needs for its own scatter to count as much as the field's."""
-
-
-class System(Protocol):
-    """H, ready to be solved with."""
-
-    def solve(self, right: np.ndarray, *, within: float = 1e-8) -> np.ndarray:
-        """Return H^-1 right."""
-        ...
-
-    def mean_variance(self) -> tuple[float, float]:
-        """Return the mean diagonals of H^-1 and of its square over the entries."""
-        ...
-
-    def diagonals(self, squares: Squares) -> tuple[np.ndarray, np.ndarray]:
-        """Return the diagonals of H^-1 and of the sandwich over the entries."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -115,45 +98,46 @@ class Squares:
         return np.concatenate([above, self.border.T @ entries + self.corner @ slots])
 
 
+class Blocks:
+    """H by blocks: that of the strengths by its diagonal and the pairs that met."""
+
+    def __init__(self, counts: PairCounts, weights: np.ndarray, prior: np.ndarray) -> None:
+        """Sum the races' curvature, `weights` of each cell, and the prior's of each parameter."""
+        size = counts.num_entries
+        ones, others = counts.by_entry_and_sides(weights)
+        sides = ones.sum(axis=0)
+        self.met = counts.by_pair(weights)
+        ahead, behind = counts.by_entry(self.met)
+        self.diagonal = prior[:size] + ahead + behind
+        # The opponent's slot counts against the own one.
+        self.border = (ones - others).sum(axis=2) - (ones - others).sum(axis=1)
+        slots = np.diag(prior[size:] + sides.sum(axis=1) + sides.sum(axis=0))
+        self.corner = slots - sides - sides.T
+        self.counts = counts
+        self.level = 1.0 / prior[0]
+
+
 def system(
     counts: PairCounts, weights: np.ndarray, prior: np.ndarray, *, dense_most: int = DENSE_MOST
 ) -> System:
-    """Return H in the form that suits the size of the field.
+    """Return H in the form that suits the size of the field: factored up to `dense_most` entries.
 
-    Args:
-        counts: the races.
-        weights: curvature of each cell.
-        prior: precision of each parameter.
-        dense_most: entries up to which H is factored.
+    `weights` is the curvature of each cell, `prior` the precision of each parameter.
     """
-    met = counts.by_pair(weights)
-    ahead, behind = counts.by_entry(met)
-    ones, others = counts.by_entry_and_sides(weights)
-    # The opponent's slot counts against the own one.
-    border = (ones - others).sum(axis=2) - (ones - others).sum(axis=1)
-    sides, size = ones.sum(axis=0), counts.num_entries
-    corner = np.diag(prior[size:] + sides.sum(axis=1) + sides.sum(axis=0)) - sides - sides.T
-    suited = Dense if size <= dense_most else Sparse
-    return suited(counts, met, prior[:size] + ahead + behind, border, corner, 1.0 / prior[0])
+    suited = Dense if counts.num_entries <= dense_most else Sparse
+    return suited(Blocks(counts, weights, prior))
 
 
 class Dense:
     """H as a table, and its Cholesky factor."""
 
-    def __init__(
-        self,
-        counts: PairCounts,
-        met: np.ndarray,
-        diagonal: np.ndarray,
-        border: np.ndarray,
-        corner: np.ndarray,
-        _level: float,
-    ) -> None:
-        self._size = size = len(diagonal)
+    def __init__(self, blocks: Blocks) -> None:
+        counts, self._size = blocks.counts, blocks.counts.num_entries
         table = np.zeros((counts.size, counts.size))
-        table[counts.other, counts.one] = -met  # only the lower triangle is read
-        table[size:, size:], table[size:, :size] = corner, border.T
-        table[range(size), range(size)] += diagonal
+        table[counts.other, counts.one] = -blocks.met  # only the lower triangle is read
+        table[self._size :, self._size :] = blocks.corner
+        table[self._size :, : self._size] = blocks.border.T
+        table[range(self._size), range(self._size)] += blocks.diagonal
         self._factor = linalg.cho_factor(table, lower=True, overwrite_a=True, check_finite=False)
 
     def solve(self, right: np.ndarray, *, within: float = 1e-8) -> np.ndarray:
@@ -184,18 +168,11 @@ class Dense:
 class Sparse:
     """H as a sparse matrix with a narrow border, solved by conjugate gradients."""
 
-    def __init__(
-        self,
-        counts: PairCounts,
-        met: np.ndarray,
-        diagonal: np.ndarray,
-        border: np.ndarray,
-        corner: np.ndarray,
-        level: float,
-    ) -> None:
-        self._above = counts.graph(met)
-        self._diagonal, self._border, self._corner, self._level = diagonal, border, corner, level
-        self._all = np.concatenate([diagonal, corner.diagonal()])
+    def __init__(self, blocks: Blocks) -> None:
+        self._above = blocks.counts.graph(blocks.met)
+        self._diagonal, self._border, self._corner = blocks.diagonal, blocks.border, blocks.corner
+        self._level = blocks.level
+        self._all = np.concatenate([self._diagonal, self._corner.diagonal()])
         self.shape, self.dtype = (len(self._all), len(self._all)), np.dtype(float)
 
     def _met(self, entries: np.ndarray) -> np.ndarray:
@@ -283,48 +260,36 @@ class Sparse:
         return solved[: len(probes)] - known - near
 
 
-@dataclass(frozen=True)
+System = Dense | Sparse
+
+
 class Variances:
     """How sure the parameters are [natural units^2]."""
 
-    system: System
-    """H."""
-    squares: Squares
-    """The middle of the sandwich."""
-    diagonals: tuple[np.ndarray, np.ndarray]
-    """Of H^-1 and of the sandwich, over the entries."""
-    strengths: np.ndarray
-    """Of each strength against the weighted average of all others, (entries,)."""
-    ratio: float
-    """Robust variance over the model's, on average over the field."""
-
-    @classmethod
-    def of(cls, system: System, squares: Squares, weights: np.ndarray) -> Variances:
+    def __init__(self, system: System, squares: Squares, weights: np.ndarray) -> None:
         """Work out the strengths' variances; `weights` sum to 1 over the entries."""
-        diagonals = system.diagonals(squares)
+        self._system, self._squares = system, squares
+        self._diagonals = system.diagonals(squares)
         # (e_i - w) / (1 - w_i) takes an entry from the average of the others.
-        model, robust = (
-            variance / (1.0 - weights) ** 2
-            for variance in _against(system, squares, diagonals, weights)
-        )
+        model, robust = (one / (1.0 - weights) ** 2 for one in self._against(weights))
         heats = squares.heats
-        ratio = float(heats @ (robust / model)) / heats.sum() if heats.any() else 1.0
-        strengths = _blend(model, robust, heats, ratio)
-        return cls(system, squares, diagonals, strengths, ratio)
+        self._ratio = float(heats @ (robust / model)) / heats.sum() if heats.any() else 1.0
+        """Robust variance over the model's, on average over the field."""
+        self.strengths = _blend(model, robust, heats, self._ratio)
+        """Of each strength against the weighted average of all others, (entries,)."""
 
     def against(self, entry: int) -> np.ndarray:
         """Return the variances of all strengths against one entry's, by its index, (entries,)."""
         one = np.zeros(len(self.strengths))
         one[entry] = 1.0
-        model, robust = _against(self.system, self.squares, self.diagonals, one)
-        heats = np.minimum(self.squares.heats, self.squares.heats[entry])
-        variances = _blend(model, robust, heats, self.ratio)
+        heats = np.minimum(self._squares.heats, self._squares.heats[entry])
+        variances = _blend(*self._against(one), heats, self._ratio)
         variances[entry] = 0.0
         return variances
 
     def slots(self) -> np.ndarray:
         """Return the variances of the slots' worth against the average of all slots."""
-        size, slots = self.squares.border.shape
+        size, slots = self._squares.border.shape
         right = np.zeros((size + slots, slots))
         right[size:] = np.eye(slots) - 1.0 / slots
         return np.maximum(*self._quadratic(right))  # all heats contribute to the slots
@@ -335,36 +300,29 @@ class Variances:
         for start in range(0, len(one), COLUMNS):
             some = slice(start, start + COLUMNS)
             column = np.arange(len(one[some]))
-            right = np.zeros((self.squares.size, len(column)))
+            right = np.zeros((self._squares.size, len(column)))
             right[one[some], column] += 1.0
             right[other[some], column] -= 1.0
-            heats = np.minimum(self.squares.heats[one[some]], self.squares.heats[other[some]])
-            variances[some] = _blend(*self._quadratic(right), heats, self.ratio)
+            heats = np.minimum(self._squares.heats[one[some]], self._squares.heats[other[some]])
+            variances[some] = _blend(*self._quadratic(right), heats, self._ratio)
         return variances
 
     def _quadratic(self, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the model's and the robust variances of some combinations, one a column."""
-        solved = self.system.solve(right)
-        return (right * solved).sum(axis=0), (solved * self.squares.times(solved)).sum(axis=0)
+        solved = self._system.solve(right)
+        return (right * solved).sum(axis=0), (solved * self._squares.times(solved)).sum(axis=0)
 
-
-def _against(
-    system: System,
-    squares: Squares,
-    diagonals: tuple[np.ndarray, np.ndarray],
-    weights: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the model's and the robust variances of each strength less a weighted average."""
-    size = len(weights)
-    average = np.zeros(squares.size)
-    average[:size] = weights
-    towards = system.solve(average)
-    around = system.solve(squares.times(towards[:, None])[:, 0])
-    model, robust = (
-        np.maximum(diagonal - 2 * shared[:size] + float(average @ shared), 0.0)
-        for diagonal, shared in zip(diagonals, (towards, around), strict=True)
-    )
-    return model, robust
+    def _against(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the model's and the robust variances of each strength less a weighted average."""
+        average = np.zeros(self._squares.size)
+        average[: len(weights)] = weights
+        towards = self._system.solve(average)
+        around = self._system.solve(self._squares.times(towards[:, None])[:, 0])
+        model, robust = (
+            np.maximum(diagonal - 2 * shared[: len(weights)] + float(average @ shared), 0.0)
+            for diagonal, shared in zip(self._diagonals, (towards, around), strict=True)
+        )
+        return model, robust
 
 
 def _blend(model: np.ndarray, robust: np.ndarray, heats: np.ndarray, ratio: float) -> np.ndarray:
