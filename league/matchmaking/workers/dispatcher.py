@@ -9,22 +9,23 @@ import socket
 import time
 import traceback
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from functools import lru_cache
+from typing import TYPE_CHECKING
 
 from league.errors import LeagueError
 from league.matchmaking.pairing.heat_spec import Ruleset
-from league.matchmaking.store import HeatOutcome, HeatRecord, HeatState, LeagueEntry, Received
-from league.matchmaking.store.store import LEASE_S
+from league.matchmaking.store import HeatRecord, LeagueEntry
+from league.matchmaking.store.queue import LEASE_S
 from league.matchmaking.workers import Executor
-from league.matchmaking.workers.worker import (
-    HeatDriver,
-    HeatJob,
-    HeatReport,
-    Recent,
-    check_physics,
-)
+from league.matchmaking.workers.worker import HeatDriver, HeatJob, HeatReport, check_physics
+
+if TYPE_CHECKING:
+    from league.matchmaking.remote import RemoteQueue
+    from league.matchmaking.store import Store
+
+    HeatSource = Store | RemoteQueue
+    """Where a dispatcher gets heats from."""
 
 KEPT = 256
 """Drivers kept in memory for the next job."""
@@ -56,47 +57,6 @@ class FinishedHeat:
     """A field of Received; or planned (again), error."""
 
 
-class Weights(Protocol):
-    """Where weights are kept."""
-
-    def get(self, digest: str) -> bytes:
-        """Return the bytes with this SHA-256."""
-        ...
-
-
-class HeatSource(Protocol):
-    """Where a dispatcher gets heats from: a Store, or a league that another machine serves."""
-
-    @property
-    def blobs(self) -> Weights:
-        """Where weights are kept."""
-        ...
-
-    def claim(self, worker: str, limit: int = 1, *, lease_s: float) -> list[HeatRecord]:
-        """Lend up to `limit` heats to a worker."""
-        ...
-
-    def heartbeat(self, worker: str, *, lease_s: float, keys: Sequence[str]) -> list[str]:
-        """Renew the leases of heats; return the keys of those that the worker still holds."""
-        ...
-
-    def complete(self, worker: str, outcomes: Sequence[HeatOutcome]) -> Received:
-        """Take in results."""
-        ...
-
-    def fail(self, worker: str, key: str, traceback: str, *, lost: bool) -> HeatState:
-        """Take a heat back; return its state."""
-        ...
-
-    def rulesets(self) -> dict[str, Ruleset]:
-        """Return the rulesets of lent heats, at least, by hash."""
-        ...
-
-    def entry(self, text: str) -> LeagueEntry:
-        """Return the entry with this id."""
-        ...
-
-
 class Dispatcher:
     """Claims heats for one machine's workers and hands in their results.
 
@@ -126,7 +86,7 @@ class Dispatcher:
         self._lease_s, self._keep_replays = lease_s, keep_replays
         self._renewed_s = time.monotonic()
         self._rulesets: dict[str, Ruleset] = {}
-        self._drivers: Recent[str, HeatDriver] = Recent(KEPT)
+        self._driver = lru_cache(KEPT)(lambda id: heat_driver(store, store.entry(id)))
         self._losses: Counter[str] = Counter()
         self.running: dict[str, RunningHeat] = {}
 
@@ -178,9 +138,6 @@ class Dispatcher:
             keep_replays=self._keep_replays,
         )
 
-    def _driver(self, id: str) -> HeatDriver:
-        return self._drivers.get(id, lambda: heat_driver(self._store, self._store.entry(id)))
-
     def _renew_leases(self) -> None:
         now = time.monotonic()
         if self.running and now - self._renewed_s > self._lease_s / 6:
@@ -200,9 +157,8 @@ class Dispatcher:
             running = self.running.pop(report.key)
             if report.outcome is None or received is None:
                 finished.append(self._failed(running, report))
-                continue
-            became = received.verdict(report.key)
-            finished.append(FinishedHeat(running, report, became))
+            else:
+                finished.append(FinishedHeat(running, report, received.verdict(report.key)))
         return finished
 
     def _failed(self, running: RunningHeat, report: HeatReport) -> FinishedHeat:

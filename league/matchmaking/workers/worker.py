@@ -8,13 +8,12 @@ import math
 import platform
 import struct
 import traceback
-from collections import OrderedDict
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import cache
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache, lru_cache
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING
 
 from league.errors import ConfigError
 from league.matchmaking.pairing.heat_spec import Half, Ruleset
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
     from league.racing.race import FinishedRace, RaceJob
     from league.replay.replay import Columns
     from league.sim.config import CarConfig
-    from league.track.track import Track, TrackSet
+    from league.track.track import Track
 
 KEPT = 64
 """Drivers and checkpoints that a worker keeps ready."""
@@ -44,8 +43,6 @@ SPEC_FIELDS = (
     "format",
 )  # fmt: skip
 """Settings that a ruleset and the spec of its races have in common."""
-_Key = TypeVar("_Key")
-_Value = TypeVar("_Value")
 _FUNCTIONS = (math.sin, math.cos, math.tan, math.asin, math.acos, math.atan, math.exp)
 
 
@@ -59,7 +56,7 @@ class HeatDriver:
     """Name shown in the replay."""
     scripted: str = ""
     """Name of the scripted driver; empty for a policy."""
-    weights: bytes = b""
+    weights: bytes = field(default=b"", compare=False, repr=False)
     """The entry's safetensors file; empty for a scripted driver."""
 
 
@@ -109,36 +106,26 @@ def check_physics(rules: Ruleset, what: str) -> None:
         )
 
 
-class Recent(Generic[_Key, _Value]):
-    """Values that were asked for last; older ones are made again."""
-
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._kept: OrderedDict[_Key, _Value] = OrderedDict()
-
-    def get(self, key: _Key, make: Callable[[], _Value]) -> _Value:
-        """Return the value of a key, made if it is not kept."""
-        if key not in self._kept:
-            self._kept[key] = make()
-            if len(self._kept) > self._most:
-                self._kept.popitem(last=False)
-        self._kept.move_to_end(key)
-        return self._kept[key]
-
-
 class RaceWorker:
     """Races jobs, and keeps drivers ready from one job to the next."""
 
     def __init__(self) -> None:
-        self._drivers: Recent[tuple[str, str], Driver] = Recent(KEPT)
-        self._checkpoints: Recent[str, Checkpoint] = Recent(KEPT)
-        self._tracks: dict[str, Track] = {}
+        from league.track import files
+
+        # The same object each time: scripted drivers search their line once for a track.
+        self._track = cache(files.load)
+        self._checkpoint = lru_cache(KEPT)(_checkpoint)
+        self._driver = lru_cache(KEPT)(self._made_driver)
 
     def race(self, job: HeatJob) -> HeatReport:
         """Race a heat; whatever fails is in the report, never raised."""
+        from league.racing import race
+
         start = perf_counter()
         try:
-            races = self._races(job)
+            jobs = [self._race_job(job, *one) for one in zip(job.halves, job.seeds, strict=True)]
+            # All as one batch: each goes as it would alone.
+            races = race.run_together(jobs, patience_s=TOO_LATE_S)
             outcomes = tuple(outcome_of(one, keep_replay=job.keep_replays) for one in races)
         except Exception:
             # The season goes on without this heat; its traceback is kept.
@@ -148,24 +135,11 @@ class RaceWorker:
         outcome = HeatOutcome(job.key, outcomes, machine)
         return HeatReport(job.key, outcome, "", perf_counter() - start, race_s)
 
-    def _races(self, job: HeatJob) -> list[FinishedRace]:
-        """Race all halves at once, as one batch: each goes as it would alone."""
-        from league.racing import race
-
-        races = [self._race_job(job, *one) for one in zip(job.halves, job.seeds, strict=True)]
-        return race.run_together(races, patience_s=TOO_LATE_S)
-
     def _race_job(self, job: HeatJob, half: Half, seed: int) -> RaceJob:
         from league.race_spec import checked
         from league.racing import race
-        from league.track import files
-        from league.track.track import TrackSet
 
-        rules = job.ruleset
-        # The same object each time: scripted drivers search their line once for a track.
-        if half.track not in self._tracks:
-            self._tracks[half.track] = files.load(half.track)
-        track = self._tracks[half.track]
+        rules, track = job.ruleset, self._track(half.track)
         grid = [job.drivers[id] for id in half.grid]
         entries = [
             {
@@ -176,26 +150,25 @@ class RaceWorker:
         ]
         given = {name: getattr(rules, name) for name in SPEC_FIELDS}
         spec = checked({**given, "track": track.name, "seed": seed, "entries": entries})
-        tracks, car = TrackSet(track), race.sim_config(spec).car
-        return race.RaceJob(spec, track, [self._driver(driver, tracks, car) for driver in grid])
+        car = race.sim_config(spec).car
+        drivers = [self._driver(one, track if one.scripted else None, car) for one in grid]
+        return race.RaceJob(spec, track, drivers)
 
-    def _checkpoint(self, entry: HeatDriver) -> Checkpoint:
-        from league.matchmaking import submission
-
-        what = f"the entry {entry.name!r}"
-        return self._checkpoints.get(entry.id, lambda: submission.unpack(entry.weights, what))
-
-    def _driver(self, entry: HeatDriver, tracks: TrackSet, car: CarConfig) -> Driver:
+    def _made_driver(self, entry: HeatDriver, track: Track | None, car: CarConfig) -> Driver:
         """Return the driver of all cars of an entry; scripted ones are built for a track."""
         from league.agents import roster
         from league.agents.policy import Policy
+        from league.track.track import TrackSet
 
-        if entry.scripted:
-            key = entry.id, tracks.tracks[0].name
-            return self._drivers.get(key, lambda: roster.load(entry.scripted, tracks, car))
-        return self._drivers.get(
-            (entry.id, ""), lambda: Policy(self._checkpoint(entry), car, name=entry.name)
-        )
+        if track is None:
+            return Policy(self._checkpoint(entry), car, name=entry.name)
+        return roster.load(entry.scripted, TrackSet(track), car)
+
+
+def _checkpoint(entry: HeatDriver) -> Checkpoint:
+    from league.matchmaking import submission
+
+    return submission.unpack(entry.weights, f"the entry {entry.name!r}")
 
 
 def outcome_of(finished: FinishedRace, *, keep_replay: bool = True) -> RaceOutcome:
