@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, is_dataclass
 from typing import Any
 
-from league.matchmaking.standings import Standings, pole
+from pydantic_core import to_jsonable_python
+
+from league.matchmaking.scores import pole
+from league.matchmaking.standings import Standings
 from league.matchmaking.store import HeatRecord, LeagueEntry
 
 
 def plain(value: object) -> Any:  # noqa: ANN401
     """Return frozen data as JSON knows it; infinities and NaN become null."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return {name: plain(field) for name, field in asdict(value).items()}
-    if isinstance(value, Mapping):
-        return {str(name): plain(item) for name, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    return to_jsonable_python(value, inf_nan_mode="null")
 
 
 def names_of(entries: Sequence[LeagueEntry]) -> dict[str, str]:
@@ -44,7 +37,7 @@ def standings_document(rated: Standings, top: int | None = None) -> dict[str, ob
             "p_value": goodness.p_value,
             "rejected": goodness.rejected,
         },
-        "entries": [plain(row) for row in rated.rows[:top]],
+        "entries": plain(rated.rows[:top]),
     }
 
 

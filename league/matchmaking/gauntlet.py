@@ -249,11 +249,7 @@ def _placed(
     rank = 1 + int((fitted.elo > fitted.elo[at]).sum())
     low, high = fitted.elo - SIGMAS_95 * fitted.sd, fitted.elo + SIGMAS_95 * fitted.sd
     return GauntletResult(
-        elo=float(fitted.elo[at]),
-        low95=float(fitted.low95[at]),
-        high95=float(fitted.high95[at]),
-        provisional=bool(fitted.provisional[at]),
-        one_sided=bool(fitted.one_sided[at]),
+        **fitted.line(at, "elo", "low95", "high95", "provisional", "one_sided"),
         rank=rank,
         best_rank=min(rank, 1 + int((low > high[at]).sum())),
         worst_rank=max(rank, len(fitted.entries) - int((high < low[at]).sum())),

@@ -69,9 +69,7 @@ def history(store: Store, entry: LeagueEntry, *, points: int = 20) -> list[Histo
                 HistoryPoint(
                     heat=int(heat),
                     races=raced + int(fitted.races[at]),
-                    elo=float(fitted.elo[at]),
-                    low95=float(fitted.low95[at]),
-                    high95=float(fitted.high95[at]),
+                    **fitted.line(at, "elo", "low95", "high95"),
                     season=season.number if season else 0,
                 )
             )
@@ -100,30 +98,19 @@ def own_history(rated: Standings, number: int, *, points: int = 20) -> list[Hist
 
     It takes milliseconds in a league of any size; `history` fits all ratings for each point.
     """
-    ratings, races = rated.ratings, rated.races
-    rows = np.flatnonzero((races.entries == number).any(axis=1))
-    rows = rows[np.argsort(races.heat[rows], kind="stable")]
-    entries, places = races.entries[rows], races.places[rows].astype(int)
-    known = np.searchsorted(ratings.entries, entries).clip(max=len(ratings.entries) - 1)
-    slots = np.broadcast_to(ratings.slot_advantages[: entries.shape[1]], entries.shape)
-    mine, met = entries == number, (entries >= 0) & (entries != number)
-    own_place = (places * mine).sum(axis=1, keepdims=True)
-    own_slot = (slots * mine).sum(axis=1, keepdims=True)
-    points_made = (own_place < places) + 0.5 * (own_place == places)
-    needed = ratings.elo[known] + slots - own_slot  # a rating at which the two are even
+    ratings, own = rated.ratings, standings.own_races(rated, number)
+    needed = own.strengths - ratings.slot_advantages[own.slot]  # a rating at which the two are even
     middle, spread = float(ratings.elo.mean()), ratings.prior_sd
-    picked = np.unique(np.linspace(1, len(rows), min(points, len(rows))).round().astype(int))
+    heats = own.races.heat
+    picked = np.unique(np.linspace(1, len(heats), min(points, len(heats))).round().astype(int))
     moments = []
     for count in picked.tolist():
-        counted = met[:count]
-        elo, sd = _own_rating(points_made[:count][counted], needed[:count][counted], middle, spread)
+        met = own.met[:count]
+        elo, sd = _own_rating(own.points[:count][met], needed[:count][met], middle, spread)
         reach = SIGMAS_95 * sd
-        moments.append(
-            HistoryPoint(int(races.heat[rows[count - 1]]), count, elo, elo - reach, elo + reach)
-        )
-    now = ratings.index(number)
-    ends = float(ratings.elo[now]), float(ratings.low95[now]), float(ratings.high95[now])
-    return [*moments[:-1], HistoryPoint(int(races.heat.max()), len(rows), *ends)]
+        moments.append(HistoryPoint(int(heats[count - 1]), count, elo, elo - reach, elo + reach))
+    now = ratings.line(ratings.index(number), "elo", "low95", "high95")
+    return [*moments[:-1], HistoryPoint(int(rated.races.heat.max()), len(heats), **now)]
 
 
 def _own_rating(

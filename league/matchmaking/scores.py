@@ -1,4 +1,4 @@
-"""What single races tell: points against those that the ratings promised, best and clean laps."""
+"""What single races tell: points against those promised, best and clean laps, the front slot."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from league.matchmaking.ratings.fit import expected_score
+from league.matchmaking import standings
+from league.matchmaking.ratings.fit import SIGMAS_95, expected_score
 from league.matchmaking.standings import Standings
 from league.matchmaking.store import BEST_MS, KNOWN, Store
 from league.sim.config import RaceKind
@@ -37,32 +38,21 @@ def race_scores(rated: Standings, number: int, other: int | None = None) -> list
         number: of the entry.
         other: number of the only opponent that counts; by default all count.
     """
-    races, ratings = rated.races, rated.ratings
-    mine = races.entries == number
-    rows = np.flatnonzero(mine.any(axis=1))
+    own = standings.own_races(rated, number)
+    races, counts = own.races, own.met
     if other is not None:
-        rows = rows[(races.entries[rows] == other).any(axis=1)]
-    rows = rows[np.lexsort((races.half[rows], races.heat[rows]))]
-    slot = mine[rows].argmax(axis=1)[:, None]
-    entries, places = races.entries[rows], races.places[rows].astype(int)
-    known = np.searchsorted(ratings.entries, entries).clip(max=len(ratings.entries) - 1)
-    strengths = ratings.elo[known] + ratings.slot_advantages[: entries.shape[1]]
-    counts = (entries >= 0) & (entries != number)
-    if other is not None:
-        counts &= entries == other
-    place = np.take_along_axis(places, slot, axis=1)
-    points = (place < places) + 0.5 * (place == places)
-    expected = expected_score(np.take_along_axis(strengths, slot, axis=1) - strengths)
+        counts = counts & (races.entries == other)
+    expected = expected_score(np.take_along_axis(own.strengths, own.slot, axis=1) - own.strengths)
     names = dict(enumerate(rated.tracks))
     return [
         RaceScore(
             heat=int(races.heat[row]),
             race=int(races.half[row]) + 1,
             track=names.get(int(races.track[row]), ""),
-            points=float(points[at][counts[at]].sum()),
-            expected=float(np.asarray(expected)[at][counts[at]].sum()),
+            points=float(own.points[row][counts[row]].sum()),
+            expected=float(np.asarray(expected)[row][counts[row]].sum()),
         )
-        for at, row in enumerate(rows)
+        for row in np.flatnonzero(counts.any(axis=1) | (other is None))
     ]
 
 
@@ -167,3 +157,56 @@ def _fastest(
             for at in on_track[first]
         ]
     return found
+
+
+@dataclass(frozen=True)
+class Pole:
+    """How much of the results the first slot of the grid decides."""
+
+    races: int
+    """Rated races of two cars or more."""
+    won: float
+    """Share of them won from the first slot, a shared win in part."""
+    low95: float
+    """Lower end of its 95 % interval (Wilson, as if races were independent)."""
+    high95: float
+    """Upper end of it."""
+    even: float
+    """The share that a slot without any advantage wins: one over the number of cars."""
+    elo: float
+    """What the first slot is worth over the mean of all slots, drivers being equal [Elo]."""
+    elo_low95: float
+    """Lower end of its 95 % interval [Elo]."""
+    elo_high95: float
+    """Upper end of it [Elo]."""
+
+
+def pole(standings: Standings) -> Pole | None:
+    """Return what the first slot of the grid decides; None without a race of two cars."""
+    results = standings.results.distinct()
+    present = results.entries >= 0
+    cars = present.sum(axis=1)
+    results, present, cars = results.rows(cars > 1), present[cars > 1], cars[cars > 1]
+    races = len(results)
+    if not races:
+        return None
+    first = (results.places == results.places.min(axis=1, where=present, initial=255)[:, None]) & (
+        present
+    )
+    won = float((first[:, 0] / first.sum(axis=1)).mean())
+    # Wilson's interval stays within 0 and 1, also where every race was won from one slot.
+    squared = SIGMAS_95**2 / races
+    middle = (won + squared / 2) / (1 + squared)
+    half = np.sqrt(squared * (won * (1 - won) + squared / 4)) / (1 + squared)
+    fitted = standings.ratings
+    elo, reach = float(fitted.slot_advantages[0]), SIGMAS_95 * float(fitted.slot_sd[0])
+    return Pole(
+        races=races,
+        won=won,
+        low95=float(middle - half),
+        high95=float(middle + half),
+        even=float((1 / cars).mean()),
+        elo=elo,
+        elo_low95=elo - reach,
+        elo_high95=elo + reach,
+    )

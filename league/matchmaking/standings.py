@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -25,6 +24,13 @@ from league.matchmaking.store import (
     Store,
 )
 
+ENTRY_FIELDS = ("number", "id", "name", "owner", "anchor", "state")
+"""What a line takes from its entry."""
+RATING_FIELDS = (
+    "elo", "sd", "low95", "high95", "listed_by", "provisional", "connected", "one_sided", "races",
+)  # fmt: skip
+"""What it takes from the fit."""
+
 
 @dataclass(frozen=True)
 class Row:
@@ -39,15 +45,11 @@ class Row:
     number: int
     """Entry number."""
     id: str
-    """Entry id."""
     name: str
-    """Name."""
     owner: str
-    """Its owner."""
     anchor: bool
     """Whether it is one of the league's own drivers."""
     state: EntryState
-    """Where it stands."""
     elo: float
     """Strength [Elo]."""
     sd: float
@@ -139,25 +141,23 @@ def rated(
         also: numbers of entries to rate besides those in a rated state and those that raced.
         carried: what is known from an earlier season.
     """
-    data = _data(results, entries, also)
-    return None if data is None else _fit(data, entries, carried)
+    found = _fitted(results, entries, also, carried)
+    return found[1] if found else None
 
 
-def _data(
-    results: Results, entries: Sequence[LeagueEntry], also: Collection[int] = ()
-) -> RatingData | None:
-    numbers = {entry.number for entry in entries if entry.state in RATED} | set(also)
-    data = RatingData.of(results, sorted(numbers))
-    return data if len(data.entries) else None
-
-
-def _fit(
-    data: RatingData,
+def _fitted(
+    results: Results,
     entries: Sequence[LeagueEntry],
+    also: Collection[int],
     carried: Carried | None,
     near: Ratings | None = None,
-) -> Ratings:
-    return fit(data, anchor=anchor_of(data.entries, entries), carried=carried, near=near)
+) -> tuple[RatingData, Ratings] | None:
+    numbers = {entry.number for entry in entries if entry.state in RATED} | set(also)
+    data = RatingData.of(results, sorted(numbers))
+    if not len(data.entries):
+        return None
+    anchor = anchor_of(data.entries, entries)
+    return data, fit(data, anchor=anchor, carried=carried, near=near)
 
 
 def anchor_of(numbers: np.ndarray, entries: Sequence[LeagueEntry]) -> int | None:
@@ -208,12 +208,12 @@ def table(
         near: ratings by nearly the same races, which make this quick.
     """
     results = results_of(within.races)
-    data = _data(results, entries)
-    if data is None:
+    found = _fitted(results, entries, (), within.carried, near)
+    if found is None:
         return None
-    fitted = _fit(data, entries, within.carried, near)
+    data, fitted = found
     return Standings(
-        rows=_rows(data, fitted, entries, Runs.of(within.races, tracks)),
+        rows=_rows(data, fitted, entries, Runs.of(within.races, tracks, entries)),
         ratings=fitted,
         results=results,
         goodness=goodness_of_fit(data, fitted),
@@ -246,33 +246,23 @@ def _rows(
     pairs, points = data.counts.points()
     scores = points / np.maximum(pairs, 1)
     best, worst = possible_ranks(fitted)
+    laps_ms = runs.best_ms.T.tolist()
     rows = []
-    for rank, at in enumerate(fitted.order()):
+    for rank, at in enumerate(fitted.order().tolist()):
         entry = by_number[int(fitted.entries[at])]
+        number, known = entry.number, runs.known[entry.number]
+        laps = zip(runs.tracks, laps_ms[number], strict=True)
         rows.append(
             Row(
                 rank=rank + 1,
                 best_rank=int(best[rank]) + 1,
                 worst_rank=int(worst[rank]) + 1,
-                number=entry.number,
-                id=entry.id,
-                name=entry.name,
-                owner=entry.owner,
-                anchor=entry.anchor,
-                state=entry.state,
-                elo=float(fitted.elo[at]),
-                sd=float(fitted.sd[at]),
-                low95=float(fitted.low95[at]),
-                high95=float(fitted.high95[at]),
-                listed_by=float(fitted.listed_by[at]),
-                provisional=bool(fitted.provisional[at]),
-                connected=bool(fitted.connected[at]),
-                one_sided=bool(fitted.one_sided[at]),
-                races=int(fitted.races[at]),
-                wins=runs.wins(entry.number),
+                **{name: getattr(entry, name) for name in ENTRY_FIELDS},
+                **fitted.line(at, *RATING_FIELDS),
+                wins=int(runs.first[number]),
                 score=float(scores[at]),
-                unfinished=runs.unfinished(entry.number),
-                best_laps_s=runs.best_laps_s(entry.number),
+                unfinished=1.0 - float(runs.finished[number] / known) if known else None,
+                best_laps_s={track: lap_ms / 1000 for track, lap_ms in laps if lap_ms < np.inf},
             )
         )
     return tuple(rows)
@@ -293,9 +283,9 @@ class Runs:
     """Best lap, infinite for none, (tracks, numbers)."""
 
     @classmethod
-    def of(cls, races: Races, tracks: tuple[str, ...]) -> Runs:
-        """Count each entry's races, finishes and best laps."""
-        size = int(races.entries.max(initial=-1)) + 1
+    def of(cls, races: Races, tracks: tuple[str, ...], entries: Sequence[LeagueEntry]) -> Runs:
+        """Count the races, finishes and best laps of all entries."""
+        size = 1 + max((entry.number for entry in entries), default=0)
         first, known, finished = np.zeros(size), np.zeros(size), np.zeros(size)
         best_ms = np.full(len(tracks) * size, np.inf)
         for slot in range(races.entries.shape[1]):
@@ -309,80 +299,6 @@ class Runs:
             place = track[timed].astype(np.int64) * size + entry[timed]
             np.minimum.at(best_ms, place, lap_ms[timed].astype(float))
         return cls(tracks, first, known, finished, best_ms.reshape(len(tracks), size))
-
-    def wins(self, number: int) -> int:
-        """Return the number of races that an entry won."""
-        return int(self.first[number]) if number < len(self.first) else 0
-
-    def unfinished(self, number: int) -> float | None:
-        """Return the share of an entry's races that it did not finish."""
-        if number >= len(self.known) or not self.known[number]:
-            return None
-        return 1.0 - float(self.finished[number] / self.known[number])
-
-    def best_laps_s(self, number: int) -> dict[str, float]:
-        """Return an entry's best lap on each track that it completed one on."""
-        if number >= len(self.known):
-            return {}
-        laps = zip(self.tracks, self._laps_ms[number], strict=True)
-        return {track: lap_ms / 1000 for track, lap_ms in laps if lap_ms < np.inf}
-
-    @cached_property
-    def _laps_ms(self) -> list[list[float]]:
-        return self.best_ms.T.tolist()
-
-
-@dataclass(frozen=True)
-class Pole:
-    """How much of the results the first slot of the grid decides."""
-
-    races: int
-    """Rated races of two cars or more."""
-    won: float
-    """Share of them won from the first slot, a shared win in part."""
-    low95: float
-    """Lower end of its 95 % interval (Wilson, as if races were independent)."""
-    high95: float
-    """Upper end of it."""
-    even: float
-    """The share that a slot without any advantage wins: one over the number of cars."""
-    elo: float
-    """What the first slot is worth over the mean of all slots, drivers being equal [Elo]."""
-    elo_low95: float
-    """Lower end of its 95 % interval [Elo]."""
-    elo_high95: float
-    """Upper end of it [Elo]."""
-
-
-def pole(standings: Standings) -> Pole | None:
-    """Return what the first slot of the grid decides; None without a race of two cars."""
-    results = standings.results.distinct()
-    present = results.entries >= 0
-    cars = present.sum(axis=1)
-    results, present, cars = results.rows(cars > 1), present[cars > 1], cars[cars > 1]
-    races = len(results)
-    if not races:
-        return None
-    first = (results.places == results.places.min(axis=1, where=present, initial=255)[:, None]) & (
-        present
-    )
-    won = float((first[:, 0] / first.sum(axis=1)).mean())
-    # Wilson's interval stays within 0 and 1, also where every race was won from one slot.
-    squared = SIGMAS_95**2 / races
-    middle = (won + squared / 2) / (1 + squared)
-    half = np.sqrt(squared * (won * (1 - won) + squared / 4)) / (1 + squared)
-    fitted = standings.ratings
-    elo, reach = float(fitted.slot_advantages[0]), SIGMAS_95 * float(fitted.slot_sd[0])
-    return Pole(
-        races=races,
-        won=won,
-        low95=float(middle - half),
-        high95=float(middle + half),
-        even=float((1 / cars).mean()),
-        elo=elo,
-        elo_low95=elo - reach,
-        elo_high95=elo + reach,
-    )
 
 
 @dataclass(frozen=True)
@@ -421,18 +337,47 @@ def head_to_head(standings: Standings, one: int, other: int) -> HeadToHead:
     return meetings(standings, one).get(other, UNMET)
 
 
+@dataclass(frozen=True)
+class OwnRaces:
+    """An entry's rated races by heat and half, seen from its seat; all but two (races, cars)."""
+
+    races: Races
+    slot: np.ndarray
+    """Where it stood on the grid, (races, 1)."""
+    met: np.ndarray
+    """Whether a car is another entry's."""
+    points: np.ndarray
+    """Its points against each car: 1, 0.5 for a tie, or 0."""
+    strengths: np.ndarray
+    """What the ratings, and the grid slots, give each car [Elo]."""
+
+
+def own_races(standings: Standings, number: int) -> OwnRaces:
+    """Return an entry's rated races."""
+    races, ratings = standings.races, standings.ratings
+    races = races.where((races.entries == number).any(axis=1))
+    races = races.where(np.lexsort((races.half, races.heat)))
+    mine = races.entries == number
+    slot = mine.argmax(axis=1)[:, None]
+    places = races.places.astype(int)
+    place = np.take_along_axis(places, slot, axis=1)
+    known = np.searchsorted(ratings.entries, races.entries).clip(max=len(ratings.entries) - 1)
+    return OwnRaces(
+        races=races,
+        slot=slot,
+        met=(races.entries >= 0) & ~mine,
+        points=(place < places) + 0.5 * (place == places),
+        strengths=ratings.elo[known] + ratings.slot_advantages[: mine.shape[1]],
+    )
+
+
 def meetings(standings: Standings, number: int) -> dict[int, HeadToHead]:
     """Return an entry's record against each one that it met, by the other's number."""
-    results = standings.results
-    rows = np.flatnonzero((results.entries == number).any(axis=1))
-    entries, places = results.entries[rows], results.places[rows]
-    mine = entries == number
-    own = (places * mine).sum(axis=1, keepdims=True)
-    met = (entries >= 0) & ~mine
-    others, at = np.unique(entries[met], return_inverse=True)
+    own = own_races(standings, number)
+    others, at = np.unique(own.races.entries[own.met], return_inverse=True)
     races, wins, ties = (
-        np.bincount(at, counted[met], len(others)).astype(int).tolist()
-        for counted in (met, places > own, places == own)
+        np.bincount(at, counted[own.met], len(others)).astype(int).tolist()
+        for counted in (own.met, own.points == 1.0, own.points == 0.5)
     )
     promised = _promised(standings, number)
     return {

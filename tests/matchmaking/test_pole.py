@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from league.matchmaking.ratings import Results
-from league.matchmaking.standings import pole
+from league.matchmaking.scores import pole
 
 
 def rated(entries, places, elo=120.0, sd=10.0):

@@ -168,10 +168,10 @@ def _best_lap(row: Row, tracks: Sequence[str]) -> str:
 
 def _notes(rated: Standings) -> list[str]:
     """Return the lines that explain the table."""
-    from league.matchmaking import standings
+    from league.matchmaking import scores
 
     front = rated.ratings.slot_advantages
-    pole = standings.pole(rated)
+    pole = scores.pole(rated)
     lines = [
         f"{rated.num_races} races under rules {rated.ruleset[:12]}; the front of the grid is worth "
         f"{front[0] - front[-1]:+.0f} Elo over its end.",

@@ -8,7 +8,6 @@ the same heats, and ends with the same ratings. A round's size depends on the fi
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -240,7 +239,7 @@ class Matchmaker:
             size = 0  # the season is over, and the next one has not begun
         plans = plans[: ROUND // 2]
         id_of = {entry.number: entry.id for entry in entries}
-        line_up = _line_up(rules, past, roster)
+        line_up = _line_up(rules, past, roster, entries)
         meetings = past.meetings({id: number for number, id in id_of.items()})
         plans += next_heats(
             rated, meetings, rules, generator, heats=size, same_owner=self._same_owner
@@ -332,7 +331,9 @@ class _Roster:
         return roster
 
 
-def _line_up(rules: Ruleset, past: _Past, roster: _Roster) -> LineUp | None:
+def _line_up(
+    rules: Ruleset, past: _Past, roster: _Roster, entries: Sequence[LeagueEntry]
+) -> LineUp | None:
     """Return what the grid is sorted by, the smallest first; None where races swap their grids.
 
     In a reverse grid the entry rated best starts last. In a qualifying format whoever has the best
@@ -342,11 +343,8 @@ def _line_up(rules: Ruleset, past: _Past, roster: _Roster) -> LineUp | None:
         elo = {one.entry: one.elo for one in roster.contenders}
         return lambda entry, track: elo[entry]
     if rules.format == "qualifying":
-        laps = standings.Runs.of(past.races, rules.tracks).best_ms
-        known = laps.shape[1]
-        return lambda entry, track: (
-            float(laps[rules.tracks.index(track), entry]) if entry < known else math.inf
-        )
+        laps = standings.Runs.of(past.races, rules.tracks, entries).best_ms
+        return lambda entry, track: float(laps[rules.tracks.index(track), entry])
     return None
 
 
