@@ -113,36 +113,33 @@ class Client:
         Raises:
             StoreError: it refuses, with its sentence, or cannot be reached.
         """
-        give_up_s, pause_s = time.monotonic() + self.patience_s, 0.5
-        while True:
-            try:
-                return self._once(path, body, kind)
-            except urllib.error.HTTPError as error:
-                refusal, wait_s = self._refusal(error), _wait_s(error)
-                if error.code not in BUSY:
-                    raise refusal from None
-            except (OSError, http.client.HTTPException) as error:
-                refusal, wait_s = self._unreachable(error), 0.0
-            pause_s = min(2 * pause_s, 30.0)
-            if time.monotonic() + max(pause_s, wait_s) > give_up_s:
-                raise refusal
-            self.sleep(max(pause_s, wait_s))
-
-    def _once(self, path: str, body: bytes | None, kind: str) -> bytes:
         headers = {"Authorization": f"Bearer {self.token}", "User-Agent": "racing-league"}
         if kind:
             headers["Content-Type"] = kind
         request = urllib.request.Request(self.url + path, body, headers)
         opener = urllib.request.build_opener(_NoRedirects)
-        with opener.open(request, timeout=TIMEOUT_S) as answer:
-            return answer.read(MOST_ANSWER)
-
-    def _unreachable(self, error: Exception) -> StoreError:
-        reason = str(getattr(error, "reason", None) or error)[:200] or type(error).__name__
-        return StoreError(
-            f"{self.url} cannot be reached ({reason}): check the address, and that `league serve` "
-            "runs there"
-        )
+        give_up_s, pause_s = time.monotonic() + self.patience_s, 0.5
+        while True:
+            wait_s = 0.0
+            try:
+                with opener.open(request, timeout=TIMEOUT_S) as answer:
+                    return answer.read(MOST_ANSWER)
+            except urllib.error.HTTPError as error:
+                refusal, asked = self._refusal(error), error.headers.get("retry-after", "")
+                if error.code not in BUSY:
+                    raise refusal from None
+                if asked.isdecimal() and len(asked) < 5:
+                    wait_s = float(asked)
+            except (OSError, http.client.HTTPException) as error:
+                reason = str(getattr(error, "reason", None) or error) or type(error).__name__
+                refusal = StoreError(
+                    f"{self.url} cannot be reached ({reason[:200]}): check the address, and that "
+                    "`league serve` runs there"
+                )
+            pause_s = min(2 * pause_s, 30.0)
+            if time.monotonic() + max(pause_s, wait_s) > give_up_s:
+                raise refusal
+            self.sleep(max(pause_s, wait_s))
 
     def _refusal(self, error: urllib.error.HTTPError) -> StoreError:
         """Return what a server said, as an error."""
@@ -157,12 +154,6 @@ class Client:
             sentence = f"{self.url} answers {error.code} {error.reason}: is a league served there?"
         printable = "".join(letter if letter.isprintable() else "?" for letter in sentence)
         return StoreError(printable[:1000])
-
-
-def _wait_s(error: urllib.error.HTTPError) -> float:
-    """Return how long a server asks to wait [s]."""
-    text = error.headers.get("retry-after", "")
-    return float(text) if text.isdecimal() and len(text) < 5 else 0.0
 
 
 def cache_folder() -> Path:

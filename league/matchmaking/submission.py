@@ -11,7 +11,6 @@ import json
 import os
 import struct
 import time
-from dataclasses import replace
 
 import numpy as np
 
@@ -63,39 +62,37 @@ def unpack(content: bytes, what: str = "the submission") -> Checkpoint:
     Raises:
         PolicyError: it is no entry, or not a sound one.
     """
-    with checkpoint.refusing(what, "submit a checkpoint with `league submit FILE.pt`"):
-        return _parsed(content)
-
-
-def _parsed(content: bytes) -> Checkpoint:
     from safetensors import SafetensorError, deserialize
 
-    if len(content) > MAX_SIZE_CAMERA:
-        raise RefusedError(f"it takes {len(content)} bytes, at most {MAX_SIZE_CAMERA} are allowed")
-    if len(content) < 10:
-        raise RefusedError("it is too short to hold a header")
-    (size,) = struct.unpack("<Q", content[:8])
-    if size > MAX_HEADER:
-        raise RefusedError(f"its header claims {size} bytes, at most {MAX_HEADER} are allowed")
-    try:
-        tensors = dict(deserialize(content))
-    except SafetensorError as error:
-        raise RefusedError(f"it is no sound safetensors file ({error})") from error
-    match json.loads(content[8 : 8 + size]).get("__metadata__"):
-        case {"card": str(text), **rest} if not rest:
-            card, canonical = checkpoint.read_card(text, len(content))
-        case _:
-            raise RefusedError("its metadata is not a card, and nothing else")
-    for name, tensor in tensors.items():
-        if tensor["dtype"] != "F32":
-            raise RefusedError(f"the weight {name!r} has dtype {tensor['dtype']}, expected F32")
-    checkpoint.check_shapes(card, {name: tuple(one["shape"]) for name, one in tensors.items()})
-    weights = {
-        name: np.frombuffer(tensor["data"], "<f4").astype(np.float32).reshape(tensor["shape"])
-        for name, tensor in tensors.items()
-    }
-    checkpoint.check_weights(card, weights)
-    return Checkpoint(card, weights, canonical)
+    with checkpoint.refusing(what, "submit a checkpoint with `league submit FILE.pt`"):
+        if len(content) > MAX_SIZE_CAMERA:
+            raise RefusedError(
+                f"it takes {len(content)} bytes, at most {MAX_SIZE_CAMERA} are allowed"
+            )
+        if len(content) < 10:
+            raise RefusedError("it is too short to hold a header")
+        (size,) = struct.unpack("<Q", content[:8])
+        if size > MAX_HEADER:
+            raise RefusedError(f"its header claims {size} bytes, at most {MAX_HEADER} are allowed")
+        try:
+            tensors = dict(deserialize(content))
+        except SafetensorError as error:
+            raise RefusedError(f"it is no sound safetensors file ({error})") from error
+        match json.loads(content[8 : 8 + size]).get("__metadata__"):
+            case {"card": str(text), **rest} if not rest:
+                card, canonical = checkpoint.read_card(text, len(content))
+            case _:
+                raise RefusedError("its metadata is not a card, and nothing else")
+        for name, tensor in tensors.items():
+            if tensor["dtype"] != "F32":
+                raise RefusedError(f"the weight {name!r} has dtype {tensor['dtype']}, expected F32")
+        checkpoint.check_shapes(card, {name: tuple(one["shape"]) for name, one in tensors.items()})
+        weights = {
+            name: np.frombuffer(tensor["data"], "<f4").astype(np.float32).reshape(tensor["shape"])
+            for name, tensor in tensors.items()
+        }
+        checkpoint.check_weights(card, weights)
+        return Checkpoint(card, weights, canonical)
 
 
 def probe(given: Checkpoint, what: str = "the submission") -> float:
@@ -161,31 +158,23 @@ def check_sensors(sensors: SensorConfig, ruleset: Ruleset) -> None:
         )
     if ruleset.sensors == "any":
         return
-    camera, lidar = sensors.camera, sensors.lidar
-    stock = CameraConfig()
-    if camera is not None:
-        chosen = {name: getattr(camera, name) for name in ("width", "height", "colour", "eyes")}
-        _check_stock("camera", camera, replace(stock, **chosen))
-        if camera.width * camera.height > MAX_PICTURE:
-            raise PolicyError(
-                f"its pictures are {camera.width}x{camera.height}, this league's cameras have at "
-                f"most {stock.width}x{stock.height} pixels: train with smaller ones"
-            )
-    if lidar is not None:
-        chosen = {name: getattr(lidar, name) for name in ("form", "sectors", "bins", "clip")}
-        _check_stock("lidar", lidar, replace(LidarConfig(), **chosen))
-
-
-def _check_stock(
-    what: str, given: CameraConfig | LidarConfig, stock: CameraConfig | LidarConfig
-) -> None:
-    for name in vars(stock):
-        if getattr(given, name) != getattr(stock, name):
-            raise PolicyError(
-                f"its {what} has {name} {brief(getattr(given, name))}, this league's cars carry "
-                f"{brief(getattr(stock, name))}: train with the stock sensors, or race where "
-                "sensors are free (`league init --sensors any`)"
-            )
+    camera, stock_camera = sensors.camera, CameraConfig()
+    for what, given, stock, free in (
+        ("camera", camera, stock_camera, ("width", "height", "colour", "eyes")),
+        ("lidar", sensors.lidar, LidarConfig(), ("form", "sectors", "bins", "clip")),
+    ):
+        for name in vars(stock) if given is not None else ():
+            if name not in free and getattr(given, name) != getattr(stock, name):
+                raise PolicyError(
+                    f"its {what} has {name} {brief(getattr(given, name))}, this league's cars "
+                    f"carry {brief(getattr(stock, name))}: train with the stock sensors, or race "
+                    "where sensors are free (`league init --sensors any`)"
+                )
+    if camera is not None and camera.width * camera.height > MAX_PICTURE:
+        raise PolicyError(
+            f"its pictures are {camera.width}x{camera.height}, this league's cameras have at "
+            f"most {stock_camera.width}x{stock_camera.height} pixels: train with smaller ones"
+        )
 
 
 def identity(policy: Checkpoint) -> str:

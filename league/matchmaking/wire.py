@@ -176,7 +176,22 @@ def lent(
     """Return lent heats as they are sent, with their rules (by hash) and entries (by id)."""
     ids = sorted({id for record in records for id in record.heat.entries})
     return Lent(
-        heats=tuple(map(_lent_heat, records)),
+        heats=tuple(
+            LentHeat(
+                key=record.heat.key,
+                number=record.number,
+                ruleset=record.heat.ruleset,
+                races=tuple(
+                    LentRace(track=half.track, grid=half.grid, seed=seed)
+                    for half, seed in zip(record.heat.halves, record.seeds or (), strict=True)
+                ),
+                draw=record.heat.draw,
+                purpose=record.heat.purpose,
+                audits=record.heat.audits,
+                attempts=record.attempts,
+            )
+            for record in records
+        ),
         rulesets={one.heat.ruleset: asdict(rules[one.heat.ruleset]) for one in records},
         entries={
             id: LentEntry(name=entries[id].name, driver=str(entries[id].card["driver"]))
@@ -184,23 +199,6 @@ def lent(
             else LentEntry(name=entries[id].name, blob=entries[id].blob)
             for id in ids
         },
-    )
-
-
-def _lent_heat(record: HeatRecord) -> LentHeat:
-    heat, seeds = record.heat, record.seeds or ()
-    return LentHeat(
-        key=heat.key,
-        number=record.number,
-        ruleset=heat.ruleset,
-        races=tuple(
-            LentRace(track=half.track, grid=half.grid, seed=seed)
-            for half, seed in zip(heat.halves, seeds, strict=True)
-        ),
-        draw=heat.draw,
-        purpose=heat.purpose,
-        audits=heat.audits,
-        attempts=record.attempts,
     )
 
 
@@ -267,18 +265,15 @@ def outcome_of(sent: SentHeat, record: HeatRecord, names: Mapping[str, str]) -> 
     for race, half, seed in zip(sent.races, halves, seeds, strict=True):
         if not len(race.places) == len(race.result["order"]) == len(half.grid):
             raise StoreError(f"a race of heat {record.number} has {len(half.grid)} cars: send all")
-        outcome = RaceOutcome(race.places, race.result, _replay(race))
+        try:
+            replay = base64.b64decode(race.replay, validate=True) or None
+        except (binascii.Error, ValueError) as error:
+            raise StoreError("a recording is no Base64: send it as the worker made it") from error
+        outcome = RaceOutcome(race.places, race.result, replay)
         if outcome.replay is not None:
             _check_recording(outcome, half, seed, [names[id] for id in half.grid], record.number)
         races.append(outcome)
     return HeatOutcome(sent.key, tuple(races), sent.machine)
-
-
-def _replay(race: SentRace) -> bytes | None:
-    try:
-        return base64.b64decode(race.replay, validate=True) or None
-    except (binascii.Error, ValueError) as error:
-        raise StoreError("a recording is no Base64: send it as the worker made it") from error
 
 
 def _check_recording(

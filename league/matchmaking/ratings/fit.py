@@ -58,7 +58,6 @@ class RatingSettings:
     """Entries up to which variances are exact; in larger fields they are estimated to about 1 %."""
 
     def __post_init__(self) -> None:
-        """Check that the spreads are possible."""
         for name in ("prior_sd", "slot_sd"):
             value = getattr(self, name)
             if value is not None and not 0 < value < np.inf:

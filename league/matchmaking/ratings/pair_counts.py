@@ -41,7 +41,6 @@ class Results:
     """Places, smaller is better, equal is a tie, int64, (races, slots)."""
 
     def __post_init__(self) -> None:
-        """Check shapes and numbers."""
         if self.entries.ndim != 2 or self.entries.shape != self.places.shape:
             raise ConfigError(
                 f"results have entries of shape {self.entries.shape} and places of shape "

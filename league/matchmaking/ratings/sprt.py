@@ -46,7 +46,6 @@ class SequentialSettings:
     """No answer before so many heats."""
 
     def __post_init__(self) -> None:
-        """Check that the two answers differ and the risks are risks."""
         if not self.elo0 < self.elo1:
             raise ConfigError(
                 f"elo0 is {self.elo0} and elo1 {self.elo1}: elo1 must be the larger one"

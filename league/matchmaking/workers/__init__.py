@@ -24,14 +24,11 @@ MOST_ACTORS = 4096
 class Slot:
     """One worker, or the one that replaces it."""
 
+    worker: str
+    """What it is, for messages."""
     job: HeatJob | None = None
     since_s: float = 0.0
     """When the job began, on time.monotonic's clock [s]."""
-
-    @property
-    def worker(self) -> str:
-        """The worker, for messages."""
-        raise NotImplementedError
 
 
 AnySlot = TypeVar("AnySlot", bound=Slot)

@@ -41,11 +41,6 @@ class _Process(Slot):
     failed_starts: int = 0
     """Consecutive processes that died before they were ready."""
 
-    @property
-    def worker(self) -> str:
-        """The worker, for messages."""
-        return f"worker process {self.process.pid}"
-
 
 class ProcessExecutor(SlotExecutor[_Process]):
     """An executor of processes."""
@@ -113,14 +108,15 @@ class ProcessExecutor(SlotExecutor[_Process]):
         slot.process.kill()
         slot.process.join(5.0)
         fresh = _started()
-        slot.process, slot.pipe, slot.ready = fresh.process, fresh.pipe, False
+        slot.worker, slot.process, slot.pipe = fresh.worker, fresh.process, fresh.pipe
+        slot.ready = False
 
 
 def _started() -> _Process:
     pipe, workers_end = subprocesses.CONTEXT.Pipe()
     process = subprocesses.start(_work, workers_end)
     workers_end.close()  # so that reading ends when the worker does
-    return _Process(process=process, pipe=pipe)
+    return _Process(f"worker process {process.pid}", process=process, pipe=pipe)
 
 
 def _work(pipe: Connection) -> None:

@@ -20,11 +20,6 @@ class _Actor(Slot):
     actor: Any
     answer: Any = None
 
-    @property
-    def worker(self) -> str:
-        """The worker, for messages."""
-        return "a Ray actor"
-
 
 class RayExecutor(SlotExecutor[_Actor]):
     """An executor of Ray actors, one CPU each; one that dies is replaced.
@@ -46,7 +41,7 @@ class RayExecutor(SlotExecutor[_Actor]):
                 **({} if address else local),
             )
         self._kind = self._ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0)(RaceWorker)
-        slots = [_Actor(actor=self._kind.remote()) for _ in range(num_workers)]
+        slots = [_Actor("a Ray actor", actor=self._kind.remote()) for _ in range(num_workers)]
         super().__init__(slots, job_limit_s)
 
     def close(self) -> None:
