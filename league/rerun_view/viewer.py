@@ -276,11 +276,7 @@ class Stream:
     """A viewer and the recording that it shows as it is written; on this machine alone."""
 
     def __init__(
-        self,
-        layout: rrb.Blueprint,
-        *,
-        window: bool | None = None,
-        memory: str | None = MEMORY,
+        self, layout: rrb.Blueprint, *, window: bool | None = None, memory: str | None = MEMORY
     ) -> None:
         """Open a viewer with this layout.
 

@@ -111,12 +111,7 @@ def _protected(one: Protected, schemas: dict[str, Any]) -> dict[str, Any]:
 
 def _parameters(page: Page | Protected) -> list[dict[str, Any]]:
     numbers = [
-        {
-            "name": name,
-            "in": "path",
-            "required": True,
-            "schema": {"type": "integer", "minimum": 0},
-        }
+        {"name": name, "in": "path", "required": True, "schema": {"type": "integer", "minimum": 0}}
         for name in PARAMETER.findall(page.path)
     ]
     texts = [
