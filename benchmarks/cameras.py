@@ -13,8 +13,8 @@ from benchmarks.report import fastest, figure, heading
 from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
 from league.sim.camera import scene
-from league.sim.camera.paint_renderer import PaintRenderer
 from league.sim.camera.raycast import RayRenderer
+from league.sim.camera.renderer import PaintRenderer
 from league.sim.config import CameraConfig, SimConfig
 from league.sim.records import OBSTACLE, World
 from league.track import files, markings

@@ -189,7 +189,7 @@ def _cameras() -> None:
     import numpy as np
 
     from league.sim import records
-    from league.sim.camera.paint_renderer import PaintRenderer
+    from league.sim.camera.renderer import PaintRenderer
     from league.sim.config import CameraConfig, SimConfig
     from league.sim.records import World
 

@@ -14,7 +14,7 @@ from league.racing import race
 from league.replay import director
 from league.replay import format as file_format
 from league.replay.format import PREFIX, decode, encode
-from league.sim.camera.paint_renderer import PaintRenderer
+from league.sim.camera.renderer import PaintRenderer
 from league.sim.config import CameraConfig
 from league.track import files
 from league.track.track import TrackSet

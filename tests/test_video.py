@@ -7,7 +7,7 @@ import torch
 
 from league import times, video
 from league.errors import ReplayError
-from league.sim.camera.paint_renderer import Painter
+from league.sim.camera.renderer import Painter
 from league.sim.camera.scene import BOX, BOX_COLOUR, CAR, CAR_COLOURS
 from league.sim.camera.scene_state import Thing
 from league.sim.camera.tables import Pose

@@ -16,7 +16,7 @@ from league.sim.records import NOBODY, World
 from league.track.track import TrackSet
 
 if TYPE_CHECKING:  # OpenCV comes late
-    from league.sim.camera.paint_renderer import Renderer
+    from league.sim.camera.renderer import Renderer
 
 Reading = Callable[[World, int, np.ndarray | None], np.ndarray]
 _COMPUTED: dict[str, tuple[Callable[..., int], int]] = {
@@ -215,7 +215,7 @@ class SensorSuite:
 
                 self._renderers[camera] = RayRenderer(*arguments, device=self._device)
             else:
-                from league.sim.camera.paint_renderer import PaintRenderer
+                from league.sim.camera.renderer import PaintRenderer
 
                 self._renderers[camera] = PaintRenderer(*arguments)
         return self._renderers[camera]

@@ -18,7 +18,7 @@ from league.replay import Replay, commentary, director
 from league.rerun_view import blueprint, paths
 from league.rerun_view.scene import EYE_CAMERA, NEUTRAL, SceneWriter, about_z, positions
 from league.sim import lidar
-from league.sim.camera.paint_renderer import PaintRenderer
+from league.sim.camera.renderer import PaintRenderer
 from league.sim.camera.scene import CAR_COLOURS
 from league.sim.config import LidarConfig
 from league.video.mp4 import Coding, Mp4, interleaved

@@ -118,7 +118,7 @@ MODULES = (
     "league.agents.roster",
     "league.racing.evaluate",
     "league.sim.physics.bullet",
-    "league.sim.camera.paint_renderer",
+    "league.sim.camera.renderer",
 )
 """Modules that an evaluating process imports."""
 

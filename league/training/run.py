@@ -36,7 +36,7 @@ from league.training.evaluator import (
 from league.training.monitor.history import TrainingCallback, TrainingHistory
 from league.training.ppo import distributed, make_env
 from league.training.ppo.learner import Update, check_device, make_learner, memory_explained
-from league.training.ppo.racer import RacingLearner, make_racing
+from league.training.ppo.self_play import RacingLearner, make_racing
 from league.training.ppo.teacher import make_taught
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from league.errors import ReplayError
 from league.replay import Replay, director
 from league.sim.camera import painting
 from league.sim.camera.ground import floor_of
-from league.sim.camera.paint_renderer import Painter
+from league.sim.camera.renderer import Painter
 from league.sim.camera.scene import CAR as CAR_MODEL
 from league.sim.camera.scene import FAR_CAR, SUN
 from league.sim.camera.scene_state import Lens, SceneState, Thing

@@ -12,11 +12,11 @@ from league import times
 from league.replay import Replay, commentary
 from league.sim.camera.scene import CAR_COLOURS
 from league.sim.camera.scene_state import SceneState
-from league.sim.camera.top_view import draw_things
 from league.sim.records import World
 from league.track.markings import Plan
 from league.track.track import Rgb
 from league.video.pixels import mix
+from league.video.top_view import draw_things
 
 WHITE: Rgb = (244, 246, 248)
 DIM: Rgb = (168, 178, 188)

@@ -7,7 +7,7 @@ import numpy as np
 
 from league.errors import ReplayError
 from league.replay import Replay
-from league.sim.camera.paint_renderer import PaintRenderer
+from league.sim.camera.renderer import PaintRenderer
 from league.sim.config import CameraConfig
 
 COLUMNS, ROWS = 4, 2

@@ -143,7 +143,7 @@ def test_state_and_truth_are_new_after_a_restart_between_two_steps(race_env):
 
 
 def test_pictures_are_painted_unless_rays_are_asked_for(race_env):
-    from league.sim.camera.paint_renderer import PaintRenderer
+    from league.sim.camera.renderer import PaintRenderer
 
     camera = CameraConfig(width=32, height=24)
     painted, cast = (

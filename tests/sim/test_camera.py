@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from league.sim.camera.paint_renderer import PaintRenderer
 from league.sim.camera.raycast import RayRenderer
+from league.sim.camera.renderer import PaintRenderer
 from league.sim.camera.scene_state import Lens
 from league.sim.config import CameraConfig, SimConfig
 from league.track.track import TrackSet

@@ -8,7 +8,7 @@ from numba import njit
 
 from league.sim.camera import floor_raster, raster
 from league.sim.camera.ground import texels
-from league.sim.camera.paint_renderer import MODELS, models
+from league.sim.camera.renderer import MODELS, models
 from league.sim.camera.scene import CAR, DECK, FAR_CAR
 from league.sim.camera.tables import THING_COLUMNS, Optics, Pose, Room, Texture
 

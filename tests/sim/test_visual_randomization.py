@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from league.errors import ConfigError
-from league.sim.camera.paint_renderer import PaintRenderer
 from league.sim.camera.raycast import RayRenderer
+from league.sim.camera.renderer import PaintRenderer
 from league.sim.config import CameraConfig, VisualRandomization
 from tests.sim.looking import random_scenes, room, settings, world
 

@@ -21,7 +21,7 @@ from league.training.evaluator import merit_of
 from league.training.monitor import history
 from league.training.monitor.history import TEACHING
 from league.training.ppo.learner import Learner
-from league.training.ppo.racer import RacingLearner
+from league.training.ppo.self_play import RacingLearner
 from league.training.run import Run
 from tests.training import small
 from tests.training.learners import CHOICES

@@ -11,7 +11,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from league.replay import format
-from league.sim.camera.paint_renderer import PaintRenderer
+from league.sim.camera.renderer import PaintRenderer
 from league.video import strip
 from league.web import downloads, reader
 from league.web.app import make_app

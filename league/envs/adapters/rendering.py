@@ -64,7 +64,7 @@ class EnvRenderer:
             )
         if self._mode == "human":
             return None  # shown already, step by step
-        from league.sim.camera import top_view
+        from league.video import top_view
 
         env, world = self._env, self._env.world
         if self._view == "top":

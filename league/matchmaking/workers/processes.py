@@ -21,7 +21,7 @@ MODULES = (
     "league.matchmaking.workers.processes",
     "league.racing.race",
     "league.sim.physics.bullet",
-    "league.sim.camera.paint_renderer",
+    "league.sim.camera.renderer",
 )
 """Modules that a worker imports."""
 STARTS = 3

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from league.sim.camera import scene, tables, visual_randomization
-from league.sim.camera.paint_renderer import Renderer
+from league.sim.camera.renderer import Renderer
 from league.sim.camera.scene_state import NEAR, SceneState, mount_of
 from league.sim.camera.tables import Floor
 from league.sim.camera.visual_randomization import Look

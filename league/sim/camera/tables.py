@@ -117,7 +117,7 @@ class Floor(NamedTuple):
 
 
 class Models(NamedTuple):
-    """The shapes of all models, one after the other; paint_renderer.py makes them."""
+    """The shapes of all models, one after the other; renderer.py makes them."""
 
     vertices: np.ndarray
     """(num_vertices, 3): in the model's frame, of steered solids from their pivot [m]."""

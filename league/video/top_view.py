@@ -9,7 +9,7 @@ import numpy as np
 
 from league.errors import ConfigError
 from league.sim.camera.ground import floor_of
-from league.sim.camera.paint_renderer import Painter
+from league.sim.camera.renderer import Painter
 from league.sim.camera.scene import BOX, CAR, GLASS, lit
 from league.sim.camera.scene_state import Lens, SceneState, Thing
 from league.sim.camera.tables import Pose

@@ -12,9 +12,9 @@ from league.envs.rewards import PRESETS
 from league.sim.config import CameraConfig, SensorConfig
 from league.track.track import TrackSet
 from league.training.config import PpoConfig, TrainConfig
-from league.training.ppo import racer
+from league.training.ppo import self_play
 from league.training.ppo.learner import Update
-from league.training.ppo.racer import Curriculum, Racer, RacingLearner, make_racing
+from league.training.ppo.self_play import Curriculum, Racer, RacingLearner, make_racing
 from tests.scenes import make_ring
 from tests.training.learners import algorithm, settings
 
@@ -61,25 +61,25 @@ def run(made: Curriculum, shares: np.ndarray, clean: float) -> dict[str, float]:
 def test_rivals_become_faster_while_attacks_succeed_and_slower_while_they_fail():
     made = Curriculum(ROWS)
     run(made, np.array([0.0, 0.02]), 0.9)
-    assert made.pace == racer.FIRST_PACE  # the cars still learn to drive
+    assert made.pace == self_play.FIRST_PACE  # the cars still learn to drive
     run(made, np.array([0.05, 0.1]), 0.9)
-    assert made.pace == pytest.approx(racer.FIRST_PACE + (0.1 - 0.02) * racer.PACE_STEP)
+    assert made.pace == pytest.approx(self_play.FIRST_PACE + (0.1 - 0.02) * self_play.PACE_STEP)
     log = run(made, np.linspace(0.1, 0.6, 40), 0.1)
-    assert made.pace == racer.LEAST_PACE == log["/race/pace"]
-    assert log["/race/clean"] < racer.ENOUGH - racer.SLACK
+    assert made.pace == self_play.LEAST_PACE == log["/race/pace"]
+    assert log["/race/clean"] < self_play.ENOUGH - self_play.SLACK
 
 
 def test_rivals_stay_as_fast_between_the_two_thresholds():
     made = Curriculum(ROWS)
-    log = run(made, np.linspace(0.05, 0.2, 20), racer.ENOUGH - 0.02)
-    assert made.pace == racer.FIRST_PACE
+    log = run(made, np.linspace(0.05, 0.2, 20), self_play.ENOUGH - 0.02)
+    assert made.pace == self_play.FIRST_PACE
     assert log["/race/passed"] == pytest.approx(0.9)
 
 
 def test_attacks_must_be_cleaner_towards_the_end_of_a_stage():
     made = Curriculum(ROWS)
     made.pace = 0.9
-    run(made, np.linspace(0.9, 1.0, 20), racer.ENOUGH + 0.05)
+    run(made, np.linspace(0.9, 1.0, 20), self_play.ENOUGH + 0.05)
     assert made.pace < 0.9
 
 
@@ -91,11 +91,11 @@ def test_the_pace_sets_the_top_speeds_of_rivals_and_the_budget_the_price_of_cont
     made.curriculum.prepare(worlds, 0.0)
     how = worlds.cfg.scenarios
     assert how is not None and how.fastest_rival == 0.9
-    assert how.slowest_rival == pytest.approx(0.9 - racer.RANGE)
+    assert how.slowest_rival == pytest.approx(0.9 - self_play.RANGE)
     assert worlds.cfg.reward == PRESETS["race"]
     made.curriculum.prepare(worlds, 0.9)
     last, first = worlds.cfg.reward, PRESETS["race"]
-    assert last.touch == racer.DEAR * first.touch
+    assert last.touch == self_play.DEAR * first.touch
     assert last.off_track == first.off_track
     # Hitting a car to pass it does not pay in the end.
     assert last.crash + last.overtake < 0.0
@@ -133,7 +133,7 @@ def test_a_camera_driver_learns_from_the_racer_and_against_it(small):
     # Its rivals follow its own success, and for it contacts are cheap at first.
     worlds = made.env.race_env
     assert worlds.cfg.scenarios is not None
-    assert worlds.cfg.scenarios.fastest_rival == racer.FIRST_PACE
+    assert worlds.cfg.scenarios.fastest_rival == self_play.FIRST_PACE
     assert worlds.cfg.reward.touch > 2.5 * PRESETS["race"].touch
 
 
@@ -141,10 +141,10 @@ def test_scripted_drivers_have_the_other_cars_of_some_worlds(small):
     made = make_racing(RING, replace(small, num_cars=3, num_worlds=8))
     worlds = made.env.race_env
     made.update(0.7)  # the stage of the policy with its own sensors
-    (slow, (name,)), (fast, names) = racer.SCRIPTED
+    (slow, (name,)), (fast, names) = self_play.SCRIPTED
     assert (8 * slow, 8 * fast, len(names)) == (2, 1, 3)
     for car in (1, 2):
-        actions = racer.Rival(made.racer, RING, car).act(worlds.observations[car])
+        actions = self_play.Rival(made.racer, RING, car).act(worlds.observations[car])
         for driver, expected in ((name, [0, 1]), (names[car - 1], [2])):
             scripted = roster.load(driver, RING, made.racer.car).act(worlds.observations[car])
             same = np.flatnonzero((actions == scripted).all(axis=1))
@@ -159,7 +159,7 @@ def test_the_racer_drives_all_other_cars_where_there_are_several_tracks(small):
 
 def test_the_racer_drives_the_other_cars(small):
     made = make_racing(RING, small)
-    rival = racer.Rival(made.racer, RING, 1)
+    rival = self_play.Rival(made.racer, RING, 1)
     actions = rival.act(made.env.race_env.observations[1])
     assert actions.shape == (4, 2) and np.abs(actions).max() <= 1.0
     last = algorithm(made.racer).get_policy().mlp[-1]
