@@ -27,14 +27,19 @@ class _Train:
 
 GROUPS: dict[str, dict[str, type]] = {
     "Drive": {
-        **race.COMMANDS,
+        "race": race.Race,
         "train": _Train,  # its settings take a while to import: see `_parsed`
-        **evaluate.COMMANDS,
-        **rewards.COMMANDS,
-        "drivers": drivers.COMMANDS["drivers"],
+        "evaluate": evaluate.Evaluate,
+        "reward": rewards.Rewards,
+        "drivers": drivers.Drivers,
     },
-    "Watch": replays.COMMANDS,
-    "Tracks": tracks.COMMANDS,
+    "Watch": {
+        "replays": replays.ListReplays,
+        "view": replays.View,
+        "video": replays.Video,
+        "verify": replays.Verify,
+    },
+    "Tracks": {"tracks": tracks.Tracks},
     "League": {
         **entries.COMMANDS,
         **run.COMMANDS,
@@ -45,7 +50,7 @@ GROUPS: dict[str, dict[str, type]] = {
         **run.SERVE,
         **tokens.COMMANDS,
     },
-    "Tools": {name: drivers.COMMANDS[name] for name in ("card", "export")},
+    "Tools": {"card": drivers.ShowCard, "export": drivers.Export},
 }
 """All commands, in groups and in the order of the help."""
 COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}

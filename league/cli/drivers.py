@@ -157,6 +157,3 @@ def _brief(value: object) -> str:
     if isinstance(value, list):
         return f"({' '.join(_brief(part) for part in value)})"
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-COMMANDS = {"card": ShowCard, "export": Export, "drivers": Drivers}

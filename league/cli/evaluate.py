@@ -12,7 +12,9 @@ import tyro
 
 from league import times
 from league.cli import tables
+from league.cli.race import labels, num_obstacles, race_spec, replay_line, replay_path
 from league.errors import ConfigError
+from league.sim.config import CarConfig, ObstacleConfig, RaceKind, SimConfig
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,7 +23,6 @@ if TYPE_CHECKING:
     from league.envs.rewards import Reward
     from league.racing.table import Evaluation
     from league.racing.trace import Trace
-    from league.sim.config import CarConfig, ObstacleConfig, RaceKind
     from league.track.track import TrackSet
 
 
@@ -70,32 +71,28 @@ class Evaluate:
 
     def run(self) -> int:
         """Run the command."""
-        return _evaluate(self)
+        from league.racing.trace import write_evaluation
 
-
-def _evaluate(command: Evaluate) -> int:
-    from league.racing.trace import write_evaluation
-
-    _check(command)
-    evaluations = []
-    for track in command.track:
-        evaluation, trace = _one(command, track)
-        evaluations.append(evaluation)
-        if not command.json:
-            print_table(evaluation)
-        if trace is not None and command.trace is not None:
-            if _is_folder(command.trace):
-                path = write_evaluation(trace, command.trace)
-            else:
-                path = trace.write(command.trace)
-            if not command.json:
-                print(f"Trace: {path}")
-        if command.replay != "none":
-            _keep_replay(command, track)
-    if command.json:
-        data = [{**one.model_dump(mode="json"), "summary": one.summary} for one in evaluations]
-        print(json.dumps(data if len(data) > 1 else data[0], indent=2))
-    return 0
+        _check(self)
+        evaluations = []
+        for track in self.track:
+            evaluation, trace = _one(self, track)
+            evaluations.append(evaluation)
+            if not self.json:
+                print_table(evaluation)
+            if trace is not None and self.trace is not None:
+                if _is_folder(self.trace):
+                    path = write_evaluation(trace, self.trace)
+                else:
+                    path = trace.write(self.trace)
+                if not self.json:
+                    print(f"Trace: {path}")
+            if self.replay != "none":
+                _keep_replay(self, track)
+        if self.json:
+            data = [{**one.model_dump(mode="json"), "summary": one.summary} for one in evaluations]
+            print(json.dumps(data if len(data) > 1 else data[0], indent=2))
+        return 0
 
 
 def _check(command: Evaluate) -> None:
@@ -135,10 +132,8 @@ def _check(command: Evaluate) -> None:
 
 def _one(command: Evaluate, track: str) -> tuple[Evaluation, Trace | None]:
     from league.agents import roster
-    from league.cli.race import labels
     from league.racing.evaluate import evaluate
     from league.racing.trace import Trace
-    from league.sim.config import SimConfig
     from league.track import files
     from league.track.track import TrackSet
 
@@ -160,7 +155,11 @@ def _one(command: Evaluate, track: str) -> tuple[Evaluation, Trace | None]:
         seed=command.seed,
         solver=command.solver,
         variation=command.variation,
-        obstacles=_obstacles(command),
+        obstacles=ObstacleConfig(
+            count=_num_obstacles(command),
+            kind="bot" if command.bots else "box",
+            random_places=not command.fixed_obstacles,
+        ),
         opponents=opponents,
         reward=None if trace is None else _reward(command.reward, tracks, car),
         watch=None if trace is None else trace.add,
@@ -169,8 +168,6 @@ def _one(command: Evaluate, track: str) -> tuple[Evaluation, Trace | None]:
 
 
 def _num_obstacles(command: Evaluate) -> int:
-    from league.cli.race import num_obstacles
-
     return num_obstacles(command, avoiding=command.kind == "obstacle_avoidance")
 
 
@@ -184,16 +181,6 @@ def _kind(command: Evaluate) -> RaceKind:
 
 def _is_folder(path: Path) -> bool:
     return path.is_dir() or not path.suffix
-
-
-def _obstacles(command: Evaluate) -> ObstacleConfig:
-    from league.sim.config import ObstacleConfig
-
-    return ObstacleConfig(
-        count=_num_obstacles(command),
-        kind="bot" if command.bots else "box",
-        random_places=not command.fixed_obstacles,
-    )
 
 
 def _reward(name: str, tracks: TrackSet, car: CarConfig) -> Callable[[int], Reward]:
@@ -211,7 +198,6 @@ def _reward(name: str, tracks: TrackSet, car: CarConfig) -> Callable[[int], Rewa
 def _keep_replay(command: Evaluate, track: str) -> None:
     """Drive the first run once more, as a race that is recorded: the same race to the bit."""
     from league import replay as replays
-    from league.cli.race import race_spec, replay_line, replay_path
     from league.racing import race
     from league.racing.evaluate import start_speed
     from league.track import files
@@ -269,6 +255,3 @@ def summary(done: Evaluation) -> str:
         won = sum(place == 1 for place in done.places)
         parts.append(f"{won} of {len(done.places)} races won")
     return " · ".join(parts)
-
-
-COMMANDS = {"evaluate": Evaluate}

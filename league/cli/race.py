@@ -10,7 +10,7 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from league.cli.evaluate import Evaluate
     from league.race_spec import RaceResult, RaceSpec
     from league.replay.commentary import Remark
-    from league.rerun_view import Live
     from league.sim.records import World
     from league.track.track import Track
 
@@ -76,70 +75,72 @@ class Race:
 
     def run(self) -> int:
         """Run the command."""
-        return _race(self)
+        from league.racing import race
+        from league.track import files
 
+        if not self.drivers:
+            raise ConfigError(
+                "no drivers were named: try `league race racing_line centerline`; "
+                "`league drivers` lists them all"
+            )
+        track = files.load(self.track)
+        kind = self.kind
+        if kind == "auto" and len(self.drivers) > 1:
+            kind = "head_to_head"
+        elif kind == "auto":
+            kind = "obstacle_avoidance" if num_obstacles(self, avoiding=False) else "time_trial"
+        if self.format != "standing" and len(self.drivers) < 2:
+            raise ConfigError(
+                f"--format {self.format} means nothing for a driver alone: name two to eight"
+            )
+        spec = race_spec(self, track.name, kind, self.drivers)
+        if spec.format in ("reverse", "qualifying"):
+            spec = _after_qualifying(spec, track, quiet=self.json)
+        keep = self.replay != "none"
+        path = replay_path(self.replay, spec, track) if keep else None
+        if path is not None:
+            check_writable(path, "the replay", ReplayError)
+        live = None
+        if self.watch:
+            from league.rerun_view import Live
 
-def _race(command: Race) -> int:
-    from league.racing import race
-    from league.track import files
+            live = Live.start(spec, track)
+            print(f"Watching live: {live.address}   (Ctrl-C stops the race)", file=sys.stderr)
+            sys.stderr.flush()
+        quiet = self.json or not sys.stderr.isatty()
+        with tables.progress(disable=quiet) as progress:
+            bar = progress.add_task("Racing", total=spec.laps * track.length)
 
-    if not command.drivers:
-        raise ConfigError(
-            "no drivers were named: try `league race racing_line centerline`; "
-            "`league drivers` lists them all"
-        )
-    track = files.load(command.track)
-    kind = command.kind
-    if kind == "auto" and len(command.drivers) > 1:
-        kind = "head_to_head"
-    elif kind == "auto":
-        kind = "obstacle_avoidance" if num_obstacles(command, avoiding=False) else "time_trial"
-    if command.format != "standing" and len(command.drivers) < 2:
-        raise ConfigError(
-            f"--format {command.format} means nothing for a driver alone: name two to eight"
-        )
-    spec = race_spec(command, track.name, kind, command.drivers)
-    if spec.format in ("reverse", "qualifying"):
-        spec = _after_qualifying(spec, track, quiet=command.json)
-    keep = command.replay != "none"
-    path = replay_path(command.replay, spec, track) if keep else None
-    if path is not None:
-        check_writable(path, "the replay", ReplayError)
-    live = _live(spec, track) if command.watch else None
-    quiet = command.json or not sys.stderr.isatty()
-    with tables.progress(disable=quiet) as progress:
-        bar = progress.add_task("Racing", total=spec.laps * track.length)
+            def watch(world: World) -> None:
+                progress.update(bar, completed=max(float(world.cars["best_distance"].max()), 0.0))
+                if live is not None:
+                    live.add(world)
 
-        def watch(world: World) -> None:
-            progress.update(bar, completed=max(float(world.cars["best_distance"].max()), 0.0))
-            if live is not None:
-                live.add(world)
+            listen = None if live is None else live.note
+            # Without a file, too, the story is of the recording.
+            record = keep or not self.json
+            finished = race.run(spec, track=track, record=record, watch=watch, listen=listen)
+        lines = []
+        if finished.replay is not None and not self.json and len(spec.entries) > 1:
+            from league.replay import commentary
 
-        listen = None if live is None else live.note
-        # Without a file, too, the story is of the recording.
-        record = keep or not command.json
-        finished = race.run(spec, track=track, record=record, watch=watch, listen=listen)
-    lines = []
-    if finished.replay is not None and not command.json and len(spec.entries) > 1:
-        from league.replay import commentary
+            lines = commentary.of_replay(finished.replay)
+        try:
+            if finished.replay is not None and path is not None:
+                from league import replay as replays
 
-        lines = commentary.of_replay(finished.replay)
-    try:
-        if finished.replay is not None and path is not None:
-            from league import replay as replays
-
-            replays.write(finished.replay, path)
-    except ReplayError:
-        _print_result(command, finished.result, lines, None)  # a full disk undoes no race
-        raise
-    _print_result(command, finished.result, lines, path)
-    if live is not None:
-        live.end(finished.result)
-        sys.stdout.flush()
-        print(f"The race is over. {live.how_to_end}", file=sys.stderr, flush=True)
-        live.wait()
-        live.close()
-    return 0
+                replays.write(finished.replay, path)
+        except ReplayError:
+            _print_result(self, finished.result, lines, None)  # a full disk undoes no race
+            raise
+        _print_result(self, finished.result, lines, path)
+        if live is not None:
+            live.end(finished.result)
+            sys.stdout.flush()
+            print(f"The race is over. {live.how_to_end}", file=sys.stderr, flush=True)
+            live.wait()
+            live.close()
+        return 0
 
 
 def _after_qualifying(spec: RaceSpec, track: Track, *, quiet: bool) -> RaceSpec:
@@ -162,7 +163,10 @@ def _print_result(
         print(json.dumps(document, indent=2))
         return
     _print_classification(result)
-    _print_story(lines)
+    from league.replay import commentary
+
+    for line in commentary.shortened(lines, STORY_LINES):
+        print(textwrap.fill(line.stamped, tables.console().width, subsequent_indent="    "))
     if replay is not None:
         print(replay_line(replay))
 
@@ -195,13 +199,7 @@ def race_spec(command: Race | Evaluate, track: str, kind: str, drivers: Sequence
     )
 
 
-class _Obstacles(Protocol):
-    obstacles: int | None
-    bots: bool
-    fixed_obstacles: bool
-
-
-def num_obstacles(command: _Obstacles, *, avoiding: bool) -> int:
+def num_obstacles(command: Race | Evaluate, *, avoiding: bool) -> int:
     """Return how many obstacles a command line asks for.
 
     Raises:
@@ -273,20 +271,11 @@ def replay_line(replay: Path) -> str:
     return f"Replay: {replay}   (watch it: league view{name})"
 
 
-def _live(spec: RaceSpec, track: Track) -> Live:
-    from league.rerun_view import Live
-
-    live = Live.start(spec, track)
-    print(f"Watching live: {live.address}   (Ctrl-C stops the race)", file=sys.stderr, flush=True)
-    return live
-
-
 def _print_classification(result: RaceResult) -> None:
     heads = ("", "driver", "laps", "total", "gap", "best lap", "off", "crash", "penalty")
-    spec = result.spec
+    spec, winner = result.spec, result.order[0]
     title = spec.title if spec.format == "standing" else f"{spec.title}, {spec.format}"
     table = tables.table(title, *heads)
-    winner = result.order[0]
     for car in result.order:
         gap = car.total_s - winner.total_s
         table.add_row(
@@ -303,15 +292,3 @@ def _print_classification(result: RaceResult) -> None:
     tables.console().print(table)
     if len(result.order) > 1:
         print(f"Lead changes: {result.lead_changes}")
-
-
-def _print_story(lines: Sequence[Remark]) -> None:
-    """Print what mattered, a line each, and how much more there is to see."""
-    from league.replay import commentary
-
-    kept = commentary.shortened(lines, STORY_LINES)
-    for line in kept:
-        print(textwrap.fill(line.stamped, tables.console().width, subsequent_indent="    "))
-
-
-COMMANDS = {"race": Race}

@@ -43,7 +43,29 @@ class View(OnLeague):
 
     def run(self) -> int:
         """Run the command."""
-        return _view(self)
+        import tempfile
+
+        from league import replay as replays
+        from league import rerun_view
+
+        replay = self.replay or _recordings(FOLDER)[-1]
+        recorded = _recorded(self, replay)
+        if self.save is not None:
+            print(f"Replay: {replays.write(recorded, self.save)}")
+            return 0
+        if self.rrd is not None:
+            rerun_view.save(recorded, self.rrd, cameras=self.cameras)
+            print(f"Recording: {self.rrd}")
+            return 0
+        with tempfile.TemporaryDirectory(prefix="league-") as folder:
+            path = Path(folder) / f"{replay.stem}.rrd"
+            rerun_view.save(recorded, path, cameras=self.cameras)
+            if not self.web:
+                return rerun_view.open_viewer(path)
+            with rerun_view.serve(path) as server:
+                print(f"Open {server.url}   (Ctrl-C stops)", flush=True)
+                server.wait()
+        return 0
 
 
 @dataclass
@@ -179,32 +201,3 @@ def _recorded(command: View, path: Path) -> Replay:
                 f"({record.state}): replays are kept of race {there or 'none'}"
             )
         return replay_format.decode(store.blobs.get(kept[command.race] or ""))
-
-
-def _view(command: View) -> int:
-    import tempfile
-
-    from league import replay as replays
-    from league import rerun_view
-
-    replay = command.replay or _recordings(FOLDER)[-1]
-    recorded = _recorded(command, replay)
-    if command.save is not None:
-        print(f"Replay: {replays.write(recorded, command.save)}")
-        return 0
-    if command.rrd is not None:
-        rerun_view.save(recorded, command.rrd, cameras=command.cameras)
-        print(f"Recording: {command.rrd}")
-        return 0
-    with tempfile.TemporaryDirectory(prefix="league-") as folder:
-        path = Path(folder) / f"{replay.stem}.rrd"
-        rerun_view.save(recorded, path, cameras=command.cameras)
-        if not command.web:
-            return rerun_view.open_viewer(path)
-        with rerun_view.serve(path) as server:
-            print(f"Open {server.url}   (Ctrl-C stops)", flush=True)
-            server.wait()
-    return 0
-
-
-COMMANDS = {"replays": ListReplays, "view": View, "video": Video, "verify": Verify}

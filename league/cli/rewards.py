@@ -192,6 +192,3 @@ def _as_json(report: Report) -> dict[str, object]:
             for one in report.drives
         ],
     }
-
-
-COMMANDS = {"reward": Rewards}

@@ -184,6 +184,3 @@ class Tracks:
     def run(self) -> int:
         """Run the command."""
         return self.command.run()
-
-
-COMMANDS = {"tracks": Tracks}

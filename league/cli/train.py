@@ -260,11 +260,7 @@ def _callbacks(command: Train, run: Run) -> list[TrainingCallback]:
         print(f"Watching live: {watching.address}", file=sys.stderr, flush=True)
         callbacks.append(watching)
     page = Dashboard(
-        run.train,
-        60.0 * cfg.minutes or None,
-        cfg.steps or None,
-        cfg.name,
-        plain=command.plain,
+        run.train, 60.0 * cfg.minutes or None, cfg.steps or None, cfg.name, plain=command.plain
     )
     callbacks += [page, TrainingPlot(run.folder / "training.png")]
     if command.tensorboard:

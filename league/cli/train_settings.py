@@ -72,9 +72,7 @@ def _new(command: Train) -> RunConfig:
             cfg = replace(cfg, reward="race")
             train = replace(train, teacher=0.0 if cfg.init_from or train.sensors.truth else 0.5)
     return replace(
-        cfg,
-        minutes=0.0 if cfg.steps else cfg.minutes,
-        train=replace(train, num_cars=cars, ppo=ppo),
+        cfg, minutes=0.0 if cfg.steps else cfg.minutes, train=replace(train, num_cars=cars, ppo=ppo)
     )
 
 
@@ -126,11 +124,7 @@ def _check(cfg: RunConfig) -> None:
                 "--rules": train.rules != plain.train.rules,
             },
         ),
-        (
-            "--self-play",
-            cfg.self_play,
-            {"--cars": cars},
-        ),
+        ("--self-play", cfg.self_play, {"--cars": cars}),
     ):
         for flag, is_given in flags.items():
             if is_given and not is_there:
@@ -191,9 +185,7 @@ def _with_body(command: Train, train: TrainConfig) -> TrainConfig:
     if not name:
         space = parse_actions(actions or "0.5-4")
         return replace(
-            train,
-            action_space=space,
-            sensors=parse_sensors(sensor_names or ("stereo64x48",)),
+            train, action_space=space, sensors=parse_sensors(sensor_names or ("stereo64x48",))
         )
     parent = checkpoint.load(parent_path(name)).card
     space = parse_actions(actions) if actions else parent.action_space

@@ -118,7 +118,7 @@ class Commentator:
             np.stack([cars["x"], cars["y"]], axis=1).astype(np.float64),
             np.stack([cars["velocity_x"], cars["velocity_y"]], axis=1).astype(np.float64),
         )
-        return [_on_lap(line, self._laps) for line in lines]
+        return self._on_laps(lines)
 
     def end(self, result: RaceResult) -> list[Remark]:
         """Return what is said when the race is over."""
@@ -134,7 +134,11 @@ class Commentator:
                 f"for {near_s:.1f} s"
             )
             lines.append(Remark(result.race_s, "closest_fight", one, first.laps, text))
-        return [_on_lap(line, self._laps) for line in lines]
+        return self._on_laps(lines)
+
+    def _on_laps(self, lines: list[Remark]) -> list[Remark]:
+        """Return lines of the cooling lap, or of before the start, with a lap of the race."""
+        return [replace(line, lap=min(max(line.lap, 1), self._laps)) for line in lines]
 
     def _about_fights(self, time_s: float, cars: Cars) -> Iterable[tuple[str, int, str]]:
         """Yield kind, car and text of what happens between neighbours in the running order."""
@@ -149,35 +153,24 @@ class Commentator:
         for (front, rear), gap in gaps.items():
             before = float(self._before[1][front] - self._before[1][rear])
             fight = self._fights.setdefault(frozenset((front, rear)), _Fight())
-            behind_s = gap_s(cars, front, rear)
             if gap > APART:
                 if fight.attacker == rear:
                     yield "defended", front, f"{self._of(front)} defends against {self._of(rear)}"
                 fight.attacker = None
-            elif gap < ATTACK:
-                fight.near_s += step_s
-                closing = (before - gap) / step_s
-                yield from self._close(fight, time_s, front, rear, gap, behind_s, closing)
-
-    def _close(
-        self,
-        fight: _Fight,
-        time_s: float,
-        front: int,
-        rear: int,
-        gap: float,
-        behind_s: float,
-        closing: float,
-    ) -> Iterable[tuple[str, int, str]]:
-        """Yield what is said of two cars that are close: an attack, or that they are level."""
-        if gap >= LEVEL and closing > CLOSING and fight.attacker is None:
-            fight.attacker = rear
-            if _is_news(fight, "attack", time_s):
-                text = f"{self._of(rear)} attacks {self._of(front)}, {behind_s:.2f} s behind"
-                yield "attack", rear, text
-        if gap < LEVEL and _is_news(fight, "side_by_side", time_s):
-            first, second = sorted((front, rear))
-            yield "side_by_side", rear, f"{self._of(first)} and {self._of(second)} side by side"
+            if gap >= ATTACK:
+                continue
+            fight.near_s += step_s
+            closing = (before - gap) / step_s
+            if gap >= LEVEL and closing > CLOSING and fight.attacker is None:
+                fight.attacker = rear
+                if _is_news(fight, "attack", time_s):
+                    behind_s = gap_s(cars, front, rear)
+                    text = f"{self._of(rear)} attacks {self._of(front)}, {behind_s:.2f} s behind"
+                    yield "attack", rear, text
+            if gap < LEVEL and _is_news(fight, "side_by_side", time_s):
+                first, second = sorted((front, rear))
+                text = f"{self._of(first)} and {self._of(second)} side by side"
+                yield "side_by_side", rear, text
 
     def _about(
         self, event: Event, events: Sequence[Event], cars: Cars
@@ -289,12 +282,6 @@ def _is_said(event: Event, events: Sequence[Event]) -> bool:
     if event.kind == "contact":
         return any(one.kind in ("crash", "touch") and one.other == event.car for one in events)
     return any(one.kind == "overtake" and one.car == event.car for one in events)
-
-
-def _on_lap(line: Remark, laps: int) -> Remark:
-    """Return a line of the cooling lap, or of before the start, with a lap of the race."""
-    lap = min(max(line.lap, 1), laps)
-    return replace(line, lap=lap)
 
 
 def _won(result: RaceResult) -> str:

@@ -26,7 +26,6 @@ from league.replay.replay import (
 )
 from league.sim.config import MAX_CARS
 from league.track import files
-from league.track.track import Track
 
 MAGIC = b"\x89RACE\r\n\x1a"
 """Like PNG's: a text transfer breaks the line end, `type` stops at the last byte."""
@@ -102,8 +101,9 @@ def encode(replay: Replay) -> bytes:
     )
     packed_header = zlib.compress(header.model_dump_json().encode(), 9)
     parts = [_pack(grain, getattr(columns, grain.name)) for grain in GRAINS]
-    parts.append(replay.parameters.astype("<f4").tobytes())
-    parts.append(replay.obstacle_sizes.astype("<f4").tobytes())
+    parts += [
+        numbers.astype("<f4").tobytes() for numbers in (replay.parameters, replay.obstacle_sizes)
+    ]
     parts.append(columns.checksum.astype("<u4").tobytes())
     packed_body = zlib.compress(b"".join(parts), 9)
     crc = zlib.crc32(packed_body, zlib.crc32(packed_header))
@@ -154,7 +154,8 @@ def decode(content: bytes) -> Replay:
         raise ReplayError(
             f"contradicts itself ({problem}): get the file again from where the race was run"
         )
-    size = _body_size(header, version)
+    columns = sum(_size(grain, header) for grain in GRAINS if grain.since <= version)
+    size = columns + 4 * (header.cars * len(PARAMETERS) + 2 * header.obstacles + header.frames)
     if size > MAX_BODY or len(packed_body) < MIN_BYTES_PER_FRAME * header.frames:
         raise ReplayError(
             f"declares {header.frames} frames of {header.cars} cars in {len(packed_body)} bytes, "
@@ -231,11 +232,6 @@ def _size(grain: Grain, header: _Header) -> int:
     return math.prod(_rows(grain, header)) * (2 if grain.wraps else 4)
 
 
-def _body_size(header: _Header, version: int) -> int:
-    columns = sum(_size(grain, header) for grain in GRAINS if grain.since <= version)
-    return columns + 4 * (header.cars * len(PARAMETERS) + 2 * header.obstacles + header.frames)
-
-
 def _pack(grain: Grain, column: np.ndarray) -> bytes:
     """Return whole numbers' differences, cars first, the low bytes of all before the high bytes."""
     whole = to_whole(grain, column)
@@ -276,9 +272,13 @@ def _assemble(header: _Header, version: int, body: bytes) -> Replay:
     if not np.isfinite(floats).all():
         raise ReplayError("holds parameters that are not numbers: get the file again")
     split = header.cars * len(PARAMETERS)
+    try:
+        track = files.parse(header.track)
+    except TrackError as error:
+        raise ReplayError(f"carries a broken track ({error}): get the file again") from error
     return Replay(
         result=header.result,
-        track=_track(header.track),
+        track=track,
         names=header.names,
         step_hz=header.step_hz,
         parameters=floats[:split].reshape(header.cars, len(PARAMETERS)).astype(np.float32),
@@ -287,10 +287,3 @@ def _assemble(header: _Header, version: int, body: bytes) -> Replay:
         league_version=header.league,
         physics=header.physics,
     )
-
-
-def _track(text: str) -> Track:
-    try:
-        return files.parse(text)
-    except TrackError as error:
-        raise ReplayError(f"carries a broken track ({error}): get the file again") from error

@@ -65,21 +65,17 @@ class Recorder:
         """
         if self._first is None:
             raise ValueError("nothing was recorded: call start(world) before the first step")
-        world = self._first
-        track = self._tracks.tracks[int(world.track[0])]
-        columns = self._columns()
+        world, columns = self._first, self._columns()
         if not columns.all_finite():
             raise ReplayError("the race left the numbers (NaN or infinity), so it cannot be kept")
-        obstacles = world.obstacles
+        sizes = [world.obstacles[name][0] for name in ("half_length", "half_width")]
         return Replay(
             result=result,
-            track=track,
+            track=self._tracks.tracks[int(world.track[0])],
             names=self._names,
             step_hz=SimConfig().step_hz,
             parameters=np.stack([world.cars[name][0] for name in PARAMETERS], axis=1),
-            obstacle_sizes=np.stack(
-                [obstacles["half_length"][0], obstacles["half_width"][0]], axis=1
-            ),
+            obstacle_sizes=np.stack(sizes, axis=1),
             columns=columns.rounded(),
             league_version=__version__,
             physics=PHYSICS,
@@ -95,16 +91,10 @@ class Recorder:
         kept = {name: cars[name].astype(np.float64) for name in _KEPT}
         # NaN stays NaN.
         penalty_s = np.where(cars["retired"], _FOR_GOOD_S, kept.pop("penalty_s"))
-        obstacle_x, obstacle_y, obstacle_yaw = (place.astype(np.float64) for place in places)
-        return Columns(
-            **kept,
-            actions=actions.astype(np.float64),
-            penalty_s=penalty_s,
-            obstacle_x=obstacle_x,
-            obstacle_y=obstacle_y,
-            obstacle_yaw=obstacle_yaw,
-            checksum=checksum,
-        )
+        names = ("obstacle_x", "obstacle_y", "obstacle_yaw")
+        kept |= {name: place.astype(np.float64) for name, place in zip(names, places, strict=True)}
+        kept |= {"actions": actions.astype(np.float64), "penalty_s": penalty_s}
+        return Columns(**kept, checksum=checksum)
 
 
 def _stacked(frames: list[np.ndarray]) -> np.ndarray:

@@ -252,13 +252,10 @@ class Replay:
         return self.at(self.times_s)
 
     def at(self, times_s: np.ndarray) -> World:
-        """Return the race at any moments, as one batch of worlds.
+        """Return the race at times [s], (num_worlds,) and held within it, as a batch of worlds.
 
         Between two frames, poses are interpolated; counts come from the earlier frame. Fields that
         a replay does not keep are zero.
-
-        Args:
-            times_s: race times [s], held within the race; shape (num_worlds,).
         """
         place = np.clip(np.asarray(times_s) * self.step_hz, 0, self.num_frames - 1)
         # A time that is a frame up to rounding is that frame.
@@ -358,9 +355,7 @@ def compare(replay: Replay, other: Replay) -> Agreement:
 def seconds_behind(distance: np.ndarray, times_s: np.ndarray) -> np.ndarray:
     """Return the time since the one in front was where each car is now [s].
 
-    Args:
-        distance: driven along the track [m], (num_frames, num_cars).
-        times_s: of the frames [s], (num_frames,).
+    Distances along the track [m] are (num_frames, num_cars), times [s] (num_frames,).
     """
     lead = distance.max(axis=1)
     front = np.maximum.accumulate(lead)

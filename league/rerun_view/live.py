@@ -39,12 +39,7 @@ class Live:
     """Streams one race; `add` is called with the world after each step and never changes it."""
 
     def __init__(
-        self,
-        spec: RaceSpec,
-        track: Track,
-        recording: rr.RecordingStream,
-        *,
-        speed: float = 0.0,
+        self, spec: RaceSpec, track: Track, recording: rr.RecordingStream, *, speed: float = 0.0
     ) -> None:
         """Send what never changes; `start` also opens a viewer.
 
@@ -67,12 +62,7 @@ class Live:
 
     @classmethod
     def start(
-        cls,
-        spec: RaceSpec,
-        track: Track,
-        *,
-        speed: float = 1.0,
-        window: bool | None = None,
+        cls, spec: RaceSpec, track: Track, *, speed: float = 1.0, window: bool | None = None
     ) -> Live:
         """Open a viewer, in a window or else on a local web page, and stream to it.
 

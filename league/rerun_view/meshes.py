@@ -47,7 +47,7 @@ def floor(track: Track) -> Mesh:
     colours = track.colours
     inner, outer = (-track.line_width, 0.0) if track.line_inside else (0.0, track.line_width)
     layers = [
-        _field(track),
+        _flat(_room(track)[None], 0.0, colours.field),
         _flat(markings.strip(track, outer), LIFT, colours.line),
         _flat(markings.strip(track, inner), 2 * LIFT, colours.road),
         _flat(markings.dashes(track), 3 * LIFT, colours.dash),
@@ -60,13 +60,12 @@ def floor(track: Track) -> Mesh:
 
 def walls(track: Track) -> Mesh:
     """Return the walls round the room."""
-    x_min, y_min, x_max, y_max = track.room
-    corners = np.array([[x_min, y_min], [x_max, y_min], [x_max, y_max], [x_min, y_max]])
+    corners = _room(track)
     quads = [
         np.array([[*a, 0.0], [*b, 0.0], [*b, WALL_HEIGHT], [*a, WALL_HEIGHT]])
         for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)
     ]
-    middle = np.array([(x_min + x_max) / 2, (y_min + y_max) / 2, WALL_HEIGHT / 2])
+    middle = np.array([*corners.mean(axis=0), WALL_HEIGHT / 2])
     return joined(*(_polygon(quad, track.colours.wall, inside=middle) for quad in quads))
 
 
@@ -99,12 +98,15 @@ def wheel() -> Mesh:
         _polygon(np.array([a + side, b + side, b - side, a - side]), rubber, inside=centre)
         for a, b in zip(ring, np.roll(ring, -1, axis=0), strict=True)
     ]
+    reach, half = 0.72 * WHEEL_RADIUS, 0.005  # of the spoke that lies along x
+    x, z = np.array([0.004, reach, reach, 0.004]), np.array([-half, -half, half, half])
     faces = []
     for sign in (1.0, -1.0):
         faces.append(_polygon(ring + sign * side, rubber, inside=centre))
-        for turn in range(5):
-            spoke = _spoke(turn * 2 * np.pi / 5) + sign * side * 1.05
-            faces.append(_polygon(spoke, rim, inside=centre))
+        for angle in np.arange(5) * 2 * np.pi / 5:
+            cos, sin = np.cos(angle), np.sin(angle)
+            spoke = np.stack([cos * x - sin * z, 0 * x, sin * x + cos * z], axis=1)
+            faces.append(_polygon(spoke + sign * side * 1.05, rim, inside=centre))
     return joined(*tread, *faces)
 
 
@@ -125,14 +127,6 @@ def solid_mesh(solid: Solid, colour: Rgb, scale: tuple[float, float, float] = (1
             for face, paint in zip(solid.faces, solid.paints, strict=True)
         )
     )
-
-
-def _spoke(angle: float) -> np.ndarray:
-    cos, sin = np.cos(angle), np.sin(angle)
-    reach, half = 0.72 * WHEEL_RADIUS, 0.005
-    flat = np.array([[0.004, -half], [reach, -half], [reach, half], [0.004, half]])
-    x, z = flat.T
-    return np.stack([cos * x - sin * z, 0 * x, sin * x + cos * z], axis=1)
 
 
 def _polygon(corners: np.ndarray, colour: Rgb, *, inside: np.ndarray) -> Mesh:
@@ -163,7 +157,7 @@ def _flat(quads: np.ndarray, height: float, colour: Rgb) -> Mesh:
     return _mesh(vertices, triangles, np.broadcast_to(UP, vertices.shape), colour)
 
 
-def _field(track: Track) -> Mesh:
+def _room(track: Track) -> np.ndarray:
+    """Return the corners of the floor [m], (4, 2)."""
     x_min, y_min, x_max, y_max = track.room
-    corners = np.array([[[x_min, y_min], [x_max, y_min], [x_max, y_max], [x_min, y_max]]])
-    return _flat(corners, 0.0, track.colours.field)
+    return np.array([[x_min, y_min], [x_max, y_min], [x_max, y_max], [x_min, y_max]])

@@ -21,7 +21,6 @@ from league.sim import lidar
 from league.sim.camera.renderer import PaintRenderer
 from league.sim.camera.scene import CAR_COLOURS
 from league.sim.config import LidarConfig
-from league.sim.records import OBSTACLE
 from league.video.mp4 import Coding, Mp4, interleaved
 
 FROZEN_OPACITY = 0.35
@@ -58,9 +57,12 @@ def save(replay: Replay, path: str | os.PathLike[str], *, cameras: bool = True) 
 
 
 def _send_race(writer: SceneWriter, replay: Replay) -> None:
-    times, columns = replay.times_s, replay.columns
-    writer.send_cars(times, replay.worlds().cars)
-    _send_obstacles(writer, replay)
+    times, columns, world = replay.times_s, replay.columns, replay.worlds()
+    writer.send_cars(times, world.cars)
+    if columns.num_obstacles:
+        bots, still = replay.spec.obstacle_kind == "bot", len(columns.obstacle_x) == 1
+        things = world.obstacles[:1] if still else world.obstacles
+        writer.send_obstacles(None if still else times, things, bots=bots)
     charts = {
         paths.PLOT_SPEED: replay.speeds,
         paths.PLOT_GAP: replay.gaps_m,
@@ -90,18 +92,6 @@ def _send_order(writer: SceneWriter, replay: Replay, fights: Sequence[str]) -> N
     texts[-1] = classification(replay)
     changes = [k for k in range(len(texts)) if k == 0 or texts[k] != texts[k - 1]]
     writer.send_text(paths.TITLE, replay.times_s[changes], [texts[k] for k in changes])
-
-
-def _send_obstacles(writer: SceneWriter, replay: Replay) -> None:
-    columns = replay.columns
-    if not columns.num_obstacles:
-        return
-    things = np.zeros(columns.obstacle_x.shape, OBSTACLE)
-    for name in ("x", "y", "yaw"):
-        things[name] = getattr(columns, f"obstacle_{name}")
-    things["half_length"], things["half_width"] = replay.obstacle_sizes.T
-    times = None if len(things) == 1 else replay.times_s
-    writer.send_obstacles(times, things, bots=replay.spec.obstacle_kind == "bot")
 
 
 def send_line(writer: SceneWriter, line: commentary.Remark) -> None:

@@ -106,9 +106,7 @@ class SceneWriter:
     def send_cars(self, times_s: np.ndarray, cars: np.ndarray) -> None:
         """Send poses, turning wheels and trails of frames that follow those sent before.
 
-        Args:
-            times_s: race times [s], (num_frames,).
-            cars: records of cars, (num_frames, num_cars).
+        Race times [s] are (num_frames,), records of cars (num_frames, num_cars).
         """
         # The frame before these stands first, for trails and wheels.
         known = np.concatenate([cars[:1] if self._last is None else self._last, cars])
@@ -139,12 +137,10 @@ class SceneWriter:
     def send_obstacles(
         self, times_s: np.ndarray | None, obstacles: np.ndarray, *, bots: bool
     ) -> None:
-        """Send boxes or bot cars, unless they are where they were.
+        """Send boxes, or cars for `bots`, unless they are where they were.
 
-        Args:
-            times_s: race times [s], (num_frames,); None: one frame of obstacles that never move.
-            obstacles: records of obstacles, (num_frames, num_obstacles).
-            bots: whether they are cars.
+        Race times [s] are (num_frames,), records of obstacles (num_frames, num_obstacles); without
+        times it is one frame of obstacles that never move.
         """
         before = self._obstacles
         if before is not None and all(
@@ -234,11 +230,8 @@ def wheel_rotation(steering: np.ndarray, spin: np.ndarray) -> np.ndarray:
 def wheel_spin(cars: np.ndarray, step_hz: int) -> np.ndarray:
     """Return how far each car's wheels have rolled since the first frame [rad].
 
-    A frozen car's wheels stand still; sliding counts as rolling.
-
-    Args:
-        cars: records of cars, (num_frames, num_cars).
-        step_hz: frames per second.
+    Cars are records, (num_frames, num_cars). A frozen car's wheels stand still; sliding counts as
+    rolling.
     """
     ahead = np.cos(cars["yaw"]) * cars["velocity_x"] + np.sin(cars["yaw"]) * cars["velocity_y"]
     rolled = np.sign(ahead) * speeds(cars).astype(np.float64)

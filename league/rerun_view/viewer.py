@@ -276,11 +276,7 @@ class Stream:
     """A viewer and the recording that it shows as it is written; on this machine alone."""
 
     def __init__(
-        self,
-        layout: rrb.Blueprint,
-        *,
-        window: bool | None = None,
-        memory: str | None = MEMORY,
+        self, layout: rrb.Blueprint, *, window: bool | None = None, memory: str | None = MEMORY
     ) -> None:
         """Open a viewer with this layout.
 
@@ -290,19 +286,20 @@ class Stream:
         Raises:
             ReplayError: the viewer does not start.
         """
-        self._window = has_display() if window is None else window
+        self.has_window = has_display() if window is None else window
+        """Whether it is a window, which stays open, rather than a page that this program serves."""
         port = free_port()
         self.address = f"rerun+http://{HOST}:{port}/proxy"
         """Where it can be watched."""
         self._home = tempfile.TemporaryDirectory(prefix="league-", ignore_cleanup_errors=True)
         self._server: Server | None = None
-        command = _command(port, self._window, memory)
-        self._child = _launch(command, None if self._window else self._home.name)
+        command = _command(port, self.has_window, memory)
+        self._child = _launch(command, None if self.has_window else self._home.name)
         try:
             wait_until_open(port, self._child)
             self.recording = rr.RecordingStream(paths.APPLICATION, recording_id=str(uuid.uuid4()))
             self.recording.connect_grpc(self.address, default_blueprint=layout)
-            if not self._window:
+            if not self.has_window:
                 query = f"url={quote(self.address, safe='')}"
                 self._server = Server(0, query, None, connect=f"http://{HOST}:{port}")
                 self.address = self._server.url
@@ -316,11 +313,6 @@ class Stream:
     def is_open(self) -> bool:
         """Whether the viewer still runs: a window may have been closed."""
         return self._child.poll() is None
-
-    @property
-    def has_window(self) -> bool:
-        """Whether it is a window, which stays open, rather than a page that this program serves."""
-        return self._window
 
     def wait(self) -> None:
         """Wait for Ctrl-C, where a web page is served."""
@@ -338,7 +330,7 @@ class Stream:
         if self._server is not None:
             self._server.close()
             self._server = None
-        if not (self._window and leave_window):
+        if not (self.has_window and leave_window):
             self._kill()
         self._home.cleanup()
 

@@ -35,6 +35,12 @@ GROWS = {"resume": "grows"}
 """Metadata of settings that a resume may raise, or set to 0, which is no limit."""
 
 
+def _check(what: str, value: float, low: float, high: float, advice: str) -> None:
+    """Refuse a setting outside its range."""
+    if not low <= value <= high:
+        raise ConfigError(f"{what} is {value}: give {advice}")
+
+
 @dataclass(frozen=True)
 class PpoConfig:
     """Proximal policy optimisation; pairs are values at the start and the end of the budget."""
@@ -71,11 +77,9 @@ class PpoConfig:
 
     def __post_init__(self) -> None:
         for name in ("rollout", "epochs", "mini_batches"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"PPO {name} is {getattr(self, name)}: give at least 1")
+            _check(f"PPO {name}", getattr(self, name), 1, math.inf, "at least 1")
         for name in ("gamma", "lam"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ConfigError(f"PPO {name} is {getattr(self, name)}: give 0 to 1")
+            _check(f"PPO {name}", getattr(self, name), 0, 1, "0 to 1")
         if not all(1e-8 <= rate <= 0.1 for rate in self.learning_rate):
             raise ConfigError(f"learning rates are {self.learning_rate}: give 1e-8 to 0.1")
         if not all(1e-3 <= noise <= 5 for noise in self.noise):
@@ -162,22 +166,13 @@ class TrainConfig:
     """The learner."""
 
     def __post_init__(self) -> None:
-        if not 1 <= self.num_worlds <= 65_536:
-            raise ConfigError(f"num_worlds is {self.num_worlds}: give 1 to 65536")
-        if not 0 <= self.seed < 2**31:
-            raise ConfigError(f"seed is {self.seed}: give 0 to {2**31 - 1}")
-        if not 0 <= self.teacher <= 0.9:
-            raise ConfigError(
-                f"the teacher's share of the budget is {self.teacher}: give 0, which is none, to "
-                "0.9"
-            )
-        if not 0 <= self.dynamics_randomization <= 2:
-            raise ConfigError(
-                f"dynamics_randomization is {self.dynamics_randomization}: give 0, which is none, "
-                "to 2"
-            )
-        if self.save_every < 1:
-            raise ConfigError(f"save_every is {self.save_every}: give at least 1")
+        _check("num_worlds", self.num_worlds, 1, 65_536, "1 to 65536")
+        _check("seed", self.seed, 0, 2**31 - 1, f"0 to {2**31 - 1}")
+        none_to = "0, which is none, to"
+        _check("the teacher's share of the budget", self.teacher, 0, 0.9, f"{none_to} 0.9")
+        spread = self.dynamics_randomization
+        _check("dynamics_randomization", spread, 0, 2, f"{none_to} 2")
+        _check("save_every", self.save_every, 1, math.inf, "at least 1")
 
     @property
     def samples(self) -> int:
@@ -265,15 +260,10 @@ class RunConfig:
     def __post_init__(self) -> None:
         if self.eval_every < 1 or self.eval_laps < 1 or self.eval_trials < 1:
             raise ConfigError("an evaluation needs at least 1 lap, 1 run and 1 save point")
-        if self.eval_trials > MAX_TRIALS:
-            raise ConfigError(f"eval_trials is {self.eval_trials}: give 1 to {MAX_TRIALS}")
-        if not 1 <= self.threads <= 1024:
-            raise ConfigError(f"threads is {self.threads}: give 1 to 1024")
-        if self.stop_when_complete < 0:
-            raise ConfigError(
-                f"stop_when_complete is {self.stop_when_complete}: give 0, which is never, or a "
-                "number of evaluations in a row"
-            )
+        _check("eval_trials", self.eval_trials, 1, MAX_TRIALS, f"1 to {MAX_TRIALS}")
+        _check("threads", self.threads, 1, 1024, "1 to 1024")
+        advice = "0, which is never, or a number of evaluations in a row"
+        _check("stop_when_complete", self.stop_when_complete, 0, math.inf, advice)
 
     def check(self) -> None:
         """Check what depends on several settings.

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import os
-import time
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from statistics import fmean
+from typing import NamedTuple
 
 from league import subprocesses
 from league.agents import roster
@@ -48,16 +48,13 @@ class EvalConfig:
     """Seed of the first run; training draws others."""
 
 
-@dataclass(frozen=True)
-class EvalResult:
+class EvalResult(NamedTuple):
     """The evaluation of one policy."""
 
     number: int
     """Updates before it."""
     evaluation: Evaluation
     """All trials, on all tracks."""
-    duration_s: float
-    """How long it took [s]."""
 
 
 def evaluate_policy(cfg: EvalConfig, checkpoint: Checkpoint) -> Evaluation:
@@ -198,6 +195,4 @@ def _begin() -> None:
 
 
 def _evaluated(cfg: EvalConfig, number: int, checkpoint: Checkpoint) -> EvalResult:
-    started = time.perf_counter()
-    evaluation = evaluate_policy(cfg, checkpoint)
-    return EvalResult(number, evaluation, time.perf_counter() - started)
+    return EvalResult(number, evaluate_policy(cfg, checkpoint))

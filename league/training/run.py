@@ -23,13 +23,11 @@ from league.racing import duels, trace
 from league.racing.duels import DuelConfig, Threshold
 from league.racing.trace import TrainingTrace
 from league.sim.config import SimConfig
-from league.track.track import Track
 from league.training import config, run_folder
 from league.training.config import RunConfig
 from league.training.evaluator import (
     CLEAN_RUNS,
     EvalConfig,
-    EvalResult,
     Evaluator,
     clean_share,
     evaluate_policy,
@@ -38,12 +36,11 @@ from league.training.evaluator import (
 from league.training.monitor.history import TrainingCallback, TrainingHistory
 from league.training.ppo import distributed, make_env
 from league.training.ppo.learner import Update, check_device, make_learner, memory_explained
-from league.training.ppo.self_play import Racer, RacingLearner, make_racing
+from league.training.ppo.self_play import RacingLearner, make_racing
 from league.training.ppo.teacher import make_taught
 
 if TYPE_CHECKING:
     from league.racing.table import Evaluation
-    from league.sim.config import RaceKind
 
 _DUELS = 60
 """Races at each pace, for the card of a policy of self-play."""
@@ -92,7 +89,9 @@ class Run:
         self._eval_cfg = _eval_config(cfg)
         self._parents: tuple[str, ...] = ()
         self._reward, self._reward_card = _reward(cfg)
-        self._spent_s, self._complete = 0.0, 0
+        self.spent_s = 0.0
+        """Learning time so far, of earlier parts too [s]."""
+        self._complete = 0
         self._check_card()
         # Each rank its own device, before any is touched.
         self.train = train = replace(cfg.train, device=distributed.device(cfg.train.device))
@@ -154,7 +153,7 @@ class Run:
                 "first save point, so start a new one, without --resume"
             )
         notes = self.learner.restore(self.folder / "state.pt")
-        self._spent_s = float(notes["spent_s"])
+        self.spent_s = float(notes["spent_s"])
         self._complete = int(notes["complete"])
         self._best = tuple(notes["best"]) or None
         more = self.cfg.budget != config.read(self.folder).budget
@@ -184,11 +183,6 @@ class Run:
             return "the steps were driven"
         return "the time was up" if self._progress() >= 1.0 else ""
 
-    @property
-    def spent_s(self) -> float:
-        """Learning time so far, of earlier parts too [s]."""
-        return self._spent_s
-
     def close(self) -> None:
         """Close worlds, evaluator, history and folder; what is not saved is lost."""
         run_folder.unlock(self._lock)
@@ -206,12 +200,12 @@ class Run:
         except BaseException:
             self.close()
             raise
-        started = time.perf_counter() - self._spent_s
+        started = time.perf_counter() - self.spent_s
         try:
             with distributed.interrupted_together() as interruption_point:
                 while not distributed.agreed(bool(self.over)):
                     update = self._updated()
-                    self._spent_s = time.perf_counter() - started
+                    self.spent_s = time.perf_counter() - started
                     if distributed.is_first():
                         self._after(update, callbacks)
                     interruption_point()
@@ -230,14 +224,14 @@ class Run:
             best=self.folder / "best.pt",
             evaluation=self._best_evaluation,
             samples=self.learner.samples,
-            time_s=self._spent_s,
+            time_s=self.spent_s,
             why=why,
             duels=self._duels,
         )
 
     def _after(self, update: Update, callbacks: Sequence[TrainingCallback]) -> None:
         """Report an update; at a save point evaluate and save, too."""
-        self.history.add_update(update, self.learner.episodes, self._spent_s)
+        self.history.add_update(update, self.learner.episodes, self.spent_s)
         for callback in callbacks:
             callback.update(self.history, update)
         if self.learner.at_save_point:
@@ -290,7 +284,7 @@ class Run:
 
     def _progress(self) -> float:
         cfg = self.cfg
-        by_time = self._spent_s / (60.0 * cfg.minutes) if cfg.minutes else 0.0
+        by_time = self.spent_s / (60.0 * cfg.minutes) if cfg.minutes else 0.0
         by_steps = self.learner.samples / cfg.steps if cfg.steps else 0.0
         return max(by_time, by_steps)
 
@@ -324,14 +318,13 @@ class Run:
 
     def _take(self, callbacks: Sequence[TrainingCallback], *, wait: bool) -> None:
         started = time.perf_counter()
-        for result in self._evaluator.take(wait=wait):
-            waited = time.perf_counter() - started if wait else 0.0
-            self._add(result, waited, callbacks)
+        for number, evaluation in self._evaluator.take(wait=wait):
+            waited_s = time.perf_counter() - started if wait else 0.0
+            self._add(number, evaluation, waited_s)
+            for callback in callbacks:
+                callback.evaluated(self.history, evaluation)
 
-    def _add(
-        self, result: EvalResult, waited_s: float, callbacks: Sequence[TrainingCallback]
-    ) -> None:
-        number, evaluation = result.number, result.evaluation
+    def _add(self, number: int, evaluation: Evaluation, waited_s: float) -> None:
         policy = self._submitted.pop(number)
         self._complete = self._complete + 1 if evaluation.all_complete else 0
         merit = merit_of(evaluation)
@@ -340,17 +333,11 @@ class Run:
             merit = (*merit[:2], float(number))
         best = self._best is None or merit > self._best
         if best:
-            self._best = merit
-            self._keep_best(policy, number, evaluation)
+            self._best, self._best_evaluation = merit, evaluation
+            self._save_best(policy, {"updates": float(number), **evaluation.summary})
         self.history.add_evaluation(
-            evaluation, time_s=self._spent_s, took_s=waited_s, best=best, number=number
+            evaluation, time_s=self.spent_s, took_s=waited_s, best=best, number=number
         )
-        for callback in callbacks:
-            callback.evaluated(self.history, evaluation)
-
-    def _keep_best(self, policy: Checkpoint, updates: int, evaluation: Evaluation) -> None:
-        self._best_evaluation = evaluation
-        self._save_best(policy, {"updates": float(updates), **evaluation.summary})
 
     @memory_explained()
     def _finish(self, callbacks: Sequence[TrainingCallback]) -> None:
@@ -368,28 +355,25 @@ class Run:
             # It was evaluated before a resume, which keeps no table.
             self._best_evaluation = evaluate_policy(self._eval_cfg, checkpoint.load(best))
         if self._best_evaluation is not None and self._best_evaluation.complete_laps:
-            if not complete:  # who stops at the first laps is in a hurry
-                self._note_clean_share(callbacks)
-            if self.cfg.self_play:
-                self._note_duels(callbacks)
+            self._complete_card(best, callbacks, clean=not complete)
         self._save()
 
-    def _note_clean_share(self, callbacks: Sequence[TrainingCallback]) -> None:
-        """Write into the best policy's card how many runs it drives without a mistake."""
-        for callback in callbacks:
-            callback.racing(f"driving {CLEAN_RUNS} runs for the policy's card")
-        best = checkpoint.load(self.folder / "best.pt")
-        self._save_best(best, {"clean_share": clean_share(self._eval_cfg, best)})
-
-    def _note_duels(self, callbacks: Sequence[TrainingCallback]) -> None:
-        """Write into the best policy's card how fast a rival it passes, and keeps behind."""
-        for callback in callbacks:
-            callback.racing("racing it against itself, slowed, for the policy's card")
-        best = checkpoint.load(self.folder / "best.pt")
-        cfg = DuelConfig(self._eval_cfg.tracks[0], races=_DUELS)
-        car = SimConfig().car
-        self._duels = found = duels.threshold(cfg, Policy(best, car), Policy(best, car))
-        self._save_best(best, {"pass_pace": found.pace, "hold_pace": found.hold})
+    def _complete_card(
+        self, path: Path, callbacks: Sequence[TrainingCallback], *, clean: bool
+    ) -> None:
+        """Write into the best policy's card how clean it drives and how fast rivals it holds."""
+        if clean:  # who stops at the first laps is in a hurry
+            for callback in callbacks:
+                callback.racing(f"driving {CLEAN_RUNS} runs for the policy's card")
+            best = checkpoint.load(path)
+            self._save_best(best, {"clean_share": clean_share(self._eval_cfg, best)})
+        if self.cfg.self_play:
+            for callback in callbacks:
+                callback.racing("racing it against itself, slowed, for the policy's card")
+            best, car = checkpoint.load(path), SimConfig().car
+            cfg = DuelConfig(self._eval_cfg.tracks[0], races=_DUELS)
+            self._duels = found = duels.threshold(cfg, Policy(best, car), Policy(best, car))
+            self._save_best(best, {"pass_pace": found.pace, "hold_pace": found.hold})
 
     def _save_best(self, policy: Checkpoint, results: Mapping[str, float | None]) -> None:
         """Write the best policy, with these results on its card, too."""
@@ -401,10 +385,13 @@ class Run:
             return
         if self.learner.has_learnt:
             checkpoint.save(self.folder / "last.pt", self._checkpoint())
-        if isinstance(self.learner, RacingLearner):
-            checkpoint.save(self.folder / "truth.pt", self._racer(self.learner.racer))
+        if isinstance(self.learner, RacingLearner):  # what sees the true state is a policy, too
+            racer = self.learner.racer
+            changes = {"sensors": racer.cfg.sensors, "network": racer.cfg.network}
+            card = self._card(racer.samples).model_copy(update=changes)
+            checkpoint.save(self.folder / "truth.pt", Checkpoint(card, racer.weights()))
         notes: dict[str, object] = {
-            "spent_s": self._spent_s,
+            "spent_s": self.spent_s,
             "complete": self._complete,
             "best": list(self._best or ()),
         }
@@ -420,12 +407,6 @@ class Run:
 
     def _checkpoint(self) -> Checkpoint:
         return Checkpoint(self._card(self.learner.samples), self.learner.weights())
-
-    def _racer(self, racer: Racer) -> Checkpoint:
-        """Return the network that sees the true state as a policy of its own."""
-        changes = {"sensors": racer.cfg.sensors, "network": racer.cfg.network}
-        card = self._card(racer.samples).model_copy(update=changes)
-        return Checkpoint(card, racer.weights())
 
     def _check_card(self) -> None:
         """Refuse settings that no checkpoint's card can hold, or no network be built from."""
@@ -450,7 +431,7 @@ class Run:
             kind=cfg.train.kind,
             reward=self._reward_card,
             steps=samples,
-            train_s=round(self._spent_s, 1),
+            train_s=round(self.spent_s, 1),
             seed=cfg.train.seed,
             parents=self._parents,
             licence=cfg.licence,
@@ -460,31 +441,23 @@ class Run:
 
 
 def _eval_config(cfg: RunConfig) -> EvalConfig:
-    tracks: list[Track] = (
-        make_env.load_tracks(cfg.eval_tracks)
-        if cfg.eval_tracks
-        else make_env.tracks_for_evaluation(cfg.tracks)
-    )
+    find = make_env.load_tracks if cfg.eval_tracks else make_env.tracks_for_evaluation
     # A policy that learns to race others is evaluated by racing them; in self-play the matrix is.
     opponents = cfg.eval_opponents or cfg.opponents
     for name in opponents:
         roster.check(name)
+    kind = cfg.train.kind
+    if kind == "head_to_head":  # without opponents
+        kind = "obstacle_avoidance" if cfg.train.obstacles else "time_trial"
     return EvalConfig(
-        tracks=tuple(tracks),
+        tracks=tuple(find(cfg.eval_tracks or cfg.tracks)),
         laps=cfg.eval_laps,
         trials=cfg.eval_trials,
-        kind=_eval_kind(cfg),
+        kind=kind,
         obstacles=cfg.train.obstacles,
         bots=cfg.train.bots,
         opponents=opponents,
     )
-
-
-def _eval_kind(cfg: RunConfig) -> RaceKind:
-    """Return the kind of an evaluation without opponents."""
-    if cfg.train.kind != "head_to_head":
-        return cfg.train.kind
-    return "obstacle_avoidance" if cfg.train.obstacles else "time_trial"
 
 
 def _reward(cfg: RunConfig) -> tuple[Reward | None, RewardCard]:

@@ -75,10 +75,9 @@ class Film:
             pitch=TILT,
         )
         red, green, blue = (round(DARK * part) for part in replay.track.colours.wall)
-        sky = (red, green, blue)
         lens = Lens.of(camera)
         floor = floor_of(replay.track, lens, ABOVE, TILT, colour=True)
-        self._camera, self._painter = camera, _ShadowPainter(lens, floor, sky)
+        self._camera, self._painter = camera, _ShadowPainter(lens, floor, (red, green, blue))
         # OpenCV's own threads cost more than they bring at these sizes.
         cv2.setNumThreads(1)
         self._size = size
@@ -185,12 +184,8 @@ def render(
 ) -> Path:
     """Render a replay to an MP4, whole or not at all, and return its path.
 
-    Args:
-        replay: the race.
-        path_mp4: the file to write.
-        size: width and height [px], both even.
-        fps: pictures per second; between two steps the cars are drawn on straight lines.
-        progress: called with the share that is done, 0 to 1.
+    The size is width and height [px], both even. Between two steps the cars are drawn on straight
+    lines. `progress` is called with the share that is done, 0 to 1.
     """
     if not 1 <= fps <= 120:
         raise ReplayError(f"a video at {fps} pictures per second cannot be made: give 1 to 120")

@@ -20,20 +20,14 @@ QUALITY = 80
 def moments(total_s: float, race_s: float) -> list[float]:
     """Return the race times [s] that a strip shows, evenly spread over a car's own race.
 
-    Args:
-        total_s: when the car was over the line [s]; infinite if it never was.
-        race_s: when the race was over [s].
+    Of a car that was never over the line, `total_s` is infinite.
     """
     count, end_s = COLUMNS * ROWS, min(total_s, race_s)
     return [round(end_s * (number + 0.5) / count, 1) for number in range(count)]
 
 
 def picture(replay: Replay, car: int) -> bytes:
-    """Return a strip as JPEG, `ROWS` lines of `COLUMNS` pictures, the earliest first.
-
-    Args:
-        replay: the recorded race.
-        car: grid slot of the car, from 0.
+    """Return what a car (from 0) saw as JPEG, `ROWS` lines of `COLUMNS` pictures, earliest first.
 
     Raises:
         ReplayError: the race has no such car.

@@ -56,10 +56,7 @@ class Answers:
     ) -> Callable[[Request], Awaitable[Response]]:
         """Return an endpoint that answers with what was kept, else with what `make` makes.
 
-        Args:
-            make: makes the answer to a request.
-            lasting: whether it is good until something happens in the league, and not for
-                `FRESH_S` only.
+        An answer is good for `FRESH_S` or, if `lasting`, until something happens in the league.
         """
 
         async def respond(request: Request) -> Response:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import gzip
 import hashlib
 import json
 import re
 from collections.abc import Awaitable, Callable, Mapping
 from datetime import UTC, datetime
-from functools import partial
 from http import HTTPStatus
 from importlib import resources
 from typing import Any
@@ -62,10 +60,7 @@ STATIC = {
 def make_app(store: Store, *, access: Access | None = None, exported: bool = False) -> ASGIApp:
     """Return the application that shows a league, and takes submissions and results by token.
 
-    Args:
-        store: the league.
-        access: who may reach it, and how much of it one client may use.
-        exported: whether its answers become files, which have no forms and no JSON.
+    If `exported`, its answers become files, which have no forms and no JSON.
     """
     reader, access = Reader(store), access or Access()
     answers = Answers(reader)
@@ -80,7 +75,7 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
     templates.filters |= shown | {"iso": _iso, "code": _code}
     names: dict[str, Any] = {
         "league_name": store.settings.name,
-        "static": _static_text,
+        "static": lambda name: Markup(_static_bytes(name).decode()),
         "exported": exported,
         "enough_corners": safety.ENOUGH_CORNERS,
     }
@@ -97,7 +92,10 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
         def respond(request: Request) -> Response:
             with access.reading(request):
                 response = render(one.template, request, **one.read(reader, request))
-            response.headers.update(_headers(one, request))
+            response.headers["Content-Type"] = f"{one.media_type}; charset=utf-8"
+            if one.file:
+                name = one.file.format(**request.path_params)
+                response.headers["Content-Disposition"] = f'attachment; filename="{name}"'
             return response
 
         return respond
@@ -112,6 +110,9 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
     def kept(one: Page, make: Callable[[Request], Response]) -> Callable[[Request], Any]:
         return answers.shared(make, lasting=not one.fleeting) if one.shared else make
 
+    def download(answer: Callable[..., Response]) -> Callable[[Request], Response]:
+        return lambda request: answer(reader, request, **request.path_params)
+
     def failed(request: Request, error: Exception) -> Response:
         status, sentence = _status(error)
         headers = error.headers if isinstance(error, HTTPException) else None
@@ -122,21 +123,17 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
         )
         return HTMLResponse(content, status, headers)
 
-    def writing() -> list[Route]:
-        return [
-            *(one.route(reader, access, render) for one in submit.FORMS),
-            *(one.route(store, access) for one in openapi.PROTECTED),
-        ]
-
     routes = [
         *(Route(one.path, kept(one, page(one))) for one in PAGES if one.template),
         *(Route(one.api_path, kept(one, data(one))) for one in PAGES if one.has_api),
-        *(Route(one.path, partial(one.respond, reader)) for one in DOWNLOADS),
+        *(Route(path, download(answer)) for path, answer in DOWNLOADS.items()),
         Route(openapi.PATH, lambda _: _json(openapi.document(store.settings.name))),
         *(Route(f"/static/{name}", _static(name)) for name in STATIC),
         Route("/favicon.ico", lambda _: RedirectResponse("/static/icon.svg", 308)),
-        *([] if exported else writing()),
     ]
+    if not exported:
+        routes += [one.route(reader, access, render) for one in submit.FORMS]
+        routes += [one.route(store, access) for one in openapi.PROTECTED]
     app = Starlette(
         routes=routes,
         middleware=[
@@ -169,12 +166,6 @@ def _code(text: str) -> Markup:
     return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(escape(text))))
 
 
-def _headers(page: Page, request: Request) -> dict[str, str]:
-    headers = {"Content-Type": f"{page.media_type}; charset=utf-8"}
-    name = page.file.format(**request.path_params)
-    return headers | ({"Content-Disposition": f'attachment; filename="{name}"'} if name else {})
-
-
 def _json(
     document: object, status: int = 200, headers: Mapping[str, str] | None = None
 ) -> Response:
@@ -193,11 +184,6 @@ def _without_drawings(value: object) -> object:
     return [_without_drawings(item) for item in value] if isinstance(value, list) else value
 
 
-def _static_text(name: str) -> Markup:
-    """Return a static file to be written into a page."""
-    return Markup(_static_bytes(name).decode())
-
-
 def _static_bytes(name: str) -> bytes:
     return resources.files("league.web").joinpath("static", name).read_bytes()
 
@@ -205,21 +191,14 @@ def _static_bytes(name: str) -> bytes:
 def _static(name: str) -> Callable[[Request], Awaitable[Response]]:
     """Return the endpoint of a static file; browsers keep it, and ask whether it is still this."""
     content = _static_bytes(name)
-    packed = gzip.compress(content, 9)
     # A new version of the program must not meet an old one's script in the browser's cache.
-    headers = {
-        "Cache-Control": "no-cache",
-        "ETag": f'W/"{hashlib.sha256(content).hexdigest()[:32]}"',
-        "Vary": "Accept-Encoding",
-    }
+    tag = f'W/"{hashlib.sha256(content).hexdigest()[:32]}"'
+    headers = {"Cache-Control": "no-cache", "ETag": tag, "Vary": "Accept-Encoding"}
 
     async def respond(request: Request) -> Response:
-        if request.headers.get("if-none-match") == headers["ETag"]:
+        if request.headers.get("if-none-match") == tag:
             return Response(status_code=304, headers=headers)
-        if "gzip" not in request.headers.get("accept-encoding", ""):
-            return Response(content, media_type=STATIC[name], headers=headers)
-        sent = {**headers, "Content-Encoding": "gzip"}
-        return Response(packed, media_type=STATIC[name], headers=sent)
+        return Response(content, media_type=STATIC[name], headers=headers)
 
     return respond
 

@@ -104,15 +104,10 @@ def plot(
     whole_y: bool = False,
     height: int = HEIGHT,
 ) -> Chart:
-    """Return a chart of curves.
+    """Return a chart of at least one curve.
 
-    Args:
-        curves: at least one.
-        band: lower and upper end of the first curve's interval, (points,) both.
-        down: whether y grows downwards.
-        whole_x: whether x has whole numbers only.
-        whole_y: whether y has.
-        height: of the whole chart.
+    `band` is the lower and the upper end of the first curve's interval, (points,) both; `down` lets
+    y grow downwards; of `whole_x` and `whole_y` the axis has whole numbers only.
     """
     xs = [curve.x for curve in curves]
     ys = [*(curve.y for curve in curves), *(band or ())]
@@ -161,9 +156,7 @@ def rating_history(
 ) -> Chart:
     """Return an entry's rating over its races, with its 95 % interval.
 
-    Args:
-        points: the history.
-        moments: what else is marked: number of the newest heat before it, label, title.
+    Moments are marked, too: number of the newest heat before one, its label and its title.
     """
     races, low, elo, high = (
         np.array([getattr(point, name) for point in points], float)

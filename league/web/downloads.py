@@ -15,7 +15,6 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -37,20 +36,6 @@ FOR_GOOD = {"Cache-Control": "public, max-age=86400, immutable"}
 """Of what never changes: a race that was raced, a file of one version."""
 _PACKING = threading.Lock()
 """The first visitors wait for one of them to pack the viewer, which takes seconds."""
-
-
-@dataclass(frozen=True)
-class Download:
-    """An address, and how the answer to a request for it is made."""
-
-    path: str
-    """As Starlette writes routes."""
-    answer: Callable[..., Response]
-    """Returns the answer, from a Reader, the request and the parameters of the path."""
-
-    def respond(self, reader: Reader, request: Request) -> Response:
-        """Answer a request."""
-        return self.answer(reader, request, **request.path_params)
 
 
 def camera(reader: Reader, _: Request, number: int, race: int, car: int) -> Response:
@@ -119,11 +104,7 @@ def viewer_file(_reader: Reader, _request: Request, release: str, name: str) -> 
 
 
 def rrd_of(store: Store, digest: str) -> bytes:
-    """Return a race as a .rrd file, made by a process of its own so that pages stay quick.
-
-    Args:
-        store: the league.
-        digest: hash of the race's replay.
+    """Return a race, by its recording's hash, as a .rrd file, made by another process.
 
     Raises:
         ReplayError: it could not be made, or takes too long.
@@ -177,11 +158,11 @@ def _hash(text: str) -> str:
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 
-DOWNLOADS = (
-    Download("/drivers/{number:number}/checkpoint", checkpoint),
-    Download("/heats/{number:number}/races/{race:number}/cars/{car:number}/camera.jpg", camera),
-    Download("/heats/{number:number}/races/{race:number}/race.rrd", recording),
-    Download("/heats/{number:number}/races/{race:number}/rerun", open_race),
-    Download("/rerun/{release}/{name}", viewer_file),
-)
-"""All of them."""
+DOWNLOADS: dict[str, Callable[..., Response]] = {
+    "/drivers/{number:number}/checkpoint": checkpoint,
+    "/heats/{number:number}/races/{race:number}/cars/{car:number}/camera.jpg": camera,
+    "/heats/{number:number}/races/{race:number}/race.rrd": recording,
+    "/heats/{number:number}/races/{race:number}/rerun": open_race,
+    "/rerun/{release}/{name}": viewer_file,
+}
+"""All of them by their routes: what returns the answer to a request."""

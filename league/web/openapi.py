@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from typing import Any, Literal
 
 from pydantic import TypeAdapter
@@ -33,11 +34,7 @@ _REF = "#/components/schemas/{model}"
 
 
 def document(name: str) -> dict[str, Any]:
-    """Return the OpenAPI document of a league's JSON interface.
-
-    Args:
-        name: of the league.
-    """
+    """Return the OpenAPI document of the JSON interface of a league of this name."""
     schemas: dict[str, Any] = {
         "Error": {
             "type": "object",
@@ -86,22 +83,25 @@ def _content(schema: dict[str, Any], media_type: str = "application/json") -> di
     return {media_type: {"schema": schema}}
 
 
+def _refusals(meanings: Mapping[str, str]) -> dict[str, Any]:
+    failure = _content({"$ref": _REF.format(model="Error")})
+    return {
+        status: {"description": meaning, "content": failure} for status, meaning in meanings.items()
+    }
+
+
 def _protected(one: Protected, schemas: dict[str, Any]) -> dict[str, Any]:
     """Return the operation of an address that needs a token."""
     raw = _content({"type": "string", "format": "binary"}, "application/octet-stream")
     taken = raw if one.body is None else _content(_schema(one.body, schemas, "validation"))
     answer = raw if one.answer is bytes else _content(_schema(one.answer, schemas))
-    failure = _content({"$ref": _REF.format(model="Error")})
     operation: dict[str, Any] = {
         "summary": f"{one.summary} (scope {one.scope})",
         "security": [{"token": []}],
         "parameters": _parameters(one),
         "responses": {
             "200": {"description": one.summary, "content": answer},
-            **{
-                status: {"description": meaning, "content": failure}
-                for status, meaning in REFUSALS.items()
-            },
+            **_refusals(REFUSALS),
         },
     }
     if one.method == "POST":
@@ -111,12 +111,7 @@ def _protected(one: Protected, schemas: dict[str, Any]) -> dict[str, Any]:
 
 def _parameters(page: Page | Protected) -> list[dict[str, Any]]:
     numbers = [
-        {
-            "name": name,
-            "in": "path",
-            "required": True,
-            "schema": {"type": "integer", "minimum": 0},
-        }
+        {"name": name, "in": "path", "required": True, "schema": {"type": "integer", "minimum": 0}}
         for name in PARAMETER.findall(page.path)
     ]
     texts = [
@@ -128,15 +123,14 @@ def _parameters(page: Page | Protected) -> list[dict[str, Any]]:
 
 def _operation(page: Page, schemas: dict[str, Any]) -> dict[str, Any]:
     properties = {name: _schema(kind, schemas) for name, kind in page.parts.items()}
-    failure = _content({"$ref": _REF.format(model="Error")})
     success = {"type": "object", "properties": properties}
+    refusals = {status: REFUSALS[status] for status in ("404", "429")}
+    refusals["503"] = "The league cannot be read now."
     return {
         "summary": page.summary,
         "parameters": _parameters(page),
         "responses": {
             "200": {"description": page.summary, "content": _content(success)},
-            "404": {"description": "There is no such thing.", "content": failure},
-            "429": {"description": REFUSALS["429"], "content": failure},
-            "503": {"description": "The league cannot be read now.", "content": failure},
+            **_refusals(refusals),
         },
     }

@@ -8,6 +8,7 @@ from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from email.message import Message
+from functools import partial
 from typing import Any, Literal
 
 from pydantic import BaseModel, ValidationError
@@ -186,8 +187,8 @@ class Form:
                 async with free:
                     body = await body_of(request, self.most_file + MOST_FIELDS)
                     fields = form_fields(request.headers.get("content-type", ""), body)
-                    asked = await run_in_threadpool(_asked_by_form, reader, access, request, fields)
-                    address = await run_in_threadpool(self._acted, asked, document)
+                    act = partial(self._acted, reader, access, request, fields)
+                    address = await run_in_threadpool(act, document)
             except HTTPException as error:
                 await drain(request)
                 return shown(fields, error.status_code, error.detail)
@@ -195,25 +196,22 @@ class Form:
 
         return Route(self.path, respond, methods=["GET", "POST"])
 
-    def _acted(self, asked: Asked, document: Document) -> str:
+    def _acted(
+        self, reader: Reader, access: Access, request: Request, fields: Fields, document: Document
+    ) -> str:
+        """Do what a form asks for, if the token that it holds may do this now."""
+        secret = text(fields, "token")
+        token = access.token(reader.store, secret, "submit", client_of(request))
+        access.limits.submissions.charge(token.owner)
         with refusing():
+            asked = Asked(reader.store, access, token, fields, request.path_params)
             return self.act(asked, document)
-
-
-def _asked_by_form(reader: Reader, access: Access, request: Request, fields: Fields) -> Asked:
-    """Return a form with the token that it holds; refuse one that may not do this, or not now."""
-    secret = text(fields, "token")
-    token = access.token(reader.store, secret, "submit", client_of(request))
-    access.limits.submissions.charge(token.owner)
-    return Asked(reader.store, access, token, fields, request.path_params)
 
 
 def form_fields(kind: str, body: bytes) -> Fields:
     """Return the fields of a form (multipart/form-data, RFC 7578) by their names.
 
-    Args:
-        kind: the Content-Type header, which names the boundary.
-        body: what was sent.
+    Its kind is the Content-Type header, which names the boundary.
 
     Raises:
         HTTPException: 422 for another kind of form.

@@ -71,12 +71,7 @@ class Lap:
 
 
 def of(replay: Replay, number: int | None) -> ComparedLaps | None:
-    """Return the same lap of each car, or each one's best; None where no car completed it.
-
-    Args:
-        replay: the recorded race.
-        number: of the lap, from 1; None for each car's best one.
-    """
+    """Return a lap (from 1) of each car, or each one's best; None where no car completed it."""
     laps = []
     for row in sorted(replay.result.order, key=lambda row: row.car):
         if number is None and row.lap_times_s:
@@ -87,12 +82,7 @@ def of(replay: Replay, number: int | None) -> ComparedLaps | None:
 
 
 def compared(laps: Sequence[Lap], length: float) -> ComparedLaps | None:
-    """Return laps of different cars over each other; None without a lap.
-
-    Args:
-        laps: all on one track.
-        length: of the track [m].
-    """
+    """Return laps of different cars over each other, on a track of a length [m]; None for none."""
     if not laps:
         return None
     fastest = min(laps, key=lambda lap: lap.time_s[-1])
@@ -190,9 +180,7 @@ def speed_map(lap: Lap) -> SpeedMap:
 def position_chart(order: Sequence[Mapping[str, Any]], names: Sequence[str]) -> Chart:
     """Return each car's position on the grid and after each of its complete laps.
 
-    Args:
-        order: the cars' results, race_spec.CarResult as plain data.
-        names: of the drivers, by grid slot.
+    `order` holds race_spec.CarResult as plain data; `names` are by grid slot.
     """
     by_car = {car["car"]: car["lap_times_s"] for car in order}
     ends = [np.cumsum(by_car[car]) for car in range(len(names))]

@@ -6,12 +6,12 @@ import contextlib
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Generator, Hashable, Iterator, Mapping
+from collections.abc import Callable, Generator, Hashable, Mapping
 from typing import Any, TypeVar
 
 from league.errors import LeagueError, StoreError
 from league.matchmaking.documents import heat_document
-from league.matchmaking.standings import Row, Standings
+from league.matchmaking.standings import Standings
 from league.matchmaking.store import HeatRecord, LeagueEntry, Store, StoredResult
 from league.racing_line.racing_line import lap_bound
 from league.replay import Replay, format
@@ -99,10 +99,6 @@ class Reader:
         worked_s = time.thread_time() - start_s
         self._due_s = time.monotonic() + max(FRESH_S, REST * worked_s)
 
-    def standings(self) -> Standings | None:
-        """Return the standings; None if no entry is rated."""
-        return self.snapshot().rated
-
     def standings_of(self, track: str, cars: int) -> Standings | None:
         """Return the standings by the races on a track, of so many cars; see Snapshot.rated_by."""
         now = self.snapshot()
@@ -111,30 +107,11 @@ class Reader:
         key = ("standings", now.races.last, now.races.voided, track, cars)
         return self.kept(key, lambda: now.rated_by(track, cars), in_turn=True)
 
-    def rows(self) -> tuple[Row, ...]:
-        """Return the lines of the standings; none if no entry is rated."""
-        rated = self.standings()
-        return rated.rows if rated else ()
-
-    def row(self, number: int) -> Row | None:
-        """Return an entry's line in the standings; None if it is not rated."""
-        return self.snapshot().rows.get(number)
-
     def rules(self) -> Document:
         """Return the present rules in short."""
         rules = self.snapshot().settings.ruleset
-        return {
-            "hash": rules.hash,
-            "tracks": rules.tracks,
-            "laps": rules.laps,
-            "cars": rules.cars,
-            "kind": rules.kind,
-            "solver": rules.solver,
-        }
-
-    def entries(self) -> tuple[LeagueEntry, ...]:
-        """Return all entries, in the order they came."""
-        return self.snapshot().entries
+        names = ("hash", "tracks", "laps", "cars", "kind", "solver")
+        return {name: getattr(rules, name) for name in names}
 
     def entry(self, number: int) -> LeagueEntry:
         """Return an entry by its number."""
@@ -173,10 +150,8 @@ class Reader:
     def kept(self, key: Hashable, make: Callable[[], T], *, in_turn: bool = False) -> T:
         """Return what `make` returns, made once for each key that was asked for lately.
 
-        Args:
-            key: names all that the answer depends on.
-            make: makes it.
-            in_turn: only one such answer is made at a time, see `turn`.
+        The key names all that the answer depends on. With `in_turn` only one such answer is made at
+        a time, see `turn`.
         """
         with self._lock:
             if key in self._kept:
@@ -193,11 +168,7 @@ class Reader:
         return made
 
     def large(self, key: Hashable, make: Callable[[], bytes]) -> bytes:
-        """Return what `make` returns, which takes seconds: only one is made at a time.
-
-        Args:
-            key: names all that the answer depends on.
-            make: makes it.
+        """Return what `make` returns, which takes seconds: only one is made at a time; see `kept`.
 
         Raises:
             BusyError: `MOST_WAITING` requests wait already.
@@ -239,8 +210,7 @@ class Reader:
 
     def listed(self, records: list[HeatRecord]) -> list[Document]:
         """Return heats as lines of a list: who raced, who won."""
-        names = self.names
-        results = self.store.results(*(record.number for record in records))
+        names, results = self.names, self.store.results(*(record.number for record in records))
         lines = []
         for record in records:
             own = [result for result in results if result.heat == record.number]
@@ -253,18 +223,13 @@ class Reader:
         return lines
 
 
-class _Names(Mapping[str, str]):
+class _Names(dict[str, str]):
     def __init__(self, reader: Reader) -> None:
+        super().__init__()
         self._reader = reader
 
-    def __getitem__(self, id: str) -> str:
+    def __missing__(self, id: str) -> str:
         return self._reader.entry_of(id).name
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._reader.snapshot().by_id)
-
-    def __len__(self) -> int:
-        return len(self._reader.entries())
 
 
 def heat_number(text: str) -> int:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from league.replay import Replay, commentary
@@ -9,6 +11,8 @@ from league.track.track import Track
 
 OUTLINE_SPACING = 3
 """Every third point of a track's borders is drawn: one each 15 cm."""
+_ORDERS = {"x": 2, "y": 2, "yaw": 1, "distance": 2, "gap": 1}
+"""How often each column is differenced."""
 
 
 def player_data(replay: Replay) -> dict[str, object]:
@@ -17,21 +21,15 @@ def player_data(replay: Replay) -> dict[str, object]:
     Columns are differences along the frames: those of `x`, `y` and `distance` are differenced
     twice, those of `yaw` and `gap` once. player.js undoes that.
     """
-    columns, gaps = replay.columns, replay.gaps_s
+    columns = replay.columns
+    drawn = {name: getattr(columns, name) for name in ("x", "y", "yaw", "distance")}
+    drawn["gap"] = replay.gaps_s
     cars = []
     for car, name in enumerate(replay.names):
         stopped = np.flatnonzero(np.diff(columns.penalty_s[:, car] > 0, prepend=0, append=0))
-        drawn = drawn_car(
-            car + 1,
-            name,
-            x=columns.x[:, car],
-            y=columns.y[:, car],
-            yaw=columns.yaw[:, car],
-            distance=columns.distance[:, car],
-            gap_s=gaps[:, car],
-            laps=np.flatnonzero(np.diff(columns.laps[:, car]) > 0) + 1,
-        )
-        cars.append({**drawn, "stops": stopped.reshape(-1, 2).tolist()})
+        laps = np.flatnonzero(np.diff(columns.laps[:, car]) > 0) + 1
+        own = drawn_car(car + 1, name, {key: each[:, car] for key, each in drawn.items()}, laps)
+        cars.append({**own, "stops": stopped.reshape(-1, 2).tolist()})
     return {
         "step_hz": replay.step_hz,
         "duration_s": round(replay.duration_s, 3),
@@ -54,39 +52,16 @@ def events(replay: Replay) -> list[dict[str, object]]:
 
 
 def drawn_car(
-    number: int,
-    name: str,
-    *,
-    x: np.ndarray,
-    y: np.ndarray,
-    yaw: np.ndarray,
-    distance: np.ndarray,
-    gap_s: np.ndarray,
-    laps: np.ndarray,
+    number: int, name: str, columns: Mapping[str, np.ndarray], laps: np.ndarray
 ) -> dict[str, object]:
-    """Return what the player draws of a car that never stands a penalty.
+    """Return what the player draws of a car that never stands a penalty; its number is from 1.
 
-    Args:
-        number: from 1.
-        name: of the driver.
-        x: in each frame [m], (num_frames,).
-        y: [m], likewise.
-        yaw: heading [rad], likewise.
-        distance: driven along the track [m], likewise.
-        gap_s: time since the leader was there [s], likewise.
-        laps: frames in which it completed a lap.
+    Columns are x, y [m], yaw [rad], distance along the track [m] and gap, which is the time since
+    the leader was there [s], (num_frames,) each; `laps` the frames in which it completed one.
     """
-    return {
-        "number": number,
-        "name": name,
-        "x": _differences(100 * x, 2),
-        "y": _differences(100 * y, 2),
-        "yaw": _differences(100 * np.unwrap(yaw), 1),
-        "distance": _differences(100 * distance, 2),
-        "gap": _differences(100 * gap_s, 1),
-        "lap_frames": laps.tolist(),
-        "stops": [],
-    }
+    columns = {**columns, "yaw": np.unwrap(columns["yaw"])}
+    whole = {key: _differences(100 * columns[key], order) for key, order in _ORDERS.items()}
+    return {"number": number, "name": name, **whole, "lap_frames": laps.tolist(), "stops": []}
 
 
 def drawn_track(track: Track) -> dict[str, object]:

@@ -42,12 +42,9 @@ class Exported:
 
 
 def export(store: Store, folder: Path, *, heats: int) -> Exported:
-    """Write a league's pages into a folder; they need no server.
+    """Write a league's pages into a new or empty folder; they need no server.
 
-    Args:
-        store: the league.
-        folder: new, or empty.
-        heats: so many of the newest heats get pages; links to others become text.
+    So many of the newest heats get pages, and links to others become text.
 
     Raises:
         ConfigError: there is something in the folder, or it cannot be written.

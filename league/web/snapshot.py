@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 
 from league.matchmaking import divisions, history, safety, standings
-from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.scope import RatingScope, scope
 from league.matchmaking.scores import BestLap, best_laps
 from league.matchmaking.standings import Row, Standings
@@ -79,11 +78,9 @@ class Snapshot:
         return sorted({kind_of(entry) for entry in self.entries})
 
     def rated_by(self, track: str, cars: int) -> Standings | None:
-        """Return the standings of those who raced on a track, by the races there alone.
+        """Return the standings of those who raced on a track (empty: all), by these races alone.
 
-        Args:
-            track: name of the track; empty for all.
-            cars: only races of so many; 0 for all.
+        Only races of so many cars count; 0 for all.
         """
         rules, counted = self.settings.ruleset, self.counted
         kept = np.ones(len(counted.heat), np.bool_)
@@ -109,23 +106,16 @@ def kind_of(entry: LeagueEntry) -> str:
 
 
 def take(store: Store, before: Snapshot | None = None) -> Snapshot:
-    """Return a league as it is now.
-
-    Args:
-        store: the league.
-        before: an earlier moment; what has not changed since is not computed again.
-    """
+    """Return a league as it is now; what has not changed since `before` is not computed again."""
     revision, settings = store.revision, store.settings
     if before is not None and before.settings != settings:
         before = None
     entries, races = tuple(store.entries()), _races(store, before)
     rules = settings.ruleset
     within = scope(store, rules.hash, races=races)
-    if (
-        before is not None
-        and before.races is races
-        and (before.entries, before.season) == (entries, within.season)
-    ):
+    season = within.season
+    known = before is not None and before.races is races
+    if before and known and (before.entries, before.season) == (entries, season):
         rated, trends = before.rated, before.trends
     else:
         rated = standings.table(
@@ -136,27 +126,19 @@ def take(store: Store, before: Snapshot | None = None) -> Snapshot:
             near=before.rated.ratings if before and before.rated else None,
         )
         trends = history.trends(rated, within.carried) if rated else {}
+    earlier = before.safety if before and before.races.voided == races.voided else None
+    drives = store.drives(rules.hash, since=earlier.drives.last if earlier else 0)
     return Snapshot(
         revision=revision,
         settings=settings,
         entries=entries,
         races=races,
-        season=within.season,
+        season=season,
         rated=rated,
-        divisions=_divisions(store, within.season),
-        safety=_safety(store, rules, races, before),
+        divisions=divisions.assigned(store.division_moves(season.number)) if season else {},
+        safety=safety.rated(drives, rules.tracks, earlier),
         trends=trends,
     )
-
-
-def _divisions(store: Store, season: Season | None) -> dict[int, int]:
-    return divisions.assigned(store.division_moves(season.number)) if season else {}
-
-
-def _safety(store: Store, rules: Ruleset, races: Races, before: Snapshot | None) -> safety.Record:
-    earlier = before.safety if before and before.races.voided == races.voided else None
-    later = store.drives(rules.hash, since=earlier.drives.last if earlier else 0)
-    return safety.rated(later, rules.tracks, earlier)
 
 
 def _races(store: Store, before: Snapshot | None) -> Races:

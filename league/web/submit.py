@@ -63,15 +63,9 @@ def enter(store: Store, access: Access, token: Token, content: bytes, name: str)
 
 def _submit(asked: Asked) -> Submitted:
     entry = enter(asked.store, asked.access, asked.token, asked.body, asked.query["name"])
-    return Submitted(
-        number=entry.number,
-        id=entry.id,
-        name=entry.name,
-        owner=entry.owner,
-        state=entry.state,
-        near_copy_of=entry.near_copy_of,
-        page=f"/drivers/{entry.number}",
-    )
+    same = ("number", "id", "name", "owner", "state", "near_copy_of")
+    values = {name: getattr(entry, name) for name in same}
+    return Submitted(**values, page=f"/drivers/{entry.number}")
 
 
 def _retire(asked: Asked) -> Retired:

@@ -80,10 +80,7 @@ def _complete(asked: Asked) -> Received:
     received = store.complete(worker, outcomes)
     store.audit((*received.accepted, *received.repeated), asked.access.audited)
     return Received(
-        received.accepted,
-        (*received.repeated, *late),
-        received.quarantined,
-        received.unverified,
+        received.accepted, (*received.repeated, *late), received.quarantined, received.unverified
     )
 
 

@@ -94,11 +94,6 @@ class Learner:
         self._begin_average()
 
     @property
-    def device(self) -> str:
-        """Where the networks live."""
-        return self.cfg.device
-
-    @property
     def episodes(self) -> EpisodeStatistics:
         """Statistics of the last episodes."""
         return self._episodes
@@ -161,8 +156,11 @@ class Learner:
             losses = self._alg.update()
         self.updates += 1
         self.samples += distributed.count() * self.env.num_envs * self.cfg.ppo.rollout
-        self._add_to_average()
-        if self.updates % self.cfg.save_every == 0:
+        self._averaged += 1
+        share = 1.0 / min(max(self._averaged / 10.0, 1.0), AVERAGED)
+        for name, value in self._learnt().items():
+            self._average[name].lerp_(value, share)
+        if self.at_save_point:
             self.restart_rows()
         return Update(
             number=self.updates,
@@ -199,7 +197,7 @@ class Learner:
             "notes": notes,
         }
         if self._on_gpu:
-            state["card_generator"] = torch.cuda.get_rng_state(self.device)
+            state["card_generator"] = torch.cuda.get_rng_state(self.cfg.device)
         with replacing(path, "the learner's state", PolicyError, also=(RuntimeError,)) as file:
             # In memory first: torch.save does not report a full disk in a readable way.
             buffer = io.BytesIO()
@@ -220,7 +218,7 @@ class Learner:
             self._load_state(state)
             torch.set_rng_state(state["generator"])
             if self._on_gpu and "card_generator" in state:  # missing in early files
-                torch.cuda.set_rng_state(state["card_generator"], self.device)
+                torch.cuda.set_rng_state(state["card_generator"], self.cfg.device)
             notes = dict(state["notes"])
         except (
             OSError,
@@ -277,15 +275,9 @@ class Learner:
         self._average = {name: value.clone() for name, value in self._learnt().items()}
         self._averaged = 0
 
-    def _add_to_average(self) -> None:
-        self._averaged += 1
-        share = 1.0 / min(max(self._averaged / 10.0, 1.0), AVERAGED)
-        for name, value in self._learnt().items():
-            self._average[name].lerp_(value, share)
-
     @property
     def _on_gpu(self) -> bool:
-        return torch.device(self.device).type == "cuda"
+        return torch.device(self.cfg.device).type == "cuda"
 
     def _next_tracks(self) -> np.ndarray:
         """Return the next tracks of the worlds, where there are more tracks than worlds."""
@@ -328,18 +320,16 @@ class Learner:
         else:
             self._alg.entropy_coef = ppo.entropy[0] + share * (ppo.entropy[1] - ppo.entropy[0])
 
-    def _critic_groups(self) -> list[str]:
-        meets = self.env.cfg.scenarios is not None
-        return ["state", "truth", "motion"] if meets else ["state"]
-
     def _settings(self) -> dict[str, Any]:
         """Return the settings from which rsl-rl builds its PPO."""
         cfg, ppo = self.cfg, self.cfg.ppo
         groups = list(network.group_shapes(cfg.sensors))
+        meets = self.env.cfg.scenarios is not None
+        seen = ["state", "truth", "motion"] if meets else ["state"]
         return {
             "num_steps_per_env": ppo.rollout,
             "multi_gpu": distributed.rsl_rl_settings(),
-            "obs_groups": {"actor": groups, "critic": self._critic_groups()},
+            "obs_groups": {"actor": groups, "critic": seen},
             "actor": actor_settings(
                 cfg.network, cfg.action_space, "stereo" in groups, ppo.noise[0], ppo.pull
             ),

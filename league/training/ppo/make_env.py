@@ -128,14 +128,10 @@ def env_config(cfg: TrainConfig) -> EnvConfig:
         reward=cfg.reward,
         episode_s=cfg.episode_s,
         # Cars that start anywhere on a lap hardly ever meet.
-        scenarios=_scenarios(cfg),
+        scenarios=Scenarios(shortest=min(Scenarios.shortest, cfg.episode_s))
+        if cfg.num_cars > 1
+        else None,
     )
-
-
-def _scenarios(cfg: TrainConfig) -> Scenarios | None:
-    if cfg.num_cars == 1:
-        return None
-    return Scenarios(shortest=min(Scenarios.shortest, cfg.episode_s))
 
 
 def _spread(share: float) -> DynamicsRandomization:
@@ -164,11 +160,7 @@ def make(
 ) -> RacingVecEnv:
     """Build the worlds: in each, the cars without an opponent's driver learn.
 
-    Args:
-        tracks: where they learn.
-        cfg: settings of the run.
-        opponents: drivers of the other cars, by the number of the car.
-        reward: in Python; None: the settings' own.
+    Opponents are by the number of the car; `reward`, in Python, replaces that of the settings.
     """
     settings = env_config(cfg)
     if opponents and settings.scenarios is not None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import heapq
 import itertools
 import math
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -22,7 +21,7 @@ from league.video import strip
 from league.web import charts
 from league.web.pages import table
 from league.web.pages.seasons import frozen
-from league.web.pages.tracks import medal
+from league.web.pages.tracks import lap_line
 from league.web.reader import Document, NotFoundError, Reader, accepted, heat_number
 
 NEWEST = 200
@@ -53,8 +52,9 @@ OVER = ("done", "quarantined", "error")
 
 def document(reader: Reader, number: int) -> Document:
     """Return an entry: its rating and how it came about, its record, its heats, its card."""
-    entry, entries, rated = reader.entry(number), reader.entries(), reader.standings()
-    row, raced = reader.row(number), reader.store.heats(entries=[number], limit=NEWEST, newest=True)
+    entry, now = reader.entry(number), reader.snapshot()
+    entries, rated, row = now.entries, now.rated, now.rows.get(number)
+    raced = reader.store.heats(entries=[number], limit=NEWEST, newest=True)
     over = [record for record in raced if record.state not in (*WAITING, "cancelled")]
     moments = _history(reader, entry, rated) if rated and row and row.races else []
     heats = _heat_scores(rated, number) if rated and row else []
@@ -67,7 +67,9 @@ def document(reader: Reader, number: int) -> Document:
         "trophies": _trophies(reader, number),
         "history": moments,
         "fitted": bool(rated and rated.num_races <= FITTED_RACES),
-        "chart": _chart(reader, number, moments),
+        "chart": charts.rating_history(moments, table.season_moments(reader, number))
+        if moments and moments[0].races < moments[-1].races
+        else None,
         "against": _neighbours(rated, row) if rated and row else [],
         "best": _named(reader, [heat for heat in best if _surplus(heat) > 0]),
         "worst": _named(reader, [heat for heat in worst if _surplus(heat) < 0]),
@@ -131,24 +133,10 @@ def _laps(reader: Reader, number: int) -> list[Document]:
         if place is None:
             continue
         lap, bound_s = laps[place], reader.bound_s(files.load(name))
-        lines.append(
-            {
-                "track": name,
-                "lap_s": lap.lap_s,
-                "place": place + 1,
-                "over_bound": lap.lap_s / bound_s if bound_s else None,
-                "medal": medal(lap.lap_s, bound_s),
-                "heat": lap.heat,
-                "race": lap.race,
-            }
-        )
+        over = lap.lap_s / bound_s if bound_s else None
+        own = {"track": name, "place": place + 1, "over_bound": over}
+        lines.append({**lap_line(lap, bound_s), **own})
     return lines
-
-
-def _chart(reader: Reader, number: int, moments: list[HistoryPoint]) -> charts.Chart | None:
-    if len(moments) < 2 or moments[0].races == moments[-1].races:
-        return None
-    return charts.rating_history(moments, table.season_moments(reader, number))
 
 
 def _trophies(reader: Reader, number: int) -> list[Document]:
@@ -286,19 +274,16 @@ def _parents(entry: LeagueEntry) -> list[str]:
 def matchup(reader: Reader, one: int, other: int, before: str = "") -> Document:
     """Return who is stronger, how sure that is, and their meetings, the newest first.
 
-    Args:
-        reader: reads the league.
-        one: number of the entry that points count for.
-        other: number of the other entry.
-        before: number of a heat: only earlier ones are listed; empty for all.
+    Points count for the entry of number `one`; only heats `before` the one of that number, if any,
+    are listed.
     """
     pair = reader.entry(one), reader.entry(other)
     if one == other:
         raise NotFoundError("A driver does not meet itself: name two different ones.")
     end = heat_number(before) if before else None
-    rated = reader.standings()
-    rows = reader.row(one), reader.row(other)
-    both = rated if all(rows) else None
+    now = reader.snapshot()
+    rows = now.rows.get(one), now.rows.get(other)
+    both = now.rated if all(rows) else None
     scores = race_scores(both, one, other) if both else []
     met = reader.store.heats(entries=[one, other])
     records = [
@@ -313,24 +298,20 @@ def matchup(reader: Reader, one: int, other: int, before: str = "") -> Document:
         "chart": charts.points_chart(scores) if len(scores) > 1 else None,
         "tracks": _points_by_track(scores),
         "heats": _races_met(reader, pair, records[-HEATS_MET:][::-1], scores),
-        "waiting": sum(record.state in ("planned", "claimed") for record in met),
+        "waiting": sum(record.state in WAITING for record in met),
         "older": records[-HEATS_MET].number if len(records) > HEATS_MET else None,
     }
 
 
 def _points_by_track(scores: Sequence[RaceScore]) -> list[Document]:
-    by_track = defaultdict(list)
+    lines: dict[str, Document] = {}
     for score in scores:
-        by_track[score.track].append(score)
-    return [
-        {
-            "track": track,
-            "races": len(some),
-            "points": sum(score.points for score in some),
-            "expected": sum(score.expected for score in some),
-        }
-        for track, some in sorted(by_track.items())
-    ]
+        line = {"track": score.track, "races": 0, "points": 0.0, "expected": 0.0}
+        line = lines.setdefault(score.track, line)
+        line["races"] += 1
+        line["points"] += score.points
+        line["expected"] += score.expected
+    return [line for _, line in sorted(lines.items())]
 
 
 def _races_met(
@@ -340,14 +321,13 @@ def _races_met(
     scores: Sequence[RaceScore],
 ) -> list[Document]:
     """Return each race of some heats: who came in ahead, by how much, and what was promised."""
-    results = defaultdict(list)
-    for result in reader.store.results(*(record.number for record in records)):
-        results[result.heat].append(result)
+    results = reader.store.results(*(record.number for record in records))
     expected = {(score.heat, score.race): score.expected for score in scores}
     lines = []
     for record in records:
+        own = [result for result in results if result.heat == record.number]
         for half, race in enumerate(record.heat.halves):
-            result = accepted(results[record.number], half)
+            result = accepted(own, half)
             slots = [race.grid.index(entry.id) for entry in pair if entry.id in race.grid]
             if len(slots) < 2:
                 continue

@@ -61,15 +61,9 @@ class _Ghost:
 def document(
     reader: Reader, track: str = "", one: str = "", other: str = "", heat: str = ""
 ) -> Document:
-    """Return two laps on a track, and what else may be chosen.
+    """Return two laps on a track, and what else may be chosen; for the arguments see PAGES.
 
-    Args:
-        reader: reads the league.
-        track: name of the track; laps on another one are not kept. Empty for that of the laps.
-        one: a lap as heat.race.car.lap, or the number of a driver: its best lap on the track.
-            Empty for the fastest.
-        other: the same, for the second lap.
-        heat: number of a heat of which all laps are offered; empty for none.
+    Laps on another track than the one asked for are not kept; without laps the fastest are shown.
     """
     known = reader.rules()["tracks"]
     if track and track not in known:
@@ -237,22 +231,11 @@ def player_data(laps: Sequence[Lap], track: Track) -> dict[str, object]:
     cars: list[dict[str, object]] = []
     for car, (lap, begin, take) in enumerate(zip(laps, begins, takes, strict=True)):
         moments = np.minimum(begin + times_s, lap.time_s[-1])
-        x, y, yaw = (
-            np.interp(moments, lap.time_s, column)
-            for column in (lap.points[:, 0], lap.points[:, 1], lap.yaw)
-        )
-        cars.append(
-            drawn_car(
-                car + 1,
-                lap.label,
-                x=x,
-                y=y,
-                yaw=yaw,
-                distance=distance[:, car],
-                gap_s=gaps_s[:, car],
-                laps=np.array([min(math.ceil(take * STEP_HZ), frames - 1)]),
-            )
-        )
+        poses = {"x": lap.points[:, 0], "y": lap.points[:, 1], "yaw": lap.yaw}
+        drawn = {name: np.interp(moments, lap.time_s, values) for name, values in poses.items()}
+        drawn |= {"distance": distance[:, car], "gap": gaps_s[:, car]}
+        over_line = np.array([min(math.ceil(take * STEP_HZ), frames - 1)])
+        cars.append(drawn_car(car + 1, lap.label, drawn, over_line))
     return {
         "step_hz": STEP_HZ,
         "duration_s": round((frames - 1) / STEP_HZ, 3),

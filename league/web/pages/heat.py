@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from league.matchmaking.documents import heat_document
 from league.matchmaking.store import HeatRecord, RaceOutcome, StoredResult
-from league.race_spec import Event, RaceResult
+from league.race_spec import RaceResult
 from league.replay import Replay
 from league.web import charts, race_charts
 from league.web.reader import Document, NotFoundError, Reader, accepted
@@ -28,15 +28,7 @@ UNPENALISED = ("touch", "wall_contact")
 
 
 def document(reader: Reader, number: int, race: str = "", lap: str = "") -> Document:
-    """Return a heat, and all about one of its races.
-
-    Args:
-        reader: reads the league.
-        number: of the heat.
-        race: number of the race within the heat, from 1; empty for the first.
-        lap: number of the lap of which speeds and lines are compared, from 1; empty for each car's
-            best one.
-    """
+    """Return a heat, and all about one of its races, by default the first; see PAGES."""
     at = _race(reader, number, race)
     order = at.result.result["order"] if at.result else []
     laps_s = [one for car in order for one in car["lap_times_s"]]
@@ -178,20 +170,17 @@ def faults_by_lap(result: RaceResult) -> list[list[LapFaults]]:
     """
     cars = sorted(result.order, key=lambda row: row.car)
     found = [[LapFaults() for _ in range(row.laps + (not row.finished))] for row in cars]
-    laps, steps = [0] * len(cars), dict[tuple[int, float], float]()
+    laps, paid = [0] * len(cars), dict[tuple[int, float], float]()
     for event in result.events:
         car = event.car
         laps[car] += event.kind == "lap"
-        if event.kind in FAULT_WORDS and laps[car] < len(found[car]):
-            _add_fault(found[car][laps[car]], event, steps)
+        if event.kind not in FAULT_WORDS or laps[car] >= len(found[car]):
+            continue
+        lap, word = found[car][laps[car]], FAULT_WORDS[event.kind]
+        lap.counts[word] = lap.counts.get(word, 0) + 1
+        if event.kind not in UNPENALISED and event.value:
+            # Faults of one step share its penalty.
+            paid_s = paid.get((car, event.time_s), 0.0)
+            lap.penalty_s += max(event.value - paid_s, 0.0)
+            paid[car, event.time_s] = max(event.value, paid_s)
     return found
-
-
-def _add_fault(lap: LapFaults, event: Event, steps: dict[tuple[int, float], float]) -> None:
-    """Count a fault; faults of one step share its penalty, which is kept in `steps`."""
-    word = FAULT_WORDS[event.kind]
-    lap.counts[word] = lap.counts.get(word, 0) + 1
-    if event.kind not in UNPENALISED and event.value:
-        step, paid_s = (event.car, event.time_s), steps.get((event.car, event.time_s), 0.0)
-        lap.penalty_s += max(event.value - paid_s, 0.0)
-        steps[step] = max(event.value, paid_s)

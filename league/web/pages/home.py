@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 
 from league.matchmaking.documents import heat_document
-from league.matchmaking.store import HeatRecord, StoredResult
+from league.matchmaking.store import HeatRecord
 from league.web import charts
 from league.web.pages import heat
 from league.web.reader import Document, Reader
@@ -27,7 +27,8 @@ LISTED_LIVE = 20
 
 def document(reader: Reader) -> Document:
     """Return the most contested recent race, the standings' top, what races, newest results."""
-    rated, counts = reader.standings(), reader.store.counts()
+    now, counts = reader.snapshot(), reader.store.counts()
+    rated = now.rated
     featured = reader.kept(("featured", counts.get("done", 0)), lambda: _most_contested(reader))
     return {
         "rules": reader.rules(),
@@ -36,7 +37,7 @@ def document(reader: Reader) -> Document:
         "featured": heat.summary(reader, *featured) if featured else None,
         "scale": charts.interval_scale(rated.rows) if rated else None,
         "rows": rated.rows[:TOP] if rated else (),
-        "entries": len(reader.entries()),
+        "entries": len(now.entries),
         "running": [
             heat_document(one, reader.names)
             for one in reader.store.heats(("claimed",), limit=LISTED)
@@ -48,21 +49,16 @@ def document(reader: Reader) -> Document:
 def _most_contested(reader: Reader) -> tuple[int, str] | None:
     """Return the number of a heat and of its race with the most passes, then the closest one."""
     rated = [one.number for one in reader.newest(RECENT) if one.heat.purpose == "rated"]
-    races = [
-        (_contested(result), result.heat, str(result.half + 1))
-        for result in reader.store.results(*rated)
-        if result.replay and not result.rejected
-    ]
-    return max(races)[1:] if races else None
-
-
-def _contested(result: StoredResult) -> tuple[int, float]:
-    """Return how contested a race was: passes and changes of the lead, then how close the end."""
-    order = result.result["order"]
-    passes = result.result["lead_changes"] + sum(car["overtakes"] for car in order)
-    finished = [car["total_s"] for car in order if car["finished"]]
-    gap_s = finished[1] - finished[0] if len(finished) > 1 else 1e6
-    return int(passes), -float(gap_s)
+    races: list[tuple[int, float, int, str]] = []
+    for result in reader.store.results(*rated):
+        if not result.replay or result.rejected:
+            continue
+        order = result.result["order"]
+        passes = result.result["lead_changes"] + sum(car["overtakes"] for car in order)
+        finished = [car["total_s"] for car in order if car["finished"]]
+        gap_s = finished[1] - finished[0] if len(finished) > 1 else 1e6
+        races.append((int(passes), -float(gap_s), result.heat, str(result.half + 1)))
+    return max(races)[2:] if races else None
 
 
 def heats(reader: Reader) -> Document:
@@ -72,15 +68,10 @@ def heats(reader: Reader) -> Document:
 
 def live(reader: Reader) -> Document:
     """Return the running heats, the queue, the workers, the pace, and what needs attention."""
-    store, now_s = reader.store, time.time()
-    names = reader.names
-    counts = store.counts()
-    running = store.heats(("claimed",))
-    newest = reader.newest(COUNTED)
+    store, now_s, names = reader.store, time.time(), reader.names
+    counts, running, newest = store.counts(), store.heats(("claimed",)), reader.newest(COUNTED)
     done = [one for one in newest if now_s - (one.done_s or 0.0) < WINDOW_S]
     per_minute = 60 * len(done) / WINDOW_S
-    waiting = counts.get("planned", 0)
-    troubled = store.heats(("error", "quarantined"))
 
     def listed(records: Sequence[HeatRecord]) -> list[Document]:
         return [heat_document(record, names) for record in records[:LISTED_LIVE]]
@@ -89,12 +80,12 @@ def live(reader: Reader) -> Document:
         "newest": _newest(reader, newest[:LISTED_LIVE]),
         "counts": counts,
         "per_minute": per_minute,
-        "wait_minutes": waiting / per_minute if per_minute else None,
+        "wait_minutes": counts.get("planned", 0) / per_minute if per_minute else None,
         "running": listed(running),
         "queue": listed(store.heats(("planned",), limit=LISTED_LIVE)),
         "workers": _workers(running, done),
         "finished": reader.listed(done[:LISTED_LIVE]),
-        "troubled": listed(troubled[::-1]),
+        "troubled": listed(store.heats(("error", "quarantined"))[::-1]),
         "joining": [
             {"number": entry.number, "name": entry.name, "state": entry.state}
             for entry in store.entries(("pending", "validating"))

@@ -22,7 +22,7 @@ def document(reader: Reader) -> Document:
         "running": known[0] if known and known[0].until is None else None,
         "leaders": _leaders(reader),
         "cups": [
-            {"cup": cup, "winner": _winner(frozen(reader, cup))}
+            {"cup": cup, "winner": done["order"][0] if (done := frozen(reader, cup)) else None}
             for cup in reader.store.cups()[::-1]
         ],
     }
@@ -44,7 +44,7 @@ def _leaders(reader: Reader) -> list[Document]:
     """Return the first entries of the standings that are no anchors."""
     return [
         {"number": row.number, "name": row.name, "elo": row.elo, "races": row.races}
-        for row in reader.rows()
+        for row in reader.snapshot().rows.values()
         if not row.anchor
     ][:TOP]
 
@@ -64,15 +64,9 @@ def _season(reader: Reader, known: Season) -> Document:
         "season": known,
         "entries": table.get("entries", []),
         "races": table.get("races", 0),
-        "divisions": document.get("divisions", {}),
-        "safety": document.get("safety", {}),
-        "laps": document.get("laps", {}),
+        **{name: document.get(name, {}) for name in ("divisions", "safety", "laps")},
         "trophies": document.get("trophies", []),
     }
-
-
-def _winner(document: dict[str, Any] | None) -> dict[str, Any] | None:
-    return document["order"][0] if document else None
 
 
 TO_COME: Document = {"number": None, "state": None, "track": None, "runs": []}
@@ -110,10 +104,10 @@ def _bracket(rounds: list[Document]) -> list[Document]:
     shown = []
     for size in sizes:
         known = rounds[len(shown)]["heats"] if len(shown) < len(rounds) else []
-        before = shown[-1]["heats"] if shown else []
+        before = [one["number"] for one in shown[-1]["heats"]] if shown else []
         heats = [
-            {**(known[index] if known else TO_COME), "feeds": [one["number"] for one in feeding]}
-            for index, feeding in zip(_top_to_bottom(size), _feeding(before, size), strict=True)
+            {**(known[index] if known else TO_COME), "feeds": before[2 * place : 2 * place + 2]}
+            for place, index in enumerate(_top_to_bottom(size))
         ]
         shown.append({"name": cups.stage_name(size), "heats": heats})
     return shown
@@ -124,7 +118,3 @@ def _top_to_bottom(size: int) -> list[int]:
     if size == 1:
         return [0]
     return [index for one in _top_to_bottom(size // 2) for index in (one, size - 1 - one)]
-
-
-def _feeding(heats: list[Document], size: int) -> list[list[Document]]:
-    return [heats[2 * index : 2 * index + 2] for index in range(size)]

@@ -102,17 +102,9 @@ def document(
     sort: str = "",
     page: str = "",
 ) -> Document:
-    """Return one page of the standings.
+    """Return one page of the standings; for the arguments, all empty by default, see PAGES.
 
-    Args:
-        reader: reads the league.
-        owner: only entries of this owner; empty for all.
-        kind: only these: anchor, policy or scripted; empty for all.
-        track: rated by the races on this track alone; empty for all.
-        cars: rated by the races of so many cars alone; empty for all.
-        against: number or name of the entry against which everyone's record is shown.
-        sort: races, wins, finishes, lap, name or owner; empty for the rating.
-        page: number of the page, from 1; empty for the first.
+    Filters by `track` and `cars` rate everyone again, by those races alone.
     """
     rules, now = reader.rules(), reader.snapshot()
     if track and track not in rules["tracks"]:
@@ -135,7 +127,9 @@ def document(
     asked = {"owner": owner, "kind": kind, "track": track, "cars": cars, "against": against}
     asked = {name: text for name, text in asked.items() if text}
     pages = math.ceil(len(shown) / PER_PAGE) or 1
-    number = _page(page, pages)
+    if page and page not in map(str, range(1, pages + 1)):
+        raise NotFoundError(f"The standings have the pages 1 to {pages}.")
+    number = int(page or 1)
     on_page = shown[(number - 1) * PER_PAGE : number * PER_PAGE]
     return {
         "rules": rules,
@@ -161,29 +155,17 @@ def document(
         "owners": _options(now.owners),
         "kinds": now.kinds,
         "car_counts": now.car_counts,
-        "owner": owner,
-        "kind": kind,
-        "track": track,
-        "cars": cars,
+        **{"owner": owner, "kind": kind, "track": track, "cars": cars},
     }
-
-
-def _page(asked: str, pages: int) -> int:
-    if asked and asked not in map(str, range(1, pages + 1)):
-        raise NotFoundError(f"The standings have the pages 1 to {pages}.")
-    return int(asked or 1)
 
 
 def _pager(number: int, pages: int, asked: dict[str, str]) -> list[tuple[str, str]]:
     """Return labels and addresses of other pages, and the label of this one with none."""
-    near = sorted({1, pages, *range(max(1, number - 2), min(pages, number + 2) + 1)})
-    return [
-        (
-            str(page),
-            "" if page == number else _address({**asked, "page": str(page)} if page > 1 else asked),
-        )
-        for page in near
-    ]
+    pager = []
+    for page in sorted({1, pages, *range(max(1, number - 2), min(pages, number + 2) + 1)}):
+        address = _address({**asked, "page": str(page)} if page > 1 else asked)
+        pager.append((str(page), "" if page == number else address))
+    return pager
 
 
 def _address(asked: dict[str, str]) -> str:

@@ -26,12 +26,7 @@ TITLES = {
 
 
 def medal(lap_s: float, bound_s: float | None) -> str:
-    """Return the best medal that a lap earns; empty for none.
-
-    Args:
-        lap_s: lap time, penalties included [s].
-        bound_s: time that no flying lap can beat [s]; None if unknown.
-    """
+    """Return the best medal that a lap earns, penalties included; empty for none or no bound."""
     if bound_s is None:
         return ""
     return next((name for name, most in MEDALS.items() if lap_s <= most * bound_s), "")
@@ -63,15 +58,14 @@ def _track(reader: Reader, track: Track, laps: list[BestLap]) -> Document:
     }
 
 
+def lap_line(lap: BestLap, bound_s: float | None) -> Document:
+    """Return a lap as part of a line: its time, its medal, and where it was driven."""
+    line = {"lap_s": lap.lap_s, "medal": medal(lap.lap_s, bound_s)}
+    return {**line, "heat": lap.heat, "race": lap.race}
+
+
 def _line(lap: BestLap, name: str, bound_s: float | None) -> Document:
-    return {
-        "entry": lap.number,
-        "name": name,
-        "lap_s": lap.lap_s,
-        "medal": medal(lap.lap_s, bound_s),
-        "heat": lap.heat,
-        "race": lap.race,
-    }
+    return {"entry": lap.number, "name": name, **lap_line(lap, bound_s)}
 
 
 def _speeds(reader: Reader, lap: BestLap | None) -> SpeedMap | None:
@@ -109,7 +103,7 @@ def _board(reader: Reader, name: str, laps: list[BestLap]) -> Document:
     track = files.load(name)
     bound_s = reader.bound_s(track)
     drivers = {lap.number: reader.entry(lap.number) for lap in laps[:MOST_ON_BOARD]}
-    rows = {number: reader.row(number) for number in drivers}
+    rows = reader.snapshot().rows
     return {
         "track": name,
         "title": track.title,
@@ -119,7 +113,7 @@ def _board(reader: Reader, name: str, laps: list[BestLap]) -> Document:
                 **_line(lap, drivers[lap.number].name, bound_s),
                 "owner": drivers[lap.number].owner,
                 "behind_s": lap.lap_s - laps[0].lap_s,
-                "rank": row.rank if (row := rows[lap.number]) else None,
+                "rank": row.rank if (row := rows.get(lap.number)) else None,
             }
             for lap in laps[:MOST_ON_BOARD]
         ],
