@@ -20,7 +20,7 @@ from league.sim.config import RaceKind
 from league.track.track import Track, TrackSet
 
 
-class SB3VecEnv(VecEnv):
+class SB3VecEnv(VecEnv):  # type: ignore[misc]  # without the extra
     """Races stepped as one batch, for policies that take dicts (`MultiInputPolicy`).
 
     A race that has ended is restarted in the same step, as SB3 expects. For speed an info is empty
