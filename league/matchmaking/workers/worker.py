@@ -219,8 +219,8 @@ def machine_class() -> str:
     """Return the architecture, a hash of PyBullet's machine code, and one of libm's answers.
 
     Races in Bullet have the same bits on machines of one class. All else is computed in the same
-    order with portable functions; Bullet calls the machine's libm (docs/physics.md), whose answers
-    show its version and which features of the processor it uses.
+    order with portable functions; Bullet calls the machine's libm (docs/physics.md), and its
+    answers show its version and which features of the processor it uses.
     """
     answers = [function(n / 4096) for n in range(-4095, 4096) for function in _FUNCTIONS]
     answers += [math.atan2(n / 64, 1 - n / 97) for n in range(4096)]
