@@ -70,6 +70,11 @@ def test_a_checkpoint_is_submitted_to_a_served_league_and_retired_there(store, s
         assert "Ann's car by ann: entry" in out and f"{url}/drivers/2" in out
         again = said("submit", "mine.pt", "--to", url, "--name", "other")
         assert "entered already, as Ann's car" in again
+        late = said("submit", "mine.pt", "--to", url, "--name", "Ann's car", "--download")
+        assert "cannot be downloaded" in late and not store.entry("Ann's car").downloadable
+        checkpoint.save("free.pt", make_checkpoint("blind", seed=1))
+        offered = said("submit", "free.pt", "--to", url, "--download")
+        assert "cannot be downloaded" not in offered and store.entry("free").downloadable
         assert "'mine' cannot" not in said("retire", "Ann's car", "--yes", "--to", url)
         assert said("retire", "Ann's car", "--yes", "--to", url).endswith("retired already.\n")
         assert "only its owner's token" in said(

@@ -94,9 +94,12 @@ class Client:
             )
         return cls(url.rstrip("/"), token)
 
-    def submit(self, content: bytes, name: str) -> dict[str, Any]:
-        """Send an entry, as submission.pack makes it; return what the server says of it."""
-        path = f"/api/v1/entries?name={quote(name, safe='')}"
+    def submit(self, content: bytes, name: str, *, download: bool = False) -> dict[str, Any]:
+        """Send an entry, as submission.pack makes it; return what the server says of it.
+
+        With `download` everyone may have its weights.
+        """
+        path = f"/api/v1/entries?name={quote(name, safe='')}{'&download=true' if download else ''}"
         return self.ask(path, content, "application/octet-stream")
 
     def ask(self, path: str, body: bytes, kind: str = "application/json") -> dict[str, Any]:

@@ -111,7 +111,7 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
         return answers.shared(make, lasting=not one.fleeting) if one.shared else make
 
     def download(answer: Callable[..., Response]) -> Callable[[Request], Response]:
-        return lambda request: answer(reader, request, **request.path_params)
+        return lambda request: answer(reader, access, request, **request.path_params)
 
     def failed(request: Request, error: Exception) -> Response:
         status, sentence = _status(error)

@@ -28,6 +28,7 @@ from league.matchmaking.store import Store
 from league.video import strip
 from league.web.pages import heat
 from league.web.reader import NotFoundError, Reader
+from league.web.security import Access
 
 RRD_LIMIT_S = 300.0
 """Time after which the making of a recording is given up [s]."""
@@ -38,17 +39,21 @@ _PACKING = threading.Lock()
 """The first visitors wait for one of them to pack the viewer, which takes seconds."""
 
 
-def camera(reader: Reader, _: Request, number: int, race: int, car: int) -> Response:
+def camera(
+    reader: Reader, access: Access, request: Request, number: int, race: int, car: int
+) -> Response:
     """Return what one car saw in a race, as a film strip."""
     digest = heat.recording(reader, number, race)
     replay = reader.replay(digest)
     if not 1 <= car <= replay.num_cars:
         raise NotFoundError(f"This race has the cars 1 to {replay.num_cars}.")
-    content = reader.large(("strip", digest, car), lambda: strip.picture(replay, car - 1))
+    content = access.large(
+        reader, request, ("strip", digest, car), lambda: strip.picture(replay, car - 1)
+    )
     return Response(content, media_type="image/jpeg", headers=FOR_GOOD)
 
 
-def checkpoint(reader: Reader, _: Request, number: int) -> Response:
+def checkpoint(reader: Reader, _access: Access, _request: Request, number: int) -> Response:
     """Return a policy's weights and card, if its owner lets everyone have them."""
     entry = reader.entry(number)
     if not entry.downloadable:
@@ -58,10 +63,10 @@ def checkpoint(reader: Reader, _: Request, number: int) -> Response:
     return Response(content, media_type="application/octet-stream", headers=headers)
 
 
-def recording(reader: Reader, _: Request, number: int, race: int) -> Response:
+def recording(reader: Reader, access: Access, request: Request, number: int, race: int) -> Response:
     """Return a race as a file of the Rerun viewer."""
     digest = heat.recording(reader, number, race)
-    content = reader.large(("rerun", digest), lambda: rrd_of(reader.store, digest))
+    content = access.large(reader, request, ("rerun", digest), lambda: rrd_of(reader.store, digest))
     return Response(content, media_type="application/octet-stream", headers=FOR_GOOD)
 
 
@@ -70,7 +75,9 @@ def viewer_version() -> str:
     return metadata.version("rerun-sdk")
 
 
-def open_race(reader: Reader, request: Request, number: int, race: int) -> Response:
+def open_race(
+    reader: Reader, _access: Access, request: Request, number: int, race: int
+) -> Response:
     """Lead to the viewer with a race."""
     from league.rerun_view import viewer
 
@@ -82,7 +89,9 @@ def open_race(reader: Reader, request: Request, number: int, race: int) -> Respo
     )
 
 
-def viewer_file(_reader: Reader, _request: Request, release: str, name: str) -> Response:
+def viewer_file(
+    _reader: Reader, _access: Access, _request: Request, release: str, name: str
+) -> Response:
     """Return a file of the viewer, packed: it takes 14 MB instead of 43."""
     from league.rerun_view import viewer
 

@@ -167,6 +167,10 @@ class Reader:
                 self._kept.popitem(last=False)
         return made
 
+    def kept_large(self, key: Hashable) -> bytes | None:
+        """Return what `large` made for a key, if it is still kept."""
+        return self._large.get(key)
+
     def large(self, key: Hashable, make: Callable[[], bytes]) -> bytes:
         """Return what `make` returns, which takes seconds: only one is made at a time; see `kept`.
 

@@ -7,8 +7,8 @@ import ipaddress
 import math
 import threading
 import time
-from collections import OrderedDict
-from collections.abc import Callable, Generator
+from collections import Counter, OrderedDict
+from collections.abc import Callable, Generator, Hashable
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
@@ -16,6 +16,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 
 from league.matchmaking.store import Quota, Scope, Store, Token
+from league.web.reader import Reader
 
 READ_S = 120.0
 """Longest time in which a body must arrive [s]."""
@@ -23,6 +24,8 @@ DRAINED = 64 << 20
 """Bytes of a refused body that are read and dropped, so that its sender sees the answer."""
 MOST_KEYS = 20_000
 """Clients that a limit remembers; those seen least lately are forgotten."""
+MOST_SLOW = 2
+"""Requests of one client that may make, or wait for, a slow answer at the same time."""
 FREE_S = 0.05
 """Processor time of a page that is free [s]; only what is slower counts."""
 
@@ -87,6 +90,39 @@ class Limits:
     """Requests of workers, for each token."""
     pages: Limit = field(default_factory=lambda: Limit(0.5, 20))
     """Processor time of slow pages [s], for each address."""
+    large: Limit = field(default_factory=lambda: Limit(0.5, 60))
+    """Time in which recordings for the viewer and film strips are made [s], for each address."""
+
+
+class Slots:
+    """How many requests of each client are under way."""
+
+    def __init__(self) -> None:
+        self._taken: Counter[str] = Counter()
+        self._lock = threading.Lock()
+
+    @contextmanager
+    def one(self, key: str, most: int) -> Generator[None]:
+        """Count one more request of a client while it goes on.
+
+        Raises:
+            HTTPException: 429 if `most` of this client go on already.
+        """
+        with self._lock:
+            if self._taken[key] >= most:
+                raise HTTPException(
+                    429,
+                    f"{most} slow answers for you are being made: try again in 10 s.",
+                    {"Retry-After": "10"},
+                )
+            self._taken[key] += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._taken[key] -= 1
+                if not self._taken[key]:
+                    del self._taken[key]
 
 
 @dataclass(frozen=True)
@@ -100,6 +136,8 @@ class Access:
     audited: float = 0.05
     """Share of the heats of remote workers that are run again elsewhere."""
     limits: Limits = field(default_factory=Limits)
+    slots: Slots = field(default_factory=Slots)
+    """Slow answers that are being made."""
 
     @contextmanager
     def reading(self, request: Request) -> Generator[None]:
@@ -113,6 +151,33 @@ class Access:
             used_s = time.thread_time() - before_s
             if used_s > FREE_S:
                 self.limits.pages.take(client, used_s - FREE_S)
+
+    def large(
+        self, reader: Reader, request: Request, key: Hashable, make: Callable[[], bytes]
+    ) -> bytes:
+        """Return a large answer, see Reader.large; who asks is charged for the time of making it.
+
+        One that is kept costs nothing. One client alone cannot fill the queue in which all wait.
+
+        Raises:
+            HTTPException: 429 for a client that has used, or waits for, too much.
+            BusyError: many clients wait.
+        """
+        known = reader.kept_large(key)
+        if known is not None:
+            return known
+        client = client_of(request)
+        self.limits.large.check(client, 0.0)
+
+        def made() -> bytes:
+            start_s = time.monotonic()  # another process may be at work: its time counts, too
+            try:
+                return make()
+            finally:
+                self.limits.large.take(client, time.monotonic() - start_s)
+
+        with self.slots.one(client, MOST_SLOW):
+            return reader.large(key, made)
 
     def token(self, store: Store, secret: str, scope: Scope, client: str) -> Token:
         """Return the token with this secret, if it allows what is asked.

@@ -9,6 +9,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from starlette.exceptions import HTTPException
 
 from league.agents.checkpoint import MAX_SIZE_CAMERA
+from league.errors import brief
 from league.matchmaking import submission
 from league.matchmaking.store import EntryState, LeagueEntry, Store, Token
 from league.race_spec import printable
@@ -30,6 +31,8 @@ class Submitted:
     state: EntryState
     near_copy_of: str
     """Name of the earlier entry with nearly the same weights; empty for none."""
+    downloadable: bool
+    """Whether everyone may have the weights, which the first submission decides."""
     page: str
     """Where its validation and its races can be followed."""
 
@@ -54,16 +57,23 @@ class Retired:
     """False if it was retired already."""
 
 
-def enter(store: Store, access: Access, token: Token, content: bytes, name: str) -> LeagueEntry:
+def enter(
+    store: Store, access: Access, token: Token, content: bytes, name: str, *, download: bool
+) -> LeagueEntry:
     """Check what the owner of a token sent, and enter it, as `league submit` does."""
     if not name:
         raise HTTPException(422, "The entry has no name: give one.")
-    return submission.accept(store, content, name, token.owner, access.quota)
+    return submission.accept(store, content, name, token.owner, access.quota, download=download)
 
 
 def _submit(asked: Asked) -> Submitted:
-    entry = enter(asked.store, asked.access, asked.token, asked.body, asked.query["name"])
-    same = ("number", "id", "name", "owner", "state", "near_copy_of")
+    name, offered = asked.query["name"], asked.query["download"]
+    if offered not in ("", "false", "true"):
+        raise HTTPException(422, f"download is {brief(offered)}: give true or false.")
+    entry = enter(
+        asked.store, asked.access, asked.token, asked.body, name, download=offered == "true"
+    )
+    same = ("number", "id", "name", "owner", "state", "near_copy_of", "downloadable")
     values = {name: getattr(entry, name) for name in same}
     return Submitted(**values, page=f"/drivers/{entry.number}")
 
@@ -88,7 +98,10 @@ ADDRESSES = (
         _submit,
         Submitted,
         most_bytes=MAX_SIZE_CAMERA,
-        query={"name": "Name shown to people"},
+        query={
+            "name": "Name shown to people",
+            "download": "true lets everyone download the weights; false by default",
+        },
     ),
     Protected(
         "/api/v1/entries/retire",
@@ -106,7 +119,10 @@ def _entered(asked: Asked, _: Document) -> str:
     if not asked.body.get("file"):
         raise HTTPException(422, "There was no file: choose the one that `league pack` wrote.")
     name = text(asked.body, "name")
-    entry = enter(asked.store, asked.access, asked.token, asked.body["file"], name)
+    offered = bool(text(asked.body, "download"))
+    entry = enter(
+        asked.store, asked.access, asked.token, asked.body["file"], name, download=offered
+    )
     return f"/drivers/{entry.number}"
 
 
@@ -128,7 +144,7 @@ def _left(asked: Asked, document: Document) -> str:
 
 
 FORMS = (
-    Form("/submit", "submit.html", _entered, ("name",), most_file=MAX_SIZE_CAMERA),
+    Form("/submit", "submit.html", _entered, ("name", "download"), most_file=MAX_SIZE_CAMERA),
     Form("/drivers/{number:number}/retire", "retire.html", _left, ("reason",), _leaving),
 )
 """Forms for browsers."""

@@ -6,13 +6,14 @@ from importlib import resources
 
 from playwright.sync_api import Page
 
-from tests.browser.looking import PHONE
+from tests.browser.looking import NARROW, PHONE
 
 AXE = resources.files("axe_playwright_python").joinpath("axe.min.js")
 SERIOUS = {"serious", "critical"}
 LOOKS = {
     "wide_light": {"color_scheme": "light"},
     "phone_dark": {"color_scheme": "dark", "viewport": PHONE},
+    "narrow_light": {"color_scheme": "light", "viewport": NARROW},
 }
 
 

@@ -15,7 +15,7 @@ from league.matchmaking.pairing.matchmaker import Matchmaker
 from league.matchmaking.workers.dispatcher import Dispatcher
 from tests.browser.looking import NEEDS_CHROMIUM, PATHS, PHONE, opened
 from tests.matchmaking.season_kit import Here
-from tests.web.small_league import NAME, lapped_heat, rated_heat
+from tests.web.small_league import NAME, lapped_heat, overtaken_heat, rated_heat
 
 pytestmark = NEEDS_CHROMIUM
 
@@ -69,18 +69,57 @@ def test_a_heat_is_scrubbed_by_keyboard(browser, origin, complaints, store):
     assert complaints == []
 
 
-def test_an_event_and_a_link_lead_to_their_moment(browser, origin, complaints, store):
+def test_an_overtake_and_a_link_lead_to_their_moment(browser, origin, complaints, store):
     page = opened(browser, origin, complaints)
-    page.goto(f"/heats/{rated_heat(store)}#t=2.5")
+    page.goto(f"/heats/{overtaken_heat(store)}#t=2.5")
     slider = page.locator(".scrub input")
     slider.wait_for()
     assert slider.input_value() == "2.5"
-    page.locator(".events a").last.click()
+    overtake = page.locator(".events .overtake a").last
+    at_s = float(overtake.get_attribute("data-time"))
+    overtake.click()
     page.wait_for_timeout(100)
     moment = float(re.search(r"#t=([\d.]+)", page.url).group(1))
+    assert moment == pytest.approx(max(at_s - 1, 0), abs=0.06) != 2.5
     assert float(slider.input_value()) == pytest.approx(moment, abs=0.03)
     page.get_by_role("button", name="Link to this moment").click()
     assert page.url.endswith(f"#t={moment:.1f}")
+
+
+def test_keys_are_left_to_what_has_the_focus(browser, origin, complaints, store):
+    page = opened(browser, origin, complaints)
+    page.goto(f"/heats/{rated_heat(store)}")
+    slider, play = page.locator(".scrub input"), page.get_by_role("button", name="Play")
+    slider.wait_for()
+    page.keyboard.press("ArrowRight")
+    assert slider.input_value() == "1"
+    for other in (".events", ".events a >> nth=0", ".scroll[tabindex]", "nav a >> nth=0"):
+        page.locator(other).focus()
+        for key in ("End", "Home", "ArrowRight", "ArrowLeft", "Space"):
+            page.keyboard.press(key)
+        assert slider.input_value() == "1" and play.is_visible()
+    page.locator(".events").evaluate("list => (list.style.maxHeight = '3rem')")
+    page.locator(".events").focus()
+    page.keyboard.press("End")
+    expect(page.locator(".events")).not_to_have_js_property("scrollTop", 0)
+    page.locator(".player").focus()
+    page.keyboard.press("End")
+    assert float(slider.input_value()) > 2
+    page.keyboard.press("Home")
+    page.keyboard.press("Shift+N")  # as the page writes it
+    assert float(slider.input_value()) > 0
+    assert complaints == []
+
+
+def test_what_the_link_says_can_be_read_while_the_race_plays(browser, origin, store):
+    page = opened(browser, origin, [])
+    page.goto(f"/heats/{rated_heat(store)}")
+    caption = page.locator(".caption")
+    page.get_by_role("button", name="Play").click()
+    page.get_by_role("button", name="Link to this moment").click()
+    page.wait_for_timeout(700)  # the panel is written six times a second
+    assert "leads to this moment" in caption.inner_text()
+    expect(caption).not_to_contain_text("leads to this moment", timeout=20_000)
 
 
 @pytest.mark.parametrize("path", PATHS)

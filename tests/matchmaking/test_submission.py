@@ -19,6 +19,8 @@ from league.errors import LeagueError, PolicyError, StoreError
 from league.matchmaking import submission
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Ruleset
+from league.matchmaking.store import entries
+from league.matchmaking.store.names import looks
 from league.sim.config import CameraConfig, LidarConfig, SensorConfig
 from tests.agents.trained import make_card, make_checkpoint
 from tests.matchmaking import leagues
@@ -245,6 +247,49 @@ def test_names_that_pass_for_others_are_refused(tmp_path, name, reason):
             "racer 2",
         ):
             assert store.submit(fine, "bob", weights=fine.encode()).name == fine
+
+
+@pytest.mark.parametrize(
+    ("name", "known"),
+    [
+        ("dueIist", "duelist"), ("due1ist", "duelist"), ("due|ist", "duelist"),
+        ("bIocker", "blocker"), ("bl0cker", "blocker"), ("g1obetrotter", "globetrotter"),
+        ("d0dger", "dodger"), ("r\u0251cer", "racer"), ("\u0280acer", "racer"),
+        ("nov\u00edce", "novice"), ("duelist.", "duelist"), ("racer\u00b2", "racer"),
+        ("racer\u00b7", "racer"), ("-racer-", "racer"), ("ra cer", "racer"), ("ra.cer", "racer"),
+        ("\u13a1\u13aa\u13df\u13ac\u13a1", "racer"), ("\u0142ion", "lion"), ("rnole", "mole"),
+        ("car 10.", "car 10"), ("car IO", "car 10"), ("!!! ", "!!!"),
+    ],
+)  # fmt: skip
+def test_names_that_a_reader_takes_for_another_look_like_it(name, known):
+    assert looks(name.strip()) & looks(known)
+    assert looks(known) & looks(known.upper())
+
+
+def test_numbers_and_other_words_tell_names_apart(tmp_path):
+    fine = (
+        "car 1", "car 2", "car 10", "car 11", "v1", "v2", "v10", "v1.0", "v1.10", "v11.0",
+        "\u043c\u043e\u0439", "\u30ab\u30fc", "\u30ac\u30fc", "!!!", "???", "C", "C++",
+        "racer", "tracer",
+    )  # fmt: skip
+    with new_league(f"sqlite:///{tmp_path / 'league.db'}") as store:
+        for name in fine:
+            assert store.submit(name, "ann", weights=name.encode()).name == name
+        with pytest.raises(StoreError, match="'c\\+\\+\\.' looks like 'C\\+\\+'"):
+            store.submit("c++.", "bob", weights=b"other")
+        with pytest.raises(StoreError, match="the owner 'ann_' looks like 'ann'"):
+            store.submit("new", "ann_", weights=b"other")
+
+
+def test_names_that_were_taken_before_they_looked_alike_stay(tmp_path, monkeypatch):
+    with new_league(f"sqlite:///{tmp_path / 'league.db'}") as store:
+        with monkeypatch.context() as older:
+            older.setattr(entries, "looks", lambda name: frozenset({name}))
+            for owner, name in (("ann", "racer"), ("Ann", "rac3r"), ("4nn", "Racer")):
+                store.submit(name, owner, weights=name.encode())
+        assert store.entry("Racer").owner == "4nn"
+        assert store.submit("Racer", "4nn", weights=b"Racer").name == "Racer"  # again
+        assert store.submit("new", "Ann", weights=b"new").owner == "Ann"
 
 
 def test_settings_of_sensors_that_came_later_do_not_change_older_ids():

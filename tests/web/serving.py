@@ -14,7 +14,7 @@ from league.matchmaking.store import Store
 from league.web.app import make_app
 from league.web.security import Access, Limit, Limits
 
-FREE = Limits(Limit(1e6, 1e6), Limit(1e6, 1e6), Limit(1e6, 1e6), Limit(1e6, 1e6))
+FREE = Limits(*(Limit(1e6, 1e6) for _ in range(5)))
 """No limits, for tests of other things."""
 
 

@@ -65,6 +65,15 @@ def rated_heat(store: Store) -> int:
     return next(one.number for one in store.heats(("done",)) if one.heat.purpose == "rated")
 
 
+def overtaken_heat(store: Store) -> int:
+    """Return the number of the first rated heat in whose first race a car was overtaken."""
+    for record in store.heats(("done",)):
+        cars = store.results(record.number)[0].result["order"]
+        if record.heat.purpose == "rated" and any(car["overtakes"] for car in cars):
+            return record.number
+    raise AssertionError("no car was overtaken")
+
+
 def lapped_heat(store: Store) -> int:
     """Return the number of the first rated heat in whose first race a lap was completed."""
     for record in store.heats(("done",)):

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import gzip
 import threading
+import time
 
 import cv2
 import numpy as np
 import pytest
 from starlette.testclient import TestClient
+from starlette.types import ASGIApp
 
 from league.replay import format
 from league.sim.camera.renderer import PaintRenderer
@@ -16,6 +18,8 @@ from league.video import strip
 from league.web import downloads, reader
 from league.web.app import make_app
 from league.web.reader import BusyError, Reader
+from league.web.security import MOST_SLOW, Access, Limit, Limits
+from tests.web.serving import FREE
 from tests.web.small_league import ORIGIN, RULES, new_league, rated_heat
 
 
@@ -140,3 +144,56 @@ def test_more_slow_requests_than_may_wait_are_asked_to_come_back(store):
         thread.join()
     assert len(made) == 2  # each key once
     assert league.large("another", lambda: b"now") == b"now"
+
+
+def visitor(app: ASGIApp, host: str) -> TestClient:
+    """Return a browser at another address."""
+    return TestClient(app, base_url=ORIGIN, client=(host, 5000))
+
+
+def test_one_client_does_not_keep_the_others_from_slow_answers(store, heat, monkeypatch):
+    going_on, answers = threading.Event(), []
+
+    def slow(_store, digest: str) -> bytes:
+        going_on.wait(60)
+        return digest.encode()
+
+    monkeypatch.setattr(downloads, "rrd_of", slow)
+    app = make_app(store, access=Access(limits=FREE))
+    greedy, other = (visitor(app, host) for host in ("192.0.2.1", "192.0.2.2"))
+
+    def ask(client: TestClient, race: int) -> None:
+        answers.append((client, client.get(f"{heat}/races/{race}/race.rrd").status_code))
+
+    threads = [
+        threading.Thread(target=ask, args=(greedy, 1 + number % 2))
+        for number in range(2 * reader.MOST_WAITING)
+    ]
+    for thread in threads:
+        thread.start()
+    refused = len(threads) - MOST_SLOW
+    while len(answers) < refused and any(thread.is_alive() for thread in threads):
+        threading.Event().wait(0.01)
+    assert answers == [(greedy, 429)] * refused
+    last = threading.Thread(target=ask, args=(other, 2))
+    last.start()
+    last.join(1.0)
+    assert last.is_alive()  # it waits for its turn
+    going_on.set()
+    for thread in (*threads, last):
+        thread.join()
+    assert (other, 200) in answers and answers.count((greedy, 200)) == MOST_SLOW
+
+
+def test_the_making_of_slow_answers_is_charged_to_who_asks(store, heat, monkeypatch):
+    monkeypatch.setattr(downloads, "rrd_of", lambda *_: time.sleep(0.2) or b"made")
+    app = make_app(store, access=Access(limits=Limits(large=Limit(1e-3, 0.1))))
+    one, other = (visitor(app, host) for host in ("192.0.2.1", "192.0.2.2"))
+    first, second = (f"{heat}/races/{race}/race.rrd" for race in (1, 2))
+    assert one.get(first).status_code == 200
+    assert one.get(first).status_code == 200  # it is kept
+    refused = one.get(second)
+    assert refused.status_code == 429 and int(refused.headers["retry-after"]) > 10
+    assert one.get("/standings").status_code == 200
+    assert other.get(second).status_code == 200
+    assert one.get(second).status_code == 200  # another one paid for it

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 ANCHORS = ("centerline", "racing_line", "cautious", "blocker")
 """Scripted drivers that a new league begins with; the first one is 1000."""
 
+SAID = ("name", "owner", "id", "state", "near_copy_of", "page")
+"""Texts that a served league says of an entry."""
+
 GIVEN = (
     "laps", "cars", "solver", "sensors", "max_time_s", "variation", "rules", "obstacles", "format",
 )  # fmt: skip
@@ -104,6 +107,8 @@ class Submit(OnServer):
                 f"Its weights are nearly those of {entered.near_copy_of}: it is labelled a "
                 "near-copy."
             )
+        if self.download and not entered.downloadable:
+            print("It cannot be downloaded: only a policy can, from its first submission on.")
         if entered.state == "pending":
             follow = entered.page or "`league run`, then `league entries`"
             print(f"It races itself and an anchor first: {follow}.")
@@ -122,21 +127,18 @@ class Submit(OnServer):
                 entry = submission.submit(store, path, name, owner, download=self.download)
             else:
                 entry = store.submit(name, owner, scripted=self.driver, card={"name": name})
-        if self.download and not entry.downloadable:
-            print("It cannot be downloaded: only a policy can, from its first submission on.")
-        return _Entered(entry.name, entry.owner, entry.id, entry.state, entry.near_copy_of)
+        given = (entry.name, entry.owner, entry.id, entry.state, entry.near_copy_of)
+        return _Entered(*given, downloadable=entry.downloadable)
 
     def _sent(self, name: str) -> _Entered:
         """Send the driver to a served league."""
         client = self.client()
         if self.owner:
             raise ConfigError("--owner with --to: the token says who the owner is, leave it out")
-        if self.download:
-            raise ConfigError("--download with --to: a served league offers no weights, omit it")
-        sent = client.submit(_packed(self.driver), name)
-        said = {key: str(sent.get(key, "")) for key in _Entered.__dataclass_fields__}
-        said["page"] = client.url + said["page"]
-        return _Entered(**{key: tables.spelled(text) for key, text in said.items()})
+        sent = client.submit(_packed(self.driver), name, download=self.download)
+        said = {key: tables.spelled(str(sent.get(key, ""))) for key in SAID}
+        page, offered = client.url + said.pop("page"), sent.get("downloadable") is True
+        return _Entered(**said, page=page, downloadable=offered)
 
 
 @dataclass(frozen=True)
@@ -150,6 +152,8 @@ class _Entered:
     near_copy_of: str
     page: str = ""
     """Where it can be followed in a browser."""
+    downloadable: bool = False
+    """Whether everyone may have the weights."""
 
 
 @dataclass

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import unicodedata
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
@@ -13,6 +12,7 @@ from league.errors import QuotaError, StoreError, brief, nearest_names
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.store.blobs import BlobStore, insert_blob
 from league.matchmaking.store.database import chunked, insert_new, made_of
+from league.matchmaking.store.names import check_name, looks
 from league.matchmaking.store.queue import cancel, entry_numbers, of_entry
 from league.matchmaking.store.records import NEXT, EntryState, LeagueEntry, Quota
 from league.matchmaking.store.schema import (
@@ -24,28 +24,7 @@ from league.matchmaking.store.schema import (
     owners,
 )
 
-INVISIBLE = {
-    *"\u034f\u115f\u1160\u17b4\u17b5\u2800\u3164\uffa0\ufffc\ufffd",
-    *map(chr, range(0x180B, 0x1810)),
-    *map(chr, range(0xFE00, 0xFE10)),
-    *map(chr, range(0xE0100, 0xE01F0)),
-}
-"""Characters that count as printable but show nothing: fillers, variation selectors, and what
-stands for text that was lost."""
-
 DAY_S = 86400.0
-
-TOGETHER = {"LATIN", "CJK", "IDEOGRAPHIC", "HIRAGANA", "KATAKANA", "HANGUL", "BOPOMOFO"}
-"""Scripts that are written together; letters of any other script stand alone."""
-
-_PAIRS = (
-    "\u0430a \u0432b \u0435e \u0455s \u0456i \u0458j \u043ak \u043cm \u043dh \u043eo \u0440p "
-    "\u0441c \u0442t \u0443y \u0445x \u04bbh \u0501d \u051bq \u051dw \u04cfl \u0131i "
-    "\u03b1a \u03b5e \u03b9i \u03bak \u03bdv \u03bfo \u03c1p \u03c4t \u03c5u \u03c7x \u03f2c "
-    "\u03f3j"
-)
-LOOKALIKES = {ord(pair[0]): pair[1] for pair in _PAIRS.split()}
-"""Cyrillic and Greek small letters, and the dotless i, with the Latin ones that they look like."""
 
 
 class EntryStore(BlobStore):
@@ -178,11 +157,12 @@ class EntryStore(BlobStore):
 
 
 def _check_free(connection: sa.Connection, name: str) -> None:
-    _check_name(name, "an entry's name")
+    check_name(name, "an entry's name")
+    own = looks(name)
     for taken, taken_id in connection.execute(sa.select(entries.c.name, entries.c.id)):
         if taken == name:
             raise StoreError(f"the name {name!r} is taken by entry {taken_id[:12]}: choose another")
-        if _skeleton(taken) == _skeleton(name):
+        if looks(taken) & own:
             raise StoreError(
                 f"the name {name!r} looks like {taken!r} of entry {taken_id[:12]}: choose another"
             )
@@ -198,9 +178,10 @@ def owner_number(connection: sa.Connection, now: float, name: str) -> int:
     number = connection.scalar(query)
     if number is not None:
         return number
-    _check_name(name, "an owner's name")
+    check_name(name, "an owner's name")
+    own = looks(name)
     for known in connection.scalars(sa.select(owners.c.name)):
-        if _skeleton(known) == _skeleton(name):
+        if looks(known) & own:
             raise StoreError(
                 f"the owner {name!r} looks like {known!r}: write it like that, or choose another"
             )
@@ -249,45 +230,3 @@ def with_owners() -> sa.Select[Any]:
 
 def _entry(row: Any) -> LeagueEntry:  # noqa: ANN401
     return made_of(LeagueEntry, row, owner=row.owner_name, card=json.loads(row.card))
-
-
-def _skeleton(name: str) -> str:
-    """Return what a name looks like: equal for names that a reader may confuse."""
-    folded = unicodedata.normalize("NFKC", name).casefold().translate(LOOKALIKES)
-    return " ".join(folded.split())
-
-
-def check_printable(name: str, what: str) -> None:
-    """Refuse a name that is too long or cannot be printed.
-
-    Raises:
-        StoreError: it is.
-    """
-    if not 1 <= len(name) <= 100 or not name.isprintable() or name != name.strip():
-        raise StoreError(
-            f"{what} is {brief(name)}: give 1 to 100 printable characters without spaces around"
-        )
-
-
-def _check_name(name: str, what: str) -> None:
-    """Refuse a name that cannot be shown, or that passes for another.
-
-    Raises:
-        StoreError: it is too long, not printable, holds invisible characters or mixes scripts.
-    """
-    check_printable(name, what)
-    begins_with_mark = unicodedata.category(name[0]).startswith("M")  # an accent without a letter
-    if INVISIBLE & set(name) or begins_with_mark or not _skeleton(name):
-        raise StoreError(f"{what} is {name!a}: leave out characters that cannot be seen")
-    scripts = {_script(letter) for letter in name if letter.isalpha()}
-    if len(scripts) > 1 and not scripts <= TOGETHER:
-        raise StoreError(
-            f"{what} is {name!a}, which mixes letters of {', '.join(sorted(scripts))}: "
-            "use one script"
-        )
-
-
-def _script(letter: str) -> str:
-    """Return the script of a letter, by the first word of its Unicode name."""
-    plain = unicodedata.normalize("NFKC", letter)[:1]
-    return unicodedata.name(plain, "UNKNOWN").split()[0].split("-")[0]

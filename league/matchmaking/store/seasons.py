@@ -14,7 +14,7 @@ from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.store import queue
 from league.matchmaking.store.database import Transactional, insert_new, made_of
-from league.matchmaking.store.entries import check_printable
+from league.matchmaking.store.names import check_printable
 from league.matchmaking.store.records import Cup, Move, Season
 from league.matchmaking.store.schema import (
     LedgerRecord,

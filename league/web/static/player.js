@@ -77,6 +77,7 @@ class Player {
     this.playing = false;
     this.follow = 0; // number of the car in the middle of the picture; 0: the whole track
     this.shownAt = -1;
+    this.saidUntil = -1; // what the caption says stays up to then
     this.build();
     this.readColours();
     this.resize();
@@ -332,6 +333,7 @@ class Player {
     this.latest.replaceChildren(...past.slice(0, LATEST).map((event) =>
       element("li", {}, element("span", {}, clock(event.time_s)), element("span", {}, event.text)),
     ));
+    if (now < this.saidUntil) return;
     const text = past.length && past[0].time_s > this.time - CAPTION_S ? past[0].text : "";
     if (this.caption.textContent !== text) this.caption.textContent = text;
   }
@@ -393,6 +395,7 @@ class Player {
     history.replaceState(null, "", `#t=${this.time.toFixed(1)}`);
     navigator.clipboard?.writeText(location.href).catch(() => {});
     this.caption.textContent = "The address of this page now leads to this moment.";
+    this.saidUntil = performance.now() + 1000 * CAPTION_S;
   }
 
   key(event) {
@@ -400,6 +403,9 @@ class Player {
     const target = event.target;
     if (target.matches("select, textarea, input:not([type=range])")) return;
     if (event.key === " " && target.matches("button, a, summary")) return;
+    // What has the focus elsewhere scrolls, or is pressed, with these keys itself.
+    const moves = event.key === " " || event.key.length > 1;
+    if (moves && target.matches("body *") && !this.root.contains(target)) return;
     const step = event.shiftKey ? 5 : 1;
     const frame = 1 / this.race.step_hz;
     const actions = {
@@ -414,7 +420,8 @@ class Player {
       p: () => this.seekToEvent(-1),
       f: () => this.fullScreen(),
     };
-    const action = /^\d$/.test(event.key) ? () => this.watch(Number(event.key)) : actions[event.key];
+    const key = event.key.length > 1 ? event.key : event.key.toLowerCase();
+    const action = /^\d$/.test(key) ? () => this.watch(Number(key)) : actions[key];
     if (!action) return;
     event.preventDefault();
     action();
