@@ -7,18 +7,18 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
-from urllib.parse import urlencode
 
 from league.matchmaking import divisions, history, safety, standings
 from league.matchmaking.scope import SEASON_SD
 from league.matchmaking.standings import HeadToHead, Row, Standings
 from league.web import charts
 from league.web.pages.tracks import MEDALS
+from league.web.paging import address, paging
 from league.web.reader import Document, NotFoundError, Reader
 from league.web.snapshot import kind_of
 
-PER_PAGE = 100
-"""Entries on one page."""
+PATH = "/standings"
+"""Address of the standings."""
 MOST_OPTIONS = 200
 """Owners, or drivers, that can be chosen from a list; with more, their names are typed."""
 
@@ -126,11 +126,8 @@ def document(
         shown.sort(key=partial(ORDERS[sort], track or rules["tracks"][0]))
     asked = {"owner": owner, "kind": kind, "track": track, "cars": cars, "against": against}
     asked = {name: text for name, text in asked.items() if text}
-    pages = math.ceil(len(shown) / PER_PAGE) or 1
-    if page and page not in map(str, range(1, pages + 1)):
-        raise NotFoundError(f"The standings have the pages 1 to {pages}.")
-    number = int(page or 1)
-    on_page = shown[(number - 1) * PER_PAGE : number * PER_PAGE]
+    at = paging(len(shown), page, "standings", PATH, {**asked, "sort": sort} if sort else asked)
+    on_page = shown[at.first : at.end]
     return {
         "rules": rules,
         "races": rated.num_races if rated else 0,
@@ -141,12 +138,10 @@ def document(
         "season": rated.season if rated else None,
         "marks": marks_of(reader, on_page),
         "entries": len(shown),
-        "page": number,
-        "pages": pages,
-        "pager": _pager(number, pages, {**asked, "sort": sort} if sort else asked),
+        **at.document,
         "sort": sort,
         "sorts": {
-            name: "" if name == sort else _address({**asked, "sort": name} if name else asked)
+            name: "" if name == sort else address(PATH, {**asked, "sort": name} if name else asked)
             for name in ORDERS
         },
         "against": rival,
@@ -157,19 +152,6 @@ def document(
         "car_counts": now.car_counts,
         **{"owner": owner, "kind": kind, "track": track, "cars": cars},
     }
-
-
-def _pager(number: int, pages: int, asked: dict[str, str]) -> list[tuple[str, str]]:
-    """Return labels and addresses of other pages, and the label of this one with none."""
-    pager = []
-    for page in sorted({1, pages, *range(max(1, number - 2), min(pages, number + 2) + 1)}):
-        address = _address({**asked, "page": str(page)} if page > 1 else asked)
-        pager.append((str(page), "" if page == number else address))
-    return pager
-
-
-def _address(asked: dict[str, str]) -> str:
-    return f"/standings?{urlencode(asked)}" if asked else "/standings"
 
 
 def _options(found: list[T]) -> list[T]:
