@@ -75,6 +75,7 @@ def document(reader: Reader, number: int) -> Document:
         "worst": _named(reader, [heat for heat in worst if _surplus(heat) < 0]),
         "laps": _laps(reader, number),
         "heats": reader.listed(over[-HEATS:][::-1]),
+        "num_heats": reader.store.num_done(number),
         "waiting": sum(record.state in WAITING for record in raced),
         "joining": _joining(reader, entry, raced),
         "camera": _camera(reader, entry, over[-HEATS:][::-1]),
