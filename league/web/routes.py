@@ -97,7 +97,7 @@ PAGES = (
          driver.matchup, "matchup.html", shared=True,
          query={"before": "Number of a heat: only earlier ones are listed"},
          parts={"one": LeagueEntry, "other": LeagueEntry, "difference": Difference | None,
-                "record": HeadToHead | None}),
+                "record": HeadToHead | None, "season": Season | None}),
     Page("/heats", "The heats that are done, the newest first", home.heats, "heats.html",
          shared=True,
          query={"driver": "Number of a driver: only its heats, and how it did in each race",

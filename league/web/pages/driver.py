@@ -295,6 +295,7 @@ def matchup(reader: Reader, one: int, other: int, before: str = "") -> Document:
         "other": pair[1],
         "standings": rows,
         "difference": both.ratings.difference(one, other) if both else None,
+        "season": both.season if both else None,
         "record": standings.head_to_head(both, one, other) if both else None,
         "chart": charts.points_chart(scores) if len(scores) > 1 else None,
         "tracks": _points_by_track(scores),

@@ -22,6 +22,9 @@ PATH = "/standings"
 MOST_OPTIONS = 200
 """Owners, or drivers, that can be chosen from a list; with more, their names are typed."""
 
+MOST_NAMED = 12
+"""Known values that a sentence about an unknown one lists."""
+
 T = TypeVar("T")
 ORDERS: dict[str, Callable[[str, Row], Any]] = {
     "": lambda _, row: row.rank,
@@ -107,14 +110,26 @@ def document(
     Filters by `track` and `cars` rate everyone again, by those races alone.
     """
     rules, now = reader.rules(), reader.snapshot()
-    if track and track not in rules["tracks"]:
-        raise NotFoundError(f"This league races on {', '.join(rules['tracks'])}, not {track[:40]}.")
-    if cars and cars not in map(str, now.car_counts):
-        known = " or ".join(map(str, now.car_counts))
-        raise NotFoundError(f"The rated races have {known or 'no'} cars, not {cars[:20]}.")
+    known = {
+        "track": (track, list(rules["tracks"]), "races are on"),
+        "cars": (cars, list(map(str, now.car_counts)), "rated races have"),
+        "kind": (kind, now.kinds, "kinds are"),
+        "owner": (owner, now.owners, "owners are"),
+    }
+    unknown = [
+        _unknown(name, text, found, are)
+        for name, (text, found, are) in known.items()
+        if text and text not in found
+    ]
+    # What is not known filters nothing: whoever mistyped it sees the table, and why.
+    track, cars, kind, owner = (text if text in found else "" for text, found, _ in known.values())
     rated = reader.standings_of(track, int(cars or 0))
     rows = rated.rows if rated else ()
-    rival = _row(rows, against) if against else None
+    rival = next((row for row in rows if against in (str(row.number), row.name)), None)
+    if against and rival is None:
+        names = sorted(row.name for row in rows)
+        unknown.append(_unknown("driver", against, names, "drivers are"))
+        against = ""
     shown = [
         row
         for row in rows
@@ -130,6 +145,7 @@ def document(
     on_page = shown[at.first : at.end]
     return {
         "rules": rules,
+        "unknown": unknown,
         "races": rated.num_races if rated else 0,
         "rejected": bool(rated and rated.goodness.rejected),
         "p_value": rated.goodness.p_value if rated else None,
@@ -158,11 +174,11 @@ def _options(found: list[T]) -> list[T]:
     return found if len(found) <= MOST_OPTIONS else []
 
 
-def _row(rows: Sequence[Row], text: str) -> Row:
-    row = next((row for row in rows if text in (str(row.number), row.name)), None)
-    if row is None:
-        raise NotFoundError(f"The standings have no driver {text[:20]}.")
-    return row
+def _unknown(name: str, text: str, known: Sequence[str], are: str) -> str:
+    """Return the sentence that says that a value is not known, and which ones are."""
+    listed = ", ".join(known[:MOST_NAMED]) + (", ..." if len(known) > MOST_NAMED else "")
+    have = f"{are} {listed}" if known else "there is none"
+    return f"There is no {name} {text[:40]!r} in these standings, so all are shown; {have}."
 
 
 def _records(rated: Standings, rival: Row, rows: Sequence[Row]) -> dict[int, HeadToHead]:
