@@ -48,10 +48,10 @@ def _reasonable(sensors: SensorConfig) -> SensorConfig:
         )
     if lidar is None:
         return sensors
-    if not (lidar.max_range <= 100 and 0 < lidar.clip <= 100 and 0 <= lidar.noise <= 1):
+    if not (lidar.max_range <= 100 and lidar.clip <= 100 and lidar.noise <= 1):
         raise ValueError("a range of the lidar is beyond 100 m, or its noise beyond 1 m")
-    if not (1 <= lidar.sectors <= 256 and 1 <= lidar.bins <= 64):
-        raise ValueError("the lidar's sectors are not 1 to 256, or its bins not 1 to 64")
+    if not (lidar.sectors <= 256 and lidar.bins <= 64):
+        raise ValueError("the lidar has more than 256 sectors, or more than 64 bins in each")
     return sensors
 
 

@@ -393,6 +393,25 @@ def test_same_start_gives_the_same_bits_here_and_in_a_fresh_process():
     assert told[0] == told[1] == f"True {here}\n"
 
 
+@pytest.mark.parametrize(
+    ("yaw", "stops"),
+    [(0.0, 111.0 - 0.162), (math.pi, 103.0 + 0.162), (math.pi / 2, 42.0 - 0.162),
+     (-math.pi / 2, 38.0 + 0.162)],
+)  # fmt: skip
+def test_walls_stand_round_a_room_wherever_it_lies(yaw, stops):
+    floor = Floor(settings()).put(yaw=yaw)
+    floor.solver = BulletSolver(floor.sim, np.array([[103.0, 38.0, 111.0, 42.0]]), 1)
+    along = "x" if yaw in (0.0, math.pi) else "y"
+    # Where the walls along the way end, and far from the middle, too.
+    for beside in (0.15, 0.5, 0.85):
+        floor.put(velocity_x=0.0, velocity_y=0.0, yaw=yaw, yaw_rate=0.0, roll=0.0, pitch=0.0, z=0.0)
+        floor.put(x=103.0 + 8.0 * beside, y=38.0 + 4.0 * beside)
+        floor.put(**{along: stops - 0.3 * math.copysign(1.0, math.cos(yaw) + math.sin(yaw))})
+        floor.drive(15, speed=1.0)
+        assert floor.notes["wall"].any()
+        assert floor.cars[along].item() == pytest.approx(stops, abs=0.01)
+
+
 def test_too_many_worlds_are_refused_with_a_reason():
     with pytest.raises(ConfigError, match="planar"):
         BulletSolver(settings(), ROOM, 5000)

@@ -22,7 +22,9 @@ def test_selecting_a_driver_shows_everyones_record_against_it(client, store):
         shown = document["records"].get(str(row.number))
         assert (shown and shown["races"]) == (record.races or None)
         if shown:
-            assert (shown["wins"], shown["expected"]) == (record.wins, record.expected)
+            assert shown["wins"] == record.wins
+            # The server fits from the ratings before, the command line from nothing.
+            assert shown["expected"] == pytest.approx(record.expected)
             assert f'href="/matchups/{row.number}/3"' in client.get("/standings?against=3").text
 
 
