@@ -284,8 +284,8 @@ def test_a_newcomer_has_a_page_before_the_next_snapshot(pages, league):
 
 def test_unknown_values_are_one_sentence_above_the_whole_table(pages):
     known = {
-        "track": "ring, square", "cars": "2, 3", "kind": "policy", "owner": "owner 0, owner 1",
-        "against": "e0, e1",
+        "track": "ring, square", "cars": "2, 3", "kind": "policy", "owner": "owner 1, owner 2",
+        "against": "e1, e2",
     }  # fmt: skip
     for name, found in known.items():
         for value in ("nobody", "<b>", "-1"):
