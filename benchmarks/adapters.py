@@ -297,8 +297,15 @@ ROWS = (
     Row(
         "4,096 x 2, one core, state read",
         lambda: race_env(4096, 2, 10, truth=True),
-        None,
+        1_200_000,
         "car-steps/s",
+    ),
+    Row(
+        "4,096 x 2, two cores, state read",
+        lambda: race_env(4096, 2, 10, truth=True),
+        2_200_000,
+        "car-steps/s",
+        2,
     ),
     Row("decision of a 64x48 policy", decision, 10_000, "decisions/s"),
 )

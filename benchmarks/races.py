@@ -99,24 +99,20 @@ def main() -> None:
         200,
     )
     with tempfile.TemporaryDirectory() as folder:
-        for goal, *drivers in ((15, "racing_line", "cautious"), (None, "racer", "duelist")):
+        for drivers in (("racing_line", "cautious"), ("racer", "duelist")):
             wall_s, race_s = three_laps(Path(folder), *drivers)
             figure(f"league race {' '.join(drivers)} --laps 3, whole process", wall_s, "s")
             figure(
                 "  three laps in Bullet with replay, whole process",
                 race_s / wall_s,
                 "x real time",
-                goal,
+                15,
             )
-    scripted = ("race", "centerline", "racing_line", "--solver", "planar", "--replay", "none")
-    planar_s = python("-m", "league.cli", *scripted)
-    figure(
-        "league race centerline racing_line, planar, no replay, whole process",
-        planar_s,
-        "s",
-        2,
-        most=True,
-    )
+    for solver in ("bullet", "planar"):
+        names = ("centerline", "racing_line")
+        wall_s = python("-m", "league.cli", "race", *names, "--solver", solver, "--replay", "none")
+        name = f"league race {' '.join(names)}, {solver}, no replay, whole process"
+        figure(name, wall_s, "s", 2, most=True)
     help_s, bare_s = python("-m", "league.cli", "--help"), python("-c", "pass")
     figure("league --help, whole process", help_s, "s", 0.3, most=True)
     figure("  against Python that does nothing", help_s / bare_s, "times")

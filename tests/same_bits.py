@@ -1,4 +1,4 @@
-"""Fixed races and one policy's decisions, hashed field by field; as a program it prints them."""
+"""Fixed races in both solvers, and decisions, hashed field by field; a program that prints them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ from league.envs.config import EnvConfig, Scenarios
 from league.envs.race_env import RaceEnv
 from league.envs.state import INDEX
 from league.portable_math import f32
+from league.race_spec import Entry, RaceSpec
+from league.racing import race
 from league.sim import config, rng
+from league.sim.records import World
 from league.track import files
 from league.track.track import TrackSet
 
@@ -36,6 +39,9 @@ _SPREAD = config.DynamicsRandomization(
 )
 _SENSORS = (config.SensorConfig(lidar=config.LidarConfig()),)
 _SEEING = (config.SensorConfig.full(64, 48),)
+_SCRIPTED = ("centerline", "cautious", "racing_line", "blocker")
+"""The faster ones begin behind, so they pass; with this seed two of them hit another in Bullet."""
+_SEED = 9
 _COLOUR = (config.SensorConfig(camera=config.CameraConfig(width=48, height=36, colour=True)),)
 
 
@@ -104,6 +110,39 @@ def raced(name: str, rules: config.RaceRules = _SHORT) -> Iterator[tuple[str, np
             yield f"{name} observations {group}", np.stack(seen)
 
 
+def contests() -> dict[str, RaceSpec]:
+    """Return races of drivers, which `race.run` runs as `league race` does."""
+
+    def spec(*names: str, **settings) -> RaceSpec:
+        entries = tuple(Entry(name=name) for name in names)
+        return RaceSpec(entries=entries, laps=1, seed=_SEED, variation=1.0, **settings)
+
+    return {
+        "scripted_bullet": spec(*_SCRIPTED),
+        "scripted_planar": spec(*_SCRIPTED, solver="planar"),
+        "policies": spec("duelist", "racer", solver="planar"),
+    }
+
+
+def contested(name: str) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield the name and the numbers of each field of a race of drivers, frame by frame.
+
+    At its end come the replay's columns, among them the drivers' actions, and the classification.
+    """
+    frames: list[World] = []
+    finished = race.run(contests()[name], watch=lambda world: frames.append(world.copy()))
+    for world in frames:
+        for table in ("cars", "worlds"):
+            records = getattr(world, table)
+            for field in records.dtype.names or ():
+                yield f"{name} {table} {field}", records[field]
+    assert finished.replay is not None
+    for field, numbers in vars(finished.replay.columns).items():
+        yield f"{name} replay {field}", numbers
+    result = finished.result.model_dump_json(exclude={"spec"}).encode()
+    yield f"{name} result", np.frombuffer(result, np.uint8)
+
+
 def decided() -> np.ndarray:
     """Return what a trained policy answers to made-up pictures and motions."""
     trained = checkpoint.load(Path(__file__).parents[1] / "garage" / "dodger.pt")
@@ -119,8 +158,9 @@ def decided() -> np.ndarray:
 def digests() -> dict[str, str]:
     """Return a hash of all that each field was, by race, table and field."""
     found: dict[str, hashlib._Hash] = {}
-    for name in races():
-        for field, numbers in raced(name):
+    runs = *map(raced, races()), *map(contested, contests())
+    for run in runs:
+        for field, numbers in run:
             found.setdefault(field, hashlib.sha256()).update(numbers.tobytes())
     found["policy outputs"] = hashlib.sha256(decided().tobytes())
     return {name: seen.hexdigest() for name, seen in found.items()}

@@ -149,6 +149,10 @@ def test_tracks_and_drivers_are_listed(league):
         (["race", "centerline", "--kind", "time_trial", "--obstacles", "3"], "has 3 obstacles"),
         (["race", "centerline", "--bots", "--obstacles", "0"], "--bots and --fixed-obstacles mean"),
         (["race", "centerline", "--average-laps", "3"], "--ranking average"),
+        (
+            ["race", "centerline", "--ranking", "average", "--average-laps", "9"],
+            "--average-laps is 9, but the race has 3 laps",
+        ),
         (["init", "--bots"], "--bots means nothing without --obstacles"),
         (["race", "centerline", "--format", "pursuit"], "means nothing for a driver alone"),
         (["race", *["centerline"] * 9], "give 1 to 8"),

@@ -179,6 +179,15 @@ def race_spec(command: Race | Evaluate, track: str, kind: str, drivers: Sequence
         raise ConfigError(
             "--average-laps means nothing without --ranking average: give both, or neither"
         )
+    if (
+        isinstance(command, Race)
+        and command.average_laps != 2
+        and command.average_laps > command.laps
+    ):
+        raise ConfigError(
+            f"--average-laps is {command.average_laps}, but the race has {command.laps} laps: "
+            "give at most as many"
+        )
     return checked(
         {
             "track": track,

@@ -143,13 +143,12 @@ def dashes(track: Track) -> np.ndarray:
     """Return the dashes along the centreline as rectangles, shape (K, 4, 2)."""
     count = max(1, round(track.length / DASH_PITCH))
     s = (np.arange(count) + 0.5) * (track.length / count)
-    rows = len(track.center)
-    knots = np.arange(rows) * float(track.segment_lengths.mean())
-    period = track.length if track.closed else None
-    x, y, dx, dy = (
-        np.interp(s, knots, column, period=period) for column in (*track.center.T, *track.tangent.T)
-    )
-    middle, along = np.stack([x, y], axis=1), np.stack([dx, dy], axis=1)
+    lines = np.concatenate([track.center, track.tangent], axis=1)
+    if track.closed:
+        lines = np.concatenate([lines, lines[:1]])
+    knots = np.arange(len(lines)) * float(track.segment_lengths.mean())
+    at = np.stack([spline.interpolate(s, knots, column) for column in lines.T], axis=1)  # (K, 4)
+    middle, along = at[:, :2], at[:, 2:]
     return _rectangles(middle, along, DASH_LENGTH, DASH_WIDTH)
 
 

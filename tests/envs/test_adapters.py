@@ -97,6 +97,8 @@ def test_rsl_rl_takes_plain_words():
     env = RacingVecEnv("reinvent_2018", num_worlds=3, kind="head_to_head", sensors="stereo32x24")
     assert env.num_envs == 3 and env.race_env.num_cars == 2
     assert env.get_observations()["stereo"].shape == (3, 2, 24, 32)
+    with pytest.raises(ConfigError, match="cfg is 4: give an EnvConfig, or settings by name"):
+        RacingVecEnv("reinvent_2018", 4)
     with pytest.raises(ConfigError, match="given twice, as cfg and by name"):
         RacingVecEnv("reinvent_2018", env.cfg, laps=2)
 

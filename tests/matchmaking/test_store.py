@@ -338,7 +338,10 @@ def test_a_failure_reported_after_the_lease_was_lost_takes_nothing_from_the_next
     ("heat", "told"),
     [
         (lambda ids: Heat("0" * 64, (Half("ring", ids),)), "which this league does not have"),
-        (lambda ids: Heat(leagues.RULES.hash, (Half("ring", ("9" * 64,)),)), "there is no entry"),
+        (
+            lambda ids: Heat(leagues.RULES.hash, (Half("ring", ("9" * 64,)),)),
+            r"there is no entry '9{12}' in",
+        ),
         (
             lambda ids: Heat(
                 leagues.RULES.hash, (Half("ring", ids),), purpose="audit", audits="8" * 64
@@ -590,3 +593,9 @@ def _outcome(claim):
 
 def _turned(race):
     return store.RaceOutcome(race.places[::-1], race.result, race.replay)
+
+
+def test_the_audit_log_cuts_long_names(league):
+    entry = league.submit("a", "ann", weights=b"a")
+    league.move({entry.id: "retired"}, actor="x" * 300)
+    assert max(len(event.actor) for event in leagues.events(league)) == 200

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import resource
 import sqlite3
+import subprocess
+import sys
 import time
 from contextlib import closing
 from dataclasses import replace
+from pathlib import Path
 
 import psycopg
 import pytest
@@ -59,8 +63,25 @@ def test_a_race_in_bullet_names_the_class_of_machine_that_gave_its_bits(league):
     bullet = replace(planar, ruleset=replace(SHORT, solver="bullet"))
     outcomes = [RaceWorker().race(one).outcome for one in (planar, bullet)]
     assert [one and one.machine for one in outcomes] == ["", machine_class()]
-    architecture, *_, libm = machine_class().split()
+    architecture, engine, libm = machine_class().split()
     assert architecture == platform.machine() and len(libm) == len("libm:") + 12
+    assert engine.startswith("pybullet:") and len(engine) == len("pybullet:") + 12
+
+
+@pytest.mark.skipif(
+    platform.machine() != "x86_64" or platform.libc_ver()[0] != "glibc", reason="tunes glibc"
+)
+def test_a_class_of_machine_follows_what_libm_answers_and_not_what_the_processor_can():
+    def elsewhere(disabled: str) -> str:
+        code = "from league.matchmaking.workers.worker import machine_class; print(machine_class())"
+        tuned = {**os.environ, "GLIBC_TUNABLES": f"glibc.cpu.hwcaps={disabled}"}
+        return subprocess.check_output([sys.executable, "-c", code], env=tuned, text=True).strip()
+
+    assert elsewhere("-AVX512F") == machine_class()
+    if "fma" in Path("/proc/cpuinfo").read_text(encoding="utf-8").split():
+        plain = elsewhere("-AVX512F,-AVX2,-AVX,-FMA,-FMA4")
+        assert plain.split()[:2] == machine_class().split()[:2]
+        assert plain != machine_class()  # libm rounds in another way without fused sums
 
 
 def test_a_replay_names_the_policy_by_the_digest_of_its_checkpoint(league):

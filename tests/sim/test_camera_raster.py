@@ -8,7 +8,7 @@ from numba import njit
 
 from league.sim.camera import floor_raster, raster
 from league.sim.camera.ground import texels
-from league.sim.camera.renderer import MODELS, models
+from league.sim.camera.renderer import MODELS, _part, models
 from league.sim.camera.scene import CAR, DECK, FAR_CAR
 from league.sim.camera.tables import THING_COLUMNS, Optics, Pose, Room, Texture
 
@@ -124,6 +124,16 @@ def test_floor_beyond_the_texture_repeats_its_rim_and_reads_nothing_outside():
     draw_floor(pictures, 5, 10, texture, optics(), level_._replace(x=1e7, y=-1e7))
     draw_floor(pictures, 0, 5, texture, optics(), level_)  # above the horizon
     assert (pictures == 77).all()
+
+
+@pytest.mark.parametrize("rounding", [-1e-15, 0.0, 1e-15])
+def test_of_planes_with_equal_gaps_the_first_parts_whatever_the_rounding(rounding):
+    planes = np.array([[1.0, 0.0, 0.0, 0.5], [0.0, 1.0, 0.0, 0.5]])
+    reach = np.array([0.25, 0.25 + rounding])  # of either solid from either plane
+    rows = np.zeros((2, 2, 4))
+    _part(rows, [0, 1], planes, np.stack([-2 * reach, reach]), np.stack([-reach, 2 * reach]))
+    assert rows[0, 1].tolist() == planes[0].tolist()
+    assert rows[1, 0].tolist() == (-planes[0]).tolist()
 
 
 @njit

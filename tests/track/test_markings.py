@@ -93,6 +93,18 @@ def test_dashes_are_a_quarter_of_an_orange_centre_line():
     assert share == pytest.approx(0.5, abs=0.06)  # 51 of 102 mm
 
 
+@pytest.mark.parametrize("track", [files.load("reinvent_2018"), shapes.straight()])
+def test_dashes_lie_evenly_without_numpys_interpolation_that_may_fuse_sums(monkeypatch, track):
+    count = round(track.length / markings.DASH_PITCH)
+    wanted = (np.arange(count) + 0.5) * track.length / count
+    knots = np.arange(len(track.center)) * track.segment_lengths.mean()
+    period = track.length if track.closed else None
+    middles = [np.interp(wanted, knots, column, period=period) for column in track.center.T]
+    monkeypatch.delattr(np, "interp")
+    found = markings.dashes(track).mean(axis=1)
+    assert found == pytest.approx(np.stack(middles, axis=1), abs=1e-12)
+
+
 def test_gray_is_the_luma_of_the_colours():
     track = files.load("reinvent_2018")
     colour = markings.floor(track, 0.02, colour=True).image.astype(float)

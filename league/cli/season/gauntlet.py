@@ -141,8 +141,9 @@ class Compare(Reading):
             season.print_json(result)
             return
         print(self._verdict(result, one.name, other.name))
+        share, lead = f"{100 * result.score:.1f} %", _elo(result.elo)
         print(
-            f"{result.heats} heats, score {100 * result.score:.1f} %, lead {_elo(result.elo)} Elo "
+            f"{tables.counted(result.heats, 'heat')}, score {share}, lead {lead} Elo "
             f"({_elo(result.low95)} to {_elo(result.high95)}), LLR {result.llr:+.2f} "
             f"({result.lower:.2f} to {result.upper:.2f})"
         )
@@ -158,8 +159,8 @@ class Compare(Reading):
                 f"no: {chance}.)"
             )
         return (
-            f"Not decided after {result.heats} heats: whether {other} is better than {one}. "
-            f"More heats may decide: --heats {4 * self.heats}"
+            f"Not decided after {tables.counted(result.heats, 'heat')}: whether {other} is better "
+            f"than {one}. More heats may decide: --heats {4 * self.heats}"
         )
 
 

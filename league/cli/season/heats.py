@@ -147,7 +147,7 @@ class Audit(OnLeague):
                 print(tables.spelled(mismatch))
             print(
                 f"{found.races} races and {found.records} records of the ledger were recomputed: "
-                f"{len(found.mismatches) or 'nothing'} does not agree. Ledger's head: "
+                f"{tables.counted(len(found.mismatches), 'mismatch')}. Ledger's head: "
                 f"{found.head[:16]}",
                 flush=True,
             )

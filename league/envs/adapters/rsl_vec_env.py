@@ -21,7 +21,7 @@ from league.envs.driver import Driver, Opponents, check_field
 from league.envs.make import EnvOptions
 from league.envs.race_env import RaceEnv, Step
 from league.envs.scenarios import CLEAN, NO_ATTACK, PASSED
-from league.errors import ConfigError
+from league.errors import ConfigError, brief
 from league.sim.config import RaceKind
 from league.sim.records import World
 from league.track.track import Track, TrackSet
@@ -88,6 +88,10 @@ class RacingVecEnv(VecEnv):
             options.setdefault("mode", "training")
             num_cars = len(learners) + len(opponents or ())
             cfg = make.configure(kind=kind, num_cars=num_cars, sensors=sensors, **options)
+        elif not isinstance(cfg, EnvConfig):
+            raise ConfigError(
+                f"cfg is {brief(cfg)}: give an EnvConfig, or settings by name, as num_worlds=64"
+            )
         elif options.keys() - {"reward"} or (kind, sensors) != ("time_trial", make.BOTH):
             raise ConfigError(
                 "settings are given twice, as cfg and by name: "

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import math
 import platform
@@ -11,7 +10,7 @@ import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
-from pathlib import Path
+from importlib import metadata
 from time import perf_counter
 from typing import TYPE_CHECKING
 
@@ -36,8 +35,6 @@ TOO_LATE_S = 2.0
 that whether an honest driver is late never depends on the machine."""
 JOB_LIMIT_S = 1800.0
 """A heat that takes longer than this is stuck: its worker is ended [s]."""
-FEATURES = ("avx", "avx2", "avx512f", "fma", "fma4")
-"""Features of a processor by which libm chooses how it computes."""
 SPEC_FIELDS = (
     "kind", "laps", "solver", "max_time_s", "rules", "obstacles", "obstacle_kind", "variation",
     "format",
@@ -219,18 +216,21 @@ def places(result: RaceResult) -> tuple[int, ...]:
 
 @cache
 def machine_class() -> str:
-    """Return architecture, C library, features of the processor, and a hash of libm's answers.
+    """Return the architecture, a hash of PyBullet's machine code, and one of libm's answers.
 
     Races in Bullet have the same bits on machines of one class. All else is computed in the same
-    order with portable functions; Bullet calls the machine's libm (docs/physics.md), which rounds
-    as its version and the processor's features have it.
+    order with portable functions; Bullet calls the machine's libm (docs/physics.md), whose answers
+    show its version and which features of the processor it uses.
     """
-    flags: set[str] = set()
-    with contextlib.suppress(OSError):  # there is no such file but on Linux
-        flags = set(Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").split())
-    features = "+".join(name for name in FEATURES if name in flags) or platform.processor()
     answers = [function(n / 4096) for n in range(-4095, 4096) for function in _FUNCTIONS]
     answers += [math.atan2(n / 64, 1 - n / 97) for n in range(4096)]
     libm = hashlib.sha256(struct.pack(f"<{len(answers)}d", *answers)).hexdigest()[:12]
-    library = "".join(platform.libc_ver()) or platform.system()
-    return f"{platform.machine()} {library} {features} libm:{libm}"[:200]
+    return f"{platform.machine()} pybullet:{_pybullet()} libm:{libm}"[:200]
+
+
+def _pybullet() -> str:
+    """Return a hash of PyBullet's machine code as its installer recorded it, or its version."""
+    for file in metadata.files("pybullet") or ():
+        if len(file.parts) == 1 and file.name.startswith("pybullet.") and file.hash:
+            return hashlib.sha256(file.hash.value.encode()).hexdigest()[:12]
+    return metadata.version("pybullet")
