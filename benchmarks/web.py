@@ -44,7 +44,7 @@ ORIGIN = "http://127.0.0.1"
 PAGES = (
     "/", "/standings?sort=wins", "/standings?page={page}", "/standings?against=77", "/drivers/77",
     "/matchups/{one}/{other}", "/heats", "/heats/{heat}", "/tracks", "/live", "/ghosts",
-    "/feed.atom", "/time-attack",
+    "/feed.atom", "/time-attack", "/seasons", "/seasons/1", "/cups/1", "/definitions", "/submit",
 )  # fmt: skip
 ASKED = (
     "/",

@@ -1,12 +1,13 @@
 """A large league with a season that goes on, for the benchmark of its pages."""
 
 import threading
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import sqlalchemy as sa
 
+from benchmarks import frozen
 from benchmarks import store as stores
 from league.agents import checkpoint
 from league.matchmaking.divisions import SeasonSettings
@@ -29,12 +30,16 @@ DRIVER = 77
 """The entry that visitors look at: its heats have results and recordings, too."""
 CARD = checkpoint.load(Path(__file__).parents[1] / "garage" / "racer.pt").text
 """What each entry's card says."""
+ENTRANTS = 1024
+"""Of the cup in the season that is over."""
+EARLIER_RULES = replace(stores.RULES, laps=stores.RULES.laps + 1)
+"""Of that season, so that the next one begins from nothing."""
 RACING = 80
 """Entries that the season's further heats are drawn from."""
 
 
 def founded(url: str, strengths: np.ndarray, heats: int, outcome: RaceOutcome) -> Store:
-    """Return a league of many entries and heats, with a season that runs.
+    """Return a league of many entries and heats, with a season that is over and one that runs.
 
     Args:
         url: of the new league.
@@ -43,6 +48,9 @@ def founded(url: str, strengths: np.ndarray, heats: int, outcome: RaceOutcome) -
         outcome: of the races that pages show, with its recording.
     """
     league = create(url, ruleset=stores.RULES)
+    league.set_ruleset(EARLIER_RULES)
+    frozen.freeze(league, len(strengths), ENTRANTS)
+    league.set_ruleset(stores.RULES)
     _enter(url, len(strengths))
     stores.fill(url, strengths, heats)
     _record(url, heats, outcome)
@@ -84,7 +92,8 @@ def _record(url: str, heats: int, outcome: RaceOutcome) -> None:
     """Give the newest heats, and those of one entry, results and a recording."""
     assert outcome.replay is not None
     digest = heat_spec.digest(outcome.replay)
-    packed = results.pack(HeatOutcome("", (outcome, outcome)), (digest, digest))
+    text = heat_spec.canonical({"places": outcome.places, "result": outcome.result})
+    packed = results.PackedResult.of(text, digest, "")
     kept = {"worker": "bench", "received_s": 0.0, "replay": digest}
     there = database.Database(url)
     with there.writing() as connection:
@@ -93,9 +102,9 @@ def _record(url: str, heats: int, outcome: RaceOutcome) -> None:
         )
         recorded = {*range(max(1, heats - RECORDED + 1), heats + 1), *connection.scalars(of_entry)}
         rows = [
-            {"heat": heat, "half": half, "hash": one.hash, "document": one.document, **kept}
+            {"heat": heat, "half": half, "hash": packed.hash, "document": packed.document, **kept}
             for heat in sorted(recorded)
-            for half, one in enumerate(packed)
+            for half in (0, 1)
         ]
         connection.execute(schema.results.insert(), rows)
         blob = {"digest": digest, "size": len(outcome.replay), "created_s": 0.0}

@@ -64,7 +64,8 @@ def test_standings_and_show_tell_races_not_finished_and_best_laps(told):
     table = json.loads(told("standings", "--json"))
     assert all(row["unfinished"] == 1.0 and row["best_laps_s"] == {} for row in table["entries"])
     assert "DNF" in told("standings") and "best lap" in told("standings")
-    assert "not finished: 100 %, best lap: none" in told("show", "ann")
+    assert "not finished: 100 %, best lap (penalties included): none" in told("show", "ann")
+    assert "the fastest complete one, penalties included" in told("standings")
 
 
 def test_standings_fit_80_columns(told, league, monkeypatch, capsys):

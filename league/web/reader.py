@@ -236,10 +236,10 @@ class _Names(dict[str, str]):
         return self._reader.entry_of(id).name
 
 
-def heat_number(text: str) -> int:
+def heat_number(text: str, what: str = "heat") -> int:
     """Return the number of a heat that was asked for; whether there is one is not looked up."""
     if not (text.isascii() and text.isdecimal() and len(text) < 16):
-        raise NotFoundError(f"{text[:20]!r} is no heat: give a number.")
+        raise NotFoundError(f"{text[:20]!r} is no {what}: give a number.")
     return int(text)
 
 

@@ -23,7 +23,8 @@ LINK = re.compile(r' (href|src|data-replay)="(/[^"]*)"')
 """Links within the site, in the pages' own markup."""
 KEPT = re.compile(
     r"/(standings|heats|tracks|seasons|time-attack|definitions)?"
-    r"|/(seasons|cups)/\d+|/time-attack\?races=\w+"
+    r"|/seasons/\d+(\?page=\d+)?|/cups/\d+(\?(round=\d+(&page=\d+)?|page=\d+))?"
+    r"|/time-attack\?races=\w+"
     r"|/standings\?(against=\d+(&page=\d+)?|page=\d+)"
     r"|/drivers/\d+|/heats/\d+(\?race=\d+)?"
     r"|/matchups/\d+/\d+(\?before=\d+)?|/static/[\w.]+"

@@ -352,7 +352,7 @@ def test_the_standings_are_filtered_and_sorted_without_javascript(browser, origi
     page.goto("/standings")
     page.get_by_label("Kind").select_option("anchor")
     page.get_by_role("button", name="Show").click()
-    page.get_by_role("link", name="Wins").click()
+    page.get_by_role("link", name="Wins", exact=True).click()
     assert page.locator("th[aria-sort]").inner_text().lower() == "wins"
     wins = page.locator("tbody tr td:nth-child(7)").all_inner_texts()
     assert len(wins) == 2 and sorted(map(int, wins), reverse=True) == list(map(int, wins))

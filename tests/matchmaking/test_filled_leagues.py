@@ -78,7 +78,8 @@ def test_how_cars_drove_makes_safety_ratings(league):
 
 
 def test_the_season_has_divisions_and_recordings_and_goes_on(league):
-    (season,) = league.seasons()
+    over, season = league.seasons()
+    assert over.ended_s is not None and over.ruleset != season.ruleset
     division_of = divisions.assigned(league.division_moves(season.number))
     assert sorted(division_of) == list(range(1, ENTRIES + 1))
     assert max(division_of.values()) == 5  # of 20, the last one of 10

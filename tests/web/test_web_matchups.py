@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 
 from league.matchmaking import standings
@@ -71,3 +73,16 @@ def test_drivers_that_are_not_rated_have_a_matchup_page(tmp_path):
         store.submit("new", "someone", scripted="cautious")
         page = client.get("/matchups/1/2").text
         assert "Not both of them are rated yet" in page and "no races" in page
+
+
+def test_no_probability_is_certain(client, store):
+    gap = standings.of(store).ratings.difference(2, 3)
+    for superiority, words in (
+        (1.0, "more than 99.9 %"),
+        (0.0, "less than 0.1 %"),
+        (0.5, "50.0 %"),
+    ):
+        assert dataclasses.replace(gap, superiority=superiority).sureness == words
+    page = client.get("/matchups/2/3").text
+    assert f"of {gap.sureness}" in page and "100.0 %" not in page
+    assert "Only rated races count for the numbers of this page; the list has all races" in page

@@ -162,8 +162,8 @@ def test_a_minute_of_eight_cars_reaches_the_player_in_60_kb():
     [
         "/nothing", "/drivers/99", "/drivers/x", "/heats/999", "/heats/1?race=3", "/heats/1?race=x",
         "/heats/99999999999999999999999", "/drivers/99999999999999999999999",
-        "/matchups/1/99", "/matchups/1/1", "/matchups/1/2?before=x", "/standings?against=x",
-        "/standings?against=99", "/standings?track=nowhere",
+        "/matchups/1/99", "/matchups/1/1", "/matchups/1/2?before=x", "/standings?sort=luck",
+        "/standings?page=99", "/heats?driver=99", "/heats?page=99", "/seasons/1?page=x",
         "/static/../app.py", "/static/%2e%2e/app.py", "/static/app.py", "/etc/passwd",
         "/api/v1/heats/1/races/0/replay", "/api/v1/heats/1/races/9/replay", "/api/v1/none",
     ],

@@ -130,3 +130,9 @@ def test_a_league_without_seasons_says_so(tmp_path):
         assert "This league has no seasons yet" in client.get("/seasons").text
         assert client.get("/time-attack").status_code == 200
         assert "Division" not in client.get("/standings").text
+
+
+def test_a_matchup_says_which_races_count(client):
+    page = client.get("/matchups/3/4").text
+    season = '<a href="/seasons/2">Summer</a>'
+    assert f"Only rated races of {season} count" in page and "the races of all seasons" in page

@@ -191,6 +191,7 @@ def _notes(rated: Standings) -> list[str]:
         if tables.is_narrow()
         else "ranks: those the races allow   DNF: races not finished",
     ]
+    lines.append("best lap: the fastest complete one, penalties included")
     if len(rated.tracks) > 1:
         lines.append(f"best lap: on {rated.tracks[0]}; `league show ENTRY` shows those on others")
     if not all(row.connected for row in rated.rows):
@@ -232,7 +233,8 @@ def _show(store: Store, entry: LeagueEntry, as_json: bool) -> None:
         if row.unfinished is not None:
             laps = [f"{times.clock(lap_s)} on {track}" for track, lap_s in row.best_laps_s.items()]
             print(
-                f"not finished: {100 * row.unfinished:.0f} %, best lap: {', '.join(laps) or 'none'}"
+                f"not finished: {100 * row.unfinished:.0f} %, "
+                f"best lap (penalties included): {', '.join(laps) or 'none'}"
             )
     table = tables.table(
         "Against", "entry", "owner", "Elo", "races", "points", "promised", "residual"
@@ -268,7 +270,7 @@ def _h2h(store: Store, one: LeagueEntry, other: LeagueEntry, as_json: bool) -> N
         season.print_json({**document, "heats": heats})
         return
     print(f"{one.name} - {other.name}: {gap.elo:+.0f} Elo ({gap.low95:+.0f} to {gap.high95:+.0f})")
-    print(f"{one.name} is the stronger one with probability {100 * gap.superiority:.1f} %")
+    print(f"{one.name} is the stronger one with probability {gap.sureness}")
     print(
         f"{record.races} races: {record.wins} won, {record.ties} tied, "
         f"{record.races - record.wins - record.ties} lost; {record.expected:.1f} points were "

@@ -98,6 +98,15 @@ class Difference:
     superiority: float
     """Probability that the one is the stronger, given the races."""
 
+    @property
+    def sureness(self) -> str:
+        """That probability in words that never say 0 or 100 %, which no races prove."""
+        if self.superiority > 0.999:
+            return "more than 99.9 %"
+        if self.superiority < 0.001:
+            return "less than 0.1 %"
+        return f"{100 * self.superiority:.1f} %"
+
 
 @dataclass(frozen=True)
 class Ratings:

@@ -16,7 +16,7 @@ from league.matchmaking.store.database import Database
 from league.matchmaking.store.entries import EntryStore
 from league.matchmaking.store.integrity import Integrity
 from league.matchmaking.store.queue import QueueStore
-from league.matchmaking.store.records import Drives, LeagueSettings, Races
+from league.matchmaking.store.records import Drives, HeatRecord, LeagueSettings, Races
 from league.matchmaking.store.results import ResultStore
 from league.matchmaking.store.schema import heats, league, rulesets
 from league.matchmaking.store.seasons import SeasonStore
@@ -112,6 +112,25 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
 
     # What happened
 
+    def done(self, *, entry: int | None, skip: int, limit: int) -> list[HeatRecord]:
+        """Return heats that are done, the newest first.
+
+        Args:
+            entry: number of an entry: only its heats.
+            skip: so many of the newest ones are left out.
+            limit: so many at most.
+        """
+        query = sa.select(heats.c.number).where(_done(entry)).order_by(heats.c.number.desc())
+        with self._database.reading() as connection:
+            numbers = list(connection.scalars(query.offset(skip).limit(limit)))
+        return self.heats(numbers=numbers)[::-1]
+
+    def num_done(self, entry: int | None = None) -> int:
+        """Return how many heats are done, of all or of one entry (its number)."""
+        query = sa.select(sa.func.count()).select_from(heats).where(_done(entry))
+        with self._database.reading() as connection:
+            return connection.scalar(query) or 0
+
     def races(self, ruleset: str | None = None, *, since: int = 0, rated: bool = True) -> Races:
         """Return the races that count as arrays.
 
@@ -143,6 +162,12 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
         """A number that grows with whatever happens in the league: its events so far."""
         with self._database.reading() as connection:
             return connection.scalar(sa.select(sa.func.max(schema.events.c.number))) or 0
+
+
+def _done(entry: int | None) -> sa.ColumnElement[bool]:
+    # By an index of states the database would sort all heats that are done.
+    match = heats.c.state.concat("") == "done"
+    return match if entry is None else match & heats.c.number.in_(queue.of_entry(entry))
 
 
 def create(

@@ -7,20 +7,23 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
-from urllib.parse import urlencode
 
 from league.matchmaking import divisions, history, safety, standings
 from league.matchmaking.scope import SEASON_SD
 from league.matchmaking.standings import HeadToHead, Row, Standings
 from league.web import charts
 from league.web.pages.tracks import MEDALS
+from league.web.paging import address, paging
 from league.web.reader import Document, NotFoundError, Reader
 from league.web.snapshot import kind_of
 
-PER_PAGE = 100
-"""Entries on one page."""
+PATH = "/standings"
+"""Address of the standings."""
 MOST_OPTIONS = 200
 """Owners, or drivers, that can be chosen from a list; with more, their names are typed."""
+
+MOST_NAMED = 12
+"""Known values that a sentence about an unknown one lists."""
 
 T = TypeVar("T")
 ORDERS: dict[str, Callable[[str, Row], Any]] = {
@@ -107,14 +110,26 @@ def document(
     Filters by `track` and `cars` rate everyone again, by those races alone.
     """
     rules, now = reader.rules(), reader.snapshot()
-    if track and track not in rules["tracks"]:
-        raise NotFoundError(f"This league races on {', '.join(rules['tracks'])}, not {track[:40]}.")
-    if cars and cars not in map(str, now.car_counts):
-        known = " or ".join(map(str, now.car_counts))
-        raise NotFoundError(f"The rated races have {known or 'no'} cars, not {cars[:20]}.")
+    known = {
+        "track": (track, list(rules["tracks"]), "races are on"),
+        "cars": (cars, list(map(str, now.car_counts)), "rated races have"),
+        "kind": (kind, now.kinds, "kinds are"),
+        "owner": (owner, now.owners, "owners are"),
+    }
+    unknown = [
+        _unknown(name, text, found, are)
+        for name, (text, found, are) in known.items()
+        if text and text not in found
+    ]
+    # What is not known filters nothing: whoever mistyped it sees the table, and why.
+    track, cars, kind, owner = (text if text in found else "" for text, found, _ in known.values())
     rated = reader.standings_of(track, int(cars or 0))
     rows = rated.rows if rated else ()
-    rival = _row(rows, against) if against else None
+    rival = next((row for row in rows if against in (str(row.number), row.name)), None)
+    if against and rival is None:
+        names = sorted(row.name for row in rows)
+        unknown.append(_unknown("driver", against, names, "drivers are"))
+        against = ""
     shown = [
         row
         for row in rows
@@ -126,13 +141,11 @@ def document(
         shown.sort(key=partial(ORDERS[sort], track or rules["tracks"][0]))
     asked = {"owner": owner, "kind": kind, "track": track, "cars": cars, "against": against}
     asked = {name: text for name, text in asked.items() if text}
-    pages = math.ceil(len(shown) / PER_PAGE) or 1
-    if page and page not in map(str, range(1, pages + 1)):
-        raise NotFoundError(f"The standings have the pages 1 to {pages}.")
-    number = int(page or 1)
-    on_page = shown[(number - 1) * PER_PAGE : number * PER_PAGE]
+    at = paging(len(shown), page, "standings", PATH, {**asked, "sort": sort} if sort else asked)
+    on_page = shown[at.first : at.end]
     return {
         "rules": rules,
+        "unknown": unknown,
         "races": rated.num_races if rated else 0,
         "rejected": bool(rated and rated.goodness.rejected),
         "p_value": rated.goodness.p_value if rated else None,
@@ -141,12 +154,10 @@ def document(
         "season": rated.season if rated else None,
         "marks": marks_of(reader, on_page),
         "entries": len(shown),
-        "page": number,
-        "pages": pages,
-        "pager": _pager(number, pages, {**asked, "sort": sort} if sort else asked),
+        **at.document,
         "sort": sort,
         "sorts": {
-            name: "" if name == sort else _address({**asked, "sort": name} if name else asked)
+            name: "" if name == sort else address(PATH, {**asked, "sort": name} if name else asked)
             for name in ORDERS
         },
         "against": rival,
@@ -159,28 +170,15 @@ def document(
     }
 
 
-def _pager(number: int, pages: int, asked: dict[str, str]) -> list[tuple[str, str]]:
-    """Return labels and addresses of other pages, and the label of this one with none."""
-    pager = []
-    for page in sorted({1, pages, *range(max(1, number - 2), min(pages, number + 2) + 1)}):
-        address = _address({**asked, "page": str(page)} if page > 1 else asked)
-        pager.append((str(page), "" if page == number else address))
-    return pager
-
-
-def _address(asked: dict[str, str]) -> str:
-    return f"/standings?{urlencode(asked)}" if asked else "/standings"
-
-
 def _options(found: list[T]) -> list[T]:
     return found if len(found) <= MOST_OPTIONS else []
 
 
-def _row(rows: Sequence[Row], text: str) -> Row:
-    row = next((row for row in rows if text in (str(row.number), row.name)), None)
-    if row is None:
-        raise NotFoundError(f"The standings have no driver {text[:20]}.")
-    return row
+def _unknown(name: str, text: str, known: Sequence[str], are: str) -> str:
+    """Return the sentence that says that a value is not known, and which ones are."""
+    listed = ", ".join(known[:MOST_NAMED]) + (", ..." if len(known) > MOST_NAMED else "")
+    have = f"{are} {listed}" if known else "there is none"
+    return f"There is no {name} {text[:40]!r} in these standings, so all are shown; {have}."
 
 
 def _records(rated: Standings, rival: Row, rows: Sequence[Row]) -> dict[int, HeadToHead]:

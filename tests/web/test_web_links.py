@@ -1,0 +1,93 @@
+"""Numbers lead to what they mean, and to the heats they come from."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from league.web import paging
+from tests.web.small_league import NAME, OWNER, rated_heat
+
+ABOUT = {
+    "/": {"Rank": "rank", "Rating": "rating", "95 % interval": "interval", "Races": "races"},
+    "/drivers/3": {
+        "Rank": "rank", "Rating": "rating", "Races": "races", "Wins": "races", "Finishes": "races",
+        "Safety": "safety", "Expected": "expected", "Points": "points",
+    },
+    "/matchups/3/1": {
+        "Rating difference, 95 %": "difference", "Races": "races", "Points": "points",
+        "Expected": "expected", "Won – tied – lost": "points",
+    },
+    "/standings?against=3": {"Points": "points", "Expected": "expected", "Rating": "rating"},
+}  # fmt: skip
+HEADS = {
+    "Rating": "rating", "Races": "races", "Wins": "races", "Finishes": "races",
+    "Best lap": "best-lap",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("path", ABOUT)
+def test_each_number_links_to_its_definition(client, path):
+    page = client.get(path).text
+    known = set(re.findall(r'<dt id="([\w-]+)"', client.get("/definitions").text))
+    for label, about in ABOUT[path].items():
+        assert f'<a href="/definitions#{about}">{label}</a>' in page, label
+        assert about in known
+
+
+@pytest.mark.parametrize("sort", ["", "races", "wins", "finishes", "lap", "name"])
+def test_heads_of_the_standings_have_definitions_whatever_they_are_sorted_by(client, sort):
+    page = client.get("/standings", params={"sort": sort} if sort else {}).text
+    heads = re.findall(r"<th .*?</th>", page)
+    for label, about in HEADS.items():
+        (head,) = (one for one in heads if f">{label}</a>" in one)
+        assert f'href="/definitions#{about}"' in head
+    sorted_by = next(one for one in heads if "aria-sort" in one)
+    assert "title=" not in sorted_by
+
+
+def test_counts_of_races_lead_to_the_heats_of_the_driver(client, store):
+    page = client.get("/standings").text
+    for row in client.get("/api/v1/standings").json()["rows"]:
+        assert f'<a href="/heats?driver={row["number"]}">{row["races"]}</a>' in page
+    driver, standing = client.get("/drivers/3").text, client.get("/api/v1/drivers/3").json()
+    for number in (standing["standing"]["races"], standing["standing"]["wins"]):
+        assert f'<dd><a href="/heats?driver=3">{number}</a></dd>' in driver
+    heats = store.heats(("done",), entries=[3])
+    assert f'<a href="/heats?driver=3">All {len(heats)} heats</a>' in driver
+
+
+def test_heats_of_a_driver_show_its_place_in_each_race(client, store):
+    document = client.get("/api/v1/heats?driver=3").json()
+    mine = [one.number for one in store.heats(("done",), entries=[3])]
+    assert [one["number"] for one in document["heats"]] == mine[::-1]
+    rated = [one for one in document["heats"] if one["purpose"] == "rated"]
+    races = [race for heat in rated for race in heat["own"]]
+    standing = client.get("/api/v1/drivers/3").json()["standing"]
+    assert len(races) == standing["races"] == document["races"]
+    assert sum(race["place"] == 1 for race in races) == standing["wins"]
+    unfinished = sum(not race["finished"] for race in races)
+    assert unfinished / len(races) == pytest.approx(standing["unfinished"])
+    page = client.get("/heats?driver=3").text
+    assert f'href="/heats/{rated[0]["number"]}?race=2"' in page and ">DNF<" in page
+    assert document["driver"]["name"] == NAME and OWNER not in page
+
+
+def test_heats_come_in_pages(client, store, monkeypatch):
+    monkeypatch.setattr(paging, "PER_PAGE", 5)
+    done = [one.number for one in store.heats(("done",))][::-1]
+    pages, found = -(-len(done) // 5), []
+    for page in range(1, pages + 1):
+        document = client.get(f"/api/v1/heats?page={page}").json()
+        assert (document["count"], document["pages"]) == (len(done), pages)
+        found += [one["number"] for one in document["heats"]]
+    assert found == done
+    assert 'href="/heats?driver=3&amp;page=2"' in client.get("/heats?driver=3").text
+    for wrong in ("page=0", f"page={pages + 1}", "driver=99", "driver=x", "driver=-1"):
+        assert client.get(f"/heats?{wrong}").status_code == 404
+
+
+def test_the_feed_has_the_newest_heats_whatever_a_page_holds(client, store, monkeypatch):
+    monkeypatch.setattr(paging, "PER_PAGE", 1)
+    assert f"heats/{rated_heat(store)}" in client.get("/feed.atom").text
