@@ -29,10 +29,10 @@ _PAIRS = (
     "\u03c4t \u03c5u \u03c7x \u03f2c \u03f3j "
     # Armenian
     "\u0563g \u0566q \u0570h \u0575j \u0578n \u057du \u0581g \u0585o "
-    # Cherokee, whose capitals have the forms of Latin ones
+    # Cherokee: its capitals have the forms of Latin ones
     "\u13a0d \u13a1r \u13a2t \u13a5i \u13aaa \u13abj \u13ace \u13b3w \u13b7m \u13bbh \u13c0g "
     "\u13c3z \u13cfb \u13d9v \u13dah \u13del \u13dfc \u13e2p \u13e6k \u13f4b "
-    # Latin letters whose Unicode names do not tell which one they look like
+    # Latin letters: their Unicode names do not tell which one they look like
     "\u00f0d \u0251a \u0269i \u01c0l \u0138k "
     # Signs
     "|l 1l 0o"
