@@ -32,7 +32,7 @@ _PAIRS = (
     # Cherokee: its capitals have the forms of Latin ones
     "\u13a0d \u13a1r \u13a2t \u13a5i \u13aaa \u13abj \u13ace \u13b3w \u13b7m \u13bbh \u13c0g "
     "\u13c3z \u13cfb \u13d9v \u13dah \u13del \u13dfc \u13e2p \u13e6k \u13f4b "
-    # Latin letters that look like others than their Unicode names say
+    # Latin letters: their Unicode names do not tell which one they look like
     "\u00f0d \u0251a \u0269i \u01c0l \u0138k "
     # Signs
     "|l 1l 0o"
