@@ -39,7 +39,7 @@ pages: league
 
 # In the order of the files: sorted by number of tests, the few that take longest would come last.
 test: sync
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(PYTEST)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 # TorchRL needs another tensordict than rsl-rl, so it lies in a folder that these tests alone see.
 torchrl: sync
