@@ -337,7 +337,7 @@ class Races(Columns):
     runs: np.ndarray
     """How each car's race went, in grid order: KNOWN if that is known, FINISHED if it drove all
     laps, and its best lap [ms], 0 for none, in BEST_MS, (num_races, most cars) uint32."""
-    last: int
+    last: int = 0
     """Pass this as `since` to read only later races next time."""
     voided: int = 0
     """How many heats are in quarantine: if it has changed, read all races again."""
