@@ -153,7 +153,20 @@ class Rival:
         return actions
 
 
-class Racer(Teacher):
+class _OnCurriculum(Learner):
+    """A learner whose curriculum is saved and resumed with it."""
+
+    curriculum: Curriculum
+
+    def _state(self) -> dict[str, Any]:
+        return super()._state() | {"curriculum": self.curriculum.state()}
+
+    def _load_state(self, state: dict[str, Any]) -> None:
+        super()._load_state(state)
+        self.curriculum.restore(state["curriculum"])
+
+
+class Racer(_OnCurriculum, Teacher):
     """PPO learner of all cars, with a curriculum."""
 
     groups = ("truth", "motion")
@@ -174,15 +187,8 @@ class Racer(Teacher):
         self.curriculum.prepare(self.env.race_env, share)
         return self.curriculum.add(super().update(share), share)
 
-    def _state(self) -> dict[str, Any]:
-        return super()._state() | {"curriculum": self.curriculum.state()}
 
-    def _load_state(self, state: dict[str, Any]) -> None:
-        super()._load_state(state)
-        self.curriculum.restore(state["curriculum"])
-
-
-class RacingLearner(TaughtLearner):
+class RacingLearner(_OnCurriculum, TaughtLearner):
     """A learner with its own sensors, which learns to race from a racer, and then against it."""
 
     def __init__(self, tracks: TrackSet, cfg: TrainConfig, racer: Racer, **settings: Any) -> None:  # noqa: ANN401
@@ -207,13 +213,6 @@ class RacingLearner(TaughtLearner):
         """Collect and learn at a share of its own stage, with rivals as fast as it can pass."""
         self.curriculum.prepare(self.env.race_env, share)
         return self.curriculum.add(super()._learn(share), share)
-
-    def _state(self) -> dict[str, Any]:
-        return super()._state() | {"curriculum": self.curriculum.state()}
-
-    def _load_state(self, state: dict[str, Any]) -> None:
-        super()._load_state(state)
-        self.curriculum.restore(state["curriculum"])
 
 
 def make_racing(tracks: TrackSet, cfg: TrainConfig, *, reward: Reward | None = None) -> Learner:
