@@ -154,7 +154,7 @@ class Rival:
 
 
 class _OnCurriculum(Learner):
-    """A learner whose curriculum is saved and resumed with it."""
+    """A learner that saves its curriculum, and resumes with it."""
 
     curriculum: Curriculum
 
