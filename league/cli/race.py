@@ -175,19 +175,16 @@ def race_spec(command: Race | Evaluate, track: str, kind: str, drivers: Sequence
     """Return the checked spec of a race by the flags that two commands share."""
     from league.race_spec import checked
 
-    if isinstance(command, Race) and command.average_laps != 2 and command.ranking != "average":
-        raise ConfigError(
-            "--average-laps means nothing without --ranking average: give both, or neither"
-        )
-    if (
-        isinstance(command, Race)
-        and command.average_laps != 2
-        and command.average_laps > command.laps
-    ):
-        raise ConfigError(
-            f"--average-laps is {command.average_laps}, but the race has {command.laps} laps: "
-            "give at most as many"
-        )
+    if isinstance(command, Race) and command.average_laps != 2:
+        if command.ranking != "average":
+            raise ConfigError(
+                "--average-laps means nothing without --ranking average: give both, or neither"
+            )
+        if command.average_laps > command.laps:
+            raise ConfigError(
+                f"--average-laps is {command.average_laps}, but the race has {command.laps} laps: "
+                "give at most as many"
+            )
     return checked(
         {
             "track": track,

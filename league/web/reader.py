@@ -212,18 +212,29 @@ class Reader:
         """Return so many of the newest heats that are done, the newest first."""
         return self.store.heats(("done",), limit=number, newest=True)[::-1]
 
-    def listed(self, records: list[HeatRecord]) -> list[Document]:
-        """Return heats as lines of a list: who raced, who won."""
+    def listed(self, records: list[HeatRecord], of: LeagueEntry | None = None) -> list[Document]:
+        """Return heats as lines of a list: who raced, who won.
+
+        With an entry `of` also its own races of each: its place, and whether it finished.
+        """
         names, results = self.names, self.store.results(*(record.number for record in records))
         lines = []
         for record in records:
             own = [result for result in results if result.heat == record.number]
-            winners = []
+            winners: list[str] = []
+            races: list[Document] = []
             for number, half in enumerate(record.heat.halves):
                 result = accepted(own, number)
-                if result is not None:
-                    winners.append(names[half.grid[result.places.index(min(result.places))]])
-            lines.append({**heat_document(record, names), "winners": winners})
+                if result is None:
+                    continue
+                winners.append(names[half.grid[result.places.index(min(result.places))]])
+                if of is not None and of.id in half.grid:
+                    car = half.grid.index(of.id)
+                    row = next((row for row in result.result["order"] if row["car"] == car), {})
+                    place, finished = result.places[car], row.get("finished", True)
+                    races.append({"race": number + 1, "place": place, "finished": finished})
+            line = {**heat_document(record, names), "winners": winners}
+            lines.append(line if of is None else {**line, "own": races})
         return lines
 
 

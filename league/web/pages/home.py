@@ -6,11 +6,11 @@ import time
 from collections.abc import Sequence
 
 from league.matchmaking.documents import heat_document
-from league.matchmaking.store import HeatRecord, LeagueEntry
+from league.matchmaking.store import HeatRecord
 from league.web import charts
 from league.web.pages import heat
 from league.web.paging import paging
-from league.web.reader import Document, Reader, accepted, heat_number
+from league.web.reader import Document, Reader, heat_number
 
 RECENT = 60
 """Newest heats that are listed, and among which the most contested race is looked for."""
@@ -78,42 +78,15 @@ def heats(reader: Reader, driver: str = "", page: str = "") -> Document:
     count = store.num_done(of)
     at = paging(count, page, "heats", "/heats", {"driver": driver} if driver else {})
     records = store.done(entry=of, skip=at.first, limit=at.end - at.first)
-    listed = reader.listed(records)
-    if entry is not None:
-        listed = [
-            {**line, "own": own}
-            for line, own in zip(listed, _own_races(reader, entry, records), strict=True)
-        ]
     counts, row = store.counts(), reader.snapshot().rows.get(of or 0)
     return {
-        "heats": listed,
+        "heats": reader.listed(records, of=entry),
         "counts": counts,
         "count": count,
         "driver": entry,
         "races": row.races if row else 0,
         **at.document,
     }
-
-
-def _own_races(
-    reader: Reader, entry: LeagueEntry, records: Sequence[HeatRecord]
-) -> list[list[Document]]:
-    """Return an entry's races of each of some heats: its place, and whether it finished."""
-    results = reader.store.results(*(record.number for record in records))
-    found: list[list[Document]] = []
-    for record in records:
-        own = [result for result in results if result.heat == record.number]
-        races: list[Document] = []
-        for half, race in enumerate(record.heat.halves):
-            result = accepted(own, half)
-            if result is None or entry.id not in race.grid:
-                continue
-            car = race.grid.index(entry.id)
-            row = next((row for row in result.result["order"] if row["car"] == car), {})
-            place, finished = result.places[car], row.get("finished", True)
-            races.append({"race": half + 1, "place": place, "finished": finished})
-        found.append(races)
-    return found
 
 
 def live(reader: Reader) -> Document:
