@@ -1,4 +1,4 @@
-"""What single races tell: points against those promised, best and clean laps, the front slot."""
+"""What single races tell: points against those promised, clean laps, the front slot."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from league.matchmaking import standings
 from league.matchmaking.ratings.fit import SIGMAS_95, expected_score
 from league.matchmaking.standings import Standings
-from league.matchmaking.store import BEST_MS, KNOWN, Store
+from league.matchmaking.store import BEST_MS, CLEAN, Races, Store
 from league.sim.config import RaceKind
 
 
@@ -58,7 +58,7 @@ def race_scores(rated: Standings, number: int, other: int | None = None) -> list
 
 @dataclass(frozen=True)
 class BestLap:
-    """An entry's fastest complete lap on a track, penalties included."""
+    """An entry's fastest clean lap on a track: one of a race in which it made no mistake."""
 
     number: int
     """Number of the entry."""
@@ -70,82 +70,30 @@ class BestLap:
     """Number of the race within the heat, from 1."""
 
 
-def best_laps(rated: Standings) -> dict[str, list[BestLap]]:
-    """Return the fastest lap of each entry on each track of the ruleset, the fastest first.
+def clean_laps(races: Races, tracks: Sequence[str]) -> dict[str, list[BestLap]]:
+    """Return the fastest clean lap of each entry on each track, the fastest first.
 
-    Among equal laps the earlier one counts.
+    A lap is clean in a race without a fault: no leaving of the track, no contact to blame for, no
+    standing still, no driving backwards. Among equal laps the earlier one counts.
+
+    Args:
+        races: of one ruleset.
+        tracks: its tracks.
     """
-    races = rated.races
-    lap_ms = (races.runs & BEST_MS).astype(np.int64)
-    row, slot = np.nonzero(((races.runs & KNOWN) > 0) & (lap_ms > 0))
+    row, slot = np.nonzero(races.runs & CLEAN)
+    entry, track = races.entries[row, slot], races.track[row]
+    lap_ms = (races.runs[row, slot] & BEST_MS).astype(np.int64)
     # Only laps that are an entry's fastest on their track need to be put in order.
     size = int(races.entries.max(initial=0)) + 1
-    place = races.track[row].astype(np.int64) * size + races.entries[row, slot]
+    place = track.astype(np.int64) * size + entry
     best_ms = np.full(256 * size, BEST_MS + 1, np.int64)
-    np.minimum.at(best_ms, place, lap_ms[row, slot])
-    fastest = lap_ms[row, slot] == best_ms[place]
-    row, slot = row[fastest], slot[fastest]
-    return _fastest(
-        rated.tracks, races.track[row], races.entries[row, slot], lap_ms[row, slot],
-        races.heat[row], races.half[row],
-    )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Boards:
-    """Time-attack boards, which later races can be added to."""
-
-    laps: dict[str, list[BestLap]]
-    """The fastest clean lap of each entry, the fastest first, by track."""
-    last: dict[str, int]
-    """Store.drives.last of each ruleset, by its hash."""
-
-
-def time_attack(store: Store, kind: RaceKind, earlier: Boards | None = None) -> Boards:
-    """Return the fastest clean lap of each entry in all races of a kind, by track.
-
-    Races under all rules count that have the present physics, those of cups included. A lap is
-    clean in a race without a fault: no leaving of the track, no contact to blame for, no standing
-    still, no driving backwards. With earlier boards only later races are read; that is right unless
-    heats were put in quarantine since.
-    """
-    found, last = (dict(earlier.laps), dict(earlier.last)) if earlier else ({}, {})
-    physics = store.settings.ruleset.physics
-    for hash, rules in store.rulesets().items():
-        if (rules.kind, rules.physics) == (kind, physics):
-            drives = store.drives(hash, since=last.get(hash, 0), rated=False)
-            last[hash] = drives.last
-            laps = _fastest(
-                rules.tracks, drives.track, drives.entry, drives.clean_ms, drives.heat, drives.half
-            )
-            for track, own in laps.items():
-                found[track] = _best_of(found.get(track, []) + own)
-    return Boards(found, last)
-
-
-def _best_of(laps: list[BestLap]) -> list[BestLap]:
-    """Return the best one of each entry's laps, the fastest first."""
-    ordered = sorted(laps, key=lambda lap: (lap.lap_s, lap.heat, lap.race))
-    best: dict[int, BestLap] = {}
-    for lap in ordered:
-        best.setdefault(lap.number, lap)
-    return list(best.values())
-
-
-def _fastest(
-    tracks: Sequence[str],
-    track: np.ndarray,
-    entry: np.ndarray,
-    lap_ms: np.ndarray,
-    heat: np.ndarray,
-    half: np.ndarray,
-) -> dict[str, list[BestLap]]:
-    """Return the fastest lap of each entry on each track; all arrays (laps,), 0 ms for no lap."""
-    order = np.lexsort((half, heat, lap_ms))
-    order = order[lap_ms[order] > 0]
+    np.minimum.at(best_ms, place, lap_ms)
+    fastest = np.flatnonzero(lap_ms == best_ms[place])
+    heat, half = races.heat[row], races.half[row]
+    fastest = fastest[np.lexsort((half[fastest], heat[fastest], lap_ms[fastest]))]
     found: dict[str, list[BestLap]] = {}
     for index, name in enumerate(tracks):
-        on_track = order[track[order] == index]
+        on_track = fastest[track[fastest] == index]
         first = np.sort(np.unique(entry[on_track], return_index=True)[1])
         found[name] = [
             BestLap(
@@ -157,6 +105,42 @@ def _fastest(
             for at in on_track[first]
         ]
     return found
+
+
+@dataclass(frozen=True)
+class Boards:
+    """Time-attack boards, which later races can be added to."""
+
+    laps: dict[str, list[BestLap]]
+    """The fastest clean lap of each entry, the fastest first, by track."""
+    last: dict[str, int]
+    """Races.last of each ruleset, by its hash."""
+
+
+def time_attack(store: Store, kind: RaceKind, earlier: Boards | None = None) -> Boards:
+    """Return the fastest clean lap of each entry in all races of a kind, by track.
+
+    Races under all rules count that have the present physics, those of cups included. With earlier
+    boards only later races are read; that is right unless heats were put in quarantine since.
+    """
+    found, last = (dict(earlier.laps), dict(earlier.last)) if earlier else ({}, {})
+    physics = store.settings.ruleset.physics
+    for hash, rules in store.rulesets().items():
+        if (rules.kind, rules.physics) == (kind, physics):
+            races = store.races(hash, since=last.get(hash, 0), rated=False)
+            last[hash] = races.last
+            for track, own in clean_laps(races, rules.tracks).items():
+                found[track] = _best_of(found.get(track, []) + own)
+    return Boards(found, last)
+
+
+def _best_of(laps: list[BestLap]) -> list[BestLap]:
+    """Return the best one of each entry's laps, the fastest first."""
+    ordered = sorted(laps, key=lambda lap: (lap.lap_s, lap.heat, lap.race))
+    best: dict[int, BestLap] = {}
+    for lap in ordered:
+        best.setdefault(lap.number, lap)
+    return list(best.values())
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 
 from league.matchmaking import divisions, history, safety, standings
 from league.matchmaking.scope import RatingScope, scope
-from league.matchmaking.scores import BestLap, best_laps
+from league.matchmaking.scores import BestLap, clean_laps
 from league.matchmaking.standings import Row, Standings
 from league.matchmaking.store import LeagueEntry, Races, Season, Store
 from league.matchmaking.store.records import LeagueSettings
@@ -39,7 +39,7 @@ class Snapshot:
 
     def prepare(self) -> None:
         """Compute now what pages look up, so that no request has to."""
-        for name in ("by_number", "by_id", "rows", "best_laps", "owners", "car_counts", "kinds"):
+        for name in ("by_number", "by_id", "rows", "clean_laps", "owners", "car_counts", "kinds"):
             getattr(self, name)
 
     @cached_property
@@ -58,9 +58,9 @@ class Snapshot:
         return {row.number: row for row in self.rated.rows} if self.rated else {}
 
     @cached_property
-    def best_laps(self) -> dict[str, list[BestLap]]:
-        """The fastest lap of each entry on each track, the fastest first."""
-        return best_laps(self.rated) if self.rated else {}
+    def clean_laps(self) -> dict[str, list[BestLap]]:
+        """The fastest clean lap of each entry on each track, the fastest first."""
+        return clean_laps(self.rated.races, self.rated.tracks) if self.rated else {}
 
     @property
     def counted(self) -> Races:

@@ -1,7 +1,9 @@
 """The league's database; the only package that imports SQLAlchemy and Alembic."""
 
+from league.matchmaking.store.race_table import is_clean
 from league.matchmaking.store.records import (
     BEST_MS,
+    CLEAN,
     FINISHED,
     KNOWN,
     RATED,
@@ -27,6 +29,7 @@ from league.matchmaking.store.store import Store, create, upgrade
 
 __all__ = [
     "BEST_MS",
+    "CLEAN",
     "FINISHED",
     "KNOWN",
     "RATED",
@@ -49,5 +52,6 @@ __all__ = [
     "StoredResult",
     "Token",
     "create",
+    "is_clean",
     "upgrade",
 ]

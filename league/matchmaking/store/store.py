@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Self
 
 import sqlalchemy as sa
@@ -131,22 +131,30 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
         with self._database.reading() as connection:
             return connection.scalar(query) or 0
 
-    def races(self, ruleset: str | None = None, *, since: int = 0, rated: bool = True) -> Races:
+    def races(
+        self,
+        ruleset: str | None = None,
+        *,
+        since: int = 0,
+        rated: bool = True,
+        entries: Sequence[int] = (),
+    ) -> Races:
         """Return the races that count as arrays.
 
         Args:
             ruleset: hash; by default the league's present one.
             since: only those that came after this `Races.last`.
             rated: without validation and gauntlet heats.
+            entries: only those of heats with all these entries (numbers) in them.
         """
         ruleset = ruleset or self.settings.ruleset.hash
         with self._database.reading() as connection:
-            return race_table.read_races(connection, ruleset, since, rated=rated)
+            return race_table.read_races(connection, ruleset, since, rated=rated, entries=entries)
 
-    def drives(self, ruleset: str, *, since: int = 0, rated: bool = True) -> Drives:
-        """Return how each car drove in the races under a ruleset; see `races`."""
+    def drives(self, ruleset: str, *, since: int = 0) -> Drives:
+        """Return how each car drove in the rated races under a ruleset; see `races`."""
         with self._database.reading() as connection:
-            return race_table.read_drives(connection, ruleset, since, rated=rated)
+            return race_table.read_drives(connection, ruleset, since)
 
     def verify(self, head: str = "") -> Integrity:
         """Recompute all that standings use, and check it against documents, hashes and the ledger.

@@ -127,9 +127,9 @@ def _named(reader: Reader, scores: list[Document]) -> list[Document]:
 
 
 def _laps(reader: Reader, number: int) -> list[Document]:
-    """Return an entry's best lap on each track: its place among all, its medal, its race."""
+    """Return an entry's best clean lap on each track: its place among all, its medal, its race."""
     lines = []
-    for name, laps in reader.snapshot().best_laps.items():
+    for name, laps in reader.snapshot().clean_laps.items():
         place = next((at for at, lap in enumerate(laps) if lap.number == number), None)
         if place is None:
             continue

@@ -31,7 +31,7 @@ ORDERS: dict[str, Callable[[str, Row], Any]] = {
     "races": lambda _, row: -row.races,
     "wins": lambda _, row: -row.wins,
     "finishes": lambda _, row: 1.0 if row.unfinished is None else row.unfinished,
-    "lap": lambda track, row: row.best_laps_s.get(track, math.inf),
+    "lap": lambda track, row: row.clean_laps_s.get(track, math.inf),
     "name": lambda _, row: row.name.casefold(),
     "owner": lambda _, row: row.owner.casefold(),
 }
