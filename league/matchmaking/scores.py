@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from league.matchmaking import standings
 from league.matchmaking.ratings.fit import SIGMAS_95, expected_score
-from league.matchmaking.standings import Standings
+from league.matchmaking.standings import Standings, Strengths
 from league.matchmaking.store import BEST_MS, CLEAN, Races, Store
 from league.sim.config import RaceKind
 
@@ -30,15 +31,17 @@ class RaceScore:
     """Points that the ratings promise it, grid slots included."""
 
 
-def race_scores(rated: Standings, number: int, other: int | None = None) -> list[RaceScore]:
+def race_scores(
+    rated: Standings | PastSeason, number: int, other: int | None = None
+) -> list[RaceScore]:
     """Return an entry's rated races, by heat and race.
 
     Args:
-        rated: the standings.
+        rated: the standings, or as much of them.
         number: of the entry.
         other: number of the only opponent that counts; by default all count.
     """
-    own = standings.own_races(rated, number)
+    own = standings.own_races(rated.races, rated.ratings, number)
     races, counts = own.races, own.met
     if other is not None:
         counts = counts & (races.entries == other)
@@ -54,6 +57,57 @@ def race_scores(rated: Standings, number: int, other: int | None = None) -> list
         )
         for row in np.flatnonzero(counts.any(axis=1) | (other is None))
     ]
+
+
+@dataclass(frozen=True)
+class PastSeason:
+    """Some races of a season, and what its ratings promise of them."""
+
+    races: Races
+    ratings: Strengths
+    tracks: Sequence[str]
+    """Tracks of the ruleset."""
+
+
+@dataclass(frozen=True)
+class _Frozen:
+    entries: np.ndarray
+    elo: np.ndarray
+    slot_advantages: np.ndarray
+
+
+def scores_by_season(
+    store: Store, rated: Standings, one: int, other: int
+) -> dict[int | None, list[RaceScore]]:
+    """Return the races of two entries, points of the one, by number of the season, the first first.
+
+    None is for races in no season. What was expected in a season that is over follows from its
+    final ratings, in others from those of the present standings.
+    """
+    seasons = store.seasons()
+    found: dict[int | None, list[RaceScore]] = {}
+    for hash, rules in store.rulesets().items():
+        races = store.races(hash, entries=(one, other))
+        within = np.zeros(len(races.heat), int)
+        for season in seasons:
+            within[season.has(races.heat)] = season.number
+        for number in np.unique(within).tolist():
+            document = store.season_document(number) if number else None
+            ratings = _frozen(document) if document else rated.ratings
+            past = PastSeason(races.where(within == number), ratings, rules.tracks)
+            found.setdefault(number or None, []).extend(race_scores(past, one, other))
+    return dict(sorted(found.items(), key=lambda item: item[0] or 0))
+
+
+def _frozen(document: Mapping[str, Any]) -> _Frozen:
+    """Return the ratings that a season was frozen with."""
+    table = document["standings"]
+    rows = sorted(table["entries"], key=lambda row: row["number"])
+    return _Frozen(
+        entries=np.array([row["number"] for row in rows]),
+        elo=np.array([row["elo"] for row in rows]),
+        slot_advantages=np.array(table["slot_advantages"]),
+    )
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -346,6 +347,25 @@ def head_to_head(standings: Standings, one: int, other: int) -> HeadToHead:
     return meetings(standings, one).get(other, UNMET)
 
 
+class Strengths(Protocol):
+    """Ratings, as far as what they promise depends on them."""
+
+    @property
+    def entries(self) -> np.ndarray:
+        """Entry numbers, ascending."""
+        ...
+
+    @property
+    def elo(self) -> np.ndarray:
+        """Strength of each [Elo]."""
+        ...
+
+    @property
+    def slot_advantages(self) -> np.ndarray:
+        """What each slot of the grid is worth [Elo]."""
+        ...
+
+
 @dataclass(frozen=True)
 class OwnRaces:
     """An entry's rated races by heat and half, seen from its seat; all but two (races, cars)."""
@@ -361,9 +381,8 @@ class OwnRaces:
     """What the ratings, and the grid slots, give each car [Elo]."""
 
 
-def own_races(standings: Standings, number: int) -> OwnRaces:
-    """Return an entry's rated races."""
-    races, ratings = standings.races, standings.ratings
+def own_races(races: Races, ratings: Strengths, number: int) -> OwnRaces:
+    """Return those of some races that an entry was in."""
     races = races.where((races.entries == number).any(axis=1))
     races = races.where(np.lexsort((races.half, races.heat)))
     mine = races.entries == number
@@ -382,7 +401,7 @@ def own_races(standings: Standings, number: int) -> OwnRaces:
 
 def meetings(standings: Standings, number: int) -> dict[int, HeadToHead]:
     """Return an entry's record against each one that it met, by the other's number."""
-    own = own_races(standings, number)
+    own = own_races(standings.races, standings.ratings, number)
     others, at = np.unique(own.races.entries[own.met], return_inverse=True)
     races, wins, ties = (
         np.bincount(at, counted[own.met], len(others)).astype(int).tolist()

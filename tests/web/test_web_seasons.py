@@ -9,6 +9,7 @@ import pytest
 from markupsafe import escape
 from starlette.testclient import TestClient
 
+from league.matchmaking import standings
 from league.matchmaking.store import Store
 from league.web import site
 from league.web.app import make_app
@@ -83,6 +84,27 @@ def test_standings_and_drivers_show_division_safety_and_trend(client):
         assert f'href="/definitions#{link}"' in page
     page = client.get("/drivers/3").text
     assert "Spring ended" in page and "Trophies" in page
+
+
+def test_a_matchup_counts_each_season_and_all_of_them(client, store):
+    document = client.get("/api/v1/matchups/2/3").json()
+    summer, spring = document["records"]
+    assert [one["season"]["name"] for one in (summer, spring)] == ["Summer", "Spring"]
+    assert summer["present"] and not spring["present"]
+    assert summer["races"] == document["record"]["races"]
+    assert summer["expected"] == pytest.approx(document["record"]["expected"])
+    for name in ("heats", "races", "wins", "ties", "points", "expected"):
+        assert document["whole"][name] == pytest.approx(summer[name] + spring[name])
+    (past,) = [one for one in store.seasons() if one.ended_s is not None]
+    rated = standings.of(store, past.ruleset, past)
+    assert spring["races"] == standings.head_to_head(rated, 2, 3).races > 0
+    assert spring["expected"] == pytest.approx(standings.head_to_head(rated, 2, 3).expected)
+    # Each count leads to the heats it is of.
+    assert 'href="/matchups/2/3?season=1#races">' in client.get("/matchups/2/3").text
+    listed = client.get("/api/v1/matchups/2/3?season=1").json()["heats"]
+    rated_heats = {line["heat"] for line in listed if line["purpose"] == "rated"}
+    assert len(rated_heats) == spring["heats"] and max(rated_heats) <= past.until
+    assert client.get("/matchups/2/3?season=9").status_code == 404
 
 
 def test_boards_have_clean_laps_by_kind(client, store):
