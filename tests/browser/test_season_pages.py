@@ -8,6 +8,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from league.matchmaking.store import Store
+from league.web import site
 from tests.browser.axe import LOOKS, faults
 from tests.browser.looking import NEEDS_CHROMIUM, PHONE, opened
 from tests.web.small_league import seasoned_league
@@ -40,6 +41,21 @@ def test_a_trophy_leads_from_the_hall_of_fame_to_its_driver_and_back(browser, or
     won.get_by_role("link", name="Spring").click()
     assert page.get_by_role("heading", level=1).inner_text() == "Spring"
     assert page.locator(".trophies li", has_text="Champion").locator("a").inner_text() == champion
+    assert complaints == []
+
+
+def test_a_heat_of_an_exported_season_plays_from_disk(browser, complaints, store, tmp_path):
+    site.export(store, tmp_path / "spring", heats=1, season=1)
+    page = browser.new_context(offline=True).new_page()
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.goto((tmp_path / "spring" / "index.html").as_uri())
+    page.get_by_role("link", name="Heats", exact=True).click()
+    page.locator("td.number a").first.click()
+    canvas = page.locator("canvas")
+    canvas.wait_for()
+    first = canvas.screenshot()
+    page.keyboard.press("End")
+    assert canvas.screenshot() != first
     assert complaints == []
 
 

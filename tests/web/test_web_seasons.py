@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from urllib.parse import urlsplit
 
 import pytest
 from markupsafe import escape
 from starlette.testclient import TestClient
 
+from league.cli import main
 from league.matchmaking import standings
 from league.matchmaking.store import Store
 from league.web import site
@@ -138,6 +140,34 @@ def test_files_of_a_site_include_the_seasons(store, tmp_path):
     names = {str(path.relative_to(tmp_path / "site")) for path in tmp_path.rglob("*.html")}
     assert {"seasons.html", "seasons/1.html", "cups/1.html", "definitions.html"} <= names
     assert {"time-attack.html", "time-attack-races-time_trial.html"} <= names
+
+
+def test_a_season_that_is_over_is_exported_as_it_ended(store, tmp_path):
+    folder, (past, running) = tmp_path / "spring", store.seasons()
+    command = ["site", str(folder), "--season", "1", "--heats", "3", "--league", store.url]
+    assert main(command) == 0
+    pages = {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("*.html")}
+    assert not any("Summer" in page for page in pages.values())
+    frozen = store.season_document(1)["standings"]["entries"]
+    rows = re.findall(r'<td class="name"><a href="drivers/(\d+)', pages["standings.html"])
+    assert rows == [str(row["number"]) for row in frozen]
+    assert f">{frozen[0]['elo']:.0f} " in pages["standings.html"]
+    assert "Spring</a>, which is over" in pages["standings.html"]
+    heats = {int(name[6:-5]) for name in pages if re.fullmatch(r"heats/\d+\.html", name)}
+    assert len(heats) == 3 and max(heats) <= past.until < running.after + 1
+    assert {"index.html", "tracks.html", "cups/1.html", "seasons/1.html"} <= set(pages)
+    for name, page in pages.items():
+        for link in re.findall(r'(?:href|src)="([^"]*)"', page):
+            path = urlsplit(link).path
+            assert not link.startswith(("/", "http")), link
+            assert not path or ((folder / name).parent / path).is_file(), f"{name}: {link}"
+
+
+def test_only_a_season_that_is_over_is_exported(store, tmp_path, capsys):
+    for number in ("0", "2", "9"):
+        command = ["site", str(tmp_path / "no"), "--season", number, "--league", store.url]
+        assert main(command) == 2
+        assert f"no season {number} that is over: give 1" in capsys.readouterr().err
 
 
 def test_files_of_a_site_without_heats_have_none(store, tmp_path):

@@ -25,6 +25,7 @@ from league.matchmaking.store.records import (
     StoredResult,
     Token,
 )
+from league.matchmaking.store.season_view import SeasonView
 from league.matchmaking.store.store import Store, create, upgrade
 
 __all__ = [
@@ -48,6 +49,7 @@ __all__ = [
     "Received",
     "Scope",
     "Season",
+    "SeasonView",
     "Store",
     "StoredResult",
     "Token",

@@ -120,16 +120,21 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
             skip: so many of the newest ones are left out.
             limit: so many at most.
         """
-        query = sa.select(heats.c.number).where(_done(entry)).order_by(heats.c.number.desc())
+        query = sa.select(heats.c.number).where(self._done(entry)).order_by(heats.c.number.desc())
         with self._database.reading() as connection:
             numbers = list(connection.scalars(query.offset(skip).limit(limit)))
         return self.heats(numbers=numbers)[::-1]
 
     def num_done(self, entry: int | None = None) -> int:
         """Return how many heats are done, of all or of one entry (its number)."""
-        query = sa.select(sa.func.count()).select_from(heats).where(_done(entry))
+        query = sa.select(sa.func.count()).select_from(heats).where(self._done(entry))
         with self._database.reading() as connection:
             return connection.scalar(query) or 0
+
+    def _done(self, entry: int | None) -> sa.ColumnElement[bool]:
+        # By an index of states the database would sort all heats that are done.
+        match = heats.c.state.concat("") == "done"
+        return match if entry is None else match & heats.c.number.in_(queue.of_entry(entry))
 
     def races(
         self,
@@ -170,12 +175,6 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
         """A number that grows with whatever happens in the league: its events so far."""
         with self._database.reading() as connection:
             return connection.scalar(sa.select(sa.func.max(schema.events.c.number))) or 0
-
-
-def _done(entry: int | None) -> sa.ColumnElement[bool]:
-    # By an index of states the database would sort all heats that are done.
-    match = heats.c.state.concat("") == "done"
-    return match if entry is None else match & heats.c.number.in_(queue.of_entry(entry))
 
 
 def create(
