@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Iterator
 
 import pytest
 from playwright.sync_api import Page, expect
 
 from league.matchmaking.store import Store
-from league.web import site
 from tests.browser.axe import LOOKS, faults
 from tests.browser.looking import NEEDS_CHROMIUM, PHONE, opened
 from tests.web.small_league import seasoned_league
@@ -45,7 +46,9 @@ def test_a_trophy_leads_from_the_hall_of_fame_to_its_driver_and_back(browser, or
 
 
 def test_a_heat_of_an_exported_season_plays_from_disk(browser, complaints, store, tmp_path):
-    site.export(store, tmp_path / "spring", heats=1, season=1)
+    command = [sys.executable, "-m", "league.cli", "site", str(tmp_path / "spring")]
+    options = ["--season", "1", "--heats", "1", "--league", store.url]
+    subprocess.run([*command, *options], check=True)
     page = browser.new_context(offline=True).new_page()
     page.on("pageerror", lambda error: complaints.append(str(error)))
     page.goto((tmp_path / "spring" / "index.html").as_uri())

@@ -183,6 +183,23 @@ def test_only_the_lines_of_a_page_have_marks(pages, monkeypatch):
     assert all(mark["trend"] for mark in document["marks"].values())
 
 
+def test_a_near_copy_is_marked_and_leads_to_the_original(pages, league):
+    assert "≈" not in pages.get("/standings").text
+    card = {"near_copy_of": "e2"}
+    copy = league.submit("copy", "someone", weights=b"nearly", card=card)
+    league.submit("other", "someone", weights=b"too", card={"near_copy_of": "gone"})
+    for state in ("validating", "placement"):
+        league.move({entry.id: state for entry in league.entries()[-2:]})
+    with TestClient(make_app(league), base_url=ORIGIN) as pages:
+        marks = pages.get("/api/v1/standings").json()["marks"]
+        assert marks[str(copy.number)]["copy_of"] == {"number": 2, "name": "e2"}
+        assert sum(mark["copy_of"] is not None for mark in marks.values()) == 1
+        page = pages.get("/standings").text
+    link = '<a href="/drivers/2" title="Its weights are nearly those of e2">'
+    assert page.count("nearly a copy of") == 1 and link in page
+    assert "≈: weights nearly those of an earlier driver" in page
+
+
 def test_an_answer_is_kept_until_something_happens(pages, league, monkeypatch):
     made, read = [], Page.read
 
