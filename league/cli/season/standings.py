@@ -134,9 +134,9 @@ def document(store: Store) -> dict[str, object] | None:
 def standings_table(rated: Standings, limit: int | None = None) -> RenderableType:
     """Return the standings as a table that fits 60 columns; in 80 it shows more."""
     narrow, width = tables.is_narrow(), tables.console().width
-    name_width = min(24, max(8, width - (52 if narrow else 68)))
+    name_width = min(24, max(8, width - (53 if narrow else 69)))
     columns = (
-        "", "entry", "owner", "Elo ± 95 %", "by", "state", "races", "DNF", "best lap", "ranks",
+        "", "entry", "owner", "Elo ± 95 %", "by", "state", "races", "DNF", "clean lap", "ranks",
     )  # fmt: skip
     left_out = WIDE_ONLY if narrow else ()
     drawn = tables.table("Standings", *(one for one in columns if one not in left_out))
@@ -152,7 +152,7 @@ def standings_table(rated: Standings, limit: int | None = None) -> RenderableTyp
             "anchor" if row.anchor else row.state,
             str(row.races),
             "" if row.unfinished is None else f"{100 * row.unfinished:.0f}%",
-            _best_lap(row, rated.tracks),
+            _clean_lap(row, rated.tracks),
             f"{row.best_rank}-{row.worst_rank}" if row.best_rank < row.worst_rank else "",
         )
         shown = zip(columns, cells, strict=True)
@@ -160,9 +160,9 @@ def standings_table(rated: Standings, limit: int | None = None) -> RenderableTyp
     return drawn
 
 
-def _best_lap(row: Row, tracks: Sequence[str]) -> str:
-    """Return an entry's best lap on the league's first track, laps of several not being alike."""
-    lap_s = row.best_laps_s.get(tracks[0]) if tracks else None
+def _clean_lap(row: Row, tracks: Sequence[str]) -> str:
+    """Return an entry's best clean lap on the first track: laps of several are not alike."""
+    lap_s = row.clean_laps_s.get(tracks[0]) if tracks else None
     return "" if lap_s is None else times.clock(lap_s)
 
 
@@ -191,9 +191,9 @@ def _notes(rated: Standings) -> list[str]:
         if tables.is_narrow()
         else "ranks: those the races allow   DNF: races not finished",
     ]
-    lines.append("best lap: the fastest complete one, penalties included")
+    lines.append("clean lap: the fastest one of a race without a mistake")
     if len(rated.tracks) > 1:
-        lines.append(f"best lap: on {rated.tracks[0]}; `league show ENTRY` shows those on others")
+        lines.append(f"clean lap: on {rated.tracks[0]}; `league show ENTRY` shows those on others")
     if not all(row.connected for row in rated.rows):
         lines.append("~ no chain of races leads to the anchor; such ratings lean on the prior.")
     if rated.goodness.rejected:
@@ -231,11 +231,12 @@ def _show(store: Store, entry: LeagueEntry, as_json: bool) -> None:
             f"{row.races} races, score {100 * row.score:.0f} %"
         )
         if row.unfinished is not None:
-            laps = [f"{times.clock(lap_s)} on {track}" for track, lap_s in row.best_laps_s.items()]
-            print(
-                f"not finished: {100 * row.unfinished:.0f} %, "
-                f"best lap (penalties included): {', '.join(laps) or 'none'}"
+            clean, best = (
+                ", ".join(f"{times.clock(lap_s)} on {track}" for track, lap_s in laps_s.items())
+                for laps_s in (row.clean_laps_s, row.best_laps_s)
             )
+            print(f"not finished: {100 * row.unfinished:.0f} %, best clean lap: {clean or 'none'}")
+            print(f"fastest complete lap, penalties included: {best or 'none'}")
     table = tables.table(
         "Against", "entry", "owner", "Elo", "races", "points", "promised", "residual"
     )
