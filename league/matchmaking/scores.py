@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from league.matchmaking import standings
-from league.matchmaking.ratings.fit import SIGMAS_95, expected_score
+from league.matchmaking.ratings.table import SIGMAS_95, expected_score
 from league.matchmaking.standings import Standings
 from league.matchmaking.store import BEST_MS, KNOWN, Store
 from league.sim.config import RaceKind
@@ -91,6 +91,21 @@ def best_laps(rated: Standings) -> dict[str, list[BestLap]]:
     )  # fmt: skip
 
 
+def joined_laps(
+    earlier: dict[str, list[BestLap]], later: dict[str, list[BestLap]]
+) -> dict[str, list[BestLap]]:
+    """Return the fastest lap of each entry from those of some races and of later ones."""
+    found = dict(earlier)
+    for track, laps in later.items():
+        known = found.setdefault(track, [])
+        best_s = {lap.number: lap.lap_s for lap in known} if laps else {}
+        # Among equal laps the earlier heat counts, which may have come in later.
+        faster = [lap for lap in laps if lap.lap_s <= best_s.get(lap.number, np.inf)]
+        if faster:
+            found[track] = _best_of(known + faster)
+    return found
+
+
 @dataclass(frozen=True)
 class Boards:
     """Time-attack boards, which later races can be added to."""
@@ -118,8 +133,7 @@ def time_attack(store: Store, kind: RaceKind, earlier: Boards | None = None) -> 
             laps = _fastest(
                 rules.tracks, drives.track, drives.entry, drives.clean_ms, drives.heat, drives.half
             )
-            for track, own in laps.items():
-                found[track] = _best_of(found.get(track, []) + own)
+            found = joined_laps(found, laps)
     return Boards(found, last)
 
 

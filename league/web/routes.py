@@ -10,7 +10,7 @@ from starlette.convertors import Convertor, register_url_convertor
 from starlette.requests import Request
 
 from league.matchmaking.history import HistoryPoint
-from league.matchmaking.ratings.fit import Difference
+from league.matchmaking.ratings.table import Difference
 from league.matchmaking.standings import HeadToHead, Row
 from league.matchmaking.store import Cup, LeagueEntry, Season
 from league.web.pages import driver, ghosts, heat, home, seasons, table, tracks

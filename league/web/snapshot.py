@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from league.matchmaking import divisions, history, safety, standings
 from league.matchmaking.scope import RatingScope, scope
-from league.matchmaking.scores import BestLap, best_laps
+from league.matchmaking.scores import BestLap, best_laps, joined_laps
 from league.matchmaking.standings import Row, Standings
 from league.matchmaking.store import LeagueEntry, Races, Season, Store
 from league.matchmaking.store.records import LeagueSettings
+
+PASSING = frozenset({"plan", "claim", "complete", "fail", "lose", "retry", "reap"})
+"""What happens to heats all the time, and changes nothing but the races."""
+SHARED = "by_number", "by_id", "owners", "kinds"
+"""What follows from the entries alone."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +41,8 @@ class Snapshot:
     """Safety ratings."""
     trends: Mapping[int, float]
     """By how much the season's newest heats changed each rating [Elo], by entry number."""
+    settled: Snapshot | None = None
+    """The last snapshot with fitted ratings, if this is that one a few races later."""
 
     def prepare(self) -> None:
         """Compute now what pages look up, so that no request has to."""
@@ -70,7 +77,7 @@ class Snapshot:
     @cached_property
     def car_counts(self) -> list[int]:
         """How many cars these races have, each number once."""
-        return np.unique((self.counted.entries >= 0).sum(axis=1)).tolist()
+        return _car_counts(self.counted)
 
     @cached_property
     def kinds(self) -> list[str]:
@@ -110,7 +117,9 @@ def take(store: Store, before: Snapshot | None = None) -> Snapshot:
     revision, settings = store.revision, store.settings
     if before is not None and before.settings != settings:
         before = None
-    entries, races = tuple(store.entries()), _races(store, before)
+    before = before and (before.settled or before)
+    entries = tuple(store.entries_again(before.entries if before else ()))
+    races = _races(store, before)
     rules = settings.ruleset
     within = scope(store, rules.hash, races=races)
     season = within.season
@@ -139,6 +148,55 @@ def take(store: Store, before: Snapshot | None = None) -> Snapshot:
         safety=safety.rated(drives, rules.tracks, earlier),
         trends=trends,
     )
+
+
+def updated(store: Store, before: Snapshot) -> Snapshot | None:
+    """Return a league some races later, without fitting its ratings; None where they need that.
+
+    It follows from the last fitted snapshot and all races since then, so how often it is made
+    changes nothing. The next `take` settles it: ratings and intervals of a whole fit, trends and
+    the test of fit with them.
+    """
+    base, revision = before.settled or before, store.revision
+    if not store.happened(base.revision) <= PASSING:
+        return None
+    later = store.races(since=base.races.last)
+    if later.voided != base.races.voided:
+        return None
+    if not len(later.heat):
+        return replace(base, revision=revision)
+    if base.rated is None:
+        return None
+    races, counted = base.races.joined(later), later
+    if base.season is not None:
+        counted = later.where(base.season.has(later.heat))
+    same = base.rated.races is base.races and len(counted.heat) == len(later.heat)
+    within = races if same else base.rated.races.joined(counted)
+    rated = standings.updated(base.rated, within, counted, base.entries)
+    if rated is None:
+        return None
+    rules = base.settings.ruleset
+    drives = store.drives(rules.hash, since=base.safety.drives.last)
+    now = replace(
+        base,
+        revision=revision,
+        races=races,
+        rated=rated,
+        safety=safety.rated(drives, rules.tracks, base.safety),
+        settled=base,
+    )
+    laps = joined_laps(base.best_laps, best_laps(replace(rated, races=counted)))
+    cars = {*base.car_counts, *_car_counts(counted)}
+    vars(now).update(  # what is cached otherwise
+        {name: getattr(base, name) for name in SHARED},
+        best_laps=laps,
+        car_counts=sorted(cars),
+    )
+    return now
+
+
+def _car_counts(races: Races) -> list[int]:
+    return np.flatnonzero(np.bincount((races.entries >= 0).sum(axis=1))).tolist()
 
 
 def _races(store: Store, before: Snapshot | None) -> Races:
