@@ -103,6 +103,9 @@ class Answers:
                     over = self._making[key] = threading.Event()
                     break
             going.wait()
+            made = self._kept.get(key)
+            if made is not None and made is not found:
+                return made  # while this request waited; a busy server has no time for each one
         try:
             if found is not None and lasting and self._latest() <= found.revision:
                 found.seen_s = time.monotonic()

@@ -128,6 +128,7 @@ class Reader:
         now = self.snapshot()
         if not track and not cars:
             return now.rated
+        now = now.settled or now  # they are fitted whole, so only as often as all races are
         key = ("standings", now.races.last, now.races.voided, track, cars)
         return self.kept(key, lambda: now.rated_by(track, cars), in_turn=True)
 

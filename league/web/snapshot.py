@@ -98,8 +98,8 @@ class Snapshot:
         races = counted.where(kept)
         numbers = set(np.unique(races.entries).tolist())
         entries = [entry for entry in self.entries if entry.number in numbers]
-        within = RatingScope(races, self.season, None)
-        return standings.table(entries, within, rules.hash, rules.tracks)
+        within, near = RatingScope(races, self.season, None), self.rated and self.rated.ratings
+        return standings.table(entries, within, rules.hash, rules.tracks, near=near)
 
     @cached_property
     def owners(self) -> list[str]:
