@@ -1,13 +1,13 @@
 """How fast a large league's pages are: 10,000 entries, 1,000,000 races, and a season that goes on.
 
-Times of single pages are processor time, because the machine is shared; the league's server runs
-as a process of its own, and so does the season, which adds ten heats in a second.
+Times of single pages are processor time, because the machine is shared. The league's server runs on
+one core. On the other one `league run` races the season, and visitors ask at a steady rate.
 """
 
 import gzip
 import http.client
+import itertools
 import json
-import multiprocessing
 import os
 import re
 import subprocess
@@ -17,6 +17,7 @@ import threading
 import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -32,11 +33,13 @@ from league.racing.race import FinishedRace
 from league.web.app import make_app
 
 ENTRIES, HEATS = 10_000, 500_000
-HEATS_A_SECOND = 10.0
-"""Of the season that goes on."""
 NEW_HEATS = 25
 """That come in before the standings are asked for again."""
-REQUESTS, THREADS = 40_000, 8
+RATE, VISIT_S, VISITORS = 310.0, 40.0, 24
+"""Requests in a second, for how long [s], and how many connections they come over."""
+STARTS_S = 900.0
+"""A season has a result by then [s]: first it rates all entries, and pairs a round of them."""
+SERVER_CORE, OTHER_CORE = min(os.sched_getaffinity(0)), max(os.sched_getaffinity(0))
 GOAL_RATE, GOAL_P99_MS = 300.0, 150.0
 GOAL_PAGE_KB, GOAL_REPLAY_KB = 200.0, 60.0
 GOAL_WARM_MS, GOAL_NEW_MS = 50.0, 200.0
@@ -46,16 +49,17 @@ PAGES = (
     "/matchups/{one}/{other}", "/heats", "/heats/{heat}", "/tracks", "/live", "/ghosts",
     "/feed.atom", "/time-attack", "/seasons", "/seasons/1", "/cups/1", "/definitions", "/submit",
 )  # fmt: skip
-ASKED = (
-    "/",
-    "/standings",
-    "/standings?page=2",
-    "/heats",
-    "/heats/{heat}",
-    "/tracks",
-    "/drivers/77",
-)
-"""What visitors ask for, one after the other."""
+MIX = {
+    "/": 12, "/standings": 12, "/standings?page={page}": 8, "/standings?sort={sort}": 4,
+    "/standings?owner=owner {driver}": 4, "/standings?against={driver}": 2,
+    "/standings?track={track}": 1, "/drivers/{driver}": 20, "/matchups/{driver}/{other}": 8,
+    "/heats": 4, "/heats?page={page}": 4, "/heats/{heat}": 8, "/tracks": 3, "/live": 2,
+    "/time-attack": 1, "/api/v1/standings?page={page}": 4, "/api/v1/drivers/{driver}": 2,
+    "/api/v1/heats/{heat}/races/1/replay": 1,
+}  # fmt: skip
+"""What visitors ask for, and how often of a hundred times."""
+DRIVERS = 200
+"""Drivers that are looked at."""
 
 
 def eight_cars() -> FinishedRace:
@@ -76,6 +80,7 @@ def served(url: str) -> Generator[tuple[int, int]]:
     """Serve a league; yield the port and the process."""
     command = [sys.executable, "-m", "league.cli", "serve", "--league", url, "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        os.sched_setaffinity(process.pid, {SERVER_CORE})  # its threads begin later, and inherit it
         try:
             assert process.stdout is not None
             found = re.search(r"http://127\.0\.0\.1:(\d+)", process.stdout.readline())
@@ -165,26 +170,57 @@ def _after_new_results(url: str, outcome: RaceOutcome, port: int, pid: int) -> N
 
 def load(url: str, outcome: RaceOutcome, names: dict[str, int]) -> None:
     """Print what requests cost a server when nothing happens, and while a season runs."""
+    os.sched_setaffinity(0, {OTHER_CORE})
     with served(url) as (port, pid):
-        paths = [path.format(**names) for path in ASKED]
-        ask(port, paths, len(paths), [])  # the first snapshot, and each page once
+        ask(port, ["/", "/standings", f"/heats/{names['heat']}"], 3, [])  # the first snapshot
         seen = {"home": "/", "standings": "/standings", "a heat": f"/heats/{names['heat']}"}
         web_browser.measure(f"http://127.0.0.1:{port}", seen, f"/heats/{names['eight']}")
-        cost, _, _ = _visited(port, pid, paths)
-        figure("a kept page from the server, processor time", cost, "ms", 1e3 / GOAL_RATE,
+        kept = visited(port, pid, ["/", "/standings", "/heats"])
+        figure("a kept page from the server, processor time", kept.cost_ms, "ms", 1e3 / GOAL_RATE,
                most=True)  # fmt: skip
         _after_new_results(url, outcome, port, pid)
-        with _season(url, outcome):
-            cost, rate, p99_ms = _visited(port, pid, paths)
-    figure("the same while a season runs, with all that has to be made again", cost, "ms",
+        with _season(url) as season_pid, Store(url) as league:
+            done, worked = league.counts()["done"], tree_s(season_pid)
+            found = visited(port, pid, addresses())
+            done, worked = league.counts()["done"] - done, tree_s(season_pid) - worked
+    figure("while a season runs: requests answered", found.rate, "1/s", GOAL_RATE)
+    figure("while a season runs: 99 % of them within", found.p99_ms, "ms", GOAL_P99_MS, most=True)
+    figure("while a season runs: half of them within", found.p50_ms, "ms")
+    figure("while a season runs: a request, the server's processor time", found.cost_ms, "ms",
            1e3 / GOAL_RATE, most=True)  # fmt: skip
-    figure("requests answered while a season runs", rate, "1/s", GOAL_RATE)
-    figure("99 % of them within", p99_ms, "ms", GOAL_P99_MS, most=True)
+    figure("while a season runs: the server's share of its core", 100 * found.share, "%")
+    figure("while a season runs: the visitors' share of the other core", 100 * found.own, "%")
+    figure("while a season runs: the season's share of it", 100 * worked / found.taken_s, "%")
+    figure("while a season runs: heats that came in", done / found.taken_s, "1/s")
     note(
-        f"{REQUESTS:,} requests by {THREADS} visitors at a time, and a season of "
-        f"{HEATS_A_SECOND:g} heats in a second, share the machine's {os.cpu_count()} cores with "
-        "the server, which is one process."
+        f"The server is one process on core {SERVER_CORE}; `league run --workers 1` races policies "
+        f"with cameras in planar physics on core {OTHER_CORE}, which it shares with the visitors: "
+        f"{VISITORS} connections that ask {RATE:g} times a second, {VISIT_S:g} s long, for "
+        f"{len(MIX)} kinds of pages and {DRIVERS} drivers. Times count from when a request is due, "
+        "so one that waits for the answer before counts in full."
     )
+
+
+def addresses() -> list[str]:
+    """Return what visitors ask for, in the order in which they do."""
+    generator = np.random.default_rng(7)
+    weights = np.array(list(MIX.values()), float)
+    drawn = generator.choice(list(MIX), size=int(RATE * VISIT_S), p=weights / weights.sum())
+
+    def number(most: int) -> int:
+        return int(generator.integers(1, most + 1))
+
+    return [
+        address.format(
+            driver=number(DRIVERS),
+            other=DRIVERS + number(DRIVERS),
+            page=number(10),
+            heat=HEATS - number(100),
+            sort=generator.choice(["wins", "races", "lap", "name"]),
+            track=web_scene.RULES.tracks[0],
+        ).replace(" ", "%20")
+        for address in drawn.tolist()
+    ]
 
 
 def busy() -> None:
@@ -198,40 +234,83 @@ def busy() -> None:
     )
 
 
-@contextmanager
-def _season(url: str, outcome: RaceOutcome) -> Generator[None]:
-    """Let a season go on in a process of its own."""
-    context = multiprocessing.get_context("spawn")
-    stop = context.Event()
-    asked = url, outcome, HEATS_A_SECOND, stop, 2 * 10**6
-    season = context.Process(target=web_scene.race_on, args=asked, daemon=True)
-    with Store(url) as league:
-        before = league.counts()["done"]
-        season.start()
-        while league.counts()["done"] == before:
-            assert season.is_alive()
-            time.sleep(0.05)
+def tree_s(pid: int) -> float:
+    """Return the processor time that a process and those that it started have taken [s]."""
     try:
-        yield
-    finally:
-        stop.set()
-        season.join()
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+        return processor_s(pid) + sum(map(tree_s, map(int, children)))
+    except OSError:  # it has ended
+        return 0.0
 
 
-def _visited(port: int, pid: int, paths: list[str]) -> tuple[float, float, float]:
-    """Return the server's processor time for a request [ms], requests in a second, and the 99 %."""
+@contextmanager
+def _season(url: str) -> Generator[int]:
+    """Let a season go on, on the other core; yield its process once it has a result."""
+    command = [sys.executable, "-m", "league.cli", "run", "--league", url, "--workers", "1"]
+    with (
+        Store(url) as league,
+        subprocess.Popen([*command, "--plain"], stdout=subprocess.DEVNULL) as season,
+    ):
+        os.sched_setaffinity(season.pid, {OTHER_CORE})
+        before, start = league.counts()["done"], time.monotonic()
+        try:
+            while league.counts()["done"] == before:
+                assert season.poll() is None and time.monotonic() < start + STARTS_S
+                time.sleep(0.5)
+            yield season.pid
+        finally:
+            season.send_signal(2)
+
+
+@dataclass(frozen=True)
+class Visit:
+    """What a crowd of visitors found."""
+
+    cost_ms: float
+    """The server's processor time for a request."""
+    rate: float
+    """Requests answered in a second."""
+    p50_ms: float
+    p99_ms: float
+    share: float
+    """The server's processor time in that time."""
+    own: float
+    """The visitors' own."""
+    taken_s: float
+
+
+def visited(port: int, pid: int, paths: list[str]) -> Visit:
+    """Ask for pages at a steady rate, over some connections."""
     took_ms: list[float] = []
-    worked, start = processor_s(pid), time.monotonic()
-    visitors = [
-        threading.Thread(target=ask, args=(port, paths, REQUESTS // THREADS, took_ms))
-        for _ in range(THREADS)
-    ]
+    due = itertools.count()
+    start = time.monotonic()
+
+    def ask_on(visitor: int) -> None:
+        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=300)
+        # As from behind a proxy: limits are those of one visitor, not of all together.
+        headers = {"Accept-Encoding": "gzip", "X-Forwarded-For": f"10.0.0.{visitor + 1}"}
+        while (number := next(due)) < RATE * VISIT_S:
+            due_s = start + number / RATE
+            time.sleep(max(0.0, due_s - time.monotonic()))
+            path = paths[number % len(paths)]
+            connection.request("GET", path, headers=headers)
+            answer = connection.getresponse()
+            answer.read()
+            assert answer.status == 200, (path, answer.status)
+            took_ms.append(1000 * (time.monotonic() - due_s))
+
+    worked, own = processor_s(pid), time.process_time()
+    visitors = [threading.Thread(target=ask_on, args=(one,)) for one in range(VISITORS)]
     for visitor in visitors:
         visitor.start()
     for visitor in visitors:
         visitor.join()
-    worked, taken = processor_s(pid) - worked, time.monotonic() - start
-    return 1e3 * worked / len(took_ms), len(took_ms) / taken, float(np.percentile(took_ms, 99))
+    worked, taken_s = processor_s(pid) - worked, time.monotonic() - start
+    assert len(took_ms) >= RATE * VISIT_S, "a visitor gave up"
+    p50, p99 = np.percentile(took_ms, (50, 99)).tolist()
+    own = (time.process_time() - own) / taken_s
+    count = len(took_ms)
+    return Visit(1e3 * worked / count, count / taken_s, p50, p99, worked / taken_s, own, taken_s)
 
 
 def main() -> None:

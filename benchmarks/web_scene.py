@@ -1,6 +1,6 @@
 """A large league with a season that goes on, for the benchmark of its pages."""
 
-import threading
+import json
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -10,6 +10,7 @@ import sqlalchemy as sa
 from benchmarks import frozen
 from benchmarks import store as stores
 from league.agents import checkpoint
+from league.matchmaking import submission
 from league.matchmaking.divisions import SeasonSettings
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Half, Heat, mirrored
@@ -28,11 +29,12 @@ RECORDED = 200
 """Newest heats that have results and recordings."""
 DRIVER = 77
 """The entry that visitors look at: its heats have results and recordings, too."""
-CARD = checkpoint.load(Path(__file__).parents[1] / "garage" / "racer.pt").text
-"""What each entry's card says."""
+POLICY = checkpoint.load(Path(__file__).parents[1] / "garage" / "racer.pt")
+"""What all entries race with."""
+RULES = replace(stores.RULES, solver="planar")
 ENTRANTS = 1024
 """Of the cup in the season that is over."""
-EARLIER_RULES = replace(stores.RULES, laps=stores.RULES.laps + 1)
+EARLIER_RULES = replace(RULES, laps=RULES.laps + 1)
 """Of that season, so that the next one begins from nothing."""
 RACING = 80
 """Entries that the season's further heats are drawn from."""
@@ -47,10 +49,10 @@ def founded(url: str, strengths: np.ndarray, heats: int, outcome: RaceOutcome) -
         heats: how many are over, two races of two cars each.
         outcome: of the races that pages show, with its recording.
     """
-    league = create(url, ruleset=stores.RULES)
+    league = create(url, ruleset=RULES)
     league.set_ruleset(EARLIER_RULES)
     frozen.freeze(league, len(strengths), ENTRANTS)
-    league.set_ruleset(stores.RULES)
+    league.set_ruleset(RULES)
     _enter(url, len(strengths))
     stores.fill(url, strengths, heats)
     _record(url, heats, outcome)
@@ -60,16 +62,24 @@ def founded(url: str, strengths: np.ndarray, heats: int, outcome: RaceOutcome) -
 
 def _enter(url: str, count: int) -> None:
     """Write entries past the checks of their names, each of an owner of its own."""
-    numbers = range(1, count + 1)
+    numbers, weights = range(1, count + 1), submission.pack(POLICY)
+    digest = heat_spec.digest(weights)
+    card = json.dumps({**json.loads(POLICY.text), "blob": digest})
     owners = [{"number": n, "name": f"owner {n}", "created_s": 0.0} for n in numbers]
     there = database.Database(url)
     with there.writing() as connection:
         connection.execute(schema.owners.insert(), owners)
-        connection.execute(schema.entries.insert(), [_entry(number) for number in numbers])
+        connection.execute(schema.entries.insert(), [_entry(number, card) for number in numbers])
+        _keep(connection, digest, weights)
     there.close()
 
 
-def _entry(number: int) -> dict[str, object]:
+def _keep(connection: sa.Connection, digest: str, content: bytes) -> None:
+    row = {"digest": digest, "size": len(content), "created_s": 0.0, "content": content}
+    connection.execute(schema.blobs.insert().values(row))
+
+
+def _entry(number: int, card: str) -> dict[str, object]:
     return {
         "number": number,
         "id": _id(number),
@@ -79,7 +89,7 @@ def _entry(number: int) -> dict[str, object]:
         "anchor": False,
         "state": "ranked",
         "reason": "",
-        "card": CARD,
+        "card": card,
         "created_s": float(number),
     }
 
@@ -107,8 +117,7 @@ def _record(url: str, heats: int, outcome: RaceOutcome) -> None:
             for half in (0, 1)
         ]
         connection.execute(schema.results.insert(), rows)
-        blob = {"digest": digest, "size": len(outcome.replay), "created_s": 0.0}
-        connection.execute(schema.blobs.insert().values(content=outcome.replay, **blob))
+        _keep(connection, digest, outcome.replay)
     there.close()
 
 
@@ -130,8 +139,8 @@ def race_heat(league: Store, outcome: RaceOutcome, draw: int) -> None:
     """Plan, claim and complete a heat of two entries; `draw` tells it from others."""
     one = draw % RACING
     other = (one + 1 + draw // RACING % (RACING - 1)) % RACING
-    tracks = stores.RULES.tracks[0], stores.RULES.tracks[0]
-    league.plan([mirrored(stores.RULES.hash, tracks, (_id(one + 1), _id(other + 1)), draw)])
+    tracks = RULES.tracks[0], RULES.tracks[0]
+    league.plan([mirrored(RULES.hash, tracks, (_id(one + 1), _id(other + 1)), draw)])
     for claim in league.claim("bench", 1):
         league.complete("bench", [HeatOutcome(claim.heat.key, (outcome, outcome))])
 
@@ -139,17 +148,8 @@ def race_heat(league: Store, outcome: RaceOutcome, draw: int) -> None:
 def race_cup_heat(league: Store, outcome: RaceOutcome) -> int:
     """Race a heat of many cars that counts for no rating, and return its number."""
     grid = tuple(_id(number) for number in range(1, len(outcome.places) + 1))
-    heat = Heat(stores.RULES.hash, (Half(stores.RULES.tracks[0], grid),), purpose="cup")
+    heat = Heat(RULES.hash, (Half(RULES.tracks[0], grid),), purpose="cup")
     league.plan([heat])
     (claim,) = league.claim("bench", 1)
     league.complete("bench", [HeatOutcome(heat.key, (outcome,))])
     return claim.number
-
-
-def race_on(
-    url: str, outcome: RaceOutcome, heats_a_second: float, stop: threading.Event, draw: int
-) -> None:
-    """Race so many heats a second, if the machine is fast enough, until `stop`."""
-    with Store(url) as league:
-        while not stop.wait(1 / heats_a_second):
-            race_heat(league, outcome, draw := draw + 1)

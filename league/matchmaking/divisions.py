@@ -13,7 +13,7 @@ import numpy as np
 
 from league.errors import ConfigError
 from league.matchmaking.ratings import Ratings
-from league.matchmaking.ratings.fit import SIGMAS_95
+from league.matchmaking.ratings.table import SIGMAS_95
 from league.matchmaking.safety import Safety
 from league.matchmaking.store import Move, Season
 

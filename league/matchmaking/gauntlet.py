@@ -15,8 +15,8 @@ from league.matchmaking import ratings, standings, submission
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Heat
 from league.matchmaking.ratings import Ratings, Results, sprt
-from league.matchmaking.ratings.fit import SIGMAS_95
 from league.matchmaking.ratings.sprt import Comparison, SequentialSettings
+from league.matchmaking.ratings.table import SIGMAS_95
 from league.matchmaking.scope import RatingScope, scope
 from league.matchmaking.store import RATED, HeatOutcome, LeagueEntry, Store
 from league.matchmaking.workers import Executor

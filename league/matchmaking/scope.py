@@ -47,7 +47,9 @@ def scope(
     if season is None:
         return RatingScope(races, None, None)
     before = next((one for one in own if one.number == season.number - 1), None)
-    return RatingScope(races.where(season.has(races.heat)), season, _carried(store, before))
+    own = season.has(races.heat)
+    counted = races if own.all() else races.where(own)
+    return RatingScope(counted, season, _carried(store, before))
 
 
 def _carried(store: Store, season: Season | None) -> Carried | None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from league.matchmaking import standings
-from league.matchmaking.ratings.fit import SIGMAS_95, expected_score
+from league.matchmaking.ratings.table import SIGMAS_95, expected_score
 from league.matchmaking.standings import Standings, Strengths
 from league.matchmaking.store import BEST_MS, CLEAN, Races, Store
 from league.sim.config import RaceKind
@@ -161,6 +161,21 @@ def clean_laps(races: Races, tracks: Sequence[str]) -> dict[str, list[BestLap]]:
     return found
 
 
+def joined_laps(
+    earlier: dict[str, list[BestLap]], later: dict[str, list[BestLap]]
+) -> dict[str, list[BestLap]]:
+    """Return the fastest lap of each entry from those of some races and of later ones."""
+    found = dict(earlier)
+    for track, laps in later.items():
+        known = found.setdefault(track, [])
+        best_s = {lap.number: lap.lap_s for lap in known} if laps else {}
+        # Among equal laps the earlier heat counts, which may have come in later.
+        faster = [lap for lap in laps if lap.lap_s <= best_s.get(lap.number, np.inf)]
+        if faster:
+            found[track] = _best_of(known + faster)
+    return found
+
+
 @dataclass(frozen=True)
 class Boards:
     """Time-attack boards, which later races can be added to."""
@@ -183,8 +198,7 @@ def time_attack(store: Store, kind: RaceKind, earlier: Boards | None = None) -> 
         if (rules.kind, rules.physics) == (kind, physics):
             races = store.races(hash, since=last.get(hash, 0), rated=False)
             last[hash] = races.last
-            for track, own in clean_laps(races, rules.tracks).items():
-                found[track] = _best_of(found.get(track, []) + own)
+            found = joined_laps(found, clean_laps(races, rules.tracks))
     return Boards(found, last)
 
 

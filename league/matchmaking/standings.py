@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Protocol
 
 import numpy as np
 
 from league.errors import StoreError, brief
-from league.matchmaking.ratings import Carried, RatingData, Ratings, Results, fit
-from league.matchmaking.ratings.fit import SIGMAS_95
+from league.matchmaking.ratings import Carried, RatingData, Ratings, Results, expected_score, fit
+from league.matchmaking.ratings import updated as updated_ratings
 from league.matchmaking.ratings.goodness_of_fit import Goodness, goodness_of_fit
+from league.matchmaking.runs import Runs
 from league.matchmaking.scope import RatingScope, scope
 from league.matchmaking.store import (
-    BEST_MS,
-    CLEAN,
-    FINISHED,
-    KNOWN,
     RATED,
     EntryState,
     LeagueEntry,
@@ -26,7 +24,7 @@ from league.matchmaking.store import (
     Store,
 )
 
-ENTRY_FIELDS = ("number", "id", "name", "owner", "anchor", "state")
+ENTRY_FIELDS = ("id", "name", "owner", "anchor", "state")
 """What a line takes from its entry."""
 RATING_FIELDS = (
     "elo", "sd", "low95", "high95", "listed_by", "provisional", "connected", "one_sided", "races",
@@ -90,8 +88,6 @@ class Standings:
     """Best first; the provisional ones by rating - 2 sd."""
     ratings: Ratings
     """The fit."""
-    results: Results
-    """The races it was made of."""
     goodness: Goodness
     """Whether one number a driver explains the results."""
     ruleset: str
@@ -100,10 +96,17 @@ class Standings:
     """Rated races that count."""
     races: Races
     """The races as the store has them."""
+    runs: Runs = field(repr=False)
+    """How the races of each entry went."""
     tracks: tuple[str, ...] = ()
     """Tracks of the ruleset."""
     season: Season | None = None
     """The season that the races belong to; None in a league without seasons."""
+
+    @cached_property
+    def results(self) -> Results:
+        """The races as the fit reads them."""
+        return results_of(self.races)
 
     def row(self, number: int, name: str = "") -> Row:
         """Return an entry's line by its number; its name is for the error only.
@@ -211,15 +214,15 @@ def table(
         tracks: its tracks.
         near: ratings by nearly the same races, which make this quick.
     """
-    results = results_of(within.races)
-    found = _fitted(results, entries, (), within.carried, near)
+    found = _fitted(results_of(within.races), entries, (), within.carried, near)
     if found is None:
         return None
     data, fitted = found
+    runs = Runs.of(within.races, tracks, entries)
     return Standings(
-        rows=_rows(data, fitted, entries, Runs.of(within.races, tracks, entries)),
+        rows=_rows(fitted, entries, runs),
         ratings=fitted,
-        results=results,
+        runs=runs,
         goodness=goodness_of_fit(data, fitted),
         ruleset=ruleset,
         num_races=len(data.results),
@@ -229,86 +232,71 @@ def table(
     )
 
 
-def possible_ranks(fitted: Ratings) -> tuple[np.ndarray, np.ndarray]:
-    """Return the best and the worst rank (from 0) that the races allow, in order of rank.
+def updated(
+    fitted: Standings, races: Races, later: Races, entries: Sequence[LeagueEntry]
+) -> Standings | None:
+    """Return standings of all `races`, of which some are later than a fit; see `ratings.updated`.
 
-    An entry counts as above (below) another if its whole 95 % interval within the field is above
-    (below) the other's: the anchor's uncertainty moves all of them together.
+    The test of fit and the dispersion of heats stay as they were. None if a fit is needed.
     """
+    ratings = updated_ratings(fitted.ratings, results_of(later))
+    if ratings is None:
+        return None
+    runs = fitted.runs.joined(Runs.of(later, fitted.tracks, entries))
+    return replace(
+        fitted,
+        rows=tuple(_later_rows(fitted.rows, ratings, runs, later)),
+        ratings=ratings,
+        runs=runs,
+        num_races=ratings.num_races,
+        races=races,
+    )
+
+
+def _numbers(fitted: Ratings, runs: Runs) -> dict[str, list[Any]]:
+    """Return the columns of the table that races change but for the laps, the best entry first."""
     order = fitted.order()
-    rank = np.arange(len(order))
-    low, high = fitted.elo - SIGMAS_95 * fitted.sd, fitted.elo + SIGMAS_95 * fitted.sd
-    above = len(order) - np.searchsorted(np.sort(low), high, side="right")
-    below = np.searchsorted(np.sort(high), low, side="left")
-    return np.minimum(rank, above[order]), np.maximum(rank, len(order) - 1 - below[order])
+    numbers, (best, worst) = fitted.entries[order], fitted.possible_ranks()
+    finishes = zip(runs.known[numbers].tolist(), runs.finished[numbers].tolist(), strict=True)
+    return {
+        "number": numbers.tolist(),
+        "rank": list(range(1, len(order) + 1)),
+        "best_rank": (best + 1).tolist(),
+        "worst_rank": (worst + 1).tolist(),
+        **{name: getattr(fitted, name)[order].tolist() for name in RATING_FIELDS},
+        "wins": runs.first[numbers].astype(int).tolist(),
+        "score": (fitted.points / np.maximum(fitted.pairs, 1))[order].tolist(),
+        "unfinished": [1.0 - finished / known if known else None for known, finished in finishes],
+    }
 
 
-def _rows(
-    data: RatingData, fitted: Ratings, entries: Sequence[LeagueEntry], runs: Runs
-) -> tuple[Row, ...]:
+def _rows(fitted: Ratings, entries: Sequence[LeagueEntry], runs: Runs) -> tuple[Row, ...]:
+    columns = _numbers(fitted, runs)
     by_number = {entry.number: entry for entry in entries}
-    pairs, points = data.counts.points()
-    scores = points / np.maximum(pairs, 1)
-    best, worst = possible_ranks(fitted)
-    laps_ms = runs.laps_ms.T.tolist()
+    ordered = [by_number[number] for number in columns["number"]]
+    columns |= {name: [getattr(entry, name) for entry in ordered] for name in ENTRY_FIELDS}
+    for name in ("best_laps_s", "clean_laps_s"):
+        columns[name] = getattr(runs, name)(columns["number"])
+    return tuple(map(Row, *(columns[name] for name in Row.__dataclass_fields__)))
+
+
+def _later_rows(earlier: Sequence[Row], fitted: Ratings, runs: Runs, later: Races) -> list[Row]:
+    """Return the lines after some later races."""
+    columns = _numbers(fitted, runs)
+    old = {row.number: vars(row) for row in earlier}
+    raced = np.unique(later.entries[later.entries >= 0]).tolist()
+    best_s, clean_s = runs.best_laps_s(raced), runs.clean_laps_s(raced)
+    laps_s = dict(zip(raced, zip(best_s, clean_s, strict=True), strict=True))
     rows = []
-    for rank, at in enumerate(fitted.order().tolist()):
-        entry = by_number[int(fitted.entries[at])]
-        number, known = entry.number, runs.known[entry.number]
-        best_s, clean_s = (
-            {runs.tracks[at]: lap_ms / 1000 for at, lap_ms in enumerate(own) if lap_ms < np.inf}
-            for own in zip(*laps_ms[number], strict=True)
-        )
-        rows.append(
-            Row(
-                rank=rank + 1,
-                best_rank=int(best[rank]) + 1,
-                worst_rank=int(worst[rank]) + 1,
-                **{name: getattr(entry, name) for name in ENTRY_FIELDS},
-                **fitted.line(at, *RATING_FIELDS),
-                wins=int(runs.first[number]),
-                score=float(scores[at]),
-                unfinished=1.0 - float(runs.finished[number] / known) if known else None,
-                best_laps_s=best_s,
-                clean_laps_s=clean_s,
-            )
-        )
-    return tuple(rows)
-
-
-@dataclass(frozen=True)
-class Runs:
-    """How the races of each entry went, by its number."""
-
-    tracks: tuple[str, ...]
-    first: np.ndarray
-    """Races in which it came first, (numbers,)."""
-    known: np.ndarray
-    """Races of which it is known, (numbers,)."""
-    finished: np.ndarray
-    """Races in which all laps were driven, (numbers,)."""
-    laps_ms: np.ndarray
-    """Best lap, and best clean lap, infinite for none, (2, tracks, numbers)."""
-
-    @classmethod
-    def of(cls, races: Races, tracks: tuple[str, ...], entries: Sequence[LeagueEntry]) -> Runs:
-        """Count the races, finishes and best laps of all entries."""
-        size = 1 + max((entry.number for entry in entries), default=0)
-        first, known, finished = np.zeros(size), np.zeros(size), np.zeros(size)
-        best_ms, clean_ms = laps_ms = np.full((2, len(tracks) * size), np.inf)
-        for slot in range(races.entries.shape[1]):
-            first += np.bincount(races.entries[races.places[:, slot] == 1, slot], minlength=size)
-            rows = np.flatnonzero(races.runs[:, slot] & KNOWN)
-            entry, run = races.entries[rows, slot], races.runs[rows, slot]
-            known += np.bincount(entry, minlength=size)
-            finished += np.bincount(entry, (run & FINISHED) > 0, size)
-            lap_ms, track = run & BEST_MS, races.track[rows]
-            timed = (lap_ms > 0) & (track < len(tracks))
-            place = track[timed].astype(np.int64) * size + entry[timed]
-            clean, lap_ms = (run[timed] & CLEAN) > 0, lap_ms[timed].astype(float)
-            np.minimum.at(best_ms, place, lap_ms)
-            np.minimum.at(clean_ms, place[clean], lap_ms[clean])
-        return cls(tracks, first, known, finished, laps_ms.reshape(2, len(tracks), size))
+    for values in zip(*columns.values(), strict=True):
+        # The constructor of frozen data would set its fields one by one: five times as long.
+        row, number = object.__new__(Row), values[0]
+        vars(row).update(old[number])
+        vars(row).update(zip(columns, values, strict=True))
+        if number in laps_s:
+            vars(row)["best_laps_s"], vars(row)["clean_laps_s"] = laps_s[number]
+        rows.append(row)
+    return rows
 
 
 @dataclass(frozen=True)
@@ -407,24 +395,18 @@ def meetings(standings: Standings, number: int) -> dict[int, HeadToHead]:
         np.bincount(at, counted[own.met], len(others)).astype(int).tolist()
         for counted in (own.met, own.points == 1.0, own.points == 0.5)
     )
-    promised = _promised(standings, number)
+    chance = expected_score(np.take_along_axis(own.strengths, own.slot, axis=1) - own.strengths)
+    chance = np.asarray(chance)[own.met]
+    expected, room = (
+        np.bincount(at, some, len(others)) for some in (chance, chance * (1.0 - chance))
+    )
+    beyond = np.bincount(at, own.points[own.met], len(others)) - expected
+    residual = beyond / np.sqrt(np.maximum(room, 1e-12) * standings.goodness.dispersion)
+    columns = races, wins, ties, expected.tolist(), residual.tolist()
     return {
-        other: HeadToHead(races[at], wins[at], ties[at], *promised.get(other, (0.0, 0.0)))
-        for at, other in enumerate(others.tolist())
+        other: HeadToHead(*record)
+        for other, record in zip(others.tolist(), zip(*columns, strict=True), strict=True)
     }
-
-
-def _promised(standings: Standings, number: int) -> dict[int, tuple[float, float]]:
-    """Return the points that the ratings promise an entry against each other one, and residuals."""
-    pairs = standings.goodness.pairs
-    found: dict[int, tuple[float, float]] = {}
-    for pair in np.flatnonzero((pairs.one == number) | (pairs.other == number)).tolist():
-        expected, residual = float(pairs.expected[pair]), float(pairs.residual[pair])
-        if pairs.one[pair] == number:
-            found[int(pairs.other[pair])] = expected, residual
-        else:
-            found[int(pairs.one[pair])] = float(pairs.races[pair]) - expected, -residual
-    return found
 
 
 def records(standings: Standings, number: int) -> list[tuple[Row, HeadToHead]]:

@@ -18,14 +18,18 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from league.errors import LeagueError
-from league.web.reader import FRESH_S, Reader
+from league.web.reader import FRESH_S, REST, Reader
 
 MOST = 512
 """Answers that are kept."""
-LOOK_S = 0.5
-"""The store is asked at most so often [s] whether something happened."""
+LASTS_S = 2.0
+"""An answer is made again at the latest when it is so old [s], and something has happened."""
 STALE_S = 8.0
 """An answer that was up to date so short a time ago [s] is given while the next one is made."""
+MANY, OLDEST_S = 8, 60.0
+"""While so many answers wait to be made again, those up to this age [s] are given."""
+PAUSE = 1.0
+"""After one was made again the thread that does it rests so many times as long."""
 Key = tuple[str, str, str]
 
 
@@ -37,6 +41,8 @@ class _Answer:
     """Of the league that it shows."""
     seen_s: float
     """When it was still up to date [s]."""
+    fresh_s: float
+    """For how long it is given without a look [s]: the longer, the longer it takes to make."""
 
 
 class Answers:
@@ -56,7 +62,7 @@ class Answers:
     ) -> Callable[[Request], Awaitable[Response]]:
         """Return an endpoint that answers with what was kept, else with what `make` makes.
 
-        An answer is good for `FRESH_S` or, if `lasting`, until something happens in the league;
+        An answer is good for a moment or, if `lasting`, until something happens in the league;
         one with the header `Cache-Control: no-cache` never lasts.
         """
 
@@ -64,9 +70,10 @@ class Answers:
             key = (str(request.base_url), request.url.path, request.url.query)
             made = partial(self._made, key, make, request, lasting=lasting)
             found, now_s = self._kept.get(key), time.monotonic()
-            if found is None or now_s - found.seen_s >= (STALE_S if lasting else FRESH_S):
+            stale_s = OLDEST_S if len(self._renewed) >= MANY else STALE_S
+            if found is None or now_s - found.seen_s >= (stale_s if lasting else LASTS_S):
                 found = await run_in_threadpool(made)
-            elif now_s - found.seen_s >= FRESH_S and key not in self._renewed:
+            elif now_s - found.seen_s >= found.fresh_s and key not in self._renewed:
                 self._renewed.add(key)
                 self._later.submit(self._renew, key, made)
             if "gzip" in request.headers.get("accept-encoding", ""):
@@ -76,11 +83,13 @@ class Answers:
         return respond
 
     def _renew(self, key: Key, made: Callable[[], _Answer]) -> None:
+        start_s = time.thread_time()
         try:
             with contextlib.suppress(LeagueError, HTTPException):  # a later request says why
                 made()
         finally:
             self._renewed.discard(key)
+        time.sleep(PAUSE * (time.thread_time() - start_s))
 
     def _made(
         self, key: Key, make: Callable[[Request], Response], request: Request, *, lasting: bool
@@ -89,17 +98,20 @@ class Answers:
         while True:
             with self._lock:
                 found, going = self._kept.get(key), self._making.get(key)
-                if found is not None and time.monotonic() - found.seen_s < FRESH_S:
+                if found is not None and time.monotonic() - found.seen_s < found.fresh_s:
                     return found
                 if going is None:
                     over = self._making[key] = threading.Event()
                     break
             going.wait()
+            made = self._kept.get(key)
+            if made is not None and made is not found:
+                return made  # while this request waited; a busy server has no time for each one
         try:
             if found is not None and lasting and self._latest() <= found.revision:
                 found.seen_s = time.monotonic()
                 return found
-            return self._keep(key, make, request)
+            return self._keep(key, make, request, lasting=lasting)
         finally:
             del self._making[key]
             over.set()
@@ -107,13 +119,16 @@ class Answers:
     def _latest(self) -> int:
         """Return the store's revision, of now or of a moment ago."""
         now_s = time.monotonic()
-        if now_s - self._looked_s > LOOK_S:
+        if now_s - self._looked_s >= FRESH_S:
             self._revision, self._looked_s = self._reader.store.revision, now_s
         return self._revision
 
-    def _keep(self, key: Key, make: Callable[[Request], Response], request: Request) -> _Answer:
+    def _keep(
+        self, key: Key, make: Callable[[Request], Response], request: Request, *, lasting: bool
+    ) -> _Answer:
         # What is shown is at least as new as the snapshot, which may be older than the store.
         revision, seen_s = self._reader.snapshot().revision, time.monotonic()
+        start_s = time.thread_time()
         response = make(request)
         if response.headers.get("cache-control") == "no-cache":
             revision = -1
@@ -122,7 +137,10 @@ class Answers:
             **{name: response.headers[name] for name in names if name in response.headers},
             "vary": "accept-encoding",
         }
-        made = _Answer(gzip.compress(bytes(response.body), 5), headers, revision, seen_s)
+        packed = gzip.compress(bytes(response.body), 5)
+        worked_s = time.thread_time() - start_s
+        fresh_s = min(max(FRESH_S, REST * worked_s), LASTS_S) if lasting else LASTS_S
+        made = _Answer(packed, headers, revision, seen_s, fresh_s)
         with self._lock:
             self._kept[key] = made
             self._kept.move_to_end(key)

@@ -75,7 +75,26 @@ def _schema(
 ) -> dict[str, Any]:
     """Return the schema of a type, and add those that it refers to."""
     schema = TypeAdapter(kind).json_schema(ref_template=_REF, mode=mode)
-    schemas.update(schema.pop("$defs", {}))
+    found = schema.pop("$defs", {})
+    if mode == "serialization":
+        for one in (schema, *found.values()):
+            if "properties" in one:  # an answer has no field that is not described
+                one.setdefault("additionalProperties", False)
+    schemas.update({name: _without_tuples(one) for name, one in found.items()})
+    return _without_tuples(schema)
+
+
+def _without_tuples(schema: Any) -> Any:  # noqa: ANN401
+    """Return a schema in which tuples are arrays of any of their types: few tools know tuples."""
+    if isinstance(schema, list):
+        return [_without_tuples(one) for one in schema]
+    if not isinstance(schema, dict):
+        return schema
+    schema = {name: _without_tuples(one) for name, one in schema.items()}
+    kinds = schema.pop("prefixItems", [])
+    different = [kind for at, kind in enumerate(kinds) if kind not in kinds[:at]]
+    if different:
+        schema["items"] = different[0] if len(different) == 1 else {"anyOf": different}
     return schema
 
 
@@ -122,8 +141,7 @@ def _parameters(page: Page | Protected) -> list[dict[str, Any]]:
 
 
 def _operation(page: Page, schemas: dict[str, Any]) -> dict[str, Any]:
-    properties = {name: _schema(kind, schemas) for name, kind in page.parts.items()}
-    success = {"type": "object", "properties": properties}
+    success = _schema(page.answer, schemas)
     refusals = {status: REFUSALS[status] for status in ("404", "429")}
     refusals["503"] = "The league cannot be read now."
     return {

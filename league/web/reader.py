@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import threading
 import time
 from collections import OrderedDict
@@ -21,10 +22,11 @@ from league.track.track import Track
 from league.web import snapshot
 from league.web.snapshot import Snapshot
 
-FRESH_S = 2.0
-"""What pages say is read again when it is older than this [s] and asked for."""
+FRESH_S = 0.1
+"""The store is asked at most so often [s] whether something happened."""
 QUICK_S = 0.1
-"""A snapshot that takes more of a processor than this [s] is taken by a thread of its own."""
+"""A snapshot that takes more of a processor than this [s] is taken by a thread of its own; until
+then new races are added to the last one."""
 REST = 4.0
 """The next one waits so many times as long as the last one worked: a fifth of a processor."""
 MOST_KEPT = 64
@@ -54,59 +56,82 @@ class Reader:
     def __init__(self, store: Store) -> None:
         self.store = store
         self._lock = threading.Lock()
-        self._taking = threading.Lock()
+        self._taking, self._settling = threading.Lock(), threading.Lock()
         self._snapshot: Snapshot | None = None
-        self._is_slow, self._due_s = False, 0.0
+        self._is_slow, self._due_s, self._settle_s = False, 0.0, 0.0
         self._kept: OrderedDict[Hashable, Any] = OrderedDict()
         self._large: dict[Hashable, bytes] = {}
         self._turn, self._waiting = threading.Lock(), threading.Semaphore(MOST_WAITING)
 
     def snapshot(self) -> Snapshot:
-        """Return the league as it is, or was shortly before.
+        """Return the league as it is, or was a moment ago.
 
-        Where that takes long to compute, an older one is returned at once while the next one is
-        made; so in a large league results show up a few seconds later.
+        Where a whole one takes long to compute, new races are added to the last one, see
+        `snapshot.updated`, and a thread settles what follows from them. Where not even that is
+        possible, or another request does it just now, an older one is returned.
         """
         now = self._snapshot
         if now is not None and time.monotonic() < self._due_s:
             return now
-        if now is None or not self._is_slow:
-            return self._taken()
-        if self._taking.acquire(blocking=False):
-            self._due_s = time.monotonic() + FRESH_S
-            threading.Thread(target=self._take_later, daemon=True).start()
-        return now
+        if self._taking.acquire(blocking=now is None or not self._is_slow):
+            try:
+                if self._snapshot is None or time.monotonic() >= self._due_s:
+                    self._renew()
+            finally:
+                self._taking.release()
+        assert self._snapshot is not None
+        return self._snapshot
 
-    def _take_later(self) -> None:
-        try:
-            with contextlib.suppress(LeagueError):  # the next request tries again
-                self._take()
-        finally:
-            self._taking.release()
-
-    def _taken(self) -> Snapshot:
-        with self._taking:
-            if self._snapshot is None or time.monotonic() >= self._due_s:
-                self._take()
-            assert self._snapshot is not None
-            return self._snapshot
-
-    def _take(self) -> None:
-        """Take the next snapshot, and decide when the one after it is due."""
-        start_s = time.thread_time()
-        if self._snapshot is None or self.store.revision != self._snapshot.revision:
-            taken = snapshot.take(self.store, self._snapshot)
-            taken.prepare()
-            self._snapshot = taken
-            self._is_slow = time.thread_time() - start_s > QUICK_S
+    def _renew(self) -> None:
+        """Bring the snapshot up to date, and decide when it is looked at again."""
+        start_s, now = time.thread_time(), self._snapshot
+        if now is None or self.store.revision != now.revision:
+            if now is None or not self._is_slow:
+                self._snapshot = self._taken(now)
+            else:
+                later = snapshot.updated(self.store, now)
+                self._snapshot = later or now
+                if later is None or later.settled:
+                    self._settle_later()
+        elif now.settled:
+            self._settle_later()
         worked_s = time.thread_time() - start_s
         self._due_s = time.monotonic() + max(FRESH_S, REST * worked_s)
+
+    def _taken(self, before: Snapshot | None) -> Snapshot:
+        """Return a whole snapshot."""
+        start_s = time.thread_time()
+        taken = snapshot.take(self.store, before)
+        taken.prepare()
+        worked_s = time.thread_time() - start_s
+        self._settle_s = time.monotonic() + REST * worked_s
+        was_slow, self._is_slow = self._is_slow, worked_s > QUICK_S
+        if self._is_slow and not was_slow:
+            # The entries' cards are a million objects that live on; no collection looks at them
+            # again, which would take longer than to add some races.
+            gc.collect()
+            gc.freeze()
+        return taken
+
+    def _settle_later(self) -> None:
+        if time.monotonic() >= self._settle_s and self._settling.acquire(blocking=False):
+            threading.Thread(target=self._settle, daemon=True).start()
+
+    def _settle(self) -> None:
+        try:
+            with contextlib.suppress(LeagueError):  # a later request tries again
+                taken = self._taken(self._snapshot)
+                with self._taking:
+                    self._snapshot = snapshot.updated(self.store, taken) or taken
+        finally:
+            self._settling.release()
 
     def standings_of(self, track: str, cars: int) -> Standings | None:
         """Return the standings by the races on a track, of so many cars; see Snapshot.rated_by."""
         now = self.snapshot()
         if not track and not cars:
             return now.rated
+        now = now.settled or now  # they are fitted whole, so only as often as all races are
         key = ("standings", now.races.last, now.races.voided, track, cars)
         return self.kept(key, lambda: now.rated_by(track, cars), in_turn=True)
 

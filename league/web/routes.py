@@ -9,13 +9,11 @@ from typing import Any
 from starlette.convertors import Convertor, register_url_convertor
 from starlette.requests import Request
 
-from league.matchmaking.history import HistoryPoint
-from league.matchmaking.ratings.fit import Difference
-from league.matchmaking.standings import HeadToHead, Row
-from league.matchmaking.store import Cup, LeagueEntry, Season
 from league.web.pages import driver, ghosts, heat, home, seasons, table, tracks
-from league.web.pages.table import Marks
 from league.web.reader import Document, Reader
+from league.web.schemas import pages as schemas
+from league.web.schemas import races
+from league.web.schemas import seasons as season_schemas
 
 
 class _Number(Convertor[int]):
@@ -56,8 +54,8 @@ class Page:
     is kept."""
     fleeting: bool = False
     """Whether it changes with time alone."""
-    parts: Mapping[str, Any] = field(default_factory=dict)
-    """Types of those parts of the data that are frozen data, by their names."""
+    answer: type[races.Answer] | None = None
+    """What its data is, where it is to be had as JSON."""
 
     @property
     def has_api(self) -> bool:
@@ -77,7 +75,8 @@ class Page:
 
 PAGES = (
     Page("/", "The most contested recent race and the top of the standings", home.document,
-         "home.html", shared=True),
+         "home.html", shared=True,
+         answer=schemas.HomeAnswer),
     Page("/standings", "The standings", table.document, "standings.html",
          shared=True,
          query={"owner": "Only entries of this owner", "kind": "Only anchor, policy or scripted",
@@ -86,60 +85,64 @@ PAGES = (
           "against": "Number or name of a driver: everyone's record against it",
           "sort": "races, wins, finishes, lap, name or owner; by default the rating",
           "page": "Number of the page, from 1"},
-         parts={"rows": list[Row], "against": Row | None, "records": dict[int, HeadToHead],
-                "marks": dict[int, Marks], "season": Season | None}),
+         answer=schemas.StandingsAnswer),
     Page("/drivers/{number:number}", "A driver: rating, history, records, heats, card",
          driver.document, "driver.html", shared=True,
-         parts={"entry": LeagueEntry, "standing": Row | None, "history": list[HistoryPoint],
-                "against": list[tuple[Row, HeadToHead | None]]}),
+         answer=schemas.DriverAnswer),
     Page("/matchups/{one:number}/{other:number}",
          "Two drivers: their heats, expected and actual score",
          driver.matchup, "matchup.html", shared=True,
          query={"before": "Number of a heat: only earlier ones are listed",
           "season": "Number of a season: only its heats are listed"},
-         parts={"one": LeagueEntry, "other": LeagueEntry, "difference": Difference | None,
-                "record": HeadToHead | None, "season": Season | None,
-                "chosen": Season | None}),
+         answer=schemas.MatchupAnswer),
     Page("/heats", "The heats that are done, the newest first", home.heats, "heats.html",
          shared=True,
          query={"driver": "Number of a driver: only its heats, and how it did in each race",
           "page": "Number of the page, from 1"},
-         parts={"driver": LeagueEntry | None}),
+         answer=schemas.HeatsAnswer),
     Page("/feed.atom", "The newest heats as a feed", home.feed, "feed.xml", shared=True,
          media_type="application/atom+xml"),
     Page("/heats/{number:number}", "A heat, and one of its races", heat.document, "heat.html",
          shared=True,
          query={"race": "Number of the race within the heat, from 1",
-          "lap": "Number of the lap to compare, from 1; empty for each car's best one"}),
+          "lap": "Number of the lap to compare, from 1; empty for each car's best one"},
+         answer=races.HeatAnswer),
     Page("/heats/{number:number}/races/{race:number}/replay", "What the player draws of a race",
-         heat.replay, shared=True),
+         heat.replay, shared=True,
+         answer=races.PlayedRace),
     Page("/heats/{number:number}/races/{race:number}/file",
          "A file that plays a race without a server",
          heat.one_file, "one_file.html", file="heat_{number}_race_{race}.html"),
     Page("/tracks", "The tracks, and the best clean laps on each", tracks.document, "tracks.html",
-         shared=True),
+         shared=True,
+         answer=schemas.TracksAnswer),
     Page("/ghosts", "Any two laps on a track against each other", ghosts.document, "ghosts.html",
          shared=True,
          query={"track": "Name of the track",
           "one": "A lap as heat.race.car.lap, or the number of a driver: its best clean lap",
           "other": "The same, for the second lap",
-          "heat": "Number of a heat of which all laps are offered"}),
+          "heat": "Number of a heat of which all laps are offered"},
+         answer=schemas.GhostsAnswer),
     Page("/ghosts/replay", "What the player draws of two laps", ghosts.replay, shared=True,
-         query={"one": "A lap as heat.race.car.lap", "other": "The second lap"}),
+         query={"one": "A lap as heat.race.car.lap", "other": "The second lap"},
+         answer=races.PlayedRace),
     Page("/time-attack", "The fastest clean laps on each track, for each kind of race",
          tracks.boards, "boards.html", shared=True,
-         query={"races": "Kind of race: head_to_head, time_trial or obstacle_avoidance"}),
+         query={"races": "Kind of race: head_to_head, time_trial or obstacle_avoidance"},
+         answer=schemas.BoardsAnswer),
     Page("/seasons", "Past seasons with their trophies, and cups", seasons.document, "seasons.html",
-         parts={"running": Season | None}),
+         answer=season_schemas.SeasonsAnswer),
     Page("/seasons/{number:number}", "A season's final standings and trophies", seasons.season,
          "season.html", query={"page": "Number of the page of the final standings, from 1"},
-         parts={"season": Season}),
+         answer=season_schemas.SeasonAnswer),
     Page("/cups/{number:number}", "A cup: qualifying and bracket", seasons.cup, "cup.html",
          query={"round": "Number of a round with many heats, from 1, instead of the last rounds",
           "page": "Number of the page of the qualifying, or of that round, from 1"},
-         parts={"cup": Cup}),
-    Page("/definitions", "What the numbers mean", table.definitions, "definitions.html"),
+         answer=season_schemas.CupAnswer),
+    Page("/definitions", "What the numbers mean", table.definitions, "definitions.html",
+         answer=schemas.DefinitionsAnswer),
     Page("/live", "Running heats, queue, workers, heats per minute", home.live, "live.html",
-         shared=True, fleeting=True),
+         shared=True, fleeting=True,
+         answer=schemas.LiveAnswer),
 )  # fmt: skip
 """All pages, and data without a page."""

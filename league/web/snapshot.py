@@ -11,13 +11,17 @@ import numpy as np
 
 from league.matchmaking import divisions, history, safety, standings
 from league.matchmaking.scope import RatingScope, scope
-from league.matchmaking.scores import BestLap, clean_laps
+from league.matchmaking.scores import BestLap, clean_laps, joined_laps
 from league.matchmaking.standings import Row, Standings
 from league.matchmaking.store import LeagueEntry, Races, Season, SeasonView, Store
 from league.matchmaking.store.records import LeagueSettings
 
 FROZEN = [field.name for field in fields(Row)]
 """What a frozen line may tell; those of older versions tell less."""
+PASSING = frozenset({"plan", "claim", "complete", "fail", "lose", "retry", "reap"})
+"""What happens to heats all the time, and changes nothing but the races."""
+SHARED = "by_number", "by_id", "owners", "kinds"
+"""What follows from the entries alone."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,8 @@ class Snapshot:
     """Safety ratings."""
     trends: Mapping[int, float]
     """By how much the season's newest heats changed each rating [Elo], by entry number."""
+    settled: Snapshot | None = None
+    """The last snapshot with fitted ratings, if this is that one a few races later."""
 
     def prepare(self) -> None:
         """Compute now what pages look up, so that no request has to."""
@@ -74,7 +80,7 @@ class Snapshot:
     @cached_property
     def car_counts(self) -> list[int]:
         """How many cars these races have, each number once."""
-        return np.unique((self.counted.entries >= 0).sum(axis=1)).tolist()
+        return _car_counts(self.counted)
 
     @cached_property
     def kinds(self) -> list[str]:
@@ -95,8 +101,8 @@ class Snapshot:
         races = counted.where(kept)
         numbers = set(np.unique(races.entries).tolist())
         entries = [entry for entry in self.entries if entry.number in numbers]
-        within = RatingScope(races, self.season, None)
-        return standings.table(entries, within, rules.hash, rules.tracks)
+        within, near = RatingScope(races, self.season, None), self.rated and self.rated.ratings
+        return standings.table(entries, within, rules.hash, rules.tracks, near=near)
 
     @cached_property
     def owners(self) -> list[str]:
@@ -114,7 +120,9 @@ def take(store: Store, before: Snapshot | None = None) -> Snapshot:
     revision, settings = store.revision, store.settings
     if before is not None and before.settings != settings:
         before = None
-    entries, races = tuple(store.entries()), _races(store, before)
+    before = before and (before.settled or before)
+    entries = tuple(store.entries_again(before.entries if before else ()))
+    races = _races(store, before)
     rules = settings.ruleset
     within = scope(store, rules.hash, races=races)
     season = within.season
@@ -154,6 +162,55 @@ def _frozen(rows: Sequence[Row], frozen: Sequence[Mapping[str, Any]]) -> tuple[R
         replace(by_number[one["number"]], **{name: one[name] for name in FROZEN if name in one})
         for one in frozen
     )
+
+
+def updated(store: Store, before: Snapshot) -> Snapshot | None:
+    """Return a league some races later, without fitting its ratings; None where they need that.
+
+    It follows from the last fitted snapshot and all races since then, so how often it is made
+    changes nothing. The next `take` settles it: ratings and intervals of a whole fit, trends and
+    the test of fit with them.
+    """
+    base, revision = before.settled or before, store.revision
+    if not store.happened(base.revision) <= PASSING:
+        return None
+    later = store.races(since=base.races.last)
+    if later.voided != base.races.voided:
+        return None
+    if not len(later.heat):
+        return replace(base, revision=revision)
+    if base.rated is None:
+        return None
+    races, counted = base.races.joined(later), later
+    if base.season is not None:
+        counted = later.where(base.season.has(later.heat))
+    same = base.rated.races is base.races and len(counted.heat) == len(later.heat)
+    within = races if same else base.rated.races.joined(counted)
+    rated = standings.updated(base.rated, within, counted, base.entries)
+    if rated is None:
+        return None
+    rules = base.settings.ruleset
+    drives = store.drives(rules.hash, since=base.safety.drives.last)
+    now = replace(
+        base,
+        revision=revision,
+        races=races,
+        rated=rated,
+        safety=safety.rated(drives, rules.tracks, base.safety),
+        settled=base,
+    )
+    laps = joined_laps(base.clean_laps, clean_laps(counted, rated.tracks))
+    cars = {*base.car_counts, *_car_counts(counted)}
+    vars(now).update(  # what is cached otherwise
+        {name: getattr(base, name) for name in SHARED},
+        clean_laps=laps,
+        car_counts=sorted(cars),
+    )
+    return now
+
+
+def _car_counts(races: Races) -> list[int]:
+    return np.flatnonzero(np.bincount((races.entries >= 0).sum(axis=1))).tolist()
 
 
 def _races(store: Store, before: Snapshot | None) -> Races:

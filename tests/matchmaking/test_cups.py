@@ -144,3 +144,28 @@ def test_other_rules_leave_a_cup_alone(new_league):
     cups.start(league)
     assert league.set_ruleset(leagues.Ruleset(tracks=leagues.TRACKS, laps=5)) == 0
     assert race_on(league) == 5
+
+
+def test_a_cup_follows_from_the_seasons_seed_its_number_and_the_entries(tmp_path):
+    def raced_cup(name: str, seed: int) -> tuple:
+        url = f"sqlite:///{tmp_path / name}"
+        with leagues.rated(url, entries=9) as league:  # each has a secret of its own
+            league.start_season("", {})
+            leagues.change(url, f"UPDATE seasons SET seed = {seed}")
+            cup = cups.start(league)
+            race_on(league, lambda _: 1.0)  # the draw decides who qualifies, and who goes on
+            frozen = league.cup_document(1) or {}
+            tracks = [heat["track"] for stage in frozen["stages"] for heat in stage["heats"]]
+            return cup.seed, frozen["order"], tracks
+
+    first, again, other = raced_cup("a.db", 5), raced_cup("b.db", 5), raced_cup("c.db", 6)
+    assert first == again
+    assert first[0] != other[0] and first[1] != other[1]
+
+
+def test_cups_of_a_season_have_seeds_of_their_own(new_league):
+    league = new_league(4)
+    alone = cups.start(league)
+    league.start_season("", {})
+    assert len({alone.seed, cups.start(league).seed, cups.start(league).seed}) == 3
+    assert league.cups()[0] == alone

@@ -10,12 +10,13 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from league.matchmaking import standings
+from league.matchmaking import cups, standings
 from league.matchmaking.pairing.matchmaker import ROUND, Matchmaker
 from league.matchmaking.store import Store
 from tests.matchmaking.season_kit import SHORT, new_league, submitted
@@ -24,6 +25,11 @@ LEAGUE = [sys.executable, "-m", "league.cli"]
 SETTINGS = ["--lease-s", "3", "--workers", "2", "--plain"]
 RULES = replace(SHORT, max_time_s=0.3)
 """Five steps: the shortest race whose cars are told apart."""
+LONG = replace(SHORT, laps=3, max_time_s=20.0)
+"""A cup's heat of these takes long enough to be met by a kill."""
+ENTRANTS = 8
+KILLS = max(3, int(os.environ.get("LEAGUE_KILL_HEATS", "40")) // 100)
+"""In each part of a cup at most."""
 
 
 def made(path: Path) -> None:
@@ -148,3 +154,78 @@ def test_kill_nine_loses_nothing_and_counts_nothing_twice(tmp_path):
     undisturbed, disturbed = outcome(calm), outcome(wild)
     assert disturbed == undisturbed and len(undisturbed[0]) >= heats
     print(f"{len(undisturbed[0])} heats, kill -9 of {sorted(killed)}")
+
+
+def made_cup(path: Path) -> None:
+    """Make a league of eight rated entries that begins a cup."""
+    with new_league(f"sqlite:///{path}", rules=LONG) as store:
+        for number in range(ENTRANTS):
+            entry = submitted(store, f"e{number}", seed=number, senses="blind")
+            for state in ("validating", "placement"):
+                store.move({entry.id: state})
+        cups.start(store)
+
+
+def raced_cup(path: Path, dice: random.Random | None, patience_s: float) -> list[str]:
+    """Run the season until its cup is over, again after each kill; return what was killed when."""
+    environment = {**os.environ, "LEAGUE_URL": f"sqlite:///{path}", "OMP_NUM_THREADS": "1"}
+    killed: list[str] = []
+    give_up = time.monotonic() + patience_s
+    with Store(f"sqlite:///{path}") as store:
+        while store.cups()[0].ended_s is None:
+            run = subprocess.Popen(
+                [*LEAGUE, "run", *SETTINGS], env=environment, stdout=subprocess.DEVNULL
+            )
+            try:
+                before = cup_heats(store)
+                while store.cups()[0].ended_s is None:
+                    assert time.monotonic() < give_up, f"the cup is not over: {cup_heats(store)}"
+                    assert run.poll() is None or killed
+                    if run.poll() is not None:
+                        break
+                    time.sleep(0.01)
+                    now = cup_heats(store)
+                    if dice is None or now == before:
+                        continue
+                    time.sleep(dice.uniform(0.0, 0.2))
+                    stage = "qualifying" if now["done"] < ENTRANTS else "knock-out"
+                    if sum(stage in kill for kill in killed) >= KILLS:
+                        continue
+                    victims, before = descendants(run.pid), now
+                    victim = run.pid if dice.random() < 0.6 else dice.choice(victims or [run.pid])
+                    send(signal.SIGKILL, victim)
+                    what = "the matchmaker" if victim == run.pid else "a process"
+                    killed.append(f"{what}, {stage}")
+                    if victim == run.pid:
+                        break
+            finally:
+                run.kill()
+                run.wait()
+    return killed
+
+
+def cup_heats(store: Store) -> Counter[str]:
+    """Return how many heats of the cup are in each state."""
+    return Counter(heat.state for heat in store.heats() if heat.heat.purpose == "cup")
+
+
+@pytest.mark.slow
+def test_kill_nine_during_a_cup_changes_neither_bracket_nor_winner(tmp_path):
+    calm, wild = tmp_path / "calm.db", tmp_path / "wild.db"
+    made_cup(calm)
+    shutil.copy(calm, wild)
+    raced_cup(calm, None, 300.0)
+    killed = raced_cup(wild, random.Random(5), 900.0)
+    assert {kill.split(", ")[1] for kill in killed} == {"qualifying", "knock-out"}
+    brackets = []
+    for path in (calm, wild):
+        with Store(f"sqlite:///{path}") as store:
+            keys = sorted(h.heat.key for h in store.heats() if h.heat.purpose == "cup")
+            frozen = store.cup_document(1) or {}
+            assert len(frozen["order"]) == ENTRANTS
+            # The heats have other numbers where rated ones were planned between them.
+            heats = [heat for stage in frozen["stages"] for heat in stage["heats"]]
+            runs = [(heat["track"], heat["runs"]) for heat in heats]
+            brackets.append((frozen["order"], runs, keys))
+    assert brackets[0] == brackets[1] and len(brackets[0][2]) == ENTRANTS + 2 + 1
+    print(f"kill -9 of {sorted(killed)}")

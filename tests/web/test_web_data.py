@@ -7,7 +7,6 @@ import xml.etree.ElementTree as ET
 from urllib.parse import urlsplit
 
 import pytest
-from pydantic import TypeAdapter
 
 from league.cli import main
 from league.errors import ConfigError
@@ -39,7 +38,9 @@ def test_the_openapi_document_lists_every_page_and_parameter(client, store):
             continue
         assert answer.status_code == 200, path
         properties = operation["responses"]["200"]["content"]["application/json"]["schema"]
-        assert set(properties["properties"]) <= set(answer.json())
+        name = properties["$ref"].rsplit("/")[-1] if "$ref" in properties else None
+        described = document["components"]["schemas"][name] if name else properties
+        assert set(described["required"]) <= set(answer.json()) <= set(described["properties"])
 
 
 def test_every_reference_of_the_openapi_document_leads_somewhere(client):
@@ -47,21 +48,6 @@ def test_every_reference_of_the_openapi_document_leads_somewhere(client):
     schemas = answer.json()["components"]["schemas"]
     names = re.findall(r'"#/components/schemas/(\w+)"', answer.text)
     assert {"Row", "HeadToHead", "Error"} <= set(names) <= set(schemas)
-
-
-@pytest.mark.parametrize(
-    ("template", "path"),
-    [
-        ("standings.html", "/api/v1/standings?against=3"),
-        ("driver.html", "/api/v1/drivers/3"),
-        ("matchup.html", "/api/v1/matchups/2/3"),
-    ],
-)
-def test_answers_have_the_types_that_the_document_says(client, template, path):
-    page = next(page for page in PAGES if page.template == template)
-    answer = client.get(path).json()
-    for name, kind in page.parts.items():
-        TypeAdapter(kind).validate_python(answer[name])
 
 
 def test_an_error_of_the_interface_is_what_the_document_says(client):

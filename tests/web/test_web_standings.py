@@ -15,45 +15,21 @@ from starlette.testclient import TestClient
 
 from league.matchmaking import history, standings
 from league.matchmaking.history import own_history
-from league.matchmaking.pairing.heat_spec import Half, Heat
 from league.matchmaking.scope import scope
-from league.matchmaking.store import HeatOutcome, RaceOutcome, Store
+from league.matchmaking.store import Store
 from league.web import answers, paging, reader
 from league.web.app import make_app
 from league.web.pages import table
 from league.web.routes import Page
 from league.web.snapshot import take
 from tests.matchmaking import leagues
+from tests.web.decided_league import ENTRIES, decided_league, raced
 from tests.web.small_league import ORIGIN
-
-ENTRIES = 7
-
-
-def outcome(half: Half) -> RaceOutcome:
-    """Return a race in which smaller names win on the ring, larger ones on the square."""
-    order = sorted(half.grid, reverse=half.track == "square")
-    places = tuple(order.index(entry) + 1 for entry in half.grid)
-    laps = [[10.0 + place, 9.0 + place] for place in places]
-    order = [
-        {"car": car, "finished": place != 2, "lap_times_s": laps[car], "distance": 0.0}
-        for car, place in enumerate(places)
-    ]
-    return RaceOutcome(places, {"order": order})
-
-
-def raced(league: Store, heats: list[Heat]) -> None:
-    league.plan(heats)
-    for claim in league.claim("w", len(heats)):
-        races = tuple(outcome(half) for half in claim.heat.halves)
-        league.complete("w", [HeatOutcome(claim.heat.key, races)])
 
 
 @pytest.fixture
 def league(tmp_path) -> Iterator[Store]:
-    with leagues.founded(f"sqlite:///{tmp_path / 'league.db'}", entries=ENTRIES) as store:
-        ids = [entry.id for entry in store.entries()]
-        trio = Heat(leagues.RULES.hash, (Half("ring", tuple(ids[:3])),))
-        raced(store, [*leagues.duels(store, 42), trio])
+    with decided_league(f"sqlite:///{tmp_path / 'league.db'}", duels=42) as store:
         yield store
 
 
@@ -214,7 +190,7 @@ def test_an_answer_is_kept_until_something_happens(pages, league, monkeypatch):
     # However busy the machine is, the next request sees the new races.
     monkeypatch.setattr(reader, "REST", 0.0)
     monkeypatch.setattr(reader, "QUICK_S", 60.0)
-    monkeypatch.setattr(answers, "LOOK_S", -1.0)
+    monkeypatch.setattr(answers, "LASTS_S", 0.0)
     monkeypatch.setattr(answers, "STALE_S", 0.0)
     first = pages.get("/standings")
     assert pages.get("/standings").text == first.text
@@ -245,7 +221,7 @@ def making(monkeypatch):
 
     monkeypatch.setattr(Page, "read", waiting)
     monkeypatch.setattr(answers, "MOST", 8)
-    monkeypatch.setattr(answers, "LOOK_S", -1.0)
+    monkeypatch.setattr(answers, "FRESH_S", 0.0)
     return may, made
 
 

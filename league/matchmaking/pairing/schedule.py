@@ -18,8 +18,8 @@ from scipy.sparse import csgraph
 
 from league.errors import ConfigError
 from league.matchmaking.pairing.heat_spec import Ruleset
-from league.matchmaking.ratings.fit import PROVISIONAL_SD
 from league.matchmaking.ratings.pair_counts import ELO
+from league.matchmaking.ratings.table import PROVISIONAL_SD
 from league.matchmaking.store.records import RATED, EntryState
 
 Lane = Literal["connection", "coverage", "informed", "random", "validation"]

@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any
+from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr, wrightomega
+from scipy.special import wrightomega
 
 from league.errors import ConfigError
 from league.matchmaking.ratings import systems
 from league.matchmaking.ratings.pair_counts import ELO, RatingData, Results, slope
-from league.matchmaking.ratings.systems import Squares, System, Variances
+from league.matchmaking.ratings.systems import Squares, Variances
+from league.matchmaking.ratings.table import (
+    PROVISIONAL_SD,
+    SIGMAS_95,
+    Carried,
+    Posterior,
+    Ratings,
+)
 
-SIGMAS_95 = 1.959963984540054
-"""Half width of a 95 % interval in standard deviations."""
 ANCHOR_ELO = 1000.0
 """Where the anchor is pinned."""
 SPREAD_LIMITS = 20.0, 400.0
 """A learned spread is at least, and at most, this [Elo]."""
-PROVISIONAL_SD = 50.0
-"""Ratings less sure than this are marked provisional [Elo]."""
 USUAL_SPREAD = 300.0
 """Spread of a field of drivers before any race [Elo]."""
 SPREAD_DOUBT = np.log(3.0)
@@ -41,11 +42,6 @@ SETTLED = 1e-5
 """A step of that logarithm this small is the last one."""
 
 
-def expected_score(gap_elo: float | np.ndarray) -> float | np.ndarray:
-    """Return the chance to finish ahead of an opponent weaker by this gap [Elo], ties half."""
-    return 1.0 / (1.0 + 10.0 ** (-np.asarray(gap_elo, dtype=float) / 400.0))
-
-
 @dataclass(frozen=True)
 class RatingSettings:
     """What a league may choose about its ratings."""
@@ -62,153 +58,6 @@ class RatingSettings:
             value = getattr(self, name)
             if value is not None and not 0 < value < np.inf:
                 raise ConfigError(f"{name} is {value}: give a spread above 0 Elo")
-
-
-@dataclass(frozen=True)
-class Carried:
-    """What is known of a field before its first race: the ratings of an earlier season."""
-
-    entries: np.ndarray
-    """Entry numbers, one or more, ascending, (entries,)."""
-    elo: np.ndarray
-    """Their ratings then [Elo], (entries,); all others are expected at the mean of these."""
-    sd: np.ndarray
-    """How sure these still are [Elo], (entries,)."""
-    prior_sd: float
-    """Spread of entries that are not among them [Elo]; it is not learned again."""
-
-    def at(self, entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the means [natural units] of some entries, and their precisions, NaN if new."""
-        mean, place = _strengths(self, entries)
-        return mean, np.where(place >= 0, (ELO / self.sd[place]) ** 2, np.nan)
-
-
-@dataclass(frozen=True)
-class Difference:
-    """How far one entry is ahead of another."""
-
-    elo: float
-    """Difference of the ratings [Elo]."""
-    sd: float
-    """Its standard deviation [Elo]; usually less than the two entries' own would add up to."""
-    low95: float
-    """Lower end of its 95 % interval [Elo]."""
-    high95: float
-    """Upper end of its 95 % interval [Elo]."""
-    superiority: float
-    """Probability that the one is the stronger, given the races."""
-
-    @property
-    def sureness(self) -> str:
-        """That probability in words that never say 0 or 100 %, which no races prove."""
-        if self.superiority > 0.999:
-            return "more than 99.9 %"
-        if self.superiority < 0.001:
-            return "less than 0.1 %"
-        return f"{100 * self.superiority:.1f} %"
-
-
-@dataclass(frozen=True)
-class Ratings:
-    """Strengths of a field, all from one table of races."""
-
-    entries: np.ndarray
-    """Entry numbers, ascending, (entries,)."""
-    elo: np.ndarray
-    """Strength [Elo], the anchor's 1000; 400 more are ten times the odds, (entries,)."""
-    sd: np.ndarray
-    """Standard deviation of the place above or below the average of all others [Elo], (entries,).
-
-    The average counts each entry by the information in its races, so newcomers do not blur it.
-    """
-    low95: np.ndarray
-    """Lower end of the 95 % interval of `elo`, as it stands relative to the anchor, (entries,)."""
-    high95: np.ndarray
-    """Upper end of it; the anchor's own interval is a point, (entries,)."""
-    races: np.ndarray
-    """Races started, (entries,)."""
-    provisional: np.ndarray
-    """True while sd is above 50, or the entry is not connected, (entries,)."""
-    connected: np.ndarray
-    """False where no chain of races leads to the anchor (or the largest group), (entries,)."""
-    one_sided: np.ndarray
-    """True for entries that raced and won, or lost, every pair: only the prior holds them."""
-    slot_advantages: np.ndarray
-    """What each grid slot is worth [Elo], 0 on average, slot 0 in front, (slots,)."""
-    slot_sd: np.ndarray
-    """Standard deviations of the slots' advantages [Elo], (slots,)."""
-    prior_sd: float
-    """Spread of the field, learned from it [Elo]."""
-    anchor: int | None
-    """Entry pinned to 1000; without one the field's mean is."""
-    num_races: int
-    """Races that counted."""
-    num_spreads: int
-    """Spreads of the field tried before the likeliest was settled."""
-    gap_variances: Callable[[np.ndarray, np.ndarray], np.ndarray] = field(repr=False, compare=False)
-    """Variances [Elo^2] of rating differences, from two arrays of indices into `entries`."""
-
-    def index(self, entry: int) -> int:
-        """Return where an entry stands in the tables.
-
-        Raises:
-            ConfigError: it is not in the field.
-        """
-        place = int(np.searchsorted(self.entries, entry))
-        if place >= len(self.entries) or self.entries[place] != entry:
-            raise ConfigError(
-                f"entry {entry} is not rated: name one of the {len(self.entries)} entries of "
-                "this field"
-            )
-        return place
-
-    def line(self, at: int, *names: str) -> dict[str, Any]:
-        """Return what some of the tables hold of an entry, by its index."""
-        return {name: getattr(self, name)[at].item() for name in names}
-
-    def difference(self, one: int, other: int) -> Difference:
-        """Return how far one entry is ahead of another, with its own interval."""
-        a, b = self.index(one), self.index(other)
-        gap = float(self.elo[a] - self.elo[b])
-        sd = float(np.sqrt(self.gap_variances(np.array([a]), np.array([b]))[0]))
-        return Difference(
-            elo=gap,
-            sd=sd,
-            low95=gap - SIGMAS_95 * sd,
-            high95=gap + SIGMAS_95 * sd,
-            superiority=float(ndtr(gap / sd)) if sd > 0 else 0.5,
-        )
-
-    @cached_property
-    def listed_by(self) -> np.ndarray:
-        """What entries are listed by: the rating, of provisional ones rating - 2 sd [Elo]."""
-        return np.where(self.provisional, self.elo - 2 * self.sd, self.elo)
-
-    def at(self, entries: np.ndarray, size: int) -> np.ndarray:
-        """Return so many parameters [natural units]: of some entries, 0 if new, then of slots."""
-        parameters = np.zeros(size)
-        parameters[: len(entries)], _ = _strengths(self, entries)
-        slots = min(size - len(entries), len(self.slot_advantages))
-        parameters[len(entries) :][:slots] = self.slot_advantages[:slots] / ELO
-        return parameters
-
-    def order(self) -> np.ndarray:
-        """Return indices from best to worst, see `listed_by`.
-
-        Equals stay in the order of their numbers: rounding, which depends on the order in which
-        races were read, must not change their order.
-        """
-        return np.argsort(-np.round(self.listed_by, 6), kind="stable")
-
-
-def _strengths(rated: Carried | Ratings, entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return strengths of some entries [natural units], 0 if new, and their places, -1 if new.
-
-    Strengths count from the mean of all that are rated.
-    """
-    nearest = np.searchsorted(rated.entries, entries).clip(max=len(rated.entries) - 1)
-    place = np.where(rated.entries[nearest] == entries, nearest, -1)
-    return np.where(place >= 0, (rated.elo[place] - rated.elo.mean()) / ELO, 0.0), place
 
 
 def fit(
@@ -253,20 +102,6 @@ def refit(data: RatingData, like: Ratings, carried: Carried | None = None) -> np
     return _elo(data, posterior, like.anchor)
 
 
-@dataclass(frozen=True)
-class _Posterior:
-    """The best parameters under one prior."""
-
-    parameters: np.ndarray
-    """Strengths and slots [natural units]."""
-    system: System
-    """The curvature there."""
-    prior_sd: float
-    """Spread of the strengths [Elo]."""
-    weights: np.ndarray
-    """What each entry counts in the field's average, (entries,)."""
-
-
 class _Model:
     """A field's log-posterior; each climb begins where the last one ended."""
 
@@ -298,7 +133,7 @@ class _Model:
         precisions[self._counts.num_entries :] = 2.0 * (ELO / self._settings.slot_sd) ** 2
         return precisions
 
-    def at(self, prior_sd: float, enough: float = ENOUGH) -> _Posterior:
+    def at(self, prior_sd: float, enough: float = ENOUGH) -> Posterior:
         """Climb to the best parameters under a prior, until a step is small enough."""
         prior, at = self.prior(prior_sd), self._last
         self.num_spreads += 1
@@ -316,7 +151,7 @@ class _Model:
             far = float(np.abs(step).max())
             if far < enough:
                 self._last = at + step
-                return _Posterior(self._last, system, prior_sd, self._shares(seen.weights))
+                return Posterior(self._last, system, prior_sd, self._shares(seen.weights))
             length = min(1.0, 4.0 / far)
             while True:
                 tried = at + length * step
@@ -338,7 +173,7 @@ class _Model:
         total = shares.sum()
         return shares / total if total > 0 else shares
 
-    def learned(self) -> _Posterior:
+    def learned(self) -> Posterior:
         """Return the posterior under the spread that the field itself shows.
 
         The spread is the fixed point of the EM step: from the strengths' squares and posterior
@@ -376,7 +211,7 @@ class _Model:
                 enough, (low, high) = ENOUGH, bounds  # signs of a rough drift may be wrong
         return self.at(float(np.exp(0.5 * spread)))
 
-    def _drift(self, posterior: _Posterior, spread: float) -> tuple[float, float, np.ndarray]:
+    def _drift(self, posterior: Posterior, spread: float) -> tuple[float, float, np.ndarray]:
         """Return the EM step, its slope by the logarithm of the variance, and the parameters'."""
         size = self._counts.num_entries
         strengths = posterior.parameters[:size]
@@ -409,7 +244,7 @@ def _likeliest(square: float, size: int) -> float:
     return float(usual - n + wrightomega(np.log(n * square) + n - usual).real)
 
 
-def _elo(data: RatingData, posterior: _Posterior, anchor: int | None) -> np.ndarray:
+def _elo(data: RatingData, posterior: Posterior, anchor: int | None) -> np.ndarray:
     strengths = posterior.parameters[: len(data.entries)]
     zero = strengths[np.searchsorted(data.entries, anchor)] if anchor is not None else 0.0
     return ANCHOR_ELO + ELO * (strengths - zero)
@@ -417,7 +252,7 @@ def _elo(data: RatingData, posterior: _Posterior, anchor: int | None) -> np.ndar
 
 def _ratings(
     data: RatingData,
-    posterior: _Posterior,
+    posterior: Posterior,
     variances: Variances,
     anchor: int | None,
     num_spreads: int,
@@ -442,6 +277,8 @@ def _ratings(
         low95=elo - SIGMAS_95 * elo_sd,
         high95=elo + SIGMAS_95 * elo_sd,
         races=races,
+        pairs=pairs,
+        points=points,
         provisional=(sd > PROVISIONAL_SD) | ~connected,
         connected=connected,
         one_sided=(pairs > 0) & ((points == 0) | (points == pairs)),
@@ -451,5 +288,6 @@ def _ratings(
         anchor=anchor,
         num_races=len(data.results),
         num_spreads=num_spreads,
+        posterior=posterior,
         gap_variances=lambda one, other: ELO**2 * variances.gaps(one, other),
     )

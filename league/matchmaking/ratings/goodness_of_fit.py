@@ -14,8 +14,8 @@ from scipy.sparse import csgraph
 from scipy.special import expit, gammaincc
 
 from league.matchmaking.ratings import pair_counts
-from league.matchmaking.ratings.fit import Ratings
 from league.matchmaking.ratings.pair_counts import ELO, RatingData, Results
+from league.matchmaking.ratings.table import Ratings
 
 LEAST_VARIANCE = 1.0
 """Pairs with a smaller variance of their score than this [points^2] are too thin to be judged."""

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from league.errors import ConfigError
-from league.matchmaking.ratings.fit import SIGMAS_95, expected_score
+from league.matchmaking.ratings.table import SIGMAS_95, expected_score
 
 Decision = Literal["better", "not better", "undecided"]
 

@@ -113,8 +113,7 @@ class Blocks:
         self.border = (ones - others).sum(axis=2) - (ones - others).sum(axis=1)
         slots = np.diag(prior[size:] + sides.sum(axis=1) + sides.sum(axis=0))
         self.corner = slots - sides - sides.T
-        self.counts = counts
-        self.level = 1.0 / prior[0]
+        self.counts, self.prior = counts, prior
 
 
 def system(
@@ -139,6 +138,20 @@ class Dense:
         table[self._size :, : self._size] = blocks.border.T
         table[range(self._size), range(self._size)] += blocks.diagonal
         self._factor = linalg.cho_factor(table, lower=True, overwrite_a=True, check_finite=False)
+
+    @cached_property
+    def _lower(self) -> np.ndarray:
+        """The factor without what is not read above its diagonal."""
+        return np.tril(self._factor[0])
+
+    @cached_property
+    def diagonal(self) -> np.ndarray:
+        """Of H, (entries + slots,)."""
+        return (self._lower**2).sum(axis=1)
+
+    def matvec(self, vector: np.ndarray) -> np.ndarray:
+        """Return H times a vector."""
+        return self._lower @ (self._lower.T @ vector)
 
     def solve(self, right: np.ndarray, *, within: float = 1e-8) -> np.ndarray:
         """Return H^-1 right."""
@@ -171,9 +184,14 @@ class Sparse:
     def __init__(self, blocks: Blocks) -> None:
         self._above = blocks.counts.graph(blocks.met)
         self._diagonal, self._border, self._corner = blocks.diagonal, blocks.border, blocks.corner
-        self._level = blocks.level
-        self._all = np.concatenate([self._diagonal, self._corner.diagonal()])
-        self.shape, self.dtype = (len(self._all), len(self._all)), np.dtype(float)
+        self._prior = blocks.prior
+        self.diagonal = np.concatenate([self._diagonal, self._corner.diagonal()])
+        self.shape, self.dtype = (len(self.diagonal), len(self.diagonal)), np.dtype(float)
+
+    @property
+    def _level(self) -> float:
+        """Variance of the field as a whole, the prior's."""
+        return 1.0 / self._prior[0]
 
     def _met(self, entries: np.ndarray) -> np.ndarray:
         """Return the pairs' weights, in both triangles, times a vector or some columns."""
@@ -188,7 +206,7 @@ class Sparse:
 
     def solve(self, right: np.ndarray, *, within: float = 1e-8) -> np.ndarray:
         """Return H^-1 right."""
-        scaling = sparse.diags_array(1.0 / self._all)
+        scaling = sparse.diags_array(1.0 / self.diagonal)
         operator = aslinearoperator(self)
         solved = [
             cg(operator, column, rtol=within, maxiter=1000, M=scaling)[0]

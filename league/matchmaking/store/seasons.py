@@ -128,17 +128,21 @@ class SeasonStore(Transactional):
     def start_cup(self, name: str, settings: Mapping[str, Any], rules: Sequence[Ruleset]) -> Cup:
         """Begin a cup under some rules; an empty name is its number.
 
+        Its seed follows from the running season's seed, without one from the league's secret, and
+        from its number.
+
         Raises:
             StoreError: the name cannot be shown, or is taken.
         """
         with self._writing(lock=True) as (connection, now):
             number = len(cups_listed(connection)) + 1
-            running = [one.number for one in listed(connection) if one.until is None]
+            running = next((one for one in listed(connection) if one.until is None), None)
+            secret = running.seed.to_bytes(8, "big") if running else self._secret
             row = {
                 "number": number,
                 "name": free_name(connection, cups, name or f"Cup {number}", "a cup"),
-                "season": running[-1] if running else None,
-                "seed": heat_spec.seed(self._secret, f"cup {number}", 0),
+                "season": running.number if running else None,
+                "seed": heat_spec.seed(secret, f"cup {number}", 0),
                 "settings": heat_spec.canonical(dict(settings)).decode(),
                 "started_s": now,
             }

@@ -176,6 +176,12 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
         with self._database.reading() as connection:
             return connection.scalar(sa.select(sa.func.max(schema.events.c.number))) or 0
 
+    def happened(self, since: int) -> set[str]:
+        """Return what kinds of things happened after a `revision`."""
+        query = sa.select(schema.events.c.action).where(schema.events.c.number > since).distinct()
+        with self._database.reading() as connection:
+            return set(connection.scalars(query))
+
 
 def create(
     url: str,

@@ -40,6 +40,14 @@ equals stay in the order of their ranks."""
 
 
 @dataclass(frozen=True)
+class Original:
+    """The earlier entry with nearly the same weights."""
+
+    number: int
+    name: str
+
+
+@dataclass(frozen=True)
 class Marks:
     """What the standings show of one entry besides its rating."""
 
@@ -49,8 +57,8 @@ class Marks:
     """None before its first race."""
     trend: float | None
     """By how much the season's newest heats changed its rating [Elo]; None for newcomers."""
-    copy_of: Document | None
-    """Number and name of the earlier entry with nearly the same weights; None for none."""
+    copy_of: Original | None
+    """The earlier entry with nearly the same weights; None for none."""
 
 
 WHY = {
@@ -94,7 +102,7 @@ def marks_of(reader: Reader, rows: Iterable[Row]) -> dict[int, Marks]:
             now.divisions.get(number),
             now.safety.by_entry.get(number),
             now.trends.get(number),
-            {"number": numbers[name], "name": name} if name in numbers else None,
+            Original(numbers[name], name) if name in numbers else None,
         )
         for number, name in copies.items()
     }
