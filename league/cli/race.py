@@ -281,20 +281,20 @@ def _print_classification(result: RaceResult) -> None:
     heads = ("", "driver", "laps", "total", "gap", "best lap", "off", "crash", "penalty")
     spec, winner = result.spec, result.order[0]
     title = spec.title if spec.format == "standing" else f"{spec.title}, {spec.format}"
-    table = tables.table(title, *heads)
-    for car in result.order:
-        gap = car.total_s - winner.total_s
-        table.add_row(
+    rows = [
+        (
             str(car.place),
             car.name,
             str(car.laps),
             times.clock(car.total_s) if car.finished else "not finished",
-            f"+{gap:.3f}" if car.finished and car is not winner else "",
+            f"+{car.total_s - winner.total_s:.3f}" if car.finished and car is not winner else "",
             times.clock(car.best_lap_s) if car.best_lap_s else "",
             str(car.off_tracks),
             str(car.crashes),
             f"{car.penalty_s:.1f}" if car.penalty_s else "",
         )
-    tables.console().print(table)
+        for car in result.order
+    ]
+    tables.table(title, heads, rows, "crash", "off", "laps", "best lap", "gap")
     if len(result.order) > 1:
         print(f"Lead changes: {result.lead_changes}")
