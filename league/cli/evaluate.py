@@ -12,7 +12,14 @@ import tyro
 
 from league import times
 from league.cli import tables
-from league.cli.race import labels, num_obstacles, race_spec, replay_line, replay_path
+from league.cli.race import (
+    labels,
+    num_obstacles,
+    print_remark,
+    race_spec,
+    replay_line,
+    replay_path,
+)
 from league.errors import ConfigError
 from league.sim.config import CarConfig, ObstacleConfig, RaceKind, SimConfig
 
@@ -127,7 +134,7 @@ def _check(command: Evaluate) -> None:
     ):
         if contradicts:
             raise ConfigError(sentence)
-    _num_obstacles(command)
+    print_remark(_kind(command), _num_obstacles(command), 1)
 
 
 def _one(command: Evaluate, track: str) -> tuple[Evaluation, Trace | None]:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from league.cli.evaluate import Evaluate
     from league.race_spec import RaceResult, RaceSpec
     from league.replay.commentary import Remark
+    from league.sim.config import RaceKind
     from league.sim.records import World
     from league.track.track import Track
 
@@ -94,6 +95,7 @@ class Race:
                 f"--format {self.format} means nothing for a driver alone: name two to eight"
             )
         spec = race_spec(self, track.name, kind, self.drivers)
+        print_remark(spec.kind, spec.obstacles, len(spec.entries))
         if spec.format in ("reverse", "qualifying"):
             spec = _after_qualifying(spec, track, quiet=self.json)
         keep = self.replay != "none"
@@ -219,6 +221,14 @@ def num_obstacles(command: Race | Evaluate, *, avoiding: bool) -> int:
     if command.obstacles is not None:
         return command.obstacles
     return USUAL_OBSTACLES if asked or avoiding else 0
+
+
+def print_remark(kind: RaceKind, num_obstacles: int, num_cars: int) -> None:
+    """Print what there is to say of a kind of race, next to the results."""
+    from league.race_spec import remark_on
+
+    if remark := remark_on(kind, num_obstacles, num_cars):
+        print(f"league: {remark}", file=sys.stderr)
 
 
 def entries(drivers: Sequence[str]) -> list[dict[str, str]]:
