@@ -118,3 +118,10 @@ def test_states_and_kinds_are_the_same_words_everywhere(printed, folder, monkeyp
         assert ("*" in rated[name]) == (kinds[name] == "anchor")
         assert f"{state}, {kinds[name]}" in printed(f"show {name}")
         assert json.loads(printed(f"show {name} --json"))["entry"]["state"] == state
+
+
+def test_texts_of_tables_that_leave_nothing_out_take_the_whole_width(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "60")
+    tables.table("Drivers", ("name", "how it drives"), [("racer", "word " * 30)])
+    lines = capsys.readouterr().out.splitlines()
+    assert 55 <= max(len(line.rstrip()) for line in lines[4:]) <= 60

@@ -48,19 +48,20 @@ def fitted(
             the table names those.
     """
     kept, width = list(rows), console().width
-    for padding, widest in ((1, None), (0, None), (0, NAME_WIDTH)):
-        drawn = _drawn(title, columns, kept, padding, widest)
+    drawn = _drawn(title, columns, kept, 1, None)
+    for widest in (None, NAME_WIDTH) if spare else (None,):
         if _width(drawn) <= width:
             return drawn
+        drawn = _drawn(title, columns, kept, 0, widest)
     left_out: list[str] = []
     for head in spare:
+        if _width(drawn) <= width:
+            break
         left_out.append(head)
         shown = [k for k, one in enumerate(columns) if one not in left_out]
         cells = [[row[k] for k in shown] for row in kept]
         drawn = _drawn(title, [columns[k] for k in shown], cells, 0, NAME_WIDTH)
         drawn.caption = f"In a wider terminal also: {', '.join(left_out)}"
-        if _width(drawn) <= width:
-            break
     return drawn
 
 
