@@ -19,7 +19,7 @@ import os
 import re
 import tempfile
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -28,6 +28,11 @@ from numba import njit
 from numba.core import caching
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
+_INNER: dict[str, Any] = {
+    "error_model": "numpy",
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+}
 _MARK = b"from league.jit import"
 # Machine code holds the value of a constant, whatever file it is from.
 _CONSTANTS = re.compile(
@@ -107,25 +112,39 @@ class _Cache(caching.FunctionCache):
     _impl_class = _CacheImpl
 
 
-def compiled(function: _Function) -> _Function:
+def compiled(function: _Function | None = None, *, allocates: bool = False) -> _Function:
     """Compile a function that is called from Python; its machine code is kept on disk.
 
     It releases the interpreter, so that several threads may each work on worlds of their own.
+
+    Args:
+        function: what is compiled.
+        allocates: whether it makes or returns arrays. Without them, views of arrays have no
+            reference counts: these cost more than the arithmetic of a short function.
     """
-    dispatcher = njit(nogil=True, error_model="numpy")(function)
+    if function is None:
+        return partial(compiled, allocates=allocates)
+    dispatcher = njit(nogil=True, error_model="numpy", _nrt=allocates)(function)
     if cache_folder() is not None:
         dispatcher._cache = _Cache(function)
     return dispatcher
 
 
+def inner(function: _Function | None = None, *, allocates: bool = False) -> _Function:
+    """Compile a function that only compiled functions call; see `compiled`."""
+    if function is None:
+        return partial(inner, allocates=allocates)
+    return njit(_nrt=allocates, **_INNER)(function)
+
+
+def spliced(function: _Function) -> _Function:
+    """Compile a long function of one caller as a part of that caller.
+
+    It is optimised once and not once for each function that it is made of.
+    """
+    return njit(inline="always", **_INNER)(function)
+
+
 def specialise(function: Any, *arguments: object) -> None:  # noqa: ANN401
     """Compile a function for arguments of these types, without calling it."""
     function.compile(tuple(map(numba.typeof, arguments)))
-
-
-inner = njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-"""Compiles a function that only compiled functions call."""
-
-spliced = njit(error_model="numpy", inline="always", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-"""Compiles a long function of one caller as a part of that caller, which is optimised once and not
-once for each function that it is made of."""

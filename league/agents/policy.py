@@ -133,7 +133,7 @@ class Network:
         return out
 
 
-@compiled
+@compiled(allocates=True)
 def _decide(layers, weights, mean, deviation, flat, pictures, out):
     most = 0
     for layer in layers:

@@ -133,7 +133,7 @@ class LineDriver:
         return actions_from(*controls, self._car)
 
 
-@compiled
+@compiled(allocates=True)
 def _drive(states, paces, memories, controls, line, points, courses, gains, cars, styles):
     """Write the steering targets [rad] and speeds to ask for [m/s] of all rows, (2, num_rows)."""
     road, things = np.empty(NODES, NODE), np.empty(NEIGHBOURS + NEAR_OBSTACLES, THING)

@@ -79,7 +79,7 @@ def cover(state, road):
             return
 
 
-@inner
+@inner(allocates=True)
 def go_round(lateral, things, road, style):
     """Move the targets aside where another body will be.
 

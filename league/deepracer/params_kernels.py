@@ -98,7 +98,7 @@ def note_starts(points, courses, roads, bodies, memory, before, worlds):
     return left
 
 
-@compiled
+@compiled(allocates=True)
 def build(
     points,
     courses,

@@ -97,7 +97,7 @@ def _restart(mask, encounter, cars, obstacles, world, points, course, places, si
             encode(cars[c], sim)
 
 
-@inner
+@inner(allocates=True)
 def _begin_anywhere(mask, cars, obstacles, world, points, course, sim):
     """Begin episodes at rest on free stretches of the track."""
     spots = np.empty(len(cars), np.float32)

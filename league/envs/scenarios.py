@@ -60,7 +60,7 @@ _GRAVITY, _FAR = f32(GRAVITY), f32(1e6)
 _ZERO, _HALF, _ONE, _TWO = f32(0.0), f32(0.5), f32(1.0), f32(2.0)
 
 
-@inner
+@inner(allocates=True)
 def begin(encounter, cars, obstacles, world, points, course, sim, rules):
     """Draw a scenario of one world, and put all its cars at their places.
 

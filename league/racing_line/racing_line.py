@@ -110,7 +110,7 @@ def _finished(
     return RacingLine(s, lateral, heading, curvature, speed, stretch, time, closed)
 
 
-@compiled
+@compiled(allocates=True)
 def _read(points, courses, x, y, places):
     """Return lateral place, heading, curvature, x and y of a B-spline, float64 (5, num_places).
 

@@ -60,7 +60,7 @@ _BAND = 14
 """Columns of the banded matrix: the diagonal and what is left of it."""
 
 
-@compiled
+@compiled(allocates=True)
 def sample(points, courses, steps, margin):
     """Return the first of some tracks as ROAD records, (N,).
 
@@ -139,7 +139,7 @@ def measure(road, offset, closed, shape):
             one[SIZE, 0] = road[1].s - road[0].s
 
 
-@compiled
+@compiled(allocates=True)
 def fastest(road, closed, limits, curvature_rate):
     """Return the offsets of the control points of the fastest line found on a ROAD [m], (N,)."""
     count = len(road)
@@ -261,7 +261,7 @@ def _evaluate(road, offset, squared, closed, limits, shape, values, rows):
                         row[c, k] = 0.0
 
 
-@inner
+@inner(allocates=True)
 def _linearise(values, rows, low, high, barrier, calm, limits, matrix, step):
     """Set up Newton's equations about a line: a banded symmetric matrix and the right side."""
     count = len(rows)

@@ -78,7 +78,7 @@ def spare_grip(cornering, lateral, transfer):
     return (math.sqrt(half * half + square * left) - half) / square
 
 
-@compiled
+@compiled(allocates=True)
 def speed_profile(curvature, distance, limits, closed):
     """Return the highest speed at each point that grip, drive and brakes allow [m/s].
 

@@ -80,7 +80,7 @@ def _judge_obstacles(car, obstacles, seen, touched, course, settings):
                 seen.penalty_s = settings.crash_penalty_s
 
 
-@inner
+@inner(allocates=True)
 def _judge_cars(before, cars, obstacles, verdicts, contacts, points, course, settings):
     """Judge the contacts of cars with each other."""
     # For each car the mask of those towards which it is to blame.

@@ -300,7 +300,7 @@ def _is_moved(seen):
     return seen.crashed or (seen.forced_off and seen.crashed_obstacle != NOBODY)
 
 
-@inner
+@inner(allocates=True)
 def _put_behind(cars, obstacles, verdicts, points, course, settings):
     """Move crashed cars; all are placed by where the others were before anybody was moved."""
     places = np.empty((len(cars), 2), np.float32)
@@ -320,7 +320,7 @@ def _put_behind(cars, obstacles, verdicts, points, course, settings):
             grid.move(cars[c], points, course, places[c, 0], places[c, 1])
 
 
-@compiled
+@compiled(allocates=True)
 def running_order(cars, pursuit):
     """Return each car's place from 0, by finish, then by who is ahead; (num_worlds, num_cars).
 

@@ -132,7 +132,8 @@ def curvature_at(points, course, s):
     It is smoothed over 0.3 m, six points, so nothing is gained by interpolating.
     """
     place = np.int64(math.floor(s / course.spacing + _HALF))
-    place = place % course.count if course.closed else min(max(place, 0), course.count - 1)
+    if place < 0 or place >= course.count:  # a remainder costs more than all the rest
+        place = place % course.count if course.closed else min(max(place, 0), course.count - 1)
     return points[course.first + place].curvature
 
 
@@ -142,7 +143,7 @@ def lap_length(course):
     return course.length if course.closed else course.length - OPEN_TRACK_MARGIN
 
 
-@compiled
+@compiled(allocates=True)
 def frames_at(points, courses, track, s):
     """Return the frames at distances s [m] along tracks, float32 (num_places, 8); see Frame."""
     out = np.empty((len(s), 8), np.float32)
@@ -153,7 +154,7 @@ def frames_at(points, courses, track, s):
     return out
 
 
-@compiled
+@compiled(allocates=True)
 def projections(points, courses, track, x, y, near_s):
     """Return the frames nearest to points x, y [m], and their lateral places, (num_points, 9).
 
@@ -184,7 +185,7 @@ def _nearest_point(points, course, x, y):
     return f32(best) * course.spacing
 
 
-@compiled
+@compiled(allocates=True)
 def gaps(courses, track, ahead, behind):
     """Return `signed_gap` of each pair of places [m], float32 (num_pairs,)."""
     out = np.empty(len(ahead), np.float32)
@@ -193,7 +194,7 @@ def gaps(courses, track, ahead, behind):
     return out
 
 
-@compiled
+@compiled(allocates=True)
 def pairs_within(radius, points, others):
     """Return the rows of points that lie within a radius of each other, (num_pairs, 2)."""
     pairs = [(0, 0)]
@@ -206,7 +207,7 @@ def pairs_within(radius, points, others):
     return np.array(pairs)[1:]
 
 
-@compiled
+@compiled(allocates=True)
 def nearest_rows(line, points):
     """Return the row of a line nearest to each point, (num_points,)."""
     rows = np.zeros(len(points), np.int64)

@@ -10,7 +10,7 @@ from numba import uint8, uint32
 from league.jit import compiled
 
 
-@compiled
+@compiled(allocates=True)
 def draw_shadow(picture, start, outline, edge, kept, optics, view):
     """Darken the floor inside a convex outline, from row start on, of the first eye's picture.
 

@@ -14,7 +14,7 @@ _LEAST_FALL = 1e-6
 """How far a view that reaches the floor falls at least, over its way ahead in focal lengths."""
 
 
-@inner
+@inner(allocates=True)
 def draw_floor(pictures, start, stop, texture, optics, view):
     """Draw the floor into rows start to stop, below the horizon, of each eye's picture.
 
@@ -47,7 +47,7 @@ def draw_floor(pictures, start, stop, texture, optics, view):
             _blend(pictures[eye, row], channels, texels, columns, corner, share)
 
 
-@inner
+@inner(allocates=True)
 def draw_tilted_floor(pictures, start, stop, texture, optics, view):
     """Draw the floor below the horizon into rows start to stop, for a camera that may roll.
 
@@ -128,7 +128,7 @@ def _fixed(number):
     return int32(min(max(number, -2147483000.0), 2147483000.0))
 
 
-@inner
+@inner(allocates=True)
 def _blend(out, channels, texels, columns, corner, share):
     """Mix four texels for each pixel of a row; gather them first, as only the rest vectorises."""
     width, stride = len(corner), uint32(columns)

@@ -12,7 +12,7 @@ FLOOR, ROOM = 1, 2
 """Phases of a picture: the sky and the floor; the walls and what stands before them."""
 
 
-@compiled
+@compiled(allocates=True)
 def paint(phases, rows, pictures, poses, things, floor, sky, optics, far, models):
     """Draw the pictures of some worlds on one track.
 

@@ -256,7 +256,7 @@ def _project(place, base, solid, thing, foot, view, models):
 # What hides what -----------------------------------------------------------------------------
 
 
-@inner
+@inner(allocates=True)
 def _order(first, last, x, y, z, models):
     """Return the solids of a model, far to near, for an eye in the model's frame.
 
@@ -272,7 +272,7 @@ def _order(first, last, x, y, z, models):
     return _painted(before, np.zeros(count))
 
 
-@inner
+@inner(allocates=True)
 def _far_to_near(feet):
     """Return the order in which things must be painted, as indices.
 
@@ -293,7 +293,7 @@ def _far_to_near(feet):
     return _painted(before, distance)
 
 
-@inner
+@inner(allocates=True)
 def _painted(before, distance):
     """Return an order in which nothing comes too early; where they go in a circle, the farthest.
 

@@ -40,7 +40,7 @@ _TOGETHER = np.float32(1e-3)
 _ZERO, _HALF, _ONE, _TWO = (np.float32(number) for number in (0.0, 0.5, 1.0, 2.0))
 
 
-@inner
+@inner(allocates=True)
 def part(bodies, boxes, first, second, touched, shift, dt, restitution, friction):
     """Change how bodies that touch move in a physics step; return whether any exchanged impulses.
 

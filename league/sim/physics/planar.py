@@ -56,7 +56,7 @@ def step_world(cars, obstacles, course, controls, contacts, pairs, settings):
         contacts[c].cars, contacts[c].obstacles, contacts[c].wall = 0, 0, False
         if frozen(cars[c]):
             cars[c].velocity_x, cars[c].velocity_y, cars[c].yaw_rate = _ZERO, _ZERO, _ZERO
-    number = _near(cars, obstacles, course, pairs, settings, np.empty((0, 2), np.int64))
+    number = _near(cars, obstacles, course, pairs, settings, pairs[:0])
     if number == 0:
         for k in range(settings.decimation):
             for c in range(num_cars):
@@ -69,7 +69,7 @@ def step_world(cars, obstacles, course, controls, contacts, pairs, settings):
         cars[c].yaw = wrap_angle(cars[c].yaw)
 
 
-@inner
+@inner(allocates=True)
 def _step_near(number, cars, obstacles, course, controls, contacts, pairs, settings):
     num_cars, dt = len(cars), settings.physics_dt
     near = np.empty((number, 2), np.int64)
@@ -199,7 +199,7 @@ def _to_wall(car, course, wall):
     return car.y - course.y_min
 
 
-@inner
+@inner(allocates=True)
 def _bodies(cars, obstacles, course, settings):
     num_cars, fixed = len(cars), len(cars) + len(obstacles)
     bodies = np.zeros((fixed + NUM_WALLS, 6), np.float32)
