@@ -91,7 +91,7 @@ def test_a_name_too_long_for_a_line_wraps_and_none_of_it_is_lost(monkeypatch, ca
     tables.table("Names", heads, [(name, "provisional", "12345", "o" * 50)], "owner")
     lines = capsys.readouterr().out.splitlines()
     body = [line for line in lines[4:] if line.strip() and "wider" not in line]
-    assert "".join(line[:24].split()[0] for line in body) == name
+    assert "".join(line.split()[0] for line in body) == name
     assert "12345" in body[0] and "provisional" in body[0]
     assert "…" not in "".join(lines)
 
@@ -125,3 +125,11 @@ def test_texts_of_tables_that_leave_nothing_out_take_the_whole_width(monkeypatch
     tables.table("Drivers", ("name", "how it drives"), [("racer", "word " * 30)])
     lines = capsys.readouterr().out.splitlines()
     assert 55 <= max(len(line.rstrip()) for line in lines[4:]) <= 60
+
+
+def test_a_grid_of_eight_names_takes_the_width_that_is_there(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "100")
+    grid = " - ".join(f"driver_number_{k}" for k in range(8))
+    tables.table("Heats", ("heat", "grid", "state"), [("17", grid, "done")], "state")
+    lines = [line for line in capsys.readouterr().out.splitlines()[4:] if line.strip()]
+    assert len(lines) == 2 and "done" in lines[0]

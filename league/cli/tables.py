@@ -37,7 +37,7 @@ def console(*, stderr: bool = False) -> Console:
 def fitted(
     title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], spare: Sequence[str] = ()
 ) -> Table:
-    """Return a table that fits the terminal: names wrap at 24 characters, and no text is cut.
+    """Return a table that fits the terminal: names of 24 characters are whole, and no text is cut.
 
     Args:
         title: above it.
@@ -48,20 +48,17 @@ def fitted(
             the table names those.
     """
     kept, width = list(rows), console().width
-    drawn = _drawn(title, columns, kept, 1, None)
-    for widest in (None, NAME_WIDTH) if spare else (None,):
-        if _width(drawn) <= width:
-            return drawn
-        drawn = _drawn(title, columns, kept, 0, widest)
-    left_out: list[str] = []
-    for head in spare:
-        if _width(drawn) <= width:
-            break
-        left_out.append(head)
+    drawn = _drawn(title, columns, kept, 1)
+    if _width(drawn) <= width:
+        return drawn
+    for number in range(len(spare) + 1):
+        left_out = spare[:number]
         shown = [k for k, one in enumerate(columns) if one not in left_out]
-        cells = [[row[k] for k in shown] for row in kept]
-        drawn = _drawn(title, [columns[k] for k in shown], cells, 0, NAME_WIDTH)
-        drawn.caption = f"In a wider terminal also: {', '.join(left_out)}"
+        heads, cells = [columns[k] for k in shown], [[row[k] for k in shown] for row in kept]
+        if _width(_drawn(title, heads, cells, 0, NAME_WIDTH)) <= width:
+            break
+    drawn = _drawn(title, heads, cells, 0)
+    drawn.caption = f"In a wider terminal also: {', '.join(left_out)}" if left_out else None
     return drawn
 
 
@@ -81,7 +78,7 @@ def _drawn(
     columns: Sequence[str],
     rows: Iterable[Sequence[str]],
     padding: int,
-    widest: int | None,
+    widest: int | None = None,
 ) -> Table:
     from rich import box
     from rich.table import Table
