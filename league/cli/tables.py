@@ -51,12 +51,14 @@ def fitted(
     drawn = _drawn(title, columns, kept, 1)
     if _width(drawn) <= width:
         return drawn
-    for number in range(len(spare) + 1):
-        left_out = spare[:number]
-        shown = [k for k, one in enumerate(columns) if one not in left_out]
-        heads, cells = [columns[k] for k in shown], [[row[k] for k in shown] for row in kept]
+    left_out: list[str] = []
+    heads, cells = columns, kept
+    for head in spare:
         if _width(_drawn(title, heads, cells, 0, NAME_WIDTH)) <= width:
             break
+        left_out.append(head)
+        shown = [k for k, one in enumerate(columns) if one not in left_out]
+        heads, cells = [columns[k] for k in shown], [[row[k] for k in shown] for row in kept]
     drawn = _drawn(title, heads, cells, 0)
     drawn.caption = f"In a wider terminal also: {', '.join(left_out)}" if left_out else None
     return drawn
