@@ -74,8 +74,12 @@ def race_env(
         mode: race or training.
         truth: whether the `state` of all cars is read at each step, as learners' critics do.
     """
-    from league.envs import make as problem
     from league.envs.race_env import RaceEnv
+
+    try:
+        from league.envs import make as problem
+    except ImportError:  # a checkout of before the compiled loops
+        from league.envs import problem  # pyright: ignore
 
     kind = "head_to_head" if num_cars > 1 else "time_trial"
     cfg = problem.configure(kind=kind, num_cars=num_cars, sensors=(), mode=mode, laps=100)

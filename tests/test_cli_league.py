@@ -58,12 +58,13 @@ def test_standings_show_everybody_with_an_interval(told):
     assert len(json.loads(told("standings", "--json", "--top", "1"))["entries"]) == 1
 
 
-def test_standings_and_show_tell_races_not_finished_and_best_laps(told):
+def test_standings_and_show_tell_races_not_finished_and_clean_laps(told):
     table = json.loads(told("standings", "--json"))
-    assert all(row["unfinished"] == 1.0 and row["best_laps_s"] == {} for row in table["entries"])
-    assert "DNF" in told("standings") and "best lap" in told("standings")
-    assert "not finished: 100 %, best lap (penalties included): none" in told("show", "ann")
-    assert "the fastest complete one, penalties included" in told("standings")
+    for row in table["entries"]:
+        assert row["unfinished"] == 1.0 and row["best_laps_s"] == row["clean_laps_s"] == {}
+    assert "DNF" in told("standings") and "clean lap" in told("standings")
+    assert "not finished: 100 %, best clean lap: none" in told("show", "ann")
+    assert "the fastest one of a race without a mistake" in told("standings")
 
 
 def test_standings_fit_80_columns(told, league, monkeypatch, capsys):
@@ -76,12 +77,12 @@ def test_standings_fit_80_columns(told, league, monkeypatch, capsys):
         table = standings.of(store)
     wide = {"name": "n" * 24, "owner": "o" * 24, "state": "provisional", "anchor": False}
     far = {"listed_by": -123.0, "rank": 10, "best_rank": 10, "worst_rank": 99, "races": 12345}
-    laps = {"connected": False, "best_laps_s": {"reinvent_2018": 59.0}}
+    laps = {"connected": False, "clean_laps_s": {"reinvent_2018": 59.0}}
     rows = tuple(replace(row, **wide, **far, **laps) for row in table.rows)
     tables.console().print(standings_table(replace(table, rows=rows)))
     text = capsys.readouterr().out
     assert max(map(len, text.splitlines())) <= 80 and "…" not in text and "provisional" in text
-    assert text.count("n" * 24) == 3 and "best lap" in text
+    assert text.count("n" * 24) == 3 and "clean lap" in text
 
 
 def test_standings_show_the_value_they_are_sorted_by_and_the_states_of_entries(told):
@@ -106,7 +107,7 @@ def test_heats_fit_80_columns(told, monkeypatch):
 @pytest.mark.parametrize(
     ("command", "heads"),
     [
-        ("standings", "entry Elo by state races best lap placement"),
+        ("standings", "entry Elo by state races clean lap placement"),
         ("entries", "name owner state id kind submitted placement"),
         ("heats --limit 100", "heat grid purpose state track validation rated reinvent_2018"),
         ("heat 5", "entry slot laps time off crash passed"),

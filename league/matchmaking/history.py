@@ -98,7 +98,7 @@ def own_history(rated: Standings, number: int, *, points: int = 20) -> list[Hist
 
     It takes milliseconds in a league of any size; `history` fits all ratings for each point.
     """
-    ratings, own = rated.ratings, standings.own_races(rated, number)
+    ratings, own = rated.ratings, standings.own_races(rated.races, rated.ratings, number)
     needed = own.strengths - ratings.slot_advantages[own.slot]  # a rating at which the two are even
     middle, spread = float(ratings.elo.mean()), ratings.prior_sd
     heats = own.races.heat

@@ -1,16 +1,17 @@
-"""What single races tell: points against those promised, best and clean laps, the front slot."""
+"""What single races tell: points against those promised, clean laps, the front slot."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from league.matchmaking import standings
 from league.matchmaking.ratings.fit import SIGMAS_95, expected_score
-from league.matchmaking.standings import Standings
-from league.matchmaking.store import BEST_MS, KNOWN, Store
+from league.matchmaking.standings import Standings, Strengths
+from league.matchmaking.store import BEST_MS, CLEAN, Races, Store
 from league.sim.config import RaceKind
 
 
@@ -30,15 +31,17 @@ class RaceScore:
     """Points that the ratings promise it, grid slots included."""
 
 
-def race_scores(rated: Standings, number: int, other: int | None = None) -> list[RaceScore]:
+def race_scores(
+    rated: Standings | PastSeason, number: int, other: int | None = None
+) -> list[RaceScore]:
     """Return an entry's rated races, by heat and race.
 
     Args:
-        rated: the standings.
+        rated: the standings, or as much of them.
         number: of the entry.
         other: number of the only opponent that counts; by default all count.
     """
-    own = standings.own_races(rated, number)
+    own = standings.own_races(rated.races, rated.ratings, number)
     races, counts = own.races, own.met
     if other is not None:
         counts = counts & (races.entries == other)
@@ -57,8 +60,59 @@ def race_scores(rated: Standings, number: int, other: int | None = None) -> list
 
 
 @dataclass(frozen=True)
+class PastSeason:
+    """Some races of a season, and what its ratings promise of them."""
+
+    races: Races
+    ratings: Strengths
+    tracks: Sequence[str]
+    """Tracks of the ruleset."""
+
+
+@dataclass(frozen=True)
+class _Frozen:
+    entries: np.ndarray
+    elo: np.ndarray
+    slot_advantages: np.ndarray
+
+
+def scores_by_season(
+    store: Store, rated: Standings, one: int, other: int
+) -> dict[int | None, list[RaceScore]]:
+    """Return the races of two entries, points of the one, by number of the season, the first first.
+
+    None is for races in no season. What was expected in a season that is over follows from its
+    final ratings, in others from those of the present standings.
+    """
+    seasons = store.seasons()
+    found: dict[int | None, list[RaceScore]] = {}
+    for hash, rules in store.rulesets().items():
+        races = store.races(hash, entries=(one, other))
+        within = np.zeros(len(races.heat), int)
+        for season in seasons:
+            within[season.has(races.heat)] = season.number
+        for number in np.unique(within).tolist():
+            document = store.season_document(number) if number else None
+            ratings = _frozen(document) if document else rated.ratings
+            past = PastSeason(races.where(within == number), ratings, rules.tracks)
+            found.setdefault(number or None, []).extend(race_scores(past, one, other))
+    return dict(sorted(found.items(), key=lambda item: item[0] or 0))
+
+
+def _frozen(document: Mapping[str, Any]) -> _Frozen:
+    """Return the ratings that a season was frozen with."""
+    table = document["standings"]
+    rows = sorted(table["entries"], key=lambda row: row["number"])
+    return _Frozen(
+        entries=np.array([row["number"] for row in rows]),
+        elo=np.array([row["elo"] for row in rows]),
+        slot_advantages=np.array(table["slot_advantages"]),
+    )
+
+
+@dataclass(frozen=True)
 class BestLap:
-    """An entry's fastest complete lap on a track, penalties included."""
+    """An entry's fastest clean lap on a track: one of a race in which it made no mistake."""
 
     number: int
     """Number of the entry."""
@@ -70,82 +124,30 @@ class BestLap:
     """Number of the race within the heat, from 1."""
 
 
-def best_laps(rated: Standings) -> dict[str, list[BestLap]]:
-    """Return the fastest lap of each entry on each track of the ruleset, the fastest first.
+def clean_laps(races: Races, tracks: Sequence[str]) -> dict[str, list[BestLap]]:
+    """Return the fastest clean lap of each entry on each track, the fastest first.
 
-    Among equal laps the earlier one counts.
+    A lap is clean in a race without a fault: no leaving of the track, no contact to blame for, no
+    standing still, no driving backwards. Among equal laps the earlier one counts.
+
+    Args:
+        races: of one ruleset.
+        tracks: its tracks.
     """
-    races = rated.races
-    lap_ms = (races.runs & BEST_MS).astype(np.int64)
-    row, slot = np.nonzero(((races.runs & KNOWN) > 0) & (lap_ms > 0))
+    row, slot = np.nonzero(races.runs & CLEAN)
+    entry, track = races.entries[row, slot], races.track[row]
+    lap_ms = (races.runs[row, slot] & BEST_MS).astype(np.int64)
     # Only laps that are an entry's fastest on their track need to be put in order.
     size = int(races.entries.max(initial=0)) + 1
-    place = races.track[row].astype(np.int64) * size + races.entries[row, slot]
+    place = track.astype(np.int64) * size + entry
     best_ms = np.full(256 * size, BEST_MS + 1, np.int64)
-    np.minimum.at(best_ms, place, lap_ms[row, slot])
-    fastest = lap_ms[row, slot] == best_ms[place]
-    row, slot = row[fastest], slot[fastest]
-    return _fastest(
-        rated.tracks, races.track[row], races.entries[row, slot], lap_ms[row, slot],
-        races.heat[row], races.half[row],
-    )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Boards:
-    """Time-attack boards, which later races can be added to."""
-
-    laps: dict[str, list[BestLap]]
-    """The fastest clean lap of each entry, the fastest first, by track."""
-    last: dict[str, int]
-    """Store.drives.last of each ruleset, by its hash."""
-
-
-def time_attack(store: Store, kind: RaceKind, earlier: Boards | None = None) -> Boards:
-    """Return the fastest clean lap of each entry in all races of a kind, by track.
-
-    Races under all rules count that have the present physics, those of cups included. A lap is
-    clean in a race without a fault: no leaving of the track, no contact to blame for, no standing
-    still, no driving backwards. With earlier boards only later races are read; that is right unless
-    heats were put in quarantine since.
-    """
-    found, last = (dict(earlier.laps), dict(earlier.last)) if earlier else ({}, {})
-    physics = store.settings.ruleset.physics
-    for hash, rules in store.rulesets().items():
-        if (rules.kind, rules.physics) == (kind, physics):
-            drives = store.drives(hash, since=last.get(hash, 0), rated=False)
-            last[hash] = drives.last
-            laps = _fastest(
-                rules.tracks, drives.track, drives.entry, drives.clean_ms, drives.heat, drives.half
-            )
-            for track, own in laps.items():
-                found[track] = _best_of(found.get(track, []) + own)
-    return Boards(found, last)
-
-
-def _best_of(laps: list[BestLap]) -> list[BestLap]:
-    """Return the best one of each entry's laps, the fastest first."""
-    ordered = sorted(laps, key=lambda lap: (lap.lap_s, lap.heat, lap.race))
-    best: dict[int, BestLap] = {}
-    for lap in ordered:
-        best.setdefault(lap.number, lap)
-    return list(best.values())
-
-
-def _fastest(
-    tracks: Sequence[str],
-    track: np.ndarray,
-    entry: np.ndarray,
-    lap_ms: np.ndarray,
-    heat: np.ndarray,
-    half: np.ndarray,
-) -> dict[str, list[BestLap]]:
-    """Return the fastest lap of each entry on each track; all arrays (laps,), 0 ms for no lap."""
-    order = np.lexsort((half, heat, lap_ms))
-    order = order[lap_ms[order] > 0]
+    np.minimum.at(best_ms, place, lap_ms)
+    fastest = np.flatnonzero(lap_ms == best_ms[place])
+    heat, half = races.heat[row], races.half[row]
+    fastest = fastest[np.lexsort((half[fastest], heat[fastest], lap_ms[fastest]))]
     found: dict[str, list[BestLap]] = {}
     for index, name in enumerate(tracks):
-        on_track = order[track[order] == index]
+        on_track = fastest[track[fastest] == index]
         first = np.sort(np.unique(entry[on_track], return_index=True)[1])
         found[name] = [
             BestLap(
@@ -157,6 +159,42 @@ def _fastest(
             for at in on_track[first]
         ]
     return found
+
+
+@dataclass(frozen=True)
+class Boards:
+    """Time-attack boards, which later races can be added to."""
+
+    laps: dict[str, list[BestLap]]
+    """The fastest clean lap of each entry, the fastest first, by track."""
+    last: dict[str, int]
+    """Races.last of each ruleset, by its hash."""
+
+
+def time_attack(store: Store, kind: RaceKind, earlier: Boards | None = None) -> Boards:
+    """Return the fastest clean lap of each entry in all races of a kind, by track.
+
+    Races under all rules count that have the present physics, those of cups included. With earlier
+    boards only later races are read; that is right unless heats were put in quarantine since.
+    """
+    found, last = (dict(earlier.laps), dict(earlier.last)) if earlier else ({}, {})
+    physics = store.settings.ruleset.physics
+    for hash, rules in store.rulesets().items():
+        if (rules.kind, rules.physics) == (kind, physics):
+            races = store.races(hash, since=last.get(hash, 0), rated=False)
+            last[hash] = races.last
+            for track, own in clean_laps(races, rules.tracks).items():
+                found[track] = _best_of(found.get(track, []) + own)
+    return Boards(found, last)
+
+
+def _best_of(laps: list[BestLap]) -> list[BestLap]:
+    """Return the best one of each entry's laps, the fastest first."""
+    ordered = sorted(laps, key=lambda lap: (lap.lap_s, lap.heat, lap.race))
+    best: dict[int, BestLap] = {}
+    for lap in ordered:
+        best.setdefault(lap.number, lap)
+    return list(best.values())
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from league.errors import StoreError
 from league.matchmaking import divisions, documents, safety, standings
 from league.matchmaking.divisions import SeasonSettings
 from league.matchmaking.safety import Safety
-from league.matchmaking.scores import BestLap, best_laps
+from league.matchmaking.scores import BestLap, clean_laps
 from league.matchmaking.standings import Row, Standings
 from league.matchmaking.store import Season, Store
 
@@ -52,11 +52,11 @@ def end(store: Store) -> Season:
 
 
 def freeze(store: Store, season: Season) -> dict[str, Any]:
-    """Return a closed season as plain data: settings, standings, best laps and trophies."""
+    """Return a closed season as plain data: settings, standings, clean laps and trophies."""
     rated = standings.of(store, season.ruleset, season)
     now = divisions.assigned(store.division_moves(season.number))
     safe = safety.of(store, season.ruleset)
-    laps = best_laps(rated)
+    laps = clean_laps(rated.races, rated.tracks)
     return {
         "season": {
             name: documents.plain(getattr(season, name))
@@ -95,7 +95,7 @@ def trophies(
     safe: Mapping[int, Safety],
     laps: Mapping[str, Sequence[BestLap]],
 ) -> list[Trophy]:
-    """Return a season's trophies: by standings, divisions and safety (by entry number), and laps.
+    """Return a season's trophies: by standings, divisions and safety (by number), and clean laps.
 
     The league's own anchors win none.
     """
@@ -136,7 +136,7 @@ def _fastest(laps: Mapping[str, Sequence[BestLap]], own: Mapping[int, Row]) -> l
         lap = next((lap for lap in fastest if lap.number in own), None)
         if lap is not None:
             row = own[lap.number]
-            won.append(_trophy(f"Fastest lap, {track}", row, f"{lap.lap_s:.3f} s", lap.heat))
+            won.append(_trophy(f"Fastest clean lap, {track}", row, f"{lap.lap_s:.3f} s", lap.heat))
     return won
 
 

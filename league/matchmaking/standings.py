@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from league.matchmaking.ratings.goodness_of_fit import Goodness, goodness_of_fit
 from league.matchmaking.scope import RatingScope, scope
 from league.matchmaking.store import (
     BEST_MS,
+    CLEAN,
     FINISHED,
     KNOWN,
     RATED,
@@ -76,6 +78,8 @@ class Row:
     """Share of its rated races in which it did not drive all laps; None if unknown."""
     best_laps_s: Mapping[str, float]
     """Best complete lap of its rated races, penalties included [s], by track."""
+    clean_laps_s: Mapping[str, float]
+    """Best lap of its rated races in which it made no mistake [s], by track."""
 
 
 @dataclass(frozen=True)
@@ -246,12 +250,15 @@ def _rows(
     pairs, points = data.counts.points()
     scores = points / np.maximum(pairs, 1)
     best, worst = possible_ranks(fitted)
-    laps_ms = runs.best_ms.T.tolist()
+    laps_ms = runs.laps_ms.T.tolist()
     rows = []
     for rank, at in enumerate(fitted.order().tolist()):
         entry = by_number[int(fitted.entries[at])]
         number, known = entry.number, runs.known[entry.number]
-        laps = zip(runs.tracks, laps_ms[number], strict=True)
+        best_s, clean_s = (
+            {runs.tracks[at]: lap_ms / 1000 for at, lap_ms in enumerate(own) if lap_ms < np.inf}
+            for own in zip(*laps_ms[number], strict=True)
+        )
         rows.append(
             Row(
                 rank=rank + 1,
@@ -262,7 +269,8 @@ def _rows(
                 wins=int(runs.first[number]),
                 score=float(scores[at]),
                 unfinished=1.0 - float(runs.finished[number] / known) if known else None,
-                best_laps_s={track: lap_ms / 1000 for track, lap_ms in laps if lap_ms < np.inf},
+                best_laps_s=best_s,
+                clean_laps_s=clean_s,
             )
         )
     return tuple(rows)
@@ -279,15 +287,15 @@ class Runs:
     """Races of which it is known, (numbers,)."""
     finished: np.ndarray
     """Races in which all laps were driven, (numbers,)."""
-    best_ms: np.ndarray
-    """Best lap, infinite for none, (tracks, numbers)."""
+    laps_ms: np.ndarray
+    """Best lap, and best clean lap, infinite for none, (2, tracks, numbers)."""
 
     @classmethod
     def of(cls, races: Races, tracks: tuple[str, ...], entries: Sequence[LeagueEntry]) -> Runs:
         """Count the races, finishes and best laps of all entries."""
         size = 1 + max((entry.number for entry in entries), default=0)
         first, known, finished = np.zeros(size), np.zeros(size), np.zeros(size)
-        best_ms = np.full(len(tracks) * size, np.inf)
+        best_ms, clean_ms = laps_ms = np.full((2, len(tracks) * size), np.inf)
         for slot in range(races.entries.shape[1]):
             first += np.bincount(races.entries[races.places[:, slot] == 1, slot], minlength=size)
             rows = np.flatnonzero(races.runs[:, slot] & KNOWN)
@@ -297,8 +305,10 @@ class Runs:
             lap_ms, track = run & BEST_MS, races.track[rows]
             timed = (lap_ms > 0) & (track < len(tracks))
             place = track[timed].astype(np.int64) * size + entry[timed]
-            np.minimum.at(best_ms, place, lap_ms[timed].astype(float))
-        return cls(tracks, first, known, finished, best_ms.reshape(len(tracks), size))
+            clean, lap_ms = (run[timed] & CLEAN) > 0, lap_ms[timed].astype(float)
+            np.minimum.at(best_ms, place, lap_ms)
+            np.minimum.at(clean_ms, place[clean], lap_ms[clean])
+        return cls(tracks, first, known, finished, laps_ms.reshape(2, len(tracks), size))
 
 
 @dataclass(frozen=True)
@@ -337,6 +347,25 @@ def head_to_head(standings: Standings, one: int, other: int) -> HeadToHead:
     return meetings(standings, one).get(other, UNMET)
 
 
+class Strengths(Protocol):
+    """Ratings, as far as what they promise depends on them."""
+
+    @property
+    def entries(self) -> np.ndarray:
+        """Entry numbers, ascending."""
+        ...
+
+    @property
+    def elo(self) -> np.ndarray:
+        """Strength of each [Elo]."""
+        ...
+
+    @property
+    def slot_advantages(self) -> np.ndarray:
+        """What each slot of the grid is worth [Elo]."""
+        ...
+
+
 @dataclass(frozen=True)
 class OwnRaces:
     """An entry's rated races by heat and half, seen from its seat; all but two (races, cars)."""
@@ -352,9 +381,8 @@ class OwnRaces:
     """What the ratings, and the grid slots, give each car [Elo]."""
 
 
-def own_races(standings: Standings, number: int) -> OwnRaces:
-    """Return an entry's rated races."""
-    races, ratings = standings.races, standings.ratings
+def own_races(races: Races, ratings: Strengths, number: int) -> OwnRaces:
+    """Return those of some races that an entry was in."""
     races = races.where((races.entries == number).any(axis=1))
     races = races.where(np.lexsort((races.half, races.heat)))
     mine = races.entries == number
@@ -373,7 +401,7 @@ def own_races(standings: Standings, number: int) -> OwnRaces:
 
 def meetings(standings: Standings, number: int) -> dict[int, HeadToHead]:
     """Return an entry's record against each one that it met, by the other's number."""
-    own = own_races(standings, number)
+    own = own_races(standings.races, standings.ratings, number)
     others, at = np.unique(own.races.entries[own.met], return_inverse=True)
     races, wins, ties = (
         np.bincount(at, counted[own.met], len(others)).astype(int).tolist()

@@ -56,7 +56,8 @@ class Answers:
     ) -> Callable[[Request], Awaitable[Response]]:
         """Return an endpoint that answers with what was kept, else with what `make` makes.
 
-        An answer is good for `FRESH_S` or, if `lasting`, until something happens in the league.
+        An answer is good for `FRESH_S` or, if `lasting`, until something happens in the league;
+        one with the header `Cache-Control: no-cache` never lasts.
         """
 
         async def respond(request: Request) -> Response:
@@ -114,6 +115,8 @@ class Answers:
         # What is shown is at least as new as the snapshot, which may be older than the store.
         revision, seen_s = self._reader.snapshot().revision, time.monotonic()
         response = make(request)
+        if response.headers.get("cache-control") == "no-cache":
+            revision = -1
         names = ("content-type", "content-disposition")
         headers = {
             **{name: response.headers[name] for name in names if name in response.headers},

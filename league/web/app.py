@@ -92,7 +92,9 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
     def page(one: Page) -> Callable[[Request], Response]:
         def respond(request: Request) -> Response:
             with access.reading(request):
-                response = render(one.template, request, **one.read(reader, request))
+                document = one.read(reader, request)
+                response = render(one.template, request, **document)
+            _let_pass(response, document)
             response.headers["Content-Type"] = f"{one.media_type}; charset=utf-8"
             if one.file:
                 name = one.file.format(**request.path_params)
@@ -104,7 +106,10 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
     def data(one: Page) -> Callable[[Request], Response]:
         def respond(request: Request) -> Response:
             with access.reading(request):
-                return _json(_without_drawings(one.read(reader, request)))
+                document = one.read(reader, request)
+                response = _json(_without_drawings(document))
+            _let_pass(response, document)
+            return response
 
         return respond
 
@@ -144,6 +149,12 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
         exception_handlers={HTTPException: failed, LeagueError: failed},
     )
     return _SecurityHeaders(app)
+
+
+def _let_pass(response: Response, document: Mapping[str, Any]) -> None:
+    """Let an answer that tells how far a heat has come not be kept until the heat is over."""
+    if document.get("progress"):
+        response.headers["Cache-Control"] = "no-cache"
 
 
 def _status(error: Exception) -> tuple[int, str]:

@@ -7,6 +7,7 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Generator, Hashable, Mapping
+from statistics import median
 from typing import Any, TypeVar
 
 from league.errors import LeagueError, StoreError
@@ -32,6 +33,8 @@ MOST_LARGE = 128 << 20
 """Bytes of recordings for the viewer and of pictures that are kept."""
 MOST_WAITING = 4
 """Requests that wait for a turn, see `Reader.turn`; more are asked to come back."""
+USUAL = 20
+"""Newest heats that tell how long one takes."""
 T = TypeVar("T")
 Document = dict[str, Any]
 """The data of a page, or a part of it; documents.plain makes JSON of it."""
@@ -211,6 +214,26 @@ class Reader:
     def newest(self, number: int) -> list[HeatRecord]:
         """Return so many of the newest heats that are done, the newest first."""
         return self.store.heats(("done",), limit=number, newest=True)[::-1]
+
+    def progress(self, record: HeatRecord) -> Document | None:
+        """Return how long a heat has been raced, and how long others took [s]; None if it is not.
+
+        Its races are driven side by side, so none is over before the heat is.
+        """
+        if record.state != "claimed" or record.claimed_s is None:
+            return None
+        took_s = [
+            one.done_s - one.claimed_s
+            for one in self.newest(USUAL)
+            if one.done_s is not None and one.claimed_s is not None
+        ]
+        return {
+            "worker": record.worker,
+            "since_s": record.claimed_s,
+            "elapsed_s": max(time.time() - record.claimed_s, 0.0),
+            "usual_s": median(took_s) if took_s else None,
+            "races": len(record.heat.halves),
+        }
 
     def listed(self, records: list[HeatRecord], of: LeagueEntry | None = None) -> list[Document]:
         """Return heats as lines of a list: who raced, who won.

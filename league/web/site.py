@@ -16,7 +16,7 @@ from starlette.types import ASGIApp, Message
 
 from league.atomic_file import replacing
 from league.errors import ConfigError
-from league.matchmaking.store import Store
+from league.matchmaking.store import SeasonView, Store
 from league.web.app import make_app
 
 LINK = re.compile(r' (href|src|data-replay)="(/[^"]*)"')
@@ -42,14 +42,21 @@ class Exported:
     """Races among them, each with its player."""
 
 
-def export(store: Store, folder: Path, *, heats: int) -> Exported:
+def export(store: Store, folder: Path, *, heats: int, season: int | None = None) -> Exported:
     """Write a league's pages into a new or empty folder; they need no server.
 
-    So many of the newest heats get pages, and links to others become text.
+    Args:
+        store: the league.
+        folder: is made if it is not there.
+        heats: so many of the newest ones get pages, and links to others become text.
+        season: number of a season that is over, which the pages show as it was at its end.
 
     Raises:
         ConfigError: there is something in the folder, or it cannot be written.
+        StoreError: there is no such season, or it is not over.
     """
+    if season is not None:
+        store = SeasonView(store, season)
     if folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
         raise ConfigError(f"{folder} is not empty: give a new folder, so that nothing is mixed up")
     numbers = {one.number for one in store.heats(("done",), limit=heats, newest=True)}

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from league.matchmaking import divisions, history, safety, standings
 from league.matchmaking.scope import RatingScope, scope
-from league.matchmaking.scores import BestLap, best_laps
+from league.matchmaking.scores import BestLap, clean_laps
 from league.matchmaking.standings import Row, Standings
-from league.matchmaking.store import LeagueEntry, Races, Season, Store
+from league.matchmaking.store import LeagueEntry, Races, Season, SeasonView, Store
 from league.matchmaking.store.records import LeagueSettings
+
+FROZEN = [field.name for field in fields(Row)]
+"""What a frozen line may tell; those of older versions tell less."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +43,7 @@ class Snapshot:
 
     def prepare(self) -> None:
         """Compute now what pages look up, so that no request has to."""
-        for name in ("by_number", "by_id", "rows", "best_laps", "owners", "car_counts", "kinds"):
+        for name in ("by_number", "by_id", "rows", "clean_laps", "owners", "car_counts", "kinds"):
             getattr(self, name)
 
     @cached_property
@@ -58,9 +62,9 @@ class Snapshot:
         return {row.number: row for row in self.rated.rows} if self.rated else {}
 
     @cached_property
-    def best_laps(self) -> dict[str, list[BestLap]]:
-        """The fastest lap of each entry on each track, the fastest first."""
-        return best_laps(self.rated) if self.rated else {}
+    def clean_laps(self) -> dict[str, list[BestLap]]:
+        """The fastest clean lap of each entry on each track, the fastest first."""
+        return clean_laps(self.rated.races, self.rated.tracks) if self.rated else {}
 
     @property
     def counted(self) -> Races:
@@ -126,6 +130,8 @@ def take(store: Store, before: Snapshot | None = None) -> Snapshot:
             near=before.rated.ratings if before and before.rated else None,
         )
         trends = history.trends(rated, within.carried) if rated else {}
+        if rated and isinstance(store, SeasonView):
+            rated = replace(rated, rows=_frozen(rated.rows, store.rows))
     earlier = before.safety if before and before.races.voided == races.voided else None
     drives = store.drives(rules.hash, since=earlier.drives.last if earlier else 0)
     return Snapshot(
@@ -138,6 +144,15 @@ def take(store: Store, before: Snapshot | None = None) -> Snapshot:
         divisions=divisions.assigned(store.division_moves(season.number)) if season else {},
         safety=safety.rated(drives, rules.tracks, earlier),
         trends=trends,
+    )
+
+
+def _frozen(rows: Sequence[Row], frozen: Sequence[Mapping[str, Any]]) -> tuple[Row, ...]:
+    """Return the lines of a season's standings as they were frozen."""
+    by_number = {row.number: row for row in rows}
+    return tuple(
+        replace(by_number[one["number"]], **{name: one[name] for name in FROZEN if name in one})
+        for one in frozen
     )
 
 

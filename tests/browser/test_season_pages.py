@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Iterator
 
 import pytest
@@ -40,6 +42,23 @@ def test_a_trophy_leads_from_the_hall_of_fame_to_its_driver_and_back(browser, or
     won.get_by_role("link", name="Spring").click()
     assert page.get_by_role("heading", level=1).inner_text() == "Spring"
     assert page.locator(".trophies li", has_text="Champion").locator("a").inner_text() == champion
+    assert complaints == []
+
+
+def test_a_heat_of_an_exported_season_plays_from_disk(browser, complaints, store, tmp_path):
+    command = [sys.executable, "-m", "league.cli", "site", str(tmp_path / "spring")]
+    options = ["--season", "1", "--heats", "1", "--league", store.url]
+    subprocess.run([*command, *options], check=True)
+    page = browser.new_context(offline=True).new_page()
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.goto((tmp_path / "spring" / "index.html").as_uri())
+    page.get_by_role("link", name="Heats", exact=True).click()
+    page.locator("td.number a").first.click()
+    canvas = page.locator("canvas")
+    canvas.wait_for()
+    first = canvas.screenshot()
+    page.keyboard.press("End")
+    assert canvas.screenshot() != first
     assert complaints == []
 
 

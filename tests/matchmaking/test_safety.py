@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from league.matchmaking import safety, scores, store
+from league.matchmaking import safety, scores, seasons, standings, store
 from league.matchmaking.pairing.heat_spec import Ruleset, mirrored
 from league.matchmaking.store import race_table
 from league.track import files
@@ -131,6 +131,22 @@ def test_a_clean_lap_is_from_a_race_without_any_fault(league):
     assert laps == [(1, 9.0, clean, 1), (2, 10.0, clean, 1)]
     assert board["harbour_oval"] == []
     assert scores.time_attack(league, "time_trial").laps == {}
+
+
+def test_standings_and_trophies_take_clean_laps_where_a_race_with_a_mistake_was_faster(league):
+    fast = {"lap_times_s": [7.0], "off_tracks": 1}
+    race(league, [car(0, 2), car(1, 2)], [car(0, 2, **fast), car(1, 2, crashes=1)])
+    for entry in league.entries():
+        league.move({entry.id: "validating"})
+        league.move({entry.id: "placement"})
+    rows = {row.number: row for row in standings.of(league).rows}
+    assert rows[2].best_laps_s == {"reinvent_2018": 7.0}  # it is car 0 of the second race
+    assert rows[1].clean_laps_s == {"reinvent_2018": 9.0}
+    assert rows[2].clean_laps_s == {"reinvent_2018": 10.0}
+    document = seasons.freeze(league, seasons.start(league))
+    fastest = next(won for won in document["trophies"] if won["title"].startswith("Fastest"))
+    assert fastest["title"] == "Fastest clean lap, reinvent_2018"
+    assert (fastest["number"], fastest["value"]) == (1, "9.000 s")
 
 
 def test_boards_take_in_later_races(league):

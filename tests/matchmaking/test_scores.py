@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from league.matchmaking.scores import best_laps, race_scores
-from league.matchmaking.store import KNOWN, Races
+from league.matchmaking.scores import clean_laps, race_scores
+from league.matchmaking.store import CLEAN, KNOWN, Races
 
 
 def field(entries, places, *, slots=(0.0, 0.0, 0.0)):
@@ -66,15 +66,16 @@ def test_points_of_both_add_up_to_the_races():
     assert sum(a.expected + b.expected for a, b in zip(mine, theirs, strict=True)) == 2
 
 
-def test_the_best_lap_of_each_entry_on_each_track_the_fastest_first():
+def test_the_best_clean_lap_of_each_entry_on_each_track_the_fastest_first():
     rated = field([[3, 5], [5, 3], [3, 8], [3, 8]], [[1, 2], [1, 2], [2, 1], [1, 2]])
     rated.races.track[:] = [0, 1, 0, 0]
     laps_ms = [[9000, 0], [7000, 8000], [8500, 9500], [8500, 0]]
-    rated.races.runs[:] = np.array(laps_ms) | KNOWN
-    oval = best_laps(rated)["oval"]
+    rated.races.runs[:] = np.array(laps_ms) | KNOWN | np.where(laps_ms, CLEAN, 0)
+    rated.races.runs[0, 1] = 6000 | KNOWN  # by entry 5, not clean
+    oval = clean_laps(rated.races, rated.tracks)["oval"]
     # Rows are heats 2, 2, 1, 1, races 2, 1, 2, 1: of the two laps of 8.5 s race 1 is the earlier.
     assert [(lap.number, lap.lap_s, lap.heat, lap.race) for lap in oval] == [
         (3, 8.5, 1, 1),
         (8, 9.5, 1, 2),
     ]
-    assert [lap.number for lap in best_laps(rated)["peanut"]] == [5, 3]
+    assert [lap.number for lap in clean_laps(rated.races, rated.tracks)["peanut"]] == [5, 3]

@@ -9,7 +9,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from league.matchmaking import standings
-from league.matchmaking.scores import best_laps
+from league.matchmaking.scores import clean_laps
 from league.race_spec import Entry, RaceSpec
 from league.racing import race
 from league.web import race_charts
@@ -22,6 +22,11 @@ from tests.web.small_league import NAME, ORIGIN, RULES, lapped_heat, new_league
 TRACK = "reinvent_2018"
 
 
+def best_laps(store):
+    rated = standings.of(store)
+    return clean_laps(rated.races, rated.tracks)[TRACK]
+
+
 def summed(column: list[int], order: int) -> np.ndarray:
     values = np.array(column)
     for _ in range(order):
@@ -30,7 +35,7 @@ def summed(column: list[int], order: int) -> np.ndarray:
 
 
 def test_without_a_choice_the_two_fastest_drivers_meet(client, store):
-    first, second = best_laps(standings.of(store))[TRACK][:2]
+    first, second = best_laps(store)[:2]
     document = client.get("/api/v1/ghosts").json()
     assert [lap["entry"] for lap in document["pair"]] == [first.number, second.number]
     assert [lap["lap_s"] for lap in document["pair"]] == pytest.approx(
@@ -100,7 +105,7 @@ def test_a_chosen_lap_meets_the_fastest_one_and_stays_chosen(client, store):
 
 
 def test_a_driver_stands_for_its_best_lap(client, store):
-    fastest, slower = best_laps(standings.of(store))[TRACK][:2]
+    fastest, slower = best_laps(store)[:2]
     asked = client.get("/api/v1/ghosts", params={"track": TRACK, "one": str(slower.number)}).json()
     assert [lap["entry"] for lap in asked["pair"]] == [slower.number, fastest.number]
 
@@ -110,7 +115,7 @@ def test_heats_tracks_and_drivers_lead_to_ghosts(client, store):
     links = re.findall(r'/ghosts\?one=(\d+\.1\.\d\.1)"', client.get(f"/heats/{heat}").text)
     assert links and all(client.get(f"/ghosts?one={link}").status_code == 200 for link in links)
     assert f"/ghosts?track={TRACK}" in client.get("/tracks").text
-    driver = best_laps(standings.of(store))[TRACK][1].number
+    driver = best_laps(store)[1].number
     assert f"/ghosts?track={TRACK}&amp;one={driver}" in client.get(f"/drivers/{driver}").text
 
 
@@ -150,7 +155,7 @@ def test_laps_that_were_not_recorded_are_passed_over(store, client, monkeypatch)
     recording = heats.recording
 
     def forgetful(reader, heat, race):
-        best = best_laps(standings.of(store))[TRACK][0]
+        best = best_laps(store)[0]
         if (heat, race) == (best.heat, best.race):
             raise NotFoundError("This race was not recorded.")
         return recording(reader, heat, race)

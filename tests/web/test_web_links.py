@@ -23,7 +23,7 @@ ABOUT = {
 }  # fmt: skip
 HEADS = {
     "Rating": "rating", "Races": "races", "Wins": "races", "Finishes": "races",
-    "Best lap": "best-lap",
+    "Clean lap": "clean-lap",
 }  # fmt: skip
 
 

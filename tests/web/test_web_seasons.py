@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from urllib.parse import urlsplit
 
 import pytest
 from markupsafe import escape
 from starlette.testclient import TestClient
 
+from league.cli import main
+from league.matchmaking import standings
 from league.matchmaking.store import Store
 from league.web import site
 from league.web.app import make_app
@@ -85,6 +88,27 @@ def test_standings_and_drivers_show_division_safety_and_trend(client):
     assert "Spring ended" in page and "Trophies" in page
 
 
+def test_a_matchup_counts_each_season_and_all_of_them(client, store):
+    document = client.get("/api/v1/matchups/2/3").json()
+    summer, spring = document["records"]
+    assert [one["season"]["name"] for one in (summer, spring)] == ["Summer", "Spring"]
+    assert summer["present"] and not spring["present"]
+    assert summer["races"] == document["record"]["races"]
+    assert summer["expected"] == pytest.approx(document["record"]["expected"])
+    for name in ("heats", "races", "wins", "ties", "points", "expected"):
+        assert document["whole"][name] == pytest.approx(summer[name] + spring[name])
+    (past,) = [one for one in store.seasons() if one.ended_s is not None]
+    rated = standings.of(store, past.ruleset, past)
+    assert spring["races"] == standings.head_to_head(rated, 2, 3).races > 0
+    assert spring["expected"] == pytest.approx(standings.head_to_head(rated, 2, 3).expected)
+    # Each count leads to the heats it is of.
+    assert 'href="/matchups/2/3?season=1#races">' in client.get("/matchups/2/3").text
+    listed = client.get("/api/v1/matchups/2/3?season=1").json()["heats"]
+    rated_heats = {line["heat"] for line in listed if line["purpose"] == "rated"}
+    assert len(rated_heats) == spring["heats"] and max(rated_heats) <= past.until
+    assert client.get("/matchups/2/3?season=9").status_code == 404
+
+
 def test_boards_have_clean_laps_by_kind(client, store):
     document = client.get("/api/v1/time-attack").json()
     assert [one["kind"] for one in document["kinds"]] == ["head_to_head", "time_trial"]
@@ -116,6 +140,34 @@ def test_files_of_a_site_include_the_seasons(store, tmp_path):
     names = {str(path.relative_to(tmp_path / "site")) for path in tmp_path.rglob("*.html")}
     assert {"seasons.html", "seasons/1.html", "cups/1.html", "definitions.html"} <= names
     assert {"time-attack.html", "time-attack-races-time_trial.html"} <= names
+
+
+def test_a_season_that_is_over_is_exported_as_it_ended(store, tmp_path):
+    folder, (past, running) = tmp_path / "spring", store.seasons()
+    command = ["site", str(folder), "--season", "1", "--heats", "3", "--league", store.url]
+    assert main(command) == 0
+    pages = {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("*.html")}
+    assert not any("Summer" in page for page in pages.values())
+    frozen = store.season_document(1)["standings"]["entries"]
+    rows = re.findall(r'<td class="name"><a href="drivers/(\d+)', pages["standings.html"])
+    assert rows == [str(row["number"]) for row in frozen]
+    assert f">{frozen[0]['elo']:.0f} " in pages["standings.html"]
+    assert "Spring</a>, which is over" in pages["standings.html"]
+    heats = {int(name[6:-5]) for name in pages if re.fullmatch(r"heats/\d+\.html", name)}
+    assert len(heats) == 3 and max(heats) <= past.until < running.after + 1
+    assert {"index.html", "tracks.html", "cups/1.html", "seasons/1.html"} <= set(pages)
+    for name, page in pages.items():
+        for link in re.findall(r'(?:href|src)="([^"]*)"', page):
+            path = urlsplit(link).path
+            assert not link.startswith(("/", "http")), link
+            assert not path or ((folder / name).parent / path).is_file(), f"{name}: {link}"
+
+
+def test_only_a_season_that_is_over_is_exported(store, tmp_path, capsys):
+    for number in ("0", "2", "9"):
+        command = ["site", str(tmp_path / "no"), "--season", number, "--league", store.url]
+        assert main(command) == 2
+        assert f"no season {number} that is over: give 1" in capsys.readouterr().err
 
 
 def test_files_of_a_site_without_heats_have_none(store, tmp_path):

@@ -35,7 +35,7 @@ def outcome(half: Half) -> RaceOutcome:
     places = tuple(order.index(entry) + 1 for entry in half.grid)
     laps = [[10.0 + place, 9.0 + place] for place in places]
     order = [
-        {"car": car, "finished": place != 2, "lap_times_s": laps[car]}
+        {"car": car, "finished": place != 2, "lap_times_s": laps[car], "distance": 0.0}
         for car, place in enumerate(places)
     ]
     return RaceOutcome(places, {"order": order})
@@ -92,7 +92,7 @@ def test_races_of_so_many_cars_alone(pages, league):
 def test_lines_are_sorted_without_javascript(pages):
     for sort, key in (
         ("wins", lambda row: -row["wins"]),
-        ("lap", lambda row: row["best_laps_s"].get("ring", np.inf)),
+        ("lap", lambda row: row["clean_laps_s"].get("ring", np.inf)),
         ("owner", lambda row: row["owner"]),
         ("finishes", lambda row: row["unfinished"]),
     ):
@@ -181,6 +181,23 @@ def test_only_the_lines_of_a_page_have_marks(pages, monkeypatch):
     assert list(document["marks"]) == [str(row["number"]) for row in document["rows"]]
     assert len(document["rows"]) == 3
     assert all(mark["trend"] for mark in document["marks"].values())
+
+
+def test_a_near_copy_is_marked_and_leads_to_the_original(pages, league):
+    assert "≈" not in pages.get("/standings").text
+    card = {"near_copy_of": "e2"}
+    copy = league.submit("copy", "someone", weights=b"nearly", card=card)
+    league.submit("other", "someone", weights=b"too", card={"near_copy_of": "gone"})
+    for state in ("validating", "placement"):
+        league.move({entry.id: state for entry in league.entries()[-2:]})
+    with TestClient(make_app(league), base_url=ORIGIN) as pages:
+        marks = pages.get("/api/v1/standings").json()["marks"]
+        assert marks[str(copy.number)]["copy_of"] == {"number": 2, "name": "e2"}
+        assert sum(mark["copy_of"] is not None for mark in marks.values()) == 1
+        page = pages.get("/standings").text
+    link = '<a href="/drivers/2" title="Its weights are nearly those of e2">'
+    assert page.count("nearly a copy of") == 1 and link in page
+    assert "≈: weights nearly those of an earlier driver" in page
 
 
 def test_an_answer_is_kept_until_something_happens(pages, league, monkeypatch):

@@ -21,12 +21,12 @@ from league.web.app import make_app
 from tests.web.small_league import ORIGIN, RULES, lapped_heat, new_league
 
 
-def test_records_are_the_best_laps_of_the_standings(client, store):
+def test_records_are_the_clean_laps_of_the_standings(client, store):
     (track,) = client.get("/api/v1/tracks").json()["tracks"]
     best = {
-        row.number: row.best_laps_s[track["name"]]
+        row.number: row.clean_laps_s[track["name"]]
         for row in standings.of(store).rows
-        if track["name"] in row.best_laps_s
+        if track["name"] in row.clean_laps_s
     }
     assert {record["entry"]: record["lap_s"] for record in track["records"]} == best
     laps = [record["lap_s"] for record in track["records"]]
@@ -77,6 +77,33 @@ def test_a_running_heat_its_worker_and_the_queue_are_live(client, store):
         assert "1 heat is racing" in page
         assert claim.claimed_s == since_s and 0 <= time.time() - since_s < 600
         assert f'<td class="number dim">{times.time_of_day(since_s)}</td>' in page
+    finally:
+        store.fail("a worker", claim.heat.key, "", lost=True)
+
+
+def test_a_heat_that_is_raced_tells_how_far_it_has_come(store, monkeypatch):
+    client = TestClient(make_app(store), base_url=ORIGIN)
+    took_s = sorted(one.done_s - one.claimed_s for one in store.heats(("done",))[-20:])
+    assert client.get(f"/api/v1/heats/{store.heats()[0].number}").json()["progress"] is None
+    (claim,) = store.claim("a worker", 1)
+    try:
+        page, path = f"/heats/{claim.number}", f"/api/v1/heats/{claim.number}"
+        monkeypatch.setattr("league.web.reader.time.time", lambda: claim.claimed_s + 12.0)
+        monkeypatch.setattr("league.web.answers.MOST", 8)
+        monkeypatch.setattr("league.web.answers.FRESH_S", 0.0)
+        told = client.get(path).json()["progress"]
+        assert told["worker"] == "a worker" and told["races"] == len(claim.heat.halves)
+        assert told["elapsed_s"] == pytest.approx(12.0)
+        assert told["usual_s"] == pytest.approx((took_s[9] + took_s[10]) / 2)
+        assert client.get("/api/v1/live").json()["progress"][str(claim.number)] == told
+        text = client.get(page).text
+        since = f"On a worker since {times.time_of_day(claim.claimed_s)} UTC: 12 s <progress "
+        assert since in " ".join(text.split()) and "<progress " in client.get("/live").text
+        assert f'<noscript><p class="note"><a href="{page}?race=1">Look again' in text
+        # It is not kept, although nothing happens in the league meanwhile.
+        monkeypatch.setattr("league.web.answers.STALE_S", 0.0)
+        monkeypatch.setattr("league.web.reader.time.time", lambda: claim.claimed_s + 15.0)
+        assert client.get(path).json()["progress"]["elapsed_s"] == pytest.approx(15.0)
     finally:
         store.fail("a worker", claim.heat.key, "", lost=True)
 

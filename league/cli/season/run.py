@@ -194,6 +194,8 @@ class Site(OnLeague):
     """A new folder."""
     heats: int = 200
     """So many of the newest heats get pages, with their races to watch."""
+    season: int | None = None
+    """Number of a season that is over: everything is as it was at its end."""
 
     def run(self) -> None:
         """Run the command."""
@@ -201,7 +203,7 @@ class Site(OnLeague):
 
         season.at_least(self, "heats", 0)
         with self.opened() as store:
-            written = site.export(store, self.folder, heats=self.heats)
+            written = site.export(store, self.folder, heats=self.heats, season=self.season)
         print(
             f"{written.pages} pages, {written.heats} of them with a race to watch: "
             f"{self.folder / 'index.html'}"

@@ -145,20 +145,20 @@ def standings_table(rated: Standings, limit: int | None = None) -> RenderableTyp
             row.state,
             str(row.races),
             "" if row.unfinished is None else f"{100 * row.unfinished:.0f}%",
-            _best_lap(row, rated.tracks),
+            _clean_lap(row, rated.tracks),
             f"{row.best_rank}-{row.worst_rank}" if row.best_rank < row.worst_rank else "",
         )
         for row, flag in zip(shown, flags, strict=True)
     ]
     heads = (
-        "", "entry", "owner", "Elo ± 95 %", "by", "state", "races", "DNF", "best lap", "ranks",
+        "", "entry", "owner", "Elo ± 95 %", "by", "state", "races", "DNF", "clean lap", "ranks",
     )  # fmt: skip
-    return tables.fitted("Standings", heads, rows, ("owner", "ranks", "DNF", "best lap", "races"))
+    return tables.fitted("Standings", heads, rows, ("owner", "ranks", "DNF", "clean lap", "races"))
 
 
-def _best_lap(row: Row, tracks: Sequence[str]) -> str:
-    """Return an entry's best lap on the league's first track, laps of several not being alike."""
-    lap_s = row.best_laps_s.get(tracks[0]) if tracks else None
+def _clean_lap(row: Row, tracks: Sequence[str]) -> str:
+    """Return an entry's best clean lap on the first track: laps of several are not alike."""
+    lap_s = row.clean_laps_s.get(tracks[0]) if tracks else None
     return "" if lap_s is None else times.clock(lap_s)
 
 
@@ -185,9 +185,9 @@ def _notes(rated: Standings) -> list[str]:
         "* anchor, one of the league's own drivers   ! won or lost every pair",
         "ranks: those the races allow   DNF: races not finished",
     ]
-    lines.append("best lap: the fastest complete one, penalties included")
+    lines.append("clean lap: the fastest one of a race without a mistake")
     if len(rated.tracks) > 1:
-        lines.append(f"best lap: on {rated.tracks[0]}; `league show ENTRY` shows those on others")
+        lines.append(f"clean lap: on {rated.tracks[0]}; `league show ENTRY` shows those on others")
     if not all(row.connected for row in rated.rows):
         lines.append("~ no chain of races leads to the anchor; such ratings lean on the prior.")
     if rated.goodness.rejected:
@@ -225,11 +225,12 @@ def _show(store: Store, entry: LeagueEntry, as_json: bool) -> None:
             f"{row.races} races, score {100 * row.score:.0f} %"
         )
         if row.unfinished is not None:
-            laps = [f"{times.clock(lap_s)} on {track}" for track, lap_s in row.best_laps_s.items()]
-            print(
-                f"not finished: {100 * row.unfinished:.0f} %, "
-                f"best lap (penalties included): {', '.join(laps) or 'none'}"
+            clean, best = (
+                ", ".join(f"{times.clock(lap_s)} on {track}" for track, lap_s in laps_s.items())
+                for laps_s in (row.clean_laps_s, row.best_laps_s)
             )
+            print(f"not finished: {100 * row.unfinished:.0f} %, best clean lap: {clean or 'none'}")
+            print(f"fastest complete lap, penalties included: {best or 'none'}")
     rows = [
         (
             other.name,

@@ -343,7 +343,7 @@ def _line_up(
         elo = {one.entry: one.elo for one in roster.contenders}
         return lambda entry, track: elo[entry]
     if rules.format == "qualifying":
-        laps = standings.Runs.of(past.races, rules.tracks, entries).best_ms
+        laps = standings.Runs.of(past.races, rules.tracks, entries).laps_ms[0]
         return lambda entry, track: float(laps[rules.tracks.index(track), entry])
     return None
 

@@ -1,7 +1,9 @@
 """The league's database; the only package that imports SQLAlchemy and Alembic."""
 
+from league.matchmaking.store.race_table import is_clean
 from league.matchmaking.store.records import (
     BEST_MS,
+    CLEAN,
     FINISHED,
     KNOWN,
     RATED,
@@ -23,10 +25,12 @@ from league.matchmaking.store.records import (
     StoredResult,
     Token,
 )
+from league.matchmaking.store.season_view import SeasonView
 from league.matchmaking.store.store import Store, create, upgrade
 
 __all__ = [
     "BEST_MS",
+    "CLEAN",
     "FINISHED",
     "KNOWN",
     "RATED",
@@ -45,9 +49,11 @@ __all__ = [
     "Received",
     "Scope",
     "Season",
+    "SeasonView",
     "Store",
     "StoredResult",
     "Token",
     "create",
+    "is_clean",
     "upgrade",
 ]

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import sqlalchemy as sa
 
-from league.matchmaking.store.records import BEST_MS, FINISHED, KNOWN, Drives, Races
+from league.matchmaking.store.queue import of_entry
+from league.matchmaking.store.records import BEST_MS, CLEAN, FINISHED, KNOWN, Drives, Races
 from league.matchmaking.store.schema import heats, races, results, rulesets
 
 OFF_TRACK, TOUCH, CRASH = 1, 1, 4
@@ -26,6 +27,8 @@ NO_TRACK = 255
 """Number of a track that is not in the ruleset, or has a number too large for one byte."""
 DRIVEN = np.dtype([("points", ">u2"), ("distance_cm", ">u4"), ("clean_ms", ">u4")])
 """What the bytes of `driven` are for each car."""
+UNKNOWN = "00" * DRIVEN.itemsize
+"""A car of which a result does not tell, in hexadecimal."""
 
 KINDS = {
     "heat": np.int64,
@@ -38,6 +41,11 @@ KINDS = {
 """Types of the columns of Races."""
 
 
+def is_clean(row: Mapping[str, Any]) -> bool:
+    """Return whether the laps of a car are clean, by its line in the result of a race."""
+    return not any(int(row.get(name, 0)) for name in FAULTS)
+
+
 def driven(result: Mapping[str, Any], cars: int) -> str:
     """Return how each car drove, in hexadecimal: incident points, distance [cm], clean lap [ms].
 
@@ -45,7 +53,7 @@ def driven(result: Mapping[str, Any], cars: int) -> str:
     lap is the best one of a race without any fault, 0 for none.
     """
     order = result.get("order")
-    parts = ["0" * 20] * cars
+    parts = [UNKNOWN] * cars
     for row in order if isinstance(order, list | tuple) else ():
         match row:
             case {
@@ -53,9 +61,9 @@ def driven(result: Mapping[str, Any], cars: int) -> str:
                 "distance": float() | int() as distance,
                 "lap_times_s": laps,
             } if car < cars:
-                off, crashes, touches, *_ = faults = [int(row.get(name, 0)) for name in FAULTS]
+                off, crashes, touches = (int(row.get(name, 0)) for name in FAULTS[:3])
                 points = OFF_TRACK * off + CRASH * crashes + TOUCH * touches
-                clean_ms = 0 if any(faults) else round(1000 * min(laps, default=0.0))
+                clean_ms = round(1000 * min(laps, default=0.0)) if is_clean(row) else 0
                 parts[car] = (
                     f"{min(points, 0xFFFF):04x}{round(100 * max(distance, 0.0)):08x}"
                     f"{min(clean_ms, BEST_MS):08x}"
@@ -131,55 +139,66 @@ def race_type(cars: int) -> np.dtype[Any]:
 
 
 def read_races(
-    connection: sa.Connection, ruleset: str, since: int = 0, *, rated: bool = True
+    connection: sa.Connection,
+    ruleset: str,
+    since: int = 0,
+    *,
+    rated: bool = True,
+    entries: Sequence[int] = (),
 ) -> Races:
-    """Return the races under a ruleset that count, those after number `since` only."""
+    """Return the races under a ruleset that count; for the arguments see Store.races."""
     last = _last(connection)
     voided = connection.scalar(
         sa.select(sa.func.count()).select_from(heats).where(heats.c.state == "quarantined")
     )
-    counted = _counted(ruleset, rated=rated)
-    pieces = [
-        np.frombuffer(bytes.fromhex(text), dtype=race_type(cars))
-        for text, cars in _joined(connection, races.c.packed, counted, since, last)
-    ]
     parts = []
-    for piece in pieces or [np.empty(0, race_type(2))]:
-        columns = {name: piece[name].astype(kind) for name, kind in KINDS.items()}
+    for piece in _read(connection, ruleset, since, last, rated=rated, entries=entries):
+        columns = {name: piece["race"][name].astype(kind) for name, kind in KINDS.items()}
+        columns["runs"] |= np.where(piece["driven"]["clean_ms"] > 0, np.uint32(CLEAN), 0)
         parts.append(Races(**columns, last=max(last, since), voided=voided or 0))
     return reduce(Races.joined, parts)
 
 
-def read_drives(
-    connection: sa.Connection, ruleset: str, since: int = 0, *, rated: bool = True
-) -> Drives:
-    """Return how each car drove in the races under a ruleset that count, see `read_races`."""
+def read_drives(connection: sa.Connection, ruleset: str, since: int = 0) -> Drives:
+    """Return how each car drove in the rated races under a ruleset, see `read_races`."""
     last = _last(connection)
-    counted = _counted(ruleset, rated=rated) & (races.c.driven != "")
-    # Heat, half and track, then the entries of all cars: `packed` up to the places.
-    text = sa.func.substr(races.c.packed, 1, 12 + 8 * races.c.cars) + races.c.driven
-    pieces = [
-        np.frombuffer(bytes.fromhex(joined), dtype=_drive_type(cars))
-        for joined, cars in _joined(connection, text, counted, since, last)
-    ]
     parts = []
-    for piece in pieces or [np.empty(0, _drive_type(2))]:
-        cars = piece["entry"].shape[1]
-        of_race = {name: np.repeat(piece[name], cars) for name in ("heat", "half", "track")}
-        of_car = {name: piece["driven"][name].ravel() for name in DRIVEN.names or ()}
-        columns = {**of_race, "entry": piece["entry"].ravel(), **of_car}
+    for piece in _read(connection, ruleset, since, last, rated=True):
+        race, driven = piece["race"], piece["driven"]
+        cars = driven.shape[1]
+        columns = {name: np.repeat(race[name], cars) for name in ("heat", "half", "track")}
+        columns["entry"] = race["entries"].ravel()
+        columns |= {name: driven[name].ravel() for name in ("points", "distance_cm")}
         numbers = {name: column.astype(np.int64) for name, column in columns.items()}
         parts.append(Drives(**numbers, last=max(last, since)))
     return reduce(Drives.joined, parts)
 
 
-def _drive_type(cars: int) -> np.dtype[Any]:
-    return np.dtype(
-        [
-            *(("heat", ">u4"), ("half", "u1"), ("track", "u1")),
-            *(("entry", ">u4", (cars,)), ("driven", DRIVEN, (cars,))),
-        ]
-    )
+def _read(
+    connection: sa.Connection,
+    ruleset: str,
+    since: int,
+    last: int,
+    *,
+    rated: bool,
+    entries: Sequence[int] = (),
+) -> list[np.ndarray]:
+    """Return races with what is known of their cars, those of as many cars together; at least one.
+
+    Only those after number `since` up to `last`.
+    """
+    counted = _counted(ruleset, rated=rated)
+    for entry in entries:
+        counted &= races.c.heat.in_(of_entry(entry))
+    parts = [
+        np.frombuffer(bytes.fromhex(text), dtype=_known_type(cars))
+        for text, cars in _joined(connection, counted, since, last)
+    ]
+    return parts or [np.empty(0, _known_type(2))]
+
+
+def _known_type(cars: int) -> np.dtype[Any]:
+    return np.dtype([("race", race_type(cars)), ("driven", DRIVEN, (cars,))])
 
 
 def _last(connection: sa.Connection) -> int:
@@ -193,15 +212,16 @@ def _counted(ruleset: str, *, rated: bool) -> sa.ColumnElement[bool]:
 
 def _joined(
     connection: sa.Connection,
-    text: sa.ColumnElement[str],
     counted: sa.ColumnElement[bool],
     since: int,
     last: int,
 ) -> Iterator[tuple[str, int]]:
-    """Yield a text of each of some races, with spaces between, and the cars that these have."""
+    """Yield the texts of some races, with spaces between, and how many cars these have."""
     for start in range(since, last, BLOCK):
         block = sa.and_(races.c.number > start, races.c.number <= min(start + BLOCK, last), counted)
         fields = sa.select(races.c.cars).where(block).distinct().order_by(races.c.cars)
         for cars in connection.scalars(fields).all():
+            unknown = sa.literal_column(f"'{UNKNOWN * cars}'")
+            text = races.c.packed + sa.case((races.c.driven == "", unknown), else_=races.c.driven)
             joined = sa.select(sa.func.aggregate_strings(text, " "))
             yield connection.scalar(joined.where(block, races.c.cars == cars)) or "", cars

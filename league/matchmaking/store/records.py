@@ -35,7 +35,7 @@ NEXT: dict[EntryState, tuple[EntryState, ...]] = {
 """States that may follow each state. `retired` and `refused` are final, except that a quarantined
 validation heat may be raced again (entries.reopen)."""
 
-KNOWN, FINISHED, BEST_MS = 1 << 31, 1 << 30, (1 << 30) - 1
+KNOWN, FINISHED, CLEAN, BEST_MS = 1 << 31, 1 << 30, 1 << 29, (1 << 29) - 1
 """Bits of Races.runs."""
 
 
@@ -336,7 +336,8 @@ class Races(Columns):
     """Places in grid order, from 1, equal for a tie, (num_races, most cars) uint8."""
     runs: np.ndarray
     """How each car's race went, in grid order: KNOWN if that is known, FINISHED if it drove all
-    laps, and its best lap [ms], 0 for none, in BEST_MS, (num_races, most cars) uint32."""
+    laps, CLEAN if it drove a lap and made no mistake, and its best lap [ms], 0 for none, in
+    BEST_MS, (num_races, most cars) uint32."""
     last: int = 0
     """Pass this as `since` to read only later races next time."""
     voided: int = 0
@@ -359,7 +360,5 @@ class Drives(Columns):
     """Incident points."""
     distance_cm: np.ndarray
     """Driven along the centreline [cm]."""
-    clean_ms: np.ndarray
-    """Best lap of a race without any fault [ms], 0 for none."""
     last: int = 0
     """Pass this as `since` to read only later races next time."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Self
 
 import sqlalchemy as sa
@@ -120,33 +120,46 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
             skip: so many of the newest ones are left out.
             limit: so many at most.
         """
-        query = sa.select(heats.c.number).where(_done(entry)).order_by(heats.c.number.desc())
+        query = sa.select(heats.c.number).where(self._done(entry)).order_by(heats.c.number.desc())
         with self._database.reading() as connection:
             numbers = list(connection.scalars(query.offset(skip).limit(limit)))
         return self.heats(numbers=numbers)[::-1]
 
     def num_done(self, entry: int | None = None) -> int:
         """Return how many heats are done, of all or of one entry (its number)."""
-        query = sa.select(sa.func.count()).select_from(heats).where(_done(entry))
+        query = sa.select(sa.func.count()).select_from(heats).where(self._done(entry))
         with self._database.reading() as connection:
             return connection.scalar(query) or 0
 
-    def races(self, ruleset: str | None = None, *, since: int = 0, rated: bool = True) -> Races:
+    def _done(self, entry: int | None) -> sa.ColumnElement[bool]:
+        # By an index of states the database would sort all heats that are done.
+        match = heats.c.state.concat("") == "done"
+        return match if entry is None else match & heats.c.number.in_(queue.of_entry(entry))
+
+    def races(
+        self,
+        ruleset: str | None = None,
+        *,
+        since: int = 0,
+        rated: bool = True,
+        entries: Sequence[int] = (),
+    ) -> Races:
         """Return the races that count as arrays.
 
         Args:
             ruleset: hash; by default the league's present one.
             since: only those that came after this `Races.last`.
             rated: without validation and gauntlet heats.
+            entries: only those of heats with all these entries (numbers) in them.
         """
         ruleset = ruleset or self.settings.ruleset.hash
         with self._database.reading() as connection:
-            return race_table.read_races(connection, ruleset, since, rated=rated)
+            return race_table.read_races(connection, ruleset, since, rated=rated, entries=entries)
 
-    def drives(self, ruleset: str, *, since: int = 0, rated: bool = True) -> Drives:
-        """Return how each car drove in the races under a ruleset; see `races`."""
+    def drives(self, ruleset: str, *, since: int = 0) -> Drives:
+        """Return how each car drove in the rated races under a ruleset; see `races`."""
         with self._database.reading() as connection:
-            return race_table.read_drives(connection, ruleset, since, rated=rated)
+            return race_table.read_drives(connection, ruleset, since)
 
     def verify(self, head: str = "") -> Integrity:
         """Recompute all that standings use, and check it against documents, hashes and the ledger.
@@ -162,12 +175,6 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
         """A number that grows with whatever happens in the league: its events so far."""
         with self._database.reading() as connection:
             return connection.scalar(sa.select(sa.func.max(schema.events.c.number))) or 0
-
-
-def _done(entry: int | None) -> sa.ColumnElement[bool]:
-    # By an index of states the database would sort all heats that are done.
-    match = heats.c.state.concat("") == "done"
-    return match if entry is None else match & heats.c.number.in_(queue.of_entry(entry))
 
 
 def create(

@@ -9,11 +9,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from league.errors import StoreError
 from league.matchmaking import standings
 from league.matchmaking.history import HistoryPoint, history, own_history
 from league.matchmaking.pairing import matchmaker
-from league.matchmaking.scores import RaceScore, race_scores
+from league.matchmaking.scores import RaceScore, race_scores, scores_by_season
 from league.matchmaking.standings import HeadToHead, Row, Standings
 from league.matchmaking.store import HeatRecord, LeagueEntry
 from league.track import files
@@ -127,9 +129,9 @@ def _named(reader: Reader, scores: list[Document]) -> list[Document]:
 
 
 def _laps(reader: Reader, number: int) -> list[Document]:
-    """Return an entry's best lap on each track: its place among all, its medal, its race."""
+    """Return an entry's best clean lap on each track: its place among all, its medal, its race."""
     lines = []
-    for name, laps in reader.snapshot().best_laps.items():
+    for name, laps in reader.snapshot().clean_laps.items():
         place = next((at for at, lap in enumerate(laps) if lap.number == number), None)
         if place is None:
             continue
@@ -272,24 +274,31 @@ def _parents(entry: LeagueEntry) -> list[str]:
     return []
 
 
-def matchup(reader: Reader, one: int, other: int, before: str = "") -> Document:
+def matchup(reader: Reader, one: int, other: int, before: str = "", season: str = "") -> Document:
     """Return who is stronger, how sure that is, and their meetings, the newest first.
 
     Points count for the entry of number `one`; only heats `before` the one of that number, if any,
-    are listed.
+    and only those of the `season` of that number, are listed.
     """
     pair = reader.entry(one), reader.entry(other)
     if one == other:
         raise NotFoundError("A driver does not meet itself: name two different ones.")
     end = heat_number(before) if before else None
+    seasons = {str(one.number): one for one in reader.store.seasons()}
+    if season and season not in seasons:
+        raise NotFoundError(f"This league has no season {season[:20]!r}.")
     now = reader.snapshot()
     rows = now.rows.get(one), now.rows.get(other)
     both = now.rated if all(rows) else None
     scores = race_scores(both, one, other) if both else []
     met = reader.store.heats(entries=[one, other])
-    records = [
-        record for record in met if record.state in OVER and (end is None or record.number < end)
-    ]
+    by_season = scores_by_season(reader.store, both, one, other) if both else {}
+    records = [record for record in met if record.state in OVER]
+    if end is not None:
+        records = [record for record in records if record.number < end]
+    if season:
+        within = seasons[season].has(np.array([record.number for record in records]))
+        records = [record for record, kept in zip(records, within, strict=True) if kept]
     return {
         "one": pair[0],
         "other": pair[1],
@@ -299,9 +308,33 @@ def matchup(reader: Reader, one: int, other: int, before: str = "") -> Document:
         "record": standings.head_to_head(both, one, other) if both else None,
         "chart": charts.points_chart(scores) if len(scores) > 1 else None,
         "tracks": _points_by_track(scores),
-        "heats": _races_met(reader, pair, records[-HEATS_MET:][::-1], scores),
+        "heats": _races_met(
+            reader, pair, records[-HEATS_MET:][::-1], [*itertools.chain(*by_season.values())]
+        ),
+        "records": [
+            {
+                "season": seasons.get(str(number)),
+                "present": bool(both and both.season and both.season.number == number),
+                **_record(own),
+            }
+            for number, own in reversed(by_season.items())
+        ],
+        "whole": _record([*itertools.chain(*by_season.values())]),
+        "chosen": seasons.get(season),
         "waiting": sum(record.state in WAITING for record in met),
         "older": records[-HEATS_MET].number if len(records) > HEATS_MET else None,
+    }
+
+
+def _record(scores: Sequence[RaceScore]) -> Document:
+    """Return how often two entries met, and what the one made of it."""
+    return {
+        "heats": len({score.heat for score in scores}),
+        "races": len(scores),
+        "wins": sum(score.points == 1.0 for score in scores),
+        "ties": sum(score.points == 0.5 for score in scores),
+        "points": sum(score.points for score in scores),
+        "expected": sum(score.expected for score in scores),
     }
 
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from league import times
 from league.matchmaking.scores import BestLap
+from league.matchmaking.store import is_clean
 from league.replay import Replay
 from league.replay.replay import seconds_behind
 from league.track.track import Track
@@ -55,7 +56,12 @@ class _Ghost:
     """Number of the driver."""
     driver: str
     track: str
-    lap_s: float
+    row: Mapping[str, Any]
+    """What the race's result tells of the car."""
+
+    @property
+    def lap_s(self) -> float:
+        return self.row["lap_times_s"][self.name.lap - 1]
 
 
 def document(
@@ -70,7 +76,7 @@ def document(
         raise NotFoundError(f"This league races on {', '.join(known)}, not {track[:40]}.")
     asked = [_named(reader, text) for text in (one, other) if LAP.fullmatch(text)]
     course = track or next((ghost.track for ghost in asked), known[0])
-    best = reader.snapshot().best_laps.get(course, [])
+    best = reader.snapshot().clean_laps.get(course, [])
     pair = _pair(reader, course, best, (one, other))
     laps = [_lap(reader, ghost, car) for car, ghost in enumerate(pair)]
     shown = _replay(reader, pair[0].name).track if pair else None
@@ -118,7 +124,7 @@ def _pair(
 
 
 def _recorded(reader: Reader, lap: BestLap) -> _Ghost | None:
-    """Return a best lap; None if its race was not recorded."""
+    """Return a driver's best clean lap; None if its race was not recorded."""
     try:
         heats.recording(reader, lap.heat, lap.race)
     except NotFoundError:
@@ -138,10 +144,9 @@ def _asked(reader: Reader, text: str, best: Sequence[BestLap]) -> _Ghost | None:
 def _best(reader: Reader, lap: BestLap) -> _Ghost:
     half, entry = reader.record(lap.heat).heat.halves[lap.race - 1], reader.entry(lap.number)
     car = half.grid.index(entry.id) + 1
-    times_s = _lap_times_s(reader, lap.heat, lap.race, car)
-    fastest = race_charts.fastest_lap(times_s)
-    name = LapName(lap.heat, lap.race, car, fastest)
-    return _Ghost(name, entry.number, entry.name, half.track, times_s[fastest - 1])
+    row = _row(reader, lap.heat, lap.race, car)
+    name = LapName(lap.heat, lap.race, car, race_charts.fastest_lap(row["lap_times_s"]))
+    return _Ghost(name, entry.number, entry.name, half.track, row)
 
 
 def _named(reader: Reader, text: str) -> _Ghost:
@@ -149,20 +154,20 @@ def _named(reader: Reader, text: str) -> _Ghost:
     if match is None:
         raise NotFoundError(f"{text[:20]!r} is no lap: write heat.race.car.lap, as in 12.1.2.3.")
     name = LapName(*map(int, match.groups()))
-    times_s = _lap_times_s(reader, name.heat, name.race, name.car)
-    if not 1 <= name.lap <= len(times_s):
+    row = _row(reader, name.heat, name.race, name.car)
+    if not 1 <= name.lap <= len(row["lap_times_s"]):
         raise NotFoundError(f"Car {name.car} has no lap {name.lap} in that race.")
     half = reader.record(name.heat).heat.halves[name.race - 1]
     entry = reader.entry_of(half.grid[name.car - 1])
-    return _Ghost(name, entry.number, entry.name, half.track, times_s[name.lap - 1])
+    return _Ghost(name, entry.number, entry.name, half.track, row)
 
 
-def _lap_times_s(reader: Reader, heat: int, race: int, car: int) -> list[float]:
+def _row(reader: Reader, heat: int, race: int, car: int) -> dict[str, Any]:
     order = heats.result(reader, heat, race).result["order"]
     row = next((row for row in order if row["car"] == car - 1), None)
     if row is None:
         raise NotFoundError(f"That race has the cars 1 to {len(order)}.")
-    return row["lap_times_s"]
+    return row
 
 
 def _lap(reader: Reader, ghost: _Ghost, car: int) -> Lap:
@@ -189,9 +194,9 @@ def _of_heat(reader: Reader, heat: str, track: str) -> list[_Ghost]:
             continue
         for row in result.result["order"]:
             entry = reader.entry_of(race.grid[row["car"]])
-            for lap, lap_s in enumerate(row["lap_times_s"], 1):
+            for lap in range(1, len(row["lap_times_s"]) + 1):
                 name = LapName(number, half + 1, row["car"] + 1, lap)
-                found.append(_Ghost(name, entry.number, entry.name, track, lap_s))
+                found.append(_Ghost(name, entry.number, entry.name, track, row))
     return found
 
 
@@ -202,7 +207,7 @@ def _line(bound_s: float | None, ghost: _Ghost) -> Document:
         "entry": ghost.entry,
         "name": ghost.driver,
         "lap_s": ghost.lap_s,
-        "medal": tracks.medal(ghost.lap_s, bound_s),
+        "medal": tracks.medal(ghost.lap_s, bound_s) if is_clean(ghost.row) else "",
     }
 
 

@@ -40,6 +40,7 @@ def document(reader: Reader, number: int, race: str = "", lap: str = "") -> Docu
     wrong = faults_by_lap(replay.result) if replay else []
     return {
         **shown,
+        "progress": reader.progress(at.record),
         "queue": reader.store.counts().get("planned", 0) if not at.result else 0,
         "seed": at.record.seeds[at.half] if at.record.seeds else None,
         "ruleset": at.record.heat.ruleset,

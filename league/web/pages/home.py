@@ -105,6 +105,7 @@ def live(reader: Reader) -> Document:
         "per_minute": per_minute,
         "wait_minutes": counts.get("planned", 0) / per_minute if per_minute else None,
         "running": listed(running),
+        "progress": {one.number: reader.progress(one) for one in running[:LISTED_LIVE]},
         "queue": listed(store.heats(("planned",), limit=LISTED_LIVE)),
         "workers": _workers(running, done),
         "finished": reader.listed(done[:LISTED_LIVE]),

@@ -31,7 +31,7 @@ ORDERS: dict[str, Callable[[str, Row], Any]] = {
     "races": lambda _, row: -row.races,
     "wins": lambda _, row: -row.wins,
     "finishes": lambda _, row: 1.0 if row.unfinished is None else row.unfinished,
-    "lap": lambda track, row: row.best_laps_s.get(track, math.inf),
+    "lap": lambda track, row: row.clean_laps_s.get(track, math.inf),
     "name": lambda _, row: row.name.casefold(),
     "owner": lambda _, row: row.owner.casefold(),
 }
@@ -49,6 +49,8 @@ class Marks:
     """None before its first race."""
     trend: float | None
     """By how much the season's newest heats changed its rating [Elo]; None for newcomers."""
+    copy_of: Document | None
+    """Number and name of the earlier entry with nearly the same weights; None for none."""
 
 
 WHY = {
@@ -85,13 +87,16 @@ def season_moments(reader: Reader, number: int) -> list[tuple[int, str, str]]:
 def marks_of(reader: Reader, rows: Iterable[Row]) -> dict[int, Marks]:
     """Return the marks of some entries in the standings, by number."""
     now = reader.snapshot()
+    copies = {row.number: now.by_number[row.number].near_copy_of for row in rows}
+    numbers = {one.name: one.number for one in now.entries} if any(copies.values()) else {}
     return {
-        row.number: Marks(
-            now.divisions.get(row.number),
-            now.safety.by_entry.get(row.number),
-            now.trends.get(row.number),
+        number: Marks(
+            now.divisions.get(number),
+            now.safety.by_entry.get(number),
+            now.trends.get(number),
+            {"number": numbers[name], "name": name} if name in numbers else None,
         )
-        for row in rows
+        for number, name in copies.items()
     }
 
 

@@ -1,4 +1,4 @@
-"""The tracks: maps, medals, the fastest laps on each, and time-attack boards."""
+"""The tracks: maps, medals, the fastest clean laps on each, and time-attack boards."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ TITLES = {
 
 
 def medal(lap_s: float, bound_s: float | None) -> str:
-    """Return the best medal that a lap earns, penalties included; empty for none or no bound."""
+    """Return the best medal that a clean lap earns; empty for none or no bound."""
     if bound_s is None:
         return ""
     return next((name for name, most in MEDALS.items() if lap_s <= most * bound_s), "")
@@ -38,8 +38,8 @@ def medal_times(bound_s: float | None) -> dict[str, float]:
 
 
 def document(reader: Reader) -> Document:
-    """Return the tracks of the present rules, and the fastest laps on each."""
-    laps = reader.snapshot().best_laps
+    """Return the tracks of the present rules, and the fastest clean laps on each."""
+    laps = reader.snapshot().clean_laps
     names = reader.store.settings.ruleset.tracks
     return {"tracks": [_track(reader, files.load(name), laps.get(name, [])) for name in names]}
 
