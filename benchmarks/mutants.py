@@ -71,7 +71,9 @@ PARTS = {
     ),
     "blame": Part(("sim/blame.py",), ("sim/test_blame.py", "sim/test_referee.py")),
     "collision": Part(("sim/physics/collision.py",), ("sim/test_contact.py", "sim/test_planar.py")),
-    "bullet": Part(("sim/physics/bullet.py",), ("sim/test_bullet.py",)),
+    "bullet": Part(
+        ("sim/physics/bullet.py",), ("sim/test_bullet.py", "sim/test_bullet_bodies.py")
+    ),
     "rewards": Part(
         ("envs/rewards.py",), ("envs/test_rewards.py",),
         compiled=("envs/test_racing_line_reward.py",),
@@ -90,7 +92,8 @@ PARTS = {
     "store": Part(
         ("matchmaking/store",),
         ("matchmaking/test_store.py", "matchmaking/test_store_blobs.py",
-         "matchmaking/test_store_disputes.py", "matchmaking/test_store_integrity.py",
+         "matchmaking/test_store_disputes.py", "matchmaking/test_store_edges.py",
+         "matchmaking/test_store_integrity.py", "matchmaking/test_submission.py",
          "matchmaking/test_store_keys.py", "matchmaking/test_store_reliability.py",
          "matchmaking/test_cups.py", "matchmaking/test_seasons.py", "matchmaking/test_tokens.py",
          "matchmaking/test_safety.py"),

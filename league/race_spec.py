@@ -136,6 +136,17 @@ class RaceSpec(FrozenModel):
         return settings
 
 
+def remark_on(kind: RaceKind, num_obstacles: int, num_cars: int) -> str:
+    """Return what to say of obstacle avoidance on an empty track; nothing of other races."""
+    if kind != "obstacle_avoidance" or num_obstacles:
+        return ""
+    same = "a time trial" if num_cars == 1 else "a head-to-head race"
+    return (
+        f"obstacle avoidance with 0 obstacles is {same}: give a larger number, or none for the "
+        f"usual {USUAL_OBSTACLES}"
+    )
+
+
 def of_older_version(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings of a spec written before specs named their rules, as they were meant."""
     avoiding = settings.get("kind") == "obstacle_avoidance"

@@ -137,3 +137,32 @@ def test_mistake_is_answered_in_one_sentence_and_nothing_is_left(
     assert "Traceback" not in err
     assert named in err
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("command", "same"),
+    [
+        (("race", "centerline", "--replay", "none"), "a time trial"),
+        (("race", "centerline", "cautious", "--replay", "none"), "a head-to-head race"),
+        (("evaluate", "centerline"), "a time trial"),
+    ],
+)
+def test_obstacle_avoidance_without_obstacles_is_said_to_be_another_race(league, command, same):
+    rest = ("--laps", "1", "--solver", "planar", "--kind", "obstacle_avoidance", "--obstacles")
+    code, _, err = league(*command, *rest, "0")
+    assert (code, err) == (
+        0,
+        f"league: obstacle avoidance with 0 obstacles is {same}: give a larger number, or none "
+        "for the usual 6\n",
+    )
+    assert league(*command, *rest, "1")[2] == ""
+
+
+def test_training_says_so_too(capsys):
+    from league.cli.train import parse
+
+    flags = ["--out", "no_such_policy.pt", "--kind", "obstacle_avoidance"]
+    assert parse(flags).cfg.train.obstacles is None
+    assert capsys.readouterr().err == ""
+    assert parse([*flags, "--obstacles", "0"]).cfg.train.obstacles == 0
+    assert "with 0 obstacles is a time trial" in capsys.readouterr().err

@@ -7,11 +7,9 @@ import json
 import pytest
 
 from league.cli import main
-from league.matchmaking import loop
-from league.matchmaking.pairing.matchmaker import Matchmaker
 from league.matchmaking.store import Store
-from league.matchmaking.workers.dispatcher import Dispatcher
-from tests.matchmaking.season_kit import Here, new_league
+from tests.matchmaking import season_kit
+from tests.matchmaking.season_kit import new_league
 
 
 @pytest.fixture
@@ -24,7 +22,7 @@ def url(tmp_path, monkeypatch):
 
 def raced(url, heats):
     with Store(url) as store:
-        loop.run(store, Dispatcher(store, Here()), Matchmaker(store, same_owner=True), heats=heats)
+        season_kit.raced(store, heats, same_owner=True)
 
 
 def test_a_league_goes_from_season_to_season(url, capsys):

@@ -25,12 +25,10 @@ class Drivers:
         """Run the command."""
         from league.agents import checkpoint, roster
 
-        table = tables.table("Drivers", "name", "how it drives")
-        for name, description in roster.NAMES.items():
-            table.add_row(name, description)
+        rows = list(roster.NAMES.items())
         for name, path in roster.garage().items():
-            table.add_row(name, _description(checkpoint.load(path).card))
-        tables.console().print(table)
+            rows.append((name, _description(checkpoint.load(path).card)))
+        tables.table("Drivers", ("name", "how it drives"), rows)
         return 0
 
 
@@ -59,10 +57,8 @@ class ShowCard:
             card = loaded.card.model_dump(mode="json")
             print(json.dumps({"digest": checkpoint.digest(loaded), "card": card}, indent=2))
             return 0
-        table = tables.table(self.checkpoint, "", "card")
-        for name, value in _lines(loaded, checkpoint.digest(loaded)):
-            table.add_row(name, value)
-        tables.console().print(table)
+        lines = _lines(loaded, checkpoint.digest(loaded))
+        tables.table(self.checkpoint, ("", "card"), lines)
         return 0
 
 

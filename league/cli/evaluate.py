@@ -12,7 +12,14 @@ import tyro
 
 from league import times
 from league.cli import tables
-from league.cli.race import labels, num_obstacles, race_spec, replay_line, replay_path
+from league.cli.race import (
+    labels,
+    num_obstacles,
+    print_remark,
+    race_spec,
+    replay_line,
+    replay_path,
+)
 from league.errors import ConfigError
 from league.sim.config import CarConfig, ObstacleConfig, RaceKind, SimConfig
 
@@ -127,7 +134,7 @@ def _check(command: Evaluate) -> None:
     ):
         if contradicts:
             raise ConfigError(sentence)
-    _num_obstacles(command)
+    print_remark(_kind(command), _num_obstacles(command), 1)
 
 
 def _one(command: Evaluate, track: str) -> tuple[Evaluation, Trace | None]:
@@ -216,13 +223,9 @@ def _keep_replay(command: Evaluate, track: str) -> None:
 def print_table(done: Evaluation) -> None:
     """Print the console's table of trials and a line that sums it up."""
     title = f"{done.driver}: {done.kind.replace('_', ' ')} on {done.track}"
-    heads = ["trial", "status", "time", "% completed", "off-tracks", "crashes"]
-    if tables.is_narrow():
-        heads = ["", "status", "time", "%", "off", "crash"]
-    punished = any(one.penalty_s for one in done.trials)
-    table = tables.table(title, *heads, *(["penalty"] if punished else []))
-    for one in done.trials:
-        row = (
+    heads = ["trial", "status", "time", "% done", "off", "crash", "penalty"]
+    rows = [
+        (
             str(one.trial),
             one.status.replace("_", " "),
             times.clock(one.time_s),
@@ -231,8 +234,11 @@ def print_table(done: Evaluation) -> None:
             str(one.crashes),
             f"{one.penalty_s:g} s" if one.penalty_s else "",
         )
-        table.add_row(*row[: len(table.columns)])
-    tables.console().print(table)
+        for one in done.trials
+    ]
+    if not any(one.penalty_s for one in done.trials):
+        heads, rows = heads[:-1], [row[:-1] for row in rows]
+    tables.table(title, heads, rows, "trial", "crash", "off")
     print(summary(done))
 
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from league.cli.evaluate import Evaluate
     from league.race_spec import RaceResult, RaceSpec
     from league.replay.commentary import Remark
+    from league.sim.config import RaceKind
     from league.sim.records import World
     from league.track.track import Track
 
@@ -94,6 +95,7 @@ class Race:
                 f"--format {self.format} means nothing for a driver alone: name two to eight"
             )
         spec = race_spec(self, track.name, kind, self.drivers)
+        print_remark(spec.kind, spec.obstacles, len(spec.entries))
         if spec.format in ("reverse", "qualifying"):
             spec = _after_qualifying(spec, track, quiet=self.json)
         keep = self.replay != "none"
@@ -221,6 +223,14 @@ def num_obstacles(command: Race | Evaluate, *, avoiding: bool) -> int:
     return USUAL_OBSTACLES if asked or avoiding else 0
 
 
+def print_remark(kind: RaceKind, num_obstacles: int, num_cars: int) -> None:
+    """Print what there is to say of a kind of race, next to the results."""
+    from league.race_spec import remark_on
+
+    if remark := remark_on(kind, num_obstacles, num_cars):
+        print(f"league: {remark}", file=sys.stderr)
+
+
 def entries(drivers: Sequence[str]) -> list[dict[str, str]]:
     """Return the entries of a spec; a checkpoint is shown by its name and found by its path."""
     from league.agents import checkpoint, roster
@@ -281,20 +291,20 @@ def _print_classification(result: RaceResult) -> None:
     heads = ("", "driver", "laps", "total", "gap", "best lap", "off", "crash", "penalty")
     spec, winner = result.spec, result.order[0]
     title = spec.title if spec.format == "standing" else f"{spec.title}, {spec.format}"
-    table = tables.table(title, *heads)
-    for car in result.order:
-        gap = car.total_s - winner.total_s
-        table.add_row(
+    rows = [
+        (
             str(car.place),
             car.name,
             str(car.laps),
             times.clock(car.total_s) if car.finished else "not finished",
-            f"+{gap:.3f}" if car.finished and car is not winner else "",
+            f"+{car.total_s - winner.total_s:.3f}" if car.finished and car is not winner else "",
             times.clock(car.best_lap_s) if car.best_lap_s else "",
             str(car.off_tracks),
             str(car.crashes),
             f"{car.penalty_s:.1f}" if car.penalty_s else "",
         )
-    tables.console().print(table)
+        for car in result.order
+    ]
+    tables.table(title, heads, rows, "crash", "off", "laps", "best lap", "gap")
     if len(result.order) > 1:
         print(f"Lead changes: {result.lead_changes}")

@@ -93,12 +93,12 @@ class ListReplays:
             results = [{"file": str(path), "spec": one.spec.model_dump()} for path, one in rows]
             print(json.dumps(results, indent=2))
         else:
-            table = tables.table(f"Replays in {self.folder}", "made", "file", "winner")
+            cells = []
             for path, result in rows:
                 made, winner = datetime.fromtimestamp(path.stat().st_mtime), result.order[0]
                 time = times.clock(winner.total_s) if winner.finished else "not finished"
-                table.add_row(f"{made:%m-%d %H:%M}", path.name, f"{winner.name} {time}")
-            tables.console().print(table)
+                cells.append((f"{made:%m-%d %H:%M}", path.name, f"{winner.name} {time}"))
+            tables.table(f"Replays in {self.folder}", ("made", "file", "winner"), cells)
         for sentence in unreadable:
             print(f"league: {sentence}", file=sys.stderr)
         return 0

@@ -72,10 +72,12 @@ class ScoreReplay:
         if self.json:
             print(json.dumps({"picture": str(path), "scores": _totals(race, scores)}, indent=2))
             return 0
-        table = tables.table("Reward of the whole race", "driver", "", *[s.name for s in scores])
-        for car, name in enumerate(race.names):
-            table.add_row(name, "", *(f"{one.totals[car]:,.2f}" for one in scores))
-        tables.console().print(table)
+        rows = [
+            (name, "", *(f"{one.totals[car]:,.2f}" for one in scores))
+            for car, name in enumerate(race.names)
+        ]
+        heads = ("driver", "", *(one.name for one in scores))
+        tables.table("Reward of the whole race", heads, rows)
         print(f"Picture: {path}")
         return 0
 
@@ -119,10 +121,8 @@ def _totals(race: Replay, scores: list[Score]) -> list[dict[str, object]]:
 
 
 def _print_report(report: Report) -> None:
-    table = tables.table(f"{report.source.path}", "drive", "", "steps", "min", "mean", "max", "us")
-    for one in report.drives:
-        table.add_row(*_row(one))
-    tables.console().print(table)
+    heads = ("drive", "", "steps", "min", "mean", "max", "us")
+    tables.table(f"{report.source.path}", heads, map(_row, report.drives), "us", "steps")
     print(f"Keys read ({len(report.keys)} of 27): {', '.join(report.keys) or 'none'}")
     for failure in _failures(report):
         print(f"Fails: {failure}")

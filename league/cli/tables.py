@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
     from rich.table import Table
+
+WORDS = ("title", "driven", "how it drives", "owner", "winner", "grid", "scopes")
+"""Heads of columns of words, whichever place they have."""
+NAME_WIDTH = 24
+"""Characters of a name in a line, where there is no room for whole ones."""
 
 
 def spelled(text: str) -> str:
@@ -28,31 +34,76 @@ def console(*, stderr: bool = False) -> Console:
     return Console(stderr=stderr, markup=False, emoji=False, highlight=False)
 
 
-def is_narrow() -> bool:
-    """Return whether less than 80 columns are there: then tables leave out what is least needed."""
-    return console().width < 80
+def fitted(
+    title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], spare: Sequence[str] = ()
+) -> Table:
+    """Return a table that fits the terminal: names of 24 characters are whole, and no text is cut.
+
+    Args:
+        title: above it.
+        columns: their heads. The first two and those in WORDS are set to the left and wrap, others,
+            such as numbers, never do.
+        rows: cells of all columns.
+        spare: columns to leave out where there is no room, the least needed one first; a line below
+            the table names those.
+    """
+    kept, width = list(rows), console().width
+    drawn = _drawn(title, columns, kept, 1)
+    if _width(drawn) <= width:
+        return drawn
+    left_out: list[str] = []
+    heads, cells = columns, kept
+    for head in spare:
+        if _width(_drawn(title, heads, cells, 0, NAME_WIDTH)) <= width:
+            break
+        left_out.append(head)
+        shown = [k for k, one in enumerate(columns) if one not in left_out]
+        heads, cells = [columns[k] for k in shown], [[row[k] for k in shown] for row in kept]
+    drawn = _drawn(title, heads, cells, 0)
+    drawn.caption = f"In a wider terminal also: {', '.join(left_out)}" if left_out else None
+    return drawn
 
 
-def table(title: str, *columns: str) -> Table:
-    """Return an empty table: columns of words are set to the left and wrap, numbers never do."""
+def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], *spare: str) -> None:
+    """Print a table that fits the terminal, see `fitted`."""
+    console().print(fitted(title, columns, rows, spare))
+
+
+def _width(drawn: Table) -> int:
+    """Return how many columns of the terminal a table would like."""
+    room = console()
+    return room.measure(drawn, options=room.options.update(max_width=100_000)).maximum
+
+
+def _drawn(
+    title: str,
+    columns: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    padding: int,
+    widest: int | None = None,
+) -> Table:
     from rich import box
     from rich.table import Table
 
-    table = Table(
+    drawn = Table(
         title=spelled(title),
         title_justify="left",
         title_style="bold",
+        caption_justify="left",
+        caption_style="dim",
         header_style="dim",
         box=box.SIMPLE_HEAD,
         pad_edge=False,
-        padding=(0, 0) if is_narrow() else (0, 1),
+        padding=(0, padding),
     )
     for number, column in enumerate(columns):
-        if number < 2 or column in ("title", "driven", "how it drives"):
-            table.add_column(column, overflow="fold")
+        if number < 2 or column in WORDS:
+            drawn.add_column(column, overflow="fold", max_width=widest)
         else:
-            table.add_column(column, justify="right", no_wrap=True)
-    return table
+            drawn.add_column(column, justify="right", no_wrap=True)
+    for row in rows:
+        drawn.add_row(*row)
+    return drawn
 
 
 def progress(disable: bool = False) -> Progress:

@@ -31,9 +31,8 @@ class ListTracks:
         if self.json:
             print(json.dumps(reports, indent=2))
             return 0
-        table = tables.table("Tracks", "name", "title", "length", "width", "radius", "driven")
-        for one in reports:
-            table.add_row(
+        rows = [
+            (
                 str(one["name"]),
                 str(one["title"]),
                 f"{one['length']:.2f}",
@@ -41,7 +40,10 @@ class ListTracks:
                 f"{one['min_radius']:.2f}",
                 str(one["direction"]),
             )
-        tables.console().print(table)
+            for one in reports
+        ]
+        heads = ("name", "title", "length", "width", "radius", "driven")
+        tables.table("Tracks", heads, rows, "title", "driven", "radius")
         print("Lengths, widths and smallest radii in metres.")
         return 0
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from league.agents import checkpoint, roster
+from league.cli.race import print_remark
 from league.deepracer import hyperparameters
 from league.deepracer import model_metadata as metadata
 from league.envs import make
@@ -89,11 +90,12 @@ def finished(command: Train) -> RunConfig:
     """
     cfg = command.cfg
     _check(cfg)
+    train = cfg.train
+    number = USUAL_OBSTACLES if train.obstacles is None else train.obstacles
+    print_remark(train.kind, number, train.num_cars)
     line = shlex.join(["league", *sys.argv[1:]])[:2000]
-    obstacles = cfg.train.obstacles
-    if obstacles is None and cfg.train.bots:
-        obstacles = USUAL_OBSTACLES
-    train = replace(cfg.train, save_every=_save_every(cfg.train), obstacles=obstacles)
+    obstacles = number if train.bots else train.obstacles
+    train = replace(train, save_every=_save_every(train), obstacles=obstacles)
     if cfg.self_play and train.sensors.truth:
         train = train.on_truth()
     return replace(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import os
 import re
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal, TypedDict, Unpack
@@ -14,6 +15,7 @@ import numpy as np
 from league.envs.config import EnvConfig, RewardConfig
 from league.envs.rewards import RACING_LINE, Reward, preset
 from league.errors import ConfigError, TrackError, brief, nearest_names
+from league.race_spec import remark_on
 from league.sim.config import (
     CameraConfig,
     LidarConfig,
@@ -103,6 +105,8 @@ def configure(
 
     Raises:
         ConfigError: an unknown name, or settings that contradict each other.
+
+    Warns of obstacle avoidance without an obstacle, which is another kind of race.
     """
     check_options(options, configure)
     if num_cars is None:
@@ -120,7 +124,7 @@ def configure(
         # Half a step early, so that rounding cannot add one.
         rules = replace(rules, max_time_s=(max_steps - 0.5) * base.step_dt)
         longest_s = max_steps * base.step_dt
-    return EnvConfig(
+    cfg = EnvConfig(
         sim=replace(base, kind=kind, num_cars=num_cars, rules=rules, obstacles=obstacles),
         solver=options.get("solver", "planar"),
         sensors=_of_cars(sensors, num_cars),
@@ -131,6 +135,9 @@ def configure(
         episode_s=longest_s,
         restarting=restarting,
     )
+    if remark := remark_on(kind, cfg.sim.num_obstacles, num_cars):
+        warnings.warn(remark, stacklevel=3)
+    return cfg
 
 
 def check_options(options: Iterable[str], function: Callable[..., object]) -> None:

@@ -94,3 +94,19 @@ def test_a_time_trial_has_an_empty_track():
         GymEnv(make_ring(), obstacles=3)
     with pytest.raises(ConfigError, match="obstacle count is 'many'"):
         GymEnv(make_ring(), "obstacle_avoidance", obstacles="many")  # type: ignore
+
+
+@pytest.mark.parametrize("cars", [1, 2])
+def test_adapters_warn_of_obstacle_avoidance_without_obstacles(cars):
+    same = "a time trial" if cars == 1 else "a head-to-head race"
+    with pytest.warns(UserWarning, match=f"with 0 obstacles is {same}") as warned:
+        env = parallel_env(make_ring(), "obstacle_avoidance", cars, obstacles=0, sensors=None)
+    env.close()
+    assert len(warned) == 1
+    one = GymEnv, RacingVecEnv, GymVectorEnv
+    for adapter, given in zip(one, ({}, {"num_worlds": 2}, {"num_envs": 2}), strict=True):
+        with pytest.warns(UserWarning, match="with 0 obstacles is a time trial"):
+            env = adapter(
+                track=make_ring(), kind="obstacle_avoidance", obstacles=0, sensors=None, **given
+            )
+        env.close()

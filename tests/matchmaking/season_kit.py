@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from unittest.mock import patch
 
-from league.matchmaking import submission
+from league.matchmaking import loop, submission
 from league.matchmaking.pairing import matchmaker
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.store import Store, create
+from league.matchmaking.workers.dispatcher import Dispatcher
 from league.matchmaking.workers.worker import HeatJob, HeatReport, RaceWorker
 from tests.agents.trained import make_checkpoint
 
@@ -52,3 +53,9 @@ class Here:
 
     def close(self) -> None:
         self.jobs.clear()
+
+
+def raced(store: Store, heats: int, *, same_owner: bool = False) -> None:
+    """Let so many heats be raced here."""
+    planner = matchmaker.Matchmaker(store, same_owner=same_owner)
+    loop.run(store, Dispatcher(store, Here()), planner, heats=heats)

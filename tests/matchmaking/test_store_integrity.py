@@ -9,6 +9,8 @@ import pytest
 
 from league.matchmaking import store
 from league.matchmaking.pairing import heat_spec
+from league.matchmaking.pairing.heat_spec import Half, Heat
+from league.matchmaking.store import integrity
 from tests.matchmaking import leagues
 
 
@@ -26,8 +28,8 @@ def league(url):
         league.complete("third", leagues.raced([claims[4]]))
         assert league.counts() == {"done": 10}
         found = league.verify()
-        # 1 ruleset, 4 entries, 20 results, 2 more of the lie, 1 settled dispute
-        assert (found.races, found.records, found.mismatches) == (20, 28, [])
+        # 1 ruleset, 4 entries and their states, 20 results, 2 more of the lie, 1 settled dispute
+        assert (found.races, found.records, found.mismatches) == (20, 32, [])
         yield league
 
 
@@ -50,6 +52,8 @@ SWAP = "substr(packed, 1, 28) || substr(packed, 31, 2) || substr(packed, 29, 2)"
         ("DELETE FROM races WHERE heat = 3 AND half = 0", "heat 3 race 1: the standings miss it"),
         ("UPDATE entries SET anchor = true WHERE number = 2", "(entry "),
         ("UPDATE entries SET name = 'x' WHERE number = 2", "what it records was changed"),
+        ("UPDATE entries SET state = 'retired' WHERE number = 2", "entry 'e2': it is retired, and"),
+        ("UPDATE entries SET reason = 'x' WHERE number = 2", "the ledger has another state or"),
         ("UPDATE rulesets SET settings = '{}'", "its settings differ from its hash"),
         ("UPDATE heats SET halves = replace(halves, '1', '3') WHERE number = 1", "not what was"),
         ("UPDATE heats SET halves = 'x' WHERE number = 1", "heat 1: it is not what was planned"),
@@ -121,9 +125,45 @@ def test_a_ledger_written_again_is_found_with_an_earlier_head(league, url):
         "DELETE FROM heat_entries WHERE heat >= 10",
         "DELETE FROM heats WHERE number >= 10",
         "DELETE FROM ledger WHERE subject LIKE '10/%' OR subject LIKE '12/%' OR kind = 'settle'",
-        "DELETE FROM ledger WHERE number > 24",
+        "DELETE FROM ledger WHERE number > 28",
     )
     assert any(head[:12] in one for one in league.verify(head[:16]).mismatches)
+
+
+def test_changes_of_states_by_the_program_are_not_reported(league, url):
+    one, two, *_ = league.entries()
+    league.move({one.id: "validating", two.id: "validating"})
+    league.plan([Heat(leagues.RULES.hash, (Half("ring", (one.id, one.id)),), purpose="validation")])
+    (claim,) = league.claim("w")
+    league.complete("w", leagues.raced([claim]))
+    lie = store.HeatOutcome(claim.heat.key, (store.RaceOutcome((2, 1), {"lie": 1}),))
+    league.complete("liar", [lie])
+    league.move({one.id: "refused"}, reason="its validation went two ways")
+    league.move({two.id: "retired"}, reason="of age")
+    assert league.verify().mismatches == []
+    league.retry(claim.heat.key)  # which lets the refused one come back
+    assert [one.state for one in league.entries()] == [
+        "validating",
+        "retired",
+        "pending",
+        "pending",
+    ]
+    assert league.verify().mismatches == []
+    edited = "UPDATE entries SET state = 'refused' WHERE number = 1"
+    assert len(_found(league, url, edited)) == 1
+
+
+def test_states_of_an_older_league_count_from_its_upgrade(league, url):
+    leagues.change(url, "DELETE FROM ledger")
+    with league._writing(lock=True) as (connection, _):
+        integrity.adopt(connection)  # as a version before this did, without the states
+    assert league.verify().mismatches == []
+    edited = "UPDATE entries SET state = 'retired' WHERE number = 2"
+    assert _found(league, url, edited) == []  # docs/league.md says so
+    assert store.upgrade(url) == ["states of 4 entries begin in the ledger"]
+    assert store.upgrade(url) == []
+    undone = "UPDATE entries SET state = 'pending' WHERE number = 2"
+    assert len(_found(league, url, undone)) == 1
 
 
 def test_an_audit_on_another_class_of_machine_quarantines_nothing(league):

@@ -202,18 +202,19 @@ class Entries(Reading):
         if self.json:
             season.print_json(entries)
             return
-        table = tables.table("Entries", "name", "owner", "state", "id", "kind", "submitted")
-        for entry in entries:
-            kind = "anchor" if entry.anchor else entry.kind
-            table.add_row(
-                entry.name[:24],
-                entry.owner[:14],
+        rows = [
+            (
+                entry.name,
+                entry.owner,
                 entry.state,
                 entry.id[:8],
-                kind,
+                "anchor" if entry.anchor else entry.kind,
                 times.day(entry.created_s)[:10],
             )
-        tables.console().print(table)
+            for entry in entries
+        ]
+        heads = ("name", "owner", "state", "id", "kind", "submitted")
+        tables.table("Entries", heads, rows, "submitted", "id", "owner")
         for entry in entries:
             if entry.reason:
                 print(f"{entry.name} is {entry.state}: {tables.spelled(entry.reason)}")

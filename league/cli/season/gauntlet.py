@@ -65,10 +65,8 @@ class Gauntlet(Reading):
         if self.json:
             season.print_json(placed)
             return
-        table = tables.table(f"Gauntlet of {newcomer.card.name}", "opponent", "races", "points")
-        for name, races, points in placed.against:
-            table.add_row(name, str(races), f"{points:g}")
-        tables.console().print(table)
+        rows = [(name, str(races), f"{points:g}") for name, races, points in placed.against]
+        tables.table(f"Gauntlet of {newcomer.card.name}", ("opponent", "races", "points"), rows)
         rating = season.plus_minus(placed.elo, placed.low95, placed.high95)
         ranks = f" ({placed.best_rank} to {placed.worst_rank})" if placed.provisional else ""
         print(f"Elo {rating}: that would be rank {placed.rank}{ranks}.")

@@ -66,17 +66,14 @@ class Heats(Reading):
         if self.json:
             season.print_json([documents.heat_document(record, names) for record in records])
             return
-        when = () if tables.is_narrow() else ("done",)
-        table = tables.table("Heats", "heat", "grid", "purpose", "state", "track", *when)
-        table.padding = (0, 0)  # the box leaves space enough between columns
-        table.columns[1].no_wrap = False  # eight names do not fit one line
+        rows = []
         for record in records:
             half = record.heat.halves[0]
             grid = " - ".join(names[id] for id in half.grid)
-            done = [times.day(record.done_s)[5:]] if when else []
             what = record.heat.purpose, record.state, half.track
-            table.add_row(str(record.number), grid, *what, *done)
-        tables.console().print(table)
+            rows.append((str(record.number), grid, *what, times.day(record.done_s)[5:]))
+        heads = ("heat", "grid", "purpose", "state", "track", "done")
+        tables.table("Heats", heads, rows, "done", "track")
 
 
 @dataclass
@@ -201,9 +198,8 @@ def _show(store: Store, record: HeatRecord, as_json: bool) -> None:
         on = f" on {tables.spelled(result.machine)}" if result.machine else ""
         if disputed or on:
             print(f"Result {result.hash[:12]} by {result.worker}{on}{verdict}:")
-        table = tables.table(title, "", "entry", "slot", "laps", "time", "off", "crash", "passed")
-        for car in result.result["order"]:
-            table.add_row(
+        rows = [
+            (
                 str(result.places[car["car"]]),
                 names[half.grid[car["car"]]],
                 str(car["car"] + 1),
@@ -213,7 +209,10 @@ def _show(store: Store, record: HeatRecord, as_json: bool) -> None:
                 str(car["crashes"]),
                 str(car["overtakes"]),
             )
-        tables.console().print(table)
+            for car in result.result["order"]
+        ]
+        heads = ("", "entry", "slot", "laps", "time", "off", "crash", "passed")
+        tables.table(title, heads, rows, "passed", "laps", "crash", "off")
     if record.state == "quarantined":
         of = f" of heat {store.heat(record.heat.audits).number}" if record.heat.audits else ""
         print(

@@ -65,13 +65,14 @@ class Seasons(Reading):
             print("This league has no seasons: all its races are one. `league season start` begins")
             print("the first one, which has all races so far, and `league season end` ends it.")
             return
-        table = tables.table("Seasons", "", "season", "heats", "from", "to", "standings")
+        rows = []
         for one in known:
             heats = f"{one.after + 1}-{one.until or ''}"
             ended = times.day(one.ended_s)[:10] if one.ended_s else "running"
             started = times.day(one.started_s)[:10]
-            table.add_row(str(one.number), one.name, heats, started, ended, one.hash[:12])
-        tables.console().print(table)
+            rows.append((str(one.number), one.name, heats, started, ended, one.hash[:12]))
+        heads = ("", "season", "heats", "from", "to", "standings")
+        tables.table("Seasons", heads, rows, "standings", "from")
         for one in known:
             if one.ended_s:
                 print(f"{one.name}:")
@@ -130,14 +131,15 @@ def _document_of(store: Store, cup: Cup) -> dict[str, Any]:
 
 def _print_bracket(document: dict[str, Any]) -> None:
     for stage in document["stages"]:
-        table = tables.table(f"{document['cup']['name']}: {stage['name']}", "heat", "driver", "")
+        rows = []
         for heat in stage["heats"]:
             number = str(heat["number"] or "")
             for run in heat["runs"]:
                 mark = " *" if run["advances"] else ""
-                table.add_row(number, f"{run['name']}{mark}", _outcome(run, heat["state"]))
+                rows.append((number, f"{run['name']}{mark}", _outcome(run, heat["state"])))
                 number = ""
-        tables.console().print(table)
+        title = f"{document['cup']['name']}: {stage['name']}"
+        tables.table(title, ("heat", "driver", ""), rows)
     if document["order"]:
         print(f"Winner: {document['order'][0]['name']}   (* advanced)")
     else:

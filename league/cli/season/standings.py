@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from league.matchmaking.store import LeagueEntry, Store
 
 
-WIDE_ONLY = ("owner", "DNF", "ranks")
-"""Columns of the standings that narrow terminals leave out."""
 NAMES_WIDTH, CELL_WIDTH = 18, 8
 """Of the matrix of all against all, with the gaps between columns."""
 
@@ -110,15 +108,16 @@ class ShowHistory(Reading):
         if self.json:
             season.print_json(moments)
             return
-        table = tables.table(f"{entry.name} over time", "heat", "races", "Elo, 95 %", "between")
-        for moment in moments:
-            table.add_row(
+        rows = [
+            (
                 str(moment.heat),
                 str(moment.races),
                 season.plus_minus(moment.elo, moment.low95, moment.high95),
                 f"{moment.low95:.0f} to {moment.high95:.0f}",
             )
-        tables.console().print(table)
+            for moment in moments
+        ]
+        tables.table(f"{entry.name} over time", ("heat", "races", "Elo, 95 %", "between"), rows)
 
 
 def document(store: Store) -> dict[str, object] | None:
@@ -132,32 +131,29 @@ def document(store: Store) -> dict[str, object] | None:
 
 
 def standings_table(rated: Standings, limit: int | None = None) -> RenderableType:
-    """Return the standings as a table that fits 60 columns; in 80 it shows more."""
-    narrow, width = tables.is_narrow(), tables.console().width
-    name_width = min(24, max(8, width - (53 if narrow else 69)))
-    columns = (
-        "", "entry", "owner", "Elo ± 95 %", "by", "state", "races", "DNF", "clean lap", "ranks",
-    )  # fmt: skip
-    left_out = WIDE_ONLY if narrow else ()
-    drawn = tables.table("Standings", *(one for one in columns if one not in left_out))
-    drawn.padding = (0, 0)  # the box leaves space enough between columns
-    for row in rated.rows[:limit]:
-        flags = "!" * row.one_sided + "~" * (not row.connected)
-        cells = (
+    """Return the standings as a table that fits the terminal."""
+    shown = rated.rows[:limit]
+    flags = ["*" * row.anchor + "!" * row.one_sided + "~" * (not row.connected) for row in shown]
+    most = max(map(len, flags), default=0)
+    rows = [
+        (
             str(row.rank),
-            row.name[:name_width],
-            row.owner[:6],
-            f"{row.elo:.0f} ±{(row.high95 - row.low95) / 2:<3.0f} {flags:2}",
+            row.name,
+            row.owner,
+            f"{row.elo:.0f} ±{(row.high95 - row.low95) / 2:<3.0f} {flag:{most}}",
             f"{row.listed_by:.0f}",
-            "anchor" if row.anchor else row.state,
+            row.state,
             str(row.races),
             "" if row.unfinished is None else f"{100 * row.unfinished:.0f}%",
             _clean_lap(row, rated.tracks),
             f"{row.best_rank}-{row.worst_rank}" if row.best_rank < row.worst_rank else "",
         )
-        shown = zip(columns, cells, strict=True)
-        drawn.add_row(*(cell for column, cell in shown if column not in left_out))
-    return drawn
+        for row, flag in zip(shown, flags, strict=True)
+    ]
+    heads = (
+        "", "entry", "owner", "Elo ± 95 %", "by", "state", "races", "DNF", "clean lap", "ranks",
+    )  # fmt: skip
+    return tables.fitted("Standings", heads, rows, ("owner", "ranks", "DNF", "clean lap", "races"))
 
 
 def _clean_lap(row: Row, tracks: Sequence[str]) -> str:
@@ -186,10 +182,8 @@ def _notes(rated: Standings) -> list[str]:
             else []
         ),
         "by: what the table is sorted by, Elo, or Elo - 2 sd while that is above 50 (or ~)",
-        "! won or lost every pair",
-        f"{', '.join(WIDE_ONLY)}: in 80 columns and more, and in `league show ENTRY`"
-        if tables.is_narrow()
-        else "ranks: those the races allow   DNF: races not finished",
+        "* anchor, one of the league's own drivers   ! won or lost every pair",
+        "ranks: those the races allow   DNF: races not finished",
     ]
     lines.append("clean lap: the fastest one of a race without a mistake")
     if len(rated.tracks) > 1:
@@ -223,7 +217,7 @@ def _show(store: Store, entry: LeagueEntry, as_json: bool) -> None:
         return
     print(f"{entry.name} by {entry.owner}   {entry.id}")
     reason = f", {tables.spelled(entry.reason)}" if entry.reason else ""
-    print(f"{entry.state}{reason}, {entry.kind}")
+    print(f"{entry.state}{reason}, {'anchor' if entry.anchor else entry.kind}")
     if row is not None:
         rating = season.plus_minus(row.elo, row.low95, row.high95)
         print(
@@ -237,11 +231,8 @@ def _show(store: Store, entry: LeagueEntry, as_json: bool) -> None:
             )
             print(f"not finished: {100 * row.unfinished:.0f} %, best clean lap: {clean or 'none'}")
             print(f"fastest complete lap, penalties included: {best or 'none'}")
-    table = tables.table(
-        "Against", "entry", "owner", "Elo", "races", "points", "promised", "residual"
-    )
-    for other, record in others:
-        table.add_row(
+    rows = [
+        (
             other.name,
             other.owner,
             f"{other.elo:.0f}",
@@ -250,8 +241,11 @@ def _show(store: Store, entry: LeagueEntry, as_json: bool) -> None:
             f"{record.expected:.1f}",
             f"{record.residual:+.1f}",
         )
+        for other, record in others
+    ]
+    heads = ("entry", "owner", "Elo", "races", "points", "promised", "residual")
     if others:
-        tables.console().print(table)
+        tables.table("Against", heads, rows, "owner", "promised")
     print("Last heats: " + (", ".join(f"{h.number} ({h.state})" for h in recent) or "none"))
 
 
@@ -304,11 +298,12 @@ def _matrix(store: Store, top: int, as_json: bool) -> None:
             left = record.races - record.points
             cells[one.rank, other.rank] = _cell(record.points, record.races, record.residual)
             cells[other.rank, one.rank] = _cell(left, record.races, -record.residual)
-    table = tables.table("Head to head", "", "entry", *(str(row.rank) for row in rows))
-    for row in rows:
-        met = [cells.get((row.rank, other.rank), "") for other in rows]
-        table.add_row(str(row.rank), row.name[:14], *met)
-    tables.console().print(table)
+    ranks = [str(row.rank) for row in rows]
+    lines = [
+        (str(row.rank), row.name, *(cells.get((row.rank, other.rank), "") for other in rows))
+        for row in rows
+    ]
+    tables.table("Head to head", ("", "entry", *ranks), lines)
     print("points of races; below: (points - promised) / standard deviation, * beyond 3")
     if rated.goodness.rejected:
         print("One number a driver does not explain these results: see `league standings`.")

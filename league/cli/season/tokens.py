@@ -53,17 +53,19 @@ class List(Reading):
             season.print_json(tokens)
             return
         now_s = time.time()
-        table = tables.table("Tokens", "number", "owner", "scopes", "state", "ends", "last used")
-        for token in tokens:
-            table.add_row(
+        rows = [
+            (
                 str(token.number),
-                token.owner[:30],
+                token.owner,
                 " ".join(token.scopes),
                 token.state(now_s),
                 _day(token.expires_s),
                 _day(token.used_s),
             )
-        tables.console().print(table)
+            for token in tokens
+        ]
+        heads = ("number", "owner", "scopes", "state", "ends", "last used")
+        tables.table("Tokens", heads, rows, "last used", "ends")
 
 
 @dataclass

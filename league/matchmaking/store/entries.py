@@ -23,6 +23,7 @@ from league.matchmaking.store.schema import (
     heats,
     log_event,
     owners,
+    state_record,
 )
 
 DAY_S = 86400.0
@@ -84,7 +85,7 @@ class EntryStore(BlobStore):
                 )
                 log_event(connection, now, owner, "submit", id, name=name, kind=kind)
                 row = connection.execute(query).one()
-                append(connection, [ledger_record(row)])
+                append(connection, [ledger_record(row), state_record(id, "pending", "")])
             entry = _entry(row)
             if weights is not None and not self._blobs_url and entry.blob == blob:
                 insert_blob(connection, now, weights)
@@ -163,6 +164,7 @@ class EntryStore(BlobStore):
             for row, state in changes:
                 own = entries.c.id == row.id
                 connection.execute(entries.update().where(own).values(state=state, reason=reason))
+                append(connection, [state_record(row.id, state, reason)])
                 log_event(connection, now, actor, state, row.id, was=row.state, reason=reason)
                 if state in ("retired", "refused"):
                     waiting = cancel(connection, heats.c.number.in_(of_entry(row.number)))
@@ -232,7 +234,7 @@ def check_quota(connection: sa.Connection, now: float, owner: str, quota: Quota)
 
 
 def ledger_record(row: Any) -> LedgerRecord:  # noqa: ANN401
-    """Return what the ledger records of an entry: all but its state and the reason of it."""
+    """Return what the ledger records of an entry at its submission: all that never changes."""
     names = ("number", "name", "owner_name", "kind", "anchor", "card", "created_s")
     return LedgerRecord("entry", row.id, [row._mapping[name] for name in names])
 

@@ -25,6 +25,7 @@ from league.matchmaking.store.schema import (
     link,
     races,
     rulesets,
+    state_record,
 )
 
 BLOCK = 2000
@@ -56,6 +57,7 @@ def verify(connection: sa.Connection, head: str = "") -> Integrity:
     found = Integrity()
     simple = {record[:2]: record.content for record in _simple_records(connection)}
     num_results, settled, missing = Counter[int](), dict[int, set[str]](), set(simple)
+    states = dict[str, str]()
     has_head = not head
     while rows := connection.execute(
         sa.select(ledger).where(ledger.c.number > found.records).order_by(ledger.c.number)
@@ -73,7 +75,15 @@ def verify(connection: sa.Connection, head: str = "") -> Integrity:
                 num_results[heat] += (row.kind, row.subject) in now
             elif row.kind == "settle":
                 settled[heat] = set(parts[1:])
+            elif row.kind == "state":
+                states[parts[0]] = row.subject
     found.mismatches += [f"{kind} {name[:12]}: not in the ledger" for kind, name in missing]
+    for row in connection.execute(sa.select(entries.entries).order_by(entries.entries.c.number)):
+        # Of entries from before states were recorded, the ledger knows none until they change.
+        if row.id in states and states[row.id] != _state_record(row).subject:
+            found.mismatches.append(
+                f"entry {row.name!r}: it is {row.state}, and the ledger has another state or reason"
+            )
     if not has_head:
         found.mismatches.append(f"the ledger no longer has the record {head[:12]}")
     for name in seasons.damaged(connection, schema.seasons):
@@ -107,7 +117,7 @@ def _check_record(found: Integrity, row: Any, now: dict[tuple[str, str], Any]) -
     if row.number != found.records + 1:
         found.mismatches.append(f"{what}: the record before it was deleted")
     known = (row.kind, row.subject)
-    if row.kind != "settle" and known not in now:
+    if row.kind not in ("settle", "state") and known not in now:
         found.mismatches.append(f"{what}: what it records was deleted")
     elif link(found.head, LedgerRecord(*known, now.get(known))) != row.chain:
         found.mismatches.append(
@@ -214,6 +224,20 @@ def _read(found: Integrity, row: Any) -> PackedResult | None:  # noqa: ANN401
     what = f"heat {row.heat} race {row.half + 1}"
     found.mismatches.append(f"{what}: its result differs from its hash, or cannot be read")
     return None
+
+
+def _state_record(row: Any) -> LedgerRecord:  # noqa: ANN401
+    return state_record(row.id, row.state, row.reason)
+
+
+def adopt_states(connection: sa.Connection) -> int:
+    """Record the states of entries from before the ledger did; return how many these are."""
+    subjects = connection.scalars(sa.select(ledger.c.subject).where(ledger.c.kind == "state"))
+    known = {subject.split("/")[0] for subject in subjects}
+    query = sa.select(entries.entries).order_by(entries.entries.c.number)
+    rows = [row for row in connection.execute(query) if row.id not in known]
+    append(connection, map(_state_record, rows))
+    return len(rows)
 
 
 def adopt(connection: sa.Connection) -> int:

@@ -15,6 +15,7 @@ from league.matchmaking.pairing.heat_spec import Half, Heat, Purpose
 from league.matchmaking.store.database import Transactional, chunked, insert_new, made_of
 from league.matchmaking.store.records import HeatRecord, HeatState
 from league.matchmaking.store.schema import (
+    append,
     entries,
     heat_entries,
     heats,
@@ -22,6 +23,7 @@ from league.matchmaking.store.schema import (
     owners,
     results,
     rulesets,
+    state_record,
     tokens,
 )
 
@@ -192,10 +194,9 @@ class QueueStore(Transactional):
     def heat(self, name: str | int) -> HeatRecord:
         """Return the heat with this key, beginning of a key (6 digits or more), or number."""
         text = str(name)
+        match = heats.c.key.startswith(text, autoescape=True)
         if text.isdigit() and len(text) < 16:
             match = heats.c.number == int(text)
-        else:
-            match = heats.c.key.startswith(text, autoescape=True)
         records = self._heats(match, 2) if text.isdigit() or len(text) >= 6 else []
         if len(records) != 1:
             raise StoreError(
@@ -407,8 +408,9 @@ def _reopen_entries(connection: sa.Connection, now: float, heat: int) -> None:
     validates = sa.exists().where(heats.c.number == heat, heats.c.purpose == "validation")
     refused = (entries.c.state == "refused") & entries.c.number.in_(of_heat) & validates
     for row in connection.execute(sa.select(entries.c.number, entries.c.id).where(refused)).all():
-        own = entries.c.number == row.number
-        connection.execute(entries.update().where(own).values(state="validating", reason=""))
+        again = entries.update().where(entries.c.number == row.number)
+        connection.execute(again.values(state="validating", reason=""))
+        append(connection, [state_record(row.id, "validating", "")])
         cancelled = (heats.c.purpose == "validation") & (heats.c.state == "cancelled")
         connection.execute(
             heats.update()

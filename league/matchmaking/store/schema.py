@@ -262,8 +262,9 @@ ledger = sa.Table(
     sa.Column("subject", sa.String(200), nullable=False),
     sa.Column("chain", sa.String(64), nullable=False),
 )
-"""A record of each ruleset, entry, result and settled dispute, from 1 without gaps. `chain` hashes
-the record's content and the record before it, so that what is changed later shows."""
+"""A record of each ruleset, entry, change of an entry's state, result and settled dispute, from 1
+without gaps. `chain` hashes the record's content and the record before it, so that what is changed
+later shows."""
 
 
 class LedgerRecord(NamedTuple):
@@ -273,6 +274,11 @@ class LedgerRecord(NamedTuple):
     subject: str
     content: Any
     """Plain data that the tables hold, too."""
+
+
+def state_record(id: str, state: str, reason: str) -> LedgerRecord:
+    """Return what the ledger records of an entry's new state; the last record is the one it has."""
+    return LedgerRecord("state", f"{id}/{state}/{heat_spec.digest(reason.encode())[:16]}", None)
 
 
 def append(connection: sa.Connection, records: Iterable[LedgerRecord]) -> None:

@@ -226,6 +226,8 @@ def upgrade(url: str) -> list[str]:
                 steps.append(f"{race_table.fill_driven(connection)} races tell their incidents")
             if version < "0003":
                 steps.append(f"{integrity.adopt(connection)} records begin the ledger")
+            if states := integrity.adopt_states(connection):
+                steps.append(f"states of {states} entries begin in the ledger")
             return steps
     finally:
         database.close()
