@@ -371,8 +371,7 @@ class OwnRaces:
 
 def own_races(races: Races, ratings: Strengths, number: int) -> OwnRaces:
     """Return those of some races that an entry was in."""
-    races = races.where((races.entries == number).any(axis=1))
-    races = races.where(np.lexsort((races.half, races.heat)))
+    races = races.of_entry(number)
     mine = races.entries == number
     slot = mine.argmax(axis=1)[:, None]
     places = races.places.astype(int)

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 from league.errors import LeagueError, StoreError
 from league.matchmaking.documents import heat_document
 from league.matchmaking.standings import Standings
-from league.matchmaking.store import HeatRecord, LeagueEntry, Store, StoredResult
+from league.matchmaking.store import HeatRecord, HeatState, LeagueEntry, Store, StoredResult
 from league.racing_line.racing_line import lap_bound
 from league.replay import Replay, format
 from league.sim.config import CarConfig
@@ -59,6 +59,8 @@ class Reader:
         self._taking, self._settling = threading.Lock(), threading.Lock()
         self._snapshot: Snapshot | None = None
         self._is_slow, self._due_s, self._settle_s = False, 0.0, 0.0
+        self._counts: tuple[int, dict[HeatState, int]] | None = None
+        self._counts_due_s = 0.0
         self._kept: OrderedDict[Hashable, Any] = OrderedDict()
         self._large: dict[Hashable, bytes] = {}
         self._turn, self._waiting = threading.Lock(), threading.Semaphore(MOST_WAITING)
@@ -228,6 +230,15 @@ class Reader:
                 yield
         finally:
             self._waiting.release()
+
+    def counts(self) -> dict[HeatState, int]:
+        """Return how many heats are in each state, or were in a large league a moment ago."""
+        start_s, revision, known = time.monotonic(), self.store.revision, self._counts
+        if known is None or (known[0] != revision and start_s >= self._counts_due_s):
+            self._counts = known = revision, self.store.counts()
+            now_s = time.monotonic()
+            self._counts_due_s = now_s + REST * (now_s - start_s)
+        return known[1]
 
     def record(self, number: int) -> HeatRecord:
         """Return a heat by its number."""

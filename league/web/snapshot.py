@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
@@ -20,7 +20,7 @@ FROZEN = [field.name for field in fields(Row)]
 """What a frozen line may tell; those of older versions tell less."""
 PASSING = frozenset({"plan", "claim", "complete", "fail", "lose", "retry", "reap"})
 """What happens to heats all the time, and changes nothing but the races."""
-SHARED = "by_number", "by_id", "owners", "kinds"
+SHARED = "by_number", "by_id", "by_digest", "by_parent", "owners", "kinds"
 """What follows from the entries alone."""
 
 
@@ -49,8 +49,9 @@ class Snapshot:
 
     def prepare(self) -> None:
         """Compute now what pages look up, so that no request has to."""
-        for name in ("by_number", "by_id", "rows", "clean_laps", "owners", "car_counts", "kinds"):
+        for name in (*SHARED, "rows", "clean_laps", "car_counts"):
             getattr(self, name)
+        _ = self.counted.index
 
     @cached_property
     def by_number(self) -> dict[int, LeagueEntry]:
@@ -61,6 +62,16 @@ class Snapshot:
     def by_id(self) -> dict[str, LeagueEntry]:
         """The entries by their ids."""
         return {entry.id: entry for entry in self.entries}
+
+    @cached_property
+    def by_digest(self) -> dict[str, LeagueEntry]:
+        """The entries by the digests of their checkpoints."""
+        return by_digest(self.entries)
+
+    @cached_property
+    def by_parent(self) -> dict[str, list[LeagueEntry]]:
+        """The entries that were trained from a checkpoint, by its digest."""
+        return by_parent(self.entries)
 
     @cached_property
     def rows(self) -> dict[int, Row]:
@@ -108,6 +119,33 @@ class Snapshot:
     def owners(self) -> list[str]:
         """Owners of rated entries, in order."""
         return sorted({row.owner for row in self.rows.values()})
+
+
+def digest_of(entry: LeagueEntry) -> str:
+    """Return the digest of an entry's checkpoint; empty if its card has none."""
+    return str(entry.card.get("digest", ""))
+
+
+def parents_of(entry: LeagueEntry) -> list[str]:
+    """Return the digests of the checkpoints that an entry was trained from."""
+    match entry.card.get("parents"):
+        case [*digests]:
+            return [str(digest) for digest in digests]
+    return []
+
+
+def by_digest(entries: Iterable[LeagueEntry]) -> dict[str, LeagueEntry]:
+    """Return some entries by the digests of their checkpoints."""
+    return {digest: entry for entry in entries if (digest := digest_of(entry))}
+
+
+def by_parent(entries: Iterable[LeagueEntry]) -> dict[str, list[LeagueEntry]]:
+    """Return those that were trained from a checkpoint, by its digest."""
+    found: dict[str, list[LeagueEntry]] = {}
+    for entry in entries:
+        for digest in filter(None, parents_of(entry)):
+            found.setdefault(digest, []).append(entry)
+    return found
 
 
 def kind_of(entry: LeagueEntry) -> str:

@@ -7,6 +7,7 @@ import pytest
 from league.matchmaking import standings
 from league.matchmaking.scores import race_scores
 from league.matchmaking.store import LeagueEntry
+from league.web import snapshot
 from league.web.pages import driver
 from league.web.pages.tracks import medal, medal_times
 
@@ -76,16 +77,20 @@ def entry(number: int, digest: str, *parents: str) -> LeagueEntry:
 
 def test_a_family_has_all_its_generations():
     league = [entry(1, "a"), entry(2, "b", "a", "x"), entry(3, "c", "b")]
-    (parent,) = driver.ancestors(league, league[2])
+    (parent,) = driver.ancestors(snapshot.by_digest(league), league[2])
     assert (parent.number, parent.name) == (2, "entry 2")
     assert [(one.number, one.digest) for one in parent.parents] == [(1, "a"), (None, "x")]
-    assert [one.number for one in driver.children(league, league[0])] == [2]
-    assert driver.children(league, league[2]) == []
+    children = snapshot.by_parent([*league, entry(4, "d", "")])
+    assert {digest: [one.number for one in own] for digest, own in children.items()} == {
+        "a": [2],
+        "x": [2],
+        "b": [3],
+    }
 
 
 def test_a_card_that_names_its_own_descendant_ends():
     league = [entry(1, "a", "b", "a"), entry(2, "b", "a")]
-    (parent,) = driver.ancestors(league, league[0])
+    (parent,) = driver.ancestors(snapshot.by_digest(league), league[0])
     assert (parent.number, parent.parents) == (2, [])
 
 
@@ -96,4 +101,4 @@ def test_many_parents_of_many_parents_are_cut():
     def count(parents) -> int:
         return sum(1 + count(one.parents) for one in parents)
 
-    assert count(driver.ancestors(league, league[0])) <= driver.MOST_ANCESTORS
+    assert count(driver.ancestors(snapshot.by_digest(league), league[0])) <= driver.MOST_ANCESTORS

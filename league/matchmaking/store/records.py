@@ -343,6 +343,52 @@ class Races(Columns):
     voided: int = 0
     """How many heats are in quarantine: if it has changed, read all races again."""
 
+    def of_entry(self, number: int) -> Self:
+        """Return the races that an entry was in, by heat and race."""
+        index = self.index
+        later = (self.entries[index.covered :] == number).any(axis=1)
+        rows = np.append(index.rows(number), index.covered + np.flatnonzero(later))
+        return self.where(rows[np.lexsort((self.half[rows], self.heat[rows]))])
+
+    def joined(self, later: Self) -> Self:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Return these races and later ones, read with `since`."""
+        found = super().joined(later)
+        index = vars(self).get("index")
+        if index is not None and len(found.heat) - index.covered < len(found.heat) / 20:
+            vars(found)["index"] = index  # what came later is looked through
+        return found
+
+    @cached_property
+    def index(self) -> EntryIndex:
+        """Where the races of each entry are; made when it is asked for first."""
+        return EntryIndex.of(self.entries)
+
+
+@dataclass(frozen=True)
+class EntryIndex:
+    """Rows of an array of races in which each entry is."""
+
+    covered: int
+    """Rows that it knows."""
+    ordered: np.ndarray
+    """Rows by entry, each as often as it has cars."""
+    ends: np.ndarray
+    """Where the rows of an entry end, (largest number + 2,)."""
+
+    @classmethod
+    def of(cls, entries: np.ndarray) -> EntryIndex:
+        """Make it from entry numbers (num_races, most cars), -1 for none."""
+        flat = entries.ravel()
+        counts = np.bincount(flat + 1)
+        order = np.argsort(flat, kind="stable") // max(entries.shape[1], 1)
+        return cls(len(entries), order.astype(np.int32), np.cumsum(counts))
+
+    def rows(self, number: int) -> np.ndarray:
+        """Return the rows of an entry, each once."""
+        if not 0 <= number < len(self.ends) - 1:
+            return np.empty(0, np.int32)
+        return np.unique(self.ordered[self.ends[number] : self.ends[number + 1]])
+
 
 @dataclass(frozen=True)
 class Drives(Columns):

@@ -25,8 +25,9 @@ from league.web.pages import table
 from league.web.pages.seasons import frozen
 from league.web.pages.tracks import lap_line
 from league.web.reader import Document, NotFoundError, Reader, accepted, heat_number
+from league.web.snapshot import digest_of, parents_of
 
-NEWEST = 200
+NEWEST = 40
 """Newest heats that are looked at."""
 FIRST_HEATS = 8
 """Heats of a new entry that are followed live."""
@@ -55,7 +56,7 @@ OVER = ("done", "quarantined", "error")
 def document(reader: Reader, number: int) -> Document:
     """Return an entry: its rating and how it came about, its record, its heats, its card."""
     entry, now = reader.entry(number), reader.snapshot()
-    entries, rated, row = now.entries, now.rated, now.rows.get(number)
+    rated, row = now.rated, now.rows.get(number)
     raced = reader.store.heats(entries=[number], limit=NEWEST, newest=True)
     over = [record for record in raced if record.state not in (*WAITING, "cancelled")]
     moments = _history(reader, entry, rated) if rated and row and row.races else []
@@ -82,8 +83,11 @@ def document(reader: Reader, number: int) -> Document:
         "joining": _joining(reader, entry, raced),
         "camera": _camera(reader, entry, over[-HEATS:][::-1]),
         "card": _card(entry),
-        "ancestors": ancestors(entries, entry),
-        "children": [{"number": one.number, "name": one.name} for one in children(entries, entry)],
+        "ancestors": ancestors(now.by_digest, entry),
+        "children": [
+            {"number": one.number, "name": one.name}
+            for one in now.by_parent.get(digest_of(entry), [])
+        ],
     }
 
 
@@ -234,44 +238,26 @@ class Ancestor:
     """What it was trained from, as far as its entry tells."""
 
 
-def ancestors(entries: Sequence[LeagueEntry], entry: LeagueEntry) -> list[Ancestor]:
+def ancestors(by_digest: Mapping[str, LeagueEntry], entry: LeagueEntry) -> list[Ancestor]:
     """Return the parents of an entry, each with its own."""
-    by_digest = {digest: one for one in entries if (digest := _digest(one))}
     left = MOST_ANCESTORS
 
-    def parents_of(one: LeagueEntry, above: tuple[str, ...]) -> list[Ancestor]:
+    def parents(one: LeagueEntry, above: tuple[str, ...]) -> list[Ancestor]:
         nonlocal left
         found = []
-        for digest in _parents(one):
+        for digest in parents_of(one):
             # A card may name its own descendant.
             if digest in above or len(above) > GENERATIONS or left <= 0:
                 continue
             left -= 1
             known = by_digest.get(digest)
-            own = parents_of(known, (*above, digest)) if known else []
+            own = parents(known, (*above, digest)) if known else []
             found.append(
                 Ancestor(digest, known.number if known else None, known.name if known else "", own)
             )
         return found
 
-    return parents_of(entry, (_digest(entry),))
-
-
-def children(entries: Sequence[LeagueEntry], entry: LeagueEntry) -> list[LeagueEntry]:
-    """Return the entries that were trained from this one."""
-    digest = _digest(entry)
-    return [one for one in entries if digest and digest in _parents(one)]
-
-
-def _digest(entry: LeagueEntry) -> str:
-    return str(entry.card.get("digest", ""))
-
-
-def _parents(entry: LeagueEntry) -> list[str]:
-    match entry.card.get("parents"):
-        case [*digests]:
-            return [str(digest) for digest in digests]
-    return []
+    return parents(entry, (digest_of(entry),))
 
 
 def matchup(reader: Reader, one: int, other: int, before: str = "", season: str = "") -> Document:

@@ -41,7 +41,7 @@ def document(reader: Reader, number: int, race: str = "", lap: str = "") -> Docu
     return {
         **shown,
         "progress": reader.progress(at.record),
-        "queue": reader.store.counts().get("planned", 0) if not at.result else 0,
+        "queue": reader.counts().get("planned", 0) if not at.result else 0,
         "seed": at.record.seeds[at.half] if at.record.seeds else None,
         "ruleset": at.record.heat.ruleset,
         "best_lap_s": min(laps_s, default=None),

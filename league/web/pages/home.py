@@ -28,7 +28,7 @@ LISTED_LIVE = 20
 
 def document(reader: Reader) -> Document:
     """Return the most contested recent race, the standings' top, what races, newest results."""
-    now, counts = reader.snapshot(), reader.store.counts()
+    now, counts = reader.snapshot(), reader.counts()
     rated = now.rated
     featured = reader.kept(("featured", counts.get("done", 0)), lambda: _most_contested(reader))
     return {
@@ -75,10 +75,11 @@ def heats(reader: Reader, driver: str = "", page: str = "") -> Document:
     store = reader.store
     entry = reader.entry(heat_number(driver, "driver")) if driver else None
     of = entry.number if entry else None
-    count = store.num_done(of)
+    counts = reader.counts()
+    count = counts.get("done", 0) if of is None else store.num_done(of)
     at = paging(count, page, "heats", "/heats", {"driver": driver} if driver else {})
     records = store.done(entry=of, skip=at.first, limit=at.end - at.first)
-    counts, row = store.counts(), reader.snapshot().rows.get(of or 0)
+    row = reader.snapshot().rows.get(of or 0)
     return {
         "heats": reader.listed(records, of=entry),
         "counts": counts,
@@ -92,7 +93,7 @@ def heats(reader: Reader, driver: str = "", page: str = "") -> Document:
 def live(reader: Reader) -> Document:
     """Return the running heats, the queue, the workers, the pace, and what needs attention."""
     store, now_s, names = reader.store, time.time(), reader.names
-    counts, running, newest = store.counts(), store.heats(("claimed",)), reader.newest(COUNTED)
+    counts, running, newest = reader.counts(), store.heats(("claimed",)), reader.newest(COUNTED)
     done = [one for one in newest if now_s - (one.done_s or 0.0) < WINDOW_S]
     per_minute = 60 * len(done) / WINDOW_S
 

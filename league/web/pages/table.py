@@ -138,16 +138,16 @@ def document(
     track, cars, kind, owner = (text if text in found else "" for text, found, _ in known.values())
     rated = reader.standings_of(track, int(cars or 0))
     rows = rated.rows if rated else ()
-    rival = next((row for row in rows if against in (str(row.number), row.name)), None)
+    rival = None
+    if against:
+        rival = next((row for row in rows if against in (str(row.number), row.name)), None)
     if against and rival is None:
         names = sorted(row.name for row in rows)
         unknown.append(_unknown("driver", against, names, "drivers are"))
         against = ""
-    shown = [
-        row
-        for row in rows
-        if owner in ("", row.owner) and kind in ("", kind_of(now.by_number[row.number]))
-    ]
+    shown = [row for row in rows if row.owner == owner] if owner else [*rows]
+    if kind:
+        shown = [row for row in shown if kind_of(now.by_number[row.number]) == kind]
     if sort not in ORDERS:
         raise NotFoundError(f"Standings are sorted by {', '.join(ORDERS)[2:]}, not {sort[:20]}.")
     if sort:
@@ -175,7 +175,7 @@ def document(
         },
         "against": rival,
         "records": _records(rated, rival, on_page) if rated and rival else {},
-        "drivers": _options(sorted((row.name, row.number) for row in now.rows.values())),
+        "drivers": sorted(_options([(row.name, row.number) for row in now.rows.values()])),
         "owners": _options(now.owners),
         "kinds": now.kinds,
         "car_counts": now.car_counts,
