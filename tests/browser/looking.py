@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Browser, Page, ViewportSize
 
 from tests.browser import chromium
 
@@ -16,8 +16,8 @@ NEEDS_CHROMIUM = [
 ]
 PATIENCE_MS = 180_000
 """On a busy machine the first answer takes long."""
-PHONE = {"width": 390, "height": 800}
-NARROW = {"width": 360, "height": 740}
+PHONE: ViewportSize = {"width": 390, "height": 800}
+NARROW: ViewportSize = {"width": 360, "height": 740}
 PATHS = (
     "/", "/standings", "/standings?against=3", "/drivers/1", "/drivers/3", "/matchups/3/1",
     "/heats", "/heats/{heat}", "/tracks", "/ghosts", "/live",

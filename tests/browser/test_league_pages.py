@@ -248,7 +248,7 @@ def test_a_driver_chosen_in_the_standings_leads_to_its_meetings(browser, origin,
 def test_a_drivers_best_lap_leads_to_the_race_it_was_driven_in(browser, origin, complaints):
     page = opened(browser, origin, complaints)
     page.goto("/drivers/2")
-    laps = page.locator("section", has_text="Best laps")
+    laps = page.locator("section", has_text="Best clean laps")
     lap = laps.locator("tbody td.number").first.inner_text()
     laps.locator("tbody a").last.click()
     page.locator("canvas").wait_for()

@@ -230,7 +230,7 @@ def test_how_a_car_drove_is_packed_within_its_digits():
     assert _driven(car=1) == []  # there is no such car
 
 
-def test_drives_are_of_rated_races_unless_all_are_asked_for(league):
+def test_drives_are_of_rated_races_and_races_are_unless_all_are_asked_for(league):
     ids = tuple(entry.id for entry in league.entries()[:2])
     check = Heat(leagues.RULES.hash, (Half("ring", ids),), purpose="validation")
     league.plan([*leagues.duels(league, 1), check])
@@ -239,7 +239,6 @@ def test_drives_are_of_rated_races_unless_all_are_asked_for(league):
         races = (store.RaceOutcome((1, 2), told),) * len(claim.heat.halves)
         league.complete("w", [store.HeatOutcome(claim.heat.key, races)])
     assert len(league.drives(leagues.RULES.hash).entry) == 4  # two races of two cars
-    assert len(league.drives(leagues.RULES.hash, rated=False).entry) == 6
     assert len(league.races().heat) == 2 and len(league.races(rated=False).heat) == 3
 
 

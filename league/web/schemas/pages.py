@@ -263,7 +263,7 @@ class MatchupAnswer(Answer):
     whole: MetRecord
     """Of all seasons."""
     chosen: Season | None
-    """The season whose heats alone are listed."""
+    """The season that the listed heats are of; null for all."""
     waiting: int
     older: int | None
     """Pass this as `before` to see earlier heats."""
