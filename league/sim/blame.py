@@ -85,6 +85,11 @@ def _judge_cars(before, cars, obstacles, verdicts, contacts, points, course, set
     """Judge the contacts of cars with each other."""
     # For each car the mask of those towards which it is to blame.
     blamed = np.zeros(len(cars), np.uint8)
+    _blame(blamed, before, cars, obstacles, verdicts, contacts, points, course, settings)
+
+
+@inner
+def _blame(blamed, before, cars, obstacles, verdicts, contacts, points, course, settings):
     for c in range(len(cars)):
         for other in range(len(cars)):
             if (contacts[c].cars >> other) & 1 and _is_to_blame(

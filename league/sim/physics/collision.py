@@ -41,7 +41,15 @@ _ZERO, _HALF, _ONE, _TWO = (np.float32(number) for number in (0.0, 0.5, 1.0, 2.0
 
 
 @inner(allocates=True)
-def part(bodies, boxes, first, second, touched, shift, dt, restitution, friction):
+def scratch_of(num_bodies, num_pairs):
+    """Return arrays that `part` works with, so that it need not make them in each physics step."""
+    turn, busy = np.empty((num_bodies, 2), np.float32), np.empty(num_bodies, np.int64)
+    acting, touch = np.empty(num_pairs, np.int64), np.empty((num_pairs, 14), np.float32)
+    return turn, busy, acting, touch, np.empty((num_pairs, 3), np.float32)
+
+
+@inner
+def part(bodies, boxes, first, second, touched, shift, scratch, dt, restitution, friction):
     """Change how bodies that touch move in a physics step; return whether any exchanged impulses.
 
     Pairs are worked in their order, one after the other. Which of them are worked again does not
@@ -55,17 +63,16 @@ def part(bodies, boxes, first, second, touched, shift, dt, restitution, friction
         second: the other one.
         touched: set where a pair touches, bool (num_pairs,).
         shift: set to how far overlap moves each body, float32 (num_bodies, 2) [m].
+        scratch: of `scratch_of`.
         dt: the physics step [s].
         restitution: share of the approach speed that comes back.
         friction: coefficient between two bodies.
     """
     num_pairs = len(first)
-    turn = np.empty((len(bodies), 2), np.float32)
+    turn, busy, acting, touch, impulse = scratch
     for body in range(len(bodies)):
-        shift[body, 0], shift[body, 1] = _ZERO, _ZERO
+        shift[body, 0], shift[body, 1], busy[body] = _ZERO, _ZERO, 0
         turn[body, 1], turn[body, 0] = sincos(bodies[body, YAW])
-    acting = np.empty(num_pairs, np.int64)
-    touch = np.empty((num_pairs, 14), np.float32)
     number = 0
     for pair in range(num_pairs):
         one, two = first[pair], second[pair]
@@ -83,9 +90,8 @@ def part(bodies, boxes, first, second, touched, shift, dt, restitution, friction
             number += 1
     if number == 0:
         return False
-    impulse = np.zeros((number, 3), np.float32)
-    busy = np.zeros(len(bodies), np.int64)
     for k in range(number):
+        impulse[k, 0], impulse[k, 1], impulse[k, 2] = _ZERO, _ZERO, _ZERO
         one, two = first[acting[k]], second[acting[k]]
         busy[one] += 1
         busy[two] += 1

@@ -10,7 +10,7 @@ import numpy as np
 
 from league.jit import compiled, inner
 from league.portable_math import f32, sincos, wrap_angle
-from league.sim.physics.collision import part
+from league.sim.physics.collision import part, scratch_of
 from league.sim.physics.vehicle import frozen, late_steps, push
 from league.sim.settings import HALF_WALL
 
@@ -71,12 +71,22 @@ def step_world(cars, obstacles, course, controls, contacts, pairs, settings):
 
 @inner(allocates=True)
 def _step_near(number, cars, obstacles, course, controls, contacts, pairs, settings):
-    num_cars, dt = len(cars), settings.physics_dt
     near = np.empty((number, 2), np.int64)
     _near(cars, obstacles, course, pairs, settings, near)
     first, second = near[:, 0].copy(), near[:, 1].copy()
     bodies, boxes = _bodies(cars, obstacles, course, settings)
     touched, shift = np.zeros(number, np.bool_), np.empty((len(bodies), 2), np.float32)
+    scratch = scratch_of(len(bodies), number)
+    _push_apart(cars, controls, bodies, boxes, first, second, touched, shift, scratch, settings)
+    for n in range(number):
+        if touched[n]:
+            _note(contacts, first[n], second[n], len(cars), len(obstacles))
+
+
+@inner
+def _push_apart(cars, controls, bodies, boxes, first, second, touched, shift, scratch, settings):
+    """Move the cars through a control step in which some of the pairs may touch; see `part`."""
+    num_cars, dt = len(cars), settings.physics_dt
     for k in range(settings.decimation):
         for c in range(num_cars):
             if not frozen(cars[c]):
@@ -84,7 +94,7 @@ def _step_near(number, cars, obstacles, course, controls, contacts, pairs, setti
             _write(bodies[c], cars[c].x, cars[c].y, cars[c].yaw)
             _write(bodies[c, 3:], cars[c].velocity_x, cars[c].velocity_y, cars[c].yaw_rate)
         bounce, rub = settings.restitution, settings.friction
-        part(bodies, boxes, first, second, touched, shift, dt, bounce, rub)
+        part(bodies, boxes, first, second, touched, shift, scratch, dt, bounce, rub)
         for c in range(num_cars):
             if not frozen(cars[c]):
                 car = cars[c]
@@ -94,9 +104,6 @@ def _step_near(number, cars, obstacles, course, controls, contacts, pairs, setti
         for body in range(num_cars, len(bodies)):
             bodies[body, 0] += bodies[body, 3] * dt
             bodies[body, 1] += bodies[body, 4] * dt
-    for n in range(number):
-        if touched[n]:
-            _note(contacts, first[n], second[n], num_cars, len(obstacles))
 
 
 @inner
