@@ -161,12 +161,13 @@ def _order(before, cars, world, verdicts, course, settings):
             if other != c and _is_ahead(cars[c], cars[other], was_ahead, course, settings):
                 ahead |= 1 << other
                 beaten += 1
+                if was_ahead:
+                    continue
                 both = grid.is_racing(before[c]) and grid.is_racing(before[other])
                 # Of cars that can drive through each other none passes.
                 both = both and not (settings.room and (before[c].ghost or before[other].ghost))
                 # Half a lap apart, ahead turns to behind without a pass.
-                near = _lead(cars[c], cars[other], course) < _CLEAR_PASS
-                if not was_ahead and both and near:
+                if both and _lead(cars[c], cars[other], course) < _CLEAR_PASS:
                     passed |= 1 << other
                     cars[c].overtakes += 1
         cars[c].ahead, verdicts[c].overtook = np.uint8(ahead), np.uint8(passed)
