@@ -76,10 +76,9 @@ def race_env(
     """
     from league.envs.race_env import RaceEnv
 
-    try:
-        from league.envs import make as problem
-    except ImportError:  # a checkout of before the compiled loops
-        from league.envs import problem  # pyright: ignore
+    # In a checkout of before the compiled loops the module has its old name.
+    name = "make" if importlib.util.find_spec("league.envs.make") else "problem"
+    problem: Any = importlib.import_module(f"league.envs.{name}")
 
     kind = "head_to_head" if num_cars > 1 else "time_trial"
     cfg = problem.configure(kind=kind, num_cars=num_cars, sensors=(), mode=mode, laps=100)
