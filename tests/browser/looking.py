@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from playwright.sync_api import Browser, Page, ViewportSize
 
@@ -24,10 +26,24 @@ PATHS = (
 )  # fmt: skip
 
 
-def opened(browser: Browser, origin: str, complaints: list[str], **options: object) -> Page:
+def opened(browser: Browser, origin: str | None, complaints: list[str], **options: object) -> Page:
     """Return a page, which writes what it complains about into a list."""
     page = browser.new_context(base_url=origin, **options).new_page()
     page.set_default_timeout(PATIENCE_MS)
     page.on("console", lambda message: complaints.append(message.text))
     page.on("pageerror", lambda error: complaints.append(str(error)))
+    return page
+
+
+def assert_a_heat_plays_from_disk(browser: Browser, folder: Path, complaints: list[str]) -> Page:
+    """Play the first heat of an exported season without a network; return its page."""
+    page = opened(browser, None, complaints, offline=True)
+    page.goto((folder / "index.html").as_uri())
+    page.get_by_role("link", name="Heats", exact=True).click()
+    page.locator("td.number a").first.click()
+    canvas = page.locator("canvas")
+    canvas.wait_for()
+    first = canvas.screenshot()
+    page.keyboard.press("End")
+    assert canvas.screenshot() != first
     return page

@@ -13,7 +13,13 @@ from league.matchmaking import loop
 from league.matchmaking.pairing.heat_spec import mirrored
 from league.matchmaking.pairing.matchmaker import Matchmaker
 from league.matchmaking.workers.dispatcher import Dispatcher
-from tests.browser.looking import NEEDS_CHROMIUM, PATHS, PHONE, opened
+from tests.browser.looking import (
+    NEEDS_CHROMIUM,
+    PATHS,
+    PHONE,
+    assert_a_heat_plays_from_disk,
+    opened,
+)
 from tests.matchmaking.season_kit import Here
 from tests.web.small_league import NAME, lapped_heat, overtaken_heat, rated_heat
 
@@ -212,17 +218,7 @@ def test_every_scrolling_table_and_control_has_a_name(browser, origin, complaint
 def test_an_exported_heat_plays_from_disk(browser, complaints, store, tmp_path):
     command = [sys.executable, "-m", "league.cli", "site", str(tmp_path / "season")]
     subprocess.run([*command, "--heats", "1", "--league", store.url], check=True)
-    page = browser.new_context(offline=True).new_page()
-    page.on("console", lambda message: complaints.append(message.text))
-    page.on("pageerror", lambda error: complaints.append(str(error)))
-    page.goto((tmp_path / "season" / "index.html").as_uri())
-    page.get_by_role("link", name="Heats", exact=True).click()
-    page.locator("td.number a").first.click()
-    canvas = page.locator("canvas")
-    canvas.wait_for()
-    first = canvas.screenshot()
-    page.keyboard.press("End")
-    assert canvas.screenshot() != first
+    page = assert_a_heat_plays_from_disk(browser, tmp_path / "season", complaints)
     page.get_by_role("link", name="Standings").click()
     assert page.get_by_role("heading", level=1).inner_text() == "Standings"
     assert complaints == []

@@ -11,7 +11,7 @@ from playwright.sync_api import Page, expect
 
 from league.matchmaking.store import Store
 from tests.browser.axe import serious_faults
-from tests.browser.looking import NEEDS_CHROMIUM, PHONE, opened
+from tests.browser.looking import NEEDS_CHROMIUM, PHONE, assert_a_heat_plays_from_disk, opened
 from tests.web.small_league import seasoned_league
 
 pytestmark = NEEDS_CHROMIUM
@@ -49,16 +49,7 @@ def test_a_heat_of_an_exported_season_plays_from_disk(browser, complaints, store
     command = [sys.executable, "-m", "league.cli", "site", str(tmp_path / "spring")]
     options = ["--season", "1", "--heats", "1", "--league", store.url]
     subprocess.run([*command, *options], check=True)
-    page = browser.new_context(offline=True).new_page()
-    page.on("pageerror", lambda error: complaints.append(str(error)))
-    page.goto((tmp_path / "spring" / "index.html").as_uri())
-    page.get_by_role("link", name="Heats", exact=True).click()
-    page.locator("td.number a").first.click()
-    canvas = page.locator("canvas")
-    canvas.wait_for()
-    first = canvas.screenshot()
-    page.keyboard.press("End")
-    assert canvas.screenshot() != first
+    assert_a_heat_plays_from_disk(browser, tmp_path / "spring", complaints)
     assert complaints == []
 
 

@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from tests.matchmaking import postgres
+from league.matchmaking.store import Store
+from tests.matchmaking import leagues, postgres
 
 
 @pytest.fixture(scope="session")
@@ -40,3 +41,16 @@ def url(request: pytest.FixtureRequest, tmp_path) -> str:
     if request.param == "sqlite":
         return f"sqlite:///{tmp_path / 'league.db'}"
     return request.getfixturevalue("new_postgres")()
+
+
+@pytest.fixture
+def clock() -> leagues.Clock:
+    """Return a clock that a test sets."""
+    return leagues.Clock()
+
+
+@pytest.fixture
+def league(url: str, clock: leagues.Clock) -> Iterator[Store]:
+    """Return a league by that clock."""
+    with leagues.founded(url, clock=clock) as league:
+        yield league

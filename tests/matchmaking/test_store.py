@@ -19,18 +19,6 @@ from league.matchmaking.store import database, schema
 from league.matchmaking.store.blobs import FolderBlobs
 from tests.matchmaking import leagues
 
-
-@pytest.fixture
-def clock():
-    return leagues.Clock()
-
-
-@pytest.fixture
-def league(url, clock):
-    with leagues.founded(url, clock=clock) as league:
-        yield league
-
-
 # Founding and opening
 
 

@@ -17,18 +17,6 @@ from league.matchmaking.store import names, queue, race_table, records, schema
 from league.matchmaking.store.records import Season
 from tests.matchmaking import leagues
 
-
-@pytest.fixture
-def clock():
-    return leagues.Clock()
-
-
-@pytest.fixture
-def league(url, clock):
-    with leagues.founded(url, clock=clock) as league:
-        yield league
-
-
 # Tables: SQLite would take anything
 
 
