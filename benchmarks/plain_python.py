@@ -24,7 +24,10 @@ took: dict[str, float] = {}
 failed: set[str] = set()
 
 
-def _plain(function):
+def _plain(function=None, *, allocates: bool = False):
+    """Do what `compiled` and `inner` do, with or without their option, but compile nothing."""
+    if function is None:
+        return _plain
     function.py_func = function
     return function
 
