@@ -32,6 +32,16 @@ def _plain(function=None, *, allocates: bool = False):
     return function
 
 
+def _plain_record(record: np.dtype) -> np.dtype:
+    """Return a record for plain Python, its fields attributes as in compiled code.
+
+    There the arithmetic of integers has 64 bits; NumPy's would wrap at the field's eight.
+    """
+    wide = {np.dtype(np.uint8): np.int64, np.dtype(np.uint32): np.int64}
+    fields = [(name, wide.get(record[name], record[name])) for name in record.names or ()]
+    return np.dtype((np.record, np.dtype(fields, align=True)))
+
+
 if os.environ["NUMBA_DISABLE_JIT"] == "1":
     import league.jit
 
@@ -41,12 +51,11 @@ if os.environ["NUMBA_DISABLE_JIT"] == "1":
     import league.envs.race_env
     import league.sim.physics.bullet
 
-    # Records of plain Python have their fields as attributes, as compiled code reads them.
     for name, module in list(sys.modules.items()):
         if name.startswith("league."):
             for key, value in list(vars(module).items()):
                 if isinstance(value, np.dtype) and value.names:
-                    setattr(module, key, np.dtype((np.record, value)))
+                    setattr(module, key, _plain_record(value))
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
