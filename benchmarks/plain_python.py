@@ -13,6 +13,7 @@ import sys
 from collections.abc import Generator
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 
@@ -43,6 +44,8 @@ def _plain_record(record: np.dtype) -> np.dtype:
 
 
 if os.environ["NUMBA_DISABLE_JIT"] == "1":
+    # Numba was loaded before it could read the variable.
+    numba.config.DISABLE_JIT = 1
     import league.jit
 
     league.jit.compiled = league.jit.inner = _plain
