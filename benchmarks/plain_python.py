@@ -45,7 +45,7 @@ def _plain_record(record: np.dtype) -> np.dtype:
 
 if os.environ["NUMBA_DISABLE_JIT"] == "1":
     # Numba was loaded before it could read the variable.
-    numba.config.DISABLE_JIT = 1
+    numba.config.DISABLE_JIT = 1  # pyright: ignore[reportAttributeAccessIssue]
     import league.jit
 
     league.jit.compiled = league.jit.inner = _plain
