@@ -248,7 +248,8 @@ def test_car_pressed_against_a_wall_by_another_stands():
 
 @numba.njit
 def count_near(cars, obstacles, course, pairs, sim):
-    return planar._near(cars, obstacles, course, pairs, sim, np.empty((0, 2), np.int64))
+    room = np.empty((len(pairs) + 4 * len(cars), 2), np.int64)  # four walls, and no obstacles here
+    return planar._near(cars, obstacles, course, pairs, sim, room)
 
 
 def test_only_bodies_that_may_meet_within_the_step_are_pairs():
