@@ -269,3 +269,53 @@ def test_only_bodies_that_may_meet_within_the_step_are_pairs():
     # In a corner there are two walls.
     wall = open_floor.WALL
     assert near(x=[0.0, 3.0, wall - 0.2], y=[0.0, 0.0, 0.2 - wall]) == 2
+
+
+@numba.njit
+def all_apart(cars, obstacles, course, sim):
+    return planar._all_apart(cars, obstacles, course, sim)
+
+
+def test_all_are_apart_exactly_where_no_bodies_are_near():
+    sim = open_floor.settings(3)
+    pairs, course = planar.schedule(3), open_floor.floor().courses[0]
+    generator, seen = np.random.default_rng(4), set()
+    for _ in range(200):
+        now = open_floor.world(
+            sim,
+            x=generator.uniform(-1.0, 1.0, 3) * open_floor.WALL,
+            y=generator.uniform(-0.5, 0.5, 3),
+            velocity_x=generator.uniform(-3.0, 3.0, 3),
+            ghost=generator.random(3) < 0.2,
+            penalty_s=generator.choice([0.0, 1.0], 3),
+        )
+        given = now.cars[0], now.obstacles[0], course
+        apart = all_apart(*given, settings(sim)[0])
+        assert apart == (count_near(*given, pairs, settings(sim)[0]) == 0)
+        seen.add(bool(apart))
+    assert seen == {True, False}
+
+
+@numba.njit
+def skipped(bodies, boxes, turn, dt):
+    """Return whether a pair is skipped, and whether it would have touched or lacked speed."""
+    touch = np.zeros(14, np.float32)
+    apart = collision._are_apart(bodies[0], boxes[0], bodies[1], boxes[1], dt)
+    if not collision.manifold(bodies[0], turn[0], boxes[0], bodies[1], turn[1], boxes[1], touch):
+        return apart, False
+    hit = collision._goals(bodies[0], bodies[1], touch, dt, np.float32(0.3))
+    return apart, hit or min(touch[2], touch[3]) <= 0
+
+
+def test_pairs_that_are_skipped_could_not_have_met():
+    generator, counts = np.random.default_rng(5), np.zeros((2, 2), np.int64)
+    boxes = np.array([[*BOX[:2], 1 / 8.2, 1 / 0.085, math.hypot(*BOX[:2])]] * 2, np.float32)
+    for _ in range(4000):
+        bodies = np.zeros((2, 6), np.float32)
+        bodies[:, :3] = generator.uniform([-0.3, -0.3, -math.pi], [0.3, 0.3, math.pi], (2, 3))
+        bodies[:, 3:] = generator.normal(0.0, [3.0, 3.0, 6.0], (2, 3))
+        turn = np.stack([np.cos(bodies[:, 2]), np.sin(bodies[:, 2])], axis=1)
+        apart, meets = skipped(bodies, boxes, turn, np.float32(1 / 120))
+        counts[int(apart), int(meets)] += 1
+    assert counts[1, 1] == 0
+    assert counts[1, 0] > 100 and counts[0, 1] > 100
