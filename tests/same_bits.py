@@ -169,7 +169,7 @@ def digests() -> dict[str, str]:
 
 
 def by_race(fields: dict[str, str]) -> dict[str, str]:
-    """Return a short hash of each race over the hashes of its fields, in the order of their names."""
+    """Return a short hash of each race: over the hashes of its fields, in order of their names."""
     parts: dict[str, hashlib._Hash] = {}
     for field, seen in sorted(fields.items()):
         parts.setdefault(field.split()[0], hashlib.sha256()).update(seen.encode())
