@@ -7,7 +7,7 @@ import gc
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Generator, Hashable, Mapping
+from collections.abc import Callable, Generator, Hashable, Iterable, Mapping
 from statistics import median
 from typing import Any, TypeVar
 
@@ -271,19 +271,31 @@ class Reader:
             "races": len(record.heat.halves),
         }
 
-    def listed(self, records: list[HeatRecord], of: LeagueEntry | None = None) -> list[Document]:
+    def results(self, records: Iterable[HeatRecord]) -> dict[int, list[StoredResult]]:
+        """Return all results of some heats, by their numbers; see `Store.results`."""
+        found: dict[int, list[StoredResult]] = {record.number: [] for record in records}
+        for result in self.store.results(*found):
+            found[result.heat].append(result)
+        return found
+
+    def listed(
+        self,
+        records: list[HeatRecord],
+        of: LeagueEntry | None = None,
+        results: Mapping[int, list[StoredResult]] | None = None,
+    ) -> list[Document]:
         """Return heats as lines of a list: who raced, who won.
 
         With an entry `of` also its own races of each: its place, and whether it finished.
+        `results` are theirs, if they have been read already.
         """
-        names, results = self.names, self.store.results(*(record.number for record in records))
-        lines = []
+        results = self.results(records) if results is None else results
+        names, lines = self.names, list[Document]()
         for record in records:
-            own = [result for result in results if result.heat == record.number]
             winners: list[str] = []
             races: list[Document] = []
             for number, half in enumerate(record.heat.halves):
-                result = accepted(own, number)
+                result = accepted(results[record.number], number)
                 if result is None:
                     continue
                 winners.append(names[half.grid[result.places.index(min(result.places))]])

@@ -28,6 +28,8 @@ NOISE = 0.03
 """Relative noise of the variances (twice that of the standard deviations) that ends the probing."""
 COLUMNS = 64
 """Differences solved for together."""
+GAP_ERROR = 1e-3
+"""Relative error of a difference's variance at most; that of its interval is half of it."""
 PULL = 50.0
 """Heats an entry needs for its own scatter to count as much as the field's."""
 
@@ -97,6 +99,13 @@ class Squares:
         above = self.entries_times(entries) + self.border @ slots
         return np.concatenate([above, self.border.T @ entries + self.corner @ slots])
 
+    def between(self, vectors: np.ndarray) -> np.ndarray:
+        """Return v' (J + prior) v of each column v, (columns,)."""
+        size = len(self.border)
+        entries, slots = vectors[:size], vectors[size:]
+        own = ((self.scores @ entries) ** 2).sum(axis=0) + self.prior @ entries**2
+        return own + (slots * (2 * self.border.T @ entries + self.corner @ slots)).sum(axis=0)
+
 
 class Blocks:
     """H by blocks: that of the strengths by its diagonal and the pairs that met."""
@@ -137,6 +146,7 @@ class Dense:
         table[self._size :, self._size :] = blocks.corner
         table[self._size :, : self._size] = blocks.border.T
         table[range(self._size), range(self._size)] += blocks.diagonal
+        self.prior = blocks.prior
         self._factor = linalg.cho_factor(table, lower=True, overwrite_a=True, check_finite=False)
 
     @cached_property
@@ -184,14 +194,14 @@ class Sparse:
     def __init__(self, blocks: Blocks) -> None:
         self._above = blocks.counts.graph(blocks.met)
         self._diagonal, self._border, self._corner = blocks.diagonal, blocks.border, blocks.corner
-        self._prior = blocks.prior
+        self.prior = blocks.prior
         self.diagonal = np.concatenate([self._diagonal, self._corner.diagonal()])
         self.shape, self.dtype = (len(self.diagonal), len(self.diagonal)), np.dtype(float)
 
     @property
     def _level(self) -> float:
         """Variance of the field as a whole, the prior's."""
-        return 1.0 / self._prior[0]
+        return 1.0 / self.prior[0]
 
     def _met(self, entries: np.ndarray) -> np.ndarray:
         """Return the pairs' weights, in both triangles, times a vector or some columns."""
@@ -322,13 +332,25 @@ class Variances:
             right[one[some], column] += 1.0
             right[other[some], column] -= 1.0
             heats = np.minimum(self._squares.heats[one[some]], self._squares.heats[other[some]])
-            variances[some] = _blend(*self._quadratic(right), heats, self._ratio)
+            within = self._gap_within(one[some], other[some])
+            variances[some] = _blend(*self._quadratic(right, within), heats, self._ratio)
         return variances
 
-    def _quadratic(self, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _gap_within(self, one: np.ndarray, other: np.ndarray) -> float:
+        """Return how far differences must be solved for `GAP_ERROR`.
+
+        A residual r leaves out r' H^-1 r of the variance, at most |r|^2 / (least prior), because
+        races only add curvature; and with b = e_i - e_j the variance is no less than
+        (b'b)^2 / (b' H b), at least 2 / (H_ii + H_jj).
+        """
+        diagonal = self._system.diagonal
+        least = float((2.0 / (diagonal[one] + diagonal[other])).min())
+        return float(np.sqrt(GAP_ERROR * self._system.prior.min() * least / 2.0))
+
+    def _quadratic(self, right: np.ndarray, within: float = 1e-8) -> tuple[np.ndarray, np.ndarray]:
         """Return the model's and the robust variances of some combinations, one a column."""
-        solved = self._system.solve(right)
-        return (right * solved).sum(axis=0), (solved * self._squares.times(solved)).sum(axis=0)
+        solved = self._system.solve(right, within=within)
+        return (right * solved).sum(axis=0), self._squares.between(solved)
 
     def _against(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the model's and the robust variances of each strength less a weighted average."""

@@ -49,7 +49,7 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
         except BaseException:
             self._database.close()
             raise
-        self._secret = row.secret
+        self._secret, self._entry_ids = row.secret, dict[int, str]()
         self._blobs_url: str = row.blobs
 
     def __enter__(self) -> Self:

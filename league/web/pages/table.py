@@ -77,18 +77,17 @@ def season_moments(reader: Reader, number: int) -> list[tuple[int, str, str]]:
 
     That is the ends of seasons, and its own moves between divisions.
     """
-    marks: list[tuple[int, str, str]] = []
-    ruleset = reader.store.settings.ruleset.hash
-    for one in reader.store.seasons():
-        if one.ruleset != ruleset:
-            continue
-        if one.until is not None:
-            marks.append((one.until, "S", f"{one.name} ended"))
-        for move in reader.store.division_moves(one.number, number):
-            if move.division:
-                label = f"D{move.division}"
-                title = f"Division {move.division}, {WHY[move.reason]}, in {one.name}"
-                marks.append((move.heat, label, title))
+    now = reader.snapshot()
+    ruleset = now.settings.ruleset.hash
+    marks = [
+        (one.until, "S", f"{one.name} ended")
+        for one in now.seasons
+        if one.ruleset == ruleset and one.until is not None
+    ]
+    for one, move in now.moves_by_entry.get(number, ()):
+        if move.division:
+            title = f"Division {move.division}, {WHY[move.reason]}, in {one.name}"
+            marks.append((move.heat, f"D{move.division}", title))
     return marks
 
 
