@@ -26,10 +26,10 @@ BATCHES = 12
 """Batches of probes at most."""
 NOISE = 0.03
 """Relative noise of the variances (twice that of the standard deviations) that ends the probing."""
-COLUMNS = 64
-"""Differences solved for together."""
-GAP_ERROR = 1e-3
+GAP_ERROR = 1e-2
 """Relative error of a difference's variance at most; that of its interval is half of it."""
+FEW = 0.1
+"""Share of a vector's numbers up to which only the rows of those that are not 0 are read."""
 PULL = 50.0
 """Heats an entry needs for its own scatter to count as much as the field's."""
 
@@ -99,13 +99,6 @@ class Squares:
         above = self.entries_times(entries) + self.border @ slots
         return np.concatenate([above, self.border.T @ entries + self.corner @ slots])
 
-    def between(self, vectors: np.ndarray) -> np.ndarray:
-        """Return v' (J + prior) v of each column v, (columns,)."""
-        size = len(self.border)
-        entries, slots = vectors[:size], vectors[size:]
-        own = ((self.scores @ entries) ** 2).sum(axis=0) + self.prior @ entries**2
-        return own + (slots * (2 * self.border.T @ entries + self.corner @ slots)).sum(axis=0)
-
 
 class Blocks:
     """H by blocks: that of the strengths by its diagonal and the pairs that met."""
@@ -146,7 +139,6 @@ class Dense:
         table[self._size :, self._size :] = blocks.corner
         table[self._size :, : self._size] = blocks.border.T
         table[range(self._size), range(self._size)] += blocks.diagonal
-        self.prior = blocks.prior
         self._factor = linalg.cho_factor(table, lower=True, overwrite_a=True, check_finite=False)
 
     @cached_property
@@ -193,7 +185,7 @@ class Sparse:
 
     def __init__(self, blocks: Blocks) -> None:
         self._above = blocks.counts.graph(blocks.met)
-        self._diagonal, self._border, self._corner = blocks.diagonal, blocks.border, blocks.corner
+        self._diagonal, self.border, self._corner = blocks.diagonal, blocks.border, blocks.corner
         self.prior = blocks.prior
         self.diagonal = np.concatenate([self._diagonal, self._corner.diagonal()])
         self.shape, self.dtype = (len(self.diagonal), len(self.diagonal)), np.dtype(float)
@@ -207,12 +199,20 @@ class Sparse:
         """Return the pairs' weights, in both triangles, times a vector or some columns."""
         return self._above @ entries + self._above.T @ entries
 
+    def both(self) -> sparse.csr_array:
+        """Return the weights of the pairs that met in both triangles."""
+        return (self._above + self._above.T).tocsr()
+
+    def slots_of(self, entries: np.ndarray) -> np.ndarray:
+        """Return corner^-1 border' times a vector of the strengths, (slots,)."""
+        return np.linalg.solve(self._corner, self.border.T @ entries)
+
     def matvec(self, vectors: np.ndarray) -> np.ndarray:
         """Return H times a vector or some columns."""
         size = len(self._diagonal)
         entries, slots = vectors[:size], vectors[size:]
-        above = (self._diagonal * entries.T).T - self._met(entries) + self._border @ slots
-        return np.concatenate([above, self._border.T @ entries + self._corner @ slots])
+        above = (self._diagonal * entries.T).T - self._met(entries) + self.border @ slots
+        return np.concatenate([above, self.border.T @ entries + self._corner @ slots])
 
     def solve(self, right: np.ndarray, *, within: float = 1e-8) -> np.ndarray:
         """Return H^-1 right."""
@@ -291,6 +291,63 @@ class Sparse:
 System = Dense | Sparse
 
 
+class Gaps:
+    """Variances of differences between two strengths in a large field, one at a time.
+
+    The right side is 0 but for two entries, and so are the first steps of conjugate gradients but
+    for their opponents, and those of these: only later steps read all pairs that met. Slots are
+    eliminated, H's Schur complement over the strengths is solved.
+    """
+
+    def __init__(self, system: Sparse, squares: Squares) -> None:
+        """Prepare for some differences, which takes as long as a hundred of them."""
+        self._system, self._squares = system, squares
+        self._met = system.both()
+        self._scattered = (squares.scores.T @ squares.scores).tocsr()
+        self._least = float(system.prior.min())
+
+    def variances(self, one: int, other: int) -> tuple[float, float]:
+        """Return the model's and the robust variance of a difference, entries given by index."""
+        right = np.zeros(len(self._squares.prior))
+        right[one] += 1.0
+        right[other] -= 1.0
+        entries, squares = self._solved(right), self._squares
+        slots = -self._system.slots_of(entries)
+        robust = entries @ (_times(self._scattered, entries) + squares.prior * entries)
+        robust += slots @ (2 * squares.border.T @ entries + squares.corner @ slots)
+        return float(right @ entries), float(robust)
+
+    def _solved(self, right: np.ndarray) -> np.ndarray:
+        """Return the strengths' part of H^-1 right, its variance right to `GAP_ERROR`.
+
+        A residual r leaves out r' H^-1 r of the variance, at most |r|^2 / (least prior), because
+        races only add curvature.
+        """
+        system, solved, residual, variance = self._system, np.zeros(len(right)), right.copy(), 0.0
+        diagonal = system.diagonal[: len(right)]
+        towards = scaled = residual / diagonal
+        length = float(residual @ scaled)
+        while residual @ residual > GAP_ERROR * self._least * variance:
+            met = _times(self._met, towards)
+            curved = diagonal * towards - met - system.border @ system.slots_of(towards)
+            step = length / float(towards @ curved)
+            solved += step * towards
+            residual -= step * curved
+            variance += step * length
+            scaled = residual / diagonal
+            before, length = length, float(residual @ scaled)
+            towards = scaled + length / before * towards
+        return solved
+
+
+def _times(symmetric: sparse.csr_array, vector: np.ndarray) -> np.ndarray:
+    """Return the product of a symmetric table with a vector."""
+    known = np.flatnonzero(vector)
+    if len(known) > FEW * len(vector):
+        return symmetric @ vector
+    return symmetric[known].T @ vector[known]
+
+
 class Variances:
     """How sure the parameters are [natural units^2]."""
 
@@ -324,33 +381,28 @@ class Variances:
 
     def gaps(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
         """Return the variances of strength differences between entries, given by index."""
-        variances = np.zeros(len(one))
-        for start in range(0, len(one), COLUMNS):
-            some = slice(start, start + COLUMNS)
-            column = np.arange(len(one[some]))
-            right = np.zeros((self._squares.size, len(column)))
-            right[one[some], column] += 1.0
-            right[other[some], column] -= 1.0
-            heats = np.minimum(self._squares.heats[one[some]], self._squares.heats[other[some]])
-            within = self._gap_within(one[some], other[some])
-            variances[some] = _blend(*self._quadratic(right, within), heats, self._ratio)
-        return variances
+        if isinstance(self._system, Dense):
+            right = np.zeros((self._squares.size, len(one)))
+            column = np.arange(len(one))
+            np.add.at(right, (one, column), 1.0)
+            np.add.at(right, (other, column), -1.0)
+            model, robust = self._quadratic(right)
+        else:
+            pairs = zip(one.tolist(), other.tolist(), strict=True)
+            found = [self._gaps.variances(*pair) for pair in pairs]
+            model, robust = np.reshape(found, (-1, 2)).T
+        heats = np.minimum(self._squares.heats[one], self._squares.heats[other])
+        return _blend(model, robust, heats, self._ratio)
 
-    def _gap_within(self, one: np.ndarray, other: np.ndarray) -> float:
-        """Return how far differences must be solved for `GAP_ERROR`.
+    @cached_property
+    def _gaps(self) -> Gaps:
+        assert isinstance(self._system, Sparse)
+        return Gaps(self._system, self._squares)
 
-        A residual r leaves out r' H^-1 r of the variance, at most |r|^2 / (least prior), because
-        races only add curvature; and with b = e_i - e_j the variance is no less than
-        (b'b)^2 / (b' H b), at least 2 / (H_ii + H_jj).
-        """
-        diagonal = self._system.diagonal
-        least = float((2.0 / (diagonal[one] + diagonal[other])).min())
-        return float(np.sqrt(GAP_ERROR * self._system.prior.min() * least / 2.0))
-
-    def _quadratic(self, right: np.ndarray, within: float = 1e-8) -> tuple[np.ndarray, np.ndarray]:
+    def _quadratic(self, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the model's and the robust variances of some combinations, one a column."""
-        solved = self._system.solve(right, within=within)
-        return (right * solved).sum(axis=0), self._squares.between(solved)
+        solved = self._system.solve(right)
+        return (right * solved).sum(axis=0), (solved * self._squares.times(solved)).sum(axis=0)
 
     def _against(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the model's and the robust variances of each strength less a weighted average."""
