@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from league.matchmaking import standings
-from league.matchmaking.ratings.table import SIGMAS_95, expected_score
+from league.matchmaking.ratings.pair_counts import changes
+from league.matchmaking.ratings.table import SIGMAS_95
 from league.matchmaking.standings import Standings, Strengths
 from league.matchmaking.store import BEST_MS, CLEAN, Races, Season, Store
 from league.sim.config import RaceKind
@@ -45,7 +46,6 @@ def race_scores(
     races, counts = own.races, own.met
     if other is not None:
         counts = counts & (races.entries == other)
-    promised = expected_score(np.take_along_axis(own.strengths, own.slot, axis=1) - own.strengths)
     names = dict(enumerate(rated.tracks))
     rows = np.flatnonzero(counts.any(axis=1) | (other is None))
     columns = (
@@ -53,9 +53,22 @@ def race_scores(
         (races.half[rows].astype(int) + 1).tolist(),
         [names.get(track, "") for track in races.track[rows].tolist()],
         np.where(counts, own.points, 0.0).sum(axis=1)[rows].tolist(),
-        np.where(counts, promised, 0.0).sum(axis=1)[rows].tolist(),
+        np.where(counts, own.expected, 0.0).sum(axis=1)[rows].tolist(),
     )
     return list(map(RaceScore, *columns))
+
+
+def heat_scores(rated: Standings, number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return an entry's rated heats: numbers, points made, points promised, (heats,) each."""
+    own = standings.own_races(rated.races, rated.ratings, number)
+    starts = changes(own.races.heat)
+    if not len(starts):
+        return own.races.heat, np.zeros(0), np.zeros(0)
+    points, expected = (
+        np.add.reduceat(np.where(own.met, some, 0.0).sum(axis=1), starts)
+        for some in (own.points, own.expected)
+    )
+    return own.races.heat[starts], points, expected
 
 
 @dataclass(frozen=True)

@@ -127,9 +127,17 @@ class Snapshot:
             kept &= (counted.entries >= 0).sum(axis=1) == cars
         races = counted.where(kept)
         numbers = set(np.unique(races.entries).tolist())
+        if self.rated and kept.all() and not self._carries and numbers - {-1} == self.rows.keys():
+            return self.rated
         entries = [entry for entry in self.entries if entry.number in numbers]
         within, near = RatingScope(races, self.season, None), self.rated and self.rated.ratings
         return standings.table(entries, within, rules.hash, rules.tracks, near=near)
+
+    @property
+    def _carries(self) -> bool:
+        """Whether ratings of the season before count in this one, see `scope`."""
+        hash, last = self.settings.ruleset.hash, self.season.number - 1 if self.season else None
+        return any(one.number == last and one.ruleset == hash for one in self.seasons)
 
     @cached_property
     def owners(self) -> list[str]:

@@ -16,7 +16,7 @@ from league.matchmaking.store.database import Database
 from league.matchmaking.store.entries import EntryStore
 from league.matchmaking.store.integrity import Integrity
 from league.matchmaking.store.queue import QueueStore
-from league.matchmaking.store.records import Drives, HeatRecord, LeagueSettings, Races
+from league.matchmaking.store.records import DoneHeat, Drives, HeatRecord, LeagueSettings, Races
 from league.matchmaking.store.results import ResultStore
 from league.matchmaking.store.schema import heats, league, rulesets
 from league.matchmaking.store.seasons import SeasonStore
@@ -124,6 +124,13 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
         with self._database.reading() as connection:
             numbers = list(connection.scalars(query.offset(skip).limit(limit)))
         return self.heats(numbers=numbers)[::-1]
+
+    def newest_done(self, limit: int) -> list[DoneHeat]:
+        """Return who raced so many of the newest heats that are done, the newest first."""
+        query = sa.select(heats.c.worker, heats.c.done_s).where(self._done(None))
+        with self._database.reading() as connection:
+            rows = connection.execute(query.order_by(heats.c.number.desc()).limit(limit))
+            return [DoneHeat(*row) for row in rows]
 
     def num_done(self, entry: int | None = None) -> int:
         """Return how many heats are done, of all or of one entry (its number)."""

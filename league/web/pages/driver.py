@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import heapq
 import itertools
 import math
 from collections.abc import Mapping, Sequence
@@ -15,7 +14,13 @@ from league.errors import StoreError
 from league.matchmaking import standings
 from league.matchmaking.history import HistoryPoint, history, own_history
 from league.matchmaking.pairing import matchmaker
-from league.matchmaking.scores import FinalRatings, RaceScore, race_scores, scores_by_season
+from league.matchmaking.scores import (
+    FinalRatings,
+    RaceScore,
+    heat_scores,
+    race_scores,
+    scores_by_season,
+)
 from league.matchmaking.standings import HeadToHead, Row, Standings, Strengths
 from league.matchmaking.store import HeatRecord, LeagueEntry, Races, Season, StoredResult
 from league.track import files
@@ -60,9 +65,7 @@ def document(reader: Reader, number: int) -> Document:
     raced = reader.store.heats(entries=[number], limit=NEWEST, newest=True)
     over = [record for record in raced if record.state not in (*WAITING, "cancelled")]
     moments = _history(reader, entry, rated) if rated and row and row.races else []
-    heats = _heat_scores(rated, number) if rated and row else []
-    best = [one for one in heapq.nlargest(EXTREMES, heats, key=_surplus) if _surplus(one) > 0]
-    worst = [one for one in heapq.nsmallest(EXTREMES, heats, key=_surplus) if _surplus(one) < 0]
+    best, worst = _extremes(rated, number) if rated and row else ([], [])
     newest = over[-HEATS:][::-1]
     extreme = reader.store.heats(numbers=[one["number"] for one in best + worst])
     results = reader.results(newest + extreme)
@@ -114,18 +117,21 @@ def _neighbours(rated: Standings, row: Row) -> list[tuple[Row, HeadToHead | None
     ]
 
 
-def _heat_scores(rated: Standings, number: int) -> list[Document]:
-    """Return what an entry made in each of its rated heats, and what the ratings promised."""
-    by_heat = itertools.groupby(race_scores(rated, number), key=lambda score: score.heat)
-    scores = []
-    for heat, races in by_heat:
-        points, expected = zip(*((race.points, race.expected) for race in races), strict=True)
-        scores.append({"number": heat, "points": sum(points), "expected": sum(expected)})
-    return scores
+def _extremes(rated: Standings, number: int) -> tuple[list[Document], list[Document]]:
+    """Return the heats that went better than the ratings promised, and worse, the most so first."""
+    heats, points, expected = heat_scores(rated, number)
+    beyond = points - expected
 
+    def first(surplus: np.ndarray) -> list[Document]:
+        order = np.argsort(-surplus, kind="stable")[:EXTREMES]
+        order = order[surplus[order] > 0]
+        columns = (column[order].tolist() for column in (heats, points, expected))
+        return [
+            {"number": heat, "points": made, "expected": promised}
+            for heat, made, promised in zip(*columns, strict=True)
+        ]
 
-def _surplus(score: Document) -> float:
-    return score["points"] - score["expected"]
+    return first(beyond), first(-beyond)
 
 
 def _laps(reader: Reader, number: int) -> list[Document]:
