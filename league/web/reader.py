@@ -31,6 +31,8 @@ REST = 4.0
 """The next one waits so many times as long as the last one worked: a fifth of a processor."""
 SETTLED_REST = 24.0
 """The same before a fit that nothing needs but that ratings are exact: a twenty-fifth of it."""
+COUNTS_REST = 40.0
+"""The same before heats are counted again: about a second in a league of half a million."""
 MOST_KEPT = 128
 """Recordings and other slow answers that are kept."""
 MOST_LARGE = 128 << 20
@@ -245,7 +247,7 @@ class Reader:
         if known is None or (known[0] != revision and start_s >= self._counts_due_s):
             self._counts = known = revision, self.store.counts()
             now_s = time.monotonic()
-            self._counts_due_s = now_s + max(FRESH_S, REST * (now_s - start_s))
+            self._counts_due_s = now_s + COUNTS_REST * (now_s - start_s)
         return known[1]
 
     def record(self, number: int) -> HeatRecord:

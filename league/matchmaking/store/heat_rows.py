@@ -10,7 +10,6 @@ from typing import Any
 import sqlalchemy as sa
 
 from league.matchmaking.pairing.heat_spec import Half, Heat
-from league.matchmaking.store.database import chunked
 from league.matchmaking.store.records import HeatRecord
 from league.matchmaking.store.schema import entries, heats, rulesets
 
@@ -50,13 +49,12 @@ def records_of(
         connection: to read entries that are not known yet.
         rows: of the heats.
         secret: the league's, which makes the seeds.
-        id_of: ids of entries by number; those that are missing are added.
+        id_of: ids of entries by number; if some are missing, all are added.
     """
     races = [json.loads(row.halves) for row in rows]
     numbers = {number for own in races for _, grid in own for number in grid}
-    if missing := sorted(numbers - id_of.keys()):
-        query = sa.select(entries.c.number, entries.c.id)
-        id_of.update(map(tuple, chunked(connection, query, entries.c.number, missing)))
+    if not numbers <= id_of.keys():
+        id_of.update(map(tuple, connection.execute(sa.select(entries.c.number, entries.c.id))))
     return [_record(row, own, secret, id_of) for row, own in zip(rows, races, strict=True)]
 
 

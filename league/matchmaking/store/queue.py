@@ -54,7 +54,7 @@ class QueueStore(Transactional):
     _secret: bytes
     """The league's, which makes the seeds."""
     _entry_ids: dict[int, str]
-    """Ids of entries by their numbers, as far as they were asked for; they never change."""
+    """Ids of entries by their numbers; they never change."""
 
     def plan(self, planned: Sequence[Heat]) -> int:
         """Add heats to the queue and return how many are new; known ones are left as they are."""
