@@ -26,6 +26,19 @@ from typing import Any, TypeVar
 import numba
 from numba import njit
 from numba.core import caching
+from numba.np import linalg
+
+
+def _without_blas() -> None:
+    """Say that there is no BLAS.
+
+    Numba looks for SciPy's before it compiles or loads anything, which takes a tenth of a second.
+    Products of matrices could not be compiled without it; ours are loops, in a fixed order.
+    """
+    raise ImportError
+
+
+linalg.ensure_blas = _without_blas
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _INNER: dict[str, Any] = {

@@ -47,6 +47,11 @@ def ensure() -> None:
 
         for group in [pool.submit(compile_group, parts) for parts in GROUPS]:
             group.result()
+    import compileall  # late: it is needed once
+
+    # An editable install has no bytecode, and containers often keep Python from writing any: then
+    # each start would compile the sources again.
+    compileall.compile_dir(_PACKAGE, quiet=2)
     (folder / _COMPLETE).touch()
     _remove_older(folder)
 

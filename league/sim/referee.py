@@ -153,26 +153,33 @@ def _lap(old, car, world, seen, course, settings):
 def _order(before, cars, world, verdicts, course, settings):
     """Find which cars each car is ahead of, which it passed on the road, and who leads."""
     num_cars, old_leader = len(cars), world.leader
-    leads = False
+    leads, home = False, False
     for c in range(num_cars):
-        ahead, passed, beaten = 0, 0, 0
+        home |= cars[c].finish_s != _INFINITE
+    # Whoever is home first is ahead for good, whatever it does on its cooling lap.
+    by_time = home and settings.pursuers == 0
+    for c in range(num_cars):
+        ahead, passed = 0, 0
         for other in range(num_cars):
             was_ahead = (before[c].ahead >> other) & 1 == 1
-            if other != c and _is_ahead(cars[c], cars[other], was_ahead, course, settings):
-                ahead |= 1 << other
-                beaten += 1
-                if was_ahead:
-                    continue
-                both = grid.is_racing(before[c]) and grid.is_racing(before[other])
-                # Of cars that can drive through each other none passes.
-                both = both and not (settings.room and (before[c].ghost or before[other].ghost))
-                # Half a lap apart, ahead turns to behind without a pass.
-                if both and _lead(cars[c], cars[other], course) < _CLEAR_PASS:
-                    passed |= 1 << other
-                    cars[c].overtakes += 1
+            if by_time and min(cars[c].finish_s, cars[other].finish_s) < _INFINITE:
+                is_ahead = _is_home_before(cars[c], cars[other], was_ahead)
+            else:
+                is_ahead = _is_ahead(cars[c], cars[other], was_ahead, course, settings)
+            ahead |= is_ahead << other
+        new = ahead & ~before[c].ahead
+        for other in range(num_cars if new else 0):
+            both = grid.is_racing(before[c]) and grid.is_racing(before[other])
+            # Of cars that can drive through each other none passes.
+            both = both and not (settings.room and (before[c].ghost or before[other].ghost))
+            # Half a lap apart, ahead turns to behind without a pass.
+            if (new >> other) & 1 and both and _lead(cars[c], cars[other], course) < _CLEAR_PASS:
+                passed |= 1 << other
+                cars[c].overtakes += 1
         cars[c].ahead, verdicts[c].overtook = np.uint8(ahead), np.uint8(passed)
         # Of cars side by side none may be ahead of all: then the leader stays.
-        if num_cars > 1 and beaten == num_cars - 1 and not leads and settings.pursuers == 0:
+        others = (1 << num_cars) - 1 - (1 << c)
+        if num_cars > 1 and ahead == others and not leads and settings.pursuers == 0:
             leads, world.leader = True, c
     if settings.pursuers > 0:
         world.leader = _leader_of_pursuit(cars, old_leader, settings)
@@ -206,13 +213,17 @@ def _lead(car, rival, course):
 
 @inner
 def _is_ahead(car, rival, was_ahead, course, settings):
-    """Return whether a car is ahead of another; a pair changes only when the pass is clear."""
-    home = car.finish_s != _INFINITE or rival.finish_s != _INFINITE
-    if home and settings.pursuers == 0:
-        # Whoever is home first is ahead for good, whatever it does on its cooling lap.
-        return car.finish_s < rival.finish_s or (car.finish_s == rival.finish_s and was_ahead)
+    """Return whether a car is ahead of another; a pair changes only when the pass is clear.
+
+    No car is ahead of itself. No branches: they could not be predicted.
+    """
     lead, margin = _lead(car, rival, course), settings.overtake_margin
-    return lead > margin or (was_ahead and lead >= -margin)
+    return (lead > margin) | (was_ahead & (lead >= -margin))
+
+
+@inner
+def _is_home_before(car, rival, was_ahead):
+    return car.finish_s < rival.finish_s or (car.finish_s == rival.finish_s and was_ahead)
 
 
 @inner

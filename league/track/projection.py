@@ -119,10 +119,15 @@ def project(points, course, x, y, s):
 def signed_gap(course, ahead, behind):
     """Return how far `ahead` lies in front of `behind` [m]; on a loop the shorter way round."""
     gap = ahead - behind
-    if course.closed:
-        half = course.length * _HALF
-        return wrap(gap + half, course.length) - half
-    return gap
+    if not course.closed:
+        return gap
+    length, half = course.length, course.length * _HALF
+    if abs(gap) > length:
+        return wrap(gap + half, length) - half
+    # The same without branches, which could not be predicted.
+    value = gap + half
+    value += (length if value < _ZERO else _ZERO) - (length if value >= length else _ZERO)
+    return (value if value < length else _ZERO) - half
 
 
 @inner

@@ -7,7 +7,7 @@ touch, so that the solver can look one step ahead. The normal impulses at both p
 together and exactly (the block solver of Box2D); friction acts at the nearer one.
 
 All numbers are float32. A body is a row X, Y, YAW, VX, VY, TURN; its box a row of half length, half
-width [m], inverse mass [1/kg] and inverse inertia [1/(kg m^2)].
+width [m], inverse mass [1/kg], inverse inertia [1/(kg m^2)] and distance of its corners [m].
 """
 
 # Numba gives its types a meaning that the checker does not know.
@@ -35,21 +35,40 @@ SWEEPS = 2
 """Times friction and pressure answer each other when a pair is worked."""
 REPEATS = 2
 """Further times that pairs are worked which share a car with another acting pair."""
+_UNKNOWN = np.float32(2.0)
+"""Stands for a cosine that has not been worked out."""
 _TOGETHER = np.float32(1e-3)
 """Two points that almost coincide cannot share the load."""
 _ZERO, _HALF, _ONE, _TWO = (np.float32(number) for number in (0.0, 0.5, 1.0, 2.0))
 
 
 @inner(allocates=True)
-def scratch_of(num_bodies, num_pairs):
-    """Return arrays that `part` works with, so that it need not make them in each physics step."""
-    turn, busy = np.empty((num_bodies, 2), np.float32), np.empty(num_bodies, np.int64)
-    acting, touch = np.empty(num_pairs, np.int64), np.empty((num_pairs, 14), np.float32)
-    return turn, busy, acting, touch, np.empty((num_pairs, 3), np.float32)
+def arrays_of(count):
+    """Return arrays for `part`, which `views_of` takes apart; row k is of body k, and of pair k.
+
+    Made once a control step, and only two: making one takes as long as some sines.
+    """
+    return np.empty((count, 32), np.float32), np.empty((count, 5), np.int64)
 
 
 @inner
-def part(bodies, boxes, first, second, touched, shift, scratch, dt, restitution, friction):
+def views_of(arrays):
+    """Return bodies, boxes, shift, pairs, touched and scratch, as `part` has them."""
+    numbers, marks = arrays
+    bodies, boxes, shift = numbers[:, :6], numbers[:, 6:11], numbers[:, 11:13]
+    turn, touch, impulse = numbers[:, 13:15], numbers[:, 15:29], numbers[:, 29:]
+    return (
+        bodies,
+        boxes,
+        shift,
+        marks[:, :2],
+        marks[:, 2],
+        (turn, marks[:, 3], marks[:, 4], touch, impulse),
+    )
+
+
+@inner
+def part(bodies, boxes, shift, pairs, touched, scratch, dt, restitution, friction):
     """Change how bodies that touch move in a physics step; return whether any exchanged impulses.
 
     Pairs are worked in their order, one after the other. Which of them are worked again does not
@@ -58,24 +77,28 @@ def part(bodies, boxes, first, second, touched, shift, scratch, dt, restitution,
     Args:
         bodies: where they are and how they would move, float32 (num_bodies, 6); the velocities
             are changed in place.
-        boxes: their sizes and what they resist with, float32 (num_bodies, 4).
-        first: a body of each pair, int64 (num_pairs,).
-        second: the other one.
-        touched: set where a pair touches, bool (num_pairs,).
-        shift: set to how far overlap moves each body, float32 (num_bodies, 2) [m].
-        scratch: of `scratch_of`.
+        boxes: their sizes and what they resist with, float32 (num_bodies, 5).
+        shift: set to how far overlap moves each body of a pair, float32 (num_bodies, 2) [m].
+        pairs: the bodies of each pair, int64 (num_pairs, 2).
+        touched: set to 1 where a pair touches, int64 (num_pairs,).
+        scratch: of `views_of`.
         dt: the physics step [s].
         restitution: share of the approach speed that comes back.
         friction: coefficient between two bodies.
     """
-    num_pairs = len(first)
     turn, busy, acting, touch, impulse = scratch
-    for body in range(len(bodies)):
-        shift[body, 0], shift[body, 1], busy[body] = _ZERO, _ZERO, 0
-        turn[body, 1], turn[body, 0] = sincos(bodies[body, YAW])
+    for pair in range(len(pairs)):
+        for body in (pairs[pair, 0], pairs[pair, 1]):
+            shift[body, 0], shift[body, 1], busy[body] = _ZERO, _ZERO, 0
+            turn[body, 0] = _UNKNOWN
     number = 0
-    for pair in range(num_pairs):
-        one, two = first[pair], second[pair]
+    for pair in range(len(pairs)):
+        one, two = pairs[pair, 0], pairs[pair, 1]
+        if _are_apart(bodies[one], boxes[one], bodies[two], boxes[two], dt):
+            continue
+        for body in (one, two):
+            if turn[body, 0] == _UNKNOWN:
+                turn[body, 1], turn[body, 0] = sincos(bodies[body, YAW])
         meeting = touch[number]
         if not manifold(
             bodies[one], turn[one], boxes[one], bodies[two], turn[two], boxes[two], meeting
@@ -84,7 +107,7 @@ def part(bodies, boxes, first, second, touched, shift, scratch, dt, restitution,
         hit = _goals(bodies[one], bodies[two], meeting, dt, restitution)
         deepest = min(meeting[2], meeting[3])
         if hit or deepest <= _ZERO:
-            touched[pair] = True
+            touched[pair] = 1
         if hit or deepest < -SLOP:
             acting[number] = pair
             number += 1
@@ -92,18 +115,28 @@ def part(bodies, boxes, first, second, touched, shift, scratch, dt, restitution,
         return False
     for k in range(number):
         impulse[k, 0], impulse[k, 1], impulse[k, 2] = _ZERO, _ZERO, _ZERO
-        one, two = first[acting[k]], second[acting[k]]
+        one, two = pairs[acting[k], 0], pairs[acting[k], 1]
         busy[one] += 1
         busy[two] += 1
         _push(bodies, boxes, one, two, touch[k], impulse[k], friction)
     for _ in range(REPEATS):
         for k in range(number):
-            one, two = first[acting[k]], second[acting[k]]
+            one, two = pairs[acting[k], 0], pairs[acting[k], 1]
             if busy[one] > 1 or busy[two] > 1:
                 _push(bodies, boxes, one, two, touch[k], impulse[k], friction)
     for k in range(number):
-        _mend(shift, boxes, first[acting[k]], second[acting[k]], touch[k])
+        _mend(shift, boxes, pairs[acting[k], 0], pairs[acting[k], 1], touch[k])
     return True
+
+
+@inner
+def _are_apart(one, box_one, two, box_two, dt):
+    """Return whether two boxes are too far apart, whatever their yaw, to meet in this step."""
+    closing = abs(two[VX] - one[VX]) + abs(two[VY] - one[VY])
+    closing += abs(one[TURN]) * box_one[4] + abs(two[TURN]) * box_two[4]
+    room = box_one[4] + box_two[4] + closing * dt
+    dx, dy = two[X] - one[X], two[Y] - one[Y]
+    return dx * dx + dy * dy > room * room
 
 
 @inner

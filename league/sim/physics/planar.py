@@ -10,7 +10,7 @@ import numpy as np
 
 from league.jit import compiled, inner
 from league.portable_math import f32, sincos, wrap_angle
-from league.sim.physics.collision import part, scratch_of
+from league.sim.physics.collision import arrays_of, part, views_of
 from league.sim.physics.vehicle import frozen, late_steps, push
 from league.sim.settings import HALF_WALL
 
@@ -18,7 +18,7 @@ _HALF_WALL = f32(HALF_WALL)
 REACH_MARGIN = f32(0.1)
 """Added to the distance two bodies may close in a control step [m]; covers what forces add."""
 NUM_WALLS = 4
-_ZERO, _HALF, _ONE = f32(0.0), f32(0.5), f32(1.0)
+_ZERO, _HALF, _ONE, _TWO = f32(0.0), f32(0.5), f32(1.0), f32(2.0)
 
 
 def schedule(num_cars: int) -> np.ndarray:
@@ -56,54 +56,61 @@ def step_world(cars, obstacles, course, controls, contacts, pairs, settings):
         contacts[c].cars, contacts[c].obstacles, contacts[c].wall = 0, 0, False
         if frozen(cars[c]):
             cars[c].velocity_x, cars[c].velocity_y, cars[c].yaw_rate = _ZERO, _ZERO, _ZERO
-    number = _near(cars, obstacles, course, pairs, settings, pairs[:0])
-    if number == 0:
+    if _all_apart(cars, obstacles, course, settings):
         for k in range(settings.decimation):
             for c in range(num_cars):
                 if not frozen(cars[c]):
                     _accelerate(cars[c], controls[c], settings, k)
                     _move(cars[c], dt, _ZERO, _ZERO)
     else:
-        _step_near(number, cars, obstacles, course, controls, contacts, pairs, settings)
+        _step_near(cars, obstacles, course, controls, contacts, pairs, settings)
     for c in range(num_cars):
         cars[c].yaw = wrap_angle(cars[c].yaw)
 
 
 @inner(allocates=True)
-def _step_near(number, cars, obstacles, course, controls, contacts, pairs, settings):
-    near = np.empty((number, 2), np.int64)
-    _near(cars, obstacles, course, pairs, settings, near)
-    first, second = near[:, 0].copy(), near[:, 1].copy()
-    bodies, boxes = _bodies(cars, obstacles, course, settings)
-    touched, shift = np.zeros(number, np.bool_), np.empty((len(bodies), 2), np.float32)
-    scratch = scratch_of(len(bodies), number)
-    _push_apart(cars, controls, bodies, boxes, first, second, touched, shift, scratch, settings)
-    for n in range(number):
-        if touched[n]:
-            _note(contacts, first[n], second[n], len(cars), len(obstacles))
+def _step_near(cars, obstacles, course, controls, contacts, pairs, settings):
+    fixed = len(obstacles) + NUM_WALLS
+    arrays = arrays_of(max(len(cars) + fixed, len(pairs) + len(cars) * fixed))
+    _push_apart(arrays, cars, obstacles, course, controls, contacts, pairs, settings)
 
 
 @inner
-def _push_apart(cars, controls, bodies, boxes, first, second, touched, shift, scratch, settings):
-    """Move the cars through a control step in which some of the pairs may touch; see `part`."""
+def _push_apart(arrays, cars, obstacles, course, controls, contacts, pairs, settings):
+    """Move the cars through a control step in which some bodies may touch; see `part`."""
     num_cars, dt = len(cars), settings.physics_dt
+    bodies, boxes, shift, near, touched, scratch = views_of(arrays)
+    number = _near(cars, obstacles, course, pairs, settings, near)
+    near, engaged = near[:number], 0
+    for n in range(number):
+        touched[n], engaged = 0, engaged | 1 << near[n, 0] | 1 << near[n, 1]
+    _set_bodies(engaged, bodies, boxes, cars, obstacles, course, settings)
     for k in range(settings.decimation):
         for c in range(num_cars):
-            if not frozen(cars[c]):
-                _accelerate(cars[c], controls[c], settings, k)
-            _write(bodies[c], cars[c].x, cars[c].y, cars[c].yaw)
-            _write(bodies[c, 3:], cars[c].velocity_x, cars[c].velocity_y, cars[c].yaw_rate)
+            car = cars[c]
+            if not frozen(car):
+                _accelerate(car, controls[c], settings, k)
+            if (engaged >> c) & 1:
+                _write(bodies[c], car.x, car.y, car.yaw)
+                _write(bodies[c, 3:], car.velocity_x, car.velocity_y, car.yaw_rate)
         bounce, rub = settings.restitution, settings.friction
-        part(bodies, boxes, first, second, touched, shift, scratch, dt, bounce, rub)
+        part(bodies, boxes, shift, near, touched, scratch, dt, bounce, rub)
         for c in range(num_cars):
-            if not frozen(cars[c]):
-                car = cars[c]
+            car = cars[c]
+            if frozen(car):
+                continue
+            if (engaged >> c) & 1:
                 car.velocity_x, car.velocity_y = bodies[c, 3], bodies[c, 4]
                 car.yaw_rate = bodies[c, 5]
                 _move(car, dt, shift[c, 0], shift[c, 1])
-        for body in range(num_cars, len(bodies)):
+            else:
+                _move(car, dt, _ZERO, _ZERO)
+        for body in range(num_cars, num_cars + len(obstacles)):
             bodies[body, 0] += bodies[body, 3] * dt
             bodies[body, 1] += bodies[body, 4] * dt
+    for n in range(number):
+        if touched[n]:
+            _note(contacts, near[n, 0], near[n, 1], num_cars, len(obstacles))
 
 
 @inner
@@ -147,52 +154,73 @@ def _write(row, first, second, third):
 
 
 @inner
-def _reach(car, settings):
-    """Return how far from its base a car may touch something within the control step [m]."""
-    speed = abs(car.velocity_x) + abs(car.velocity_y)
-    return speed * settings.step_dt + REACH_MARGIN + settings.radius
+def _all_apart(cars, obstacles, course, settings):
+    """Return whether no two bodies can touch in the control step."""
+    for c in range(len(cars)):
+        car, reach = cars[c], _reach(cars[c], settings)
+        nearest = min(course.x_max - car.x, car.x - course.x_min)
+        nearest = min(nearest, min(course.y_max - car.y, car.y - course.y_min))
+        if nearest < reach and not frozen(car):
+            return False
+        for other in range(c):
+            if _may_meet(car, cars[other], settings):
+                return False
+        for k in range(len(obstacles)):
+            if _may_hit(car, obstacles[k], settings):
+                return False
+    return True
 
 
 @inner
 def _near(cars, obstacles, course, pairs, settings, out):
-    """Return how many pairs of bodies may touch in the control step; write them if there is room.
+    """Write the pairs of bodies that may touch in the control step; return how many.
 
     Bodies are numbered: cars, obstacles, then the walls at x_max, x_min, y_max and y_min. `out` is
-    set to the pairs, int64 (num_pairs, 2); with no rows they are only counted.
+    set to the pairs, int64 (num_pairs, 2).
     """
     number, num_cars = 0, len(cars)
     for n in range(len(pairs)):
-        one, two = cars[pairs[n, 0]], cars[pairs[n, 1]]
-        if one.ghost or two.ghost or (frozen(one) and frozen(two)):
-            continue
-        dx, dy = two.x - one.x, two.y - one.y
-        room = _reach(one, settings) + _reach(two, settings)
-        if dx * dx + dy * dy < room * room:
-            if len(out):
-                out[number, 0], out[number, 1] = pairs[n, 0], pairs[n, 1]
+        if _may_meet(cars[pairs[n, 0]], cars[pairs[n, 1]], settings):
+            out[number, 0], out[number, 1] = pairs[n, 0], pairs[n, 1]
             number += 1
     for k in range(len(obstacles)):
-        thing = obstacles[k]
-        speed = abs(thing.velocity_x) + abs(thing.velocity_y)
-        size = thing.half_length + thing.half_width + speed * settings.step_dt
         for c in range(num_cars):
-            if cars[c].ghost or frozen(cars[c]):
-                continue
-            dx, dy = cars[c].x - thing.x, cars[c].y - thing.y
-            room = _reach(cars[c], settings) + size
-            if dx * dx + dy * dy < room * room:
-                if len(out):
-                    out[number, 0], out[number, 1] = c, num_cars + k
+            if _may_hit(cars[c], obstacles[k], settings):
+                out[number, 0], out[number, 1] = c, num_cars + k
                 number += 1
     for wall in range(NUM_WALLS):
         for c in range(num_cars):
-            if frozen(cars[c]):
-                continue
-            if _to_wall(cars[c], course, wall) < _reach(cars[c], settings):
-                if len(out):
-                    out[number, 0], out[number, 1] = c, num_cars + len(obstacles) + wall
+            to_wall = _to_wall(cars[c], course, wall)
+            if to_wall < _reach(cars[c], settings) and not frozen(cars[c]):
+                out[number, 0], out[number, 1] = c, num_cars + len(obstacles) + wall
                 number += 1
     return number
+
+
+@inner
+def _may_meet(one, two, settings):
+    closing = abs(two.velocity_x - one.velocity_x) + abs(two.velocity_y - one.velocity_y)
+    room = closing * settings.step_dt + _TWO * (REACH_MARGIN + settings.radius)
+    dx, dy = two.x - one.x, two.y - one.y
+    if dx * dx + dy * dy >= room * room:
+        return False
+    return not (one.ghost or two.ghost or (frozen(one) and frozen(two)))
+
+
+@inner
+def _may_hit(car, thing, settings):
+    speed = abs(thing.velocity_x) + abs(thing.velocity_y)
+    size = thing.half_length + thing.half_width + speed * settings.step_dt
+    room = _reach(car, settings) + size
+    dx, dy = car.x - thing.x, car.y - thing.y
+    return dx * dx + dy * dy < room * room and not (car.ghost or frozen(car))
+
+
+@inner
+def _reach(car, settings):
+    """Return how far from its base a car may touch something within the control step [m]."""
+    speed = abs(car.velocity_x) + abs(car.velocity_y)
+    return speed * settings.step_dt + REACH_MARGIN + settings.radius
 
 
 @inner
@@ -206,33 +234,42 @@ def _to_wall(car, course, wall):
     return car.y - course.y_min
 
 
-@inner(allocates=True)
-def _bodies(cars, obstacles, course, settings):
+@inner
+def _set_bodies(engaged, bodies, boxes, cars, obstacles, course, settings):
     num_cars, fixed = len(cars), len(cars) + len(obstacles)
-    bodies = np.zeros((fixed + NUM_WALLS, 6), np.float32)
-    boxes = np.zeros((fixed + NUM_WALLS, 4), np.float32)
     for c in range(num_cars):
-        boxes[c, 0], boxes[c, 1] = settings.half_length, settings.half_width
-        if not frozen(cars[c]):
-            boxes[c, 2] = _ONE / cars[c].mass
-            boxes[c, 3] = _ONE / cars[c].mass / settings.inertia_of_mass
+        _write(boxes[c], settings.half_length, settings.half_width, _ZERO)
+        if frozen(cars[c]):
+            _write(boxes[c, 2:], _ZERO, _ZERO, settings.radius)
+        else:
+            ease = _ONE / cars[c].mass
+            _write(boxes[c, 2:], ease, ease / settings.inertia_of_mass, settings.radius)
     for k in range(len(obstacles)):
-        thing = obstacles[k]
-        _write(bodies[num_cars + k], thing.x, thing.y, thing.yaw)
-        _write(bodies[num_cars + k, 3:], thing.velocity_x, thing.velocity_y, _ZERO)
-        boxes[num_cars + k, 0], boxes[num_cars + k, 1] = thing.half_length, thing.half_width
+        thing, row = obstacles[k], num_cars + k
+        _write(bodies[row], thing.x, thing.y, thing.yaw)
+        _write(bodies[row, 3:], thing.velocity_x, thing.velocity_y, _ZERO)
+        _fix(boxes[row], thing.half_length, thing.half_width)
+    if not engaged >> fixed:
+        return
     middle_x, half_x = (course.x_min + course.x_max) * _HALF, (course.x_max - course.x_min) * _HALF
     middle_y, half_y = (course.y_min + course.y_max) * _HALF, (course.y_max - course.y_min) * _HALF
     for wall in range(NUM_WALLS):
         side = _ONE if wall == 0 or wall == 2 else -_ONE
         row = fixed + wall
+        _write(bodies[row, 3:], _ZERO, _ZERO, _ZERO)
         if wall < 2:
             _write(bodies[row], middle_x + side * (half_x + _HALF_WALL), middle_y, _ZERO)
-            boxes[row, 0], boxes[row, 1] = _HALF_WALL, half_y + _HALF_WALL
+            _fix(boxes[row], _HALF_WALL, half_y + _HALF_WALL)
         else:
             _write(bodies[row], middle_x, middle_y + side * (half_y + _HALF_WALL), _ZERO)
-            boxes[row, 0], boxes[row, 1] = half_x + _HALF_WALL, _HALF_WALL
-    return bodies, boxes
+            _fix(boxes[row], half_x + _HALF_WALL, _HALF_WALL)
+
+
+@inner
+def _fix(box, half_length, half_width):
+    """Set a box that nothing moves."""
+    _write(box, half_length, half_width, _ZERO)
+    box[3], box[4] = _ZERO, half_length + half_width
 
 
 @inner
