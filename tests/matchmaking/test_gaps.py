@@ -64,3 +64,11 @@ def test_a_bound_on_what_is_left_keeps_the_models_variance_right(monkeypatch):
     exact = rated.gap_variances(one, other)
     assert np.sqrt(loose) == pytest.approx(np.sqrt(exact), rel=5e-3)
     assert np.abs(np.sqrt(loose) - np.sqrt(exact)).max() < 0.25  # Elo; whole ones are printed
+
+
+@pytest.mark.parametrize("settings", [None, BY_ITERATION])
+def test_no_differences_at_all_are_none(settings):
+    generator = np.random.default_rng(8)
+    rated = fit(raced(generator, np.zeros(SIZE), well_met(generator)), settings)
+    none = np.empty(0, int)
+    assert rated.gap_variances(none, none).shape == (0,)

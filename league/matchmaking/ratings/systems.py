@@ -388,8 +388,8 @@ class Variances:
             np.add.at(right, (other, column), -1.0)
             model, robust = self._quadratic(right)
         else:
-            pairs = zip(one.tolist(), other.tolist(), strict=True)
-            found = [self._gaps.variances(*pair) for pair in pairs]
+            pairs, gaps = zip(one.tolist(), other.tolist(), strict=True), self._gaps
+            found = [gaps.variances(*pair) for pair in pairs]
             model, robust = np.reshape(found, (-1, 2)).T
         heats = np.minimum(self._squares.heats[one], self._squares.heats[other])
         return _blend(model, robust, heats, self._ratio)
