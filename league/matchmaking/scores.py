@@ -209,19 +209,28 @@ class Boards:
     """Races.last of each ruleset, by its hash."""
 
 
-def time_attack(store: Store, kind: RaceKind, earlier: Boards | None = None) -> Boards:
+def time_attack(
+    store: Store, kind: RaceKind, earlier: Boards | None = None, known: Races | None = None
+) -> Boards:
     """Return the fastest clean lap of each entry in all races of a kind, by track.
 
     Races under all rules count that have the present physics, those of cups included. With earlier
     boards only later races are read; that is right unless heats were put in quarantine since.
+    `known` are the rated races under the present rules, if they have been read already.
     """
     found, last = (dict(earlier.laps), dict(earlier.last)) if earlier else ({}, {})
-    physics = store.settings.ruleset.physics
+    present = store.settings.ruleset
     for hash, rules in store.rulesets().items():
-        if (rules.kind, rules.physics) == (kind, physics):
-            races = store.races(hash, since=last.get(hash, 0), rated=False)
-            last[hash] = races.last
-            found = joined_laps(found, clean_laps(races, rules.tracks))
+        if (rules.kind, rules.physics) != (kind, present.physics):
+            continue
+        if hash == present.hash and known is not None and hash not in last:
+            races = [known, store.races(hash, unrated=True)]
+            last[hash] = known.last
+        else:
+            races = [store.races(hash, since=last.get(hash, 0), rated=False)]
+            last[hash] = races[0].last
+        for some in races:
+            found = joined_laps(found, clean_laps(some, rules.tracks))
     return Boards(found, last)
 
 

@@ -149,6 +149,7 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
         *,
         since: int = 0,
         rated: bool = True,
+        unrated: bool = False,
         entries: Sequence[int] = (),
     ) -> Races:
         """Return the races that count as arrays.
@@ -156,12 +157,14 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
         Args:
             ruleset: hash; by default the league's present one.
             since: only those that came after this `Races.last`.
-            rated: without validation and gauntlet heats.
+            rated: without those of validation, gauntlets and cups.
+            unrated: these alone, whatever `rated` says.
             entries: only those of heats with all these entries (numbers) in them.
         """
         ruleset = ruleset or self.settings.ruleset.hash
+        kind = {"rated": rated, "unrated": unrated}
         with self._database.reading() as connection:
-            return race_table.read_races(connection, ruleset, since, rated=rated, entries=entries)
+            return race_table.read_races(connection, ruleset, since, entries=entries, **kind)
 
     def drives(self, ruleset: str, *, since: int = 0) -> Drives:
         """Return how each car drove in the rated races under a ruleset; see `races`."""
