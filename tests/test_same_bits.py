@@ -29,7 +29,7 @@ RECORDED = {
     "crowd": "5012b75e6d93271e",
     "meeting": "24cc78afdbc48a75",
     "policies": "d68fcfcceed1cf45",
-    "policy": "9bbdda3c3ab6207c",
+    "policy": "721d124fbadbb943",
     "race": "f0970a467f4b4893",
     "scripted_bullet": "c5f8a01b3a162569",
     "scripted_planar": "9ca7cd742e2db6ac",

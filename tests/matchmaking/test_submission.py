@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from safetensors.numpy import load as safetensors_load
 
-from league.agents import checkpoint, roster
+from league.agents import checkpoint
+from league.agents.checkpoint import Card, Checkpoint
 from league.agents.network import NetworkConfig
 from league.errors import LeagueError, PolicyError, StoreError
 from league.matchmaking import submission
@@ -35,7 +36,8 @@ from tests.matchmaking.hostile_entries import (
 )
 from tests.matchmaking.season_kit import SHORT, new_league
 
-NOVICE = "3d416ae4e3cdf452bfa43fd6f2fb0f229bc18ce1670d4074a45c8db1b8421b05"
+OLD = "ac7b2dcfed38aa0d0942855339df16b54227bacc6b3f39bd0473f47c47854cc9"
+"""Id of a policy as the versions before `history` and `truth` had it."""
 
 
 def test_what_is_packed_is_what_is_read():
@@ -293,9 +295,9 @@ def test_names_that_were_taken_before_they_looked_alike_stay(tmp_path, monkeypat
 
 
 def test_settings_of_sensors_that_came_later_do_not_change_older_ids():
-    novice = checkpoint.load(roster.garage()["novice"])
-    # As the versions before `history` and `truth` had it.
-    assert submission.identity(novice) == NOVICE
+    card = Card(name="old", sensors=SensorConfig(camera=CameraConfig(width=64, height=48)))
+    weights = {name: np.full(shape, 0.5, np.float32) for name, shape in card.weight_shapes.items()}
+    assert submission.identity(Checkpoint(card, weights)) == OLD
 
 
 def test_a_policy_that_is_given_the_true_state_is_refused():
