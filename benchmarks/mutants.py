@@ -271,6 +271,7 @@ def tested(name: str, part: Part) -> tuple[int, int, int]:
         path for one in given for path in (sorted(one.glob("*.py")) if one.is_dir() else [one])
     ]
     tests = [Path("tests", test) for test in (*part.tests, *part.compiled)]
+    tests.append(Path("benchmarks/plain_python.py"))  # it decides which of them are fast and sound
     found = mutants(paths)
     chosen = list(sampled(found, SAMPLE))
     kept = ROOT / "runs" / "mutants" / f"{name}.json"

@@ -13,6 +13,7 @@ import sys
 from collections.abc import Generator
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 
@@ -24,12 +25,27 @@ took: dict[str, float] = {}
 failed: set[str] = set()
 
 
-def _plain(function):
+def _plain(function=None, *, allocates: bool = False):
+    """Do what `compiled` and `inner` do, with or without their option, but compile nothing."""
+    if function is None:
+        return _plain
     function.py_func = function
     return function
 
 
+def _plain_record(record: np.dtype) -> np.dtype:
+    """Return a record for plain Python, its fields attributes as in compiled code.
+
+    There the arithmetic of integers has 64 bits; NumPy's would wrap at the field's eight.
+    """
+    wide = {np.dtype(np.uint8): np.int64, np.dtype(np.uint32): np.int64}
+    fields = [(name, wide.get(record[name], record[name])) for name in record.names or ()]
+    return np.dtype((np.record, np.dtype(fields, align=True)))
+
+
 if os.environ["NUMBA_DISABLE_JIT"] == "1":
+    # Numba was loaded before it could read the variable.
+    numba.config.DISABLE_JIT = 1  # pyright: ignore[reportAttributeAccessIssue]
     import league.jit
 
     league.jit.compiled = league.jit.inner = _plain
@@ -38,12 +54,11 @@ if os.environ["NUMBA_DISABLE_JIT"] == "1":
     import league.envs.race_env
     import league.sim.physics.bullet
 
-    # Records of plain Python have their fields as attributes, as compiled code reads them.
     for name, module in list(sys.modules.items()):
         if name.startswith("league."):
             for key, value in list(vars(module).items()):
                 if isinstance(value, np.dtype) and value.names:
-                    setattr(module, key, np.dtype((np.record, value)))
+                    setattr(module, key, _plain_record(value))
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -117,8 +118,9 @@ def contests() -> dict[str, RaceSpec]:
         entries = tuple(Entry(name=name) for name in names)
         return RaceSpec(entries=entries, laps=1, seed=_SEED, variation=1.0, **settings)
 
+    with_bullet = {"scripted_bullet": spec(*_SCRIPTED)} if find_spec("pybullet") else {}
     return {
-        "scripted_bullet": spec(*_SCRIPTED),
+        **with_bullet,
         "scripted_planar": spec(*_SCRIPTED, solver="planar"),
         "policies": spec("duelist", "racer", solver="planar"),
     }
@@ -166,6 +168,14 @@ def digests() -> dict[str, str]:
     return {name: seen.hexdigest() for name, seen in found.items()}
 
 
+def by_race(fields: dict[str, str]) -> dict[str, str]:
+    """Return a short hash of each race over the hashes of its fields, in the order of their names."""
+    parts: dict[str, hashlib._Hash] = {}
+    for field, seen in sorted(fields.items()):
+        parts.setdefault(field.split()[0], hashlib.sha256()).update(seen.encode())
+    return {name: part.hexdigest()[:16] for name, part in parts.items()}
+
+
 def target() -> tuple[str, str]:
     """Return the processor and its features that code is compiled for."""
     _, name, features = stages.step.targetctx.codegen().magic_tuple()  # pyright: ignore[reportFunctionMemberAccess]
@@ -173,4 +183,5 @@ def target() -> tuple[str, str]:
 
 
 if __name__ == "__main__":
-    print(json.dumps({"target": target(), "digests": digests()}))
+    found = digests()
+    print(json.dumps({"target": target(), "races": by_race(found), "digests": found}))

@@ -254,6 +254,22 @@ def test_ctrl_c_while_the_program_starts_is_no_traceback(after_s):
         assert "Traceback" not in process.stderr.read()
 
 
+@pytest.mark.parametrize("module", ["league.errors", "league.cli.commands", "tyro"])
+def test_ctrl_c_while_any_module_is_imported_is_one_sentence(module):
+    program = f"""
+import sys
+class Pressed:
+    def find_spec(self, name, *_):
+        if name == {module!r}:
+            raise KeyboardInterrupt
+from league.cli import main
+sys.meta_path.insert(0, Pressed())
+sys.exit(main(["tracks"]))
+"""
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (ran.returncode, ran.stderr) == (130, "league: stopped.\n")
+
+
 def test_grid_follows_the_format_of_the_race(league):
     drivers = ("cautious", "racing_line", "centerline")
     for name, grid in (

@@ -8,22 +8,28 @@ import sys
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; return its exit code."""
+    # Imports come later: Ctrl-C may be pressed while they last.
+    try:
+        return _answer(sys.argv[1:] if arguments is None else arguments)
+    except KeyboardInterrupt:
+        print("league: stopped.", file=sys.stderr)
+        return 130
+
+
+def _answer(arguments: list[str]) -> int:
+    """Run the command line; return its exit code, and say in one sentence what was wrong."""
     from league.errors import LeagueError
 
-    # Imports come late: Ctrl-C may be pressed while they last.
     try:
         try:
             from league.cli import commands
 
-            return commands.main(sys.argv[1:] if arguments is None else arguments)
+            return commands.main(arguments)
         finally:
             sys.stdout.flush()  # a full disk shows here, and not as Python ends
     except LeagueError as error:
         print(f"league: {error}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print("league: stopped.", file=sys.stderr)
-        return 130
     except OSError as error:
         if error.filename is not None:
             raise

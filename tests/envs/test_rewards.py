@@ -62,6 +62,16 @@ def test_centerline_pays_by_the_three_bands(ring, lateral, reward):
     assert total[0].tolist() == pytest.approx([reward, 1.0])
 
 
+@pytest.mark.parametrize(("lateral", "reward"), [(0.1, 1.0), (0.25, 0.5), (0.5, 0.1)])
+def test_a_band_of_the_centerline_includes_its_end(ring, lateral, reward):
+    # As in DeepRacer's example; of a road 1 m wide the bands end at these places.
+    tracks = ring(width=1.0)
+    world = put_cars(tracks, TWO, [(3.0, lateral), (5.0, -lateral)])
+    verdicts, _ = Stages(tracks, TWO).judge(world, world)
+    total, _ = pay(tracks, replace(NOTHING, centerline=1.0), world, verdicts)
+    assert total[0].tolist() == pytest.approx([reward, reward])
+
+
 @pytest.mark.parametrize(
     ("name", "start", "end", "pairs", "wanted"),
     [

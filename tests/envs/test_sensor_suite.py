@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from league.envs import observations
+from league.envs.config import EnvConfig
 from league.envs.race_env import RaceEnv
+from league.envs.sensor_suite import SensorSuite
 from league.errors import ConfigError
 from league.sim.config import (
     CameraConfig,
@@ -109,6 +111,21 @@ def test_restarted_car_is_told_fresh_readings_at_once_while_others_keep_theirs(r
         restarts += int(step.terminated.sum())
         told = following
     assert restarts >= 1
+
+
+def test_cars_that_are_moved_one_after_the_other_are_all_read_next_time(race_env):
+    cfg = EnvConfig(sim=TWO, sensors=(carried(camera_hz=0.01, lidar_hz=0.01),))
+    env = race_env(sim=TWO)
+    suite = SensorSuite(env.tracks, cfg)
+    env.reset(seed=2)
+    world = env.world.copy()
+    before = [reading["lidar"].copy() for reading in suite.read(world)]
+    world.worlds["step"] += 1
+    for car in range(2):
+        world.cars["yaw"][:, car] += 0.5
+        suite.refresh(np.arange(2)[None] == car)
+    after = [reading["lidar"] for reading in suite.read(world)]
+    assert [(was != now).any() for was, now in zip(before, after, strict=True)] == [True, True]
 
 
 @pytest.mark.parametrize("who", ["crashed", "off_track"])

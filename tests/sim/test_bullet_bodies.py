@@ -3,18 +3,20 @@
 import numpy as np
 import pytest
 
+from league.sim import records
 from league.sim.config import CarConfig, SimConfig
+from league.sim.physics import bullet
 from league.sim.physics.bullet import pybullet
 from tests.scenes import assert_same
-from tests.sim.lone import Floor, settings
+from tests.sim.lone import WALL, Floor, settings
 
 
 def _top(floor, x, y):
-    """Return how high the first car's body is above a place of the floor [m]."""
+    """Return how high what stands on a place of the floor is there [m]."""
     (hit,) = pybullet.rayTestBatch(
-        [(x, y, 1.0)], [(x, y, 0.0)], physicsClientId=floor.solver._clients[0]
+        [(x, y, 4.0)], [(x, y, 0.0)], physicsClientId=floor.solver._clients[0]
     )
-    return 1.0 - hit[2]
+    return 4.0 * (1.0 - hit[2])
 
 
 @pytest.mark.parametrize(
@@ -41,6 +43,27 @@ def test_cabin_is_narrower_than_the_shell():
     for side in (-1, 1):
         assert _top(floor, 0.0, side * 0.64 * car.width / 2) > shell + 0.01
         assert _top(floor, 0.0, side * 0.68 * car.width / 2) == pytest.approx(shell, abs=2e-3)
+
+
+@pytest.mark.parametrize(("x", "y"), [(1, 0), (-1, 0), (0, 1), (0, -1)])
+def test_walls_are_two_metres_high(x, y):
+    floor = Floor(settings())
+    floor.drive(1)
+    assert _top(floor, 1.002 * WALL * x, 1.002 * WALL * y) == pytest.approx(2.0, abs=2e-3)
+    assert _top(floor, 0.998 * WALL * x, 0.998 * WALL * y) == pytest.approx(0.0, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("distance", "force", "counts"),
+    [(-0.001, 0.0, True), (0.0, 0.0, True), (0.001, 2.0, True), (0.001, 0.0, False)],
+)
+def test_a_contact_has_ended_when_bodies_are_apart_and_do_not_press(distance, force, counts):
+    # What Bullet tells of a point: both bodies come second, distance and force ninth and tenth.
+    point = (0, 5, 6, -1, -1, (), (), (), distance, force)
+    stage = bullet._Stage(bullet._Plan(0, [], [], []), [5, 6], [], [], [False, False])
+    contacts = np.zeros(2, records.CONTACT)
+    bullet._note(stage, (point,), contacts)
+    assert contacts["cars"].tolist() == ([2, 1] if counts else [0, 0])
 
 
 def test_obstacles_far_away_change_no_bit_of_a_crash():
