@@ -104,27 +104,41 @@ def own_history(rated: Standings, number: int, *, points: int = 20) -> list[Hist
     middle, spread = float(ratings.elo.mean()), ratings.prior_sd
     heats = own.races.heat
     picked = np.unique(np.linspace(1, len(heats), min(points, len(heats))).round().astype(int))
-    moments = []
-    for count in picked.tolist():
-        met = own.met[:count]
-        elo, sd = _own_rating(own.points[:count][met], needed[:count][met], middle, spread)
-        reach = SIGMAS_95 * sd
-        moments.append(HistoryPoint(int(heats[count - 1]), count, elo, elo - reach, elo + reach))
+    counted = np.arange(len(heats)) < picked[:, None]  # (moments, races)
+    met = counted[:, :, None] & own.met
+    elos, sds = _own_ratings(own.points, needed, met, middle, spread)
+    moments = [
+        HistoryPoint(int(heats[count - 1]), count, elo, elo - SIGMAS_95 * sd, elo + SIGMAS_95 * sd)
+        for count, elo, sd in zip(picked.tolist(), elos.tolist(), sds.tolist(), strict=True)
+    ]
     now = ratings.line(ratings.index(number), "elo", "low95", "high95")
     return [*moments[:-1], HistoryPoint(int(rated.races.heat.max()), len(heats), **now)]
 
 
-def _own_rating(
-    points: np.ndarray, needed: np.ndarray, middle: float, spread: float
-) -> tuple[float, float]:
-    """Return the likeliest rating, and its standard deviation, given those of all opponents."""
-    elo, information = middle, 1.0
+def _own_ratings(
+    points: np.ndarray, needed: np.ndarray, met: np.ndarray, middle: float, spread: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the likeliest ratings, and their standard deviations, given those of all opponents.
+
+    Args:
+        points: made against each car, (races, cars).
+        needed: the rating at which the two would be even, (races, cars).
+        met: whether a car counts at a moment, (moments, races, cars).
+        middle: of the field [Elo].
+        spread: of the field [Elo].
+    """
+    at, moments = met.any(axis=0), len(met)
+    counts, points, needed = met[:, at].astype(float), points[at], needed[at]  # (moments, cars met)
+    elo, information = np.full(moments, middle), np.ones(moments)
+    moving = np.ones(moments, bool)
     for _ in range(50):
-        chance = expected_score(elo - needed)
-        gradient = float((points - chance).sum()) / ELO - (elo - middle) / spread**2
-        information = float(np.sum(chance * (1 - chance))) / ELO**2 + 1 / spread**2
-        step = float(np.clip(gradient / information, -200.0, 200.0))
-        elo += step
-        if abs(step) < 0.01:
+        chance = np.asarray(expected_score(elo[:, None] - needed))
+        gradient = (counts * (points - chance)).sum(axis=1) / ELO - (elo - middle) / spread**2
+        curved = (counts * (chance * (1 - chance))).sum(axis=1) / ELO**2 + 1 / spread**2
+        information = np.where(moving, curved, information)
+        step = np.where(moving, np.clip(gradient / curved, -200.0, 200.0), 0.0)
+        elo = elo + step
+        moving &= np.abs(step) >= 0.01
+        if not moving.any():
             break
     return elo, information**-0.5

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from league.matchmaking import standings
-from league.matchmaking.ratings.table import SIGMAS_95, expected_score
+from league.matchmaking.ratings.pair_counts import changes
+from league.matchmaking.ratings.table import SIGMAS_95
 from league.matchmaking.standings import Standings, Strengths
-from league.matchmaking.store import BEST_MS, CLEAN, Races, Store
+from league.matchmaking.store import BEST_MS, CLEAN, Races, Season, Store
 from league.sim.config import RaceKind
 
 
@@ -45,18 +46,29 @@ def race_scores(
     races, counts = own.races, own.met
     if other is not None:
         counts = counts & (races.entries == other)
-    expected = expected_score(np.take_along_axis(own.strengths, own.slot, axis=1) - own.strengths)
     names = dict(enumerate(rated.tracks))
-    return [
-        RaceScore(
-            heat=int(races.heat[row]),
-            race=int(races.half[row]) + 1,
-            track=names.get(int(races.track[row]), ""),
-            points=float(own.points[row][counts[row]].sum()),
-            expected=float(np.asarray(expected)[row][counts[row]].sum()),
-        )
-        for row in np.flatnonzero(counts.any(axis=1) | (other is None))
-    ]
+    rows = np.flatnonzero(counts.any(axis=1) | (other is None))
+    columns = (
+        races.heat[rows].tolist(),
+        (races.half[rows].astype(int) + 1).tolist(),
+        [names.get(track, "") for track in races.track[rows].tolist()],
+        np.where(counts, own.points, 0.0).sum(axis=1)[rows].tolist(),
+        np.where(counts, own.expected, 0.0).sum(axis=1)[rows].tolist(),
+    )
+    return list(map(RaceScore, *columns))
+
+
+def heat_scores(rated: Standings, number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return an entry's rated heats: numbers, points made, points promised, (heats,) each."""
+    own = standings.own_races(rated.races, rated.ratings, number)
+    starts = changes(own.races.heat)
+    if not len(starts):
+        return own.races.heat, np.zeros(0), np.zeros(0)
+    points, expected = (
+        np.add.reduceat(np.where(own.met, some, 0.0).sum(axis=1), starts)
+        for some in (own.points, own.expected)
+    )
+    return own.races.heat[starts], points, expected
 
 
 @dataclass(frozen=True)
@@ -70,44 +82,55 @@ class PastSeason:
 
 
 @dataclass(frozen=True)
-class _Frozen:
+class FinalRatings:
+    """The ratings that a season was frozen with, see `Strengths`."""
+
     entries: np.ndarray
     elo: np.ndarray
     slot_advantages: np.ndarray
 
+    @classmethod
+    def of(cls, document: Mapping[str, Any]) -> FinalRatings:
+        """Return those of a season's document."""
+        table = document["standings"]
+        rows = sorted(table["entries"], key=lambda row: row["number"])
+        return cls(
+            entries=np.array([row["number"] for row in rows]),
+            elo=np.array([row["elo"] for row in rows]),
+            slot_advantages=np.array(table["slot_advantages"]),
+        )
+
 
 def scores_by_season(
-    store: Store, rated: Standings, one: int, other: int
+    raced: Sequence[tuple[Races, Sequence[str]]],
+    seasons: Sequence[Season],
+    ratings: Callable[[Season | None], Strengths],
+    one: int,
+    other: int,
 ) -> dict[int | None, list[RaceScore]]:
     """Return the races of two entries, points of the one, by number of the season, the first first.
 
-    None is for races in no season. What was expected in a season that is over follows from its
-    final ratings, in others from those of the present standings.
+    None is for races in no season.
+
+    Args:
+        raced: races under each of some rules, with the tracks of these.
+        seasons: all of the league.
+        ratings: returns those that tell what was expected in a season, or in none.
+        one: number of an entry.
+        other: number of the other one.
     """
-    seasons = store.seasons()
     found: dict[int | None, list[RaceScore]] = {}
-    for hash, rules in store.rulesets().items():
-        races = store.races(hash, entries=(one, other))
+    for races, tracks in raced:
+        races = races.of_entry(one)
+        races = races.where((races.entries == other).any(axis=1))
         within = np.zeros(len(races.heat), int)
         for season in seasons:
             within[season.has(races.heat)] = season.number
+        by_number = {season.number: season for season in seasons}
         for number in np.unique(within).tolist():
-            document = store.season_document(number) if number else None
-            ratings = _frozen(document) if document else rated.ratings
-            past = PastSeason(races.where(within == number), ratings, rules.tracks)
+            past = PastSeason(races.where(within == number), ratings(by_number.get(number)), tracks)
             found.setdefault(number or None, []).extend(race_scores(past, one, other))
     return dict(sorted(found.items(), key=lambda item: item[0] or 0))
-
-
-def _frozen(document: Mapping[str, Any]) -> _Frozen:
-    """Return the ratings that a season was frozen with."""
-    table = document["standings"]
-    rows = sorted(table["entries"], key=lambda row: row["number"])
-    return _Frozen(
-        entries=np.array([row["number"] for row in rows]),
-        elo=np.array([row["elo"] for row in rows]),
-        slot_advantages=np.array(table["slot_advantages"]),
-    )
 
 
 @dataclass(frozen=True)
@@ -186,19 +209,28 @@ class Boards:
     """Races.last of each ruleset, by its hash."""
 
 
-def time_attack(store: Store, kind: RaceKind, earlier: Boards | None = None) -> Boards:
+def time_attack(
+    store: Store, kind: RaceKind, earlier: Boards | None = None, known: Races | None = None
+) -> Boards:
     """Return the fastest clean lap of each entry in all races of a kind, by track.
 
     Races under all rules count that have the present physics, those of cups included. With earlier
     boards only later races are read; that is right unless heats were put in quarantine since.
+    `known` are the rated races under the present rules, if they have been read already.
     """
     found, last = (dict(earlier.laps), dict(earlier.last)) if earlier else ({}, {})
-    physics = store.settings.ruleset.physics
+    present = store.settings.ruleset
     for hash, rules in store.rulesets().items():
-        if (rules.kind, rules.physics) == (kind, physics):
-            races = store.races(hash, since=last.get(hash, 0), rated=False)
-            last[hash] = races.last
-            found = joined_laps(found, clean_laps(races, rules.tracks))
+        if (rules.kind, rules.physics) != (kind, present.physics):
+            continue
+        if hash == present.hash and known is not None and hash not in last:
+            races = [known, store.races(hash, unrated=True)]
+            last[hash] = known.last
+        else:
+            races = [store.races(hash, since=last.get(hash, 0), rated=False)]
+            last[hash] = races[0].last
+        for some in races:
+            found = joined_laps(found, clean_laps(some, rules.tracks))
     return Boards(found, last)
 
 

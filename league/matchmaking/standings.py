@@ -368,6 +368,12 @@ class OwnRaces:
     strengths: np.ndarray
     """What the ratings, and the grid slots, give each car [Elo]."""
 
+    @property
+    def expected(self) -> np.ndarray:
+        """Points that the ratings promise it against each car."""
+        mine = np.take_along_axis(self.strengths, self.slot, axis=1)
+        return np.asarray(expected_score(mine - self.strengths))
+
 
 def own_races(races: Races, ratings: Strengths, number: int) -> OwnRaces:
     """Return those of some races that an entry was in."""
@@ -394,8 +400,7 @@ def meetings(standings: Standings, number: int) -> dict[int, HeadToHead]:
         np.bincount(at, counted[own.met], len(others)).astype(int).tolist()
         for counted in (own.met, own.points == 1.0, own.points == 0.5)
     )
-    chance = expected_score(np.take_along_axis(own.strengths, own.slot, axis=1) - own.strengths)
-    chance = np.asarray(chance)[own.met]
+    chance = own.expected[own.met]
     expected, room = (
         np.bincount(at, some, len(others)) for some in (chance, chance * (1.0 - chance))
     )

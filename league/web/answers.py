@@ -20,15 +20,15 @@ from starlette.responses import Response
 from league.errors import LeagueError
 from league.web.reader import FRESH_S, REST, Reader
 
-MOST = 512
-"""Answers that are kept."""
+MOST = 4096
+"""Answers that are kept, of 5 kB as a rule."""
 LASTS_S = 2.0
 """An answer is made again at the latest when it is so old [s], and something has happened."""
 STALE_S = 8.0
 """An answer that was up to date so short a time ago [s] is given while the next one is made."""
 MANY, OLDEST_S = 8, 60.0
 """While so many answers wait to be made again, those up to this age [s] are given."""
-PAUSE = 1.0
+PAUSE = 2.0
 """After one was made again the thread that does it rests so many times as long."""
 Key = tuple[str, str, str]
 
@@ -45,6 +45,13 @@ class _Answer:
     """For how long it is given without a look [s]: the longer, the longer it takes to make."""
 
 
+@dataclass
+class _Renewal:
+    made: Callable[[], _Answer]
+    asked: int
+    """Requests for it since it is due."""
+
+
 class Answers:
     """Keeps answers; asked by the event loop, filled by threads, each by one at a time."""
 
@@ -54,7 +61,7 @@ class Answers:
         self._kept: OrderedDict[Key, _Answer] = OrderedDict()
         self._making: dict[Key, threading.Event] = {}
         self._later = ThreadPoolExecutor(1, "answers")  # one at a time: requests have their turn
-        self._renewed: set[Key] = set()
+        self._renewed: dict[Key, _Renewal] = {}
         self._revision, self._looked_s = 0, float("-inf")
 
     def shared(
@@ -73,22 +80,33 @@ class Answers:
             stale_s = OLDEST_S if len(self._renewed) >= MANY else STALE_S
             if found is None or now_s - found.seen_s >= (stale_s if lasting else LASTS_S):
                 found = await run_in_threadpool(made)
-            elif now_s - found.seen_s >= found.fresh_s and key not in self._renewed:
-                self._renewed.add(key)
-                self._later.submit(self._renew, key, made)
+            elif now_s - found.seen_s >= found.fresh_s:
+                self._renew_later(key, made)
             if "gzip" in request.headers.get("accept-encoding", ""):
                 return Response(found.packed, headers={**found.headers, "content-encoding": "gzip"})
             return Response(gzip.decompress(found.packed), headers=found.headers)
 
         return respond
 
-    def _renew(self, key: Key, made: Callable[[], _Answer]) -> None:
+    def _renew_later(self, key: Key, made: Callable[[], _Answer]) -> None:
+        with self._lock:
+            if (renewal := self._renewed.get(key)) is not None:
+                renewal.asked += 1
+                return
+            self._renewed[key] = _Renewal(made, 1)
+        self._later.submit(self._renew)
+
+    def _renew(self) -> None:
+        """Make the answer again that most requests have asked for since it is due."""
+        with self._lock:
+            key, renewal = max(self._renewed.items(), key=lambda item: item[1].asked)
         start_s = time.thread_time()
         try:
             with contextlib.suppress(LeagueError, HTTPException):  # a later request says why
-                made()
+                renewal.made()
         finally:
-            self._renewed.discard(key)
+            with self._lock:
+                del self._renewed[key]
         time.sleep(PAUSE * (time.thread_time() - start_s))
 
     def _made(

@@ -71,6 +71,7 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        auto_reload=False,
     )
     shown = {"clock": times.clock, "day": times.day, "time_of_day": times.time_of_day}
     templates.filters |= shown | {"iso": _iso, "code": _code}
@@ -79,6 +80,7 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
         "static": lambda name: Markup(_static_bytes(name).decode()),
         "exported": exported,
         "enough_corners": safety.ENOUGH_CORNERS,
+        "bar": charts.bar,
     }
     templates.globals.update(names)
 

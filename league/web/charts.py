@@ -196,6 +196,15 @@ def interval_scale(rows: Sequence[Row]) -> tuple[float, float]:
     return low - 20, high + 20
 
 
+def bar(row: Row, scale: tuple[float, float]) -> tuple[float, float, float]:
+    """Return where an entry's interval begins, how wide it is, and its rating, in % of a bar."""
+    low, high, middle = (
+        min(max(100 * (value - scale[0]) / (scale[1] - scale[0]), 0.0), 100.0)
+        for value in (row.low95, row.high95, row.elo)
+    )
+    return round(low, 2), round(max(high - low, 0.4), 2), round(middle, 2)
+
+
 def _axis(
     values: np.ndarray, start: float, end: float, *, whole: bool = False
 ) -> tuple[np.ndarray, tuple[Tick, ...]]:

@@ -7,7 +7,7 @@ import gc
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Generator, Hashable, Mapping
+from collections.abc import Callable, Generator, Hashable, Iterable, Mapping
 from statistics import median
 from typing import Any, TypeVar
 
@@ -22,14 +22,18 @@ from league.track.track import Track
 from league.web import snapshot
 from league.web.snapshot import Snapshot
 
-FRESH_S = 0.1
+FRESH_S = 1.0
 """The store is asked at most so often [s] whether something happened."""
 QUICK_S = 0.1
 """A snapshot that takes more of a processor than this [s] is taken by a thread of its own; until
 then new races are added to the last one."""
 REST = 4.0
 """The next one waits so many times as long as the last one worked: a fifth of a processor."""
-MOST_KEPT = 64
+SETTLED_REST = 24.0
+"""The same before a fit that nothing needs but that ratings are exact: a twenty-fifth of it."""
+COUNTS_REST = 40.0
+"""The same before heats are counted again: about a second in a league of half a million."""
+MOST_KEPT = 128
 """Recordings and other slow answers that are kept."""
 MOST_LARGE = 128 << 20
 """Bytes of recordings for the viewer and of pictures that are kept."""
@@ -58,7 +62,8 @@ class Reader:
         self._lock = threading.Lock()
         self._taking, self._settling = threading.Lock(), threading.Lock()
         self._snapshot: Snapshot | None = None
-        self._is_slow, self._due_s, self._settle_s = False, 0.0, 0.0
+        self._is_slow, self._due_s = False, 0.0
+        self._taken_s, self._took_s = 0.0, 0.0
         self._counts: tuple[int, dict[HeatState, int]] | None = None
         self._counts_due_s = 0.0
         self._kept: OrderedDict[Hashable, Any] = OrderedDict()
@@ -94,9 +99,9 @@ class Reader:
                 later = snapshot.updated(self.store, now)
                 self._snapshot = later or now
                 if later is None or later.settled:
-                    self._settle_later()
+                    self._settle_later(REST if later is None else SETTLED_REST)
         elif now.settled:
-            self._settle_later()
+            self._settle_later(SETTLED_REST)
         worked_s = time.thread_time() - start_s
         self._due_s = time.monotonic() + max(FRESH_S, REST * worked_s)
 
@@ -106,7 +111,7 @@ class Reader:
         taken = snapshot.take(self.store, before)
         taken.prepare()
         worked_s = time.thread_time() - start_s
-        self._settle_s = time.monotonic() + REST * worked_s
+        self._taken_s, self._took_s = time.monotonic(), worked_s
         was_slow, self._is_slow = self._is_slow, worked_s > QUICK_S
         if self._is_slow and not was_slow:
             # The entries' cards are a million objects that live on; no collection looks at them
@@ -115,8 +120,9 @@ class Reader:
             gc.freeze()
         return taken
 
-    def _settle_later(self) -> None:
-        if time.monotonic() >= self._settle_s and self._settling.acquire(blocking=False):
+    def _settle_later(self, rest: float) -> None:
+        is_due = time.monotonic() >= self._taken_s + rest * self._took_s
+        if is_due and self._settling.acquire(blocking=False):
             threading.Thread(target=self._settle, daemon=True).start()
 
     def _settle(self) -> None:
@@ -190,9 +196,13 @@ class Reader:
         if in_turn:
             with self.turn():  # it may be made while this request waits
                 return self.kept(key, make)
-        made = make()
+        return self.keep(key, make())
+
+    def keep(self, key: Hashable, made: T) -> T:
+        """Keep an answer, see `kept`, instead of the one before; return it."""
         with self._lock:
             self._kept[key] = made
+            self._kept.move_to_end(key)
             if len(self._kept) > MOST_KEPT:
                 self._kept.popitem(last=False)
         return made
@@ -237,7 +247,7 @@ class Reader:
         if known is None or (known[0] != revision and start_s >= self._counts_due_s):
             self._counts = known = revision, self.store.counts()
             now_s = time.monotonic()
-            self._counts_due_s = now_s + REST * (now_s - start_s)
+            self._counts_due_s = now_s + COUNTS_REST * (now_s - start_s)
         return known[1]
 
     def record(self, number: int) -> HeatRecord:
@@ -271,19 +281,31 @@ class Reader:
             "races": len(record.heat.halves),
         }
 
-    def listed(self, records: list[HeatRecord], of: LeagueEntry | None = None) -> list[Document]:
+    def results(self, records: Iterable[HeatRecord]) -> dict[int, list[StoredResult]]:
+        """Return all results of some heats, by their numbers; see `Store.results`."""
+        found: dict[int, list[StoredResult]] = {record.number: [] for record in records}
+        for result in self.store.results(*found):
+            found[result.heat].append(result)
+        return found
+
+    def listed(
+        self,
+        records: list[HeatRecord],
+        of: LeagueEntry | None = None,
+        results: Mapping[int, list[StoredResult]] | None = None,
+    ) -> list[Document]:
         """Return heats as lines of a list: who raced, who won.
 
         With an entry `of` also its own races of each: its place, and whether it finished.
+        `results` are theirs, if they have been read already.
         """
-        names, results = self.names, self.store.results(*(record.number for record in records))
-        lines = []
+        results = self.results(records) if results is None else results
+        names, lines = self.names, list[Document]()
         for record in records:
-            own = [result for result in results if result.heat == record.number]
             winners: list[str] = []
             races: list[Document] = []
             for number, half in enumerate(record.heat.halves):
-                result = accepted(own, number)
+                result = accepted(results[record.number], number)
                 if result is None:
                     continue
                 winners.append(names[half.grid[result.places.index(min(result.places))]])

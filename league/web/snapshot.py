@@ -10,18 +10,19 @@ from typing import Any
 import numpy as np
 
 from league.matchmaking import divisions, history, safety, standings
+from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.scope import RatingScope, scope
 from league.matchmaking.scores import BestLap, clean_laps, joined_laps
 from league.matchmaking.standings import Row, Standings
-from league.matchmaking.store import LeagueEntry, Races, Season, SeasonView, Store
+from league.matchmaking.store import LeagueEntry, Move, Races, Season, SeasonView, Store
 from league.matchmaking.store.records import LeagueSettings
 
 FROZEN = [field.name for field in fields(Row)]
 """What a frozen line may tell; those of older versions tell less."""
 PASSING = frozenset({"plan", "claim", "complete", "fail", "lose", "retry", "reap"})
 """What happens to heats all the time, and changes nothing but the races."""
-SHARED = "by_number", "by_id", "by_digest", "by_parent", "owners", "kinds"
-"""What follows from the entries alone."""
+SHARED = "by_number", "by_id", "by_digest", "by_parent", "owners", "kinds", "moves_by_entry"
+"""What follows from entries and divisions alone."""
 
 
 @dataclass(frozen=True)
@@ -34,10 +35,16 @@ class Snapshot:
     entries: tuple[LeagueEntry, ...]
     races: Races
     """Those of the present rules that count, of all seasons."""
+    rulesets: Mapping[str, Ruleset]
+    """All that the league ever had, by their hashes."""
+    seasons: tuple[Season, ...]
+    """All of the league, the first one first."""
     season: Season | None
     """The last season under these rules; None in a league without seasons."""
     rated: Standings | None
     """Of the season; None if no entry is rated."""
+    moves: Mapping[int, tuple[Move, ...]]
+    """Moves between divisions in each season under these rules, by its number."""
     divisions: Mapping[int, int]
     """Division of each entry of the season, by its number."""
     safety: safety.Record
@@ -52,6 +59,9 @@ class Snapshot:
         for name in (*SHARED, "rows", "clean_laps", "car_counts"):
             getattr(self, name)
         _ = self.counted.index
+        if self.rated:
+            none = np.empty(0, int)
+            self.rated.ratings.gap_variances(none, none)  # what all differences need
 
     @cached_property
     def by_number(self) -> dict[int, LeagueEntry]:
@@ -83,6 +93,15 @@ class Snapshot:
         """The fastest clean lap of each entry on each track, the fastest first."""
         return clean_laps(self.rated.races, self.rated.tracks) if self.rated else {}
 
+    @cached_property
+    def moves_by_entry(self) -> dict[int, list[tuple[Season, Move]]]:
+        """Moves between divisions of each entry that made one, the oldest first."""
+        found: dict[int, list[tuple[Season, Move]]] = {}
+        for season in self.seasons:
+            for move in self.moves.get(season.number, ()):
+                found.setdefault(move.entry, []).append((season, move))
+        return found
+
     @property
     def counted(self) -> Races:
         """The races that the standings are made of."""
@@ -111,9 +130,17 @@ class Snapshot:
             kept &= (counted.entries >= 0).sum(axis=1) == cars
         races = counted.where(kept)
         numbers = set(np.unique(races.entries).tolist())
+        if self.rated and kept.all() and not self._carries and numbers - {-1} == self.rows.keys():
+            return self.rated
         entries = [entry for entry in self.entries if entry.number in numbers]
         within, near = RatingScope(races, self.season, None), self.rated and self.rated.ratings
         return standings.table(entries, within, rules.hash, rules.tracks, near=near)
+
+    @property
+    def _carries(self) -> bool:
+        """Whether ratings of the season before count in this one, see `scope`."""
+        hash, last = self.settings.ruleset.hash, self.season.number - 1 if self.season else None
+        return any(one.number == last and one.ruleset == hash for one in self.seasons)
 
     @cached_property
     def owners(self) -> list[str]:
@@ -178,6 +205,12 @@ def take(store: Store, before: Snapshot | None = None) -> Snapshot:
         trends = history.trends(rated, within.carried) if rated else {}
         if rated and isinstance(store, SeasonView):
             rated = replace(rated, rows=_frozen(rated.rows, store.rows))
+    seasons = tuple(store.seasons())
+    moves = {
+        one.number: tuple(store.division_moves(one.number))
+        for one in seasons
+        if one.ruleset == rules.hash
+    }
     earlier = before.safety if before and before.races.voided == races.voided else None
     drives = store.drives(rules.hash, since=earlier.drives.last if earlier else 0)
     return Snapshot(
@@ -185,9 +218,12 @@ def take(store: Store, before: Snapshot | None = None) -> Snapshot:
         settings=settings,
         entries=entries,
         races=races,
+        rulesets=store.rulesets(),
+        seasons=seasons,
         season=season,
         rated=rated,
-        divisions=divisions.assigned(store.division_moves(season.number)) if season else {},
+        moves=moves,
+        divisions=divisions.assigned(moves.get(season.number, ())) if season else {},
         safety=safety.rated(drives, rules.tracks, earlier),
         trends=trends,
     )

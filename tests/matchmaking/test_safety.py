@@ -157,6 +157,9 @@ def test_boards_take_in_later_races(league):
     number = race(league, [car(0, 2), car(1, 2, **faster)], [car(0, 2), car(1, 2)], draw=1)
     second = scores.time_attack(league, "head_to_head", first)
     assert second == scores.time_attack(league, "head_to_head")
+    known = scores.time_attack(league, "head_to_head", known=league.races())
+    assert known.laps == second.laps
+    assert scores.time_attack(league, "head_to_head", known).laps == second.laps
     laps = second.laps["reinvent_2018"]
     assert [(lap.number, lap.lap_s, lap.heat) for lap in laps] == [(2, 8.5, number), (1, 9.0, 1)]
     assert second.last == {RULES.hash: 4}

@@ -6,7 +6,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from league.matchmaking.store import Store
-from league.web import answers
+from league.web import answers, reader
 from league.web.app import make_app
 from tests.web.small_league import ORIGIN, raced_league
 
@@ -15,6 +15,7 @@ from tests.web.small_league import ORIGIN, raced_league
 def _nothing_is_kept(monkeypatch):
     """Let every request see what a test has changed a moment ago."""
     monkeypatch.setattr(answers, "MOST", 0)
+    monkeypatch.setattr(reader, "COUNTS_REST", 0.0)
 
 
 @pytest.fixture(scope="session")

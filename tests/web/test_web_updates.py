@@ -99,7 +99,7 @@ def test_a_large_league_shows_new_results_at_once_and_settles_them(league, monke
     monkeypatch.setattr(reader, "REST", 0.0)
     pages = Reader(league)
     first = pages.snapshot()
-    monkeypatch.setattr(Reader, "_settle_later", lambda self: None)
+    monkeypatch.setattr(Reader, "_settle_later", lambda self, rest: None)
     raced(league, leagues.duels(league, 1, first=500))
     assert pages.snapshot().settled is first
     assert pages.snapshot().rated.num_races == first.rated.num_races + 2

@@ -26,8 +26,10 @@ BATCHES = 12
 """Batches of probes at most."""
 NOISE = 0.03
 """Relative noise of the variances (twice that of the standard deviations) that ends the probing."""
-COLUMNS = 64
-"""Differences solved for together."""
+GAP_ERROR = 1e-2
+"""Relative error of a difference's variance at most; that of its interval is half of it."""
+FEW = 0.1
+"""Share of a vector's numbers up to which only the rows of those that are not 0 are read."""
 PULL = 50.0
 """Heats an entry needs for its own scatter to count as much as the field's."""
 
@@ -183,26 +185,34 @@ class Sparse:
 
     def __init__(self, blocks: Blocks) -> None:
         self._above = blocks.counts.graph(blocks.met)
-        self._diagonal, self._border, self._corner = blocks.diagonal, blocks.border, blocks.corner
-        self._prior = blocks.prior
+        self._diagonal, self.border, self._corner = blocks.diagonal, blocks.border, blocks.corner
+        self.prior = blocks.prior
         self.diagonal = np.concatenate([self._diagonal, self._corner.diagonal()])
         self.shape, self.dtype = (len(self.diagonal), len(self.diagonal)), np.dtype(float)
 
     @property
     def _level(self) -> float:
         """Variance of the field as a whole, the prior's."""
-        return 1.0 / self._prior[0]
+        return 1.0 / self.prior[0]
 
     def _met(self, entries: np.ndarray) -> np.ndarray:
         """Return the pairs' weights, in both triangles, times a vector or some columns."""
         return self._above @ entries + self._above.T @ entries
 
+    def both(self) -> sparse.csr_array:
+        """Return the weights of the pairs that met in both triangles."""
+        return (self._above + self._above.T).tocsr()
+
+    def slots_of(self, entries: np.ndarray) -> np.ndarray:
+        """Return corner^-1 border' times a vector of the strengths, (slots,)."""
+        return np.linalg.solve(self._corner, self.border.T @ entries)
+
     def matvec(self, vectors: np.ndarray) -> np.ndarray:
         """Return H times a vector or some columns."""
         size = len(self._diagonal)
         entries, slots = vectors[:size], vectors[size:]
-        above = (self._diagonal * entries.T).T - self._met(entries) + self._border @ slots
-        return np.concatenate([above, self._border.T @ entries + self._corner @ slots])
+        above = (self._diagonal * entries.T).T - self._met(entries) + self.border @ slots
+        return np.concatenate([above, self.border.T @ entries + self._corner @ slots])
 
     def solve(self, right: np.ndarray, *, within: float = 1e-8) -> np.ndarray:
         """Return H^-1 right."""
@@ -281,6 +291,63 @@ class Sparse:
 System = Dense | Sparse
 
 
+class Gaps:
+    """Variances of differences between two strengths in a large field, one at a time.
+
+    The right side is 0 but for two entries, and so are the first steps of conjugate gradients but
+    for their opponents, and those of these: only later steps read all pairs that met. Slots are
+    eliminated, H's Schur complement over the strengths is solved.
+    """
+
+    def __init__(self, system: Sparse, squares: Squares) -> None:
+        """Prepare for some differences, which takes as long as a hundred of them."""
+        self._system, self._squares = system, squares
+        self._met = system.both()
+        self._scattered = (squares.scores.T @ squares.scores).tocsr()
+        self._least = float(system.prior.min())
+
+    def variances(self, one: int, other: int) -> tuple[float, float]:
+        """Return the model's and the robust variance of a difference, entries given by index."""
+        right = np.zeros(len(self._squares.prior))
+        right[one] += 1.0
+        right[other] -= 1.0
+        entries, squares = self._solved(right), self._squares
+        slots = -self._system.slots_of(entries)
+        robust = entries @ (_times(self._scattered, entries) + squares.prior * entries)
+        robust += slots @ (2 * squares.border.T @ entries + squares.corner @ slots)
+        return float(right @ entries), float(robust)
+
+    def _solved(self, right: np.ndarray) -> np.ndarray:
+        """Return the strengths' part of H^-1 right, its variance right to `GAP_ERROR`.
+
+        A residual r leaves out r' H^-1 r of the variance, at most |r|^2 / (least prior), because
+        races only add curvature.
+        """
+        system, solved, residual, variance = self._system, np.zeros(len(right)), right.copy(), 0.0
+        diagonal = system.diagonal[: len(right)]
+        towards = scaled = residual / diagonal
+        length = float(residual @ scaled)
+        while residual @ residual > GAP_ERROR * self._least * variance:
+            met = _times(self._met, towards)
+            curved = diagonal * towards - met - system.border @ system.slots_of(towards)
+            step = length / float(towards @ curved)
+            solved += step * towards
+            residual -= step * curved
+            variance += step * length
+            scaled = residual / diagonal
+            before, length = length, float(residual @ scaled)
+            towards = scaled + length / before * towards
+        return solved
+
+
+def _times(symmetric: sparse.csr_array, vector: np.ndarray) -> np.ndarray:
+    """Return the product of a symmetric table with a vector."""
+    known = np.flatnonzero(vector)
+    if len(known) > FEW * len(vector):
+        return symmetric @ vector
+    return symmetric[known].T @ vector[known]
+
+
 class Variances:
     """How sure the parameters are [natural units^2]."""
 
@@ -314,16 +381,23 @@ class Variances:
 
     def gaps(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
         """Return the variances of strength differences between entries, given by index."""
-        variances = np.zeros(len(one))
-        for start in range(0, len(one), COLUMNS):
-            some = slice(start, start + COLUMNS)
-            column = np.arange(len(one[some]))
-            right = np.zeros((self._squares.size, len(column)))
-            right[one[some], column] += 1.0
-            right[other[some], column] -= 1.0
-            heats = np.minimum(self._squares.heats[one[some]], self._squares.heats[other[some]])
-            variances[some] = _blend(*self._quadratic(right), heats, self._ratio)
-        return variances
+        if isinstance(self._system, Dense):
+            right = np.zeros((self._squares.size, len(one)))
+            column = np.arange(len(one))
+            np.add.at(right, (one, column), 1.0)
+            np.add.at(right, (other, column), -1.0)
+            model, robust = self._quadratic(right)
+        else:
+            pairs, gaps = zip(one.tolist(), other.tolist(), strict=True), self._gaps
+            found = [gaps.variances(*pair) for pair in pairs]
+            model, robust = np.reshape(found, (-1, 2)).T
+        heats = np.minimum(self._squares.heats[one], self._squares.heats[other])
+        return _blend(model, robust, heats, self._ratio)
+
+    @cached_property
+    def _gaps(self) -> Gaps:
+        assert isinstance(self._system, Sparse)
+        return Gaps(self._system, self._squares)
 
     def _quadratic(self, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the model's and the robust variances of some combinations, one a column."""

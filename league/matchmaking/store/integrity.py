@@ -15,7 +15,7 @@ from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.store import entries, results, schema, seasons
 from league.matchmaking.store.database import chunked
-from league.matchmaking.store.queue import heat_in, with_rules
+from league.matchmaking.store.heat_rows import heat_in, with_rules
 from league.matchmaking.store.results import PackedResult
 from league.matchmaking.store.schema import (
     LedgerRecord,

@@ -11,8 +11,9 @@ import sqlalchemy as sa
 
 from league.errors import StoreError, brief
 from league.matchmaking.pairing import heat_spec
-from league.matchmaking.pairing.heat_spec import Half, Heat, Purpose
-from league.matchmaking.store.database import Transactional, chunked, insert_new, made_of
+from league.matchmaking.pairing.heat_spec import Heat, Purpose
+from league.matchmaking.store.database import Transactional, chunked, insert_new
+from league.matchmaking.store.heat_rows import records_of, with_rules
 from league.matchmaking.store.records import HeatRecord, HeatState
 from league.matchmaking.store.schema import (
     append,
@@ -43,8 +44,6 @@ PRIORITY: dict[Purpose, int] = {
 """Small numbers are claimed first; a season always has rated heats, and audits must not wait."""
 TRACEBACK_CHARS = 8000
 """The end of a traceback that is kept."""
-OVER = ("done", "quarantined")
-"""States in which a heat's seeds are public."""
 RETRIED: tuple[HeatState, ...] = ("error", "cancelled", "quarantined")
 """States out of which a heat may be raced again."""
 
@@ -54,6 +53,8 @@ class QueueStore(Transactional):
 
     _secret: bytes
     """The league's, which makes the seeds."""
+    _entry_ids: dict[int, str]
+    """Ids of entries by their numbers; they never change."""
 
     def plan(self, planned: Sequence[Heat]) -> int:
         """Add heats to the queue and return how many are new; known ones are left as they are."""
@@ -265,16 +266,8 @@ class QueueStore(Transactional):
     ) -> list[HeatRecord]:
         order = heats.c.number.desc() if newest else heats.c.number
         rows = connection.execute(with_rules().where(match).order_by(order).limit(limit)).all()
-        numbers = {number for row in rows for _, grid in json.loads(row.halves) for number in grid}
-        query = sa.select(entries.c.number, entries.c.id)
-        named = chunked(connection, query, entries.c.number, sorted(numbers))
-        id_of = {row.number: row.id for row in named}
-        records = []
-        for row in sorted(rows, key=lambda row: row.number):
-            heat = heat_in(row, id_of)
-            seeds = self.seeds(heat) if row.state in OVER else None
-            records.append(made_of(HeatRecord, row, heat=heat, seeds=seeds))
-        return records
+        return records_of(connection, sorted(rows, key=lambda row: row.number), self._secret,
+                          self._entry_ids)  # fmt: skip
 
 
 def _plan(connection: sa.Connection, now: float, planned: Sequence[Heat]) -> int:
@@ -418,25 +411,6 @@ def _reopen_entries(connection: sa.Connection, now: float, heat: int) -> None:
             .values(state="planned", attempts=0)
         )
         log_event(connection, now, "league", "validating", row.id, was="refused", heat=heat)
-
-
-def with_rules() -> sa.Select[Any]:
-    """Select heats, the hashes of their rules (`rules`) and the keys of those they audit."""
-    audited = heats.alias("audited")
-    return (
-        sa.select(heats, rulesets.c.hash.label("rules"), audited.c.key.label("audited_key"))
-        .outerjoin(rulesets, rulesets.c.number == heats.c.ruleset)
-        .outerjoin(audited, audited.c.number == heats.c.audits)
-    )
-
-
-def heat_in(row: Any, id_of: Mapping[int, str]) -> Heat:  # noqa: ANN401
-    """Return the heat in a row of `with_rules`, with the ids of entries (given by number)."""
-    halves = tuple(
-        Half(track, tuple(id_of[number] for number in grid))
-        for track, grid in json.loads(row.halves)
-    )
-    return Heat(row.rules, halves, row.draw, row.purpose, row.audited_key or "")
 
 
 def unknown_heat(key: str) -> StoreError:

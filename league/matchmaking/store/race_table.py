@@ -144,6 +144,7 @@ def read_races(
     since: int = 0,
     *,
     rated: bool = True,
+    unrated: bool = False,
     entries: Sequence[int] = (),
 ) -> Races:
     """Return the races under a ruleset that count; for the arguments see Store.races."""
@@ -152,7 +153,10 @@ def read_races(
         sa.select(sa.func.count()).select_from(heats).where(heats.c.state == "quarantined")
     )
     parts = []
-    for piece in _read(connection, ruleset, since, last, rated=rated, entries=entries):
+    counted = _counted(ruleset, rated=rated, unrated=unrated)
+    for entry in entries:
+        counted &= races.c.heat.in_(of_entry(entry))
+    for piece in _read(connection, counted, since, last):
         columns = {name: piece["race"][name].astype(kind) for name, kind in KINDS.items()}
         columns["runs"] |= np.where(piece["driven"]["clean_ms"] > 0, np.uint32(CLEAN), 0)
         parts.append(Races(**columns, last=max(last, since), voided=voided or 0))
@@ -163,7 +167,7 @@ def read_drives(connection: sa.Connection, ruleset: str, since: int = 0) -> Driv
     """Return how each car drove in the rated races under a ruleset, see `read_races`."""
     last = _last(connection)
     parts = []
-    for piece in _read(connection, ruleset, since, last, rated=True):
+    for piece in _read(connection, _counted(ruleset), since, last):
         race, driven = piece["race"], piece["driven"]
         cars = driven.shape[1]
         columns = {name: np.repeat(race[name], cars) for name in ("heat", "half", "track")}
@@ -175,21 +179,12 @@ def read_drives(connection: sa.Connection, ruleset: str, since: int = 0) -> Driv
 
 
 def _read(
-    connection: sa.Connection,
-    ruleset: str,
-    since: int,
-    last: int,
-    *,
-    rated: bool,
-    entries: Sequence[int] = (),
+    connection: sa.Connection, counted: sa.ColumnElement[bool], since: int, last: int
 ) -> list[np.ndarray]:
     """Return races with what is known of their cars, those of as many cars together; at least one.
 
     Only those after number `since` up to `last`.
     """
-    counted = _counted(ruleset, rated=rated)
-    for entry in entries:
-        counted &= races.c.heat.in_(of_entry(entry))
     parts = [
         np.frombuffer(bytes.fromhex(text), dtype=_known_type(cars))
         for text, cars in _joined(connection, counted, since, last)
@@ -205,9 +200,10 @@ def _last(connection: sa.Connection) -> int:
     return connection.scalar(sa.select(sa.func.coalesce(sa.func.max(races.c.number), 0))) or 0
 
 
-def _counted(ruleset: str, *, rated: bool) -> sa.ColumnElement[bool]:
+def _counted(ruleset: str, *, rated: bool = True, unrated: bool = False) -> sa.ColumnElement[bool]:
     rules = sa.select(rulesets.c.number).where(rulesets.c.hash == ruleset).scalar_subquery()
-    return sa.and_(races.c.ruleset == rules, *([races.c.rated] if rated else []))
+    kind = [~races.c.rated] if unrated else [races.c.rated] if rated else []
+    return sa.and_(races.c.ruleset == rules, *kind)
 
 
 def _joined(

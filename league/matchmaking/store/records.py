@@ -267,6 +267,14 @@ class HeatRecord:
     """When its results came [s since 1970]."""
 
 
+class DoneHeat(NamedTuple):
+    """Who raced a heat, and when it was done."""
+
+    worker: str | None
+    done_s: float | None
+    """[s since 1970]."""
+
+
 @dataclass(frozen=True)
 class StoredResult:
     """A race's result as the store keeps it."""

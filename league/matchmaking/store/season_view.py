@@ -80,10 +80,12 @@ class SeasonView(Store):
         *,
         since: int = 0,
         rated: bool = True,
+        unrated: bool = False,
         entries: Sequence[int] = (),
     ) -> Races:
         """Return the races of the season; see Store.races."""
-        races = super().races(ruleset, since=since, rated=rated, entries=entries)
+        kind = {"rated": rated, "unrated": unrated}
+        races = super().races(ruleset, since=since, entries=entries, **kind)
         return races.where(self.season.has(races.heat))
 
     def drives(self, ruleset: str, *, since: int = 0) -> Drives:

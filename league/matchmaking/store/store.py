@@ -16,7 +16,7 @@ from league.matchmaking.store.database import Database
 from league.matchmaking.store.entries import EntryStore
 from league.matchmaking.store.integrity import Integrity
 from league.matchmaking.store.queue import QueueStore
-from league.matchmaking.store.records import Drives, HeatRecord, LeagueSettings, Races
+from league.matchmaking.store.records import DoneHeat, Drives, HeatRecord, LeagueSettings, Races
 from league.matchmaking.store.results import ResultStore
 from league.matchmaking.store.schema import heats, league, rulesets
 from league.matchmaking.store.seasons import SeasonStore
@@ -49,7 +49,7 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
         except BaseException:
             self._database.close()
             raise
-        self._secret = row.secret
+        self._secret, self._entry_ids = row.secret, dict[int, str]()
         self._blobs_url: str = row.blobs
 
     def __enter__(self) -> Self:
@@ -125,6 +125,13 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
             numbers = list(connection.scalars(query.offset(skip).limit(limit)))
         return self.heats(numbers=numbers)[::-1]
 
+    def newest_done(self, limit: int) -> list[DoneHeat]:
+        """Return who raced so many of the newest heats that are done, the newest first."""
+        query = sa.select(heats.c.worker, heats.c.done_s).where(self._done(None))
+        with self._database.reading() as connection:
+            rows = connection.execute(query.order_by(heats.c.number.desc()).limit(limit))
+            return [DoneHeat(*row) for row in rows]
+
     def num_done(self, entry: int | None = None) -> int:
         """Return how many heats are done, of all or of one entry (its number)."""
         query = sa.select(sa.func.count()).select_from(heats).where(self._done(entry))
@@ -142,6 +149,7 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
         *,
         since: int = 0,
         rated: bool = True,
+        unrated: bool = False,
         entries: Sequence[int] = (),
     ) -> Races:
         """Return the races that count as arrays.
@@ -149,12 +157,14 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
         Args:
             ruleset: hash; by default the league's present one.
             since: only those that came after this `Races.last`.
-            rated: without validation and gauntlet heats.
+            rated: without those of validation, gauntlets and cups.
+            unrated: these alone, whatever `rated` says.
             entries: only those of heats with all these entries (numbers) in them.
         """
         ruleset = ruleset or self.settings.ruleset.hash
+        kind = {"rated": rated, "unrated": unrated}
         with self._database.reading() as connection:
-            return race_table.read_races(connection, ruleset, since, rated=rated, entries=entries)
+            return race_table.read_races(connection, ruleset, since, entries=entries, **kind)
 
     def drives(self, ruleset: str, *, since: int = 0) -> Drives:
         """Return how each car drove in the rated races under a ruleset; see `races`."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import heapq
 import itertools
 import math
 from collections.abc import Mapping, Sequence
@@ -15,9 +14,15 @@ from league.errors import StoreError
 from league.matchmaking import standings
 from league.matchmaking.history import HistoryPoint, history, own_history
 from league.matchmaking.pairing import matchmaker
-from league.matchmaking.scores import RaceScore, race_scores, scores_by_season
-from league.matchmaking.standings import HeadToHead, Row, Standings
-from league.matchmaking.store import HeatRecord, LeagueEntry
+from league.matchmaking.scores import (
+    FinalRatings,
+    RaceScore,
+    heat_scores,
+    race_scores,
+    scores_by_season,
+)
+from league.matchmaking.standings import HeadToHead, Row, Standings, Strengths
+from league.matchmaking.store import HeatRecord, LeagueEntry, Races, Season, StoredResult
 from league.track import files
 from league.video import strip
 from league.web import charts
@@ -60,9 +65,11 @@ def document(reader: Reader, number: int) -> Document:
     raced = reader.store.heats(entries=[number], limit=NEWEST, newest=True)
     over = [record for record in raced if record.state not in (*WAITING, "cancelled")]
     moments = _history(reader, entry, rated) if rated and row and row.races else []
-    heats = _heat_scores(rated, number) if rated and row else []
-    best = heapq.nlargest(EXTREMES, heats, key=_surplus)
-    worst = heapq.nsmallest(EXTREMES, heats, key=_surplus)
+    best, worst = _extremes(rated, number) if rated and row else ([], [])
+    newest = over[-HEATS:][::-1]
+    extreme = reader.store.heats(numbers=[one["number"] for one in best + worst])
+    results = reader.results(newest + extreme)
+    listed = {line["number"]: line for line in reader.listed(newest + extreme, results=results)}
     return {
         "entry": entry,
         "standing": row,
@@ -74,14 +81,14 @@ def document(reader: Reader, number: int) -> Document:
         if moments and moments[0].races < moments[-1].races
         else None,
         "against": _neighbours(rated, row) if rated and row else [],
-        "best": _named(reader, [heat for heat in best if _surplus(heat) > 0]),
-        "worst": _named(reader, [heat for heat in worst if _surplus(heat) < 0]),
+        "best": [{**listed[one["number"]], **one} for one in best],
+        "worst": [{**listed[one["number"]], **one} for one in worst],
         "laps": _laps(reader, number),
-        "heats": reader.listed(over[-HEATS:][::-1]),
+        "heats": [listed[record.number] for record in newest],
         "num_heats": reader.store.num_done(number),
         "waiting": sum(record.state in WAITING for record in raced),
         "joining": _joining(reader, entry, raced),
-        "camera": _camera(reader, entry, over[-HEATS:][::-1]),
+        "camera": _camera(entry, newest, results),
         "card": _card(entry),
         "ancestors": ancestors(now.by_digest, entry),
         "children": [
@@ -110,26 +117,21 @@ def _neighbours(rated: Standings, row: Row) -> list[tuple[Row, HeadToHead | None
     ]
 
 
-def _heat_scores(rated: Standings, number: int) -> list[Document]:
-    """Return what an entry made in each of its rated heats, and what the ratings promised."""
-    by_heat = itertools.groupby(race_scores(rated, number), key=lambda score: score.heat)
-    scores = []
-    for heat, races in by_heat:
-        points, expected = zip(*((race.points, race.expected) for race in races), strict=True)
-        scores.append({"number": heat, "points": sum(points), "expected": sum(expected)})
-    return scores
+def _extremes(rated: Standings, number: int) -> tuple[list[Document], list[Document]]:
+    """Return the heats that went better than the ratings promised, and worse, the most so first."""
+    heats, points, expected = heat_scores(rated, number)
+    beyond = points - expected
 
+    def first(surplus: np.ndarray) -> list[Document]:
+        order = np.argsort(-surplus, kind="stable")[:EXTREMES]
+        order = order[surplus[order] > 0]
+        columns = (column[order].tolist() for column in (heats, points, expected))
+        return [
+            {"number": heat, "points": made, "expected": promised}
+            for heat, made, promised in zip(*columns, strict=True)
+        ]
 
-def _surplus(score: Document) -> float:
-    return score["points"] - score["expected"]
-
-
-def _named(reader: Reader, scores: list[Document]) -> list[Document]:
-    """Return heats with their grids and tracks."""
-    numbers = [score["number"] for score in scores]
-    records = {one.number: one for one in reader.store.heats(numbers=numbers)}
-    listed = reader.listed([records[number] for number in numbers])
-    return [{**heat, **score} for heat, score in zip(listed, scores, strict=True)]
+    return first(beyond), first(-beyond)
 
 
 def _laps(reader: Reader, number: int) -> list[Document]:
@@ -150,18 +152,19 @@ def _trophies(reader: Reader, number: int) -> list[Document]:
     """Return what an entry won in the seasons that are over."""
     return [
         {**trophy, "season": season.number, "of": season.name}
-        for season in reader.store.seasons()
+        for season in reader.snapshot().seasons
         for trophy in (frozen(reader, season) or {}).get("trophies", ())
         if trophy["number"] == number
     ]
 
 
-def _camera(reader: Reader, entry: LeagueEntry, records: Sequence[HeatRecord]) -> Document | None:
+def _camera(
+    entry: LeagueEntry, records: Sequence[HeatRecord], results: Mapping[int, list[StoredResult]]
+) -> Document | None:
     """Return the newest recorded race of an entry, and the moments that its film strip shows."""
     for record in records:
-        results = reader.store.results(record.number)
         for half, race in enumerate(record.heat.halves):
-            result = accepted(results, half)
+            result = accepted(results[record.number], half)
             if result is None or not result.replay or entry.id not in race.grid:
                 continue
             car = race.grid.index(entry.id)
@@ -270,15 +273,15 @@ def matchup(reader: Reader, one: int, other: int, before: str = "", season: str 
     if one == other:
         raise NotFoundError("A driver does not meet itself: name two different ones.")
     end = heat_number(before) if before else None
-    seasons = {str(one.number): one for one in reader.store.seasons()}
+    now = reader.snapshot()
+    seasons = {str(one.number): one for one in now.seasons}
     if season and season not in seasons:
         raise NotFoundError(f"This league has no season {season[:20]!r}.")
-    now = reader.snapshot()
     rows = now.rows.get(one), now.rows.get(other)
     both = now.rated if all(rows) else None
     scores = race_scores(both, one, other) if both else []
     met = reader.store.heats(entries=[one, other])
-    by_season = scores_by_season(reader.store, both, one, other) if both else {}
+    by_season = _by_season(reader, both, one, other, met) if both else {}
     records = [record for record in met if record.state in OVER]
     if end is not None:
         records = [record for record in records if record.number < end]
@@ -312,6 +315,30 @@ def matchup(reader: Reader, one: int, other: int, before: str = "", season: str 
     }
 
 
+def _by_season(
+    reader: Reader, both: Standings, one: int, other: int, met: Sequence[HeatRecord]
+) -> dict[int | None, list[RaceScore]]:
+    """Return the races of two entries by season, see `scores_by_season`.
+
+    `met` are their heats: under other rules than the present ones most have none.
+    """
+    now, hashes = reader.snapshot(), {record.heat.ruleset for record in met}
+
+    def raced(hash: str) -> Races:
+        if hash == now.settings.ruleset.hash:
+            return now.races
+        return reader.store.races(hash, entries=(one, other))
+
+    def ratings(season: Season | None) -> Strengths:
+        document = frozen(reader, season) if season else None
+        if season is None or document is None:
+            return both.ratings
+        return reader.kept(("ratings", season.number), lambda: FinalRatings.of(document))
+
+    under = [(raced(hash), rules.tracks) for hash, rules in now.rulesets.items() if hash in hashes]
+    return scores_by_season(under, now.seasons, ratings, one, other)
+
+
 def _record(scores: Sequence[RaceScore]) -> Document:
     """Return how often two entries met, and what the one made of it."""
     return {
@@ -338,17 +365,16 @@ def _points_by_track(scores: Sequence[RaceScore]) -> list[Document]:
 def _races_met(
     reader: Reader,
     pair: tuple[LeagueEntry, LeagueEntry],
-    records: list[Any],
+    records: list[HeatRecord],
     scores: Sequence[RaceScore],
 ) -> list[Document]:
     """Return each race of some heats: who came in ahead, by how much, and what was promised."""
-    results = reader.store.results(*(record.number for record in records))
+    results = reader.results(records)
     expected = {(score.heat, score.race): score.expected for score in scores}
     lines = []
     for record in records:
-        own = [result for result in results if result.heat == record.number]
         for half, race in enumerate(record.heat.halves):
-            result = accepted(own, half)
+            result = accepted(results[record.number], half)
             slots = [race.grid.index(entry.id) for entry in pair if entry.id in race.grid]
             if len(slots) < 2:
                 continue

@@ -37,7 +37,8 @@ def document(reader: Reader, number: int, race: str = "", lap: str = "") -> Docu
         raise NotFoundError(f"This race has the laps 1 to {laps}.")
     shown, replay = _summary(reader, at), at.replay
     names = [car["name"] for car in shown["cars"]]
-    wrong = faults_by_lap(replay.result) if replay else []
+    drawn = _drawn(reader, at)
+    wrong = drawn.faults if drawn else []
     return {
         **shown,
         "progress": reader.progress(at.record),
@@ -46,13 +47,13 @@ def document(reader: Reader, number: int, race: str = "", lap: str = "") -> Docu
         "ruleset": at.record.heat.ruleset,
         "best_lap_s": min(laps_s, default=None),
         "positions": race_charts.position_chart(order, names) if laps else None,
-        "gaps": race_charts.gap_chart(replay) if replay else None,
+        "gaps": drawn.gaps if drawn else None,
         "laps": laps,
         "faults": wrong,
         "lap_rows": max([laps, *map(len, wrong)]),
         "lap": int(lap) if lap else None,
-        "compared": race_charts.of(replay, int(lap) if lap else None) if replay else None,
-        "events": events(replay) if replay else [],
+        "compared": _compared(reader, at, int(lap) if lap else None),
+        "events": drawn.events if drawn else [],
         **_proof(reader, at),
         "spec": replay.spec.model_dump(exclude={"entries"}) if replay else None,
         "physics": replay.physics if replay else None,
@@ -84,7 +85,8 @@ def recording(reader: Reader, number: int, race: int) -> str:
 
 def replay(reader: Reader, number: int, race: int) -> Document:
     """Return what the player draws of a race."""
-    return player_data(reader.replay(recording(reader, number, race)))
+    digest = recording(reader, number, race)
+    return reader.kept(("player", digest), lambda: player_data(reader.replay(digest)))
 
 
 def one_file(reader: Reader, number: int, race: int) -> Document:
@@ -129,8 +131,42 @@ def _summary(reader: Reader, at: _Race) -> Document:
         "result": at.result.result if at.result else None,
         "places": at.result.places if at.result else (),
         "recording": at.result.replay if at.result else None,
-        "map": charts.track_map(at.replay.track) if at.replay else None,
+        "map": drawn.map if (drawn := _drawn(reader, at)) else None,
     }
+
+
+@dataclass(frozen=True)
+class _Drawn:
+    """What follows from a recording alone."""
+
+    map: charts.TrackMap
+    gaps: charts.Chart
+    faults: list[list[LapFaults]]
+    events: list[dict[str, object]]
+
+
+def _drawn(reader: Reader, at: _Race) -> _Drawn | None:
+    if at.replay is None or at.result is None:
+        return None
+    replay = at.replay
+    return reader.kept(
+        ("drawn", at.result.replay),
+        lambda: _Drawn(
+            map=charts.track_map(replay.track),
+            gaps=race_charts.gap_chart(replay),
+            faults=faults_by_lap(replay.result),
+            events=events(replay),
+        ),
+    )
+
+
+def _compared(reader: Reader, at: _Race, lap: int | None) -> race_charts.ComparedLaps | None:
+    """Return a lap (from 1) of each car over each other, by default each one's best."""
+    if at.replay is None or at.result is None:
+        return None
+    replay = at.replay
+    key = ("compared", at.result.replay, lap)
+    return reader.kept(key, lambda: race_charts.of(replay, lap))
 
 
 def _proof(reader: Reader, at: _Race) -> Document:

@@ -6,12 +6,14 @@ import time
 from collections.abc import Sequence
 
 from league.matchmaking.documents import heat_document
-from league.matchmaking.store import HeatRecord
+from league.matchmaking.store import DoneHeat, HeatRecord, StoredResult
 from league.web import charts
 from league.web.pages import heat
 from league.web.paging import paging
 from league.web.reader import Document, Reader, heat_number
 
+_Contest = tuple[int, float, int, str]
+"""How often cars passed in a race, less its gap at the end [s], its heat, and its number in it."""
 RECENT = 60
 """Newest heats that are listed, and among which the most contested race is looked for."""
 TOP = 8
@@ -30,7 +32,7 @@ def document(reader: Reader) -> Document:
     """Return the most contested recent race, the standings' top, what races, newest results."""
     now, counts = reader.snapshot(), reader.counts()
     rated = now.rated
-    featured = reader.kept(("featured", counts.get("done", 0)), lambda: _most_contested(reader))
+    featured = _most_contested(reader)
     return {
         "rules": reader.rules(),
         "counts": counts,
@@ -50,16 +52,23 @@ def document(reader: Reader) -> Document:
 def _most_contested(reader: Reader) -> tuple[int, str] | None:
     """Return the number of a heat and of its race with the most passes, then the closest one."""
     rated = [one.number for one in reader.newest(RECENT) if one.heat.purpose == "rated"]
-    races: list[tuple[int, float, int, str]] = []
-    for result in reader.store.results(*rated):
-        if not result.replay or result.rejected:
-            continue
-        order = result.result["order"]
-        passes = result.result["lead_changes"] + sum(car["overtakes"] for car in order)
-        finished = [car["total_s"] for car in order if car["finished"]]
-        gap_s = finished[1] - finished[0] if len(finished) > 1 else 1e6
-        races.append((int(passes), -float(gap_s), result.heat, str(result.half + 1)))
-    return max(races)[2:] if races else None
+    before: dict[int, list[_Contest]] = reader.kept("contests", dict)
+    new = reader.store.results(*(number for number in rated if number not in before))
+    contests = {number: before.get(number, []) for number in rated}
+    for result in new:
+        if result.replay and not result.rejected:
+            contests[result.heat] = [*contests[result.heat], _contest(result)]
+    reader.keep("contests", contests)
+    most = max((one for own in contests.values() for one in own), default=None)
+    return most[2:] if most else None
+
+
+def _contest(result: StoredResult) -> _Contest:
+    order = result.result["order"]
+    passes = result.result["lead_changes"] + sum(car["overtakes"] for car in order)
+    finished = [car["total_s"] for car in order if car["finished"]]
+    gap_s = finished[1] - finished[0] if len(finished) > 1 else 1e6
+    return int(passes), -float(gap_s), result.heat, str(result.half + 1)
 
 
 def feed(reader: Reader) -> Document:
@@ -93,15 +102,17 @@ def heats(reader: Reader, driver: str = "", page: str = "") -> Document:
 def live(reader: Reader) -> Document:
     """Return the running heats, the queue, the workers, the pace, and what needs attention."""
     store, now_s, names = reader.store, time.time(), reader.names
-    counts, running, newest = reader.counts(), store.heats(("claimed",)), reader.newest(COUNTED)
-    done = [one for one in newest if now_s - (one.done_s or 0.0) < WINDOW_S]
+    counts, running = reader.counts(), store.heats(("claimed",))
+    newest = reader.newest(LISTED_LIVE)
+    done = [one for one in store.newest_done(COUNTED) if now_s - (one.done_s or 0.0) < WINDOW_S]
+    finished = [one for one in newest if now_s - (one.done_s or 0.0) < WINDOW_S]
     per_minute = 60 * len(done) / WINDOW_S
 
     def listed(records: Sequence[HeatRecord]) -> list[Document]:
         return [heat_document(record, names) for record in records[:LISTED_LIVE]]
 
     return {
-        "newest": _newest(reader, newest[:LISTED_LIVE]),
+        "newest": _newest(reader, newest),
         "counts": counts,
         "per_minute": per_minute,
         "wait_minutes": counts.get("planned", 0) / per_minute if per_minute else None,
@@ -109,7 +120,7 @@ def live(reader: Reader) -> Document:
         "progress": {one.number: reader.progress(one) for one in running[:LISTED_LIVE]},
         "queue": listed(store.heats(("planned",), limit=LISTED_LIVE)),
         "workers": _workers(running, done),
-        "finished": reader.listed(done[:LISTED_LIVE]),
+        "finished": reader.listed(finished),
         "troubled": listed(store.heats(("error", "quarantined"))[::-1]),
         "joining": [
             {"number": entry.number, "name": entry.name, "state": entry.state}
@@ -128,7 +139,7 @@ def _newest(reader: Reader, records: Sequence[HeatRecord]) -> Document | None:
     return None
 
 
-def _workers(running: Sequence[HeatRecord], done: Sequence[HeatRecord]) -> list[Document]:
+def _workers(running: Sequence[HeatRecord], done: Sequence[DoneHeat]) -> list[Document]:
     """Return who raced lately, or does: heats under way, heats done, when the last one was."""
     names = sorted({one.worker for one in (*running, *done) if one.worker})
     return [

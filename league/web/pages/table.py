@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
@@ -77,18 +77,17 @@ def season_moments(reader: Reader, number: int) -> list[tuple[int, str, str]]:
 
     That is the ends of seasons, and its own moves between divisions.
     """
-    marks: list[tuple[int, str, str]] = []
-    ruleset = reader.store.settings.ruleset.hash
-    for one in reader.store.seasons():
-        if one.ruleset != ruleset:
-            continue
-        if one.until is not None:
-            marks.append((one.until, "S", f"{one.name} ended"))
-        for move in reader.store.division_moves(one.number, number):
-            if move.division:
-                label = f"D{move.division}"
-                title = f"Division {move.division}, {WHY[move.reason]}, in {one.name}"
-                marks.append((move.heat, label, title))
+    now = reader.snapshot()
+    ruleset = now.settings.ruleset.hash
+    marks = [
+        (one.until, "S", f"{one.name} ended")
+        for one in now.seasons
+        if one.ruleset == ruleset and one.until is not None
+    ]
+    for one, move in now.moves_by_entry.get(number, ()):
+        if move.division:
+            title = f"Division {move.division}, {WHY[move.reason]}, in {one.name}"
+            marks.append((move.heat, f"D{move.division}", title))
     return marks
 
 
@@ -145,13 +144,13 @@ def document(
         names = sorted(row.name for row in rows)
         unknown.append(_unknown("driver", against, names, "drivers are"))
         against = ""
-    shown = [row for row in rows if row.owner == owner] if owner else [*rows]
+    shown = [row for row in rows if row.owner == owner] if owner else rows
     if kind:
         shown = [row for row in shown if kind_of(now.by_number[row.number]) == kind]
     if sort not in ORDERS:
         raise NotFoundError(f"Standings are sorted by {', '.join(ORDERS)[2:]}, not {sort[:20]}.")
     if sort:
-        shown.sort(key=partial(ORDERS[sort], track or rules["tracks"][0]))
+        shown = sorted(shown, key=partial(ORDERS[sort], track or rules["tracks"][0]))
     asked = {"owner": owner, "kind": kind, "track": track, "cars": cars, "against": against}
     asked = {name: text for name, text in asked.items() if text}
     at = paging(len(shown), page, "standings", PATH, {**asked, "sort": sort} if sort else asked)
@@ -175,16 +174,16 @@ def document(
         },
         "against": rival,
         "records": _records(rated, rival, on_page) if rated and rival else {},
-        "drivers": sorted(_options([(row.name, row.number) for row in now.rows.values()])),
-        "owners": _options(now.owners),
+        "drivers": sorted((row.name, row.number) for row in _options(now.rows.values())),
+        "owners": [*_options(now.owners)],
         "kinds": now.kinds,
         "car_counts": now.car_counts,
         **{"owner": owner, "kind": kind, "track": track, "cars": cars},
     }
 
 
-def _options(found: list[T]) -> list[T]:
-    return found if len(found) <= MOST_OPTIONS else []
+def _options(found: Collection[T]) -> Collection[T]:
+    return found if len(found) <= MOST_OPTIONS else ()
 
 
 def _unknown(name: str, text: str, known: Sequence[str], are: str) -> str:

@@ -89,9 +89,10 @@ def boards(reader: Reader, races: str = "") -> Document:
     shown = cast(RaceKind, asked)
     if shown not in kinds:
         raise NotFoundError(f"This league has races of the kinds {', '.join(kinds)}.")
-    voided = reader.snapshot().races.voided
-    kept: list[Boards | None] = reader.kept(("boards", shown, voided), lambda: [None])
-    kept[0] = best = time_attack(reader.store, shown, kept[0])
+    known = reader.snapshot().races
+    key = ("boards", shown, known.voided)
+    before: Boards | None = reader.kept(key, lambda: None)
+    best = reader.keep(key, time_attack(reader.store, shown, before, known))
     return {
         "kind": shown,
         "kinds": [{"kind": one, "title": TITLES.get(one, one)} for one in kinds],

@@ -1,0 +1,137 @@
+"""Answers that are made again, or kept in part: in which order, and that nothing is missed."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from starlette.testclient import TestClient
+
+from league.matchmaking import history, standings
+from league.matchmaking.ratings.pair_counts import ELO
+from league.matchmaking.ratings.table import expected_score
+from league.matchmaking.scope import RatingScope
+from league.matchmaking.scores import heat_scores, race_scores
+from league.matchmaking.store import Store
+from league.web import answers, reader
+from league.web.app import make_app
+from league.web.pages import home
+from league.web.reader import Reader
+from league.web.routes import Page
+from tests.matchmaking import leagues
+from tests.web.decided_league import decided_league, raced
+from tests.web.small_league import ORIGIN
+
+
+@pytest.fixture
+def league(tmp_path) -> Iterator[Store]:
+    with decided_league(f"sqlite:///{tmp_path / 'league.db'}", duels=42) as store:
+        yield store
+
+
+def test_the_answer_that_most_ask_for_is_made_again_first(league, monkeypatch):
+    may, made, read = threading.Event(), [], Page.read
+    may.set()
+
+    def waiting(self, *asked):
+        made.append(self.path)
+        assert may.wait(60)
+        return read(self, *asked)
+
+    monkeypatch.setattr(Page, "read", waiting)
+    for name, value in {"MOST": 8, "FRESH_S": 0.0, "REST": 0.0, "STALE_S": 600.0}.items():
+        monkeypatch.setattr(answers, name, value)
+    for name in ("FRESH_S", "REST"):
+        monkeypatch.setattr(reader, name, 0.0)
+    with TestClient(make_app(league), base_url=ORIGIN) as pages:
+        for path in ("/feed.atom", "/heats", "/standings"):
+            assert pages.get(path).status_code == 200
+        raced(league, leagues.duels(league, 1, first=500))
+        made.clear()
+        may.clear()
+        give_up = time.monotonic() + 60
+        while not made:  # until the thread that makes answers again is busy
+            pages.get("/feed.atom")
+            assert time.monotonic() < give_up
+        for path in ("/heats", "/standings", "/standings"):
+            pages.get(path)
+        may.set()
+        while len(made) < 3:
+            assert time.monotonic() < give_up
+            time.sleep(0.01)
+    assert made[:3] == ["/feed.atom", "/standings", "/heats"]
+
+
+def test_scores_of_heats_are_the_sums_of_their_races(league):
+    rated = standings.of(league)
+    for row in rated.rows:
+        by_heat: dict[int, list[float]] = {}
+        for one in race_scores(rated, row.number):
+            points, expected = by_heat.get(one.heat, [0.0, 0.0])
+            by_heat[one.heat] = [points + one.points, expected + one.expected]
+        heats, points, expected = heat_scores(rated, row.number)
+        assert heats.tolist() == sorted(by_heat)
+        sums = np.array([by_heat[heat] for heat in heats.tolist()]).T
+        assert points == pytest.approx(sums[0]) and expected == pytest.approx(sums[1])
+        assert points.sum() == pytest.approx(
+            row.score * rated.ratings.pairs[rated.ratings.index(row.number)]
+        )
+
+
+def test_each_moment_of_a_history_is_the_likeliest_rating_by_the_races_until_then(league):
+    rated = standings.of(league)
+    for row in rated.rows:
+        own = standings.own_races(rated.races, rated.ratings, row.number)
+        needed = own.strengths - rated.ratings.slot_advantages[own.slot]
+        middle, spread = float(rated.ratings.elo.mean()), rated.ratings.prior_sd
+        for moment in history.own_history(rated, row.number, points=6)[:-1]:
+            met = own.met[: moment.races]
+            chance = expected_score(moment.elo - needed[: moment.races][met])
+            # The slope of the log-posterior is 0 there, but for a step of a hundredth of an Elo.
+            slope = float((own.points[: moment.races][met] - chance).sum()) / ELO
+            slope -= (moment.elo - middle) / spread**2
+            sd = (moment.high95 - moment.low95) / (2 * 1.959963984540054)
+            assert abs(slope) * sd**2 < 0.02
+
+
+def test_the_most_contested_race_is_found_reading_each_result_once(league, monkeypatch):
+    asked, read = [], Store.results
+
+    def noted(self, *heats):
+        asked.extend(heats)
+        return read(self, *heats)
+
+    monkeypatch.setattr(Store, "results", noted)
+    pages = Reader(league)
+    first = home._most_contested(pages)
+    known = set(asked)
+    asked.clear()
+    assert home._most_contested(pages) == first and not asked
+    raced(league, leagues.duels(league, 2, first=500))
+    later = home._most_contested(pages)
+    assert len(asked) == 2 and not known & set(asked)
+    assert later == home._most_contested(Reader(league))
+
+
+def test_who_raced_the_newest_heats_is_read_without_the_heats(league):
+    records = league.heats(("done",), limit=5, newest=True)[::-1]
+    assert league.newest_done(5) == [(one.worker, one.done_s) for one in records]
+
+
+def test_a_filter_that_leaves_all_races_rates_nobody_again(league):
+    now = Reader(league).snapshot()
+    assert len(now.car_counts) > 1 and now.rated_by("", now.car_counts[0]) is not now.rated
+    alike = replace(now, rated=now.rated_by("", now.car_counts[0]))
+    again = alike.rated_by("", now.car_counts[0])
+    assert again is alike.rated
+    fresh = standings.table(
+        [one for one in now.entries if one.number in alike.rows],
+        RatingScope(alike.rated.races, None, None),
+        now.settings.ruleset.hash,
+        now.settings.ruleset.tracks,
+    )
+    assert again.ratings.elo == pytest.approx(fresh.ratings.elo, abs=1e-3)
