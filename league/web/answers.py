@@ -12,16 +12,19 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 
-from starlette.concurrency import run_in_threadpool
+import anyio
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
 
 from league.errors import LeagueError
-from league.web.reader import FRESH_S, REST, Reader
+from league.web.reader import FRESH_S, MOST_WAITING, REST, Reader
 
 MOST = 4096
 """Answers that are kept, of 5 kB as a rule."""
+AT_ONCE = MOST_WAITING + 3
+"""Threads that make answers: more would only take the processor from each other, and some may wait
+for their turn (`Reader.turn`)."""
 LASTS_S = 2.0
 """An answer is made again at the latest when it is so old [s], and something has happened."""
 STALE_S = 8.0
@@ -30,6 +33,8 @@ MANY, OLDEST_S = 8, 60.0
 """While so many answers wait to be made again, those up to this age [s] are given."""
 PAUSE = 2.0
 """After one was made again the thread that does it rests so many times as long."""
+WAITS_S, LOOKS_S = 2.0, 0.02
+"""It waits so long at most [s], looking so often, for requests of what is not kept yet."""
 Key = tuple[str, str, str]
 
 
@@ -58,6 +63,7 @@ class Answers:
     def __init__(self, reader: Reader) -> None:
         self._reader = reader
         self._lock = threading.Lock()
+        self._limiter = anyio.CapacityLimiter(AT_ONCE)
         self._kept: OrderedDict[Key, _Answer] = OrderedDict()
         self._making: dict[Key, threading.Event] = {}
         self._later = ThreadPoolExecutor(1, "answers")  # one at a time: requests have their turn
@@ -79,7 +85,7 @@ class Answers:
             found, now_s = self._kept.get(key), time.monotonic()
             stale_s = OLDEST_S if len(self._renewed) >= MANY else STALE_S
             if found is None or now_s - found.seen_s >= (stale_s if lasting else LASTS_S):
-                found = await run_in_threadpool(made)
+                found = await anyio.to_thread.run_sync(made, limiter=self._limiter)
             elif now_s - found.seen_s >= found.fresh_s:
                 self._renew_later(key, made)
             if "gzip" in request.headers.get("accept-encoding", ""):
@@ -98,6 +104,9 @@ class Answers:
 
     def _renew(self) -> None:
         """Make the answer again that most requests have asked for since it is due."""
+        start_s = time.monotonic()
+        while self._making and time.monotonic() - start_s < WAITS_S:
+            time.sleep(LOOKS_S)
         with self._lock:
             key, renewal = max(self._renewed.items(), key=lambda item: item[1].asked)
         start_s = time.thread_time()

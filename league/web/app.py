@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import hashlib
 import json
@@ -58,7 +59,7 @@ STATIC = {
 """All static files, with their types; they are read once, when the program starts."""
 
 
-def make_app(store: Store, *, access: Access | None = None, exported: bool = False) -> ASGIApp:
+def make_app(store: Store, *, access: Access | None = None, exported: bool = False) -> App:
     """Return the application that shows a league, and takes submissions and results by token.
 
     If `exported`, its answers become files, which have no forms and no JSON.
@@ -150,7 +151,16 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
         ],
         exception_handlers={HTTPException: failed, LeagueError: failed},
     )
-    return _SecurityHeaders(app)
+
+    def warm() -> None:
+        for name in templates.list_templates():
+            templates.get_template(name)
+        for one in PAGES:
+            if one.shared and "{" not in one.path:
+                with contextlib.suppress(LeagueError):
+                    one.document(reader, **dict.fromkeys(one.query, ""))
+
+    return App(app, warm)
 
 
 def _let_pass(response: Response, document: Mapping[str, Any]) -> None:
@@ -221,13 +231,18 @@ def _static(name: str) -> Callable[[Request], Awaitable[Response]]:
     return respond
 
 
-class _SecurityHeaders:
-    """Adds `HEADERS` to every response, errors included, where it has none of its own."""
+class App:
+    """The application; adds `HEADERS` to every response, errors included, that has none of its own.
 
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
+    `warm` makes what the first visitors would wait for: templates, boards, bounds of tracks.
+    """
+
+    def __init__(self, app: ASGIApp, warm: Callable[[], None]) -> None:
+        self._app, self.warm = app, warm
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request, as ASGI has it."""
+
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import socket
 import sys
+import threading
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -66,8 +67,10 @@ def serve(
         shown = f"[{host}]" if ":" in host else host
         ready(f"http://{shown}:{listener.getsockname()[1]}/")
         # Uvicorn takes a client's address from X-Forwarded-For only if a proxy here sends it.
+        app = make_app(store, access=access)
+        threading.Thread(target=app.warm, daemon=True).start()
         config = uvicorn.Config(
-            make_app(store, access=access),
+            app,
             log_level="warning",
             server_header=False,
             lifespan="off",
@@ -85,7 +88,7 @@ def _rare_collections() -> Generator[None]:
     up all requests for 0.15 s, several times while a snapshot is taken.
     """
     before = gc.get_threshold()
-    gc.set_threshold(*before[:2], 100 * before[2])
+    gc.set_threshold(700, 10, 1000)
     try:
         yield
     finally:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 
+import jinja2
 import numpy as np
 import pytest
 from starlette.testclient import TestClient
@@ -135,3 +136,48 @@ def test_a_filter_that_leaves_all_races_rates_nobody_again(league):
         now.settings.ruleset.tracks,
     )
     assert again.ratings.elo == pytest.approx(fresh.ratings.elo, abs=1e-3)
+
+
+def test_a_warm_server_has_made_what_first_visitors_would_wait_for(store, monkeypatch):
+    app = make_app(store)
+    app.warm()
+    monkeypatch.setattr(reader, "lap_bound", None)  # the bound of a track takes a tenth of a second
+    monkeypatch.setattr(jinja2.environment.Environment, "compile", None)
+    with TestClient(app, base_url=ORIGIN) as pages:
+        for path in ("/tracks", "/time-attack", "/drivers/1", "/heats", "/definitions"):
+            answer = pages.get(path)
+            assert answer.status_code == 200, answer.text
+
+
+def test_renewals_wait_for_what_is_not_kept_yet(league, monkeypatch):
+    may, began, made, read = threading.Event(), threading.Event(), [], Page.read
+
+    def recorded(self, *asked):
+        made.append(self.path)
+        if self.path == "/tracks":
+            began.set()
+            assert may.wait(60)
+        return read(self, *asked)
+
+    monkeypatch.setattr(Page, "read", recorded)
+    for name, value in {"MOST": 8, "WAITS_S": 600.0, "STALE_S": 600.0}.items():
+        monkeypatch.setattr(answers, name, value)
+    for module in (answers, reader):
+        monkeypatch.setattr(module, "FRESH_S", 0.0)
+        monkeypatch.setattr(module, "REST", 0.0)
+    with TestClient(make_app(league), base_url=ORIGIN) as pages:
+        assert pages.get("/heats").status_code == 200
+        raced(league, leagues.duels(league, 1, first=500))
+        first = threading.Thread(target=pages.get, args=("/tracks",))
+        first.start()
+        assert began.wait(60)
+        time.sleep(0.1)
+        assert pages.get("/heats").status_code == 200  # the older one; a newer one is due
+        time.sleep(0.2)
+        assert made == ["/heats", "/tracks"]
+        may.set()
+        first.join()
+        give_up = time.monotonic() + 60
+        while made[2:] != ["/heats"]:
+            assert time.monotonic() < give_up, made
+            time.sleep(0.01)
