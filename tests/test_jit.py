@@ -94,7 +94,7 @@ from league import jit
 from league.track import projection
 course = np.zeros(1, projection.COURSE)
 course["length"], course["closed"] = 12.0, True
-ahead, behind = np.float32([0.5]), np.float32([11.5])
+ahead, behind = np.float32([12.5]), np.float32([-0.5])  # so far apart that it wraps
 gap = projection.gaps(course, np.zeros(1, np.int64), ahead, behind).item()
 loaded = sum(projection.gaps.stats.cache_hits.values())
 print(json.dumps([gap, loaded, str(jit.cache_folder())]))
