@@ -194,3 +194,9 @@ def test_a_checkpoint_drives_an_opponent_in_training(tmp_path):
         assert (env.race_env.world.cars["action_steering"][:, 1] != 0).any()
     finally:
         env.close()
+
+
+def test_weights_begin_where_wide_loads_are_quick():
+    for senses in SENSES:
+        policy = Policy(make_checkpoint(senses), CAR)
+        assert policy._network.weights.ctypes.data % 64 == 0
