@@ -216,6 +216,17 @@ def test_cars_close_along_the_line_between_them(straight, left, closing):
     assert seen["closing_speed"].tolist() == pytest.approx([closing, 0.0], abs=1e-4)
 
 
+def test_both_cars_movement_counts_for_how_fast_they_close(straight):
+    # Along (3, 2) / sqrt(13) again: by velocity (0.6, 1.6) m/s; by movement (0.06, 0.05) m a step.
+    places, root = [(5.0, -0.1), (5.3, 0.1)], 13**0.5
+    moving = [(1.0, 1.0), (0.4, -0.6)]
+    seen, _, _ = scene(straight(), racing(), places, places, (0, 1), moving=moving)
+    assert seen["closing_speed"].tolist() == pytest.approx([5.0 / root, 0.0], abs=1e-4)
+    after = [(5.05, -0.08), (5.29, 0.07)]
+    seen, _, _ = scene(straight(), racing(), places, after, (0, 1))
+    assert seen["closing_speed"].tolist() == pytest.approx([0.28 * 15 / root, 0.0], abs=1e-4)
+
+
 def test_a_touch_that_lasts_is_counted_once(straight):
     tracks, sim = straight(), racing()
     world = put_cars(tracks, sim, [(3.0, 0.0), (3.33, 0.0)])

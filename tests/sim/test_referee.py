@@ -495,6 +495,17 @@ def test_lapped_car_is_not_overtaken(ring):
         assert not verdict["overtook"].any()
 
 
+def test_a_change_of_the_lead_is_in_the_verdicts_of_all_cars(ring):
+    tracks, sim = ring(), head_to_head(3)
+    world = put_cars(tracks, sim, [(3.0, 0.2), (3.2, 0.0), (1.0, -0.2)])
+    verdict, world = judged(tracks, sim, world, [(3.6, 0.2), (3.3, 0.0), (1.1, -0.2)])
+    assert verdict["lead_changed"].all()
+    assert world.worlds[["leader", "lead_changes"]].tolist() == [(0, 1)]
+    verdict, world = judged(tracks, sim, world, [(3.8, 0.2), (3.4, 0.0), (1.2, -0.2)])
+    assert not verdict["lead_changed"].any()
+    assert world.worlds[["leader", "lead_changes"]].tolist() == [(0, 1)]
+
+
 def test_ring_of_three_side_by_side_leaves_the_leader_in_place(ring):
     # Car 2 leads car 1, car 1 car 0, each by less than a pass; car 0 is clear of car 2: a ring.
     tracks, sim = ring(), head_to_head(3)
