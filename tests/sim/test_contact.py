@@ -246,6 +246,16 @@ def test_car_pressed_against_a_wall_by_another_stands():
     assert last["velocity_x"].tolist() == pytest.approx([0.15, 0.0], abs=1e-3)
 
 
+def test_a_car_that_a_wall_stops_is_hit_from_behind_within_the_step():
+    sim = open_floor.settings(2)
+    front = open_floor.WALL - 0.163
+    now = open_floor.slippery(open_floor.world(sim, x=[front - 0.6, front], velocity_x=[4.0, 4.0]))
+    asked = open_floor.control(now, [0.0], [4.0])
+    last = open_floor.drive(open_floor.make("planar", sim), now, asked, 1)[-1]
+    assert last.contacts["wall"][0].tolist() == [False, True]
+    assert last.contacts["cars"][0].tolist() == [2, 1]
+
+
 @numba.njit
 def count_near(cars, obstacles, course, pairs, sim):
     room = np.empty((len(pairs) + 4 * len(cars), 2), np.int64)  # four walls, and no obstacles here

@@ -134,7 +134,7 @@ def _are_apart(one, box_one, two, box_two, dt):
     """Return whether two boxes are too far apart, whatever their yaw, to meet in this step."""
     closing = abs(two[VX] - one[VX]) + abs(two[VY] - one[VY])
     closing += abs(one[TURN]) * box_one[4] + abs(two[TURN]) * box_two[4]
-    room = box_one[4] + box_two[4] + closing * dt
+    room = box_one[4] + box_two[4] + closing * dt + SLOP  # more than rounding takes away
     dx, dy = two[X] - one[X], two[Y] - one[Y]
     return dx * dx + dy * dy > room * room
 

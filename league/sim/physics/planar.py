@@ -18,7 +18,7 @@ _HALF_WALL = f32(HALF_WALL)
 REACH_MARGIN = f32(0.1)
 """Added to the distance two bodies may close in a control step [m]; covers what forces add."""
 NUM_WALLS = 4
-_ZERO, _HALF, _ONE, _TWO = f32(0.0), f32(0.5), f32(1.0), f32(2.0)
+_ZERO, _HALF, _ONE = f32(0.0), f32(0.5), f32(1.0)
 
 
 def schedule(num_cars: int) -> np.ndarray:
@@ -199,8 +199,8 @@ def _near(cars, obstacles, course, pairs, settings, out):
 
 @inner
 def _may_meet(one, two, settings):
-    closing = abs(two.velocity_x - one.velocity_x) + abs(two.velocity_y - one.velocity_y)
-    room = closing * settings.step_dt + _TWO * (REACH_MARGIN + settings.radius)
+    # Not by their speed towards each other: what one hits first may stop it within the step.
+    room = _reach(one, settings) + _reach(two, settings)
     dx, dy = two.x - one.x, two.y - one.y
     if dx * dx + dy * dy >= room * room:
         return False
