@@ -34,20 +34,12 @@ def league(tmp_path) -> Iterator[Store]:
         yield store
 
 
-def test_the_answer_that_most_ask_for_is_made_again_first(league, monkeypatch):
-    may, made, read = threading.Event(), [], Page.read
-    may.set()
-
-    def waiting(self, *asked):
-        made.append(self.path)
-        assert may.wait(60)
-        return read(self, *asked)
-
-    monkeypatch.setattr(Page, "read", waiting)
-    for name, value in {"MOST": 8, "FRESH_S": 0.0, "REST": 0.0, "STALE_S": 600.0}.items():
-        monkeypatch.setattr(answers, name, value)
-    for name in ("FRESH_S", "REST"):
-        monkeypatch.setattr(reader, name, 0.0)
+def test_the_answer_that_most_ask_for_is_made_again_first(league, making, monkeypatch):
+    may, made = making
+    for module in (answers, reader):
+        monkeypatch.setattr(module, "FRESH_S", 0.0)
+        monkeypatch.setattr(module, "REST", 0.0)
+    monkeypatch.setattr(answers, "STALE_S", 600.0)
     with TestClient(make_app(league), base_url=ORIGIN) as pages:
         for path in ("/feed.atom", "/heats", "/standings"):
             assert pages.get(path).status_code == 200

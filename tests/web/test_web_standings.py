@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import re
-import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -206,23 +205,6 @@ def test_an_answer_is_kept_until_something_happens(pages, league, monkeypatch):
     plain = pages.get("/standings", headers={"accept-encoding": "identity"})
     assert "content-encoding" not in plain.headers
     assert re.search("<h1>Standings</h1>", plain.text)
-
-
-@pytest.fixture
-def making(monkeypatch):
-    """Keep answers; return a switch that must be on for pages to be made, and what was made."""
-    may, made, read = threading.Event(), [], Page.read
-    may.set()
-
-    def waiting(self, *asked):
-        made.append(self.path)
-        assert may.wait(60)
-        return read(self, *asked)
-
-    monkeypatch.setattr(Page, "read", waiting)
-    monkeypatch.setattr(answers, "MOST", 8)
-    monkeypatch.setattr(answers, "FRESH_S", 0.0)
-    return may, made
 
 
 def test_an_answer_that_was_just_up_to_date_is_given_while_the_next_is_made(
