@@ -110,14 +110,16 @@ def _parsed(arguments: list[str]) -> Any:  # noqa: ANN401
         from league.cli import train
 
         return train.parse(arguments[1:])
-    name, *others = arguments
-    command: Any = COMMANDS.get(name)
-    if command is None:  # an option or a mistake: let the parser of all commands say so
-        alternatives = (Annotated[each, tyro.conf.subcommand(n)] for n, each in COMMANDS.items())
-        command, name, others = reduce(or_, alternatives), "", arguments
+    config = (tyro.conf.OmitArgPrefixes,)
+    if command := COMMANDS.get(arguments[0]):
+        return tyro.cli(command, prog=f"league {arguments[0]}", args=arguments[1:], config=config)
+    # An option or a mistake: the parser of all commands says so.
+    commands = [Annotated[each, tyro.conf.subcommand(name)] for name, each in COMMANDS.items()]
+    union: Any = reduce(or_, commands)
     return tyro.cli(
-        command,
-        prog=f"league {name}".rstrip(),
-        args=others,
-        config=(tyro.conf.OmitArgPrefixes,),
+        union,
+        prog="league",
+        description="The open racing league for learning drivers.",
+        args=arguments,
+        config=config,
     )
