@@ -224,10 +224,10 @@ def time_attack(
         if (rules.kind, rules.physics) != (kind, present.physics):
             continue
         if hash == present.hash and known is not None and hash not in last:
-            races = [known, store.races(hash, unrated=True)]
+            races = [known, store.races(hash, rated=False)]
             last[hash] = known.last
         else:
-            races = [store.races(hash, since=last.get(hash, 0), rated=False)]
+            races = [store.races(hash, since=last.get(hash, 0), rated=None)]
             last[hash] = races[0].last
         for some in races:
             found = joined_laps(found, clean_laps(some, rules.tracks))

@@ -134,7 +134,7 @@ def outcome(path: Path) -> tuple:
         heats = store.heats()
         hashes = sorted((h.heat.key, [r.hash for r in store.results(h.number)]) for h in heats)
         rows = [(row.number, row.elo, row.sd, row.races) for row in standings.of(store).rows]
-        races = store.races(rated=False)
+        races = store.races(rated=None)
         assert len(set(zip(races.heat, races.half, strict=True))) == len(races.heat)
         return hashes, rows, len(races.heat)
 

@@ -516,7 +516,7 @@ def test_races_of_another_ruleset_or_purpose_are_not_rated(league):
     league.plan([*rated, gauntlet])
     league.complete("w", leagues.raced(league.claim("w", 2)))
     assert len(league.races().heat) == 2
-    assert len(league.races(rated=False).heat) == 3
+    assert len(league.races(rated=None).heat) == 3
     leagues.set_ruleset(league, Ruleset(tracks=leagues.TRACKS, laps=5))
     assert len(league.races().heat) == 0
     assert len(league.races(leagues.RULES.hash).heat) == 2

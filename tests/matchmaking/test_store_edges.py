@@ -227,8 +227,8 @@ def test_drives_are_of_rated_races_and_races_are_unless_all_are_asked_for(league
         races = (store.RaceOutcome((1, 2), told),) * len(claim.heat.halves)
         league.complete("w", [store.HeatOutcome(claim.heat.key, races)])
     assert len(league.drives(leagues.RULES.hash).entry) == 4  # two races of two cars
-    assert len(league.races().heat) == 2 and len(league.races(rated=False).heat) == 3
-    assert len(league.races(unrated=True).heat) == 1
+    assert len(league.races().heat) == 2 and len(league.races(rated=None).heat) == 3
+    assert len(league.races(rated=False).heat) == 1
 
 
 @pytest.mark.parametrize(

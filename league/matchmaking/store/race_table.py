@@ -143,8 +143,7 @@ def read_races(
     ruleset: str,
     since: int = 0,
     *,
-    rated: bool = True,
-    unrated: bool = False,
+    rated: bool | None = True,
     entries: Sequence[int] = (),
 ) -> Races:
     """Return the races under a ruleset that count; for the arguments see Store.races."""
@@ -153,7 +152,7 @@ def read_races(
         sa.select(sa.func.count()).select_from(heats).where(heats.c.state == "quarantined")
     )
     parts = []
-    counted = _counted(ruleset, rated=rated, unrated=unrated)
+    counted = _counted(ruleset, rated)
     for entry in entries:
         counted &= races.c.heat.in_(of_entry(entry))
     for piece in _read(connection, counted, since, last):
@@ -200,10 +199,12 @@ def _last(connection: sa.Connection) -> int:
     return connection.scalar(sa.select(sa.func.coalesce(sa.func.max(races.c.number), 0))) or 0
 
 
-def _counted(ruleset: str, *, rated: bool = True, unrated: bool = False) -> sa.ColumnElement[bool]:
+def _counted(ruleset: str, rated: bool | None = True) -> sa.ColumnElement[bool]:
     rules = sa.select(rulesets.c.number).where(rulesets.c.hash == ruleset).scalar_subquery()
-    kind = [~races.c.rated] if unrated else [races.c.rated] if rated else []
-    return sa.and_(races.c.ruleset == rules, *kind)
+    counted = races.c.ruleset == rules
+    if rated is None:
+        return counted
+    return counted & (races.c.rated if rated else ~races.c.rated)
 
 
 def _joined(

@@ -79,13 +79,11 @@ class SeasonView(Store):
         ruleset: str | None = None,
         *,
         since: int = 0,
-        rated: bool = True,
-        unrated: bool = False,
+        rated: bool | None = True,
         entries: Sequence[int] = (),
     ) -> Races:
         """Return the races of the season; see Store.races."""
-        kind = {"rated": rated, "unrated": unrated}
-        races = super().races(ruleset, since=since, entries=entries, **kind)
+        races = super().races(ruleset, since=since, rated=rated, entries=entries)
         return races.where(self.season.has(races.heat))
 
     def drives(self, ruleset: str, *, since: int = 0) -> Drives:

@@ -148,8 +148,7 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
         ruleset: str | None = None,
         *,
         since: int = 0,
-        rated: bool = True,
-        unrated: bool = False,
+        rated: bool | None = True,
         entries: Sequence[int] = (),
     ) -> Races:
         """Return the races that count as arrays.
@@ -157,14 +156,12 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
         Args:
             ruleset: hash; by default the league's present one.
             since: only those that came after this `Races.last`.
-            rated: without those of validation, gauntlets and cups.
-            unrated: these alone, whatever `rated` says.
+            rated: without those of validation, gauntlets and cups; False: these alone; None: all.
             entries: only those of heats with all these entries (numbers) in them.
         """
         ruleset = ruleset or self.settings.ruleset.hash
-        kind = {"rated": rated, "unrated": unrated}
         with self._database.reading() as connection:
-            return race_table.read_races(connection, ruleset, since, entries=entries, **kind)
+            return race_table.read_races(connection, ruleset, since, rated=rated, entries=entries)
 
     def drives(self, ruleset: str, *, since: int = 0) -> Drives:
         """Return how each car drove in the rated races under a ruleset; see `races`."""
