@@ -17,6 +17,8 @@ import numpy as np
 
 DRAWING = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 """For WebGL without a graphics card."""
+FLAT = ("--no-sandbox", "--disable-gpu")
+"""For pages without WebGL: a third less processor time than with an emulated graphics card."""
 FLAGS = (
     "--headless=new",
     *DRAWING,

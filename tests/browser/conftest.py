@@ -34,11 +34,10 @@ def browser(running_browser) -> Iterator[Browser]:
 
 
 @pytest.fixture(scope="module")
-def running_browser() -> Iterator[Browser]:
+def running_browser(request: pytest.FixtureRequest) -> Iterator[Browser]:
+    flags = chromium.DRAWING if getattr(request.module, "NEEDS_WEBGL", False) else chromium.FLAT
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=chromium.program(), args=list(chromium.DRAWING)
-        )
+        browser = playwright.chromium.launch(executable_path=chromium.program(), args=list(flags))
         yield browser
         browser.close()
 

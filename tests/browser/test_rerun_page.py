@@ -12,6 +12,7 @@ from tests.browser.looking import NEEDS_CHROMIUM, opened
 from tests.web.small_league import rated_heat
 
 pytestmark = NEEDS_CHROMIUM
+NEEDS_WEBGL = True
 LIMIT_S = 300.0
 """The recording is made first, and software draws it."""
 
