@@ -30,6 +30,7 @@ def league(url):
         found = league.verify()
         # 1 ruleset, 4 entries and their states, 20 results, 2 more of the lie, 1 settled dispute
         assert (found.races, found.records, found.mismatches) == (20, 32, [])
+        assert not found.damaged
         yield league
 
 
@@ -79,6 +80,14 @@ def test_a_change_is_found(league, url, statement, sentence):
     )
     found = _found(league, url, statement, **values)
     assert found and any(sentence in mismatch for mismatch in found), found
+
+
+@pytest.mark.parametrize(("table", "damaged"), [("heats", True), ("races", False)])
+def test_only_heats_that_were_changed_cannot_be_raced_again(league, url, table, damaged):
+    changed = {"heats": "purpose = 'validation' WHERE number = 3", "races": "rated = false"}
+    leagues.change(url, f"UPDATE {table} SET {changed[table]}")
+    found = league.verify()
+    assert found.mismatches and found.damaged == damaged
 
 
 def test_an_edited_document_is_found_with_its_hash_and_races_edited_too(league, url):
