@@ -491,6 +491,16 @@ def test_a_large_field_without_races_keeps_the_usual_spread():
     assert fit(results_of([]), entries=range(1600)).prior_sd == pytest.approx(300.0)
 
 
+@pytest.mark.parametrize("duels_each", [50, 500])
+def test_a_large_field_of_which_three_have_raced_has_finite_intervals(duels_each):
+    races = duels(*[(0, 1, k % 2) for k in range(duels_each)])
+    races += duels(*[(1, 2, k % 2) for k in range(duels_each)], heat=duels_each)
+    large, small = (fit(results_of(races), entries=range(size)) for size in (1501, 30))
+    assert np.isfinite(large.sd).all() and np.isfinite(large.high95).all()
+    # However many have never raced, they blur nobody who has.
+    assert large.sd[1] == pytest.approx(small.sd[1], rel=0.1)
+
+
 def test_large_fields_rate_alike_by_iteration():
     generator = np.random.default_rng(9)
     strengths = np.sort(generator.normal(0, 200, 300))
