@@ -26,19 +26,7 @@ from typing import Any, TypeVar
 import numba
 from numba import njit
 from numba.core import caching
-from numba.np import linalg
-
-
-def _without_blas() -> None:
-    """Say that there is no BLAS.
-
-    Numba looks for SciPy's before it compiles or loads anything, which takes a tenth of a second.
-    Products of matrices could not be compiled without it; ours are loops, in a fixed order.
-    """
-    raise ImportError
-
-
-linalg.ensure_blas = _without_blas
+from numba.core.runtime.nrt import rtsys
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _INNER: dict[str, Any] = {
@@ -123,6 +111,16 @@ class _CacheImpl(caching.CompileResultCacheImpl):
 
 class _Cache(caching.FunctionCache):
     _impl_class = _CacheImpl
+
+    def load_overload(self, sig: object, target_context: Any) -> Any:  # noqa: ANN401
+        """Load machine code without the half of Numba that only compiling needs.
+
+        Numba's own method first refreshes the context, which takes a tenth of a second; a compiler
+        does so itself where nothing is found.
+        """
+        rtsys.initialize(target_context)
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)
 
 
 def compiled(function: _Function | None = None, *, allocates: bool = False) -> _Function:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import gc
+import importlib
 import inspect
 import re
 import shutil
@@ -16,57 +17,68 @@ from typing import Annotated, Any
 
 import tyro
 
-from league.cli import drivers, evaluate, race, replays, rewards, tracks
-from league.cli.season import entries, gauntlet, heats, run, seasons, standings, tokens
-
 
 @dataclass
-class _Train:
+class Train:
     """Train a driver with PPO on many worlds, evaluated in Bullet from the start line."""
 
 
-GROUPS: dict[str, dict[str, type]] = {
+GROUPS = {
     "Drive": {
-        "race": race.Race,
-        "train": _Train,  # its settings take a while to import: see `_parsed`
-        "evaluate": evaluate.Evaluate,
-        "reward": rewards.Rewards,
-        "drivers": drivers.Drivers,
+        "race": "race.Race",
+        "train": "commands.Train",  # its settings take a while to import: see `_parsed`
+        "evaluate": "evaluate.Evaluate",
+        "reward": "rewards.Rewards",
+        "drivers": "drivers.Drivers",
     },
     "Watch": {
-        "replays": replays.ListReplays,
-        "view": replays.View,
-        "video": replays.Video,
-        "verify": replays.Verify,
+        "replays": "replays.ListReplays",
+        "view": "replays.View",
+        "video": "replays.Video",
+        "verify": "replays.Verify",
     },
-    "Tracks": {"tracks": tracks.Tracks},
+    "Tracks": {"tracks": "tracks.Tracks"},
     "League": {
-        **entries.COMMANDS,
-        **run.COMMANDS,
-        **standings.COMMANDS,
-        **seasons.COMMANDS,
-        **heats.COMMANDS,
-        **gauntlet.COMMANDS,
-        **run.SERVE,
-        **tokens.COMMANDS,
+        "init": "season.entries.Init",
+        "submit": "season.entries.Submit",
+        "pack": "season.entries.Pack",
+        "entries": "season.entries.Entries",
+        "retire": "season.entries.Retire",
+        "upgrade": "season.entries.Upgrade",
+        "run": "season.run.RunSeason",
+        "work": "season.run.Work",
+        "standings": "season.standings.ShowStandings",
+        "show": "season.standings.ShowEntry",
+        "h2h": "season.standings.ShowHeadToHead",
+        "history": "season.standings.ShowHistory",
+        "season": "season.seasons.Seasons",
+        "cup": "season.seasons.Cups",
+        "heats": "season.heats.Heats",
+        "heat": "season.heats.ShowHeat",
+        "audit": "season.heats.Audit",
+        "retry": "season.heats.Retry",
+        "gauntlet": "season.gauntlet.Gauntlet",
+        "compare": "season.gauntlet.Compare",
+        "serve": "season.run.Serve",
+        "site": "season.run.Site",
+        "token": "season.tokens.ManageTokens",
     },
-    "Tools": {"card": drivers.ShowCard, "export": drivers.Export},
+    "Tools": {"card": "drivers.ShowCard", "export": "drivers.Export"},
 }
-"""All commands, in groups and in the order of the help."""
-COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
-_SIMULATING = (
-    race.Race,
-    evaluate.Evaluate,
-    rewards.Rewards,
-    replays.Verify,
-    entries.Submit,
-    run.Racing,
-    run.Serve,
-    heats.Audit,
-    gauntlet.Gauntlet,
-    gauntlet.Compare,
-)
+"""All commands in groups, in the order of the help: where their classes are in this package. Only
+the one that runs is imported."""
+COMMANDS = {name: place for group in GROUPS.values() for name, place in group.items()}
+_SIMULATING = {
+    "race", "evaluate", "reward", "verify", "submit", "run", "work", "serve", "audit", "gauntlet",
+    "compare",
+}  # fmt: skip
 """Commands that drive cars, and so need the compiled simulator."""
+
+
+def command_class(name: str) -> type:
+    """Return the class of a command; its fields are what the command takes."""
+    module, _, kind = COMMANDS[name].rpartition(".")
+    return getattr(importlib.import_module(f"league.cli.{module}"), kind)
 
 
 def main(arguments: list[str]) -> int:
@@ -83,7 +95,7 @@ def main(arguments: list[str]) -> int:
         print(overview(), file=sys.stdout if arguments else sys.stderr)
         return 0 if arguments else 2
     command = _parsed(arguments)
-    if isinstance(command, _SIMULATING):
+    if arguments[0] in _SIMULATING:
         from league import precompile  # late: Numba takes a while
 
         precompile.ensure()
@@ -96,8 +108,9 @@ def overview() -> str:
     lines = ["usage: league COMMAND ...", "", "The open racing league for learning drivers."]
     for group, commands in GROUPS.items():
         lines += ["", f"{group}:"]
-        for name, command in commands.items():
-            text = re.split(r"[:;.](?:\s|$)", inspect.getdoc(command) or "", maxsplit=1)[0]
+        for name in commands:
+            doc = inspect.getdoc(command_class(name)) or ""
+            text = re.split(r"[:;.](?:\s|$)", doc, maxsplit=1)[0]
             lead = f"  {name:<11}"
             lines += textwrap.wrap(
                 lead + " ".join(text.split()), width, subsequent_indent=" " * len(lead)
@@ -111,10 +124,11 @@ def _parsed(arguments: list[str]) -> Any:  # noqa: ANN401
 
         return train.parse(arguments[1:])
     config = (tyro.conf.OmitArgPrefixes,)
-    if command := COMMANDS.get(arguments[0]):
-        return tyro.cli(command, prog=f"league {arguments[0]}", args=arguments[1:], config=config)
+    if (name := arguments[0]) in COMMANDS:
+        kind = command_class(name)
+        return tyro.cli(kind, prog=f"league {name}", args=arguments[1:], config=config)
     # An option or a mistake: the parser of all commands says so.
-    commands = [Annotated[each, tyro.conf.subcommand(name)] for name, each in COMMANDS.items()]
+    commands = [Annotated[command_class(name), tyro.conf.subcommand(name)] for name in COMMANDS]
     union: Any = reduce(or_, commands)
     return tyro.cli(
         union,

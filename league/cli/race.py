@@ -10,7 +10,7 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, Optional
 
 import tyro
 
@@ -32,11 +32,28 @@ STORY_LINES = 12
 """Lines of the race's story that are printed at most."""
 
 
+class Drivers(tuple[str, ...]):
+    """Names of drivers.
+
+    Tyro checks plain classes, and `Optional`, itself; for others it would load typeguard, a
+    twentieth of the time of a race.
+    """
+
+
+DRIVERS = tyro.constructors.PrimitiveConstructorSpec(
+    nargs="*",
+    metavar="DRIVER...",
+    instance_from_str=Drivers,
+    is_instance=lambda value: isinstance(value, Drivers),
+    str_from_instance=list,
+)
+
+
 @dataclass
 class Race:
     """Race drivers against each other, or one alone, and keep a replay."""
 
-    drivers: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="DRIVER...")]
+    drivers: tyro.conf.Positional[Annotated[Drivers, DRIVERS, tyro.conf.arg(metavar="DRIVER...")]]
     """Names of scripted drivers (see `league drivers`) or checkpoints (FILE.pt), in grid order."""
     track: str = "reinvent_2018"
     """Name of a track (see `league tracks`), or a track file."""
@@ -58,7 +75,7 @@ class Race:
     format: Literal["standing", "reverse", "qualifying", "pursuit"] = "standing"
     """How cars line up: standing, as named; qualifying, after a lap of each alone, the fastest
     first; reverse, the fastest last; pursuit, as named, spread evenly round the lap."""
-    obstacles: int | None = None
+    obstacles: Optional[int] = None  # noqa: UP045  # as `Drivers`
     """Boxes or bots on the track, among which any number of cars drives; by default 6 where --kind
     obstacle_avoidance or --bots asks for some, else none."""
     bots: bool = False

@@ -340,13 +340,3 @@ def _rules(command: Init) -> Ruleset:
         return Ruleset(**given, tracks=tuple(tracks), obstacle_kind=kind)
     except ValueError as error:
         raise ConfigError(f"these rules are not possible: {error}") from error
-
-
-COMMANDS = {
-    "init": Init,
-    "submit": Submit,
-    "pack": Pack,
-    "entries": Entries,
-    "retire": Retire,
-    "upgrade": Upgrade,
-}

@@ -190,6 +190,3 @@ def _slot_gap(store: Store) -> float:
     except StoreError:
         return 0.0  # no entry has raced yet
     return float(slots[0] - slots[1])
-
-
-COMMANDS = {"gauntlet": Gauntlet, "compare": Compare}

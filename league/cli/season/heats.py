@@ -301,6 +301,3 @@ def _rows(store: Store) -> Iterator[dict[str, object]]:
                     "place": result.places[car["car"]],
                     **{name: car[name] for name in COLUMNS[12:]},
                 }
-
-
-COMMANDS = {"heats": Heats, "heat": ShowHeat, "audit": Audit, "retry": Retry}

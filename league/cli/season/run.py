@@ -339,7 +339,3 @@ class LivePage:
         parts += [Text("Racing", style="dim"), *(Text(line) for line in under_way)]
         parts += [Text("Last", style="dim"), *(Text(f"  {line}") for line in self._last)]
         return Group(*parts)
-
-
-COMMANDS = {"run": RunSeason, "work": Work}
-SERVE = {"serve": Serve, "site": Site}

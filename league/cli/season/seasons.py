@@ -156,6 +156,3 @@ def _outcome(run: dict[str, Any], state: str | None) -> str:
         return f"no lap, {run['distance']:.1f} m"
     given_up = state in ("error", "quarantined", "cancelled")
     return f"{state}: `league retry` races it" if given_up else state or "to be planned"
-
-
-COMMANDS = {"season": Seasons, "cup": Cups}

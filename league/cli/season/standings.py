@@ -312,11 +312,3 @@ def _matrix(store: Store, top: int, as_json: bool) -> None:
 def _cell(points: float, races: int, residual: float) -> str:
     """Return points, races and residual of a pair that met."""
     return f"{points:g}/{races}\n{residual:+.1f}{'*' if abs(residual) > 3 else ''}"
-
-
-COMMANDS = {
-    "standings": ShowStandings,
-    "show": ShowEntry,
-    "h2h": ShowHeadToHead,
-    "history": ShowHistory,
-}

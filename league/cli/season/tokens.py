@@ -99,6 +99,3 @@ class ManageTokens:
 
 def _day(seconds: float | None) -> str:
     return "never" if seconds is None else times.day(seconds)[:10]
-
-
-COMMANDS = {"token": ManageTokens}
