@@ -7,6 +7,7 @@ import io
 import json
 import re
 import sqlite3
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -295,7 +296,10 @@ def test_an_export_has_neither_formulas_nor_rejected_results_nor_everything_in_m
     monkeypatch.setattr(heats, "EXPORTED", 3)
     assert told("export", "--csv", "-", "--league", url) == before
     assert max(sizes) == 3 and len(sizes) > 3
+    written = []
+    monkeypatch.setattr(Store, "results", lambda *a: written.append(sys.stdout.tell()) or read(*a))
     document = json.loads(told("export", "--json", "-", "--league", url))
+    assert 0 < written[0] < written[-1]  # it begins before the last results are read
     assert len(document["races"]) == before.count("\n") - 1
     assert document["races"][0].keys() == set(heats.COLUMNS)
 
