@@ -131,7 +131,7 @@ PAGES = (
          query={"races": "Kind of race: head_to_head, time_trial or obstacle_avoidance"},
          answer=schemas.BoardsAnswer),
     Page("/seasons", "Past seasons with their trophies, and cups", seasons.document, "seasons.html",
-         answer=season_schemas.SeasonsAnswer),
+         shared=True, answer=season_schemas.SeasonsAnswer),
     Page("/seasons/{number:number}", "A season's final standings and trophies", seasons.season,
          "season.html", query={"page": "Number of the page of the final standings, from 1"},
          answer=season_schemas.SeasonAnswer),

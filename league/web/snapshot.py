@@ -128,7 +128,7 @@ class Snapshot:
             kept &= counted.track == rules.tracks.index(track)
         if cars:
             kept &= (counted.entries >= 0).sum(axis=1) == cars
-        races = counted.where(kept)
+        races = counted if kept.all() else counted.where(kept)
         numbers = set(np.unique(races.entries).tolist())
         if self.rated and kept.all() and not self._carries and numbers - {-1} == self.rows.keys():
             return self.rated

@@ -125,6 +125,13 @@ def test_a_card_is_typed_strictly(tmp_path):
     assert "train_s is '1'" in refusal(tmp_path, carded(train_s="1"))
 
 
+def test_counts_of_a_card_are_not_negative(tmp_path):
+    (tmp_path / "a.pt").write_bytes(carded(steps=0, seed=0))
+    assert checkpoint.load(tmp_path / "a.pt").card.steps == 0
+    assert "steps is -1" in refusal(tmp_path, carded(steps=-1))
+    assert "seed is -1" in refusal(tmp_path, carded(seed=-1))
+
+
 def test_long_values_and_keys_are_cut_in_the_message(tmp_path):
     said = refusal(tmp_path, carded(licence="\u00e9" * 500))
     value = re.search(r"licence is (.*?): String", said)

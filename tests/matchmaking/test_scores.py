@@ -79,27 +79,3 @@ def test_the_best_clean_lap_of_each_entry_on_each_track_the_fastest_first():
         (8, 9.5, 1, 2),
     ]
     assert [lap.number for lap in clean_laps(rated.races, rated.tracks)["peanut"]] == [5, 3]
-
-
-def drawn_races(count: int, cars: int, seed: int) -> Races:
-    generator = np.random.default_rng(seed)
-    entries = np.argsort(generator.random((count, 30)), axis=1)[:, :cars].astype(np.int32)
-    entries[:, 2:] = np.where(generator.random((count, cars - 2)) < 0.5, -1, entries[:, 2:])
-    heat = generator.permutation(count).astype(np.int64) // 2 + 1
-    half = generator.integers(0, 2, count).astype(np.uint8)
-    small = np.zeros((count, cars), np.uint8)
-    return Races(heat, half, half, entries, small, small.astype(np.uint32))
-
-
-def test_races_of_an_entry_are_found_among_earlier_and_later_ones():
-    races = drawn_races(400, 3, 1)
-    assert len(races.of_entry(5).heat)
-    for later in (drawn_races(7, 4, 2), drawn_races(90, 2, 3)):
-        races = races.joined(later)
-        for number in range(32):
-            own = races.of_entry(number)
-            kept = races.where((races.entries == number).any(axis=1))
-            order = np.lexsort((kept.half, kept.heat))
-            assert own.heat.tolist() == kept.heat[order].tolist()
-            assert own.half.tolist() == kept.half[order].tolist()
-            assert (own.entries == number).any(axis=1).all()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 
 import pytest
+from fsspec.implementations.memory import MemoryFileSystem
 
 from league.errors import StoreError
 from league.matchmaking.pairing import heat_spec
@@ -70,6 +71,19 @@ def test_a_file_that_cannot_be_read_is_refused_with_the_systems_reason(tmp_path)
     (tmp_path / digest[:2] / digest).mkdir(parents=True)
     with pytest.raises(StoreError, match=r"cannot be read from .* \(Is a directory\): check that"):
         kept.get(digest)
+
+
+def test_a_bucket_that_cannot_be_reached_is_named(monkeypatch):
+    def unreachable(*_: object) -> None:
+        raise OSError(113, "No route to host")
+
+    kept = FolderBlobs("memory://far")
+    for name in ("isfile", "pipe_file", "cat_file"):
+        monkeypatch.setattr(MemoryFileSystem, name, unreachable)
+    with pytest.raises(StoreError, match=r"be kept in memory://far \(No route to host\)"):
+        kept.put(b"weights")
+    with pytest.raises(StoreError, match=r"be read from memory://far \(No route to host\)"):
+        kept.get("0" * 64)
 
 
 def test_an_unknown_kind_of_bucket_is_refused():

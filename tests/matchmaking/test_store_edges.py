@@ -14,7 +14,7 @@ from league.matchmaking import store
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Half, Heat
 from league.matchmaking.store import names, queue, race_table, records, schema
-from league.matchmaking.store.records import Season
+from league.matchmaking.store.records import Races, Season
 from tests.matchmaking import leagues
 
 # Tables: SQLite would take anything
@@ -174,6 +174,13 @@ def test_signs_that_show_nothing_are_no_part_of_a_name(sign):
         names.check_name(f"ra{sign}cer", "a name")
 
 
+@pytest.mark.parametrize("name", ["cafe\u0301", "jose\u0301 2"])
+def test_a_name_may_end_in_an_accent_but_not_begin_with_one(name):
+    names.check_name(name, "a name")
+    with pytest.raises(StoreError, match="cannot be seen"):
+        names.check_name(f"\u0301{name}", "a name")
+
+
 def test_a_name_may_have_a_hundred_characters():
     names.check_name("x" * 100, "a name")
     with pytest.raises(StoreError, match="give 1 to 100"):
@@ -198,6 +205,31 @@ def test_a_league_without_races_has_empty_arrays(league):
     races, drives = league.races(), league.drives(leagues.RULES.hash)
     assert races.entries.shape == races.places.shape == races.runs.shape == (0, 2)
     assert len(drives.entry) == 0 and (races.last, drives.last) == (0, 0)
+
+
+def drawn_races(count: int, cars: int, seed: int) -> Races:
+    generator = np.random.default_rng(seed)
+    entries = np.argsort(generator.random((count, 30)), axis=1)[:, :cars].astype(np.int32)
+    entries[:, 2:][generator.random((count, max(cars - 2, 0))) < 0.5] = -1
+    heat = generator.permutation(count).astype(np.int64) // 2 + 1
+    half = generator.integers(0, 2, count).astype(np.uint8)
+    small = np.zeros((count, cars), np.uint8)
+    return Races(heat, half, half, entries, small, small.astype(np.uint32))
+
+
+@pytest.mark.parametrize("cars", [[3, 4, 2], [1, 1, 1]])
+def test_races_of_an_entry_are_found_among_earlier_and_later_ones(cars):
+    races, *more = map(drawn_races, (400, 7, 90), cars, (1, 2, 3))
+    assert len(races.of_entry(5).heat)
+    for later in more:
+        races = races.joined(later)
+        for number in range(32):
+            own = races.of_entry(number)
+            kept = races.where((races.entries == number).any(axis=1))
+            order = np.lexsort((kept.half, kept.heat))
+            assert own.heat.tolist() == kept.heat[order].tolist()
+            assert own.half.tolist() == kept.half[order].tolist()
+            assert (own.entries == number).any(axis=1).all()
 
 
 def _driven(**row):

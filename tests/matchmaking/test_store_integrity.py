@@ -39,6 +39,7 @@ def league(url):
         # 2 rulesets, present 3 times, 4 entries and their states, 20 results, 2 more of the lie,
         # 1 settled dispute
         assert (found.races, found.records, found.mismatches) == (20, 36, [])
+        assert not found.damaged
         yield league
 
 
@@ -102,6 +103,14 @@ def test_present_rules_that_are_missing_are_one_sentence(league, url):
     assert found.damaged and found.mismatches == ["the present rules are missing"]
     with pytest.raises(StoreError, match=r"present rules of the league .* are missing: restore"):
         _ = league.settings
+
+
+@pytest.mark.parametrize(("table", "damaged"), [("heats", True), ("races", False)])
+def test_only_heats_that_were_changed_cannot_be_raced_again(league, url, table, damaged):
+    changed = {"heats": "purpose = 'validation' WHERE number = 3", "races": "rated = false"}
+    leagues.change(url, f"UPDATE {table} SET {changed[table]}")
+    found = league.verify()
+    assert found.mismatches and found.damaged == damaged
 
 
 def test_an_edited_document_is_found_with_its_hash_and_races_edited_too(league, url):

@@ -134,12 +134,13 @@ def test_alongside_and_neither_moves_across_the_rear_car_is_to_blame(straight):
 
 
 def test_car_across_the_road_is_short_so_whoever_hits_its_side_from_behind_is_behind(straight):
-    # It covers 0.196 m of the track: with 0.27 m between the middles they do not overlap.
+    # It covers 0.196 m of the track: with 0.27 m between the middles they do not overlap, and that
+    # it moves across, towards the other, is no swerve.
     tracks, sim = straight(), racing()
-    world = put_cars(tracks, sim, [(5.0, 0.0), (5.27, 0.0)])
+    world = put_cars(tracks, sim, [(5.0, 0.05), (5.27, 0.0)])
     world.cars["yaw"][0, 1] = np.pi / 2
     seen, _, _ = scene(
-        tracks, sim, world, [(5.05, 0.0), (5.29, 0.0)], (0, 1), moving=[(2.0, 0.0), (0.0, 0.0)]
+        tracks, sim, world, [(5.05, 0.05), (5.29, 0.02)], (0, 1), moving=[(2.0, 0.0), (0.0, 0.6)]
     )
     assert to_blame(seen) == [0]
 
@@ -225,6 +226,17 @@ def test_both_cars_movement_counts_for_how_fast_they_close(straight):
     after = [(5.05, -0.08), (5.29, 0.07)]
     seen, _, _ = scene(straight(), racing(), places, after, (0, 1))
     assert seen["closing_speed"].tolist() == pytest.approx([0.28 * 15 / root, 0.0], abs=1e-4)
+
+
+def test_cars_in_one_spot_close_at_no_speed(straight):
+    # There is no line between them; the rear car is to blame for a touch, not for a crash.
+    tracks, sim = straight(), racing(room=False)
+    seen, _, _ = scene(
+        tracks, sim, [(5.0, 0.0), (5.0, 0.0)], [(5.0, 0.0), (5.1, 0.0)], (0, 1),
+        moving=[(2.0, 0.0), (1.0, 0.0)],
+    )  # fmt: skip
+    assert seen["touched"].tolist() == [True, False]
+    assert not seen["closing_speed"].any()
 
 
 def test_a_touch_that_lasts_is_counted_once(straight):
@@ -415,6 +427,17 @@ def test_pusher_that_is_frozen_already_stands_longer(straight):
     assert world.cars["penalty_s"][0, 0] == pytest.approx(36 / 15 + 2.0, abs=1e-3)
 
 
+@pytest.mark.parametrize(("name", "value"), [("finish_s", 9.0), ("retired", True)])
+def test_pusher_whose_race_is_over_stands_no_penalty(straight, name, value):
+    tracks, sim = straight(), racing()
+    world = pushed_wide(tracks, sim)
+    world.cars[name][0, 0] = value
+    seen, _, world = scene(tracks, sim, world, [(5.26, 0.26), (5.31, 0.5)])
+    assert seen["forced_off"].tolist() == [False, True]
+    assert seen["penalty_s"].tolist() == [0.0, 0.0]
+    assert world.cars["penalty_s"][0, 0] == 0.0
+
+
 def test_pushed_into_a_box_is_the_pushers_fault_too(straight):
     things = ObstacleConfig(places=((0.56, 1.0),))
     tracks, sim = straight(), SimConfig(kind="head_to_head", num_cars=2, obstacles=things)
@@ -451,8 +474,10 @@ def test_in_training_a_pushed_cars_episode_is_cut_off_and_the_pushers_is_over(st
 # Three cars.
 
 
-def test_a_car_that_is_pushed_into_another_is_not_to_blame(straight):
-    tracks, sim = straight(), racing(3)
+@pytest.mark.parametrize("forced_off_s", [0.5, 1 / 15])
+def test_a_car_that_is_pushed_into_another_is_not_to_blame(straight, forced_off_s):
+    # In the same step: however short a push counts, it does so here.
+    tracks, sim = straight(), racing(3, forced_off_s=forced_off_s)
     seen, judged, world = scene(
         tracks, sim, [(5.0, 0.0), (5.33, 0.0), (5.66, 0.0)], [(5.1, 0.0), (5.43, 0.0), (5.76, 0.0)],
         (0, 1), (1, 2), moving=[(3.0, 0.0), (1.0, 0.0), (1.0, 0.0)],

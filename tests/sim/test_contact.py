@@ -11,6 +11,7 @@ from league.sim.settings import settings
 from tests.sim import open_floor
 
 BOX = (0.162, 0.098, 0.0, 0.0)
+CAR = (*BOX[:2], 1 / 8.2, 1 / 0.085, math.hypot(*BOX[:2]))
 
 
 def meet(one, two):
@@ -204,6 +205,14 @@ def test_points_press_only_as_much_as_parts_them(seed, friction):
     assert (np.minimum(pair, short) < 2e-3).all()
 
 
+def test_a_heavier_car_is_moved_out_of_the_other_less():
+    now = {"y": [0.0, 0.15], "mass": [8.2, 24.6]}
+    last = met(0.3, 0.15, 1, **now)
+    moved = last.cars["y"][0] - now["y"]
+    # 0.046 m of overlap are mended by 5 mm, three quarters of it by the lighter car.
+    assert moved.tolist() == pytest.approx([-0.00375, 0.00125], abs=1e-5)
+
+
 @numba.njit
 def worked(bodies, boxes, turn, times, friction):
     """Work a pair of cars that meet some times over; its bodies are changed in place."""
@@ -222,7 +231,7 @@ def test_what_was_parted_is_not_pushed_when_it_is_worked_again(seed, friction):
     bodies = np.zeros((2, 6), np.float32)
     bodies[:, :3], bodies[:, 3:] = places, generator.normal(0.0, [0.5, 0.5, 3.0], (2, 3))
     bodies[:, 3:5] += m.normal * np.array([[1.0], [-0.5]])
-    boxes = np.array([[*BOX[:2], 1 / 8.2, 1 / 0.085]] * 2, np.float32)
+    boxes = np.array([CAR] * 2, np.float32)
     turn = np.stack([np.cos(bodies[:, 2]), np.sin(bodies[:, 2])], axis=1)
     once, more = bodies.copy(), bodies.copy()
     worked(once, boxes, turn, 1, np.float32(friction))
@@ -230,6 +239,12 @@ def test_what_was_parted_is_not_pushed_when_it_is_worked_again(seed, friction):
     assert abs(once - bodies).max() > 0.1
     # Where friction at its limit turns a car, both answer each other for longer: 2 % are left.
     assert more == pytest.approx(once, abs=0.06 if (seed, friction) == (10, 0.4) else 1e-4)
+    # A physics step works a pair once that shares no car with another one.
+    names = "x", "y", "yaw", "velocity_x", "velocity_y", "yaw_rate"
+    motion = {name: column.tolist() for name, column in zip(names, bodies.T, strict=True)}
+    last = crash(friction, 0.3, steps=1, **motion)
+    for name, column in zip(names[3:], once.T[3:], strict=True):
+        assert last[name] == pytest.approx(column, abs=1e-3)
 
 
 def test_boxes_put_into_each_other_come_apart_without_speed():
@@ -319,7 +334,7 @@ def skipped(bodies, boxes, turn, dt):
 
 def test_pairs_that_are_skipped_could_not_have_met():
     generator, counts = np.random.default_rng(5), np.zeros((2, 2), np.int64)
-    boxes = np.array([[*BOX[:2], 1 / 8.2, 1 / 0.085, math.hypot(*BOX[:2])]] * 2, np.float32)
+    boxes = np.array([CAR] * 2, np.float32)
     for _ in range(4000):
         bodies = np.zeros((2, 6), np.float32)
         bodies[:, :3] = generator.uniform([-0.3, -0.3, -math.pi], [0.3, 0.3, math.pi], (2, 3))
@@ -329,3 +344,29 @@ def test_pairs_that_are_skipped_could_not_have_met():
         counts[int(apart), int(meets)] += 1
     assert counts[1, 1] == 0
     assert counts[1, 0] > 100 and counts[0, 1] > 100
+
+
+@pytest.mark.parametrize("way", [0.0, math.pi / 2, math.pi])
+@pytest.mark.parametrize(
+    ("one", "two", "closing"),
+    [
+        ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0),
+        ((4.0, 0.0, 0.0), (-3.0, 0.0, 0.0), 7.0),
+        ((0.0, -3.0, 0.0), (0.0, 4.0, 0.0), 7.0),
+        ((3.0, 1.0, 0.0), (1.0, 2.0, 0.0), 3.0),  # at most, along x and y together
+        # Corners 0.1893 m from the middle, at 10 rad/s.
+        ((0.0, 0.0, 10.0), (0.0, 0.0, 0.0), 1.893),
+        ((0.0, 0.0, 0.0), (0.0, 0.0, -10.0), 1.893),
+    ],
+)
+def test_pairs_are_skipped_beyond_their_corners_and_what_these_close_in_a_step(
+    one, two, closing, way
+):
+    boxes, turn = np.array([CAR] * 2, np.float32), np.array([[1.0, 0.0]] * 2, np.float32)
+    reach = 2 * 0.18934 + closing / 120 + 0.0005
+    for more, apart in ((-0.0005, False), (0.0005, True)):
+        far = reach + more
+        bodies = np.array(
+            [[0, 0, 0, *one], [far * math.cos(way), far * math.sin(way), 0, *two]], np.float32
+        )
+        assert skipped(bodies, boxes, turn, np.float32(1 / 120))[0] == apart

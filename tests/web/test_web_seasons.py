@@ -15,6 +15,7 @@ from league.matchmaking import standings
 from league.matchmaking.store import Store
 from league.web import site
 from league.web.app import make_app
+from league.web.reader import Reader
 from tests.web.small_league import NAME, ORIGIN, RULES, new_league, seasoned_league
 
 
@@ -40,6 +41,17 @@ def test_the_hall_of_fame_has_the_season_its_trophies_and_the_cup(client, store)
     titles = [one["title"] for one in spring["trophies"]]
     assert titles[:2] == ["Champion", "Second"]
     assert {one["name"] for one in spring["trophies"]} <= {NAME, "blocks"}  # anchors win none
+
+
+def test_a_warm_server_has_read_the_trophies_that_drivers_pages_list(store, monkeypatch):
+    app, made, keep = make_app(store), [], Reader.keep
+    app.warm()
+    monkeypatch.setattr(
+        Reader, "keep", lambda self, key, new: made.append(key) or keep(self, key, new)
+    )
+    with TestClient(app, base_url=ORIGIN) as pages:
+        assert pages.get("/drivers/1").status_code == 200
+    assert made and not [key for key in made if key[0] == "frozen"]
 
 
 def test_a_season_shows_its_standings_as_they_were_frozen(client, store):

@@ -414,7 +414,10 @@ class Variances:
             np.maximum(diagonal - 2 * shared[: len(weights)] + float(average @ shared), 0.0)
             for diagonal, shared in zip(self._diagonals, (towards, around), strict=True)
         )
-        return model, robust
+        # What probes miss may be more than all of a small variance, but none is below the one with
+        # all others known.
+        least = (1.0 - weights) ** 2 / self._system.diagonal[: len(weights)]
+        return np.maximum(model, least), robust
 
 
 def _blend(model: np.ndarray, robust: np.ndarray, heats: np.ndarray, ratio: float) -> np.ndarray:
