@@ -103,7 +103,7 @@ def main() -> None:
             wall_s, race_s = three_laps(Path(folder), *drivers)
             figure(f"league race {' '.join(drivers)} --laps 3, whole process", wall_s, "s")
             figure(
-                "  three laps in Bullet with replay, whole process",
+                f"  three laps of {' and '.join(drivers)} in Bullet with replay, whole process",
                 race_s / wall_s,
                 "x real time",
                 15,

@@ -9,6 +9,20 @@ from rerun.chunk import RrdReader
 from league.rerun_view import paths
 
 
+def texts_of(path: Path, entity: str) -> list[tuple[int, str]]:
+    """Return when [ns] an entity shows which text, in order."""
+    texts = []
+    for chunk in RrdReader(path).stream():
+        if chunk.entity_path.strip("/") == entity:
+            batch = chunk.to_record_batch()
+            assert not chunk.is_static
+            columns = dict(zip(batch.schema.names, batch.columns, strict=True))
+            name = next(name for name in columns if name.endswith("text"))
+            times = columns[paths.TIMELINE].cast("int64").to_pylist()
+            texts += zip(times, [text[0] for text in columns[name].to_pylist()], strict=True)
+    return sorted(texts)
+
+
 def rows_of(path: Path) -> dict[str, int]:
     """Return how many rows of changing data each entity of a recording has."""
     rows: dict[str, int] = {}

@@ -3,7 +3,7 @@
 import pytest
 
 from benchmarks import __main__ as benchmarks
-from benchmarks import report
+from benchmarks import races, report
 
 BY_HAND = "## Whole commands\n\n| what | measured |\n|---|--:|\n| `make test` | 6 min |"
 
@@ -45,6 +45,16 @@ def test_the_page_in_the_repository_has_the_goals_of_the_pages_next_to_it():
 
 def test_mutants_are_run_only_by_name():
     assert set(benchmarks.BY_NAME_ONLY) < set(benchmarks.NAMES)
+
+
+def test_each_figure_of_the_races_has_a_name_of_its_own(monkeypatch):
+    for name in ("stereo_rate", "python"):
+        monkeypatch.setattr(races, name, lambda *_, **__: 1.0)
+    monkeypatch.setattr(races, "three_laps", lambda *_: (1.0, 1.0))
+    report.taken()
+    races.main()
+    names = [row.split("|")[1] for row in report.taken().splitlines() if row.startswith("|")]
+    assert len(names) > 10 and len(set(names)) == len(names)
 
 
 def test_figures_after_a_table_stand_in_a_table_of_their_own():

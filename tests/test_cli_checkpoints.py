@@ -166,8 +166,18 @@ def test_policies_of_the_garage_are_named_everywhere(league, tmp_path):
     assert "rookie" in league("card", "rookie")[1]
     assert league("export", "rookie")[0] == 0
     assert (tmp_path / "rookie.onnx").exists()
-    assert league("init", "--anchors", "centerline")[0] == 0
+    made = ("--solver", "planar", "--laps", "1", "--max-time-s", "0.6")
+    assert league("init", "--anchors", "centerline", *made)[0] == 0
+    code, out, _ = league("gauntlet", "rookie", "--workers", "1", "--json")
+    assert code == 0 and json.loads(out)["against"][0][0] == "centerline"
+    raced = ("--heats", "1", "--workers", "1")
+    code, out, _ = league("compare", "novice", "rookie", *raced)
+    assert code == 0 and "whether rookie is better than novice" in out
     code, out, _ = league("submit", "rookie", "--owner", "me")
     assert code == 0 and "rookie by me" in out
+    # An entry comes before a policy of the same name.
+    assert league("submit", "racer", "--owner", "me", "--name", "novice")[0] == 0
+    code, _, err = league("compare", "novice", "racer", *raced)
+    assert code == 2 and "novice and racer are the same driver" in err
     code, _, err = league("card", "blocker")
     assert code == 2 and "scripted driver" in err

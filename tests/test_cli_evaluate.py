@@ -56,6 +56,13 @@ def test_runs_differ_unless_that_is_turned_off(league):
     assert "3 of 3 runs clean" in out
 
 
+@pytest.mark.slow
+def test_the_racer_of_the_garage_stays_on_the_road(league):
+    code, out, _ = league("evaluate", "racer", "--trials", "20", "--json")
+    assert code == 0
+    assert json.loads(out)["summary"]["clean_runs"] >= 19
+
+
 def test_races_against_opponents_tell_who_won(league):
     code, out, _ = league("evaluate", "racing_line", *QUICK, "--opponents", "centerline")
     assert code == 0

@@ -7,6 +7,7 @@ import io
 import json
 import re
 import sqlite3
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -246,6 +247,15 @@ def test_an_audit_recomputes_all_races_whatever_is_run_again(told, league, tmp_p
     assert "the ledger no longer has the record abc" in told(*command, "--head", "abc", code=1)
 
 
+def test_an_audit_without_the_present_rules_says_so(told, league, tmp_path):
+    copy = tmp_path / "changed.db"
+    with sqlite3.connect(league / "league.db") as there, sqlite3.connect(copy) as here:
+        there.backup(here)
+        here.execute("UPDATE league SET ruleset = 9")
+    text = told("audit", "--league", f"sqlite:///{copy}", code=1)
+    assert text.startswith("the present rules are missing\n") and "1 mismatch." in text
+
+
 def test_an_export_has_a_line_for_each_car(told, tmp_path):
     rows = list(csv.DictReader(io.StringIO(told("export", "--csv", "-"))))
     done = json.loads(told("heats", "--state", "done", "--json", "--limit", "1000"))
@@ -286,7 +296,10 @@ def test_an_export_has_neither_formulas_nor_rejected_results_nor_everything_in_m
     monkeypatch.setattr(heats, "EXPORTED", 3)
     assert told("export", "--csv", "-", "--league", url) == before
     assert max(sizes) == 3 and len(sizes) > 3
+    written = []
+    monkeypatch.setattr(Store, "results", lambda *a: written.append(sys.stdout.tell()) or read(*a))
     document = json.loads(told("export", "--json", "-", "--league", url))
+    assert 0 < written[0] < written[-1]  # it begins before the last results are read
     assert len(document["races"]) == before.count("\n") - 1
     assert document["races"][0].keys() == set(heats.COLUMNS)
 

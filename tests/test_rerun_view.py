@@ -21,7 +21,7 @@ from league.rerun_view import meshes, paths, record, scene, viewer
 from league.sim.camera.scene import CAR
 from league.track import files
 from tests.recorded import by_hand, moved, raced
-from tests.recordings import rows_of
+from tests.recordings import rows_of, texts_of
 
 
 def listening(port: int) -> list[str]:
@@ -199,7 +199,8 @@ def test_without_a_display_no_window_is_tried(monkeypatch, tmp_path):
 
 
 def test_a_live_race_sends_each_step_and_touches_nothing(tmp_path):
-    made = by_hand(6, lambda w, n: moved(w, x=[3.0 + 0.1 * n, 2.0]))
+    behind = (-1.0, -1.0, -1.0, -1.0, 9.0, 9.0)  # it passes in the fifth step
+    made = by_hand(6, lambda w, n: moved(w, x=[3.0 + 0.1 * n, 2.0], distance=[0.0, behind[n]]))
     recording = rr.RecordingStream("test")
     recording.save(tmp_path / "live.rrd")
     live = rerun_view.Live(made.spec, made.track, recording)
@@ -209,12 +210,21 @@ def test_a_live_race_sends_each_step_and_touches_nothing(tmp_path):
     live.close()
     rows = rows_of(tmp_path / "live.rrd")
     assert rows[paths.car(0)] == rows[paths.CHASE] == rows[paths.PLOT_GAP] == 6
+    head = "# re:Invent 2018\n\n**head to head**, 2 laps, live\n\n"
+    # Who stands is taken to do 0.5 m/s: a metre is 2 s. Nine metres are no fight any more.
+    before = "1. driver_0\n2. driver_1\n\ndriver_1 chases driver_0, 2.0 s"
+    assert texts_of(tmp_path / "live.rrd", paths.TITLE) == [
+        (0, head + before.replace("_", "\\_")),
+        (266_666_666, head + "1. driver_1\n2. driver_0".replace("_", "\\_")),
+    ]
+    assert live.how_to_end == "The window stays open until you close it."
 
 
 def test_a_live_race_is_served_to_this_machine_only():
     made = by_hand(2)
     with rerun_view.Live.start(made.spec, made.track, window=False, speed=0.0) as live:
         live.add(made.at(np.array([0.0])))
+        assert live.how_to_end == "The page stays as it is until you press Ctrl-C."
         ports = [int(part.split("/")[0]) for part in _ports(live.address)]
         assert len(ports) == 2
         for port in ports:
@@ -253,16 +263,7 @@ def test_cars_lean_and_nose_down_as_their_records_say():
 def test_classification_is_shown_at_the_end_and_the_order_before(tmp_path):
     made = raced()
     path = rerun_view.save(made, tmp_path / "a.rrd", cameras=False)
-    texts = []
-    for chunk in RrdReader(path).stream():
-        if chunk.entity_path.strip("/") == paths.TITLE:
-            batch = chunk.to_record_batch()
-            assert not chunk.is_static
-            columns = dict(zip(batch.schema.names, batch.columns, strict=True))
-            name = next(name for name in columns if name.endswith("text"))
-            times = columns[paths.TIMELINE].cast("int64").to_pylist()
-            texts += zip(times, [text[0] for text in columns[name].to_pylist()], strict=True)
-    texts.sort()
+    texts = texts_of(path, paths.TITLE)
     assert len(texts) >= 2 and texts[0][0] == 0
     assert all("| total |" not in text for _, text in texts[:-1])
     assert "| total |" in texts[-1][1]

@@ -125,7 +125,7 @@ def test_a_league_of_the_first_version_is_brought_up_to_date_with_its_races(url)
     )
     done = store.upgrade(url)
     assert [line.split(":")[0] for line in done[:2]] == ["version 0002", "version 0003"]
-    assert done[-2] == "9 records begin the ledger"  # 1 ruleset, 4 entries, 4 results
+    assert done[-3] == "9 records begin the ledger"  # 1 ruleset, 4 entries, 4 results
     with store.Store(url) as league:
         assert league.verify().mismatches == [] and league.verify().races == 4
         old = league.races()

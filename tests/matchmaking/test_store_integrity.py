@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import json
+import sqlite3
 import zlib
+from contextlib import closing
+from dataclasses import replace
 
 import pytest
 
+from league.errors import StoreError
 from league.matchmaking import store
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Half, Heat
 from league.matchmaking.store import integrity
+from league.matchmaking.store.database import Database
 from tests.matchmaking import leagues
 
 
@@ -27,9 +32,12 @@ def league(url):
         league.claim("third")
         league.complete("third", leagues.raced([claims[4]]))
         assert league.counts() == {"done": 10}
+        league.set_ruleset(replace(leagues.RULES, laps=5))
+        league.set_ruleset(leagues.RULES)
         found = league.verify()
-        # 1 ruleset, 4 entries and their states, 20 results, 2 more of the lie, 1 settled dispute
-        assert (found.races, found.records, found.mismatches) == (20, 32, [])
+        # 2 rulesets, present 3 times, 4 entries and their states, 20 results, 2 more of the lie,
+        # 1 settled dispute
+        assert (found.races, found.records, found.mismatches) == (20, 36, [])
         assert not found.damaged
         yield league
 
@@ -56,6 +64,7 @@ SWAP = "substr(packed, 1, 28) || substr(packed, 31, 2) || substr(packed, 29, 2)"
         ("UPDATE entries SET state = 'retired' WHERE number = 2", "entry 'e2': it is retired, and"),
         ("UPDATE entries SET reason = 'x' WHERE number = 2", "the ledger has another state or"),
         ("UPDATE rulesets SET settings = '{}'", "its settings differ from its hash"),
+        ("UPDATE league SET ruleset = 2", "the present rules are "),
         ("UPDATE heats SET halves = replace(halves, '1', '3') WHERE number = 1", "not what was"),
         ("UPDATE heats SET halves = 'x' WHERE number = 1", "heat 1: it is not what was planned"),
         ("UPDATE heats SET purpose = 'validation' WHERE number = 3", "heat 3: it is not what was"),
@@ -80,6 +89,19 @@ def test_a_change_is_found(league, url, statement, sentence):
     )
     found = _found(league, url, statement, **values)
     assert found and any(sentence in mismatch for mismatch in found), found
+
+
+def test_present_rules_that_are_missing_are_one_sentence(league, url):
+    path, edited = Database(url).path, "UPDATE league SET ruleset = 9"
+    if path is None:
+        leagues.change(url, "ALTER TABLE league DROP CONSTRAINT fk_league_ruleset", edited)
+    else:
+        with closing(sqlite3.connect(path)) as raw, raw:  # foreign keys are not enforced
+            raw.execute(edited)
+    found = league.verify()
+    assert found.damaged and found.mismatches == ["the present rules are missing"]
+    with pytest.raises(StoreError, match=r"present rules of the league .* are missing: restore"):
+        _ = league.settings
 
 
 @pytest.mark.parametrize(("table", "damaged"), [("heats", True), ("races", False)])
@@ -134,7 +156,7 @@ def test_a_ledger_written_again_is_found_with_an_earlier_head(league, url):
         "DELETE FROM heat_entries WHERE heat >= 10",
         "DELETE FROM heats WHERE number >= 10",
         "DELETE FROM ledger WHERE subject LIKE '10/%' OR subject LIKE '12/%' OR kind = 'settle'",
-        "DELETE FROM ledger WHERE number > 28",
+        "DELETE FROM ledger WHERE number > 29",
     )
     assert any(head[:12] in one for one in league.verify(head[:16]).mismatches)
 
@@ -169,8 +191,15 @@ def test_states_of_an_older_league_count_from_its_upgrade(league, url):
     assert league.verify().mismatches == []
     edited = "UPDATE entries SET state = 'retired' WHERE number = 2"
     assert _found(league, url, edited) == []  # docs/league.md says so
-    assert store.upgrade(url) == ["states of 4 entries begin in the ledger"]
-    assert store.upgrade(url) == []
+    moved = "UPDATE league SET ruleset = 2"
+    assert _found(league, url, moved) == []
+    assert store.upgrade(url) == [
+        "states of 4 entries begin in the ledger",
+        "the present rules begin in the ledger",
+    ]
+    assert store.upgrade(url) == [] and league.verify().mismatches == []
+    assert len(_found(league, url, moved.replace("2", "1"))) == 1
+    leagues.change(url, moved)
     undone = "UPDATE entries SET state = 'pending' WHERE number = 2"
     assert len(_found(league, url, undone)) == 1
 
@@ -207,7 +236,7 @@ def test_hostile_rows_are_reported_and_not_obeyed(league, url):
         league,
         url,
         "UPDATE results SET document = :document, hash = :digest WHERE heat = 3 AND half = 0",
-        "UPDATE ledger SET subject = 'x/y' WHERE number = 8",
+        "UPDATE ledger SET subject = 'x/y' WHERE number = 9",
         document=zlib.compress(document),
         digest=heat_spec.digest(document),
     )

@@ -82,7 +82,7 @@ class Compare(Reading):
     """Is B better than A? Race them until the answer is sure, and no longer."""
 
     one: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="A")]
-    """A: an entry's name or id, or a checkpoint (FILE.pt)."""
+    """A: an entry's name or id, a checkpoint (FILE.pt), or a name in the garage."""
     other: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="B")]
     """B."""
     elo0: float = 0.0
@@ -167,15 +167,16 @@ def _elo(value: float) -> str:
 
 
 def _driver(store: Store, text: str) -> HeatDriver:
-    """Return an entry by name or id, or a checkpoint by its file's name."""
-    from league.agents import checkpoint
+    """Return an entry by name or id, or a checkpoint by its file or its name in the garage."""
+    from league.agents import checkpoint, roster
     from league.matchmaking import submission
     from league.matchmaking.workers import dispatcher
     from league.matchmaking.workers.worker import HeatDriver
 
-    if not text.endswith(".pt"):
+    entered = text not in roster.garage() or text in (entry.name for entry in store.entries())
+    if entered and not text.endswith(".pt"):
         return dispatcher.heat_driver(store, store.entry(text))
-    loaded = checkpoint.load(text)
+    loaded = checkpoint.load(roster.checkpoint_path(text))
     submission.check_sensors(loaded.card.sensors, store.settings.ruleset)
     return HeatDriver(submission.identity(loaded), Path(text).stem, weights=submission.pack(loaded))
 

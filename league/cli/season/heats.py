@@ -149,7 +149,7 @@ class Audit(OnLeague):
                 flush=True,
             )
             if found.damaged:
-                print("Heats were changed: restore the database from a backup, then audit again.")
+                print("Nothing can be raced again: restore the database from a backup, then audit.")
                 return 1
             audits = gauntlet.pick_audit(store, share, np.random.default_rng(self.seed))
             if not audits:

@@ -45,7 +45,8 @@ class Integrity:
     mismatches: list[str] = field(default_factory=list)
     """What does not agree, a line each."""
     damaged: bool = False
-    """Whether heats themselves were changed, so that they cannot be raced again."""
+    """Whether heats themselves were changed, or the present rules are missing, so that heats cannot
+    be raced again."""
 
 
 def verify(connection: sa.Connection, head: str = "") -> Integrity:
@@ -57,7 +58,7 @@ def verify(connection: sa.Connection, head: str = "") -> Integrity:
     found = Integrity()
     simple = {record[:2]: record.content for record in _simple_records(connection)}
     num_results, settled, missing = Counter[int](), dict[int, set[str]](), set(simple)
-    states = dict[str, str]()
+    states, recorded = dict[str, str](), ""
     has_head = not head
     while rows := connection.execute(
         sa.select(ledger).where(ledger.c.number > found.records).order_by(ledger.c.number)
@@ -77,6 +78,8 @@ def verify(connection: sa.Connection, head: str = "") -> Integrity:
                 settled[heat] = set(parts[1:])
             elif row.kind == "state":
                 states[parts[0]] = row.subject
+            elif row.kind == "present":
+                recorded = row.subject
     found.mismatches += [f"{kind} {name[:12]}: not in the ledger" for kind, name in missing]
     for row in connection.execute(sa.select(entries.entries).order_by(entries.entries.c.number)):
         # Of entries from before states were recorded, the ledger knows none until they change.
@@ -84,6 +87,14 @@ def verify(connection: sa.Connection, head: str = "") -> Integrity:
             found.mismatches.append(
                 f"entry {row.name!r}: it is {row.state}, and the ledger has another state or reason"
             )
+    present = _present(connection)
+    if present is None:
+        found.damaged = True
+        found.mismatches.append("the present rules are missing")
+    elif recorded not in ("", present):  # none before they change, in leagues of older versions
+        found.mismatches.append(
+            f"the present rules are {present[:12]}, and the ledger has {recorded[:12]}"
+        )
     if not has_head:
         found.mismatches.append(f"the ledger no longer has the record {head[:12]}")
     for name in seasons.damaged(connection, schema.seasons):
@@ -117,7 +128,7 @@ def _check_record(found: Integrity, row: Any, now: dict[tuple[str, str], Any]) -
     if row.number != found.records + 1:
         found.mismatches.append(f"{what}: the record before it was deleted")
     known = (row.kind, row.subject)
-    if row.kind not in ("settle", "state") and known not in now:
+    if row.kind not in ("settle", "state", "present") and known not in now:
         found.mismatches.append(f"{what}: what it records was deleted")
     elif link(found.head, LedgerRecord(*known, now.get(known))) != row.chain:
         found.mismatches.append(
@@ -228,6 +239,24 @@ def _read(found: Integrity, row: Any) -> PackedResult | None:  # noqa: ANN401
 
 def _state_record(row: Any) -> LedgerRecord:  # noqa: ANN401
     return state_record(row.id, row.state, row.reason)
+
+
+def _present(connection: sa.Connection) -> str | None:
+    """Return the hash of the present rules; None if they are missing."""
+    query = sa.select(rulesets.c.hash).join(
+        schema.league, schema.league.c.ruleset == rulesets.c.number
+    )
+    return connection.scalar(query)
+
+
+def adopt_present(connection: sa.Connection) -> bool:
+    """Record the present rules of a league from before the ledger did; return whether it was."""
+    known = connection.scalar(sa.select(ledger.c.number).where(ledger.c.kind == "present").limit(1))
+    hash = _present(connection)
+    if known is not None or hash is None:
+        return False
+    append(connection, [schema.present_record(hash)])
+    return True
 
 
 def adopt_states(connection: sa.Connection) -> int:

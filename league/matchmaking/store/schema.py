@@ -262,9 +262,9 @@ ledger = sa.Table(
     sa.Column("subject", sa.String(200), nullable=False),
     sa.Column("chain", sa.String(64), nullable=False),
 )
-"""A record of each ruleset, entry, change of an entry's state, result and settled dispute, from 1
-without gaps. `chain` hashes the record's content and the record before it, so that what is changed
-later shows."""
+"""A record of each ruleset, change of the present one, entry, change of an entry's state, result
+and settled dispute, from 1 without gaps. `chain` hashes the record's content and the record before
+it, so that what is changed later shows."""
 
 
 class LedgerRecord(NamedTuple):
@@ -279,6 +279,11 @@ class LedgerRecord(NamedTuple):
 def state_record(id: str, state: str, reason: str) -> LedgerRecord:
     """Return what the ledger records of an entry's new state; the last record is the one it has."""
     return LedgerRecord("state", f"{id}/{state}/{heat_spec.digest(reason.encode())[:16]}", None)
+
+
+def present_record(hash: str) -> LedgerRecord:
+    """Return what the ledger records of a ruleset that becomes the present one."""
+    return LedgerRecord("present", hash, None)
 
 
 def append(connection: sa.Connection, records: Iterable[LedgerRecord]) -> None:
@@ -354,6 +359,7 @@ def create_tables(database: Database, name: str, ruleset: Ruleset, blobs: str) -
                 created_s=now,
             )
         )
+        append(connection, [present_record(ruleset.hash)])
         log_event(connection, now, "league", "found", name, ruleset=ruleset.hash)
 
 

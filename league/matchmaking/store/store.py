@@ -76,7 +76,12 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
             query = sa.select(league, rulesets.c.settings).join(
                 rulesets, rulesets.c.number == league.c.ruleset
             )
-            row = connection.execute(query).one()
+            row = connection.execute(query).one_or_none()
+        if row is None:
+            raise StoreError(
+                f"the present rules of the league in {self.url} are missing: restore the database "
+                "from a backup"
+            )
         return LeagueSettings(row.name, Ruleset.of(json.loads(row.settings)))
 
     def rulesets(self) -> dict[str, Ruleset]:
@@ -100,6 +105,7 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
                 )
             number = schema.add_ruleset(connection, now, ruleset)
             connection.execute(league.update().values(ruleset=number))
+            schema.append(connection, [schema.present_record(ruleset.hash)])
             others = (heats.c.ruleset != number) & (heats.c.purpose != "cup")
             cancelled = queue.cancel(connection, others)
             schema.log_event(connection, now, "league", "rules", ruleset.hash, cancelled=cancelled)
@@ -235,6 +241,8 @@ def upgrade(url: str) -> list[str]:
                 steps.append(f"{integrity.adopt(connection)} records begin the ledger")
             if states := integrity.adopt_states(connection):
                 steps.append(f"states of {states} entries begin in the ledger")
+            if integrity.adopt_present(connection):
+                steps.append("the present rules begin in the ledger")
             return steps
     finally:
         database.close()
