@@ -79,7 +79,7 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
             row = connection.execute(query).one_or_none()
         if row is None:
             raise StoreError(
-                f"the present rules of the league in {self.url} are missing: restore the database "
+                f"the present rules of the league in {self._database.shown} are missing: restore the database "
                 "from a backup"
             )
         return LeagueSettings(row.name, Ruleset.of(json.loads(row.settings)))
