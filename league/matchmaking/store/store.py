@@ -79,8 +79,8 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
             row = connection.execute(query).one_or_none()
         if row is None:
             raise StoreError(
-                f"the present rules of the league in {self._database.shown} are missing: restore the database "
-                "from a backup"
+                f"the present rules of the league in {self._database.shown} are missing: restore "
+                "the database from a backup"
             )
         return LeagueSettings(row.name, Ruleset.of(json.loads(row.settings)))
 
