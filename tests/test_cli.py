@@ -229,6 +229,15 @@ def test_help_of_the_program_is_in_groups_and_fits_sixty_columns():
     assert all(re.search(rf"^  {name}  ", out, re.M) for name in commands.COMMANDS)
 
 
+def test_a_mistyped_command_is_one_sentence_with_what_is_near(league):
+    code, out, err = league("rase", "racer")
+    assert (code, out) == (2, "")
+    assert re.fullmatch(
+        r"league: there is no command 'rase'; nearest: race, .*`league --help`.*\n", err
+    )
+    assert "there are audit, card" in league("--colour")[2]
+
+
 def test_positional_arguments_are_named(league):
     for name in commands.COMMANDS:
         usage = league(name, "--help")[1].splitlines()[0]

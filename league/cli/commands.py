@@ -11,11 +11,11 @@ import shutil
 import sys
 import textwrap
 from dataclasses import dataclass
-from functools import reduce
-from operator import or_
-from typing import Annotated, Any
+from typing import Any
 
 import tyro
+
+from league.errors import ConfigError, brief, nearest_names
 
 
 @dataclass
@@ -91,7 +91,7 @@ def main(arguments: list[str]) -> int:
     # eighth of the start. The one at exit takes a second with torch in memory.
     gc.set_threshold(50_000, 20, 50)
     atexit.register(gc.freeze)
-    if arguments in ([], ["-h"], ["--help"]):
+    if not arguments or arguments[0] in ("-h", "--help"):
         print(overview(), file=sys.stdout if arguments else sys.stderr)
         return 0 if arguments else 2
     command = _parsed(arguments)
@@ -123,17 +123,14 @@ def _parsed(arguments: list[str]) -> Any:  # noqa: ANN401
         from league.cli import train
 
         return train.parse(arguments[1:])
-    config = (tyro.conf.OmitArgPrefixes,)
-    if (name := arguments[0]) in COMMANDS:
-        kind = command_class(name)
-        return tyro.cli(kind, prog=f"league {name}", args=arguments[1:], config=config)
-    # An option or a mistake: the parser of all commands says so.
-    commands = [Annotated[command_class(name), tyro.conf.subcommand(name)] for name in COMMANDS]
-    union: Any = reduce(or_, commands)
+    if (name := arguments[0]) not in COMMANDS:
+        raise ConfigError(
+            f"there is no command {brief(name)}; {nearest_names(name, list(COMMANDS))}; "
+            "`league --help` says what each does"
+        )
     return tyro.cli(
-        union,
-        prog="league",
-        description="The open racing league for learning drivers.",
-        args=arguments,
-        config=config,
+        command_class(name),
+        prog=f"league {name}",
+        args=arguments[1:],
+        config=(tyro.conf.OmitArgPrefixes,),
     )
