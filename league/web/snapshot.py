@@ -128,9 +128,10 @@ class Snapshot:
             kept &= counted.track == rules.tracks.index(track)
         if cars:
             kept &= (counted.entries >= 0).sum(axis=1) == cars
-        races = counted if kept.all() else counted.where(kept)
+        whole = kept.all()
+        races = counted if whole else counted.where(kept)
         numbers = set(np.unique(races.entries).tolist())
-        if self.rated and kept.all() and not self._carries and numbers - {-1} == self.rows.keys():
+        if self.rated and whole and not self._carries and numbers - {-1} == self.rows.keys():
             return self.rated
         entries = [entry for entry in self.entries if entry.number in numbers]
         within, near = RatingScope(races, self.season, None), self.rated and self.rated.ratings
