@@ -17,7 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -54,17 +54,15 @@ class Learnt:
     """Whether the best policy drove 3 of 3 laps."""
 
 
-def rookie(seed: int, evaluations: int, root: Path = ROOT) -> Learnt:
-    """Train until some evaluations in a row were complete, in a process of its own.
+def learnt(arguments: Sequence[str], root: Path = ROOT) -> Learnt:
+    """Train as the arguments of `league` say, in a process of its own.
 
     The league is imported from `root`: with its machine code, if it was compiled there.
     """
     with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "rookie.pt"
-        asked = [*ROOKIE, "--stop-when-complete", str(evaluations), "--seed", str(seed)]
         began = time.perf_counter()
         done = subprocess.run(
-            [sys.executable, "-m", "league.cli", *asked, "--out", str(out)],
+            [sys.executable, "-m", "league.cli", *arguments, "--out", str(Path(folder) / "new.pt")],
             cwd=root,
             env={**os.environ, "PYTHONPATH": str(root)},
             capture_output=True,
@@ -75,6 +73,12 @@ def rookie(seed: int, evaluations: int, root: Path = ROOT) -> Learnt:
     found = re.search(r"(\d+) decisions in", done.stdout)
     assert found is not None, done.stdout
     return Learnt(taken, int(found[1]), "3 of 3 laps complete" in done.stdout)
+
+
+def rookie(seed: int, evaluations: int, root: Path = ROOT) -> Learnt:
+    """Train until some evaluations in a row were complete; see `learnt`."""
+    asked = ["--stop-when-complete", str(evaluations), "--seed", str(seed)]
+    return learnt([*ROOKIE, *asked], root)
 
 
 def first_rookie() -> None:
