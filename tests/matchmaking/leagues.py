@@ -80,9 +80,9 @@ def change(url: str, *statements: str, **values: object) -> None:
 def set_ruleset(league: store.Store, ruleset: Ruleset) -> None:
     """Race by other rules from now on, as a later version of the program may allow."""
     database = Database(league.url)
-    with database.writing() as connection:
-        number = schema.add_ruleset(connection, 0.0, ruleset)
-        connection.execute(schema.league.update().values(ruleset=number))
+    with schema.changing(database) as change:
+        number = schema.add_ruleset(change, ruleset)
+        change.update(schema.league, sa.true(), ruleset=number)
     database.close()
 
 

@@ -186,8 +186,8 @@ def test_changes_of_states_by_the_program_are_not_reported(league, url):
 
 def test_states_of_an_older_league_count_from_its_upgrade(league, url):
     leagues.change(url, "DELETE FROM ledger")
-    with league._writing(lock=True) as (connection, _):
-        integrity.adopt(connection)  # as a version before this did, without the states
+    with league._writing(lock=True) as change:
+        integrity.adopt(change)  # as a version before this did, without the states
     assert league.verify().mismatches == []
     edited = "UPDATE entries SET state = 'retired' WHERE number = 2"
     assert _found(league, url, edited) == []  # docs/league.md says so

@@ -1,5 +1,6 @@
 """The league's database; the only package that imports SQLAlchemy and Alembic."""
 
+from league.matchmaking.store.founding import upgrade
 from league.matchmaking.store.race_table import is_clean
 from league.matchmaking.store.records import (
     BEST_MS,
@@ -26,8 +27,7 @@ from league.matchmaking.store.records import (
     StoredResult,
     Token,
 )
-from league.matchmaking.store.season_view import SeasonView
-from league.matchmaking.store.store import Store, create, upgrade
+from league.matchmaking.store.store import SeasonView, Store, create
 
 __all__ = [
     "BEST_MS",

@@ -11,8 +11,8 @@ import sqlalchemy as sa
 from league.atomic_file import replacing
 from league.errors import StoreError
 from league.matchmaking.pairing import heat_spec
-from league.matchmaking.store.database import Database, Transactional, insert_new
-from league.matchmaking.store.schema import blobs
+from league.matchmaking.store.database import Database
+from league.matchmaking.store.schema import Change, Transactional, blobs
 
 MAX_BYTES = 64 * 1024 * 1024
 """Largest blob [bytes]."""
@@ -40,11 +40,11 @@ def _verified(content: bytes | None, digest: str, where: str) -> bytes:
     return content
 
 
-def insert_blob(connection: sa.Connection, now: float, content: bytes) -> str:
+def insert_blob(change: Change, content: bytes) -> str:
     """Keep some bytes in the database and return their SHA-256."""
     digest = heat_spec.digest(_checked(content))
-    row = {"digest": digest, "size": len(content), "created_s": now, "content": content}
-    connection.execute(insert_new(connection, blobs), [row])
+    row = {"digest": digest, "size": len(content), "created_s": change.now, "content": content}
+    change.insert_new(blobs, row)
     return digest
 
 
@@ -56,8 +56,8 @@ class TableBlobs(Transactional):
 
     def put(self, content: bytes) -> str:
         """Keep some bytes and return their SHA-256."""
-        with self._writing() as (connection, now):
-            return insert_blob(connection, now, content)
+        with self._writing() as change:
+            return insert_blob(change, content)
 
     def get(self, digest: str) -> bytes:
         """Return the bytes with this SHA-256."""

@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import sqlalchemy as sa
 from sqlalchemy import event, exc
-from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.engine import URL, make_url
 
 from league.errors import DatabaseError, StoreError, brief
@@ -175,31 +174,11 @@ class Database:
             ) from refusal
 
 
-class Transactional:
-    """What the parts of a Store have in common: a database, and transactions that write to it."""
-
-    _database: Database
-
-    @contextmanager
-    def _writing(self, *, lock: bool = False) -> Generator[tuple[sa.Connection, float]]:
-        """Begin a transaction that writes; yield its connection and the time [s since 1970]."""
-        with self._database.writing() as connection:
-            if lock:
-                self._database.lock(connection)
-            yield connection, self._database.now(connection)
-
-
 def made_of(cls: type[_Data], row: Any, **given: object) -> _Data:  # noqa: ANN401
     """Return frozen data with the fields of a row, apart from those that are given."""
     known = row._mapping
     names = [name for name in cls.__dataclass_fields__ if name not in given]
     return cls(**{name: known[name] for name in names}, **given)
-
-
-def insert_new(connection: sa.Connection, table: sa.Table) -> Any:  # noqa: ANN401
-    """Return an INSERT that leaves rows that are there already as they are."""
-    dialect = sqlite if connection.dialect.name == "sqlite" else postgresql
-    return dialect.insert(table).on_conflict_do_nothing()
 
 
 def chunked(

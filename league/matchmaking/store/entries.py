@@ -12,16 +12,15 @@ import sqlalchemy as sa
 from league.errors import QuotaError, StoreError, brief, nearest_names
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.store.blobs import BlobStore, insert_blob
-from league.matchmaking.store.database import chunked, insert_new, made_of
+from league.matchmaking.store.database import chunked, made_of
 from league.matchmaking.store.names import check_name, looks
 from league.matchmaking.store.queue import cancel, entry_numbers, of_entry
 from league.matchmaking.store.records import NEXT, EntryState, LeagueEntry, Quota
 from league.matchmaking.store.schema import (
+    Change,
     LedgerRecord,
-    append,
     entries,
     heats,
-    log_event,
     owners,
     state_record,
 )
@@ -57,38 +56,37 @@ class EntryStore(BlobStore):
         card = {**(card or {}), **({"driver": scripted} if scripted else {"blob": blob})}
         id = heat_spec.scripted_id(scripted) if scripted else id or blob
         kind = "policy" if scripted is None else "scripted"
-        with self._writing(lock=True) as (connection, now):
-            query = with_owners().where(entries.c.id == id)
-            row = connection.execute(query).one_or_none()
+        query = with_owners().where(entries.c.id == id)
+        with self._writing(lock=True) as change:
+            row = change.connection.execute(query).one_or_none()
             if row is not None and row.owner_name != owner:
                 raise StoreError(
                     f"these weights are entered already, as {row.name!r} by {row.owner_name!r}: "
                     "submit weights of your own"
                 )
             if row is None:
-                _check_free(connection, name)
-                number = owner_number(connection, now, owner)
+                _check_free(change.connection, name)
+                number = owner_number(change, owner)
                 if quota is not None:
-                    check_quota(connection, now, owner, quota)
-                connection.execute(
-                    entries.insert().values(
-                        id=id,
-                        name=name,
-                        owner=number,
-                        kind=kind,
-                        anchor=anchor,
-                        state="pending",
-                        reason="",
-                        card=heat_spec.canonical(card).decode(),
-                        created_s=now,
-                    )
-                )
-                log_event(connection, now, owner, "submit", id, name=name, kind=kind)
-                row = connection.execute(query).one()
-                append(connection, [ledger_record(row), state_record(id, "pending", "")])
+                    check_quota(change, owner, quota)
+                new = {
+                    "id": id,
+                    "name": name,
+                    "owner": number,
+                    "kind": kind,
+                    "anchor": anchor,
+                    "state": "pending",
+                    "reason": "",
+                    "card": heat_spec.canonical(card).decode(),
+                    "created_s": change.now,
+                }
+                change.insert(entries, new)
+                change.log(owner, "submit", id, name=name, kind=kind)
+                row = change.connection.execute(query).one()
+                change.record([ledger_record(row), state_record(id, "pending", "")])
             entry = _entry(row)
             if weights is not None and not self._blobs_url and entry.blob == blob:
-                insert_blob(connection, now, weights)
+                insert_blob(change, weights)
             return entry
 
     def entry(self, text: str) -> LeagueEntry:
@@ -149,10 +147,10 @@ class EntryStore(BlobStore):
 
         The planned heats of one that leaves the league are cancelled.
         """
-        with self._writing(lock=True) as (connection, now):
-            entry_numbers(connection, states)
+        with self._writing(lock=True) as change:
+            entry_numbers(change.connection, states)
             query = sa.select(entries).with_for_update()
-            rows = chunked(connection, query, entries.c.id, sorted(states))
+            rows = chunked(change.connection, query, entries.c.id, sorted(states))
             changes = [(row, states[row.id]) for row in rows if row.state != states[row.id]]
             for row, state in changes:
                 possible = NEXT[cast(EntryState, row.state)]
@@ -162,15 +160,13 @@ class EntryStore(BlobStore):
                         f"possible is {', '.join(possible) or 'nothing more'}"
                     )
             for row, state in changes:
-                own = entries.c.id == row.id
-                connection.execute(entries.update().where(own).values(state=state, reason=reason))
-                append(connection, [state_record(row.id, state, reason)])
-                log_event(connection, now, actor, state, row.id, was=row.state, reason=reason)
+                change.update(entries, entries.c.id == row.id, state=state, reason=reason)
+                change.record([state_record(row.id, state, reason)])
+                change.log(actor, state, row.id, was=row.state, reason=reason)
                 if state in ("retired", "refused"):
-                    waiting = cancel(connection, heats.c.number.in_(of_entry(row.number)))
+                    waiting = cancel(change, heats.c.number.in_(of_entry(row.number)))
                     if waiting:
-                        subject = str(row.number)
-                        log_event(connection, now, "league", "cancel", subject, heats=waiting)
+                        change.log("league", "cancel", str(row.number), heats=waiting)
             return len(changes)
 
 
@@ -186,34 +182,34 @@ def _check_free(connection: sa.Connection, name: str) -> None:
             )
 
 
-def owner_number(connection: sa.Connection, now: float, name: str) -> int:
+def owner_number(change: Change, name: str) -> int:
     """Return the number of an owner, who is added if new.
 
     Raises:
         StoreError: the name cannot be shown, or passes for that of another owner.
     """
     query = sa.select(owners.c.number).where(owners.c.name == name)
-    number = connection.scalar(query)
+    number = change.connection.scalar(query)
     if number is not None:
         return number
     check_name(name, "an owner's name")
     own = looks(name)
-    for known in connection.scalars(sa.select(owners.c.name)):
+    for known in change.connection.scalars(sa.select(owners.c.name)):
         if looks(known) & own:
             raise StoreError(
                 f"the owner {name!r} looks like {known!r}: write it like that, or choose another"
             )
-    connection.execute(insert_new(connection, owners).values(name=name, created_s=now))
-    return connection.scalars(query).one()
+    change.insert_new(owners, {"name": name, "created_s": change.now})
+    return change.connection.scalars(query).one()
 
 
-def check_quota(connection: sa.Connection, now: float, owner: str, quota: Quota) -> None:
+def check_quota(change: Change, owner: str, quota: Quota) -> None:
     """Refuse one more entry of an owner who has as many as are allowed.
 
     Raises:
         QuotaError: there are as many in the league, or as many came within 24 hours.
     """
-    rows = connection.execute(
+    rows = change.connection.execute(
         sa.select(entries.c.state, entries.c.created_s)
         .join(owners, owners.c.number == entries.c.owner)
         .where(owners.c.name == owner)
@@ -224,9 +220,9 @@ def check_quota(connection: sa.Connection, now: float, owner: str, quota: Quota)
             f"{owner!r} has {active} entries, and an owner may have {quota.entries}: retire one "
             "first"
         )
-    recent_s = sorted(row.created_s for row in rows if row.created_s > now - DAY_S)
+    recent_s = sorted(row.created_s for row in rows if row.created_s > change.now - DAY_S)
     if len(recent_s) >= quota.per_day:
-        wait_h = max(1, round((recent_s[-quota.per_day] + DAY_S - now) / 3600))
+        wait_h = max(1, round((recent_s[-quota.per_day] + DAY_S - change.now) / 3600))
         raise QuotaError(
             f"{owner!r} made {len(recent_s)} submissions within 24 hours, and {quota.per_day} are "
             f"allowed: try again in {wait_h} h"

@@ -15,11 +15,11 @@ from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.store import entries, results, schema, seasons
 from league.matchmaking.store.database import chunked
-from league.matchmaking.store.heat_rows import heat_in, with_rules
+from league.matchmaking.store.queue import heat_in, with_rules
 from league.matchmaking.store.results import PackedResult
 from league.matchmaking.store.schema import (
+    Change,
     LedgerRecord,
-    append,
     heats,
     ledger,
     link,
@@ -187,7 +187,7 @@ def _check_heats(
 
 def _is_as_planned(row: Any, id_of: dict[int, str]) -> bool:  # noqa: ANN401
     try:
-        return heat_in(row, id_of).key == row.key
+        return heat_in(row, json.loads(row.halves), id_of).key == row.key
     except (ValueError, KeyError, TypeError):
         return False
 
@@ -249,35 +249,36 @@ def _present(connection: sa.Connection) -> str | None:
     return connection.scalar(query)
 
 
-def adopt_present(connection: sa.Connection) -> bool:
+def adopt_present(change: Change) -> bool:
     """Record the present rules of a league from before the ledger did; return whether it was."""
-    known = connection.scalar(sa.select(ledger.c.number).where(ledger.c.kind == "present").limit(1))
-    hash = _present(connection)
-    if known is not None or hash is None:
+    query = sa.select(ledger.c.number).where(ledger.c.kind == "present").limit(1)
+    hash = _present(change.connection)
+    if hash is None or change.connection.scalar(query) is not None:
         return False
-    append(connection, [schema.present_record(hash)])
+    change.record([schema.present_record(hash)])
     return True
 
 
-def adopt_states(connection: sa.Connection) -> int:
+def adopt_states(change: Change) -> int:
     """Record the states of entries from before the ledger did; return how many these are."""
-    subjects = connection.scalars(sa.select(ledger.c.subject).where(ledger.c.kind == "state"))
-    known = {subject.split("/")[0] for subject in subjects}
+    recorded = sa.select(ledger.c.subject).where(ledger.c.kind == "state")
+    known = {subject.split("/")[0] for subject in change.connection.scalars(recorded)}
     query = sa.select(entries.entries).order_by(entries.entries.c.number)
-    rows = [row for row in connection.execute(query) if row.id not in known]
-    append(connection, map(_state_record, rows))
+    rows = [row for row in change.connection.execute(query) if row.id not in known]
+    change.record(map(_state_record, rows))
     return len(rows)
 
 
-def adopt(connection: sa.Connection) -> int:
+def adopt(change: Change) -> int:
     """Begin the ledger of an older league with all that it holds; return the number of records."""
+    connection = change.connection
     numbers = list(connection.scalars(sa.select(heats.c.number).order_by(heats.c.number)))
-    append(connection, _simple_records(connection))
+    change.record(_simple_records(connection))
     for start in range(0, len(numbers), BLOCK):
-        append(connection, _result_records(connection, numbers[start : start + BLOCK]))
+        change.record(_result_records(connection, numbers[start : start + BLOCK]))
     rejected = sa.select(results.results.c.heat).where(results.results.c.rejected).distinct()
     for heat in sorted(connection.scalars(rejected)):
         stored = results.read_results(connection, [heat])
         kept = [(one.half, one.hash) for one in stored if not one.rejected]
-        append(connection, [results.settlement(heat, kept)])
+        change.record([results.settlement(heat, kept)])
     return connection.scalar(sa.select(sa.func.count()).select_from(ledger)) or 0

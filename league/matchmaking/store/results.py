@@ -18,10 +18,9 @@ from league.matchmaking.store.queue import BATCH, check_worker, unknown_heat
 from league.matchmaking.store.race_table import NO_TRACK, driven, packed, runs_of
 from league.matchmaking.store.records import HeatOutcome, RaceOutcome, Received, StoredResult
 from league.matchmaking.store.schema import (
+    Change,
     LedgerRecord,
-    append,
     heats,
-    log_event,
     races,
     results,
     rulesets,
@@ -51,12 +50,12 @@ class ResultStore(BlobStore):
             (outcome.key, [_pack(race, outcome, keep) for race in outcome.races])
             for outcome in outcomes
         ]
-        with self._writing(lock=True) as (connection, now):
-            received = _take_in(connection, now, worker, batch)
+        with self._writing(lock=True) as change:
+            received = _take_in(change, worker, batch)
             if not self._blobs_url:
                 races = (race for outcome in outcomes for race in outcome.races)
                 for replay in filter(None, (race.replay for race in races)):
-                    insert_blob(connection, now, replay)
+                    insert_blob(change, replay)
         return received
 
     def results(self, *heats: int) -> list[StoredResult]:
@@ -138,29 +137,26 @@ class _Intake:
 
 
 def _take_in(
-    connection: sa.Connection,
-    now: float,
-    worker: str,
-    batch: Sequence[tuple[str, list[PackedResult]]],
+    change: Change, worker: str, batch: Sequence[tuple[str, list[PackedResult]]]
 ) -> Received:
     """Take in results of heats; the caller must hold the database's lock."""
     query = sa.select(heats).order_by(heats.c.number).with_for_update()
-    rows = {row.key: row for row in chunked(connection, query, heats.c.key, [k for k, _ in batch])}
-    intake = _intake(connection, sorted({row.audits or row.number for row in rows.values()}))
+    sent_keys = [key for key, _ in batch]
+    rows = {row.key: row for row in chunked(change.connection, query, heats.c.key, sent_keys)}
+    intake = _intake(change.connection, sorted({row.audits or row.number for row in rows.values()}))
     keys: dict[str, list[str]] = {verdict: [] for verdict in Received.__dataclass_fields__}
     for key, sent in batch:
         if key not in rows:
             raise unknown_heat(key)
-        keys[_judge(intake, rows[key], sent, worker, now)].append(key)
-    _write(connection, intake, now)
+        keys[_judge(intake, rows[key], sent, worker, change.now)].append(key)
+    _write(change, intake)
     counts = {verdict: len(some) for verdict, some in keys.items() if some}
     numbers = [rows[key].number for key, _ in batch]
-    log_event(connection, now, worker, "complete", "", heats=numbers, **counts)
+    change.log(worker, "complete", "", heats=numbers, **counts)
     for key in keys["quarantined"]:
-        log_event(connection, now, worker, "quarantine", key, of=rows[key].audits)
+        change.log(worker, "quarantine", key, of=rows[key].audits)
     for number, kept in intake.settled.items():
-        hashes = [hash for _, hash in sorted(kept)]
-        log_event(connection, now, worker, "settle", str(number), kept=hashes)
+        change.log(worker, "settle", str(number), kept=[hash for _, hash in sorted(kept)])
     return Received(**{verdict: tuple(some) for verdict, some in keys.items()})
 
 
@@ -276,7 +272,7 @@ def race_rows(
                 "ruleset": row.ruleset,
                 "rated": row.purpose == "rated",
                 "cars": len(grid),
-                "packed": packed(row.number, half, grid, one.places, track=track, runs=one.runs),
+                "packed": packed(row.number, half, track, grid, one.places, one.runs),
                 "driven": one.driven,
             }
         )
@@ -289,16 +285,14 @@ def ledger_record(key: str, row: Mapping[str, Any]) -> LedgerRecord:
     return LedgerRecord("result", f"{row['heat']}/{row['half']}/{row['hash']}", content)
 
 
-def _write(connection: sa.Connection, intake: _Intake, now: float) -> None:
-    if intake.new_results:
-        connection.execute(results.insert(), intake.new_results)
-        query, numbers = sa.select(heats.c.number, heats.c.key), list(intake.known)
-        key_of = dict(map(tuple, chunked(connection, query, heats.c.number, numbers)))
-        append(connection, [ledger_record(key_of[row["heat"]], row) for row in intake.new_results])
-    if intake.new_races:
-        connection.execute(races.insert(), intake.new_races)
+def _write(change: Change, intake: _Intake) -> None:
+    change.insert(results, *intake.new_results)
+    query, numbers = sa.select(heats.c.number, heats.c.key), list(intake.known)
+    key_of = dict(map(tuple, chunked(change.connection, query, heats.c.number, numbers)))
+    change.record(ledger_record(key_of[row["heat"]], row) for row in intake.new_results)
+    change.insert(races, *intake.new_races)
     for heat, kept in intake.settled.items():
-        _settle(connection, heat, kept)
+        _settle(change, heat, kept)
     changed = {
         "done": intake.done,
         "quarantined": intake.disputed,
@@ -306,23 +300,19 @@ def _write(connection: sa.Connection, intake: _Intake, now: float) -> None:
     }
     for state, numbers in changed.items():
         if numbers:
-            over = {"state": state, "lease_s": None, "done_s": now}
-            connection.execute(heats.update().where(heats.c.number.in_(numbers)).values(**over))
+            over = heats.c.number.in_(numbers)
+            change.update(heats, over, state=state, lease_s=None, done_s=change.now)
     if intake.disputed:
-        connection.execute(races.delete().where(races.c.heat.in_(intake.disputed)))
+        change.connection.execute(races.delete().where(races.c.heat.in_(intake.disputed)))
 
 
-def _settle(connection: sa.Connection, heat: int, kept: set[tuple[int, str]]) -> None:
+def _settle(change: Change, heat: int, kept: set[tuple[int, str]]) -> None:
     """Keep some results of a heat and reject the others; audits of it that differed are done."""
     keep = sa.or_(*((results.c.half == half) & (results.c.hash == hash) for half, hash in kept))
-    of_heat = results.update().where(results.c.heat == heat)
-    connection.execute(of_heat.values(rejected=sa.not_(keep)))
-    append(connection, [settlement(heat, kept)])
-    connection.execute(
-        heats.update()
-        .where(heats.c.audits == heat, heats.c.state == "quarantined")
-        .values(state="done")
-    )
+    change.update(results, results.c.heat == heat, rejected=sa.not_(keep))
+    change.record([settlement(heat, kept)])
+    audits = (heats.c.audits == heat) & (heats.c.state == "quarantined")
+    change.update(heats, audits, state="done")
 
 
 def settlement(heat: int, kept: Iterable[tuple[int, str]]) -> LedgerRecord:

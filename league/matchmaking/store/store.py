@@ -4,21 +4,41 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from typing import Self
+from dataclasses import replace
+from typing import Any, Self
 
 import sqlalchemy as sa
 
 from league.errors import StoreError
 from league.matchmaking.pairing.heat_spec import Ruleset
-from league.matchmaking.store import integrity, queue, race_table, schema, seasons
+from league.matchmaking.store import founding, integrity, queue, race_table, seasons
 from league.matchmaking.store.blobs import FolderBlobs
 from league.matchmaking.store.database import Database
 from league.matchmaking.store.entries import EntryStore
 from league.matchmaking.store.integrity import Integrity
 from league.matchmaking.store.queue import QueueStore
-from league.matchmaking.store.records import DoneHeat, Drives, HeatRecord, LeagueSettings, Races
+from league.matchmaking.store.records import (
+    Cup,
+    DoneHeat,
+    Drives,
+    EntryState,
+    HeatRecord,
+    HeatState,
+    LeagueEntry,
+    LeagueSettings,
+    Races,
+    Season,
+)
 from league.matchmaking.store.results import ResultStore
-from league.matchmaking.store.schema import heats, league, rulesets
+from league.matchmaking.store.schema import (
+    add_ruleset,
+    events,
+    heats,
+    league,
+    present_record,
+    races,
+    rulesets,
+)
 from league.matchmaking.store.seasons import SeasonStore
 from league.matchmaking.store.tokens import Tokens
 
@@ -43,7 +63,7 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
         """
         self._database = Database(url, clock)
         try:
-            schema.check_version(self._database)
+            founding.check_version(self._database)
             with self._database.reading() as connection:
                 row = connection.execute(sa.select(league)).one()
         except BaseException:
@@ -96,19 +116,19 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
         Raises:
             StoreError: a season under the present rules is running.
         """
-        with self._writing(lock=True) as (connection, now):
-            season = next(iter(seasons.listed(connection)[::-1]), None)
+        with self._writing(lock=True) as change:
+            season = next(iter(seasons.listed(change.connection)[::-1]), None)
             if season is not None and season.ended_s is None and season.ruleset != ruleset.hash:
                 raise StoreError(
                     f"the season {season.name!r} is raced by the present rules to its end: end it "
                     "first with `league season end`"
                 )
-            number = schema.add_ruleset(connection, now, ruleset)
-            connection.execute(league.update().values(ruleset=number))
-            schema.append(connection, [schema.present_record(ruleset.hash)])
+            number = add_ruleset(change, ruleset)
+            change.update(league, sa.true(), ruleset=number)
+            change.record([present_record(ruleset.hash)])
             others = (heats.c.ruleset != number) & (heats.c.purpose != "cup")
-            cancelled = queue.cancel(connection, others)
-            schema.log_event(connection, now, "league", "rules", ruleset.hash, cancelled=cancelled)
+            cancelled = queue.cancel(change, others)
+            change.log("league", "rules", ruleset.hash, cancelled=cancelled)
             return cancelled
 
     @property
@@ -146,7 +166,7 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
 
     def _done(self, entry: int | None) -> sa.ColumnElement[bool]:
         # By an index of states the database would sort all heats that are done.
-        match = heats.c.state.concat("") == "done"
+        match = self._shown(heats.c.number) & (heats.c.state.concat("") == "done")
         return match if entry is None else match & heats.c.number.in_(queue.of_entry(entry))
 
     def races(
@@ -166,13 +186,14 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
             entries: only those of heats with all these entries (numbers) in them.
         """
         ruleset = ruleset or self.settings.ruleset.hash
+        match = race_table.counted(ruleset, rated, entries) & self._shown(races.c.heat)
         with self._database.reading() as connection:
-            return race_table.read_races(connection, ruleset, since, rated=rated, entries=entries)
+            return race_table.read_races(connection, match, since)
 
     def drives(self, ruleset: str, *, since: int = 0) -> Drives:
         """Return how each car drove in the rated races under a ruleset; see `races`."""
         with self._database.reading() as connection:
-            return race_table.read_drives(connection, ruleset, since)
+            return race_table.read_drives(connection, race_table.counted(ruleset), since)
 
     def verify(self, head: str = "") -> Integrity:
         """Recompute all that standings use, and check it against documents, hashes and the ledger.
@@ -187,13 +208,72 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
     def revision(self) -> int:
         """A number that grows with whatever happens in the league: its events so far."""
         with self._database.reading() as connection:
-            return connection.scalar(sa.select(sa.func.max(schema.events.c.number))) or 0
+            return connection.scalar(sa.select(sa.func.max(events.c.number))) or 0
 
     def happened(self, since: int) -> set[str]:
         """Return what kinds of things happened after a `revision`."""
-        query = sa.select(schema.events.c.action).where(schema.events.c.number > since).distinct()
+        query = sa.select(events.c.action).where(events.c.number > since).distinct()
         with self._database.reading() as connection:
             return set(connection.scalars(query))
+
+
+class SeasonView(Store):
+    """The heats of one season that is over, with the rules, entries and seasons of its end."""
+
+    def __init__(self, store: Store, number: int) -> None:
+        """Show a season of a league, over the league's own connections.
+
+        Raises:
+            StoreError: there is no such season, or it is not over.
+        """
+        vars(self).update(vars(store))
+        known = store.seasons()
+        document = store.season_document(number) if 0 < number <= len(known) else None
+        if document is None:
+            over = [str(one.number) for one in known if one.ended_s is not None]
+            raise StoreError(
+                f"this league has no season {number} that is over: "
+                + (f"give {', '.join(over)}" if over else "none is over yet")
+            )
+        self.season = known[number - 1]
+        self.rows: list[dict[str, Any]] = document["standings"]["entries"]
+        """Its frozen standings, best first."""
+
+    @property
+    def settings(self) -> LeagueSettings:
+        """The league's settings, with the rules of the season."""
+        return replace(super().settings, ruleset=self.rulesets()[self.season.ruleset])
+
+    def seasons(self) -> list[Season]:
+        """Return the season and those before it."""
+        return super().seasons()[: self.season.number]
+
+    def cups(self) -> list[Cup]:
+        """Return the cups of these seasons."""
+        return [cup for cup in super().cups() if (cup.season or 0) <= self.season.number]
+
+    def entries(self, states: Sequence[EntryState] | None = None) -> list[LeagueEntry]:
+        """Return the entries that the league had then, those rated in the states they had."""
+        state_of = {row["number"]: row["state"] for row in self.rows}
+        ended_s = self.season.ended_s or 0.0
+        found = [
+            replace(entry, state=state_of.get(entry.number, entry.state), reason="")
+            for entry in super().entries()
+            if entry.created_s <= ended_s
+        ]
+        return [entry for entry in found if states is None or entry.state in states]
+
+    def counts(self) -> dict[HeatState, int]:
+        """Return how many heats of the season are done."""
+        return {"done": self.num_done()}
+
+    def drives(self, ruleset: str, *, since: int = 0) -> Drives:
+        """Return how each car drove up to the end of the season; see Store.drives."""
+        drives = super().drives(ruleset, since=since)
+        return drives.where(drives.heat <= (self.season.until or 0))
+
+    def _shown(self, heat: sa.ColumnElement[int]) -> sa.ColumnElement[bool]:
+        return (heat > self.season.after) & (heat <= (self.season.until or 0))
 
 
 def create(
@@ -217,32 +297,7 @@ def create(
         FolderBlobs(blobs)
     database = Database(url, clock)
     try:
-        schema.create_tables(database, name, ruleset or Ruleset(), blobs)
+        founding.create_tables(database, name, ruleset or Ruleset(), blobs)
     finally:
         database.close()
     return Store(url, clock=clock)
-
-
-def upgrade(url: str) -> list[str]:
-    """Bring the tables of an older league up to date, all of it or nothing; return what was done.
-
-    Raises:
-        StoreError: there is no league, or a newer program made it.
-    """
-    database = Database(url)
-    try:
-        version = schema.version_of(database)
-        with database.writing() as connection:
-            database.lock(connection)
-            steps = schema.migrate(connection)
-            if version < "0004":
-                steps.append(f"{race_table.fill_driven(connection)} races tell their incidents")
-            if version < "0003":
-                steps.append(f"{integrity.adopt(connection)} records begin the ledger")
-            if states := integrity.adopt_states(connection):
-                steps.append(f"states of {states} entries begin in the ledger")
-            if integrity.adopt_present(connection):
-                steps.append("the present rules begin in the ledger")
-            return steps
-    finally:
-        database.close()

@@ -14,9 +14,9 @@ import sqlalchemy as sa
 from league.errors import StoreError, brief
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.store import entries
-from league.matchmaking.store.database import Database, Transactional, made_of
+from league.matchmaking.store.database import Database, made_of
 from league.matchmaking.store.records import SCOPES, Scope, Token
-from league.matchmaking.store.schema import log_event, owners, tokens
+from league.matchmaking.store.schema import Transactional, owners, tokens
 
 PREFIX = "league_"
 """Begins every token, so that programs that look for leaked secrets can know one."""
@@ -56,17 +56,18 @@ class Tokens(Transactional):
                 f"{LONGEST_S / 86400:.0f}, or none for a token that does not end"
             )
         secret = PREFIX + secrets.token_urlsafe(32)
-        with self._writing(lock=True) as (connection, now):
+        with self._writing(lock=True) as change:
             row = {
                 "hash": _hash(secret),
-                "owner": entries.owner_number(connection, now, owner),
+                "owner": entries.owner_number(change, owner),
                 "scopes": " ".join(scope for scope in SCOPES if scope in scopes),
-                "created_s": now,
-                "expires_s": None if life_s is None else now + life_s,
+                "created_s": change.now,
+                "expires_s": None if life_s is None else change.now + life_s,
             }
-            connection.execute(tokens.insert().values(**row))
-            made = connection.execute(_with_owners().where(tokens.c.hash == row["hash"])).one()
-            log_event(connection, now, owner, "token", str(made.number), scopes=row["scopes"])
+            change.insert(tokens, row)
+            query = _with_owners().where(tokens.c.hash == row["hash"])
+            made = change.connection.execute(query).one()
+            change.log(owner, "token", str(made.number), scopes=row["scopes"])
         return secret, _token(made)
 
     def listed(self) -> list[Token]:
@@ -83,20 +84,21 @@ class Tokens(Transactional):
 
     def revoke(self, which: str) -> Token:
         """End a token, given by its number or its secret; return it as it is now."""
-        with self._writing() as (connection, now):
-            match = tokens.c.hash == _hash(which)
-            if which.isdecimal() and len(which) < 10:
-                match = tokens.c.number == int(which)
-            row = connection.execute(_with_owners().where(match)).one_or_none()
+        match = tokens.c.hash == _hash(which)
+        if which.isdecimal() and len(which) < 10:
+            match = tokens.c.number == int(which)
+        query = _with_owners().where(match)
+        with self._writing() as change:
+            row = change.connection.execute(query).one_or_none()
             if row is None:
                 raise StoreError(
                     "this league has no such token: give its number, as `league token list` "
                     "prints it, or the token itself"
                 )
             if row.revoked_s is None:
-                connection.execute(tokens.update().where(match).values(revoked_s=now))
-                log_event(connection, now, row.owner_name, "revoke", str(row.number))
-            return _token(connection.execute(_with_owners().where(match)).one())
+                change.update(tokens, match, revoked_s=change.now)
+                change.log(row.owner_name, "revoke", str(row.number))
+            return _token(change.connection.execute(query).one())
 
     def find(self, secret: str) -> Token | None:
         """Return the active token with this secret, and note that it is used; None for no such."""
@@ -108,8 +110,8 @@ class Tokens(Transactional):
         if token is None or token.state(now) != "active":
             return None
         if token.used_s is None or now - token.used_s > USED_EVERY_S:
-            with self._database.writing() as connection:
-                connection.execute(tokens.update().where(match).values(used_s=now))
+            with self._writing() as change:
+                change.update(tokens, match, used_s=now)
         return token
 
 

@@ -1,4 +1,4 @@
-"""The first tables: leagues of that version have them, and schema.create_tables makes new ones."""
+"""The first tables: leagues of that version have them, and founding.create_tables makes new ones."""
 
 revision = "0001"
 down_revision = None
