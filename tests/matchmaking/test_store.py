@@ -81,6 +81,8 @@ def test_a_newer_league_is_refused(url):
     match = f"version 0999, this program knows {founding.SCHEMA}: install a newer"
     with pytest.raises(StoreError, match=match):
         store.Store(url)
+    with pytest.raises(StoreError, match="version 0999, which this program cannot bring up"):
+        store.upgrade(url)
 
 
 def test_an_older_league_says_how_to_bring_it_up_to_date(url):

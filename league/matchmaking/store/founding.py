@@ -100,7 +100,7 @@ def upgrade(url: str) -> list[str]:
     """Bring the tables of an older league up to date, all of it or nothing; return what was done.
 
     Raises:
-        StoreError: there is no league, or a newer program made it.
+        StoreError: there is no league, or a version of the program made it that is not known.
     """
     from alembic.operations import Operations
 
@@ -109,16 +109,20 @@ def upgrade(url: str) -> list[str]:
         version, done = version_of(database), list[str]()
         with changing(database, lock=True) as change:
             context, steps = _migrations(change.connection)
-            newer = list(steps.iterate_revisions("head", context.get_current_revision()))
+            if version not in {step.revision for step in steps.walk_revisions()}:
+                raise StoreError(
+                    f"the league in {database.shown} has tables of version {version}, which this "
+                    "program cannot bring up to date: use the version that made it"
+                )
+            newer = list(steps.iterate_revisions("head", version))
             with Operations.context(context):
                 for step in newer[::-1]:
                     step.module.upgrade()
                     context.stamp(steps, step.revision)
                     done.append(f"version {step.revision}: {step.doc}")
-            if version < "0004":
+            if version < SCHEMA:
                 filled = race_table.fill_driven(change.connection)
                 done.append(f"{filled} races tell their incidents")
-            if version < "0003":
                 done.append(f"{integrity.adopt(change)} records begin the ledger")
             if states := integrity.adopt_states(change):
                 done.append(f"states of {states} entries begin in the ledger")

@@ -1,4 +1,4 @@
 """The first tables: leagues of that version have them, and founding.create_tables makes new ones."""
 
-revision = "0001"
+revision = "0002"
 down_revision = None
