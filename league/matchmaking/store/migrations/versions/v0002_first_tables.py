@@ -1,4 +1,4 @@
-"""The first tables: leagues of that version have them, and founding.create_tables makes new ones."""
+"""The first tables, which leagues of that version have; founding.create_tables makes newer ones."""
 
 revision = "0002"
 down_revision = None
