@@ -38,7 +38,6 @@ class SeededHeat:
     """A heat that is raced outside the season."""
 
     heat: Heat
-    """Races, with the grid reversed in the second."""
     seeds: tuple[int, ...]
     """Seed of each race."""
 
@@ -84,9 +83,8 @@ def audit(
     They do not wait in the queue, but the store receives them as if they had.
     """
     store.plan([one.heat for one in audits])
-    entries = {entry.id: entry for entry in store.entries()}
-    ids = {id for one in audits for id in one.heat.entries}
-    field = {id: heat_driver(store, entries[id]) for id in ids}
+    raced = {id for one in audits for id in one.heat.entries}
+    field = {one.id: heat_driver(store, one) for one in store.entries() if one.id in raced}
     verdicts = Counter[str]()
 
     def judge(outcome: HeatOutcome) -> bool:
@@ -128,9 +126,7 @@ def race(
     rules = store.settings.ruleset
     check_physics(rules, "this league")
     waiting, failures = deque(range(len(heats))), Counter[int]()
-    running: dict[str, int] = {}
-    outcomes: dict[int, HeatOutcome] = {}
-    watched = 0
+    running, outcomes, watched = dict[str, int](), dict[int, HeatOutcome](), 0
     while len(outcomes) < len(heats):
         while executor.free and waiting:
             number = waiting.popleft()
@@ -192,12 +188,12 @@ class GauntletResult:
 
 def opponents(store: Store, *, most: int = 8) -> list[LeagueEntry]:
     """Return opponents for a gauntlet: rated entries evenly spread over the table."""
-    entries = {e.number: e for e in store.entries(RATED)}
+    entries = {entry.number: entry for entry in store.entries(RATED)}
     try:
-        table = standings.of(store)
-        ordered = [entries[row.number] for row in table.rows if row.number in entries]
+        order = [row.number for row in standings.of(store).rows]
     except StoreError:
-        ordered = list(entries.values())
+        order = list(entries)
+    ordered = [entries[number] for number in order if number in entries]
     if not ordered:
         raise StoreError("there is no entry to race in this league yet: submit entries first")
     spread = np.unique(np.linspace(0, len(ordered) - 1, min(most, len(ordered))).round())
@@ -225,7 +221,7 @@ def gauntlet(
         for number, entry in enumerate(field)
     ]
     outcomes = race(executor, store, heats, contestants, watch=watch)
-    return _placed(store, own.id, field, heats, outcomes)
+    return _placed(store, own.id, field, heats[: len(outcomes)], outcomes)
 
 
 def _placed(
@@ -239,10 +235,9 @@ def _placed(
     entries = store.entries()
     number_of = {entry.id: entry.number for entry in entries}
     own = number_of[newcomer] = max(number_of.values()) + 1
-    within = scope(store)
-    fitted = _fit_with(within, heats[: len(outcomes)], outcomes, number_of, entries)
+    fitted = _fit_with(scope(store), heats, outcomes, number_of, entries)
     points: dict[str, list[float]] = {entry.id: [] for entry in field}
-    for one, outcome in zip(heats, outcomes, strict=False):
+    for one, outcome in zip(heats, outcomes, strict=True):
         other = next(id for id in one.heat.entries if id != newcomer)
         points[other] += points_of(one.heat, outcome, newcomer)
     at = fitted.index(own)
@@ -266,19 +261,14 @@ def _fit_with(
 ) -> Ratings:
     """Return the fit of a season with some heats more, of at least a newcomer's spread."""
     season = standings.results_of(within.races)
-    width = season.entries.shape[1]
-    numbers, grids, places = [], [], []
-    for number, (one, outcome) in enumerate(
-        zip(heats, outcomes, strict=True), int(season.heats.max(initial=0)) + 1
-    ):
-        for half, result in zip(one.heat.halves, outcome.races, strict=True):
-            numbers.append(number)
-            grids.append([number_of[id] for id in half.grid] + [-1] * (width - 2))
-            places.append([*result.places] + [0] * (width - 2))
+    first = int(season.heats.max(initial=0)) + 1
+    grids = [[number_of[id] for id in half.grid] for one in heats for half in one.heat.halves]
+    places = [result.places for outcome in outcomes for result in outcome.races]
+    room = ((0, 0), (0, season.entries.shape[1] - 2))  # a duel has two cars, others may have more
     both = Results(
-        heats=np.append(season.heats, np.array(numbers, dtype=np.int64)),
-        entries=np.concatenate([season.entries, np.array(grids, dtype=np.int64)]),
-        places=np.concatenate([season.places, np.array(places, dtype=np.int64)]),
+        heats=np.append(season.heats, np.repeat(np.arange(first, first + len(heats)), 2)),
+        entries=np.concatenate([season.entries, np.pad(grids, room, constant_values=-1)]),
+        places=np.concatenate([season.places, np.pad(places, room)]),
     )
     anchor = standings.anchor_of(both.entries, entries)
     fitted = ratings.fit(both, anchor=anchor, carried=within.carried)

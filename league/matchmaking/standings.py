@@ -13,8 +13,7 @@ from league.errors import StoreError, brief
 from league.matchmaking.ratings import Carried, RatingData, Ratings, Results, expected_score, fit
 from league.matchmaking.ratings import updated as updated_ratings
 from league.matchmaking.ratings.goodness_of_fit import Goodness, goodness_of_fit
-from league.matchmaking.runs import Runs
-from league.matchmaking.scope import RatingScope, scope
+from league.matchmaking.scope import RatingScope, Runs, scope
 from league.matchmaking.store import (
     RATED,
     EntryState,

@@ -41,8 +41,7 @@ MAX_PICTURE = 160 * 120
 def pack(given: Checkpoint) -> bytes:
     """Return a checkpoint as the bytes of an entry; the same content gives the same bytes.
 
-    Raises:
-        PolicyError: the card is too long for the header.
+    A card that is too long for the header is a PolicyError.
     """
     from safetensors.numpy import save
 
@@ -57,11 +56,7 @@ def pack(given: Checkpoint) -> bytes:
 
 
 def unpack(content: bytes, what: str = "the submission") -> Checkpoint:
-    """Return the checkpoint in a stranger's entry, every part of it checked.
-
-    Raises:
-        PolicyError: it is no entry, or not a sound one.
-    """
+    """Return the checkpoint in a stranger's entry; a PolicyError if any part is not sound."""
     from safetensors import SafetensorError, deserialize
 
     with checkpoint.refusing(what, "submit a checkpoint with `league submit FILE.pt`"):
@@ -98,11 +93,7 @@ def unpack(content: bytes, what: str = "the submission") -> Checkpoint:
 def probe(given: Checkpoint, what: str = "the submission") -> float:
     """Let a policy decide in made-up situations: finite, the same twice, and fast enough.
 
-    Returns:
-        Time of its fastest decision [s of one core].
-
-    Raises:
-        PolicyError: it is not.
+    Returns the time of its fastest decision [s of one core], or raises a PolicyError.
     """
     policy = Policy(given, SimConfig().car)
     fastest = float("inf")
@@ -146,10 +137,9 @@ def _situations(card: Card) -> list[dict[str, np.ndarray]]:
 
 
 def check_sensors(sensors: SensorConfig, ruleset: Ruleset) -> None:
-    """Refuse sensors that a league's cars do not carry.
+    """Refuse sensors (PolicyError) that a league's cars do not carry.
 
-    Raises:
-        PolicyError: they are not stock: a mount, lens, rate or scan of their own.
+    Stock sensors have no mount, lens, rate or scan of their own.
     """
     if sensors.truth:
         raise PolicyError(

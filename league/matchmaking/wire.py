@@ -203,11 +203,7 @@ def lent(
 
 
 def record_of(sent: LentHeat, worker: str) -> HeatRecord:
-    """Return a heat that came over the wire.
-
-    Raises:
-        StoreError: its key is not that of its content.
-    """
+    """Return a heat that came over the wire; a StoreError if its key is not its content's."""
     halves = tuple(Half(one.track, one.grid) for one in sent.races)
     heat = Heat(sent.ruleset, halves, sent.draw, cast("Purpose", sent.purpose), sent.audits)
     if heat.key != sent.key:
@@ -253,10 +249,7 @@ def outcome_of(sent: SentHeat, record: HeatRecord, names: Mapping[str, str]) -> 
     """Return the results that a stranger's worker sent, checked as far as one can without racing.
 
     A recording must be of this race, with the names of its entries (given by id), and the result
-    must be what follows from it.
-
-    Raises:
-        StoreError: they contradict the heat, or each other.
+    must be what follows from it; results that contradict the heat, or each other, are a StoreError.
     """
     halves, seeds = record.heat.halves, record.seeds or ()
     if len(sent.races) != len(halves):
@@ -293,11 +286,7 @@ def _check_recording(
 
 
 def checked(model: type[_Answer], content: bytes) -> _Answer:
-    """Return a server's answer, checked.
-
-    Raises:
-        StoreError: it is not what a league of this version answers.
-    """
+    """Return a server's answer; a StoreError if a league of this version does not answer so."""
     try:
         return TypeAdapter(model).validate_json(content)
     except ValidationError as error:

@@ -83,7 +83,10 @@ def verify(connection: sa.Connection, head: str = "") -> Integrity:
     found.mismatches += [f"{kind} {name[:12]}: not in the ledger" for kind, name in missing]
     for row in connection.execute(sa.select(entries.entries).order_by(entries.entries.c.number)):
         # Of entries from before states were recorded, the ledger knows none until they change.
-        if row.id in states and states[row.id] != _state_record(row).subject:
+        if (
+            row.id in states
+            and states[row.id] != state_record(row.id, row.state, row.reason).subject
+        ):
             found.mismatches.append(
                 f"entry {row.name!r}: it is {row.state}, and the ledger has another state or reason"
             )
@@ -237,10 +240,6 @@ def _read(found: Integrity, row: Any) -> PackedResult | None:  # noqa: ANN401
     return None
 
 
-def _state_record(row: Any) -> LedgerRecord:  # noqa: ANN401
-    return state_record(row.id, row.state, row.reason)
-
-
 def _present(connection: sa.Connection) -> str | None:
     """Return the hash of the present rules; None if they are missing."""
     query = sa.select(rulesets.c.hash).join(
@@ -265,7 +264,7 @@ def adopt_states(change: Change) -> int:
     known = {subject.split("/")[0] for subject in change.connection.scalars(recorded)}
     query = sa.select(entries.entries).order_by(entries.entries.c.number)
     rows = [row for row in change.connection.execute(query) if row.id not in known]
-    change.record(map(_state_record, rows))
+    change.record(state_record(row.id, row.state, row.reason) for row in rows)
     return len(rows)
 
 

@@ -104,7 +104,8 @@ class QueueStore(Transactional):
                 attempts=heats.c.attempts + 1,
             )
             change.log(worker, "claim", "", heats=numbers)
-            lent = self._read(change.connection, heats.c.number.in_(numbers))
+            rows = change.connection.execute(with_rules().where(heats.c.number.in_(numbers)))
+            lent = self._records(change.connection, rows)
             lent.sort(key=lambda record: numbers.index(record.number))
             return [replace(record, seeds=self.seeds(record.heat)) for record in lent]
 
@@ -142,13 +143,8 @@ class QueueStore(Transactional):
     def fail(self, worker: str, key: str, traceback: str, *, lost: bool = False) -> HeatState:
         """Hand back a heat that could not be raced, and return its state: planned, or error.
 
-        A worker that has lost the lease changes nothing.
-
-        Args:
-            worker: the one that claimed it.
-            key: of the heat.
-            traceback: why it could not be raced.
-            lost: its worker was killed, so that this is no failed try of the heat.
+        A worker that has lost the lease changes nothing. If it was killed (`lost`), that is no
+        failed try of the heat.
         """
         check_worker(worker)
         with self._writing() as change:
@@ -231,10 +227,9 @@ class QueueStore(Transactional):
 
     def heats_by_key(self, keys: Sequence[str]) -> list[HeatRecord]:
         """Return those of some heats that are known, by number."""
-        records: list[HeatRecord] = []
-        for start in range(0, len(keys), BATCH):
-            records += self._heats(heats.c.key.in_(keys[start : start + BATCH]))
-        return sorted(records, key=lambda record: record.number)
+        with self._database.reading() as connection:
+            rows = chunked(connection, with_rules(), heats.c.key, list(keys))
+            return self._records(connection, rows)
 
     def counts(self) -> dict[HeatState, int]:
         """Return how many heats are in each state."""
@@ -245,20 +240,13 @@ class QueueStore(Transactional):
     def _heats(
         self, match: sa.ColumnElement[bool], limit: int | None = None, *, newest: bool = False
     ) -> list[HeatRecord]:
-        match &= self._shown(heats.c.number)
+        query = with_rules().where(match, self._shown(heats.c.number)).limit(limit)
+        query = query.order_by(heats.c.number.desc() if newest else heats.c.number)
         with self._database.reading() as connection:
-            return self._read(connection, match, limit, newest=newest)
+            return self._records(connection, connection.execute(query))
 
-    def _read(
-        self,
-        connection: sa.Connection,
-        match: sa.ColumnElement[bool],
-        limit: int | None = None,
-        *,
-        newest: bool = False,
-    ) -> list[HeatRecord]:
-        order = heats.c.number.desc() if newest else heats.c.number
-        found = connection.execute(with_rules().where(match).order_by(order).limit(limit))
+    def _records(self, connection: sa.Connection, found: Iterable[Any]) -> list[HeatRecord]:
+        """Return the heats in rows of `with_rules`, by number."""
         rows = [(row, json.loads(row.halves)) for row in found]
         numbers = {number for _, halves in rows for _, grid in halves for number in grid}
         if not numbers <= self._entry_ids.keys():
@@ -308,7 +296,33 @@ def _plan(change: Change, planned: Sequence[Heat]) -> int:
     audited = [heat.audits for heat in planned if heat.audits]
     audited_rows = chunked(connection, by_key.where(has_results), heats.c.key, audited)
     audited_of = {row.key: row.number for row in audited_rows}
-    rows = [_row(heat, change.now, ruleset_of, number_of, audited_of) for heat in planned]
+    rows: list[dict[str, Any]] = []
+    for heat in planned:
+        if heat.ruleset not in ruleset_of:
+            raise StoreError(
+                f"a heat under the ruleset {heat.ruleset[:12]} was planned, which this league does "
+                "not have: set the league's ruleset first"
+            )
+        if heat.audits and heat.audits not in audited_of:
+            raise StoreError(
+                f"an audit of heat {heat.audits[:12]} was planned, which has no results here: "
+                "audit a heat that is done"
+            )
+        halves = [[half.track, [number_of[entry] for entry in half.grid]] for half in heat.halves]
+        row = {
+            "key": heat.key,
+            "ruleset": ruleset_of[heat.ruleset],
+            "purpose": heat.purpose,
+            "priority": PRIORITY[heat.purpose],
+            "halves": json.dumps(halves, separators=(",", ":")),
+            "draw": heat.draw,
+            "audits": audited_of.get(heat.audits),
+            "state": "planned",
+            "attempts": 0,
+            "traceback": "",
+            "created_s": change.now,
+        }
+        rows.append(row)
     before = connection.scalar(sa.select(sa.func.coalesce(sa.func.max(heats.c.number), 0)))
     change.insert_new(heats, *rows)
     entries_of = {heat.key: heat.entries for heat in planned}
@@ -323,39 +337,6 @@ def _plan(change: Change, planned: Sequence[Heat]) -> int:
     if added:
         change.log("league", "plan", "", heats=len(added))
     return len(added)
-
-
-def _row(
-    heat: Heat,
-    now: float,
-    ruleset_of: Mapping[str, int],
-    number_of: Mapping[str, int],
-    audited_of: Mapping[str, int],
-) -> dict[str, Any]:
-    if heat.ruleset not in ruleset_of:
-        raise StoreError(
-            f"a heat under the ruleset {heat.ruleset[:12]} was planned, which this league does "
-            "not have: set the league's ruleset first"
-        )
-    if heat.audits and heat.audits not in audited_of:
-        raise StoreError(
-            f"an audit of heat {heat.audits[:12]} was planned, which has no results here: "
-            "audit a heat that is done"
-        )
-    halves = [[half.track, [number_of[entry] for entry in half.grid]] for half in heat.halves]
-    return {
-        "key": heat.key,
-        "ruleset": ruleset_of[heat.ruleset],
-        "purpose": heat.purpose,
-        "priority": PRIORITY[heat.purpose],
-        "halves": json.dumps(halves, separators=(",", ":")),
-        "draw": heat.draw,
-        "audits": audited_of.get(heat.audits),
-        "state": "planned",
-        "attempts": 0,
-        "traceback": "",
-        "created_s": now,
-    }
 
 
 def _impartial(owner: str) -> tuple[sa.ColumnElement[bool], ...]:

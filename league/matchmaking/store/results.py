@@ -143,7 +143,7 @@ def _take_in(
     query = sa.select(heats).order_by(heats.c.number).with_for_update()
     sent_keys = [key for key, _ in batch]
     rows = {row.key: row for row in chunked(change.connection, query, heats.c.key, sent_keys)}
-    intake = _intake(change.connection, sorted({row.audits or row.number for row in rows.values()}))
+    intake = _intake(change.connection, {row.audits or row.number for row in rows.values()})
     keys: dict[str, list[str]] = {verdict: [] for verdict in Received.__dataclass_fields__}
     for key, sent in batch:
         if key not in rows:
@@ -160,28 +160,23 @@ def _take_in(
     return Received(**{verdict: tuple(some) for verdict, some in keys.items()})
 
 
-def _intake(connection: sa.Connection, targets: list[int]) -> _Intake:
+def _intake(connection: sa.Connection, targets: set[int]) -> _Intake:
+    rules = connection.execute(sa.select(rulesets.c.number, rulesets.c.settings))
     intake = _Intake(
         known={number: set() for number in targets},
         before={number: set() for number in targets},
         machines={number: set() for number in targets},
-        tracks=tracks_of(connection),
+        tracks={number: tuple(json.loads(text)["tracks"]) for number, text in rules},
     )
     stored = sa.select(
         results.c.heat, results.c.half, results.c.hash, results.c.rejected, results.c.machine
     )
-    for row in chunked(connection, stored, results.c.heat, targets):
+    for row in chunked(connection, stored, results.c.heat, sorted(targets)):
         intake.before[row.heat].add((row.half, row.hash))
         if not row.rejected:
             intake.known[row.heat].add((row.half, row.hash))
             intake.machines[row.heat].add(row.machine)
     return intake
-
-
-def tracks_of(connection: sa.Connection) -> dict[int, tuple[str, ...]]:
-    """Return the tracks of each ruleset, by its number."""
-    query = sa.select(rulesets.c.number, rulesets.c.settings)
-    return {number: tuple(json.loads(text)["tracks"]) for number, text in connection.execute(query)}
 
 
 def _judge(
@@ -292,7 +287,12 @@ def _write(change: Change, intake: _Intake) -> None:
     change.record(ledger_record(key_of[row["heat"]], row) for row in intake.new_results)
     change.insert(races, *intake.new_races)
     for heat, kept in intake.settled.items():
-        _settle(change, heat, kept)
+        is_kept = [(results.c.half == half) & (results.c.hash == hash) for half, hash in kept]
+        change.update(results, results.c.heat == heat, rejected=sa.not_(sa.or_(*is_kept)))
+        change.record([settlement(heat, kept)])
+        # Audits of it that differed are done: a third worker has judged them.
+        audits = (heats.c.audits == heat) & (heats.c.state == "quarantined")
+        change.update(heats, audits, state="done")
     changed = {
         "done": intake.done,
         "quarantined": intake.disputed,
@@ -304,15 +304,6 @@ def _write(change: Change, intake: _Intake) -> None:
             change.update(heats, over, state=state, lease_s=None, done_s=change.now)
     if intake.disputed:
         change.connection.execute(races.delete().where(races.c.heat.in_(intake.disputed)))
-
-
-def _settle(change: Change, heat: int, kept: set[tuple[int, str]]) -> None:
-    """Keep some results of a heat and reject the others; audits of it that differed are done."""
-    keep = sa.or_(*((results.c.half == half) & (results.c.hash == hash) for half, hash in kept))
-    change.update(results, results.c.heat == heat, rejected=sa.not_(keep))
-    change.record([settlement(heat, kept)])
-    audits = (heats.c.audits == heat) & (heats.c.state == "quarantined")
-    change.update(heats, audits, state="done")
 
 
 def settlement(heat: int, kept: Iterable[tuple[int, str]]) -> LedgerRecord:

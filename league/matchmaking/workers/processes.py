@@ -59,20 +59,18 @@ class ProcessExecutor(SlotExecutor[_Process]):
         self._slots = []
 
     def _begin(self, slot: _Process) -> None:
-        if slot.ready:
-            self._send(slot)
+        if not slot.ready:
+            return
+        try:
+            slot.pipe.send(slot.job)
+        except OSError:  # it died while it was idle
+            self._replace(slot)
 
     def _ended(self, busy: Sequence[_Process], timeout_s: float) -> list[HeatReport]:
         slot_of = {slot.pipe: slot for slot in busy}
         pipes = connection.wait(list(slot_of), timeout_s)
         reports = [self._read(slot_of[pipe]) for pipe in pipes if isinstance(pipe, Connection)]
         return [report for report in reports if report is not None]
-
-    def _send(self, slot: _Process) -> None:
-        try:
-            slot.pipe.send(slot.job)
-        except OSError:  # it died while it was idle
-            self._replace(slot)
 
     def _read(self, slot: _Process) -> HeatReport | None:
         """Return the report on a worker's job; None if the worker has only just started."""
@@ -87,7 +85,7 @@ class ProcessExecutor(SlotExecutor[_Process]):
             return None
         if report is None:
             slot.ready, slot.failed_starts = True, 0
-            self._send(slot)
+            self._begin(slot)
         else:
             slot.job = None
         return report
