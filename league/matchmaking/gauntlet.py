@@ -118,10 +118,8 @@ def race(
 ) -> list[HeatOutcome]:
     """Race heats of a field (by id) that are not in the store's queue; return their outcomes.
 
-    `watch` is called with each outcome in the order of the heats; False ends it early.
-
-    Raises:
-        StoreError: a heat could not be raced three times in a row.
+    `watch` is called with each outcome in the order of the heats; False ends it early. A heat that
+    could not be raced three times in a row is a StoreError.
     """
     rules = store.settings.ruleset
     check_physics(rules, "this league")

@@ -208,18 +208,10 @@ def accept(
     *,
     download: bool = False,
 ) -> LeagueEntry:
-    """Check what an owner sent, and enter it; nothing is kept if it is refused.
+    """Check what an owner sent, as `pack` makes it, and enter it; nothing is kept if it is refused.
 
-    Args:
-        store: the league.
-        content: an entry, as `pack` makes it.
-        name: shown to people.
-        owner: its owner.
-        quota: how much the owner may enter; None for any number.
-        download: whether everyone may have the weights.
-
-    Raises:
-        LeagueError: it is not sound, its sensors are not stock, or its name is taken.
+    With `download` everyone may have its weights. A LeagueError says that it is not sound, that
+    its sensors are not stock, that its name is taken, or that the owner's quota is used up.
     """
     what = f"the submission {brief(name)}"
     policy = unpack(content, what)

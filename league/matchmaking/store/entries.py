@@ -92,8 +92,7 @@ class EntryStore(BlobStore):
     def entry(self, text: str) -> LeagueEntry:
         """Return the entry with this name, id, or beginning of an id (6 digits or more).
 
-        Raises:
-            StoreError: none has it, or several; it names the nearest.
+        If none or several have it, a StoreError names the nearest.
         """
         match = entries.c.name == text
         if len(text) >= 6 and set(text) <= set("0123456789abcdef"):
@@ -185,8 +184,7 @@ def _check_free(connection: sa.Connection, name: str) -> None:
 def owner_number(change: Change, name: str) -> int:
     """Return the number of an owner, who is added if new.
 
-    Raises:
-        StoreError: the name cannot be shown, or passes for that of another owner.
+    A new name that cannot be shown, or passes for that of another owner, is a StoreError.
     """
     query = sa.select(owners.c.number).where(owners.c.name == name)
     number = change.connection.scalar(query)
@@ -204,11 +202,7 @@ def owner_number(change: Change, name: str) -> int:
 
 
 def check_quota(change: Change, owner: str, quota: Quota) -> None:
-    """Refuse one more entry of an owner who has as many as are allowed.
-
-    Raises:
-        QuotaError: there are as many in the league, or as many came within 24 hours.
-    """
+    """Refuse one more entry (QuotaError) of an owner who has as many, now or within 24 hours."""
     rows = change.connection.execute(
         sa.select(entries.c.state, entries.c.created_s)
         .join(owners, owners.c.number == entries.c.owner)

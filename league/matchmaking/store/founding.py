@@ -99,8 +99,7 @@ def check_version(database: Database) -> None:
 def upgrade(url: str) -> list[str]:
     """Bring the tables of an older league up to date, all of it or nothing; return what was done.
 
-    Raises:
-        StoreError: there is no league, or a version of the program made it that is not known.
+    A StoreError says that there is no league, or that its version is not known.
     """
     from alembic.operations import Operations
 

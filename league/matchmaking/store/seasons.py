@@ -47,10 +47,7 @@ class SeasonStore(Transactional):
         """Begin a season with the heats after the last one's; the first one has all heats so far.
 
         An empty name is its number. If the rules stayed, entries begin in the divisions that they
-        were in.
-
-        Raises:
-            StoreError: one is running, or has this name.
+        were in. While one is running, or if one has this name, that is a StoreError.
         """
         with self._writing(lock=True) as change:
             known = listed(change.connection)
@@ -126,10 +123,7 @@ class SeasonStore(Transactional):
         """Begin a cup under some rules; an empty name is its number.
 
         Its seed follows from the running season's seed, without one from the league's secret, and
-        from its number.
-
-        Raises:
-            StoreError: the name cannot be shown, or is taken.
+        from its number. A name that cannot be shown, or is taken, is a StoreError.
         """
         with self._writing(lock=True) as change:
             number = len(cups_listed(change.connection)) + 1
@@ -177,11 +171,7 @@ def listed(connection: sa.Connection) -> list[Season]:
 
 
 def free_name(change: Change, table: sa.Table, name: str, what: str) -> str:
-    """Return a name that can be shown and that none of a table's rows has.
-
-    Raises:
-        StoreError: it cannot be shown, or is taken.
-    """
+    """Return a name if it can be shown and none of a table's rows has it, else a StoreError."""
     check_printable(name, f"the name of {what}")
     taken = sa.select(table.c.number).where(table.c.name == name)
     if change.connection.scalar(taken) is not None:

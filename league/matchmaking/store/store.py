@@ -58,8 +58,7 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
             url: sqlite:///league.db, a bare file name, or postgresql://user@host/database.
             clock: returns the time [s since 1970], for tests; by default the database's.
 
-        Raises:
-            StoreError: no league there, of another version, or no database at all.
+        A StoreError says that there is no league of this version, or no database at all.
         """
         self._database = Database(url, clock)
         try:
@@ -113,8 +112,7 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
     def set_ruleset(self, ruleset: Ruleset) -> int:
         """Race under other rules from now on; return how many waiting heats this cancels.
 
-        Raises:
-            StoreError: a season under the present rules is running.
+        While a season under the present rules is running, that is a StoreError.
         """
         with self._writing(lock=True) as change:
             season = next(iter(seasons.listed(change.connection)[::-1]), None)
@@ -139,12 +137,9 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
     # What happened
 
     def done(self, *, entry: int | None, skip: int, limit: int) -> list[HeatRecord]:
-        """Return heats that are done, the newest first.
+        """Return up to `limit` heats that are done, of all or one entry (its number).
 
-        Args:
-            entry: number of an entry: only its heats.
-            skip: so many of the newest ones are left out.
-            limit: so many at most.
+        The newest come first, and `skip` of them are left out.
         """
         query = sa.select(heats.c.number).where(self._done(entry)).order_by(heats.c.number.desc())
         with self._database.reading() as connection:
@@ -198,8 +193,7 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
     def verify(self, head: str = "") -> Integrity:
         """Recompute all that standings use, and check it against documents, hashes and the ledger.
 
-        Args:
-            head: `Integrity.head` of an earlier check, which the ledger must still have.
+        The ledger must still have the `Integrity.head` of an earlier check, if it is given.
         """
         with self._database.reading() as connection:
             return integrity.verify(connection, head)
@@ -221,11 +215,7 @@ class SeasonView(Store):
     """The heats of one season that is over, with the rules, entries and seasons of its end."""
 
     def __init__(self, store: Store, number: int) -> None:
-        """Show a season of a league, over the league's own connections.
-
-        Raises:
-            StoreError: there is no such season, or it is not over.
-        """
+        """Show a season of a league that is over (else a StoreError), over its connections."""
         vars(self).update(vars(store))
         known = store.seasons()
         document = store.season_document(number) if 0 < number <= len(known) else None

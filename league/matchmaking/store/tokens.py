@@ -35,15 +35,10 @@ class Tokens(Transactional):
     def create(
         self, owner: str, scopes: Sequence[Scope], *, life_s: float | None = None
     ) -> tuple[str, Token]:
-        """Make a token and return its secret, which is not kept, and what is kept.
+        """Make a token of an owner, known or new; return its secret, which is not kept, and it.
 
-        Args:
-            owner: name of the owner it stands for; a new one is added.
-            scopes: what it allows.
-            life_s: it ends after this time [s]; None for never.
-
-        Raises:
-            StoreError: the name cannot be an owner's, a scope is unknown, or its life impossible.
+        It ends after `life_s` [s]; None is never. An impossible name, scope or life is a
+        StoreError.
         """
         unknown = next((scope for scope in scopes if scope not in SCOPES), "" if scopes else "none")
         if unknown:

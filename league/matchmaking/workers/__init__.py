@@ -56,8 +56,7 @@ class SlotExecutor(Generic[AnySlot]):
     def wait(self, timeout_s: float) -> list[HeatReport]:
         """Return reports of jobs that ended; the job of a worker that died failed.
 
-        Raises:
-            ConfigError: no worker can be started.
+        If no worker can be started, that is a ConfigError.
         """
         busy = [slot for slot in self._slots if slot.job]
         if not busy:
@@ -101,11 +100,7 @@ Executor = SlotExecutor[Any]
 
 
 def make_executor(name: Literal["processes", "ray"], num_workers: int) -> Executor:
-    """Start workers.
-
-    Raises:
-        ConfigError: none or far too many were asked for, or Ray is not installed.
-    """
+    """Start workers; a ConfigError for none or far too many, or if Ray is not installed."""
     cores = os.cpu_count() or 1
     most = MOST_ACTORS if name == "ray" else max(8, WORKERS_PER_CORE * cores)
     if not 1 <= num_workers <= most:

@@ -74,11 +74,7 @@ class Dispatcher:
     ) -> None:
         """Take workers into service.
 
-        Args:
-            store: the league.
-            executor: races the heats.
-            lease_s: lease of a heat [s]; renewed every `lease_s / 6`.
-            keep_replays: whether recordings are stored.
+        The lease of a heat, `lease_s` [s], is renewed six times while it lasts.
         """
         self._store, self._executor = store, executor
         self.name = f"{socket.gethostname()[:60]}-{os.getpid()}-{secrets.token_hex(3)}"
@@ -93,9 +89,7 @@ class Dispatcher:
     def step(self, timeout_s: float = 0.5, *, claim: int | None = None) -> list[FinishedHeat]:
         """Give heats to idle workers, wait for reports, and hand in what ended.
 
-        Args:
-            timeout_s: longest wait for reports [s].
-            claim: claim at most so many more heats.
+        At most `claim` more heats are claimed; reports are waited for `timeout_s` [s] at most.
         """
         wanted = self._executor.free if claim is None else min(claim, self._executor.free)
         finished = self._begin(wanted) if wanted > 0 else []
