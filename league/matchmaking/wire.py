@@ -19,7 +19,7 @@ from league.matchmaking.store import (
     LeagueEntry,
     RaceOutcome,
 )
-from league.matchmaking.workers.worker import outcome_in
+from league.matchmaking.workers.worker import race_outcome
 from league.race_spec import CarResult, FrozenModel, printable
 from league.sim.config import MAX_CARS
 
@@ -281,7 +281,7 @@ def _check_recording(
     spec = replay.result.spec
     if (spec.track, spec.seed, [one.name for one in spec.entries]) != (half.track, seed, names):
         raise StoreError(f"a recording of heat {number} is of another race: send its own")
-    if outcome_in(replay.result, replay.columns, outcome.replay) != outcome:
+    if race_outcome(replay, outcome.replay) != outcome:
         raise StoreError(f"a result of heat {number} does not follow from its recording: send both")
 
 

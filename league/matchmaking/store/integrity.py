@@ -83,10 +83,8 @@ def verify(connection: sa.Connection, head: str = "") -> Integrity:
     found.mismatches += [f"{kind} {name[:12]}: not in the ledger" for kind, name in missing]
     for row in connection.execute(sa.select(entries.entries).order_by(entries.entries.c.number)):
         # Of entries from before states were recorded, the ledger knows none until they change.
-        if (
-            row.id in states
-            and states[row.id] != state_record(row.id, row.state, row.reason).subject
-        ):
+        now = state_record(row.id, row.state, row.reason).subject
+        if states.get(row.id, now) != now:
             found.mismatches.append(
                 f"entry {row.name!r}: it is {row.state}, and the ledger has another state or reason"
             )
@@ -160,6 +158,7 @@ def _check_heats(
     num_results: Counter[int],
     settled: dict[int, set[str]],
 ) -> None:
+    """Check heats, given what the ledger has of each: results, and those a settled dispute kept."""
     tracks = _sound_tracks(connection, found)
     id_of = {row.number: row.id for row in connection.execute(entries.with_owners())}
     query = with_rules().order_by(heats.c.number).limit(BLOCK)
