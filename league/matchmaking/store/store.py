@@ -14,7 +14,7 @@ from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.store import founding, integrity, queue, race_table, seasons
 from league.matchmaking.store.blobs import FolderBlobs
 from league.matchmaking.store.database import Database
-from league.matchmaking.store.entries import EntryStore
+from league.matchmaking.store.entries import EntryStore, Tokens
 from league.matchmaking.store.integrity import Integrity
 from league.matchmaking.store.queue import QueueStore
 from league.matchmaking.store.records import (
@@ -40,7 +40,6 @@ from league.matchmaking.store.schema import (
     rulesets,
 )
 from league.matchmaking.store.seasons import SeasonStore
-from league.matchmaking.store.tokens import Tokens
 
 
 class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
