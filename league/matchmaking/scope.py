@@ -8,16 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from league.matchmaking.ratings import Carried
-from league.matchmaking.store import (
-    BEST_MS,
-    CLEAN,
-    FINISHED,
-    KNOWN,
-    LeagueEntry,
-    Races,
-    Season,
-    Store,
-)
+from league.matchmaking.store import LeagueEntry, Races, Season, Store, records
 
 SEASON_SD = 100.0
 """How far strengths may move from one season to the next, besides what was not known [Elo]: drivers
@@ -103,14 +94,14 @@ class Runs:
         best_ms, clean_ms = laps_ms = np.full((2, len(tracks) * size), np.inf)
         for slot in range(races.entries.shape[1]):
             first += np.bincount(races.entries[races.places[:, slot] == 1, slot], minlength=size)
-            rows = np.flatnonzero(races.runs[:, slot] & KNOWN)
+            rows = np.flatnonzero(races.runs[:, slot] & records.KNOWN)
             entry, run = races.entries[rows, slot], races.runs[rows, slot]
             known += np.bincount(entry, minlength=size)
-            finished += np.bincount(entry, (run & FINISHED) > 0, size)
-            lap_ms, track = run & BEST_MS, races.track[rows]
+            finished += np.bincount(entry, (run & records.FINISHED) > 0, size)
+            lap_ms, track = run & records.BEST_MS, races.track[rows]
             timed = (lap_ms > 0) & (track < len(tracks))
             place = track[timed].astype(np.int64) * size + entry[timed]
-            clean, lap_ms = (run[timed] & CLEAN) > 0, lap_ms[timed].astype(float)
+            clean, lap_ms = (run[timed] & records.CLEAN) > 0, lap_ms[timed].astype(float)
             np.minimum.at(best_ms, place, lap_ms)
             np.minimum.at(clean_ms, place[clean], lap_ms[clean])
         return cls(tracks, first, known, finished, laps_ms.reshape(2, len(tracks), size))

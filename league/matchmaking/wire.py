@@ -12,13 +12,7 @@ from pydantic import AfterValidator, Field, TypeAdapter, ValidationError, model_
 
 from league.errors import LeagueError, StoreError
 from league.matchmaking.pairing.heat_spec import Half, Heat, Purpose, Ruleset, canonical
-from league.matchmaking.store import (
-    HeatOutcome,
-    HeatRecord,
-    HeatState,
-    LeagueEntry,
-    RaceOutcome,
-)
+from league.matchmaking.store import HeatOutcome, HeatRecord, HeatState, LeagueEntry, RaceOutcome
 from league.matchmaking.workers.worker import race_outcome
 from league.race_spec import CarResult, FrozenModel, printable
 from league.sim.config import MAX_CARS

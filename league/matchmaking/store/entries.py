@@ -12,29 +12,13 @@ import sqlalchemy as sa
 
 from league.errors import QuotaError, StoreError, brief, nearest_names
 from league.matchmaking.pairing import heat_spec
+from league.matchmaking.store import records, schema
 from league.matchmaking.store.blobs import BlobStore, insert_blob
 from league.matchmaking.store.database import Database, chunked, made_of
 from league.matchmaking.store.names import check_name, looks
 from league.matchmaking.store.queue import cancel, entry_numbers, of_entry
-from league.matchmaking.store.records import (
-    NEXT,
-    SCOPES,
-    EntryState,
-    LeagueEntry,
-    Quota,
-    Scope,
-    Token,
-)
-from league.matchmaking.store.schema import (
-    Change,
-    LedgerRecord,
-    Transactional,
-    entries,
-    heats,
-    owners,
-    state_record,
-    tokens,
-)
+from league.matchmaking.store.records import SCOPES, EntryState, LeagueEntry, Quota, Scope, Token
+from league.matchmaking.store.schema import Change, LedgerRecord, entries, owners, tokens
 
 DAY_S = 86400.0
 PREFIX = "league_"
@@ -100,7 +84,7 @@ class EntryStore(BlobStore):
                 change.insert(entries, new)
                 change.log(owner, "submit", id, name=name, kind=kind)
                 row = change.connection.execute(query).one()
-                change.record([ledger_record(row), state_record(id, "pending", "")])
+                change.record([ledger_record(row), schema.state_record(id, "pending", "")])
             entry = _entry(row)
             if weights is not None and not self._blobs_url and entry.blob == blob:
                 insert_blob(change, weights)
@@ -169,7 +153,7 @@ class EntryStore(BlobStore):
             rows = chunked(change.connection, query, entries.c.id, sorted(states))
             changes = [(row, states[row.id]) for row in rows if row.state != states[row.id]]
             for row, state in changes:
-                possible = NEXT[cast(EntryState, row.state)]
+                possible = records.NEXT[cast(EntryState, row.state)]
                 if state not in possible:
                     raise StoreError(
                         f"entry {row.name!r} is {row.state} and cannot become {state}: "
@@ -177,10 +161,10 @@ class EntryStore(BlobStore):
                     )
             for row, state in changes:
                 change.update(entries, entries.c.id == row.id, state=state, reason=reason)
-                change.record([state_record(row.id, state, reason)])
+                change.record([schema.state_record(row.id, state, reason)])
                 change.log(actor, state, row.id, was=row.state, reason=reason)
                 if state in ("retired", "refused"):
-                    waiting = cancel(change, heats.c.number.in_(of_entry(row.number)))
+                    waiting = cancel(change, schema.heats.c.number.in_(of_entry(row.number)))
                     if waiting:
                         change.log("league", "cancel", str(row.number), heats=waiting)
             return len(changes)
@@ -257,7 +241,7 @@ def _entry(row: Any) -> LeagueEntry:  # noqa: ANN401
     return made_of(LeagueEntry, row, owner=row.owner_name, card=json.loads(row.card))
 
 
-class Tokens(Transactional):
+class Tokens(schema.Transactional):
     """The tokens of a league: 256 random bits each, of which the hash is kept.
 
     A hash without salt is enough, because 2^256 secrets cannot be tried.

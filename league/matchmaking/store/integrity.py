@@ -25,7 +25,6 @@ from league.matchmaking.store.schema import (
     link,
     races,
     rulesets,
-    state_record,
 )
 
 BLOCK = 2000
@@ -83,7 +82,7 @@ def verify(connection: sa.Connection, head: str = "") -> Integrity:
     found.mismatches += [f"{kind} {name[:12]}: not in the ledger" for kind, name in missing]
     for row in connection.execute(sa.select(entries.entries).order_by(entries.entries.c.number)):
         # Of entries from before states were recorded, the ledger knows none until they change.
-        now = state_record(row.id, row.state, row.reason).subject
+        now = schema.state_record(row.id, row.state, row.reason).subject
         if states.get(row.id, now) != now:
             found.mismatches.append(
                 f"entry {row.name!r}: it is {row.state}, and the ledger has another state or reason"
@@ -263,7 +262,7 @@ def adopt_states(change: Change) -> int:
     known = {subject.split("/")[0] for subject in change.connection.scalars(recorded)}
     query = sa.select(entries.entries).order_by(entries.entries.c.number)
     rows = [row for row in change.connection.execute(query) if row.id not in known]
-    change.record(state_record(row.id, row.state, row.reason) for row in rows)
+    change.record(schema.state_record(row.id, row.state, row.reason) for row in rows)
     return len(rows)
 
 

@@ -13,20 +13,10 @@ import sqlalchemy as sa
 from league.errors import StoreError, brief
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Half, Heat, Purpose
+from league.matchmaking.store import schema
 from league.matchmaking.store.database import chunked
 from league.matchmaking.store.records import HeatRecord, HeatState
-from league.matchmaking.store.schema import (
-    Change,
-    Transactional,
-    entries,
-    heat_entries,
-    heats,
-    owners,
-    results,
-    rulesets,
-    state_record,
-    tokens,
-)
+from league.matchmaking.store.schema import Change, entries, heat_entries, heats, rulesets
 
 LEASE_S = 60.0
 """Lease of a heat [s]; dispatchers renew it every 10 s."""
@@ -34,13 +24,7 @@ BATCH = 1000
 """Heats planned or completed per transaction."""
 ATTEMPTS = 3
 """Failed races before a heat is marked as an error."""
-PRIORITY: dict[Purpose, int] = {
-    "validation": 0,
-    "gauntlet": 1,
-    "cup": 1,
-    "rated": 2,
-    "audit": 2,
-}
+PRIORITY: dict[Purpose, int] = {"validation": 0, "gauntlet": 1, "cup": 1, "rated": 2, "audit": 2}
 """Small numbers are claimed first; a season always has rated heats, and audits must not wait."""
 TRACEBACK_CHARS = 8000
 """The end of a traceback that is kept."""
@@ -52,7 +36,7 @@ COPIED = tuple(name for name in HeatRecord.__dataclass_fields__ if name not in (
 """What a record has from its row as it is."""
 
 
-class QueueStore(Transactional):
+class QueueStore(schema.Transactional):
     """The part of a Store that is about heats and their queue."""
 
     _secret: bytes
@@ -291,7 +275,7 @@ def _plan(change: Change, planned: Sequence[Heat]) -> int:
     connection = change.connection
     ruleset_of = dict(connection.execute(sa.select(rulesets.c.hash, rulesets.c.number)).all())
     number_of = entry_numbers(connection, {entry for heat in planned for entry in heat.entries})
-    has_results = sa.exists().where(results.c.heat == heats.c.number)
+    has_results = sa.exists().where(schema.results.c.heat == heats.c.number)
     by_key = sa.select(heats.c.key, heats.c.number)
     audited = [heat.audits for heat in planned if heat.audits]
     audited_rows = chunked(connection, by_key.where(has_results), heats.c.key, audited)
@@ -341,16 +325,18 @@ def _plan(change: Change, planned: Sequence[Heat]) -> int:
 
 def _impartial(owner: str) -> tuple[sa.ColumnElement[bool], ...]:
     """Return what holds for heats that workers of an owner may race: others have to judge."""
-    of_owner = sa.select(owners.c.number).where(owners.c.name == owner).scalar_subquery()
+    of_owner = (
+        sa.select(schema.owners.c.number).where(schema.owners.c.name == owner).scalar_subquery()
+    )
     own_entry = (
         sa.exists()
         .where(heat_entries.c.heat == heats.c.number)
         .where(heat_entries.c.entry == entries.c.number, entries.c.owner == of_owner)
     )
     raced = sa.exists().where(
-        results.c.heat == sa.func.coalesce(heats.c.audits, heats.c.number),
-        tokens.c.owner == of_owner,
-        results.c.worker.like(sa.cast(tokens.c.number, sa.String) + "/%"),
+        schema.results.c.heat == sa.func.coalesce(heats.c.audits, heats.c.number),
+        schema.tokens.c.owner == of_owner,
+        schema.results.c.worker.like(sa.cast(schema.tokens.c.number, sa.String) + "/%"),
     )
     return ~own_entry, ~raced
 
@@ -405,7 +391,7 @@ def _reopen_entries(change: Change, heat: int) -> None:
     query = sa.select(entries.c.number, entries.c.id).where(refused)
     for row in change.connection.execute(query).all():
         change.update(entries, entries.c.number == row.number, state="validating", reason="")
-        change.record([state_record(row.id, "validating", "")])
+        change.record([schema.state_record(row.id, "validating", "")])
         cancelled = (heats.c.purpose == "validation") & (heats.c.state == "cancelled")
         own = heats.c.number.in_(of_entry(row.number))
         change.update(heats, own & cancelled, state="planned", attempts=0)

@@ -17,14 +17,7 @@ from league.matchmaking.store.database import chunked, made_of
 from league.matchmaking.store.queue import BATCH, check_worker, unknown_heat
 from league.matchmaking.store.race_table import NO_TRACK, driven, packed, runs_of
 from league.matchmaking.store.records import HeatOutcome, RaceOutcome, Received, StoredResult
-from league.matchmaking.store.schema import (
-    Change,
-    LedgerRecord,
-    heats,
-    races,
-    results,
-    rulesets,
-)
+from league.matchmaking.store.schema import Change, LedgerRecord, heats, races, results, rulesets
 
 
 class ResultStore(BlobStore):
@@ -293,11 +286,7 @@ def _write(change: Change, intake: _Intake) -> None:
         # Audits of it that differed are done: a third worker has judged them.
         audits = (heats.c.audits == heat) & (heats.c.state == "quarantined")
         change.update(heats, audits, state="done")
-    changed = {
-        "done": intake.done,
-        "quarantined": intake.disputed,
-        "cancelled": intake.unverified,
-    }
+    changed = {"done": intake.done, "quarantined": intake.disputed, "cancelled": intake.unverified}
     for state, numbers in changed.items():
         if numbers:
             over = heats.c.number.in_(numbers)

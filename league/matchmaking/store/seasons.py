@@ -12,27 +12,16 @@ import sqlalchemy as sa
 from league.errors import StoreError
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Ruleset
-from league.matchmaking.store import queue
+from league.matchmaking.store import queue, schema
 from league.matchmaking.store.database import made_of
 from league.matchmaking.store.names import check_printable
 from league.matchmaking.store.records import Cup, Move, Season
-from league.matchmaking.store.schema import (
-    Change,
-    LedgerRecord,
-    Transactional,
-    add_ruleset,
-    cups,
-    divisions,
-    heats,
-    league,
-    rulesets,
-    seasons,
-)
+from league.matchmaking.store.schema import Change, LedgerRecord, cups, divisions, heats, seasons
 
 _Contest = TypeVar("_Contest", Season, Cup)
 
 
-class SeasonStore(Transactional):
+class SeasonStore(schema.Transactional):
     """The part of a Store that is about seasons, divisions and cups."""
 
     _secret: bytes
@@ -60,7 +49,7 @@ class SeasonStore(Transactional):
             row = {
                 "number": number,
                 "name": free_name(change, seasons, name or f"Season {number}", "a season"),
-                "ruleset": change.connection.scalar(sa.select(league.c.ruleset)),
+                "ruleset": change.connection.scalar(sa.select(schema.league.c.ruleset)),
                 "seed": heat_spec.seed(self._secret, f"season {number}", 0),
                 "settings": heat_spec.canonical(dict(settings)).decode(),
                 "after": last.until if last else 0,
@@ -138,7 +127,7 @@ class SeasonStore(Transactional):
                 "started_s": change.now,
             }
             for one in rules:
-                add_ruleset(change, one)
+                schema.add_ruleset(change, one)
             change.insert(cups, row)
             cup = cups_listed(change.connection)[-1]
             change.record(_records(cup))
@@ -159,8 +148,8 @@ class SeasonStore(Transactional):
 def listed(connection: sa.Connection) -> list[Season]:
     """Return all seasons, the first one first."""
     columns = [column for column in seasons.c if column is not seasons.c.document]
-    query = sa.select(*columns, rulesets.c.hash.label("rules")).join(
-        rulesets, rulesets.c.number == seasons.c.ruleset
+    query = sa.select(*columns, schema.rulesets.c.hash.label("rules")).join(
+        schema.rulesets, schema.rulesets.c.number == seasons.c.ruleset
     )
     return [
         made_of(

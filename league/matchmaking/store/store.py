@@ -11,34 +11,22 @@ import sqlalchemy as sa
 
 from league.errors import StoreError
 from league.matchmaking.pairing.heat_spec import Ruleset
-from league.matchmaking.store import founding, integrity, queue, race_table, seasons
+from league.matchmaking.store import (
+    founding,
+    integrity,
+    queue,
+    race_table,
+    records,
+    schema,
+    seasons,
+)
 from league.matchmaking.store.blobs import FolderBlobs
 from league.matchmaking.store.database import Database
 from league.matchmaking.store.entries import EntryStore, Tokens
 from league.matchmaking.store.integrity import Integrity
 from league.matchmaking.store.queue import QueueStore
-from league.matchmaking.store.records import (
-    Cup,
-    DoneHeat,
-    Drives,
-    EntryState,
-    HeatRecord,
-    HeatState,
-    LeagueEntry,
-    LeagueSettings,
-    Races,
-    Season,
-)
 from league.matchmaking.store.results import ResultStore
-from league.matchmaking.store.schema import (
-    add_ruleset,
-    events,
-    heats,
-    league,
-    present_record,
-    races,
-    rulesets,
-)
+from league.matchmaking.store.schema import events, heats, league, races, rulesets
 from league.matchmaking.store.seasons import SeasonStore
 
 
@@ -88,7 +76,7 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
         return self._database.shown
 
     @property
-    def settings(self) -> LeagueSettings:
+    def settings(self) -> records.LeagueSettings:
         """The league's settings, as they are now."""
         with self._database.reading() as connection:
             query = sa.select(league, rulesets.c.settings).join(
@@ -100,7 +88,7 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
                 f"the present rules of the league in {self._database.shown} are missing: restore "
                 "the database from a backup"
             )
-        return LeagueSettings(row.name, Ruleset.of(json.loads(row.settings)))
+        return records.LeagueSettings(row.name, Ruleset.of(json.loads(row.settings)))
 
     def rulesets(self) -> dict[str, Ruleset]:
         """Return all rulesets the league ever had, by hash."""
@@ -120,9 +108,9 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
                     f"the season {season.name!r} is raced by the present rules to its end: end it "
                     "first with `league season end`"
                 )
-            number = add_ruleset(change, ruleset)
+            number = schema.add_ruleset(change, ruleset)
             change.update(league, sa.true(), ruleset=number)
-            change.record([present_record(ruleset.hash)])
+            change.record([schema.present_record(ruleset.hash)])
             others = (heats.c.ruleset != number) & (heats.c.purpose != "cup")
             cancelled = queue.cancel(change, others)
             change.log("league", "rules", ruleset.hash, cancelled=cancelled)
@@ -135,7 +123,7 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
 
     # What happened
 
-    def done(self, *, entry: int | None, skip: int, limit: int) -> list[HeatRecord]:
+    def done(self, *, entry: int | None, skip: int, limit: int) -> list[records.HeatRecord]:
         """Return up to `limit` heats that are done, of all or one entry (its number).
 
         The newest come first, and `skip` of them are left out.
@@ -145,12 +133,12 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
             numbers = list(connection.scalars(query.offset(skip).limit(limit)))
         return self.heats(numbers=numbers)[::-1]
 
-    def newest_done(self, limit: int) -> list[DoneHeat]:
+    def newest_done(self, limit: int) -> list[records.DoneHeat]:
         """Return who raced so many of the newest heats that are done, the newest first."""
         query = sa.select(heats.c.worker, heats.c.done_s).where(self._done(None))
         with self._database.reading() as connection:
             rows = connection.execute(query.order_by(heats.c.number.desc()).limit(limit))
-            return [DoneHeat(*row) for row in rows]
+            return [records.DoneHeat(*row) for row in rows]
 
     def num_done(self, entry: int | None = None) -> int:
         """Return how many heats are done, of all or of one entry (its number)."""
@@ -170,7 +158,7 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
         since: int = 0,
         rated: bool | None = True,
         entries: Sequence[int] = (),
-    ) -> Races:
+    ) -> records.Races:
         """Return the races that count as arrays.
 
         Args:
@@ -184,7 +172,7 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
         with self._database.reading() as connection:
             return race_table.read_races(connection, match, since)
 
-    def drives(self, ruleset: str, *, since: int = 0) -> Drives:
+    def drives(self, ruleset: str, *, since: int = 0) -> records.Drives:
         """Return how each car drove in the rated races under a ruleset; see `races`."""
         with self._database.reading() as connection:
             return race_table.read_drives(connection, race_table.counted(ruleset), since)
@@ -229,19 +217,21 @@ class SeasonView(Store):
         """Its frozen standings, best first."""
 
     @property
-    def settings(self) -> LeagueSettings:
+    def settings(self) -> records.LeagueSettings:
         """The league's settings, with the rules of the season."""
         return replace(super().settings, ruleset=self.rulesets()[self.season.ruleset])
 
-    def seasons(self) -> list[Season]:
+    def seasons(self) -> list[records.Season]:
         """Return the season and those before it."""
         return super().seasons()[: self.season.number]
 
-    def cups(self) -> list[Cup]:
+    def cups(self) -> list[records.Cup]:
         """Return the cups of these seasons."""
         return [cup for cup in super().cups() if (cup.season or 0) <= self.season.number]
 
-    def entries(self, states: Sequence[EntryState] | None = None) -> list[LeagueEntry]:
+    def entries(
+        self, states: Sequence[records.EntryState] | None = None
+    ) -> list[records.LeagueEntry]:
         """Return the entries that the league had then, those rated in the states they had."""
         state_of = {row["number"]: row["state"] for row in self.rows}
         ended_s = self.season.ended_s or 0.0
@@ -252,11 +242,11 @@ class SeasonView(Store):
         ]
         return [entry for entry in found if states is None or entry.state in states]
 
-    def counts(self) -> dict[HeatState, int]:
+    def counts(self) -> dict[records.HeatState, int]:
         """Return how many heats of the season are done."""
         return {"done": self.num_done()}
 
-    def drives(self, ruleset: str, *, since: int = 0) -> Drives:
+    def drives(self, ruleset: str, *, since: int = 0) -> records.Drives:
         """Return how each car drove up to the end of the season; see Store.drives."""
         drives = super().drives(ruleset, since=since)
         return drives.where(drives.heat <= (self.season.until or 0))
