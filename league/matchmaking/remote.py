@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import quote, urlsplit
 
+from pydantic import TypeAdapter, ValidationError
+
 from league.atomic_file import replacing
 from league.errors import ConfigError, StoreError, brief
 from league.matchmaking import wire
@@ -231,7 +233,12 @@ class RemoteQueue:
         return wire.entry_of(text, self._entries[text])
 
     def _ask(self, what: str, asked: FrozenModel, answer: type[_Answer]) -> _Answer:
-        content = self._client.fetch(
-            f"{WORK}/{what}", asked.model_dump_json().encode(), "application/json"
-        )
-        return wire.checked(answer, content)
+        body = asked.model_dump_json().encode()
+        content = self._client.fetch(f"{WORK}/{what}", body, "application/json")
+        try:
+            return TypeAdapter(answer).validate_json(content)
+        except ValidationError as error:
+            raise StoreError(
+                "the server does not answer as a league of this version does: use the same version "
+                "of the program on both machines"
+            ) from error

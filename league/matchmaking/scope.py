@@ -33,13 +33,10 @@ def scope(
     season: Season | None = None,
     races: Races | None = None,
 ) -> RatingScope:
-    """Return what the ratings of a season are made of.
+    """Return what the ratings of a season are made of, by default the last one under a ruleset.
 
-    Args:
-        store: the league.
-        ruleset: hash; by default the present one.
-        season: by default the last one under this ruleset.
-        races: all rated races under the ruleset, if they have been read already.
+    By default `ruleset`, a hash, is the present one; `races` are all rated races under it, if they
+    have been read already.
     """
     ruleset = ruleset or store.settings.ruleset.hash
     own = [one for one in store.seasons() if one.ruleset == ruleset]

@@ -6,9 +6,9 @@ import base64
 import binascii
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import Annotated, Any, TypeVar, cast
+from typing import Annotated, Any, cast
 
-from pydantic import AfterValidator, Field, TypeAdapter, ValidationError, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from league.errors import LeagueError, StoreError
 from league.matchmaking.pairing.heat_spec import Half, Heat, Purpose, Ruleset, canonical
@@ -17,7 +17,6 @@ from league.matchmaking.workers.worker import race_outcome
 from league.race_spec import CarResult, FrozenModel, printable
 from league.sim.config import MAX_CARS
 
-_Answer = TypeVar("_Answer")
 MOST_HEATS = 64
 """Heats of one message."""
 MOST_REPLAY = 4 << 20
@@ -205,18 +204,8 @@ def record_of(sent: LentHeat, worker: str) -> HeatRecord:
             f"heat {sent.number} came with another key than its content has: use the same version "
             "of the program as the server"
         )
-    return HeatRecord(
-        heat=heat,
-        number=sent.number,
-        state="claimed",
-        worker=worker,
-        attempts=sent.attempts,
-        traceback="",
-        seeds=tuple(one.seed for one in sent.races),
-        created_s=0.0,
-        claimed_s=None,
-        done_s=None,
-    )
+    seeds = tuple(one.seed for one in sent.races)
+    return HeatRecord(heat, sent.number, "claimed", worker, sent.attempts, seeds)
 
 
 def entry_of(id: str, sent: LentEntry) -> LeagueEntry:
@@ -277,14 +266,3 @@ def _check_recording(
         raise StoreError(f"a recording of heat {number} is of another race: send its own")
     if race_outcome(replay, outcome.replay) != outcome:
         raise StoreError(f"a result of heat {number} does not follow from its recording: send both")
-
-
-def checked(model: type[_Answer], content: bytes) -> _Answer:
-    """Return a server's answer; a StoreError if a league of this version does not answer so."""
-    try:
-        return TypeAdapter(model).validate_json(content)
-    except ValidationError as error:
-        raise StoreError(
-            "the server does not answer as a league of this version does: use the same version of "
-            "the program on both machines"
-        ) from error

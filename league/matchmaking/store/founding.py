@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -103,8 +104,7 @@ def upgrade(url: str) -> list[str]:
     """
     from alembic.operations import Operations
 
-    database = Database(url)
-    try:
+    with closing(Database(url)) as database:
         version, done = version_of(database), list[str]()
         with changing(database, lock=True) as change:
             context, steps = _migrations(change.connection)
@@ -120,7 +120,7 @@ def upgrade(url: str) -> list[str]:
                     context.stamp(steps, step.revision)
                     done.append(f"version {step.revision}: {step.doc}")
             if version < SCHEMA:
-                filled = race_table.fill_driven(change.connection)
+                filled = race_table.fill_driven(change)
                 done.append(f"{filled} races tell their incidents")
                 done.append(f"{integrity.adopt(change)} records begin the ledger")
             if states := integrity.adopt_states(change):
@@ -128,8 +128,6 @@ def upgrade(url: str) -> list[str]:
             if integrity.adopt_present(change):
                 done.append("the present rules begin in the ledger")
         return done
-    finally:
-        database.close()
 
 
 def _migrations(connection: sa.Connection) -> tuple[MigrationContext, ScriptDirectory]:

@@ -13,14 +13,12 @@ import sqlalchemy as sa
 
 from league.matchmaking.store.queue import of_entry
 from league.matchmaking.store.records import BEST_MS, CLEAN, FINISHED, KNOWN, Drives, Races
-from league.matchmaking.store.schema import heats, races, results, rulesets
+from league.matchmaking.store.schema import Change, heats, races, results, rulesets
 
 OFF_TRACK, TOUCH, CRASH = 1, 1, 4
 """Incident points of leaving the track, of a light contact and of a crash one is to blame for."""
 FAULTS = ("off_tracks", "crashes", "touches", "immobilised", "reversed")
 """What a result counts of each car; a lap is clean in a race without any of them."""
-FILLED = 5000
-"""Races of an older league brought up to date at a time."""
 BLOCK = 1 << 20
 """Races read at a time."""
 NO_TRACK = 255
@@ -30,14 +28,7 @@ DRIVEN = np.dtype([("points", ">u2"), ("distance_cm", ">u4"), ("clean_ms", ">u4"
 DRIVEN_MOST = (0xFFFF, 0xFFFFFFFF, BEST_MS)
 """The largest numbers there."""
 
-KINDS = {
-    "heat": np.int64,
-    "half": np.uint8,
-    "track": np.uint8,
-    "entries": np.int32,
-    "places": np.uint8,
-    "runs": np.uint32,
-}
+KINDS = {"heat": "i8", "half": "u1", "track": "u1", "entries": "i4", "places": "u1", "runs": "u4"}
 """Types of the columns of Races."""
 
 
@@ -109,28 +100,18 @@ def packed(
     return np.array(race, race_type(len(grid))).tobytes().hex()
 
 
-def fill_driven(connection: sa.Connection) -> int:
+def fill_driven(change: Change) -> int:
     """Let races of an older league tell how cars drove, from their results; return how many."""
     query = (
         sa.select(races.c.number, races.c.cars, results.c.document)
         .join(results, (results.c.heat == races.c.heat) & (results.c.half == races.c.half))
         .where(~results.c.rejected)
-        .order_by(races.c.number)
-        .limit(FILLED)
     )
-    last = filled = 0
-    while rows := connection.execute(query.where(races.c.number > last)).all():
-        last = rows[-1].number
-        found = [
-            {
-                "number_": row.number,
-                "driven": driven(json.loads(zlib.decompress(row.document))["result"], row.cars),
-            }
-            for row in rows
-        ]
-        connection.execute(races.update().where(races.c.number == sa.bindparam("number_")), found)
-        filled += len(found)
-    return filled
+    rows = change.connection.execute(query).all()
+    for row in rows:
+        result = json.loads(zlib.decompress(row.document))["result"]
+        change.update(races, races.c.number == row.number, driven=driven(result, row.cars))
+    return len(rows)
 
 
 def counted(

@@ -52,10 +52,7 @@ class ResultStore(BlobStore):
         return received
 
     def results(self, *heats: int) -> list[StoredResult]:
-        """Return all results of heats (by number), by race and time.
-
-        Several for one race are a dispute.
-        """
+        """Return all results of heats (by number), by race and time; several are a dispute."""
         with self._database.reading() as connection:
             return read_results(connection, heats)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import replace
 from typing import Any, Self
 
@@ -274,9 +275,6 @@ def create(
     """
     if blobs:
         FolderBlobs(blobs)
-    database = Database(url, clock)
-    try:
+    with closing(Database(url, clock)) as database:
         founding.create_tables(database, name, ruleset or Ruleset(), blobs)
-    finally:
-        database.close()
     return Store(url, clock=clock)
