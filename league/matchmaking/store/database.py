@@ -200,7 +200,7 @@ def _prepare(raw: Any, _record: object) -> None:  # noqa: ANN401
         raw.execute(f"PRAGMA {setting}")
 
 
-_SQLITE = {
+_MEANINGS = {
     "SQLITE_FULL": "cannot grow, the disk is full: free some space; nothing was changed",
     "SQLITE_IOERR": "cannot be written or read ({reason}): check the disk and its free space; "
     "nothing was changed",
@@ -211,8 +211,7 @@ _SQLITE = {
     "SQLITE_BUSY": "is locked by another program: end it, or try again later",
     "SQLITE_PERM": "may not be opened: check the file's permissions",
     "SQLITE_AUTH": "may not be opened: check the file's permissions",
-}
-_POSTGRES = {
+    # PostgreSQL
     "53100": "cannot grow, the server's disk is full: free some space; nothing was changed",
     "3D000": "names a database that does not exist: make it with createdb",
     "28P01": "refused the password: check the user and password in the address",
@@ -225,6 +224,7 @@ _POSTGRES = {
     "58030": "cannot be written or read ({reason}): check the server's disk; nothing was changed",
     "53300": "has no free connections: use fewer workers, or raise max_connections",
 }
+"""What names of SQLite's errors, or their beginnings, and SQLSTATEs mean."""
 
 _REFUSALS = {
     "password authentication failed|no password supplied": "28P01",
@@ -242,16 +242,14 @@ def _sentence(refusal: BaseException | None) -> str:
     """Return what happened and how to mend it, to follow the database's address."""
     first = str(refusal).strip().splitlines()
     reason = " ".join((first[0] if first else type(refusal).__name__).split())[:200]
-    name = getattr(refusal, "sqlite_errorname", None)
-    state = getattr(refusal, "sqlstate", None)
-    if name is None and state is None and "FATAL:" in reason:
+    code = getattr(refusal, "sqlite_errorname", None) or getattr(refusal, "sqlstate", None)
+    if code is None and "FATAL:" in reason:
         said = reason.split("FATAL:", 1)[1]
-        state = next((state for text, state in _REFUSALS.items() if re.search(text, said)), None)
-    if name is not None:
-        known = next((text for code, text in _SQLITE.items() if name.startswith(code)), None)
-    elif state is not None:
-        known = _POSTGRES.get(state)
+        code = next((state for text, state in _REFUSALS.items() if re.search(text, said)), None)
+    if code is None:
+        meaning = "cannot be reached ({reason}): check the address and that the server runs"
     else:
-        known = "cannot be reached ({reason}): check the address and that the server runs"
-    known = known or "refused the request ({reason}): look at the cause above"
-    return known.format(reason=reason)
+        unknown = "refused the request ({reason}): look at the cause above"
+        known = (text for start, text in _MEANINGS.items() if code.startswith(start))
+        meaning = next(known, unknown)
+    return meaning.format(reason=reason)

@@ -286,7 +286,7 @@ def _ray() -> Any:  # noqa: ANN401
     """Return the ray package with reports and messages off."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     try:
-        import ray
+        import ray  # pyright: ignore[reportMissingImports]
     except ModuleNotFoundError as missing:
         raise ConfigError(
             "--executor ray was asked for and Ray is not installed: run pip install "
