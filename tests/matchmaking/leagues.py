@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import sqlalchemy as sa
 
+from league.errors import StoreError
 from league.matchmaking import store
 from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset, mirrored
 from league.matchmaking.store import schema
@@ -79,6 +80,14 @@ def set_ruleset(league: store.Store, ruleset: Ruleset) -> None:
         number = schema.add_ruleset(change, ruleset)
         change.update(schema.league, sa.true(), ruleset=number)
     database.close()
+
+
+def keeps(league: store.Store, digest: str) -> bool:
+    """Return whether a league keeps the file with this SHA-256."""
+    try:
+        return bool(league.blobs.get(digest))
+    except StoreError:
+        return False
 
 
 def duels(league: store.Store, count: int, *, first: int = 0) -> list[Heat]:

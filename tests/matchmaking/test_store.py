@@ -215,7 +215,7 @@ def test_a_name_that_is_taken_is_refused(league):
 def test_a_scripted_driver_is_an_entry_without_weights(league):
     entry = league.submit("anchor", "league", scripted="centerline", anchor=True)
     assert (entry.kind, entry.anchor, entry.card) == ("scripted", True, {"driver": "centerline"})
-    assert not league.blobs.has(entry.id)
+    assert not leagues.keeps(league, entry.id)
 
 
 def test_an_entry_moves_only_along_its_way(league):

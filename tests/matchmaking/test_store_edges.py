@@ -144,7 +144,7 @@ def test_newest_heats_come_in_order_and_pages_leave_none_out(league):
 def test_nothing_of_a_refused_submission_is_kept(league):
     with pytest.raises(StoreError, match="is taken"):
         league.submit("e1", "owner 9", weights=b"weights 9")
-    assert not league.blobs.has(heat_spec.digest(b"weights 9"))
+    assert not leagues.keeps(league, heat_spec.digest(b"weights 9"))
     assert "owner 9" not in {entry.owner for entry in league.entries()}
 
 

@@ -6,6 +6,8 @@ swapped file is noticed.
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import sqlalchemy as sa
 
 from league.atomic_file import replacing
@@ -48,28 +50,17 @@ def insert_blob(change: Change, content: bytes) -> str:
     return digest
 
 
-class TableBlobs(Transactional):
-    """Blobs in the league's own database."""
+class TableBlobs:
+    """Blobs in the league's own database, which transactions put there with `insert_blob`."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
-
-    def put(self, content: bytes) -> str:
-        """Keep some bytes and return their SHA-256."""
-        with self._writing() as change:
-            return insert_blob(change, content)
 
     def get(self, digest: str) -> bytes:
         """Return the bytes with this SHA-256."""
         with self._database.reading() as connection:
             content = connection.scalar(sa.select(blobs.c.content).where(blobs.c.digest == digest))
         return _verified(content, digest, self._database.shown)
-
-    def has(self, digest: str) -> bool:
-        """Return whether the bytes with this SHA-256 are kept."""
-        with self._database.reading() as connection:
-            size = connection.scalar(sa.select(blobs.c.size).where(blobs.c.digest == digest))
-        return size is not None
 
 
 class FolderBlobs:
@@ -91,9 +82,10 @@ class FolderBlobs:
     def put(self, content: bytes) -> str:
         """Keep some bytes and return their SHA-256."""
         digest = heat_spec.digest(_checked(content))
-        if self.has(digest):
-            return digest
         path = self._path(digest)
+        with suppress(OSError):  # writing says what is wrong
+            if self._files.isfile(path):
+                return digest
         if "file" in self._files.protocol:
             with replacing(path, f"the file {digest[:12]}", StoreError) as file:
                 file.write_bytes(content)
@@ -120,13 +112,6 @@ class FolderBlobs:
             ) from refusal
         return _verified(content, digest, self._url)
 
-    def has(self, digest: str) -> bool:
-        """Return whether the bytes with this SHA-256 are kept."""
-        try:
-            return bool(self._files.isfile(self._path(digest)))
-        except OSError:
-            return False
-
     def _path(self, digest: str) -> str:
         if len(digest) != 64 or not set(digest) <= set("0123456789abcdef"):
             raise StoreError(f"{digest[:70]!r} names no file: give 64 hexadecimal digits")
@@ -137,9 +122,6 @@ def _reason(refusal: Exception) -> str:
     return getattr(refusal, "strerror", None) or str(refusal) or type(refusal).__name__
 
 
-Blobs = TableBlobs | FolderBlobs
-
-
 class BlobStore(Transactional):
     """The part of a Store that is about files."""
 
@@ -147,6 +129,6 @@ class BlobStore(Transactional):
     """Directory or bucket that they are in; empty for the database itself."""
 
     @property
-    def blobs(self) -> Blobs:
+    def blobs(self) -> TableBlobs | FolderBlobs:
         """Where weights and recordings are kept."""
         return FolderBlobs(self._blobs_url) if self._blobs_url else TableBlobs(self._database)

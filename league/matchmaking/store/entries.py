@@ -13,7 +13,7 @@ import sqlalchemy as sa
 from league.errors import QuotaError, StoreError, brief, nearest_names
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.store import records, schema
-from league.matchmaking.store.blobs import BlobStore, insert_blob
+from league.matchmaking.store.blobs import BlobStore, FolderBlobs, insert_blob
 from league.matchmaking.store.database import Database, chunked, made_of
 from league.matchmaking.store.names import check_name, looks
 from league.matchmaking.store.queue import cancel, entry_numbers, of_entry
@@ -52,7 +52,7 @@ class EntryStore(BlobStore):
         if (weights is None) == (scripted is None):
             raise ValueError("give either weights or the name of a scripted driver")
         if weights is not None and self._blobs_url:
-            self.blobs.put(weights)
+            FolderBlobs(self._blobs_url).put(weights)
         blob = heat_spec.digest(weights or b"")
         card = {**(card or {}), **({"driver": scripted} if scripted else {"blob": blob})}
         id = heat_spec.scripted_id(scripted) if scripted else id or blob

@@ -12,7 +12,7 @@ import sqlalchemy as sa
 
 from league.errors import StoreError
 from league.matchmaking.pairing import heat_spec
-from league.matchmaking.store.blobs import BlobStore, insert_blob
+from league.matchmaking.store.blobs import BlobStore, FolderBlobs, insert_blob
 from league.matchmaking.store.database import chunked, made_of
 from league.matchmaking.store.queue import BATCH, check_worker, unknown_heat
 from league.matchmaking.store.race_table import NO_TRACK, driven, packed, runs_of
@@ -38,7 +38,7 @@ class ResultStore(BlobStore):
         return received
 
     def _complete(self, worker: str, outcomes: Sequence[HeatOutcome]) -> Received:
-        keep = self.blobs.put if self._blobs_url else heat_spec.digest
+        keep = FolderBlobs(self._blobs_url).put if self._blobs_url else heat_spec.digest
         batch = [
             (outcome.key, [_pack(race, outcome, keep) for race in outcome.races])
             for outcome in outcomes
