@@ -55,7 +55,7 @@ def _carried(store: Store, season: Season | None) -> Carried | None:
 
     Whoever was less sure than a newcomer is stays as sure as that.
     """
-    document = store.season_document(season.number) if season else None
+    document = store.frozen(season) if season else None
     if document is None:
         return None
     frozen = document["standings"]
@@ -103,22 +103,15 @@ class Runs:
             np.minimum.at(clean_ms, place[clean], lap_ms[clean])
         return cls(tracks, first, known, finished, laps_ms.reshape(2, len(tracks), size))
 
-    def best_laps_s(self, numbers: Sequence[int]) -> list[dict[str, float]]:
-        """Return the best laps of some entries [s] by track."""
-        return self._laps_s(0, numbers)
-
-    def clean_laps_s(self, numbers: Sequence[int]) -> list[dict[str, float]]:
-        """Return the best clean laps of some entries [s] by track."""
-        return self._laps_s(1, numbers)
-
-    def _laps_s(self, clean: int, numbers: Sequence[int]) -> list[dict[str, float]]:
+    def laps_s(self, numbers: Sequence[int], *, clean: bool) -> list[dict[str, float]]:
+        """Return the best laps, or best clean laps, of some entries [s] by track."""
         return [
             {
                 track: lap_ms / 1000
                 for track, lap_ms in zip(self.tracks, laps_ms, strict=True)
                 if lap_ms < np.inf
             }
-            for laps_ms in self.laps_ms[clean][:, numbers].T.tolist()
+            for laps_ms in self.laps_ms[int(clean)][:, numbers].T.tolist()
         ]
 
     def joined(self, later: Runs) -> Runs:

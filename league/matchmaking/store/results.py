@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zlib
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -108,14 +109,14 @@ def _pack(race: RaceOutcome, outcome: HeatOutcome, keep: Callable[[bytes], str])
 class _Intake:
     """What a batch of results is going to change; results are (half, hash), by heat."""
 
-    known: dict[int, set[tuple[int, str]]]
-    """Results that were not rejected."""
-    before: dict[int, set[tuple[int, str]]]
-    """All results, rejected or not, from before this batch."""
-    machines: dict[int, set[str]]
-    """Classes of the machines that the known results came from."""
     tracks: dict[int, tuple[str, ...]]
     """Tracks of each ruleset, by its number."""
+    known: dict[int, set[tuple[int, str]]] = field(default_factory=lambda: defaultdict(set))
+    """Results that were not rejected."""
+    before: dict[int, set[tuple[int, str]]] = field(default_factory=lambda: defaultdict(set))
+    """All results, rejected or not, from before this batch."""
+    machines: dict[int, set[str]] = field(default_factory=lambda: defaultdict(set))
+    """Classes of the machines that the known results came from."""
     new_results: list[dict[str, Any]] = field(default_factory=list)
     new_races: list[dict[str, Any]] = field(default_factory=list)
     done: set[int] = field(default_factory=set)
@@ -152,12 +153,7 @@ def _take_in(
 
 def _intake(connection: sa.Connection, targets: set[int]) -> _Intake:
     rules = connection.execute(sa.select(rulesets.c.number, rulesets.c.settings))
-    intake = _Intake(
-        known={number: set() for number in targets},
-        before={number: set() for number in targets},
-        machines={number: set() for number in targets},
-        tracks={number: tuple(json.loads(text)["tracks"]) for number, text in rules},
-    )
+    intake = _Intake({number: tuple(json.loads(text)["tracks"]) for number, text in rules})
     stored = sa.select(
         results.c.heat, results.c.half, results.c.hash, results.c.rejected, results.c.machine
     )

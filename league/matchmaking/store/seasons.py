@@ -88,10 +88,13 @@ class SeasonStore(schema.Transactional):
         with self._writing(lock=True) as change:
             return _end(change, seasons, listed, number, document)
 
-    def season_document(self, number: int) -> dict[str, Any] | None:
-        """Return what a season was frozen as; None before its end."""
+    def frozen(self, one: Season | Cup) -> dict[str, Any] | None:
+        """Return what a season or cup was frozen as; None before its end."""
+        table = seasons if isinstance(one, Season) else cups
         with self._database.reading() as connection:
-            return document_of(connection, seasons, number)
+            query = sa.select(table.c.document).where(table.c.number == one.number)
+            packed = connection.scalar(query)
+        return None if packed is None else json.loads(zlib.decompress(packed))
 
     def move_divisions(self, season: int, moves: Sequence[Move]) -> int:
         """Note moves between divisions, each once however often sent; return how many are new."""
@@ -139,11 +142,6 @@ class SeasonStore(schema.Transactional):
         with self._writing(lock=True) as change:
             return _end(change, cups, cups_listed, number, document)
 
-    def cup_document(self, number: int) -> dict[str, Any] | None:
-        """Return what a cup was frozen as; None before its end."""
-        with self._database.reading() as connection:
-            return document_of(connection, cups, number)
-
 
 def listed(connection: sa.Connection) -> list[Season]:
     """Return all seasons, the first one first."""
@@ -190,12 +188,6 @@ def _end(
 
 def _numbered(known: Sequence[_Contest], number: int) -> _Contest:
     return next(one for one in known if one.number == number)
-
-
-def document_of(connection: sa.Connection, table: sa.Table, number: int) -> dict[str, Any] | None:
-    """Return what a season or cup was frozen as; None before its end."""
-    packed = connection.scalar(sa.select(table.c.document).where(table.c.number == number))
-    return None if packed is None else json.loads(zlib.decompress(packed))
 
 
 def _move(change: Change, season: int, moves: Sequence[Move]) -> int:

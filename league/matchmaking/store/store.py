@@ -205,15 +205,14 @@ class SeasonView(Store):
     def __init__(self, store: Store, number: int) -> None:
         """Show a season of a league that is over (else a StoreError), over its connections."""
         vars(self).update(vars(store))
-        known = store.seasons()
-        document = store.season_document(number) if 0 < number <= len(known) else None
-        if document is None:
-            over = [str(one.number) for one in known if one.ended_s is not None]
+        over = {one.number: one for one in store.seasons() if one.ended_s is not None}
+        if number not in over:
             raise StoreError(
                 f"this league has no season {number} that is over: "
-                + (f"give {', '.join(over)}" if over else "none is over yet")
+                + (f"give {', '.join(map(str, over))}" if over else "none is over yet")
             )
-        self.season = known[number - 1]
+        self.season = over[number]
+        document = store.frozen(self.season) or {}
         self.rows: list[dict[str, Any]] = document["standings"]["entries"]
         """Its frozen standings, best first."""
 
