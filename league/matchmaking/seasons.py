@@ -48,7 +48,7 @@ def end(store: Store) -> Season:
             "being raced: end it again when they are over"
         )
     season = store.seasons()[-1]
-    return store.end_season(season.number, freeze(store, season))
+    return store.freeze(season, freeze(store, season))
 
 
 def freeze(store: Store, season: Season) -> dict[str, Any]:

@@ -79,7 +79,7 @@ def test_standings_are_frozen_and_hashed_whatever_comes_later(league):
     assert [row["elo"] for row in frozen["standings"]["entries"]] == [r.elo for r in table.rows]
     assert [one["title"] for one in frozen["trophies"]] == ["Champion", "Second", "Third"]
     assert frozen["trophies"][0]["name"] == table.rows[0].name
-    assert league.end_season(ended.number, {"other": "standings"}) == ended
+    assert league.freeze(ended, {"other": "standings"}) == ended
     assert league.frozen(ended) == frozen
 
 

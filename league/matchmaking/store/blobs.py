@@ -13,7 +13,6 @@ import sqlalchemy as sa
 from league.atomic_file import replacing
 from league.errors import StoreError
 from league.matchmaking.pairing import heat_spec
-from league.matchmaking.store.database import Database
 from league.matchmaking.store.schema import Change, Transactional, blobs
 
 MAX_BYTES = 64 * 1024 * 1024
@@ -50,11 +49,8 @@ def insert_blob(change: Change, content: bytes) -> str:
     return digest
 
 
-class TableBlobs:
+class TableBlobs(Transactional):
     """Blobs in the league's own database, which transactions put there with `insert_blob`."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def get(self, digest: str) -> bytes:
         """Return the bytes with this SHA-256."""

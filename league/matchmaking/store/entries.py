@@ -14,7 +14,7 @@ from league.errors import QuotaError, StoreError, brief, nearest_names
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.store import records, schema
 from league.matchmaking.store.blobs import BlobStore, FolderBlobs, insert_blob
-from league.matchmaking.store.database import Database, chunked, made_of
+from league.matchmaking.store.database import chunked, made_of
 from league.matchmaking.store.names import check_name, looks
 from league.matchmaking.store.queue import cancel, entry_numbers, of_entry
 from league.matchmaking.store.records import SCOPES, EntryState, LeagueEntry, Quota, Scope, Token
@@ -246,9 +246,6 @@ class Tokens(schema.Transactional):
 
     A hash without salt is enough, because 2^256 secrets cannot be tried.
     """
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def create(
         self, owner: str, scopes: Sequence[Scope], *, life_s: float | None = None

@@ -333,7 +333,8 @@ def changing(database: Database, *, lock: bool = False) -> Generator[Change]:
 class Transactional:
     """What the parts of a Store have in common: a database, and transactions that write to it."""
 
-    _database: Database
+    def __init__(self, database: Database) -> None:
+        self._database = database
 
     def _writing(self, *, lock: bool = False) -> AbstractContextManager[Change]:
         return changing(self._database, lock=lock)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
 import sqlalchemy as sa
@@ -83,10 +83,21 @@ class SeasonStore(schema.Transactional):
             racing = sa.select(sa.func.count()).where(heats.c.state == "claimed", own)
             return change.connection.scalar(racing) or 0
 
-    def end_season(self, number: int, document: Mapping[str, Any]) -> Season:
-        """Freeze a closed season as a document; one that has ended stays as it is."""
+    def freeze(self, one: _Contest, document: Mapping[str, Any]) -> _Contest:
+        """End a closed season, or a cup, as a document; one that has ended stays as it is."""
+        text = heat_spec.canonical(dict(document))
+        frozen = {"hash": heat_spec.digest(text), "document": zlib.compress(text, 6)}
+        table = seasons if isinstance(one, Season) else cups
+        running = (table.c.number == one.number) & table.c.ended_s.is_(None)
         with self._writing(lock=True) as change:
-            return _end(change, seasons, listed, number, document)
+            has_ended = change.update(table, running, ended_s=change.now, **frozen)
+            known: list[Any] = (listed if table is seasons else cups_listed)(change.connection)
+            ended: _Contest = _numbered(known, one.number)
+            if has_ended:
+                record = _records(ended)[-1]
+                change.record([record])
+                change.log("league", record.kind, ended.name, hash=ended.hash)
+            return ended
 
     def frozen(self, one: Season | Cup) -> dict[str, Any] | None:
         """Return what a season or cup was frozen as; None before its end."""
@@ -137,11 +148,6 @@ class SeasonStore(schema.Transactional):
             change.log("league", "cup start", cup.name, entrants=len(settings["entrants"]))
             return cup
 
-    def end_cup(self, number: int, document: Mapping[str, Any]) -> Cup:
-        """Freeze a cup as a document; one that has ended stays as it is."""
-        with self._writing(lock=True) as change:
-            return _end(change, cups, cups_listed, number, document)
-
 
 def listed(connection: sa.Connection) -> list[Season]:
     """Return all seasons, the first one first."""
@@ -164,26 +170,6 @@ def free_name(change: Change, table: sa.Table, name: str, what: str) -> str:
     if change.connection.scalar(taken) is not None:
         raise StoreError(f"there is {what} {name!r} already: choose another name")
     return name
-
-
-def _end(
-    change: Change,
-    table: sa.Table,
-    read: Callable[[sa.Connection], list[_Contest]],
-    number: int,
-    document: Mapping[str, Any],
-) -> _Contest:
-    """End a season or cup with a document; one that has ended stays as it is."""
-    text = heat_spec.canonical(dict(document))
-    running = (table.c.number == number) & table.c.ended_s.is_(None)
-    frozen = {"hash": heat_spec.digest(text), "document": zlib.compress(text, 6)}
-    has_ended = change.update(table, running, ended_s=change.now, **frozen)
-    ended = _numbered(read(change.connection), number)
-    if has_ended:
-        record = _records(ended)[-1]
-        change.record([record])
-        change.log("league", record.kind, ended.name, hash=ended.hash)
-    return ended
 
 
 def _numbered(known: Sequence[_Contest], number: int) -> _Contest:

@@ -48,7 +48,7 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
 
         A StoreError says that there is no league of this version, or no database at all.
         """
-        self._database = Database(url, clock)
+        super().__init__(Database(url, clock))
         try:
             founding.check_version(self._database)
             with self._database.reading() as connection:
