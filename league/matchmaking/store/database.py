@@ -15,7 +15,7 @@ import re
 import sqlite3
 import time
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -89,20 +89,18 @@ class Database:
         """The SQLite file."""
         return Path(self.url.database or "") if self.is_sqlite else None
 
-    @contextmanager
-    def reading(self) -> Generator[sa.Connection]:
+    def reading(self) -> AbstractContextManager[sa.Connection]:
         """Yield a connection that sees one state of the database throughout."""
-        with self._translated(), self._engine.connect() as connection:
-            if not self.is_sqlite:
-                connection = connection.execution_options(isolation_level="REPEATABLE READ")
-            with connection.begin():
-                yield connection
+        return self._begun(**({} if self.is_sqlite else {"isolation_level": "REPEATABLE READ"}))
+
+    def writing(self) -> AbstractContextManager[sa.Connection]:
+        """Yield a connection; all its changes are on the disk when this ends without an error."""
+        return self._begun(writes=True)
 
     @contextmanager
-    def writing(self) -> Generator[sa.Connection]:
-        """Yield a connection; all its changes are on the disk when this ends without an error."""
-        with self._translated(), self._engine.connect() as connection:
-            connection = connection.execution_options(writes=True)
+    def _begun(self, **options: Any) -> Generator[sa.Connection]:  # noqa: ANN401
+        with self._translated(), self._engine.connect() as plain:
+            connection = plain.execution_options(**options)
             with connection.begin():
                 yield connection
 

@@ -120,13 +120,8 @@ def upgrade(url: str) -> list[str]:
                     context.stamp(steps, step.revision)
                     done.append(f"version {step.revision}: {step.doc}")
             if version < SCHEMA:
-                filled = race_table.fill_driven(change)
-                done.append(f"{filled} races tell their incidents")
-                done.append(f"{integrity.adopt(change)} records begin the ledger")
-            if states := integrity.adopt_states(change):
-                done.append(f"states of {states} entries begin in the ledger")
-            if integrity.adopt_present(change):
-                done.append("the present rules begin in the ledger")
+                done.append(f"{race_table.fill_driven(change)} races tell their incidents")
+                done += integrity.adopt(change)
         return done
 
 

@@ -48,7 +48,6 @@ class HeatDriver:
     """An entry as a worker needs it."""
 
     id: str
-    """Entry id."""
     name: str
     """Name shown in the replay."""
     scripted: str = ""
@@ -65,7 +64,6 @@ class HeatJob:
     number: int
     """Number of the heat, for messages."""
     halves: tuple[Half, ...]
-    """Its races."""
     seeds: tuple[int, ...]
     """Seed of each race."""
     ruleset: Ruleset
@@ -80,7 +78,6 @@ class HeatReport:
     """How a job went."""
 
     key: str
-    """Key of the heat."""
     outcome: HeatOutcome | None
     """Its results; None if it could not be raced."""
     traceback: str = ""
