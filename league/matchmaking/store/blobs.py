@@ -89,8 +89,9 @@ class FolderBlobs:
         try:  # a bucket shows an object whole or not at all
             self._files.pipe_file(path, content)
         except (OSError, ValueError) as refusal:
+            reason = getattr(refusal, "strerror", None) or refusal
             raise StoreError(
-                f"the file {digest[:12]} cannot be kept in {self._url} ({_reason(refusal)}): "
+                f"the file {digest[:12]} cannot be kept in {self._url} ({reason}): "
                 "give a place that can be written and has free space"
             ) from refusal
         return digest
@@ -103,8 +104,8 @@ class FolderBlobs:
             content = None
         except OSError as refusal:
             raise StoreError(
-                f"the file {digest[:12]} cannot be read from {self._url} ({_reason(refusal)}): "
-                "check that the place can be reached"
+                f"the file {digest[:12]} cannot be read from {self._url} "
+                f"({refusal.strerror or refusal}): check that the place can be reached"
             ) from refusal
         return _verified(content, digest, self._url)
 
@@ -112,10 +113,6 @@ class FolderBlobs:
         if len(digest) != 64 or not set(digest) <= set("0123456789abcdef"):
             raise StoreError(f"{digest[:70]!r} names no file: give 64 hexadecimal digits")
         return f"{self._root}/{digest[:2]}/{digest}"
-
-
-def _reason(refusal: Exception) -> str:
-    return getattr(refusal, "strerror", None) or str(refusal) or type(refusal).__name__
 
 
 class BlobStore(Transactional):

@@ -60,12 +60,10 @@ class Database:
     """Connections to one database; not shared across a fork."""
 
     def __init__(self, url: str, clock: Callable[[], float] | None = None) -> None:
-        """Prepare to connect; nothing is opened yet.
+        """Prepare to connect to an `address`; nothing is opened yet.
 
-        Args:
-            url: sqlite:///file or postgresql://...
-            clock: returns the time [s]; by default the database server's, so that machines with
-                wrong clocks agree about leases.
+        `clock` returns the time [s]; by default it is the database server's, so that machines with
+        wrong clocks agree about leases.
         """
         self.url = address(url)
         self.shown = self.url.set(drivername=self.url.get_backend_name()).render_as_string()

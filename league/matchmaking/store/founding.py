@@ -85,15 +85,14 @@ def version_of(database: Database) -> str:
 def check_version(database: Database) -> None:
     """Refuse a database without a league, or with tables of another version."""
     version = version_of(database)
-    if version > SCHEMA:
+    if version != SCHEMA:
+        remedy = f"knows {SCHEMA}: install a newer racing-league"
+        if version < SCHEMA:
+            remedy = (
+                f"needs {SCHEMA}: make a backup, then bring it up to date with `league upgrade`"
+            )
         raise StoreError(
-            f"the league in {database.shown} has tables of version {version}, this program knows "
-            f"{SCHEMA}: install a newer racing-league"
-        )
-    if version < SCHEMA:
-        raise StoreError(
-            f"the league in {database.shown} has tables of version {version}, this program needs "
-            f"{SCHEMA}: make a backup, then bring it up to date with `league upgrade`"
+            f"the league in {database.shown} has tables of version {version}, this program {remedy}"
         )
 
 

@@ -28,10 +28,6 @@ PRIORITY: dict[Purpose, int] = {"validation": 0, "gauntlet": 1, "cup": 1, "rated
 """Small numbers are claimed first; a season always has rated heats, and audits must not wait."""
 TRACEBACK_CHARS = 8000
 """The end of a traceback that is kept."""
-RETRIED: tuple[HeatState, ...] = ("error", "cancelled", "quarantined")
-"""States out of which a heat may be raced again."""
-OVER: tuple[HeatState, ...] = ("done", "quarantined")
-"""States in which a heat's seeds are public."""
 COPIED = tuple(name for name in HeatRecord.__dataclass_fields__ if name not in ("heat", "seeds"))
 """What a record has from its row as it is."""
 
@@ -157,7 +153,8 @@ class QueueStore(schema.Transactional):
             if row is None:
                 return 0
             number = row.audits if row.audits and row.state == "quarantined" else row.number
-            match = (heats.c.number == number) & heats.c.state.in_(RETRIED)
+            over = heats.c.state.in_(("error", "cancelled", "quarantined"))
+            match = (heats.c.number == number) & over
             if not change.update(heats, match, state="planned", attempts=0, done_s=None):
                 return 0
             change.log("league", "retry", key, heat=number, was=row.state)
@@ -188,15 +185,11 @@ class QueueStore(schema.Transactional):
         limit: int | None = None,
         newest: bool = False,
     ) -> list[HeatRecord]:
-        """Return heats by number.
+        """Return heats by number, all or only some.
 
-        Args:
-            states: only those in one of them; by default all.
-            numbers: only those with one of these; by default all.
-            entries: only those with all these entries (numbers) in them.
-            since: only those with a larger number.
-            limit: so many at most.
-            newest: with a limit, those with the largest numbers instead of the smallest.
+        Those in one of the `states`, with one of the `numbers`, with all of the `entries` (numbers)
+        in them, and numbered above `since`; at most `limit`, and then those with the smallest
+        numbers, or the largest ones (`newest`).
         """
         match = heats.c.number > since
         if states is not None:
@@ -211,9 +204,7 @@ class QueueStore(schema.Transactional):
 
     def heats_by_key(self, keys: Sequence[str]) -> list[HeatRecord]:
         """Return those of some heats that are known, by number."""
-        with self._database.reading() as connection:
-            rows = chunked(connection, with_rules(), heats.c.key, list(keys))
-            return self._records(connection, rows)
+        return self._heats(heats.c.key.in_(keys))
 
     def counts(self) -> dict[HeatState, int]:
         """Return how many heats are in each state."""
@@ -242,7 +233,8 @@ class QueueStore(schema.Transactional):
     def _record(self, row: Any, halves: list[Any]) -> HeatRecord:  # noqa: ANN401
         heat = heat_in(row, halves, self._entry_ids)
         vars(heat)["key"] = row.key  # computed when it was planned; Store.verify computes it again
-        seeds = self.seeds(heat) if row.state in OVER else None
+        is_public = row.state in ("done", "quarantined")
+        seeds = self.seeds(heat) if is_public else None
         known = row._mapping
         return HeatRecord(heat=heat, seeds=seeds, **{name: known[name] for name in COPIED})
 

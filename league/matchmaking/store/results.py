@@ -131,10 +131,18 @@ def _take_in(
     change: Change, worker: str, batch: Sequence[tuple[str, list[PackedResult]]]
 ) -> Received:
     """Take in results of heats; the caller must hold the database's lock."""
+    connection, sent_keys = change.connection, [key for key, _ in batch]
     query = sa.select(heats).order_by(heats.c.number).with_for_update()
-    sent_keys = [key for key, _ in batch]
-    rows = {row.key: row for row in chunked(change.connection, query, heats.c.key, sent_keys)}
-    intake = _intake(change.connection, {row.audits or row.number for row in rows.values()})
+    rows = {row.key: row for row in chunked(connection, query, heats.c.key, sent_keys)}
+    rules = connection.execute(sa.select(rulesets.c.number, rulesets.c.settings))
+    intake = _Intake({number: tuple(json.loads(text)["tracks"]) for number, text in rules})
+    targets = sorted({row.audits or row.number for row in rows.values()})
+    columns = [results.c[name] for name in ("heat", "half", "hash", "rejected", "machine")]
+    for row in chunked(connection, sa.select(*columns), results.c.heat, targets):
+        intake.before[row.heat].add((row.half, row.hash))
+        if not row.rejected:
+            intake.known[row.heat].add((row.half, row.hash))
+            intake.machines[row.heat].add(row.machine)
     keys: dict[str, list[str]] = {verdict: [] for verdict in Received.__dataclass_fields__}
     for key, sent in batch:
         if key not in rows:
@@ -149,20 +157,6 @@ def _take_in(
     for number, kept in intake.settled.items():
         change.log(worker, "settle", str(number), kept=[hash for _, hash in sorted(kept)])
     return Received(**{verdict: tuple(some) for verdict, some in keys.items()})
-
-
-def _intake(connection: sa.Connection, targets: set[int]) -> _Intake:
-    rules = connection.execute(sa.select(rulesets.c.number, rulesets.c.settings))
-    intake = _Intake({number: tuple(json.loads(text)["tracks"]) for number, text in rules})
-    stored = sa.select(
-        results.c.heat, results.c.half, results.c.hash, results.c.rejected, results.c.machine
-    )
-    for row in chunked(connection, stored, results.c.heat, sorted(targets)):
-        intake.before[row.heat].add((row.half, row.hash))
-        if not row.rejected:
-            intake.known[row.heat].add((row.half, row.hash))
-            intake.machines[row.heat].add(row.machine)
-    return intake
 
 
 def _judge(

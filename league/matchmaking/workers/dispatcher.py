@@ -93,7 +93,10 @@ class Dispatcher:
         """
         wanted = self._executor.free if claim is None else min(claim, self._executor.free)
         finished = self._begin(wanted) if wanted > 0 else []
-        self._renew_leases()
+        now_s = time.monotonic()
+        if self.running and now_s - self._renewed_s > self._lease_s / 6:
+            self._store.heartbeat(self.name, lease_s=self._lease_s, keys=list(self.running))
+            self._renewed_s = now_s
         return finished + self._hand_in(self._executor.wait(timeout_s))
 
     def _begin(self, wanted: int) -> list[FinishedHeat]:
@@ -131,13 +134,6 @@ class Dispatcher:
             drivers={id: self._driver(id) for id in heat.entries},
             keep_replays=self._keep_replays,
         )
-
-    def _renew_leases(self) -> None:
-        now = time.monotonic()
-        if self.running and now - self._renewed_s > self._lease_s / 6:
-            keys = list(self.running)
-            self._store.heartbeat(self.name, lease_s=self._lease_s, keys=keys)
-            self._renewed_s = now
 
     def _hand_in(self, reports: list[HeatReport]) -> list[FinishedHeat]:
         for report in reports:
