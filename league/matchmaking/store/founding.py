@@ -104,9 +104,10 @@ def upgrade(url: str) -> list[str]:
     from alembic.operations import Operations
 
     with closing(Database(url)) as database:
-        version, done = version_of(database), list[str]()
+        version_of(database)  # refuses a database without a league
         with changing(database, lock=True) as change:
             context, steps = _migrations(change.connection)
+            version, done = context.get_current_revision() or "", list[str]()
             if version not in {step.revision for step in steps.walk_revisions()}:
                 raise StoreError(
                     f"the league in {database.shown} has tables of version {version}, which this "
