@@ -39,10 +39,7 @@ MAX_PICTURE = 160 * 120
 
 
 def pack(given: Checkpoint) -> bytes:
-    """Return a checkpoint as the bytes of an entry; the same content gives the same bytes.
-
-    A card that is too long for the header is a PolicyError.
-    """
+    """Return a checkpoint as an entry, always the same bytes; a PolicyError if its card is long."""
     from safetensors.numpy import save
 
     content = save(dict(given.weights), {"card": given.text})
@@ -137,10 +134,7 @@ def _situations(card: Card) -> list[dict[str, np.ndarray]]:
 
 
 def check_sensors(sensors: SensorConfig, ruleset: Ruleset) -> None:
-    """Refuse sensors (PolicyError) that a league's cars do not carry.
-
-    Stock sensors have no mount, lens, rate or scan of their own.
-    """
+    """Refuse sensors (PolicyError) with a mount, lens, rate or scan that is not stock."""
     if sensors.truth:
         raise PolicyError(
             "this policy is given the true state, which no car can measure: "

@@ -91,10 +91,7 @@ class EntryStore(BlobStore):
             return entry
 
     def entry(self, text: str) -> LeagueEntry:
-        """Return the entry with this name, id, or beginning of an id (6 digits or more).
-
-        If none or several have it, a StoreError names the nearest.
-        """
+        """Return the entry of this name, id or beginning of one (6 digits); else a StoreError."""
         match = entries.c.name == text
         if len(text) >= 6 and set(text) <= set("0123456789abcdef"):
             match = match | entries.c.id.like(f"{text}%")
@@ -183,10 +180,7 @@ def _check_free(connection: sa.Connection, name: str) -> None:
 
 
 def owner_number(change: Change, name: str) -> int:
-    """Return the number of an owner, who is added if new.
-
-    A new name that cannot be shown, or passes for that of another owner, is a StoreError.
-    """
+    """Return the number of an owner, who is added if new and the name is possible."""
     query = sa.select(owners.c.number).where(owners.c.name == name)
     number = change.connection.scalar(query)
     if number is not None:

@@ -97,10 +97,7 @@ def check_version(database: Database) -> None:
 
 
 def upgrade(url: str) -> list[str]:
-    """Bring the tables of an older league up to date, all of it or nothing; return what was done.
-
-    A StoreError says that there is no league, or that its version is not known.
-    """
+    """Bring an older league's tables up to date, all or nothing; return what was done."""
     from alembic.operations import Operations
 
     with closing(Database(url)) as database:

@@ -102,10 +102,7 @@ def check_printable(name: str, what: str) -> None:
 
 
 def check_name(name: str, what: str) -> None:
-    """Refuse a name (StoreError) that cannot be shown, or that passes for another.
-
-    Such a name is too long, not printable, holds invisible characters or mixes scripts.
-    """
+    """Refuse a name (StoreError) that cannot be shown, in part or at all, or mixes scripts."""
     check_printable(name, what)
     begins_with_mark = unicodedata.category(name[0]).startswith("M")  # an accent without a letter
     if INVISIBLE & set(name) or begins_with_mark or not all(looks(name)):

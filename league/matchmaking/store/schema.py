@@ -138,8 +138,7 @@ heats = sa.Table(
     sa.Index("ix_heats_lease_s", "lease_s"),
     sqlite_autoincrement=True,
 )
-"""The queue. `claimed_s` is when the last lease began, `lease_s` when it ends, NULL unless claimed.
-"""
+"""The queue. The last lease began at `claimed_s`; it ends at `lease_s`, NULL unless claimed."""
 
 heat_entries = sa.Table(
     "heat_entries",

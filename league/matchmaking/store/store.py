@@ -265,12 +265,8 @@ def create(
 ) -> Store:
     """Make a league and open it; StoreError where there is one already.
 
-    Args:
-        url: sqlite:///league.db, a bare file name, or postgresql://user@host/database.
-        name: shown to people.
-        ruleset: the rules of all races.
-        blobs: directory or bucket for weights and recordings; empty for the database itself.
-        clock: returns the time [s since 1970], for tests.
+    Weights and recordings go into `blobs`, a directory or bucket, or, if it is empty, into the
+    database itself. For `url` and `clock` see Store.
     """
     if blobs:
         FolderBlobs(blobs)

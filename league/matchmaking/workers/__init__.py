@@ -76,10 +76,7 @@ class SlotExecutor(Generic[AnySlot]):
         self._begin(slot)
 
     def wait(self, timeout_s: float) -> list[HeatReport]:
-        """Return reports of jobs that ended; the job of a worker that died failed.
-
-        If no worker can be started, that is a ConfigError.
-        """
+        """Return reports of jobs that ended, or a ConfigError if no worker can be started."""
         busy = [slot for slot in self._slots if slot.job]
         if not busy:
             time.sleep(timeout_s)
@@ -294,25 +291,19 @@ def _ray() -> Any:  # noqa: ANN401
         ) from missing
     # What fails is raised.
     logging.getLogger("ray").setLevel(logging.ERROR)
-    _keep_stdout(ray)
-    return ray
-
-
-def _keep_stdout(ray: Any) -> None:  # noqa: ANN401
-    """Send what Ray prints about an actor's death to stderr: stdout is for results.
-
-    Ray has no setting for it, so this patches a private function, if this version has it.
-    """
+    # What it prints about an actor's death goes to stderr: stdout is for results. Ray has no
+    # setting for it, so this patches a private function, if this version has it.
     worker = getattr(ray._private, "worker", None)
     prints = getattr(worker, "print_to_stdstream", None)
     if worker is None or prints is None or getattr(prints, "league", False):
-        return
+        return ray
 
     def to_stderr(data: dict[str, Any], *settings: Any, **named: Any) -> None:  # noqa: ANN401
         prints({**data, "is_err": True}, *settings, **named)
 
     to_stderr.league = True  # pyright: ignore[reportFunctionMemberAccess]
     worker.print_to_stdstream = to_stderr
+    return ray
 
 
 def make_executor(name: Literal["processes", "ray"], num_workers: int) -> Executor:

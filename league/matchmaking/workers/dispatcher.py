@@ -72,10 +72,7 @@ class Dispatcher:
         lease_s: float = LEASE_S,
         keep_replays: bool = True,
     ) -> None:
-        """Take workers into service.
-
-        The lease of a heat, `lease_s` [s], is renewed six times while it lasts.
-        """
+        """Take workers into service; a lease of `lease_s` [s] is renewed six times as often."""
         self._store, self._executor = store, executor
         self.name = f"{socket.gethostname()[:60]}-{os.getpid()}-{secrets.token_hex(3)}"
         """Unique among dispatchers."""
@@ -87,10 +84,7 @@ class Dispatcher:
         self.running: dict[str, RunningHeat] = {}
 
     def step(self, timeout_s: float = 0.5, *, claim: int | None = None) -> list[FinishedHeat]:
-        """Give heats to idle workers, wait for reports, and hand in what ended.
-
-        At most `claim` more heats are claimed; reports are waited for `timeout_s` [s] at most.
-        """
+        """Lend up to `claim` heats to idle workers, wait `timeout_s` [s], hand in what ended."""
         wanted = self._executor.free if claim is None else min(claim, self._executor.free)
         finished = self._begin(wanted) if wanted > 0 else []
         now_s = time.monotonic()
