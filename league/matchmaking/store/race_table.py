@@ -49,8 +49,8 @@ def driven(result: Mapping[str, Any], cars: int) -> str:
             off, crashes, touches = (int(row.get(name, 0)) for name in FAULTS[:3])
             points = OFF_TRACK * off + CRASH * crashes + TOUCH * touches
             clean_ms = best_ms if is_clean(row) else 0
-            told = (points, round(100 * max(distance, 0.0)), clean_ms)
-            drives[car] = tuple(map(min, told, DRIVEN_MOST))
+            numbers = (points, round(100 * max(distance, 0.0)), clean_ms)
+            drives[car] = tuple(map(min, numbers, DRIVEN_MOST))
     content = drives.tobytes()
     return content.hex() if any(content) else ""
 
