@@ -70,8 +70,8 @@ def audit(
     """Run heats again; return how many got each verdict (a field of Received).
 
     Those that differ are in quarantine then, but for races in Bullet on another class of machine.
-    They do not wait in the queue, but the store receives them as if they had. `watch` is called with
-    the number of each heat and its verdict.
+    They do not wait in the queue, but the store receives them as if they had. `watch` is called
+    with the number of each heat and its verdict.
     """
     audits = [heat_spec.audit_of(one.heat) for one in heats]
     store.plan(audits)
