@@ -22,7 +22,9 @@ from league.sim.config import CameraConfig, SimConfig, VisualRandomization
 from league.track.track import TrackSet
 
 _FAR = 1e9
-_PIXELS_AT_ONCE = {"cpu": 1 << 20, "cuda": 1 << 25}
+_PIXELS_AT_ONCE = {"cpu": 1 << 16, "cuda": 1 << 25}
+"""A processor's cache holds what is worked out for so many; with 16 times as many it takes 3 times
+as long."""
 
 
 @dataclass(frozen=True)
