@@ -6,21 +6,11 @@ import numpy as np
 import pytest
 from numba import njit
 
-from league.sim.camera import floor_raster, raster
-from league.sim.camera.ground import texels
+from league.sim.camera import painting, raster
+from league.sim.camera.ground import LEVELS, texels
 from league.sim.camera.renderer import MODELS, _part, models
 from league.sim.camera.scene import CAR, DECK, FAR_CAR
-from league.sim.camera.tables import THING_COLUMNS, Optics, Pose, Room, Texture
-
-
-@njit
-def draw_room(pictures, optics, view, room, things, far, models):
-    raster.draw_room(pictures, optics, view, room, things, far, models)
-
-
-@njit
-def draw_floor(pictures, start, stop, texture, optics, view):
-    floor_raster.draw_floor(pictures, start, stop, texture, optics, view)
+from league.sim.camera.tables import THING_COLUMNS, Floor, Optics, Pose, Room, Texture
 
 
 def optics(channels=1, eyes=(0.0,), focal=10.0, cx=4.5, cy=4.5):
@@ -38,19 +28,40 @@ def room(colours=(10, 20, 30, 40), half=5.0, height=2.0):
     return Room(-half, -half, half, half, height, table)
 
 
+def painted(phases, pictures, optics, view, room, *, texture=None, things=(), bands=(), far=1e9):
+    """Draw on (num_eyes, height, width * channels) pictures with the painter as it is compiled."""
+    texture = texture or Texture(np.zeros(16, np.uint8), 2, 0.0, 0.0, 1.0)
+    painting.paint(
+        phases,
+        np.zeros(1, np.int64),
+        pictures[None],
+        np.array([view]),
+        np.array(things, float).reshape(1, -1, THING_COLUMNS),
+        Floor(
+            (texture.texels,) * LEVELS,
+            np.array([texture[1:]] * LEVELS, float),
+            room,
+            np.array(bands, np.int64).reshape(-1, 3),
+        ),
+        np.full(pictures.shape[-1], 99, np.uint8),
+        optics,
+        far,
+        models(optics.channels == 1),
+    )
+
+
 def drawn(things=(), walls=None, size=10, channels=1, pose=None, **lens) -> np.ndarray:
     pictures = np.full((1, size, size * channels), 99, np.uint8)
-    table = np.array(things, float).reshape(-1, THING_COLUMNS)
-    draw_room(
-        pictures,
-        optics(channels, **lens),
-        pose or level(),
-        walls or room(),
-        table,
-        1e9,
-        models(channels == 1),
-    )
+    lens_ = optics(channels, **lens)
+    painted(painting.ROOM, pictures, lens_, pose or level(), walls or room(), things=things)
     return pictures[0].reshape(size, size, channels)
+
+
+def draw_floor(pictures, start, stop, texture, optics, view):
+    # Behind the camera the room has no end that would limit the floor, so all rows are drawn.
+    behind = room()._replace(x_max=view.x - 1.0) if view.pitch_cos else room()
+    bands = [(start, stop, 0)]
+    painted(painting.FLOOR, pictures, optics, view, behind, texture=texture, bands=bands)
 
 
 def box(x, y, size, shade) -> tuple:
