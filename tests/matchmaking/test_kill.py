@@ -7,10 +7,12 @@ import os
 import random
 import shutil
 import signal
+import sqlite3
 import subprocess
 import sys
 import time
 from collections import Counter
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -171,19 +173,20 @@ def raced_cup(path: Path, dice: random.Random | None, patience_s: float) -> list
     environment = {**os.environ, "LEAGUE_URL": f"sqlite:///{path}", "OMP_NUM_THREADS": "1"}
     killed: list[str] = []
     give_up = time.monotonic() + patience_s
-    with Store(f"sqlite:///{path}") as store:
+    with Store(f"sqlite:///{path}") as store, closing(sqlite3.connect(path)) as changes:
         while store.cups()[0].ended_s is None:
             run = subprocess.Popen(
                 [*LEAGUE, "run", *SETTINGS], env=environment, stdout=subprocess.DEVNULL
             )
             try:
                 before = cup_heats(store)
+                version = changes.execute("PRAGMA data_version").fetchone()
                 while store.cups()[0].ended_s is None:
                     assert time.monotonic() < give_up, f"the cup is not over: {cup_heats(store)}"
                     assert run.poll() is None or killed
                     if run.poll() is not None:
                         break
-                    time.sleep(0.01)
+                    version = changed(changes, version, run)
                     now = cup_heats(store)
                     if dice is None or now == before:
                         continue
@@ -202,6 +205,19 @@ def raced_cup(path: Path, dice: random.Random | None, patience_s: float) -> list
                 run.kill()
                 run.wait()
     return killed
+
+
+def changed(changes: sqlite3.Connection, version: tuple, run: subprocess.Popen) -> tuple:
+    """Wait until another process has written to the league, one second at most; how it is now.
+
+    To read the heats each time would take a core from those that race them.
+    """
+    give_up = time.monotonic() + 1.0
+    while True:
+        time.sleep(0.01)
+        now = changes.execute("PRAGMA data_version").fetchone()
+        if now != version or run.poll() is not None or time.monotonic() > give_up:
+            return now
 
 
 def cup_heats(store: Store) -> Counter[str]:
