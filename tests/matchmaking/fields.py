@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -38,12 +38,13 @@ def results_of(races: Sequence[Race]) -> Results:
     slots = max((len(race.entries) for race in races), default=2)
     number: dict[Hashable, int] = {}
     heats = [number.setdefault(race.heat, len(number)) for race in races]
-    entries = np.full((len(races), slots), -1)
-    places = np.zeros((len(races), slots), dtype=np.int64)
-    for row, race in enumerate(races):
-        entries[row, : len(race.entries)] = race.entries
-        places[row, : len(race.entries)] = race.places
-    return Results(np.array(heats, dtype=np.int64), entries, places)
+
+    def table(rows: Iterable[tuple[int, ...]], empty: int) -> np.ndarray:
+        padded = [row + (empty,) * (slots - len(row)) for row in rows]
+        return np.array(padded, dtype=np.int64).reshape(-1, slots)
+
+    entries, places = (race.entries for race in races), (race.places for race in races)
+    return Results(np.array(heats, dtype=np.int64), table(entries, -1), table(places, 0))
 
 
 def raced(generator, strengths, grids, *, noise="gumbel", front=0.0) -> Results:
