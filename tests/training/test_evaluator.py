@@ -1,6 +1,7 @@
 """Policies are evaluated in a process of their own, in order, as in this one."""
 
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -17,7 +18,7 @@ from league.sim.config import SimConfig
 from league.track import files
 from league.training import evaluator
 from league.training.evaluator import EvalConfig, Evaluator, evaluate_policy
-from tests.training.small import untrained
+from tests.training.small import CAMERA, untrained
 
 ONE = EvalConfig(tracks=(files.load("reinvent_2018"),), laps=1)
 TWO = EvalConfig(tracks=(files.load("reinvent_2018"), files.load("peanut")), laps=1, trials=2)
@@ -134,21 +135,24 @@ def test_judge_that_takes_too_long_is_given_up(monkeypatch):
 
 def test_program_ends_although_policies_are_still_waiting(tmp_path):
     # More than a pipe holds: an order that nobody reads must not keep the learner from ending.
+    (tmp_path / "policy.pickle").write_bytes(pickle.dumps(untrained(CAMERA)))
     script = tmp_path / "leave.py"
     script.write_text(
         textwrap.dedent(
             f"""
+            import pickle
             import sys
+            from pathlib import Path
             sys.path.insert(0, {str(Path(__file__).parents[2])!r})
             from league import subprocesses
             from league.track import files
             from league.training.evaluator import EvalConfig, Evaluator
-            from tests.training.small import CAMERA, untrained
 
             if __name__ == "__main__":
+                policy = pickle.loads(Path(__file__).with_name("policy.pickle").read_bytes())
                 judge = Evaluator(EvalConfig(tracks=(files.load("reinvent_2018"),)))
                 for number in range(20):
-                    judge.submit(number, untrained(CAMERA))
+                    judge.submit(number, policy)
                 judge.close()
                 print("left")
             """
