@@ -57,21 +57,34 @@ class Server:
     def __init__(self, port: int) -> None:
         self.port = port
         self._count = itertools.count()
+        self._own: psycopg.Connection | None = None
 
     def url(self, database: str) -> str:
         return f"postgresql://league@127.0.0.1:{self.port}/{database}"
 
     def database(self) -> str:
         name = f"league_{next(self._count)}"
-        with psycopg.connect(self.url("postgres"), autocommit=True) as connection:
-            connection.execute(f"CREATE DATABASE {name}".encode())
+        own = self._connection()
+        # A copy of the template's files, where it may be chosen, not of each of its pages.
+        how = " STRATEGY file_copy" if own.info.server_version >= 150000 else ""
+        own.execute(f"CREATE DATABASE {name}{how}".encode())
         return self.url(name)
 
     def drop(self, url: str) -> None:
         """Remove a database that `database` made, whoever is still connected to it."""
         name = url.rsplit("/", 1)[1]
-        with psycopg.connect(self.url("postgres"), autocommit=True) as connection:
-            connection.execute(f"DROP DATABASE {name} WITH (FORCE)".encode())
+        self._connection().execute(f"DROP DATABASE {name} WITH (FORCE)".encode())
+
+    def close(self) -> None:
+        """Close the connection by which databases are made."""
+        if self._own is not None:
+            self._own.close()
+
+    def _connection(self) -> psycopg.Connection:
+        # The server begins a process for each connection, so one is kept.
+        if self._own is None:
+            self._own = psycopg.connect(self.url("postgres"), autocommit=True)
+        return self._own
 
 
 def _user() -> dict[str, Any]:
@@ -100,11 +113,12 @@ def _serve(programs: Path, folder: Path, who: dict[str, Any], durable: bool) -> 
         running = subprocess.Popen(
             [programs / "postgres", "-D", files, *told], stdout=log, stderr=log, **quiet
         )
+    started = Server(port)
     try:
-        started = Server(port)
         _wait(started, running, folder / "log")
         yield started
     finally:
+        started.close()
         running.send_signal(signal.SIGINT)  # ends connections and stops
         try:
             running.wait(20)
