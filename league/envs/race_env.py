@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from league.envs import episodes, rewards, scenarios
+from league.envs import episodes, observations, rewards, scenarios
 from league.envs import step as stages
 from league.envs.config import EnvConfig, RewardConfig, Scenarios
 from league.envs.rewards import Reward
@@ -303,6 +303,26 @@ class RaceEnv:
         which = np.flatnonzero(worlds)
         self._start(which, np.asarray(seeds, np.int64)[which])
         self._sensors.observe_again(self._world, which)
+
+    def restore(self, snapshot: World) -> None:
+        """Go on from a snapshot, as a search over actions does.
+
+        Args:
+            snapshot: `world.copy()` of an earlier moment, or `rows` of it, as many worlds as here.
+
+        Raises:
+            ConfigError: sensors, Bullet and training keep more than the records of a snapshot.
+        """
+        if self._solver is not None or self._sensors.carries or self.cfg.mode != "race":
+            raise ConfigError(
+                "only races in the planar solver without sensors go on from a snapshot: give "
+                "mode 'race', solver 'planar' and cars without camera, lidar and history"
+            )
+        for name in ("worlds", "cars", "obstacles"):
+            getattr(self._world, name)[:] = getattr(snapshot, name)
+        for car, motion in enumerate(self._motions):
+            observations.motions(np.ascontiguousarray(self._world.cars[:, car]), motion)
+        self._sensors.observe(self._world)
 
     def _run_in_parts(self, actions: np.ndarray) -> None:
         """Run a step with Bullet's physics, or with a reward written in Python."""

@@ -66,7 +66,8 @@ class SensorSuite:
         """What each car is given: its last readings, with the earlier ones that it keeps."""
         self._history = [cfg.sensors_of(car).history for car in range(cfg.sim.num_cars)]
         self._frames = [cfg.sensors_of(car).frames for car in range(cfg.sim.num_cars)]
-        self._carries = any(self._sensors) or any(self._history)
+        self.carries = any(self._sensors) or any(self._history)
+        """Whether any car keeps readings."""
         self.sees_truth = [cfg.sensors_of(car).truth for car in range(cfg.sim.num_cars)]
         self._computed: dict[str, np.ndarray] = {}
         self._fresh: set[str] = set()
@@ -82,12 +83,12 @@ class SensorSuite:
 
     def refresh(self, cars: np.ndarray) -> None:
         """Read the sensors of these cars next time, due or not; bool, (num_worlds, num_cars)."""
-        if self._carries and cars.any():
+        if self.carries and cars.any():
             self._stale = cars.copy() if self._stale is None else self._stale | cars
 
     def refresh_after(self, verdicts: np.ndarray) -> None:
         """Read the sensors of the cars that the referee has moved next time, due or not."""
-        if self._carries:
+        if self.carries:
             thrown = verdicts["forced_off"] & (verdicts["crashed_obstacle"] != NOBODY)
             self.refresh(verdicts["crashed"] | verdicts["released"] | thrown)
 
@@ -113,7 +114,7 @@ class SensorSuite:
     def observe(self, world: World) -> None:
         """Read what is due, on each race's own clock: a race in a batch equals that race alone."""
         self._fresh.clear()
-        if self._carries:
+        if self.carries:
             self.read(world)
 
     def read(self, world: World) -> tuple[Mapping[str, np.ndarray], ...]:
