@@ -66,7 +66,7 @@ def test_scores_of_heats_are_the_sums_of_their_races(league):
         for one in race_scores(rated, row.number):
             points, expected = by_heat.get(one.heat, [0.0, 0.0])
             by_heat[one.heat] = [points + one.points, expected + one.expected]
-        heats, points, expected = heat_scores(rated, row.number)
+        heats, points, expected = heat_scores(rated.own_races(row.number))
         assert heats.tolist() == sorted(by_heat)
         sums = np.array([by_heat[heat] for heat in heats.tolist()]).T
         assert points == pytest.approx(sums[0]) and expected == pytest.approx(sums[1])
@@ -78,10 +78,10 @@ def test_scores_of_heats_are_the_sums_of_their_races(league):
 def test_each_moment_of_a_history_is_the_likeliest_rating_by_the_races_until_then(league):
     rated = standings.of(league)
     for row in rated.rows:
-        own = standings.own_races(rated.races, rated.ratings, row.number)
+        own = rated.own_races(row.number)
         needed = own.strengths - rated.ratings.slot_advantages[own.slot]
         middle, spread = float(rated.ratings.elo.mean()), rated.ratings.prior_sd
-        for moment in history.own_history(rated, row.number, points=6)[:-1]:
+        for moment in history.own_history(rated, own, points=6)[:-1]:
             met = own.met[: moment.races]
             chance = expected_score(moment.elo - needed[: moment.races][met])
             # The slope of the log-posterior is 0 there, but for a step of a hundredth of an Elo.

@@ -237,6 +237,13 @@ class QueueStore(Transactional):
             match &= heats.c.number.in_(of_entry(entry))
         return self._heats(match, limit, newest=newest)
 
+    def heat_states(self, entry: int) -> dict[int, HeatState]:
+        """Return the states of all heats of an entry (its number), by number, the oldest first."""
+        query = sa.select(heats.c.number, heats.c.state).order_by(heats.c.number)
+        with self._database.reading() as connection:
+            rows = connection.execute(query.where(heats.c.number.in_(of_entry(entry))))
+            return {number: state for number, state in rows}
+
     def heats_by_key(self, keys: Sequence[str]) -> list[HeatRecord]:
         """Return those of some heats that are known, by number."""
         records: list[HeatRecord] = []

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import sqlalchemy as sa
 
 from league.errors import StoreError
@@ -73,6 +74,12 @@ class SeasonView(Store):
     def counts(self) -> dict[HeatState, int]:
         """Return how many heats of the season are done."""
         return {"done": self.num_done()}
+
+    def heat_states(self, entry: int) -> dict[int, HeatState]:
+        """Return the states of an entry's heats of the season; see QueueStore.heat_states."""
+        states = super().heat_states(entry)
+        within = self.season.has(np.array(list(states), int)).tolist()
+        return {number: states[number] for number, kept in zip(states, within, strict=True) if kept}
 
     def races(
         self,

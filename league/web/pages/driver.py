@@ -21,8 +21,15 @@ from league.matchmaking.scores import (
     race_scores,
     scores_by_season,
 )
-from league.matchmaking.standings import HeadToHead, Row, Standings, Strengths
-from league.matchmaking.store import HeatRecord, LeagueEntry, Races, Season, StoredResult
+from league.matchmaking.standings import HeadToHead, OwnRaces, Row, Standings, Strengths
+from league.matchmaking.store import (
+    HeatRecord,
+    HeatState,
+    LeagueEntry,
+    Races,
+    Season,
+    StoredResult,
+)
 from league.track import files
 from league.video import strip
 from league.web import charts
@@ -32,8 +39,6 @@ from league.web.pages.tracks import lap_line
 from league.web.reader import Document, NotFoundError, Reader, accepted, heat_number
 from league.web.snapshot import digest_of, parents_of
 
-NEWEST = 40
-"""Newest heats that are looked at."""
 FIRST_HEATS = 8
 """Heats of a new entry that are followed live."""
 WAITING = ("planned", "claimed")
@@ -62,14 +67,15 @@ def document(reader: Reader, number: int) -> Document:
     """Return an entry: its rating and how it came about, its record, its heats, its card."""
     entry, now = reader.entry(number), reader.snapshot()
     rated, row = now.rated, now.rows.get(number)
-    raced = reader.store.heats(entries=[number], limit=NEWEST, newest=True)
-    over = [record for record in raced if record.state not in (*WAITING, "cancelled")]
-    moments = _history(reader, entry, rated) if rated and row and row.races else []
-    best, worst = _extremes(rated, number) if rated and row else ([], [])
-    newest = over[-HEATS:][::-1]
-    extreme = reader.store.heats(numbers=[one["number"] for one in best + worst])
-    results = reader.results(newest + extreme)
-    listed = {line["number"]: line for line in reader.listed(newest + extreme, results=results)}
+    states = reader.store.heat_states(number)
+    newest = [heat for heat, state in states.items() if state in OVER][: -HEATS - 1 : -1]
+    own = rated.own_races(number) if rated and row else None
+    best, worst = _extremes(own) if own else ([], [])
+    wanted = {*newest, *(one["number"] for one in best + worst)}
+    records = reader.store.heats(numbers=[*wanted])
+    results = reader.results(records)
+    listed = {line["number"]: line for line in reader.listed(records, results=results)}
+    moments = _history(reader, entry, rated, own) if rated and own and row and row.races else []
     return {
         "entry": entry,
         "standing": row,
@@ -80,15 +86,15 @@ def document(reader: Reader, number: int) -> Document:
         "chart": charts.rating_history(moments, table.season_moments(reader, number))
         if moments and moments[0].races < moments[-1].races
         else None,
-        "against": _neighbours(rated, row) if rated and row else [],
+        "against": _neighbours(rated, row, own) if rated and row and own else [],
         "best": [{**listed[one["number"]], **one} for one in best],
         "worst": [{**listed[one["number"]], **one} for one in worst],
         "laps": _laps(reader, number),
-        "heats": [listed[record.number] for record in newest],
-        "num_heats": reader.store.num_done(number),
-        "waiting": sum(record.state in WAITING for record in raced),
-        "joining": _joining(reader, entry, raced),
-        "camera": _camera(entry, newest, results),
+        "heats": [listed[heat] for heat in newest],
+        "num_heats": sum(state == "done" for state in states.values()),
+        "waiting": sum(state in WAITING for state in states.values()),
+        "joining": _joining(reader, entry, states),
+        "camera": _camera(entry, [one for one in records[::-1] if one.number in newest], results),
         "card": _card(entry),
         "ancestors": ancestors(now.by_digest, entry),
         "children": [
@@ -98,28 +104,30 @@ def document(reader: Reader, number: int) -> Document:
     }
 
 
-def _joining(reader: Reader, entry: LeagueEntry, raced: list[HeatRecord]) -> Document | None:
+def _joining(
+    reader: Reader, entry: LeagueEntry, states: Mapping[int, HeatState]
+) -> Document | None:
     """Return how far a new entry is: what it waits for, and its first heats; None for others."""
-    first = raced[:FIRST_HEATS]
-    over = len(first) == FIRST_HEATS and not any(one.state in WAITING for one in first)
+    first = [*states][:FIRST_HEATS]
+    over = len(first) == FIRST_HEATS and not any(states[heat] in WAITING for heat in first)
     if entry.anchor or over or entry.state not in ("pending", "validating", "placement"):
         return None
     waits = "" if entry.state == "placement" else matchmaker.waits_for(reader.store, entry)
-    return {"waits_for": waits, "heats": reader.listed(first)}
+    return {"waits_for": waits, "heats": reader.listed(reader.store.heats(numbers=first))}
 
 
-def _neighbours(rated: Standings, row: Row) -> list[tuple[Row, HeadToHead | None]]:
+def _neighbours(rated: Standings, row: Row, own: OwnRaces) -> list[tuple[Row, HeadToHead | None]]:
     """Return the entries around one in the standings, and its record against each."""
-    first, met = max(0, row.rank - 1 - NEIGHBOURS), standings.meetings(rated, row.number)
+    first, met = max(0, row.rank - 1 - NEIGHBOURS), standings.meetings(rated, own)
     return [
         (other, met.get(other.number, standings.UNMET) if other.number != row.number else None)
         for other in rated.rows[first : row.rank + NEIGHBOURS]
     ]
 
 
-def _extremes(rated: Standings, number: int) -> tuple[list[Document], list[Document]]:
+def _extremes(own: OwnRaces) -> tuple[list[Document], list[Document]]:
     """Return the heats that went better than the ratings promised, and worse, the most so first."""
-    heats, points, expected = heat_scores(rated, number)
+    heats, points, expected = heat_scores(own)
     beyond = points - expected
 
     def first(surplus: np.ndarray) -> list[Document]:
@@ -180,10 +188,12 @@ def _camera(
     return None
 
 
-def _history(reader: Reader, entry: LeagueEntry, rated: Standings) -> list[HistoryPoint]:
+def _history(
+    reader: Reader, entry: LeagueEntry, rated: Standings, own: OwnRaces
+) -> list[HistoryPoint]:
     """Return an entry's history, as of the league's newest race; none before its first race."""
     if rated.num_races > FITTED_RACES:
-        return own_history(rated, entry.number, points=HISTORY_POINTS)
+        return own_history(rated, own, points=HISTORY_POINTS)
 
     def moments() -> list[HistoryPoint]:
         try:

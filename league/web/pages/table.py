@@ -195,7 +195,7 @@ def _unknown(name: str, text: str, known: Sequence[str], are: str) -> str:
 
 def _records(rated: Standings, rival: Row, rows: Sequence[Row]) -> dict[int, HeadToHead]:
     """Return the record of each entry against the rival, by its number; only those that met it."""
-    met = standings.meetings(rated, rival.number)
+    met = standings.meetings(rated, rated.own_races(rival.number))
     return {row.number: met[row.number].turned for row in rows if row.number in met}
 
 
