@@ -109,6 +109,11 @@ class Standings:
         return results_of(self.races)
 
     @cached_property
+    def by_number(self) -> dict[int, Row]:
+        """The lines by the entries' numbers, best first."""
+        return {row.number: row for row in self.rows}
+
+    @cached_property
     def newest_heat(self) -> int:
         """Largest number of a heat; 0 before the first."""
         return int(self.races.heat.max(initial=0))

@@ -27,6 +27,9 @@ FRESH_S = 1.0
 QUICK_S = 0.1
 """A snapshot that takes more of a processor than this [s] is taken by a thread of its own; until
 then new races are added to the last one."""
+MANY, PATIENCE_S = 3, 4.0
+"""While so many answers are made that nobody has asked for before, a snapshot that takes long is
+brought up to date so much later [s]: who waits for the first answer has more of the processor."""
 REST = 4.0
 """The next one waits so many times as long as the last one worked: a fifth of a processor."""
 SETTLED_REST = 24.0
@@ -64,6 +67,8 @@ class Reader:
         self._snapshot: Snapshot | None = None
         self._is_slow, self._due_s = False, 0.0
         self._taken_s, self._took_s = 0.0, 0.0
+        self.num_making = 0
+        """Answers that are made while somebody waits for them; set by whoever makes them."""
         self._counts: tuple[int, dict[HeatState, int]] | None = None
         self._counts_due_s = 0.0
         self._kept: OrderedDict[Hashable, Any] = OrderedDict()
@@ -78,7 +83,8 @@ class Reader:
         possible, or another request does it just now, an older one is returned.
         """
         now = self._snapshot
-        if now is not None and time.monotonic() < self._due_s:
+        later_s = PATIENCE_S if self._is_slow and self.num_making >= MANY else 0.0
+        if now is not None and time.monotonic() < self._due_s + later_s:
             return now
         if self._taking.acquire(blocking=now is None or not self._is_slow):
             try:
@@ -284,7 +290,7 @@ class Reader:
     def results(self, records: Iterable[HeatRecord]) -> dict[int, list[StoredResult]]:
         """Return all results of some heats, by their numbers; see `Store.results`."""
         found: dict[int, list[StoredResult]] = {record.number: [] for record in records}
-        for result in self.store.results(*found):
+        for result in self.store.results(*found) if found else ():
             found[result.heat].append(result)
         return found
 
@@ -328,9 +334,14 @@ class _Names(dict[str, str]):
         return self._reader.entry_of(id).name
 
 
+def is_number(text: str) -> bool:
+    """Return whether a text is a number, as short as those of drivers and heats."""
+    return text.isascii() and text.isdecimal() and len(text) < 16
+
+
 def heat_number(text: str, what: str = "heat") -> int:
     """Return the number of a heat that was asked for; whether there is one is not looked up."""
-    if not (text.isascii() and text.isdecimal() and len(text) < 16):
+    if not is_number(text):
         raise NotFoundError(f"{text[:20]!r} is no {what}: give a number.")
     return int(text)
 

@@ -83,10 +83,10 @@ class Snapshot:
         """The entries that were trained from a checkpoint, by its digest."""
         return by_parent(self.entries)
 
-    @cached_property
-    def rows(self) -> dict[int, Row]:
+    @property
+    def rows(self) -> Mapping[int, Row]:
         """The lines of the standings by the entries' numbers, best first."""
-        return {row.number: row for row in self.rated.rows} if self.rated else {}
+        return self.rated.by_number if self.rated else {}
 
     @cached_property
     def clean_laps(self) -> dict[str, list[BestLap]]:

@@ -44,6 +44,13 @@ PRIORITY: dict[Purpose, int] = {
 """Small numbers are claimed first; a season always has rated heats, and audits must not wait."""
 TRACEBACK_CHARS = 8000
 """The end of a traceback that is kept."""
+STATES = (
+    sa.select(heats.c.number, heats.c.state)
+    .join(heat_entries, heat_entries.c.heat == heats.c.number)
+    .where(heat_entries.c.entry == sa.bindparam("entry"))
+    .order_by(heats.c.number)
+)
+"""Selects the states of an entry's heats; made once, which takes as long as to ask."""
 RETRIED: tuple[HeatState, ...] = ("error", "cancelled", "quarantined")
 """States out of which a heat may be raced again."""
 
@@ -239,10 +246,8 @@ class QueueStore(Transactional):
 
     def heat_states(self, entry: int) -> dict[int, HeatState]:
         """Return the states of all heats of an entry (its number), by number, the oldest first."""
-        query = sa.select(heats.c.number, heats.c.state).order_by(heats.c.number)
         with self._database.reading() as connection:
-            rows = connection.execute(query.where(heats.c.number.in_(of_entry(entry))))
-            return {number: state for number, state in rows}
+            return {number: state for number, state in connection.execute(STATES, {"entry": entry})}
 
     def heats_by_key(self, keys: Sequence[str]) -> list[HeatRecord]:
         """Return those of some heats that are known, by number."""

@@ -289,8 +289,11 @@ def matchup(reader: Reader, one: int, other: int, before: str = "", season: str 
         raise NotFoundError(f"This league has no season {season[:20]!r}.")
     rows = now.rows.get(one), now.rows.get(other)
     both = now.rated if all(rows) else None
-    scores = race_scores(both, one, other) if both else []
     met = reader.store.heats(entries=[one, other])
+    scores, record = [], standings.UNMET if both else None
+    if both and met:
+        scores = race_scores(both, one, other)
+        record = standings.head_to_head(both, one, other)
     by_season = _by_season(reader, both, one, other, met) if both else {}
     records = [record for record in met if record.state in OVER]
     if end is not None:
@@ -304,7 +307,7 @@ def matchup(reader: Reader, one: int, other: int, before: str = "", season: str 
         "standings": rows,
         "difference": both.ratings.difference(one, other) if both else None,
         "season": both.season if both else None,
-        "record": standings.head_to_head(both, one, other) if both else None,
+        "record": record,
         "chart": charts.points_chart(scores) if len(scores) > 1 else None,
         "tracks": _points_by_track(scores),
         "heats": _races_met(

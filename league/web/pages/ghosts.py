@@ -20,7 +20,14 @@ from league.web import charts, race_charts
 from league.web.pages import heat as heats
 from league.web.pages import tracks
 from league.web.race_charts import Lap
-from league.web.reader import Document, NotFoundError, Reader, accepted, heat_number
+from league.web.reader import (
+    Document,
+    NotFoundError,
+    Reader,
+    accepted,
+    heat_number,
+    is_number,
+)
 from league.web.replay_data import drawn_car, drawn_track
 
 MOST = 100
@@ -137,7 +144,7 @@ def _asked(reader: Reader, text: str, best: Sequence[BestLap]) -> _Ghost | None:
         return _named(reader, text)
     lap = next((lap for lap in best if str(lap.number) == text), None)
     if lap is None:
-        reader.entry(int(text) if text.isascii() and text.isdecimal() and len(text) < 16 else 0)
+        reader.entry(int(text) if is_number(text) else 0)
     return _best(reader, lap) if lap else None
 
 

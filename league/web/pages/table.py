@@ -14,7 +14,7 @@ from league.matchmaking.standings import HeadToHead, Row, Standings
 from league.web import charts
 from league.web.pages.tracks import MEDALS
 from league.web.paging import address, paging
-from league.web.reader import Document, NotFoundError, Reader
+from league.web.reader import Document, NotFoundError, Reader, is_number
 from league.web.snapshot import kind_of
 
 PATH = "/standings"
@@ -139,7 +139,7 @@ def document(
     rows = rated.rows if rated else ()
     rival = None
     if against:
-        rival = next((row for row in rows if against in (str(row.number), row.name)), None)
+        rival = _rival(rated, against) if rated else None
     if against and rival is None:
         names = sorted(row.name for row in rows)
         unknown.append(_unknown("driver", against, names, "drivers are"))
@@ -180,6 +180,12 @@ def document(
         "car_counts": now.car_counts,
         **{"owner": owner, "kind": kind, "track": track, "cars": cars},
     }
+
+
+def _rival(rated: Standings, against: str) -> Row | None:
+    """Return the line of the driver with this number, or name."""
+    number = int(against) if is_number(against) else 0
+    return rated.by_number.get(number) or next((r for r in rated.rows if r.name == against), None)
 
 
 def _options(found: Collection[T]) -> Collection[T]:
