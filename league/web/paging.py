@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
 from urllib.parse import urlencode
 
 from league.web.reader import Document, NotFoundError
@@ -13,31 +12,12 @@ PER_PAGE = 100
 """Lines on one page."""
 
 
-@dataclass(frozen=True)
-class Paging:
-    """Which part of a list a page shows."""
-
-    page: int
-    """Number of the page, from 1."""
-    pages: int
-    """How many there are."""
-    pager: list[tuple[str, str]]
-    """Numbers and addresses of this page and some others; this one's address is empty."""
-    first: int
-    """Index of the page's first line."""
-    end: int
-    """Index behind its last one."""
-
-    @property
-    def document(self) -> Document:
-        """The part of a page's data that tells which page it is."""
-        return {name: value for name, value in asdict(self).items() if name.startswith("page")}
-
-
 def paging(
     lines: int, page: str, what: str, path: str, asked: Mapping[str, str], per_page: int = 0
-) -> Paging:
-    """Return where a page of a list is.
+) -> tuple[slice, Document]:
+    """Return which lines of a list a page shows, and what its data tells of that.
+
+    That is its number, how many pages there are, and numbers and addresses of this and some others.
 
     Args:
         lines: how many the list has.
@@ -55,12 +35,12 @@ def paging(
     if page and page not in map(str, range(1, pages + 1)):
         raise NotFoundError(f"The {what} have the pages 1 to {pages}.")
     number = int(page or 1)
-    first = (number - 1) * per_page
     pager: list[tuple[str, str]] = []
     for other in sorted({1, pages, *range(max(1, number - 2), min(pages, number + 2) + 1)}):
         there = address(path, {**asked, "page": str(other)} if other > 1 else asked)
         pager.append((str(other), "" if other == number else there))
-    return Paging(number, pages, pager, first, min(first + per_page, lines))
+    lines_shown = slice((number - 1) * per_page, number * per_page)
+    return lines_shown, {"page": number, "pages": pages, "pager": pager}
 
 
 def address(path: str, asked: Mapping[str, str]) -> str:

@@ -7,18 +7,19 @@ import gc
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Generator, Hashable, Iterable, Mapping
+from collections.abc import Callable, Generator, Hashable, Iterable, Iterator, Mapping
 from statistics import median
 from typing import Any, TypeVar
 
 from league.errors import LeagueError, StoreError
 from league.matchmaking.documents import heat_document
+from league.matchmaking.pairing.heat_spec import Half
 from league.matchmaking.standings import Standings
 from league.matchmaking.store import HeatRecord, HeatState, LeagueEntry, Store, StoredResult
 from league.racing_line.racing_line import lap_bound
 from league.replay import Replay, format
 from league.sim.config import CarConfig
-from league.track.track import Track
+from league.track import files
 from league.web import snapshot
 from league.web.snapshot import Snapshot
 
@@ -183,11 +184,14 @@ class Reader:
         """Return a recording by the hash of its file."""
         return self.kept(("replay", digest), lambda: format.decode(self.store.blobs.get(digest)))
 
-    def bound_s(self, track: Track) -> float | None:
+    def bound_s(self, track: str) -> float | None:
         """Return the time that no flying lap can beat [s]; None where a track is no loop."""
-        if not track.closed:
-            return None
-        return self.kept(("bound", track.name), lambda: lap_bound(track, CarConfig()))
+
+        def bound() -> float | None:
+            course = files.load(track)
+            return lap_bound(course, CarConfig()) if course.closed else None
+
+        return self.kept(("bound", track), bound)
 
     def kept(self, key: Hashable, make: Callable[[], T], *, in_turn: bool = False) -> T:
         """Return what `make` returns, made once for each key that was asked for lately.
@@ -310,16 +314,13 @@ class Reader:
         for record in records:
             winners: list[str] = []
             races: list[Document] = []
-            for number, half in enumerate(record.heat.halves):
-                result = accepted(results[record.number], number)
-                if result is None:
-                    continue
+            for number, half, result in raced(record, results[record.number]):
                 winners.append(names[half.grid[result.places.index(min(result.places))]])
                 if of is not None and of.id in half.grid:
                     car = half.grid.index(of.id)
                     row = next((row for row in result.result["order"] if row["car"] == car), {})
                     place, finished = result.places[car], row.get("finished", True)
-                    races.append({"race": number + 1, "place": place, "finished": finished})
+                    races.append({"race": number, "place": place, "finished": finished})
             line = {**heat_document(record, names), "winners": winners}
             lines.append(line if of is None else {**line, "own": races})
         return lines
@@ -344,6 +345,15 @@ def heat_number(text: str, what: str = "heat") -> int:
     if not is_number(text):
         raise NotFoundError(f"{text[:20]!r} is no {what}: give a number.")
     return int(text)
+
+
+def raced(
+    record: HeatRecord, results: list[StoredResult]
+) -> Iterator[tuple[int, Half, StoredResult]]:
+    """Yield those races of a heat that have a result: number, from 1, grid and result."""
+    for number, half in enumerate(record.heat.halves):
+        if (result := accepted(results, number)) is not None:
+            yield number + 1, half, result
 
 
 def accepted(results: list[StoredResult], half: int) -> StoredResult | None:

@@ -20,7 +20,7 @@ from league.matchmaking.scores import heat_scores, race_scores
 from league.matchmaking.store import Store
 from league.web import answers, reader
 from league.web.app import make_app
-from league.web.pages import home
+from league.web.pages import heats
 from league.web.reader import Reader
 from league.web.routes import Page
 from tests.matchmaking import leagues
@@ -100,14 +100,14 @@ def test_the_most_contested_race_is_found_reading_each_result_once(league, monke
 
     monkeypatch.setattr(Store, "results", noted)
     pages = Reader(league)
-    first = home._most_contested(pages)
+    first = heats._most_contested(pages)
     known = set(asked)
     asked.clear()
-    assert home._most_contested(pages) == first and not asked
+    assert heats._most_contested(pages) == first and not asked
     raced(league, leagues.duels(league, 2, first=500))
-    later = home._most_contested(pages)
+    later = heats._most_contested(pages)
     assert len(asked) == 2 and not known & set(asked)
-    assert later == home._most_contested(Reader(league))
+    assert later == heats._most_contested(Reader(league))
 
 
 def test_who_raced_the_newest_heats_is_read_without_the_heats(league):

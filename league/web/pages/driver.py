@@ -30,13 +30,12 @@ from league.matchmaking.store import (
     Season,
     StoredResult,
 )
-from league.track import files
 from league.video import strip
 from league.web import charts
 from league.web.pages import table
+from league.web.pages.laps import lap_line
 from league.web.pages.seasons import frozen
-from league.web.pages.tracks import lap_line
-from league.web.reader import Document, NotFoundError, Reader, accepted, heat_number
+from league.web.reader import Document, NotFoundError, Reader, accepted, heat_number, raced
 from league.web.snapshot import digest_of, parents_of
 
 FIRST_HEATS = 8
@@ -149,7 +148,7 @@ def _laps(reader: Reader, number: int) -> list[Document]:
         place = next((at for at, lap in enumerate(laps) if lap.number == number), None)
         if place is None:
             continue
-        lap, bound_s = laps[place], reader.bound_s(files.load(name))
+        lap, bound_s = laps[place], reader.bound_s(name)
         over = lap.lap_s / bound_s if bound_s else None
         own = {"track": name, "place": place + 1, "over_bound": over}
         lines.append({**lap_line(lap, bound_s), **own})
@@ -171,16 +170,15 @@ def _camera(
 ) -> Document | None:
     """Return the newest recorded race of an entry, and the moments that its film strip shows."""
     for record in records:
-        for half, race in enumerate(record.heat.halves):
-            result = accepted(results[record.number], half)
-            if result is None or not result.replay or entry.id not in race.grid:
+        for number, race, result in raced(record, results[record.number]):
+            if not result.replay or entry.id not in race.grid:
                 continue
             car = race.grid.index(entry.id)
             row = next(row for row in result.result["order"] if row["car"] == car)
             total_s = row["total_s"] if row["finished"] else math.inf
             return {
                 "heat": record.number,
-                "race": half + 1,
+                "race": number,
                 "car": car + 1,
                 "track": race.track,
                 "moments_s": strip.moments(total_s, result.result["race_s"]),

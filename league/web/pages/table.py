@@ -12,7 +12,7 @@ from league.matchmaking import divisions, history, safety, standings
 from league.matchmaking.scope import SEASON_SD
 from league.matchmaking.standings import HeadToHead, Row, Standings
 from league.web import charts
-from league.web.pages.tracks import MEDALS
+from league.web.pages.laps import MEDALS
 from league.web.paging import address, paging
 from league.web.reader import Document, NotFoundError, Reader, is_number
 from league.web.snapshot import kind_of
@@ -153,8 +153,10 @@ def document(
         shown = sorted(shown, key=partial(ORDERS[sort], track or rules["tracks"][0]))
     asked = {"owner": owner, "kind": kind, "track": track, "cars": cars, "against": against}
     asked = {name: text for name, text in asked.items() if text}
-    at = paging(len(shown), page, "standings", PATH, {**asked, "sort": sort} if sort else asked)
-    on_page = shown[at.first : at.end]
+    lines, paged = paging(
+        len(shown), page, "standings", PATH, {**asked, "sort": sort} if sort else asked
+    )
+    on_page = shown[lines]
     return {
         "rules": rules,
         "unknown": unknown,
@@ -166,7 +168,7 @@ def document(
         "season": rated.season if rated else None,
         "marks": marks_of(reader, on_page),
         "entries": len(shown),
-        **at.document,
+        **paged,
         "sort": sort,
         "sorts": {
             name: "" if name == sort else address(PATH, {**asked, "sort": name} if name else asked)

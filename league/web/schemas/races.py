@@ -8,8 +8,8 @@ from pydantic import BaseModel, ConfigDict
 
 from league.matchmaking.store import HeatState
 from league.sim.config import RaceKind
-from league.web.pages.heat import LapFaults
-from league.web.race_charts import ComparedLaps
+from league.web.charts import ComparedLaps
+from league.web.pages.heats import LapFaults
 
 
 class Answer(BaseModel):
