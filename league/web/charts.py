@@ -240,7 +240,7 @@ def _axis(
 def path(points: np.ndarray, *, flip: bool = True) -> str:
     """Return the SVG path along some points; `flip` turns y downwards, as pictures have it."""
     sign = -1 if flip else 1
-    return "M" + "L".join(f"{x:.2f} {sign * y:.2f}" for x, y in points)
+    return "M" + "L".join(f"{x:.2f} {sign * y:.2f}" for x, y in points.tolist())
 
 
 @dataclass(frozen=True)

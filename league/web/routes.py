@@ -6,26 +6,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from starlette.convertors import Convertor, register_url_convertor
+from starlette.convertors import IntegerConvertor, register_url_convertor
 from starlette.requests import Request
 
 from league.web.pages import driver, heats, laps, seasons, table
 from league.web.reader import Document, Reader
 from league.web.schemas import pages as schemas
 from league.web.schemas import races
-from league.web.schemas import seasons as season_schemas
 
 
-class _Number(Convertor[int]):
+class _Number(IntegerConvertor):
     """Numbers in addresses: no longer than any that a league has."""
 
     regex = "[0-9]{1,15}"
-
-    def convert(self, value: str) -> int:
-        return int(value)
-
-    def to_string(self, value: int) -> str:
-        return str(value)
 
 
 register_url_convertor("number", _Number())
@@ -131,14 +124,14 @@ PAGES = (
          query={"races": "Kind of race: head_to_head, time_trial or obstacle_avoidance"},
          answer=schemas.BoardsAnswer),
     Page("/seasons", "Past seasons with their trophies, and cups", seasons.document, "seasons.html",
-         shared=True, answer=season_schemas.SeasonsAnswer),
+         shared=True, answer=races.SeasonsAnswer),
     Page("/seasons/{number:number}", "A season's final standings and trophies", seasons.season,
          "season.html", query={"page": "Number of the page of the final standings, from 1"},
-         answer=season_schemas.SeasonAnswer),
+         answer=races.SeasonAnswer),
     Page("/cups/{number:number}", "A cup: qualifying and bracket", seasons.cup, "cup.html",
          query={"round": "Number of a round with many heats, from 1, instead of the last rounds",
           "page": "Number of the page of the qualifying, or of that round, from 1"},
-         answer=season_schemas.CupAnswer),
+         answer=races.CupAnswer),
     Page("/definitions", "What the numbers mean", table.definitions, "definitions.html",
          answer=schemas.DefinitionsAnswer),
     Page("/live", "Running heats, queue, workers, heats per minute", heats.live, "live.html",

@@ -84,7 +84,7 @@ class Snapshot:
         return by_parent(self.entries)
 
     @property
-    def rows(self) -> Mapping[int, Row]:
+    def rows(self) -> dict[int, Row]:
         """The lines of the standings by the entries' numbers, best first."""
         return self.rated.by_number if self.rated else {}
 
@@ -92,6 +92,14 @@ class Snapshot:
     def clean_laps(self) -> dict[str, list[BestLap]]:
         """The fastest clean lap of each entry on each track, the fastest first."""
         return clean_laps(self.rated.races, self.rated.tracks) if self.rated else {}
+
+    @cached_property
+    def lap_places(self) -> dict[str, dict[int, int]]:
+        """Where each entry stands among these laps, from 0, by track and number."""
+        return {
+            track: {lap.number: place for place, lap in enumerate(laps)}
+            for track, laps in self.clean_laps.items()
+        }
 
     @cached_property
     def moves_by_entry(self) -> dict[int, list[tuple[Season, Move]]]:

@@ -16,7 +16,7 @@ from league.matchmaking import history, standings
 from league.matchmaking.history import own_history
 from league.matchmaking.scope import scope
 from league.matchmaking.store import Store
-from league.web import answers, paging, reader
+from league.web import answers, reader
 from league.web.app import make_app
 from league.web.pages import table
 from league.web.routes import Page
@@ -81,7 +81,7 @@ def test_lines_are_sorted_without_javascript(pages):
 
 
 def test_pages_hold_everyone_once(pages, monkeypatch):
-    monkeypatch.setattr(paging, "PER_PAGE", 3)
+    monkeypatch.setattr(reader, "PER_PAGE", 3)
     whole = [row["number"] for number in "123" for row in rows(pages, page=number)]
     assert len(whole) == len(set(whole)) == ENTRIES
     middle = pages.get("/standings?page=2&kind=policy").text
@@ -151,7 +151,7 @@ def test_a_snapshot_reads_only_what_is_new(league, monkeypatch):
 
 
 def test_only_the_lines_of_a_page_have_marks(pages, monkeypatch):
-    monkeypatch.setattr(paging, "PER_PAGE", 3)
+    monkeypatch.setattr(reader, "PER_PAGE", 3)
     document = pages.get("/api/v1/standings?page=2").json()
     assert list(document["marks"]) == [str(row["number"]) for row in document["rows"]]
     assert len(document["rows"]) == 3

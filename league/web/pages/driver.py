@@ -143,9 +143,9 @@ def _extremes(own: OwnRaces) -> tuple[list[Document], list[Document]]:
 
 def _laps(reader: Reader, number: int) -> list[Document]:
     """Return an entry's best clean lap on each track: its place among all, its medal, its race."""
-    lines = []
-    for name, laps in reader.snapshot().clean_laps.items():
-        place = next((at for at, lap in enumerate(laps) if lap.number == number), None)
+    lines, now = [], reader.snapshot()
+    for name, laps in now.clean_laps.items():
+        place = now.lap_places[name].get(number)
         if place is None:
             continue
         lap, bound_s = laps[place], reader.bound_s(name)

@@ -11,8 +11,7 @@ from league.matchmaking.store import DoneHeat, HeatRecord, RaceOutcome, StoredRe
 from league.race_spec import RaceResult
 from league.replay import Replay
 from league.web import charts
-from league.web.paging import paging
-from league.web.reader import Document, NotFoundError, Reader, accepted, heat_number
+from league.web.reader import Document, NotFoundError, Reader, accepted, heat_number, paging
 from league.web.replay_data import events, player_data
 
 _Contest = tuple[int, float, int, str]

@@ -6,8 +6,7 @@ from typing import Any
 
 from league.matchmaking import cups
 from league.matchmaking.store import Cup, Season
-from league.web.paging import address, paging
-from league.web.reader import Document, NotFoundError, Reader
+from league.web.reader import Document, NotFoundError, Reader, address, paging
 
 TOP = 3
 """Entries that lead the running season."""

@@ -13,8 +13,7 @@ from league.matchmaking.scope import SEASON_SD
 from league.matchmaking.standings import HeadToHead, Row, Standings
 from league.web import charts
 from league.web.pages.laps import MEDALS
-from league.web.paging import address, paging
-from league.web.reader import Document, NotFoundError, Reader, is_number
+from league.web.reader import Document, NotFoundError, Reader, address, is_number, paging
 from league.web.snapshot import kind_of
 
 PATH = "/standings"
