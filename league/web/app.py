@@ -31,7 +31,7 @@ from league.errors import LeagueError
 from league.matchmaking import safety
 from league.matchmaking.documents import plain
 from league.matchmaking.store import Store
-from league.web import charts, openapi, submit
+from league.web import charts, openapi, token_api
 from league.web.answers import Answers
 from league.web.downloads import DOWNLOADS
 from league.web.reader import Document, NotFoundError, Reader
@@ -139,8 +139,8 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
         Route("/favicon.ico", lambda _: RedirectResponse("/static/icon.svg", 308)),
     ]
     if not exported:
-        routes += [one.route(reader, access, render) for one in submit.FORMS]
-        routes += [one.route(store, access) for one in openapi.PROTECTED]
+        routes += [one.route(reader, access, render) for one in token_api.FORMS]
+        routes += [one.route(store, access) for one in token_api.ADDRESSES]
     app = Starlette(
         routes=routes,
         middleware=[
