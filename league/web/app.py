@@ -95,7 +95,8 @@ def make_app(store: Store, *, access: Access | None = None, exported: bool = Fal
     def endpoint(one: Page, shown: Callable[[Request, Document], Response]) -> Callable[..., Any]:
         def respond(request: Request) -> Response:
             with access.reading(request):
-                document = one.read(reader, request)
+                with store.at_once():
+                    document = one.read(reader, request)
                 response = shown(request, document)
             if document.get("progress"):  # how far a heat has come is not kept until it is over
                 response.headers["Cache-Control"] = "no-cache"

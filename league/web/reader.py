@@ -31,8 +31,8 @@ QUICK_S = 0.1
 """A snapshot that takes more of a processor than this [s] is taken by a thread of its own; until
 then new races are added to the last one."""
 MANY, PATIENCE_S = 3, 4.0
-"""While so many answers are made that nobody has asked for before, a snapshot that takes long is
-brought up to date so much later [s]: who waits for the first answer has more of the processor."""
+"""While so many first answers are made, a snapshot that takes long is brought up to date so much
+later [s]: the requests that wait for them have more of the processor."""
 REST = 4.0
 """The next one waits so many times as long as the last one worked: a fifth of a processor."""
 SETTLED_REST = 24.0
@@ -73,7 +73,7 @@ class Reader:
         self._is_slow, self._due_s = False, 0.0
         self._taken_s, self._took_s = 0.0, 0.0
         self.num_making = 0
-        """Answers that are made while somebody waits for them; set by whoever makes them."""
+        """Answers that are being made, which requests wait for; set by `Answers`."""
         self._counts: tuple[int, dict[HeatState, int]] | None = None
         self._counts_due_s = 0.0
         self._kept: OrderedDict[Hashable, Any] = OrderedDict()

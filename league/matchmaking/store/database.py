@@ -13,6 +13,7 @@ import os
 import random
 import re
 import sqlite3
+import threading
 import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
@@ -74,6 +75,8 @@ class Database:
         self._clock = clock
         self._jitter = random.Random()
         self._pid = os.getpid()
+        self._shared = threading.local()
+        """Of each thread: the connection of `reading_at_once`, if it goes on."""
         try:
             self._engine = sa.create_engine(self.url, pool_pre_ping=not self.is_sqlite)
         except ModuleNotFoundError as missing:
@@ -93,11 +96,27 @@ class Database:
     @contextmanager
     def reading(self) -> Generator[sa.Connection]:
         """Yield a connection that sees one state of the database throughout."""
+        shared: sa.Connection | None = getattr(self._shared, "connection", None)
+        if shared is not None:
+            with self._translated():
+                yield shared
+            return
         with self._translated(), self._engine.connect() as connection:
             if not self.is_sqlite:
                 connection = connection.execution_options(isolation_level="REPEATABLE READ")
             with connection.begin():
                 yield connection
+
+    @contextmanager
+    def reading_at_once(self) -> Generator[None]:
+        """Let all that this thread reads meanwhile see one state of the database."""
+        with self.reading() as connection:
+            before = getattr(self._shared, "connection", None)
+            self._shared.connection = connection
+            try:
+                yield
+            finally:
+                self._shared.connection = before
 
     @contextmanager
     def writing(self) -> Generator[sa.Connection]:

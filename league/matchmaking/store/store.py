@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from typing import Self
 
 import sqlalchemy as sa
@@ -117,6 +118,10 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
         return Tokens(self._database)
 
     # What happened
+
+    def at_once(self) -> AbstractContextManager[None]:
+        """Let all that this thread reads meanwhile see the league at one moment, and sooner."""
+        return self._database.reading_at_once()
 
     def done(self, *, entry: int | None, skip: int, limit: int) -> list[HeatRecord]:
         """Return heats that are done, the newest first.
