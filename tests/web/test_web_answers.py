@@ -173,3 +173,23 @@ def test_renewals_wait_for_what_is_not_kept_yet(league, monkeypatch):
         while made[2:] != ["/heats"]:
             assert time.monotonic() < give_up, made
             time.sleep(0.01)
+
+
+def test_what_is_read_at_once_is_of_one_moment(league):
+    with league.at_once():
+        before, entry = league.counts(), league.entry("e1").number
+        states = league.heat_states(entry)
+        raced(league, leagues.duels(league, 1, first=500))
+        assert league.counts() == before and league.heat_states(entry) == states
+    assert league.counts()["done"] == before["done"] + 1
+    assert list(states.values()).count("done") == league.num_done(entry)
+
+
+def test_new_races_wait_while_first_answers_are_made(league, monkeypatch):
+    pages = Reader(league)
+    before = pages.snapshot()
+    raced(league, leagues.duels(league, 1, first=500))
+    pages._is_slow, pages._due_s, pages.num_making = True, time.monotonic(), reader.MANY
+    assert pages.snapshot() is before
+    monkeypatch.setattr(reader, "PATIENCE_S", 0.0)
+    assert len(pages.snapshot().races.heat) > len(before.races.heat)
