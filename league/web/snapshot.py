@@ -21,7 +21,9 @@ FROZEN = [field.name for field in fields(Row)]
 """What a frozen line may tell; those of older versions tell less."""
 PASSING = frozenset({"plan", "claim", "complete", "fail", "lose", "retry", "reap"})
 """What happens to heats all the time, and changes nothing but the races."""
-SHARED = "by_number", "by_id", "by_digest", "by_parent", "owners", "kinds", "moves_by_entry"
+SHARED = (
+    "by_number", "by_id", "by_owner", "by_digest", "by_parent", "owners", "kinds", "moves_by_entry",
+)  # fmt: skip
 """What follows from entries and divisions alone."""
 
 
@@ -72,6 +74,14 @@ class Snapshot:
     def by_id(self) -> dict[str, LeagueEntry]:
         """The entries by their ids."""
         return {entry.id: entry for entry in self.entries}
+
+    @cached_property
+    def by_owner(self) -> dict[str, list[LeagueEntry]]:
+        """The entries of each owner."""
+        found: dict[str, list[LeagueEntry]] = {}
+        for entry in self.entries:
+            found.setdefault(entry.owner, []).append(entry)
+        return found
 
     @cached_property
     def by_digest(self) -> dict[str, LeagueEntry]:

@@ -143,7 +143,10 @@ def document(
         names = sorted(row.name for row in rows)
         unknown.append(_unknown("driver", against, names, "drivers are"))
         against = ""
-    shown = [row for row in rows if row.owner == owner] if owner else rows
+    shown = rows
+    if owner and rated:
+        own = [rated.by_number.get(entry.number) for entry in now.by_owner[owner]]
+        shown = sorted(filter(None, own), key=lambda row: row.rank)
     if kind:
         shown = [row for row in shown if kind_of(now.by_number[row.number]) == kind]
     if sort not in ORDERS:
