@@ -11,7 +11,7 @@ import numpy as np
 from league.matchmaking import standings
 from league.matchmaking.ratings.pair_counts import changes
 from league.matchmaking.ratings.table import SIGMAS_95
-from league.matchmaking.standings import Standings, Strengths
+from league.matchmaking.standings import OwnRaces, Standings, Strengths
 from league.matchmaking.store import BEST_MS, CLEAN, Races, Season, Store
 from league.sim.config import RaceKind
 
@@ -58,9 +58,8 @@ def race_scores(
     return list(map(RaceScore, *columns))
 
 
-def heat_scores(rated: Standings, number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def heat_scores(own: OwnRaces) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return an entry's rated heats: numbers, points made, points promised, (heats,) each."""
-    own = standings.own_races(rated.races, rated.ratings, number)
     starts = changes(own.races.heat)
     if not len(starts):
         return own.races.heat, np.zeros(0), np.zeros(0)

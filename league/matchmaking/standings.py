@@ -107,6 +107,20 @@ class Standings:
         """The races as the fit reads them."""
         return results_of(self.races)
 
+    @cached_property
+    def by_number(self) -> dict[int, Row]:
+        """The lines by the entries' numbers, best first."""
+        return {row.number: row for row in self.rows}
+
+    @cached_property
+    def newest_heat(self) -> int:
+        """Largest number of a heat; 0 before the first."""
+        return int(self.races.heat.max(initial=0))
+
+    def own_races(self, number: int) -> OwnRaces:
+        """Return the races of an entry."""
+        return own_races(self.races, self.ratings, number)
+
     def row(self, number: int, name: str = "") -> Row:
         """Return an entry's line by its number; its name is for the error only.
 
@@ -331,7 +345,7 @@ UNMET = HeadToHead(0, 0, 0, 0.0, 0.0)
 
 def head_to_head(standings: Standings, one: int, other: int) -> HeadToHead:
     """Return the record of two entries, by number."""
-    return meetings(standings, one).get(other, UNMET)
+    return meetings(standings, standings.own_races(one)).get(other, UNMET)
 
 
 class Strengths(Protocol):
@@ -357,6 +371,8 @@ class Strengths(Protocol):
 class OwnRaces:
     """An entry's rated races by heat and half, seen from its seat; all but two (races, cars)."""
 
+    number: int
+    """Of the entry."""
     races: Races
     slot: np.ndarray
     """Where it stood on the grid, (races, 1)."""
@@ -383,6 +399,7 @@ def own_races(races: Races, ratings: Strengths, number: int) -> OwnRaces:
     place = np.take_along_axis(places, slot, axis=1)
     known = np.searchsorted(ratings.entries, races.entries).clip(max=len(ratings.entries) - 1)
     return OwnRaces(
+        number=number,
         races=races,
         slot=slot,
         met=(races.entries >= 0) & ~mine,
@@ -391,9 +408,8 @@ def own_races(races: Races, ratings: Strengths, number: int) -> OwnRaces:
     )
 
 
-def meetings(standings: Standings, number: int) -> dict[int, HeadToHead]:
+def meetings(standings: Standings, own: OwnRaces) -> dict[int, HeadToHead]:
     """Return an entry's record against each one that it met, by the other's number."""
-    own = own_races(standings.races, standings.ratings, number)
     others, at = np.unique(own.races.entries[own.met], return_inverse=True)
     races, wins, ties = (
         np.bincount(at, counted[own.met], len(others)).astype(int).tolist()
@@ -414,5 +430,5 @@ def meetings(standings: Standings, number: int) -> dict[int, HeadToHead]:
 
 def records(standings: Standings, number: int) -> list[tuple[Row, HeadToHead]]:
     """Return an entry's record against each one that it met, the best of them first."""
-    met = meetings(standings, number)
+    met = meetings(standings, standings.own_races(number))
     return [(row, met[row.number]) for row in standings.rows if row.number in met]

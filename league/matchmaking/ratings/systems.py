@@ -30,6 +30,8 @@ GAP_ERROR = 1e-2
 """Relative error of a difference's variance at most; that of its interval is half of it."""
 FEW = 0.1
 """Share of a vector's numbers up to which only the rows of those that are not 0 are read."""
+SMALL = 3e-3
+"""Share of a step's largest number below which the others are left out of the step."""
 PULL = 50.0
 """Heats an entry needs for its own scatter to count as much as the field's."""
 
@@ -295,8 +297,9 @@ class Gaps:
     """Variances of differences between two strengths in a large field, one at a time.
 
     The right side is 0 but for two entries, and so are the first steps of conjugate gradients but
-    for their opponents, and those of these: only later steps read all pairs that met. Slots are
-    eliminated, H's Schur complement over the strengths is solved.
+    for their opponents, and nearly so for those of these, which are left out (`SMALL`): only later
+    steps read all pairs that met. Slots are eliminated, H's Schur complement over the strengths is
+    solved.
     """
 
     def __init__(self, system: Sparse, squares: Squares) -> None:
@@ -311,17 +314,19 @@ class Gaps:
         right = np.zeros(len(self._squares.prior))
         right[one] += 1.0
         right[other] -= 1.0
-        entries, squares = self._solved(right), self._squares
+        entries, variance = self._solved(right)
+        squares = self._squares
         slots = -self._system.slots_of(entries)
         robust = entries @ (_times(self._scattered, entries) + squares.prior * entries)
         robust += slots @ (2 * squares.border.T @ entries + squares.corner @ slots)
-        return float(right @ entries), float(robust)
+        return variance, float(robust)
 
-    def _solved(self, right: np.ndarray) -> np.ndarray:
-        """Return the strengths' part of H^-1 right, its variance right to `GAP_ERROR`.
+    def _solved(self, right: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return the strengths' part of H^-1 right, and its variance, right to `GAP_ERROR`.
 
-        A residual r leaves out r' H^-1 r of the variance, at most |r|^2 / (least prior), because
-        races only add curvature.
+        Each step goes as far as its direction allows, whatever was left out of that. A residual r
+        leaves out r' H^-1 r of the variance, at most |r|^2 / (least prior), because races only add
+        curvature.
         """
         system, solved, residual, variance = self._system, np.zeros(len(right)), right.copy(), 0.0
         diagonal = system.diagonal[: len(right)]
@@ -330,14 +335,18 @@ class Gaps:
         while residual @ residual > GAP_ERROR * self._least * variance:
             met = _times(self._met, towards)
             curved = diagonal * towards - met - system.border @ system.slots_of(towards)
-            step = length / float(towards @ curved)
+            slope = float(residual @ towards)
+            step = slope / float(towards @ curved)
             solved += step * towards
             residual -= step * curved
-            variance += step * length
+            variance += step * slope
             scaled = residual / diagonal
             before, length = length, float(residual @ scaled)
             towards = scaled + length / before * towards
-        return solved
+            large = np.abs(towards) > SMALL * np.abs(towards).max()
+            if large.mean() <= FEW:
+                towards = np.where(large, towards, 0.0)
+        return solved, variance
 
 
 def _times(symmetric: sparse.csr_array, vector: np.ndarray) -> np.ndarray:
