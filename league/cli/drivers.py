@@ -21,15 +21,13 @@ if TYPE_CHECKING:
 class Drivers:
     """List the scripted drivers and the policies in the garage."""
 
-    def run(self) -> int:
-        """Run the command."""
+    def run(self) -> None:
         from league.agents import checkpoint, roster
 
         rows = list(roster.NAMES.items())
         for name, path in roster.garage().items():
             rows.append((name, _description(checkpoint.load(path).card)))
         tables.table("Drivers", ("name", "how it drives"), rows)
-        return 0
 
 
 def _description(card: Card) -> str:
@@ -48,18 +46,16 @@ class ShowCard:
     json: bool = False
     """Print JSON."""
 
-    def run(self) -> int:
-        """Run the command."""
+    def run(self) -> None:
         from league.agents import checkpoint, roster
 
         loaded = checkpoint.load(roster.checkpoint_path(self.checkpoint))
         if self.json:
             card = loaded.card.model_dump(mode="json")
             print(json.dumps({"digest": checkpoint.digest(loaded), "card": card}, indent=2))
-            return 0
+            return
         lines = _lines(loaded, checkpoint.digest(loaded))
         tables.table(self.checkpoint, ("", "card"), lines)
-        return 0
 
 
 @dataclass
@@ -80,7 +76,6 @@ class Export(OnLeague):
     """Write the league's rules, entries, standings and results; - is the standard output."""
 
     def run(self) -> int:
-        """Run the command."""
         if self.csv is None and self.json is None:
             return self._export_network()
         if self.checkpoint is not None or self.onnx is not None:

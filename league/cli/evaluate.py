@@ -76,8 +76,7 @@ class Evaluate:
     json: bool = False
     """Print JSON."""
 
-    def run(self) -> int:
-        """Run the command."""
+    def run(self) -> None:
         from league.racing.trace import write_evaluation
 
         _check(self)
@@ -99,7 +98,6 @@ class Evaluate:
         if self.json:
             data = [{**one.model_dump(mode="json"), "summary": one.summary} for one in evaluations]
             print(json.dumps(data if len(data) > 1 else data[0], indent=2))
-        return 0
 
 
 def _check(command: Evaluate) -> None:

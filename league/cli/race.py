@@ -91,8 +91,7 @@ class Race:
     json: bool = False
     """Print the result as JSON."""
 
-    def run(self) -> int:
-        """Run the command."""
+    def run(self) -> None:
         from league.racing import race
         from league.track import files
 
@@ -159,7 +158,6 @@ class Race:
             print(f"The race is over. {live.how_to_end}", file=sys.stderr, flush=True)
             live.wait()
             live.close()
-        return 0
 
 
 def _after_qualifying(spec: RaceSpec, track: Track, *, quiet: bool) -> RaceSpec:

@@ -60,8 +60,7 @@ class ScoreReplay:
     json: bool = False
     """Print JSON."""
 
-    def run(self) -> int:
-        """Run the command."""
+    def run(self) -> None:
         from league import replay as replays
         from league.deepracer import rescore
 
@@ -71,7 +70,7 @@ class ScoreReplay:
         rescore.draw(race, scores, path)
         if self.json:
             print(json.dumps({"picture": str(path), "scores": _totals(race, scores)}, indent=2))
-            return 0
+            return
         rows = [
             (name, "", *(f"{one.totals[car]:,.2f}" for one in scores))
             for car, name in enumerate(race.names)
@@ -79,7 +78,6 @@ class ScoreReplay:
         heads = ("driver", "", *(one.name for one in scores))
         tables.table("Reward of the whole race", heads, rows)
         print(f"Picture: {path}")
-        return 0
 
 
 @dataclass
@@ -92,7 +90,6 @@ class Rewards:
     )
 
     def run(self) -> int:
-        """Run the command."""
         return self.command.run()
 
 

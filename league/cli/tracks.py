@@ -23,14 +23,13 @@ class ListTracks:
     json: bool = False
     """Print JSON."""
 
-    def run(self) -> int:
-        """Run the command."""
+    def run(self) -> None:
         from league.track import files
 
         reports = [files.report(files.load(name)) for name in files.names()]
         if self.json:
             print(json.dumps(reports, indent=2))
-            return 0
+            return
         rows = [
             (
                 str(one["name"]),
@@ -45,7 +44,6 @@ class ListTracks:
         heads = ("name", "title", "length", "width", "radius", "driven")
         tables.table("Tracks", heads, rows, "title", "driven", "radius")
         print("Lengths, widths and smallest radii in metres.")
-        return 0
 
 
 @dataclass
@@ -57,8 +55,7 @@ class ShowTrack:
     out: Path | None = None
     """Where to write the picture; by default NAME.png here."""
 
-    def run(self) -> int:
-        """Run the command."""
+    def run(self) -> None:
         from league.track import files, markings
 
         track = files.load(self.name)
@@ -71,7 +68,6 @@ class ShowTrack:
             f"{one['direction']}, smallest radius {one['min_radius']:.2f} m"
         )
         print(f"Drawn to {path}")
-        return 0
 
 
 @dataclass
@@ -83,8 +79,7 @@ class ImportTracks:
     out: Path | None = None
     """Where to write the track, by default NAME.yaml here; for several tracks a folder."""
 
-    def run(self) -> int:
-        """Run the command."""
+    def run(self) -> None:
         from league.track import files, importer
 
         sources = [source for file in self.files for source in _npy_files(file)]
@@ -115,7 +110,6 @@ class ImportTracks:
                 print(f"Race on it: league race racing_line centerline --track {quoted}")
         if refused:
             raise TrackError(f"{refused} of {len(sources)} files were not imported: see above")
-        return 0
 
 
 def _npy_files(path: Path) -> list[Path]:
@@ -151,8 +145,7 @@ class GenerateTracks:
     direction: Literal["any", "counter-clockwise", "clockwise"] = "any"
     """Which way round."""
 
-    def run(self) -> int:
-        """Run the command."""
+    def run(self) -> None:
         from league.track import files, generate
 
         if self.count < 1:
@@ -169,7 +162,6 @@ class GenerateTracks:
             path = self.out / f"{track.name}.yaml"
             files.save(track, path)
             print(f"{path}: {track.length:.2f} m, {track.width:.2f} m wide, {track.direction}")
-        return 0
 
 
 @dataclass
@@ -184,5 +176,4 @@ class Tracks:
     ) = field(default_factory=ListTracks)
 
     def run(self) -> int:
-        """Run the command."""
         return self.command.run()

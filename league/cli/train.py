@@ -86,7 +86,6 @@ class Train:
         return self.out.with_suffix(".run")
 
     def run(self) -> int:
-        """Run the command."""
         precompile.ensure()
         return _train(self)
 

@@ -65,7 +65,6 @@ class Init(OnLeague):
     """Directory or bucket (s3://...) for weights and recordings; by default the database."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.matchmaking.pairing import matchmaker
         from league.matchmaking.store import create
 
@@ -94,7 +93,6 @@ class Submit(OnServer):
     """Let everyone download the weights from the driver's page."""
 
     def run(self) -> None:
-        """Run the command."""
         name = self.name or Path(self.driver).stem
         entered = self._sent(name) if self.to else self._entered(name)
         if entered.name != name:
@@ -166,7 +164,6 @@ class Pack:
     """Where to write it; by default here, under the checkpoint's name, ending in .safetensors."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.atomic_file import replacing
         from league.errors import PolicyError
 
@@ -194,7 +191,6 @@ class Entries(Reading):
     """List the entries and their states."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.matchmaking.pairing import matchmaker
 
         with self.opened() as store:
@@ -234,7 +230,6 @@ class Retire(OnServer):
     """Do not ask first."""
 
     def run(self) -> int:
-        """Run the command."""
         if self.to:
             client, asked = self.client(), {"entry": self.entry, "reason": self.reason}
             if not self.yes and not _confirmed(f"{self.entry} at {self.to}"):
@@ -264,7 +259,6 @@ class Upgrade(OnLeague):
     begin again, because results of different physics cannot be compared."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.matchmaking import store
         from league.sim import PHYSICS
 

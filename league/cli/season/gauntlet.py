@@ -39,7 +39,6 @@ class Gauntlet(Reading):
     """Worker processes; 0 takes one for each core."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.agents import checkpoint, roster
         from league.matchmaking import gauntlet
 
@@ -99,7 +98,6 @@ class Compare(Reading):
     """Worker processes; 0 takes one for each core."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.matchmaking import gauntlet
         from league.matchmaking.ratings.sprt import SequentialSettings
 

@@ -54,7 +54,6 @@ class Heats(Reading):
     """How many, the newest."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.matchmaking import documents
 
         season.at_least(self, "limit", 1)
@@ -84,7 +83,6 @@ class ShowHeat(Reading):
     """Its number, or the beginning of its key."""
 
     def run(self) -> None:
-        """Run the command."""
         with self.opened() as store:
             _show(store, store.heat(self.heat), self.json)
 
@@ -101,7 +99,6 @@ class Retry(OnLeague):
     """Its number, or the beginning of its key."""
 
     def run(self) -> None:
-        """Run the command."""
         with self.opened() as store:
             record = store.heat(self.heat)
             number = store.retry(record.heat.key)
@@ -132,7 +129,6 @@ class Audit(OnLeague):
     """The ledger's head as an earlier audit printed it: nothing up to then may have changed."""
 
     def run(self) -> int:
-        """Run the command."""
         import numpy as np
 
         from league.matchmaking import gauntlet

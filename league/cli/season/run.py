@@ -59,7 +59,6 @@ class Racing(OnLeague):
     """Print a line for each heat instead of the page."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.matchmaking.workers.worker import check_physics
 
         self._check()
@@ -116,7 +115,6 @@ class Work(Racing, OnServer):
     """
 
     def run(self) -> None:
-        """Run the command."""
         if not self.to:
             return super().run()
         from league.matchmaking.remote import RemoteQueue
@@ -163,7 +161,6 @@ class Serve(OnLeague):
     """Share of the heats of remote workers that are run again by others, in percent."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.matchmaking.store import Quota
         from league.web import server
         from league.web.security import Access
@@ -198,7 +195,6 @@ class Site(OnLeague):
     """Number of a season that is over: everything is as it was at its end."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.web import site
 
         season.at_least(self, "heats", 0)

@@ -33,7 +33,6 @@ class Seasons(Reading):
     """Safety rating, 0 to 5, that its top division asks for; 0 for none."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.matchmaking import seasons
         from league.matchmaking.divisions import SeasonSettings
 
@@ -100,7 +99,6 @@ class Cups(Reading):
     """Let the league's own drivers take part in the cup that starts."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.matchmaking import cups
 
         if self.anchors and self.action != "start":

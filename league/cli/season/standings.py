@@ -32,7 +32,6 @@ class ShowStandings(Reading):
     """Only so many."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.matchmaking import documents, standings
 
         season.at_least(self, "top", 1)
@@ -54,7 +53,6 @@ class ShowEntry(Reading):
     """Name or id."""
 
     def run(self) -> None:
-        """Run the command."""
         with self.opened() as store:
             _show(store, store.entry(self.entry), self.json)
 
@@ -74,7 +72,6 @@ class ShowHeadToHead(Reading):
     """Largest size of the matrix, where no names are given; less where there is no space."""
 
     def run(self) -> None:
-        """Run the command."""
         season.at_least(self, "top", 2)
         if self.one and not self.other:
             raise ConfigError(
@@ -98,7 +95,6 @@ class ShowHistory(Reading):
     """How many moments."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.matchmaking import history
 
         season.at_least(self, "points", 1)

@@ -27,7 +27,6 @@ class Create(OnLeague):
     """It ends after so many days; 0 for never."""
 
     def run(self) -> None:
-        """Run the command."""
         if not 0 <= self.days < 1e6:
             raise ConfigError(f"--days {self.days:g}: give 0 (never) or more")
         life_s = 86400.0 * self.days or None
@@ -46,7 +45,6 @@ class List(Reading):
     """List all tokens, without their secrets."""
 
     def run(self) -> None:
-        """Run the command."""
         with self.opened() as store:
             tokens = store.tokens.listed()
         if self.json:
@@ -76,7 +74,6 @@ class Revoke(OnLeague):
     """Its number, or the token itself."""
 
     def run(self) -> None:
-        """Run the command."""
         with self.opened() as store:
             token = store.tokens.revoke(self.token)
         print(f"Token {token.number} of {token.owner} is revoked.")
@@ -93,7 +90,6 @@ class ManageTokens:
     )
 
     def run(self) -> None:
-        """Run the command."""
         self.command.run()
 
 
