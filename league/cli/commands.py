@@ -82,11 +82,7 @@ def command_class(name: str) -> type:
 
 
 def main(arguments: list[str]) -> int:
-    """Parse a command line and run it; return its exit code.
-
-    Raises:
-        LeagueError: it cannot be run.
-    """
+    """Parse a command line and run it; return its exit code."""
     # Imports make 100,000 objects that stay: a search for cycles among them every 700 takes an
     # eighth of the start. The one at exit takes a second with torch in memory.
     gc.set_threshold(50_000, 20, 50)
@@ -99,7 +95,8 @@ def main(arguments: list[str]) -> int:
         from league import precompile  # late: Numba takes a while
 
         precompile.ensure()
-    return command.run() or 0
+    # `tracks`, `reward` and `token` have commands of their own.
+    return getattr(command, "command", command).run() or 0
 
 
 def overview() -> str:

@@ -54,8 +54,7 @@ class ShowCard:
             card = loaded.card.model_dump(mode="json")
             print(json.dumps({"digest": checkpoint.digest(loaded), "card": card}, indent=2))
             return
-        lines = _lines(loaded, checkpoint.digest(loaded))
-        tables.table(self.checkpoint, ("", "card"), lines)
+        tables.table(self.checkpoint, ("", "card"), _lines(loaded, checkpoint.digest(loaded)))
 
 
 @dataclass
@@ -83,16 +82,16 @@ class Export(OnLeague):
                 "a checkpoint was named together with --csv or --json, which export a league: "
                 "do one after the other"
             )
-        from league.cli.season import heats, standings
+        from league.cli.season import heats
 
         with self.opened() as store:
             if self.csv is not None:
                 heats.export_csv(store, self.csv)
             if self.json is not None:
-                heats.export_json(store, self.json, standings.document(store))
+                heats.export_json(store, self.json)
         return 0
 
-    def _export_network(self) -> int:
+    def _export_network(self) -> None:
         from league.agents import checkpoint, export, roster
 
         source, outputs = self.checkpoint, list(self.onnx or ())
@@ -114,7 +113,6 @@ class Export(OnLeague):
             )
         export.to_onnx(checkpoint.load(roster.checkpoint_path(source)), output)
         print(f"Network: {output}   ({output.stat().st_size / 1024:.0f} kB)")
-        return 0
 
 
 def _lines(loaded: Checkpoint, digest: str) -> list[tuple[str, str]]:

@@ -77,7 +77,7 @@ class Evaluate:
     """Print JSON."""
 
     def run(self) -> None:
-        from league.racing.trace import write_evaluation
+        from league.racing.trace import Trace, write_evaluation
 
         _check(self)
         evaluations = []
@@ -87,10 +87,8 @@ class Evaluate:
             if not self.json:
                 print_table(evaluation)
             if trace is not None and self.trace is not None:
-                if _is_folder(self.trace):
-                    path = write_evaluation(trace, self.trace)
-                else:
-                    path = trace.write(self.trace)
+                write = write_evaluation if _is_folder(self.trace) else Trace.write
+                path = write(trace, self.trace)
                 if not self.json:
                     print(f"Trace: {path}")
             if self.replay != "none":
@@ -222,18 +220,11 @@ def print_table(done: Evaluation) -> None:
     """Print the console's table of trials and a line that sums it up."""
     title = f"{done.driver}: {done.kind.replace('_', ' ')} on {done.track}"
     heads = ["trial", "status", "time", "% done", "off", "crash", "penalty"]
-    rows = [
-        (
-            str(one.trial),
-            one.status.replace("_", " "),
-            times.clock(one.time_s),
-            f"{one.completion:.1f}",
-            str(one.off_tracks),
-            str(one.crashes),
-            f"{one.penalty_s:g} s" if one.penalty_s else "",
-        )
-        for one in done.trials
-    ]
+    rows = []
+    for one in done.trials:
+        ended = one.status.replace("_", " "), times.clock(one.time_s), f"{one.completion:.1f}"
+        penalty = f"{one.penalty_s:g} s" if one.penalty_s else ""
+        rows.append((one.trial, *ended, one.off_tracks, one.crashes, penalty))
     if not any(one.penalty_s for one in done.trials):
         heads, rows = heads[:-1], [row[:-1] for row in rows]
     tables.table(title, heads, rows, "trial", "crash", "off")

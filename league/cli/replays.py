@@ -163,11 +163,7 @@ class Verify:
 
 
 def _recordings(folder: Path) -> list[Path]:
-    """Return the replays of a folder, the newest last.
-
-    Raises:
-        ReplayError: there is none.
-    """
+    """Return the replays of a folder, of which there must be some, the newest last."""
     paths = sorted(folder.glob("*.race"), key=lambda path: path.stat().st_mtime)
     if not paths:
         raise ReplayError(

@@ -89,9 +89,6 @@ class Rewards:
         | Annotated[ScoreReplay, tyro.conf.subcommand("score")]
     )
 
-    def run(self) -> int:
-        return self.command.run()
-
 
 def _score(race: Replay, name: str) -> Score:
     from league.deepracer import rescore, user_reward

@@ -30,17 +30,11 @@ class ListTracks:
         if self.json:
             print(json.dumps(reports, indent=2))
             return
-        rows = [
-            (
-                str(one["name"]),
-                str(one["title"]),
-                f"{one['length']:.2f}",
-                f"{one['width']:.3f}",
-                f"{one['min_radius']:.2f}",
-                str(one["direction"]),
-            )
-            for one in reports
-        ]
+        rows = []
+        for one in reports:
+            length, width = f"{one['length']:.2f}", f"{one['width']:.3f}"
+            radius = f"{one['min_radius']:.2f}"
+            rows.append((one["name"], one["title"], length, width, radius, one["direction"]))
         heads = ("name", "title", "length", "width", "radius", "driven")
         tables.table("Tracks", heads, rows, "title", "driven", "radius")
         print("Lengths, widths and smallest radii in metres.")
@@ -113,14 +107,8 @@ class ImportTracks:
 
 
 def _npy_files(path: Path) -> list[Path]:
-    """Return the files of a folder, or the file itself.
-
-    Raises:
-        TrackError: it is a folder without such files.
-    """
-    if not path.is_dir():
-        return [path]
-    sources = sorted(path.glob("*.npy"))
+    """Return the files of a folder, of which there must be some, or the file itself."""
+    sources = sorted(path.glob("*.npy")) if path.is_dir() else [path]
     if not sources:
         raise TrackError(f"there is no .npy file in the folder {path}: give another")
     return sources
@@ -174,6 +162,3 @@ class Tracks:
         | Annotated[ImportTracks, tyro.conf.subcommand("import")]
         | Annotated[GenerateTracks, tyro.conf.subcommand("generate")]
     ) = field(default_factory=ListTracks)
-
-    def run(self) -> int:
-        return self.command.run()

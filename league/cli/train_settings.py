@@ -31,11 +31,7 @@ _STEPS_OF_LAPS = 256
 
 
 def defaults(command: Train) -> RunConfig:
-    """Return the settings of which the flags change some: of the resumed run, or of a new one.
-
-    Raises:
-        LeagueError: there is no run, or a file or text that a flag names cannot be read.
-    """
+    """Return the settings of which the flags change some: of the resumed run, or of a new one."""
     cfg = _stored(command) if command.resume else _new(command)
     if command.hyperparameters is None:
         return cfg
@@ -83,14 +79,9 @@ def _is_short(cfg: RunConfig) -> bool:
 
 
 def finished(command: Train) -> RunConfig:
-    """Return the settings of a new run, from all flags.
-
-    Raises:
-        ConfigError: flags contradict each other, or would be ignored.
-    """
-    cfg = command.cfg
+    """Return the settings of a new run, from all flags; refuse flags that contradict each other."""
+    cfg, train = command.cfg, command.cfg.train
     _check(cfg)
-    train = cfg.train
     number = USUAL_OBSTACLES if train.obstacles is None else train.obstacles
     print_remark(train.kind, number, train.num_cars)
     line = shlex.join(["league", *sys.argv[1:]])[:2000]
@@ -240,11 +231,7 @@ def _from_deepracer(path: Path, train: TrainConfig) -> PpoConfig:
 
 
 def parse_actions(text: str) -> ActionSpace:
-    """Return the action space of `0.5-4`, `1-4@25`, `5x2@1.0` or a model_metadata.json.
-
-    Raises:
-        ConfigError: it is none of these.
-    """
+    """Return the action space of `0.5-4`, `1-4@25`, `5x2@1.0` or a model_metadata.json."""
     if text.endswith(".json"):
         model = metadata.read(text)
         for note in model.notes:
@@ -265,11 +252,7 @@ def parse_actions(text: str) -> ActionSpace:
 
 
 def parse_sensors(names: tuple[str, ...]) -> SensorConfig:
-    """Return what a car carries, of `stereo64x48`, `lidar` and the like or a model_metadata.json.
-
-    Raises:
-        ConfigError: it is none of these, or two of a kind.
-    """
+    """Return what a car carries, of `stereo64x48`, `lidar` and the like or a model_metadata.json."""
     if len(names) == 1 and names[0].endswith(".json"):
         return metadata.read(names[0]).sensors
     return make.sensors_of_car(names)

@@ -70,22 +70,14 @@ class Reading(OnLeague):
 
 
 def at_least(command: DataclassInstance, name: str, least: int) -> None:
-    """Refuse a field that is smaller than what makes sense.
-
-    Raises:
-        ConfigError: it is.
-    """
+    """Refuse a field that is smaller than what makes sense."""
     value = getattr(command, name)
     if value is not None and value < least:
         raise ConfigError(f"--{name.replace('_', '-')} {value}: give {least} or more")
 
 
 def share(text: str, flag: str) -> float:
-    """Return the share that a flag gives in percent.
-
-    Raises:
-        ConfigError: it is no share.
-    """
+    """Return the share that a flag gives in percent; refuse what is none."""
     try:
         number = float(text.strip().removesuffix("%")) / 100
     except ValueError:

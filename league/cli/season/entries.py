@@ -6,7 +6,7 @@ import json
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 ANCHORS = ("centerline", "racing_line", "cautious", "blocker")
 """Scripted drivers that a new league begins with; the first one is 1000."""
 
-SAID = ("name", "owner", "id", "state", "near_copy_of", "page")
-"""Texts that a served league says of an entry."""
+SAID = ("name", "owner", "id", "state", "near_copy_of")
+"""Texts that are said of an entry, by a served league, too."""
 
 GIVEN = (
     "laps", "cars", "solver", "sensors", "max_time_s", "variation", "rules", "obstacles", "format",
@@ -95,24 +95,20 @@ class Submit(OnServer):
     def run(self) -> None:
         name = self.name or Path(self.driver).stem
         entered = self._sent(name) if self.to else self._entered(name)
-        if entered.name != name:
-            print(
-                f"These weights are entered already, as {entered.name}; {name} is not a new entry."
-            )
-        print(f"{entered.name} by {entered.owner}: entry {entered.id[:12]}, {entered.state}")
-        if entered.near_copy_of:
-            print(
-                f"Its weights are nearly those of {entered.near_copy_of}: it is labelled a "
-                "near-copy."
-            )
-        if self.download and not entered.downloadable:
+        known, owner, id, state, model = (entered[key] for key in SAID)
+        if known != name:
+            print(f"These weights are entered already, as {known}; {name} is not a new entry.")
+        print(f"{known} by {owner}: entry {id[:12]}, {state}")
+        if model:
+            print(f"Its weights are nearly those of {model}: it is labelled a near-copy.")
+        if self.download and entered["downloadable"] is not True:
             print("It cannot be downloaded: only a policy can, from its first submission on.")
-        if entered.state == "pending":
-            follow = entered.page or "`league run`, then `league entries`"
+        if state == "pending":
+            follow = entered.get("page") or "`league run`, then `league entries`"
             print(f"It races itself and an anchor first: {follow}.")
 
-    def _entered(self, name: str) -> _Entered:
-        """Enter the driver here."""
+    def _entered(self, name: str) -> dict[str, Any]:
+        """Enter the driver here, and return what became of it."""
         import getpass
 
         from league.agents import roster
@@ -125,33 +121,17 @@ class Submit(OnServer):
                 entry = submission.submit(store, path, name, owner, download=self.download)
             else:
                 entry = store.submit(name, owner, scripted=self.driver, card={"name": name})
-        given = (entry.name, entry.owner, entry.id, entry.state, entry.near_copy_of)
-        return _Entered(*given, downloadable=entry.downloadable)
+        return {key: getattr(entry, key) for key in (*SAID, "downloadable")}
 
-    def _sent(self, name: str) -> _Entered:
-        """Send the driver to a served league."""
+    def _sent(self, name: str) -> dict[str, Any]:
+        """Send the driver to a served league, and return what became of it."""
         client = self.client()
         if self.owner:
             raise ConfigError("--owner with --to: the token says who the owner is, leave it out")
         sent = client.submit(_packed(self.driver), name, download=self.download)
         said = {key: tables.spelled(str(sent.get(key, ""))) for key in SAID}
-        page, offered = client.url + said.pop("page"), sent.get("downloadable") is True
-        return _Entered(**said, page=page, downloadable=offered)
-
-
-@dataclass(frozen=True)
-class _Entered:
-    """What became of a submission."""
-
-    name: str
-    owner: str
-    id: str
-    state: str
-    near_copy_of: str
-    page: str = ""
-    """Where it can be followed in a browser."""
-    downloadable: bool = False
-    """Whether everyone may have the weights."""
+        page = client.url + tables.spelled(str(sent.get("page", "")))
+        return {**said, "page": page, "downloadable": sent.get("downloadable")}
 
 
 @dataclass
@@ -198,17 +178,11 @@ class Entries(Reading):
         if self.json:
             season.print_json(entries)
             return
-        rows = [
-            (
-                entry.name,
-                entry.owner,
-                entry.state,
-                entry.id[:8],
-                "anchor" if entry.anchor else entry.kind,
-                times.day(entry.created_s)[:10],
-            )
-            for entry in entries
-        ]
+        rows = []
+        for entry in entries:
+            kind = "anchor" if entry.anchor else entry.kind
+            submitted = times.day(entry.created_s)[:10]
+            rows.append((entry.name, entry.owner, entry.state, entry.id[:8], kind, submitted))
         heads = ("name", "owner", "state", "id", "kind", "submitted")
         tables.table("Entries", heads, rows, "submitted", "id", "owner")
         for entry in entries:
@@ -310,10 +284,9 @@ def _rules(command: Init) -> Ruleset:
         raise ConfigError(
             f"{command.cars} cars in a race: a league's races have 2 to 8, give --cars 2"
         )
-    if len(set(command.track)) < len(command.track) or len(set(command.anchors)) < len(
-        command.anchors
-    ):
-        raise ConfigError("a track or an anchor was named twice: name each once")
+    for names in (command.track, command.anchors):
+        if len(set(names)) < len(names):
+            raise ConfigError("a track or an anchor was named twice: name each once")
     tracks = []
     for name in command.track:
         track = files.load(name)

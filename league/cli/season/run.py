@@ -14,7 +14,7 @@ from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -87,7 +87,9 @@ class Racing(OnLeague):
             )
             watch = _print_finished
             if store and sys.stdout.isatty() and not self.plain:
-                watch = stack.enter_context(LivePage(store, dispatcher)).show
+                page = LivePage(store, dispatcher)
+                stack.enter_context(page.live)
+                watch = page.show
             tally = loop.run(
                 store,
                 dispatcher,
@@ -281,14 +283,7 @@ class LivePage:
         self._last: deque[str] = deque(maxlen=6)
         self._standings: Standings | None = None
         self._fitted_s, self._stale = 0.0, True
-        self._live = Live(console=tables.console(), refresh_per_second=4, transient=True)
-
-    def __enter__(self) -> Self:
-        self._live.__enter__()
-        return self
-
-    def __exit__(self, *about: object) -> None:
-        self._live.__exit__(None, None, None)
+        self.live = Live(console=tables.console(), refresh_per_second=4, transient=True)
 
     def show(self, tally: Tally, finished: list[FinishedHeat]) -> None:
         """Draw the page."""
@@ -297,7 +292,7 @@ class LivePage:
         self._stale = self._stale or bool(finished)
         if self._stale and time.monotonic() - self._fitted_s > REFIT_EVERY_S:
             self._refit()
-        self._live.update(self._drawn(tally))
+        self.live.update(self._drawn(tally))
 
     def _refit(self) -> None:
         from league.matchmaking import standings

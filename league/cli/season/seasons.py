@@ -13,7 +13,7 @@ from league.cli.season import Reading
 from league.errors import ConfigError
 
 if TYPE_CHECKING:
-    from league.matchmaking.store import Cup, Store
+    from league.matchmaking.store import Store
 
 
 @dataclass
@@ -69,7 +69,7 @@ class Seasons(Reading):
             heats = f"{one.after + 1}-{one.until or ''}"
             ended = times.day(one.ended_s)[:10] if one.ended_s else "running"
             started = times.day(one.started_s)[:10]
-            rows.append((str(one.number), one.name, heats, started, ended, one.hash[:12]))
+            rows.append((one.number, one.name, heats, started, ended, one.hash[:12]))
         heads = ("", "season", "heats", "from", "to", "standings")
         tables.table("Seasons", heads, rows, "standings", "from")
         for one in known:
@@ -110,21 +110,14 @@ class Cups(Reading):
                 print(f"{cup.name} has begun with {entrants} entrants: `league run` races it.")
                 return
             cup = cups.named(store, self.name)
-            document = _document_of(store, cup)
+            document = store.cup_document(cup.number)
+            if document is None:
+                entries = {entry.id: entry for entry in store.entries()}
+                document = cups.document(cup, cups.bracket(store, cup), entries)
         if self.json:
             season.print_json(document)
-            return
-        _print_bracket(document)
-
-
-def _document_of(store: Store, cup: Cup) -> dict[str, Any]:
-    from league.matchmaking import cups
-
-    frozen = store.cup_document(cup.number)
-    if frozen is not None:
-        return frozen
-    entries = {entry.id: entry for entry in store.entries()}
-    return cups.document(cup, cups.bracket(store, cup), entries)
+        else:
+            _print_bracket(document)
 
 
 def _print_bracket(document: dict[str, Any]) -> None:

@@ -50,18 +50,11 @@ class List(Reading):
         if self.json:
             season.print_json(tokens)
             return
-        now_s = time.time()
-        rows = [
-            (
-                str(token.number),
-                token.owner,
-                " ".join(token.scopes),
-                token.state(now_s),
-                _day(token.expires_s),
-                _day(token.used_s),
-            )
-            for token in tokens
-        ]
+        rows, now_s = [], time.time()
+        for token in tokens:
+            scopes, state = " ".join(token.scopes), token.state(now_s)
+            ends, used = _day(token.expires_s), _day(token.used_s)
+            rows.append((token.number, token.owner, scopes, state, ends, used))
         heads = ("number", "owner", "scopes", "state", "ends", "last used")
         tables.table("Tokens", heads, rows, "last used", "ends")
 
@@ -88,9 +81,6 @@ class ManageTokens:
         | Annotated[List, tyro.conf.subcommand("list")]
         | Annotated[Revoke, tyro.conf.subcommand("revoke")]
     )
-
-    def run(self) -> None:
-        self.command.run()
 
 
 def _day(seconds: float | None) -> str:
