@@ -246,7 +246,7 @@ class _RunningRace:
 
     def begin(self, world: World) -> None:
         if self._recorder:
-            self._recorder.start(world)
+            self._recorder.add(world)
         self._observe(world)
 
     def fault(self, car: int, failed: bool) -> bool:
