@@ -344,13 +344,8 @@ def qualifying_laps(spec: RaceSpec, track: Track) -> list[float]:
     Raises:
         LeagueError: as `race.run`.
     """
-    alone = {
-        "kind": "time_trial",
-        "laps": QUALIFYING_LAPS,
-        "format": "standing",
-        "obstacles": 0,
-        "max_time_s": 0.0,
-    }
+    race = {"kind": "time_trial", "laps": QUALIFYING_LAPS, "format": "standing"}
+    alone = {**race, "obstacles": 0, "max_time_s": 0.0}
     jobs = [
         RaceJob(spec.model_copy(update={**alone, "entries": (entry,)}), track, record=False)
         for entry in spec.entries
