@@ -61,7 +61,7 @@ GROUPS = {
         "compare": "season.gauntlet.Compare",
         "serve": "season.run.Serve",
         "site": "season.run.Site",
-        "token": "season.tokens.ManageTokens",
+        "token": "season.entries.ManageTokens",
     },
     "Tools": {"card": "drivers.ShowCard", "export": "drivers.Export"},
 }

@@ -252,7 +252,7 @@ def parse_actions(text: str) -> ActionSpace:
 
 
 def parse_sensors(names: tuple[str, ...]) -> SensorConfig:
-    """Return what a car carries, of `stereo64x48`, `lidar` and the like or a model_metadata.json."""
+    """Return what a car carries, of `stereo64x48`, `lidar` and such or a model_metadata.json."""
     if len(names) == 1 and names[0].endswith(".json"):
         return metadata.read(names[0]).sensors
     return make.sensors_of_car(names)

@@ -208,17 +208,9 @@ class Hud:
         inset = self._top_view.draw(self._replay, world, row)
         height, width = inset.shape[:2]
         x, y = self._width - width - px(24), self._height - height - px(24)
-        edge = px(2)
-        put_panel(
-            picture,
-            x - edge,
-            y - edge,
-            width + 2 * edge,
-            height + 2 * edge,
-            radius=px(12),
-            colour=(235, 238, 240),
-            opacity=0.85,
-        )
+        edge, colour = px(2), (235, 238, 240)
+        frame = x - edge, y - edge, width + 2 * edge, height + 2 * edge
+        put_panel(picture, *frame, radius=px(12), colour=colour, opacity=0.85)
         put_picture(picture, inset, x, y, radius=px(11))
 
 
