@@ -14,7 +14,7 @@ from league.cli.season import OnLeague
 from league.errors import ConfigError
 
 if TYPE_CHECKING:
-    from league.agents.checkpoint import Card, Checkpoint
+    from league.agents.checkpoint import Checkpoint
 
 
 @dataclass
@@ -26,15 +26,11 @@ class Drivers:
 
         rows = list(roster.NAMES.items())
         for name, path in roster.garage().items():
-            rows.append((name, _description(checkpoint.load(path).card)))
+            card = checkpoint.load(path).card
+            races = f"{card.kind.replace('_', ' ')} on {', '.join(card.tracks[:3])}"
+            training = f"{card.steps:,} decisions, {card.train_s / 60:.1f} min"
+            rows.append((name, f"a policy: {races}; {training}"))
         tables.table("Drivers", ("name", "how it drives"), rows)
-
-
-def _description(card: Card) -> str:
-    return (
-        f"a policy: {card.kind.replace('_', ' ')} on {', '.join(card.tracks[:3])}; "
-        f"{card.steps:,} decisions, {card.train_s / 60:.1f} min"
-    )
 
 
 @dataclass

@@ -69,12 +69,21 @@ class ScoreReplay:
         path = self.out or self.replay.with_suffix(".reward.png")
         rescore.draw(race, scores, path)
         if self.json:
-            print(json.dumps({"picture": str(path), "scores": _totals(race, scores)}, indent=2))
+            documents = [
+                {
+                    "reward": one.name,
+                    "totals": [
+                        {"car": car, "name": name, "total": float(one.totals[car])}
+                        for car, name in enumerate(race.names)
+                    ],
+                }
+                for one in scores
+            ]
+            print(json.dumps({"picture": str(path), "scores": documents}, indent=2))
             return
-        rows = [
-            (name, "", *(f"{one.totals[car]:,.2f}" for one in scores))
-            for car, name in enumerate(race.names)
-        ]
+        rows = []
+        for car, name in enumerate(race.names):
+            rows.append((name, "", *(f"{one.totals[car]:,.2f}" for one in scores)))
         heads = ("driver", "", *(one.name for one in scores))
         tables.table("Reward of the whole race", heads, rows)
         print(f"Picture: {path}")
@@ -99,19 +108,6 @@ def _score(race: Replay, name: str) -> Score:
         return rescore.score(race, paid, f"{name} (built in)")
     paid = user_reward(name, num_worlds=1, cars=range(race.num_cars), sim=race.sim)
     return rescore.score(race, paid, Path(name).name)
-
-
-def _totals(race: Replay, scores: list[Score]) -> list[dict[str, object]]:
-    return [
-        {
-            "reward": one.name,
-            "totals": [
-                {"car": car, "name": name, "total": float(one.totals[car])}
-                for car, name in enumerate(race.names)
-            ],
-        }
-        for one in scores
-    ]
 
 
 def _print_report(report: Report) -> None:

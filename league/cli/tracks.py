@@ -76,7 +76,12 @@ class ImportTracks:
     def run(self) -> None:
         from league.track import files, importer
 
-        sources = [source for file in self.files for source in _npy_files(file)]
+        sources: list[Path] = []
+        for file in self.files:
+            found = sorted(file.glob("*.npy")) if file.is_dir() else [file]
+            if not found:
+                raise TrackError(f"there is no .npy file in the folder {file}: give another")
+            sources += found
         if not sources:
             raise TrackError("no files were named: give .npy files, or a folder of them")
         single = len(sources) == 1 and not self.files[0].is_dir()
@@ -104,14 +109,6 @@ class ImportTracks:
                 print(f"Race on it: league race racing_line centerline --track {quoted}")
         if refused:
             raise TrackError(f"{refused} of {len(sources)} files were not imported: see above")
-
-
-def _npy_files(path: Path) -> list[Path]:
-    """Return the files of a folder, of which there must be some, or the file itself."""
-    sources = sorted(path.glob("*.npy")) if path.is_dir() else [path]
-    if not sources:
-        raise TrackError(f"there is no .npy file in the folder {path}: give another")
-    return sources
 
 
 @dataclass

@@ -56,7 +56,9 @@ def _new(command: Train) -> RunConfig:
     ppo = PpoConfig(rollout=train.ppo.rollout)
     if cfg.init_from:
         ppo = ppo.refining()
-    elif train.kind != "head_to_head" and _is_short(cfg):
+    elif train.kind != "head_to_head" and (
+        0 < cfg.minutes <= _SHORT_MIN or 0 < cfg.steps <= _SHORT_STEPS
+    ):  # a usual batch would have too few updates
         ppo = ppo.hurrying()
         if train.num_worlds == TrainConfig.num_worlds:  # else a flag says how many
             train = replace(train, num_worlds=_FEW_WORLDS)
@@ -71,11 +73,6 @@ def _new(command: Train) -> RunConfig:
     return replace(
         cfg, minutes=0.0 if cfg.steps else cfg.minutes, train=replace(train, num_cars=cars, ppo=ppo)
     )
-
-
-def _is_short(cfg: RunConfig) -> bool:
-    """Whether a budget is so small that a usual batch would have too few updates."""
-    return 0 < cfg.minutes <= _SHORT_MIN or 0 < cfg.steps <= _SHORT_STEPS
 
 
 def finished(command: Train) -> RunConfig:
@@ -205,13 +202,10 @@ def _with_body(command: Train, train: TrainConfig) -> TrainConfig:
 def _from_deepracer(path: Path, train: TrainConfig) -> PpoConfig:
     """Return the learner's settings with those that a hyperparameters.json names."""
     asked = hyperparameters.read(path)
-    changes: dict[str, object] = {}
+    same = {"gamma": asked.discount_factor, "epochs": asked.num_epochs}
+    changes: dict[str, object] = {name: one for name, one in same.items() if one is not None}
     if asked.lr is not None:
         changes["learning_rate"] = (asked.lr, asked.lr)
-    if asked.discount_factor is not None:
-        changes["gamma"] = asked.discount_factor
-    if asked.num_epochs is not None:
-        changes["epochs"] = asked.num_epochs
     if asked.batch_size is not None:
         changes["mini_batches"] = max(1, train.samples // asked.batch_size)
         if asked.batch_size > train.samples:

@@ -6,7 +6,7 @@ import io
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
@@ -18,16 +18,15 @@ from av.video.reformatter import ColorRange, Colorspace
 
 from league.atomic_file import replacing
 from league.errors import ReplayError
+from league.portable_math import direction
 from league.replay import Replay, director
 from league.sim.camera import painting
 from league.sim.camera.ground import floor_of
 from league.sim.camera.renderer import Painter
-from league.sim.camera.scene import CAR as CAR_MODEL
-from league.sim.camera.scene import FAR_CAR, SUN
+from league.sim.camera.scene import CAR, FAR_CAR, SUN
 from league.sim.camera.scene_state import Lens, SceneState, Thing
 from league.sim.camera.tables import Floor, Pose
-from league.sim.config import CameraConfig
-from league.sim.records import CAR, World
+from league.sim.records import World
 from league.track.track import Rgb
 from league.video.hud import Hud
 from league.video.pixels import draw_shadow
@@ -145,20 +144,11 @@ class Film:
                 "1920x1080"
             )
         self._replay = replay
-        camera = CameraConfig(
-            width=width,
-            height=height,
-            colour=True,
-            eyes="mono",
-            field_of_view=VIEW,
-            forward=0.0,
-            up=ABOVE,
-            pitch=TILT,
-        )
         red, green, blue = (round(DARK * part) for part in replay.track.colours.wall)
-        lens = Lens.of(camera)
+        cos, sin = direction(VIEW / 2)
+        lens = Lens(width, height, width / 2 * cos / sin)
         floor = floor_of(replay.track, lens, ABOVE, TILT, colour=True)
-        self._camera, self._painter = camera, _ShadowPainter(lens, floor, (red, green, blue))
+        self._painter = _ShadowPainter(lens, floor, (red, green, blue))
         # OpenCV's own threads cost more than they bring at these sizes.
         cv2.setNumThreads(1)
         self._size = size
@@ -171,12 +161,12 @@ class Film:
         """Return the pictures of these moments, RGB uint8, (height, width, 3) each."""
         world = self._replay.at(times_s)
         x, y, yaw = self._eye(np.clip(times_s, 0.0, self._replay.duration_s))
-        state = SceneState(self._replay.sim, _with_eye(world, x, y, yaw))
-        eye = self._replay.num_cars
+        state = SceneState(self._replay.sim, world)
         pictures = []
         for row, time_s in enumerate(times_s):
-            pose = state.camera(row, eye, self._camera)
-            picture = self._painter.picture(pose, state.things(row, without=eye))
+            place = np.float32([x[row], y[row]]).tolist()
+            pose = Pose(*place, ABOVE, *direction(yaw[row]), *direction(TILT))
+            picture = self._painter.picture(pose, state.things(row))
             if time_s > self.ends_s:
                 self._hud.draw_result(picture)
             else:
@@ -189,7 +179,7 @@ class Film:
         self, world: World, row: int, x: float, y: float, yaw: float
     ) -> list[tuple[int, int, int]]:
         """Return the cars in front of the camera and their names' pixels, the farthest first."""
-        cars = world.cars[row, : self._replay.num_cars]
+        cars = world.cars[row]
         ahead = (cars["x"] - x) * np.cos(yaw) + (cars["y"] - y) * np.sin(yaw)
         right = (cars["x"] - x) * np.sin(yaw) - (cars["y"] - y) * np.cos(yaw)
         below = ABOVE - LABEL_UP
@@ -241,7 +231,7 @@ def shadow_of(thing: Thing) -> np.ndarray:
 
     It is the hull of all corners, each moved along the light down to the floor: (sides, 3).
     """
-    model = FAR_CAR if thing.model is CAR_MODEL else thing.model  # with wheels as one block
+    model = FAR_CAR if thing.model is CAR else thing.model  # with wheels as one block
     corners = np.concatenate([solid.vertices for solid in model.solids]) * thing.scale
     across = [-thing.sin, thing.cos]
     places = corners[:, :2] @ np.array([[thing.cos, thing.sin], across]) + (thing.x, thing.y)
@@ -292,15 +282,3 @@ def render(
 def still(replay: Replay, time_s: float, *, size: tuple[int, int] = SIZE) -> np.ndarray:
     """Return the picture of one moment, RGB uint8, (height, width, 3)."""
     return Film(replay, size).pictures(np.array([time_s]))[0]
-
-
-def _with_eye(world: World, x: np.ndarray, y: np.ndarray, yaw: np.ndarray) -> World:
-    """Return the worlds with one more, invisible car, which carries the chase camera.
-
-    So the film is drawn as the cars' own cameras are.
-    """
-    cars = np.zeros((world.num_worlds, world.num_cars + 1), CAR)
-    cars[:, :-1] = world.cars
-    eye = cars[:, -1]
-    eye["x"], eye["y"], eye["yaw"] = x, y, yaw
-    return replace(world, cars=cars)

@@ -211,7 +211,10 @@ class Hud:
         edge, colour = px(2), (235, 238, 240)
         frame = x - edge, y - edge, width + 2 * edge, height + 2 * edge
         put_panel(picture, *frame, radius=px(12), colour=colour, opacity=0.85)
-        put_picture(picture, inset, x, y, radius=px(11))
+        # With round corners; a picture too small for it cuts it off.
+        region = picture[y : y + height, x : x + width]
+        shown = inset[: region.shape[0], : region.shape[1]]
+        mix(region, shown, _rounded(width, height, px(11)), 256)
 
 
 class TopView:
@@ -309,14 +312,6 @@ def put_panel(
 ) -> None:
     """Fill a rectangle with round corners."""
     _blend(picture, _rounded(width, height, radius), x, y, colour, opacity)
-
-
-def put_picture(picture: np.ndarray, inset: np.ndarray, x: int, y: int, *, radius: int) -> None:
-    """Lay a picture over another, with round corners."""
-    height, width = inset.shape[:2]
-    mask = _rounded(width, height, radius)
-    region = picture[y : y + height, x : x + width]
-    mix(region, inset[: region.shape[0], : region.shape[1]], mask, 256)
 
 
 def _blend(
