@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from league import replay as replays
-from league.cli import rewards as command
+from league.cli import evaluate as command
 from league.deepracer import check, rescore, user_reward
 from league.envs import rewards
 from league.envs.rewards import built_in

@@ -28,8 +28,8 @@ GROUPS = {
         "race": "race.Race",
         "train": "commands.Train",  # its settings take a while to import: see `_parsed`
         "evaluate": "evaluate.Evaluate",
-        "reward": "rewards.Rewards",
-        "drivers": "drivers.Drivers",
+        "reward": "evaluate.Rewards",
+        "drivers": "inventory.Drivers",
     },
     "Watch": {
         "replays": "replays.ListReplays",
@@ -37,7 +37,7 @@ GROUPS = {
         "video": "replays.Video",
         "verify": "replays.Verify",
     },
-    "Tracks": {"tracks": "tracks.Tracks"},
+    "Tracks": {"tracks": "inventory.Tracks"},
     "League": {
         "init": "season.entries.Init",
         "submit": "season.entries.Submit",
@@ -63,7 +63,7 @@ GROUPS = {
         "site": "season.run.Site",
         "token": "season.entries.ManageTokens",
     },
-    "Tools": {"card": "drivers.ShowCard", "export": "drivers.Export"},
+    "Tools": {"card": "inventory.ShowCard", "export": "inventory.Export"},
 }
 """All commands in groups, in the order of the help: where their classes are in this package. Only
 the one that runs is imported."""

@@ -101,11 +101,7 @@ class Race:
                 "`league drivers` lists them all"
             )
         track = files.load(self.track)
-        kind = self.kind
-        if kind == "auto" and len(self.drivers) > 1:
-            kind = "head_to_head"
-        elif kind == "auto":
-            kind = "obstacle_avoidance" if num_obstacles(self, avoiding=False) else "time_trial"
+        kind = race_kind(self, len(self.drivers))
         if self.format != "standing" and len(self.drivers) < 2:
             raise ConfigError(
                 f"--format {self.format} means nothing for a driver alone: name two to eight"
@@ -214,6 +210,15 @@ def race_spec(command: Race | Evaluate, track: str, kind: str, drivers: Sequence
             "random_obstacles": not command.fixed_obstacles,
         }
     )
+
+
+def race_kind(command: Race | Evaluate, num_cars: int) -> RaceKind:
+    """Return the kind of race that was asked for, or that fits what else was."""
+    if command.kind != "auto":
+        return command.kind
+    if num_cars > 1:
+        return "head_to_head"
+    return "obstacle_avoidance" if num_obstacles(command, avoiding=False) else "time_trial"
 
 
 def num_obstacles(command: Race | Evaluate, *, avoiding: bool) -> int:

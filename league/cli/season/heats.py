@@ -1,6 +1,6 @@
 """`league heats`, `heat`, `audit`, `retry`: what was raced, and whether it can be trusted.
 
-`league export --csv` and `--json` (see cli/drivers.py) write the races here, too.
+`league export --csv` and `--json` (see cli/inventory.py) write the races here, too.
 """
 
 from __future__ import annotations
