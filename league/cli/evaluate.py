@@ -296,16 +296,13 @@ class ScoreReplay:
         path = self.out or self.replay.with_suffix(".reward.png")
         rescore.draw(race, scores, path)
         if self.json:
-            documents = [
-                {
-                    "reward": one.name,
-                    "totals": [
-                        {"car": car, "name": name, "total": float(one.totals[car])}
-                        for car, name in enumerate(race.names)
-                    ],
-                }
-                for one in scores
-            ]
+            documents = []
+            for one in scores:
+                totals = [
+                    {"car": car, "name": name, "total": float(one.totals[car])}
+                    for car, name in enumerate(race.names)
+                ]
+                documents.append({"reward": one.name, "totals": totals})
             print(json.dumps({"picture": str(path), "scores": documents}, indent=2))
             return
         rows = []

@@ -99,26 +99,18 @@ def _check(cfg: RunConfig) -> None:
     train, plain, racing = cfg.train, RunConfig(), cfg.train.kind == "head_to_head"
     obstacles = train.obstacles != plain.train.obstacles
     cars = train.num_cars != 1 + racing * len(cfg.opponents)
-    for needed, is_there, flags in (
-        (
-            "--kind obstacle_avoidance or head_to_head",
-            train.kind != "time_trial",
-            {"--obstacles": obstacles, "--bots": train.bots},
-        ),
-        (
-            "--kind head_to_head",
-            racing,
-            {
-                "--opponents": cfg.opponents,
-                "--self-play": cfg.self_play,
-                "--rules": train.rules != plain.train.rules,
-            },
-        ),
-        ("--self-play", cfg.self_play, {"--cars": cars}),
+    in_company = "--kind obstacle_avoidance or head_to_head", train.kind != "time_trial"
+    in_a_race = "--kind head_to_head", racing
+    for flag, is_given, (needed, is_there) in (
+        ("--obstacles", obstacles, in_company),
+        ("--bots", train.bots, in_company),
+        ("--opponents", cfg.opponents, in_a_race),
+        ("--self-play", cfg.self_play, in_a_race),
+        ("--rules", train.rules != plain.train.rules, in_a_race),
+        ("--cars", cars, ("--self-play", cfg.self_play)),
     ):
-        for flag, is_given in flags.items():
-            if is_given and not is_there:
-                raise ConfigError(f"{flag} means nothing without {needed}: give both, or neither")
+        if is_given and not is_there:
+            raise ConfigError(f"{flag} means nothing without {needed}: give both, or neither")
     if racing and cfg.self_play == bool(cfg.opponents):
         raise ConfigError(
             "--kind head_to_head needs opponents: give either --opponents NAME ... or --self-play"

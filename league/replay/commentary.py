@@ -33,20 +33,10 @@ BACK_S = 10.0
 """A pass so soon after being passed takes the place back [s]."""
 
 _WEIGHT = {
-    "winner": 0,
-    "closest_fight": 0,
-    "overtake": 1,
-    "forced_off": 1,
-    "crash": 2,
-    "lead_change": 2,
-    "defended": 3,
-    "gap": 4,
-    "off_track": 5,
-    "obstacle_contact": 5,
-    "touch": 6,
-    "side_by_side": 7,
+    "winner": 0, "closest_fight": 0, "overtake": 1, "forced_off": 1, "crash": 2, "lead_change": 2,
+    "defended": 3, "gap": 4, "off_track": 5, "obstacle_contact": 5, "touch": 6, "side_by_side": 7,
     "attack": 8,
-}
+}  # fmt: skip
 """What a short story keeps first; what is not named here it leaves out."""
 
 
@@ -214,8 +204,8 @@ class Commentator:
             yield "winner", first, f"{self._of(first)} wins, {margin} before {self._of(second)}"
 
     def _of(self, car: int | None) -> str:
-        known = car is not None and 0 <= car < len(self._names)
-        return self._names[car] if known and car is not None else "another car"
+        is_known = car is not None and 0 <= car < len(self._names)
+        return self._names[car] if is_known else "another car"
 
     def _sentence(self, event: Event) -> str:
         name, other, value = self._of(event.car), self._of(event.other), event.value

@@ -32,18 +32,8 @@ _BACKDROP = (24, 29, 36)
 _SMOOTHED = 2_000_000  # pixels of the largest picture for which that is done
 _SMALLEST_CAR = 16  # pixels from nose to tail in the view from above
 _DARK = (16, 18, 22)
-_OUTLINE = np.array(
-    [
-        (0.162, 0.045),
-        (0.128, 0.094),
-        (-0.140, 0.098),
-        (-0.162, 0.080),
-        (-0.162, -0.080),
-        (-0.140, -0.098),
-        (0.128, -0.094),
-        (0.162, -0.045),
-    ]
-)
+_LEFT_SIDE = np.array([(0.162, 0.045), (0.128, 0.094), (-0.140, 0.098), (-0.162, 0.080)])
+_OUTLINE = np.concatenate([_LEFT_SIDE, _LEFT_SIDE[::-1] * (1, -1)])
 _SQUARE = np.array([(0.5, 0.5), (-0.5, 0.5), (-0.5, -0.5), (0.5, -0.5)])
 _WINDSCREEN = np.array([(0.062, 0.072), (0.010, 0.060), (0.010, -0.060), (0.062, -0.072)])
 
