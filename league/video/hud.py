@@ -16,7 +16,7 @@ from league.sim.records import World
 from league.track.markings import Plan
 from league.track.track import Rgb
 from league.video.pixels import mix
-from league.video.top_view import draw_things
+from league.video.stills import draw_things
 
 WHITE: Rgb = (244, 246, 248)
 DIM: Rgb = (168, 178, 188)
@@ -277,12 +277,11 @@ def put_text(
     weight: int = 400,
     right: bool = False,
     opacity: float = 1.0,
-) -> int:
-    """Write a text with its top left (or top right) corner at x, y and return its width."""
+) -> None:
+    """Write a text with its top left (or top right) corner at x, y."""
     mask = text_mask(text, size, weight)
     left = x - mask.shape[1] if right else x
     _blend(picture, mask, left, y, colour, opacity)
-    return mask.shape[1]
 
 
 @lru_cache(maxsize=256)

@@ -24,7 +24,7 @@ from league.matchmaking.scores import (
 from league.matchmaking.standings import HeadToHead, Row, Standings, Strengths
 from league.matchmaking.store import HeatRecord, LeagueEntry, Races, Season, StoredResult
 from league.track import files
-from league.video import strip
+from league.video import stills
 from league.web import charts
 from league.web.pages import table
 from league.web.pages.seasons import frozen
@@ -175,7 +175,7 @@ def _camera(
                 "race": half + 1,
                 "car": car + 1,
                 "track": race.track,
-                "moments_s": strip.moments(total_s, result.result["race_s"]),
+                "moments_s": stills.strip_moments(total_s, result.result["race_s"]),
             }
     return None
 
