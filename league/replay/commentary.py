@@ -15,7 +15,8 @@ from league.sim.config import CarConfig
 
 Cars = Mapping[str, np.ndarray] | np.ndarray
 """One moment's cars: records, or columns by name, (num_cars,) each; FIELDS are read."""
-FIELDS = ("x", "y", "velocity_x", "velocity_y", "distance", "laps", "ghost")
+_MOTION = ("x", "y", "velocity_x", "velocity_y", "distance")
+FIELDS = (*_MOTION, "laps", "ghost")
 
 ATTACK = 0.7
 """An attacker is at most this far behind along the track, between the bases [m]."""
@@ -85,8 +86,7 @@ class Commentator:
         """
         self._spec, self._names = spec, names
         self._laps = spec.laps if closed else 1
-        self._before: tuple[float, np.ndarray] | None = None  # time, distances
-        self._moving: tuple[np.ndarray, np.ndarray] | None = None  # places, velocities
+        self._before: tuple[float, dict[str, np.ndarray]] | None = None  # time, columns of cars
         self._fights: dict[frozenset[int], _Fight] = {}
         self._lap_times_s: list[list[float]] = [[] for _ in names]
         self._crossings: dict[int, list[tuple[float, int]]] = {}
@@ -103,11 +103,7 @@ class Commentator:
         ]
         for kind, car, text in self._about_fights(time_s, cars):
             lines.append(Remark(time_s, kind, car, 1 + int(laps[car]), text))
-        self._before = time_s, np.array(cars["distance"], dtype=np.float64)
-        self._moving = (
-            np.stack([cars["x"], cars["y"]], axis=1).astype(np.float64),
-            np.stack([cars["velocity_x"], cars["velocity_y"]], axis=1).astype(np.float64),
-        )
+        self._before = time_s, {name: np.array(cars[name], np.float64) for name in _MOTION}
         return self._on_laps(lines)
 
     def end(self, result: RaceResult) -> list[Remark]:
@@ -141,7 +137,8 @@ class Commentator:
             if pair not in near:
                 fight.attacker = None
         for (front, rear), gap in gaps.items():
-            before = float(self._before[1][front] - self._before[1][rear])
+            distance = self._before[1]["distance"]
+            before = float(distance[front] - distance[rear])
             fight = self._fights.setdefault(frozenset((front, rear)), _Fight())
             if gap > APART:
                 if fight.attacker == rear:
@@ -232,11 +229,12 @@ class Commentator:
     def _impact(self, event: Event) -> str:
         """Return how fast two cars came together, by their motion one step before a contact."""
         other = event.other
-        if self._moving is None or other is None or not 0 <= other < len(self._names):
+        if self._before is None or other is None or not 0 <= other < len(self._names):
             return ""
-        places, velocities = self._moving
-        way = places[other] - places[event.car]
-        closing = (velocities[event.car] - velocities[other]) @ way / max(np.hypot(*way), 1e-6)
+        x, y, velocity_x, velocity_y, _ = (
+            column[other] - column[event.car] for column in self._before[1].values()
+        )
+        closing = -(velocity_x * x + velocity_y * y) / max(np.hypot(x, y), 1e-6)
         return f" at {closing:.1f} m/s" if closing >= 0.05 else ""
 
 
