@@ -201,8 +201,9 @@ class Commentator:
             yield "winner", first, f"{self._of(first)} wins, {margin} before {self._of(second)}"
 
     def _of(self, car: int | None) -> str:
-        is_known = car is not None and 0 <= car < len(self._names)
-        return self._names[car] if is_known else "another car"
+        if car is None or not 0 <= car < len(self._names):
+            return "another car"
+        return self._names[car]
 
     def _sentence(self, event: Event) -> str:
         name, other, value = self._of(event.car), self._of(event.other), event.value

@@ -161,11 +161,12 @@ class Film:
         """Return the pictures of these moments, RGB uint8, (height, width, 3) each."""
         world = self._replay.at(times_s)
         x, y, yaw = self._eye(np.clip(times_s, 0.0, self._replay.duration_s))
-        state = SceneState(self._replay.sim, world)
-        pictures = []
+        state, pictures = SceneState(self._replay.sim, world), []
+        tilt_cos, tilt_sin = direction(TILT)
         for row, time_s in enumerate(times_s):
-            place = np.float32([x[row], y[row]]).tolist()
-            pose = Pose(*place, ABOVE, *direction(yaw[row]), *direction(TILT))
+            east, north = np.array([x[row], y[row]], np.float32).tolist()
+            cos, sin = direction(yaw[row])
+            pose = Pose(east, north, ABOVE, cos, sin, tilt_cos, tilt_sin)
             picture = self._painter.picture(pose, state.things(row))
             if time_s > self.ends_s:
                 self._hud.draw_result(picture)

@@ -5,7 +5,6 @@ On a terminal `run` and `work` show a live page, otherwise a line for each heat.
 
 from __future__ import annotations
 
-import os
 import signal
 import sys
 import time
@@ -75,13 +74,12 @@ class Racing(OnLeague):
 
     def _race(self, source: HeatSource, store: Store | None) -> None:
         """Race heats of a source; `store` is the league, where it is on this machine."""
-        from league.matchmaking import loop, workers
+        from league.matchmaking import loop
         from league.matchmaking.workers.dispatcher import Dispatcher
 
         with ExitStack() as stack:
             matchmaker = self._matchmaker(store) if store else None
-            executor = workers.make_executor(self.executor, self.workers or os.cpu_count() or 1)
-            stack.callback(executor.close)
+            executor = stack.enter_context(season.local_workers(self.workers, self.executor))
             dispatcher = Dispatcher(
                 source, executor, lease_s=self.lease_s, keep_replays=self.replays
             )
