@@ -194,7 +194,7 @@ def test_pictures_of_any_kind_meet_the_code_that_is_compiled_already(race_env):
     from league.sim.camera import painting, standing
     from league.sim.camera.renderer import PaintRenderer
     from league.sim.config import CameraConfig, ObstacleConfig, SimConfig, VisualRandomization
-    from league.video.top_view import chase_view
+    from league.video.stills import chase_view
 
     boxes = SimConfig(kind="obstacle_avoidance", obstacles=ObstacleConfig(count=2))
     pack, stereo = SimConfig(kind="head_to_head", num_cars=3), CameraConfig(width=16, height=12)

@@ -25,7 +25,7 @@ from starlette.responses import RedirectResponse, Response
 
 from league.errors import ReplayError
 from league.matchmaking.store import Store
-from league.video import strip
+from league.video import stills
 from league.web.pages import heats
 from league.web.reader import NotFoundError, Reader
 from league.web.security import Access
@@ -48,7 +48,7 @@ def camera(
     if not 1 <= car <= replay.num_cars:
         raise NotFoundError(f"This race has the cars 1 to {replay.num_cars}.")
     content = access.large(
-        reader, request, ("strip", digest, car), lambda: strip.picture(replay, car - 1)
+        reader, request, ("strip", digest, car), lambda: stills.strip(replay, car - 1)
     )
     return Response(content, media_type="image/jpeg", headers=FOR_GOOD)
 

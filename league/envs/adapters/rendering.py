@@ -64,13 +64,13 @@ class EnvRenderer:
             )
         if self._mode == "human":
             return None  # shown already, step by step
-        from league.video import top_view
+        from league.video import stills
 
         env, world = self._env, self._env.world
         if self._view == "top":
-            return top_view.top_view(env.tracks, env.cfg.sim, world, 0, *SIZE)
+            return stills.top_view(env.tracks, env.cfg.sim, world, 0, *SIZE)
         car = int(world.worlds["leader"][0]) if self._car is None else self._car
-        return top_view.chase_view(env.tracks, env.cfg.sim, world, 0, car, *SIZE)
+        return stills.chase_view(env.tracks, env.cfg.sim, world, 0, car, *SIZE)
 
     def close(self) -> None:
         """Close the viewer, if it was opened."""

@@ -157,14 +157,9 @@ class SceneState:
         )
         return poses, things
 
-    def camera(self, row: int, car: int, cfg: CameraConfig) -> Pose:
-        """Return where a car's camera is in the world at `row`."""
-        poses, _ = self.tables(car, mount_of(cfg))
-        return Pose(*poses[row].tolist())
-
-    def things(self, row: int, without: int | None = None) -> list[Thing]:
-        """Return the cars, by slot, but for the slot `without`, then the obstacles of a world."""
-        _, things = self.tables(-1 if without is None else without, _NO_MOUNT)
+    def things(self, row: int) -> list[Thing]:
+        """Return the cars, by slot, then the obstacles of a world."""
+        _, things = self.tables(-1, _NO_MOUNT)
         return [_thing(*columns) for columns in things[row].tolist()]
 
 

@@ -30,7 +30,7 @@ from league.matchmaking.store import (
     Season,
     StoredResult,
 )
-from league.video import strip
+from league.video import stills
 from league.web import charts
 from league.web.pages import table
 from league.web.pages.laps import lap_line
@@ -181,7 +181,7 @@ def _camera(
                 "race": number,
                 "car": car + 1,
                 "track": race.track,
-                "moments_s": strip.moments(total_s, result.result["race_s"]),
+                "moments_s": stills.strip_moments(total_s, result.result["race_s"]),
             }
     return None
 
