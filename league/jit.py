@@ -9,9 +9,6 @@ Results are the same bits on every machine: no fast-math, so LLVM neither fuses 
 with an addition nor reorders a sum.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportReturnType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import hashlib

@@ -3,8 +3,6 @@
 As a program (`python -m league.precompile`, which `make sync` runs) it compiles what is missing.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil

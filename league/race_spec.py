@@ -4,8 +4,6 @@ They cross files and the command line, so they are pydantic models: checked, and
 reason.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 

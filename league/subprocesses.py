@@ -5,8 +5,6 @@ a thread; a plain fork would inherit torch's threads and the database's connecti
 process imports for itself.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import multiprocessing

@@ -1,7 +1,5 @@
 """A policy as a file: its card, which says what it needs and where it is from, and its weights."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

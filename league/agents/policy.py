@@ -6,9 +6,6 @@ sum, so a decision has the same bits alone and in a batch, and on processors wit
 units.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 from __future__ import annotations
 
 from collections.abc import Mapping

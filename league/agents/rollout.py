@@ -1,7 +1,5 @@
 """Rollout: drivers in an environment, step by step; races and evaluations are made of it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from time import thread_time

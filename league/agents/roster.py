@@ -1,7 +1,5 @@
 """Drivers by name or path: scripted ones, the policies that ship (the garage), checkpoints."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from league.agents.driver import Driver

@@ -8,12 +8,6 @@ steering is a gain on the state plus a gain on each coming step's curvature (M. 
 linear preview control", 1976).
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-# pyright: reportAttributeAccessIssue=false
-
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 

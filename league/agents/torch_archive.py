@@ -6,8 +6,6 @@ program: `read` knows the few opcodes of a dict of text and tensors, looks up no
 nothing; the standard library only splits the opcodes.
 """
 
-from __future__ import annotations
-
 import pickletools
 import re
 import struct

@@ -1,9 +1,5 @@
 """Compiled: how a scripted driver gets past others: which side, how far aside, when to brake."""
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-# pyright: reportAttributeAccessIssue=false
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Drivers of cars: the protocol, and the drivers of the cars that do not learn."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Protocol
 

@@ -1,10 +1,5 @@
 """Compiled: episodes in training, when they end and where cars begin the next one."""
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
-from __future__ import annotations
-
 from dataclasses import fields
 
 import numpy as np

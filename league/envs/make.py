@@ -1,7 +1,5 @@
 """From the arguments of the adapters to what a RaceEnv needs: TrackSet, EnvConfig and seeds."""
 
-from __future__ import annotations
-
 import inspect
 import os
 import re

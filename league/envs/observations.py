@@ -8,11 +8,6 @@ motion  float32 (5,)                      own speed, yaw rate, steering and last
 state   float32 (SIZE,)                   the truth, for critics and scripted drivers: always
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
-from __future__ import annotations
-
 from fractions import Fraction
 from functools import cache
 

@@ -1,10 +1,5 @@
 """Rewards: the protocol, the weighted sum of compiled terms, and the racing-line reward."""
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
-from __future__ import annotations
-
 from dataclasses import fields
 from typing import Protocol
 

@@ -6,9 +6,6 @@ Observations describe the state after penalties and restarts; verdicts and rewar
 happened in the step. Bullet, and rewards written in Python, take the stages apart (`phases`).
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 import math
 import os
 from collections.abc import Callable

@@ -4,9 +4,6 @@ Unlike the `state` group it is made for networks: places of others in the car's 
 that depends on where along the lap the car is, and zeros for what is farther than REACH.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 import numpy as np
 
 from league.jit import compiled, inner

@@ -3,9 +3,6 @@
 The rules, with a drawing of each case: docs/rules.md.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 import math
 
 import numpy as np

@@ -5,11 +5,6 @@ The lidar looks to the rear. Beam 0 points half_angle clockwise from the rear, w
 side, and the last one points 30 deg to the right of straight ahead. The wedge ahead is blind.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -3,9 +3,6 @@
 records.py says what the arguments are.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 import math
 
 import numpy as np

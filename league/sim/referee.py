@@ -5,9 +5,6 @@ cars' book; it moves no car. `penalise` applies the race's penalties; in trainin
 episode instead. Who is to blame for a contact: blame.py. The rules: docs/rules.md.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 import numpy as np
 
 from league.jit import compiled, inner

@@ -5,11 +5,6 @@ same numbers alone, in a batch, on any machine, and whatever else was drawn befo
 arrays are for Python; those that end in `_of` are for compiled code and give the same numbers.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
-from __future__ import annotations
-
 import numpy as np
 
 from league.jit import inner

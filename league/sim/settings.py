@@ -1,7 +1,5 @@
 """Settings of the world as one record of numbers, which is how compiled code reads them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

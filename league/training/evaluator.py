@@ -1,7 +1,5 @@
 """Evaluations during training: policies drive in Bullet from the start line, in another process."""
 
-from __future__ import annotations
-
 import math
 import os
 from concurrent.futures import Future, ProcessPoolExecutor

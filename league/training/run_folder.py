@@ -1,7 +1,5 @@
 """The folder of a run: its lock, whether it holds a run, and how a new one replaces that."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Races with one learner for Gymnasium, the other cars driven by given drivers: Env, VectorEnv."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from typing import Any, Unpack

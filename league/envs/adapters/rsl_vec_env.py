@@ -1,7 +1,5 @@
 """rsl-rl's VecEnv; a row is one (world, learner) pair with episodes of its own."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

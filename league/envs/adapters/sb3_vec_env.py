@@ -1,7 +1,5 @@
 """Stable-Baselines3's VecEnv over a batch of races with one learner each."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from typing import Any, Unpack

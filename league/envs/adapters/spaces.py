@@ -1,7 +1,5 @@
 """What the adapters return for one car: spaces, observations as fresh arrays, and infos."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from operator import itemgetter
 from typing import Any

@@ -1,8 +1,5 @@
 """Compiled painting of the floor: a perspective warp of its texture, bilinear."""
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 import math
 
 import numpy as np

@@ -1,8 +1,5 @@
 """Compiled: whole pictures of many worlds, by the painters of floors and of things."""
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 from league.jit import compiled, inner, spliced
 from league.sim.camera.floor_raster import draw_floor, draw_tilted_floor
 from league.sim.camera.raster import draw_room

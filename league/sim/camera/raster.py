@@ -4,9 +4,6 @@ A pixel belongs to a polygon if its centre lies inside: neighbours share no pixe
 out.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 import math
 
 import numpy as np

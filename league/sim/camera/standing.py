@@ -3,9 +3,6 @@
 Records are float32; what is worked out from them is float64, but for sines and cosines.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 import math
 
 import numpy as np

@@ -6,8 +6,6 @@ so a car squats, leans, lifts wheels and turns over; then its body lies on the g
 are the truth: every control step starts from them.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import math

@@ -10,9 +10,6 @@ All numbers are float32. A body is a row X, Y, YAW, VX, VY, TURN; its box a row 
 width [m], inverse mass [1/kg], inverse inertia [1/(kg m^2)] and distance of its corners [m].
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 import math
 
 import numpy as np

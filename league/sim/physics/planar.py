@@ -3,9 +3,6 @@
 Semi-implicit Euler: forces change velocities, contacts mend them, velocities move the cars.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 import numpy as np
 
 from league.jit import compiled, inner

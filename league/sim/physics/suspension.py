@@ -7,9 +7,6 @@ quaternion x, y, z, w, velocity [m/s] and angular velocity [rad/s], all in the w
 is one of the forces here, so a car at rest feels exactly none. docs/physics.md has the equations.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 import math
 
 import numpy as np

@@ -7,9 +7,6 @@ speed. In the plane a car is a single-track model with the centre of mass midway
 and four driven wheels; each axle has half of the drive. docs/physics.md has equations and proof.
 """
 
-# Numba gives its types a meaning that the checker does not know.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportReturnType=false
-
 import math
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ Each rank has worlds of its own; rsl-rl averages their gradients, so that all ha
 Without torchrun this process is the only rank, and torch.distributed is not initialised.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

@@ -1,7 +1,5 @@
 """The learner: rsl-rl's PPO on our worlds, one update at a time, with schedules and save points."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import pickle

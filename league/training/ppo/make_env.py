@@ -1,7 +1,5 @@
 """The tracks and the worlds a learner trains in, made from the settings of a run."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Literal

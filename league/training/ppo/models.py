@@ -1,7 +1,5 @@
 """rsl-rl models: a CNN for pictures as bytes, and distributions of bounded actions and choices."""
 
-from __future__ import annotations
-
 import torch
 from rsl_rl.models import CNNModel, MLPModel
 from rsl_rl.modules.distribution import Distribution, GaussianDistribution

@@ -1,7 +1,5 @@
 """Mirror symmetry: observations and actions of the car on the track with left and right swapped."""
 
-from __future__ import annotations
-
 import re
 from functools import cache
 
