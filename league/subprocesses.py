@@ -23,8 +23,7 @@ SERVER_STARTS = 5
 """Starts of the server for one process before its death counts as this machine's fault."""
 
 _SERVED = sys.platform == "linux"
-_DIE_WITH_PARENT = 1
-"""PR_SET_PDEATHSIG of prctl(2)."""
+_DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG of prctl(2)
 _LIBC = ctypes.CDLL(None) if _SERVED else None
 
 CONTEXT = (

@@ -118,15 +118,11 @@ class Card(FrozenModel):
         return weight_shapes(self.network, self.group_shapes, self.action_space.size)
 
 
-MAX_SIZE = 8 << 20
-"""Bytes of a file without a camera."""
-MAX_SIZE_CAMERA = 16 << 20
-"""Bytes of a file with a camera."""
-MAX_CARD = 64 << 10
-"""Bytes of a card's text."""
+MAX_SIZE = 8 << 20  # bytes of a file without a camera
+MAX_SIZE_CAMERA = 16 << 20  # bytes of a file with a camera
+MAX_CARD = 64 << 10  # bytes of a card's text
 MAX_TENSORS = 64
-MAX_WEIGHT = 1e4
-"""Largest weight, to either side."""
+MAX_WEIGHT = 1e4  # largest weight, to either side
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,10 +21,8 @@ from league.sim.config import CameraConfig, SimConfig
 if TYPE_CHECKING:
     from onnx import ModelProto, NodeProto
 
-OPSET = 20
-"""The first that knows every activation."""
-IR_VERSION = 9
-"""The format that goes with that opset, for runtimes since 2024."""
+OPSET = 20  # the first that knows every activation
+IR_VERSION = 9  # the format that goes with that opset, for runtimes since 2024
 
 LUMA = "0.299 R + 0.587 G + 0.114 B (Rec. 601)"
 """How a camera's colours become the gray of its pictures, as league/sim/camera does it."""

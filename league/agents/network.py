@@ -26,18 +26,15 @@ Activation = Literal["elu", "selu", "relu", "lrelu", "tanh", "gelu", "swish", "m
 Shapes = Mapping[str, tuple[int, ...]]
 """Shape of one row of each observation group, or of each weight."""
 
-MAX_PARAMETERS = 4_000_000
-"""Numbers in all weights of a network."""
+MAX_PARAMETERS = 4_000_000  # numbers in all weights of a network
 MAX_MULTIPLICATIONS = 100_000_000
 """For one decision, fewer than 16 channels counted as 16; docs/checkpoint.md says how long it is.
 
 Where no faster routine knows a convolution, all its windows are copied out, which takes the time
 and the memory of many channels however few are made.
 """
-MAX_ACTIVATIONS = 1_000_000
-"""Numbers that all layers make for one decision."""
-NORMALISER_EPS = 1e-2
-"""Added to the standard deviations before dividing, as rsl-rl does."""
+MAX_ACTIVATIONS = 1_000_000  # numbers that all layers make for one decision
+NORMALISER_EPS = 1e-2  # added to the standard deviations before dividing, as rsl-rl does
 
 _FEWEST_COUNTED = 16
 _LIMITS = {"channels": 256, "kernels": 15, "strides": 8, "hidden": 1024}

@@ -58,14 +58,10 @@ _ZERO, _HALF, _ONE, _TWO, _WHITE = f32(0.0), f32(0.5), f32(1.0), f32(2.0), f32(2
 class Network:
     """A network's layers and weights as tables; picture first, then fully connected."""
 
-    layers: np.ndarray
-    """LAYER records, the convolutions first."""
-    weights: np.ndarray
-    """Of all layers, inputs by outputs, each followed by its biases, float32."""
-    mean: np.ndarray
-    """Of the flat groups, in the order of the network, float32 (num_flat,)."""
-    deviation: np.ndarray
-    """Of the same, never 0."""
+    layers: np.ndarray  # LAYER records, the convolutions first
+    weights: np.ndarray  # of all layers, inputs by outputs, each followed by its biases, float32
+    mean: np.ndarray  # of the flat groups, in the order of the network, float32 (num_flat,)
+    deviation: np.ndarray  # of the same, never 0
 
     @classmethod
     def of(cls, cfg: NetworkConfig, shapes: Shapes, weights: Mapping[str, np.ndarray]) -> Network:

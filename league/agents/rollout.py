@@ -11,8 +11,7 @@ from league.envs import actions
 from league.envs.race_env import Observations, RaceEnv, Step
 from league.errors import ActionError
 
-Seat = tuple[int, int]
-"""A world and a car in it."""
+Seat = tuple[int, int]  # a world and a car in it
 
 
 class DriverPool:

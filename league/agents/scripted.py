@@ -41,36 +41,24 @@ from league.track.track import Track, TrackSet
 class Style:
     """What makes one line follower differ from another."""
 
-    on_centerline: bool = False
-    """Whether its line is the centreline, not the fastest one."""
-    pace: float = 1.0
-    """Part of the line's speed that is driven."""
-    top_speed: float = 99.0
-    """Largest speed [m/s]."""
-    grip: float = 0.93
-    """Part of the tyres' grip that is used on the line and off it."""
-    reserve: float = 0.5
-    """Part of that grip kept in hand while driving off the line."""
-    margin: float = 0.03
-    """Smallest distance from the fastest line to a border [m]."""
-    clearance: float = 0.06
-    """Air left between two bodies side by side [m]."""
+    on_centerline: bool = False  # whether its line is the centreline, not the fastest one
+    pace: float = 1.0  # part of the line's speed that is driven
+    top_speed: float = 99.0  # largest speed [m/s]
+    grip: float = 0.93  # part of the tyres' grip that is used on the line and off it
+    reserve: float = 0.5  # part of that grip kept in hand while driving off the line
+    margin: float = 0.03  # smallest distance from the fastest line to a border [m]
+    clearance: float = 0.06  # air left between two bodies side by side [m]
+    # smallest distance from the base to a border while going round something [m]
     edge: float = 0.03
-    """Smallest distance from the base to a border while going round something [m]."""
+    # driving distance over which a car moves aside before a standing thing [m]
     approach: float = 2.6
-    """Driving distance over which a car moves aside before a standing thing [m]."""
-    lead: float = 0.3
-    """Driving distance over which it then stays aside before coming up to it [m]."""
-    braking: float = 3.0
-    """Deceleration counted on when something is in the way [m/s^2]."""
-    gap: float = 0.1
-    """Air left when stuck behind something [m]."""
+    lead: float = 0.3  # driving distance over which it then stays aside before coming up to it [m]
+    braking: float = 3.0  # deceleration counted on when something is in the way [m/s^2]
+    gap: float = 0.1  # air left when stuck behind something [m]
+    # whether it takes the side with more room, instead of the shorter way from the line
     freer_side: bool = False
-    """Whether it takes the side with more room, instead of the shorter way from the line."""
-    waits: bool = False
-    """Whether it stays behind other cars; it goes round boxes alone."""
-    blocks: bool = False
-    """Whether it moves in front of the car behind."""
+    waits: bool = False  # whether it stays behind other cars; it goes round boxes alone
+    blocks: bool = False  # whether it moves in front of the car behind
 
 
 _STYLE = np.dtype([(one.name, np.float64) for one in fields(Style)])

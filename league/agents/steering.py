@@ -20,16 +20,11 @@ from league.sim.config import CarConfig
 from league.sim.settings import GRAVITY
 from league.track.projection import frame_at
 
-NODE_GAP = 0.2
-"""Distance between two nodes of the road ahead, along the line [m]."""
-NODES = 21
-"""Nodes of the road ahead, the first at the car."""
-STEP_DT = 1 / 15
-"""Length of a control step [s]."""
-STEPS = 14
-"""Control steps of curvature that are looked ahead."""
-SLOWEST, SPEED_STEP = 0.3, 0.1
-"""Speeds of the gain tables [m/s]: from SLOWEST on, SPEED_STEP apart."""
+NODE_GAP = 0.2  # distance between two nodes of the road ahead, along the line [m]
+NODES = 21  # nodes of the road ahead, the first at the car
+STEP_DT = 1 / 15  # length of a control step [s]
+STEPS = 14  # control steps of curvature that are looked ahead
+SLOWEST, SPEED_STEP = 0.3, 0.1  # speeds of the gain tables [m/s]: from SLOWEST on, SPEED_STEP apart
 
 _STIFFNESS_SHARE = 0.5  # tyres near their limit give less for more slip
 _LATERAL = 30.0  # price of the lateral error squared [1/m^2]

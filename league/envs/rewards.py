@@ -28,20 +28,14 @@ three of the own way, a pass two seconds of racing, and leaving the road more th
 touching costs little and running into another car much, or passing is never learnt
 (docs/self_play.md)."""
 
-TERMS = tuple(item.name for item in fields(RewardConfig))
-"""Names of the built-in terms, in order."""
+TERMS = tuple(item.name for item in fields(RewardConfig))  # names of the built-in terms, in order
 NEAR = f32(1.5)
 """Distance along the track within which another car is near, and gaining on it pays [m]."""
-RACING_LINE = "racing_line"
-"""Name of the reward that is no preset, and of its term."""
-MOST_TRACKS = 64
-"""Most tracks of which the racing line is computed."""
-FAR = 0.7
-"""Distance to the racing line at which its term becomes 0 [m]."""
-SLOW = 1.4
-"""Difference to the racing line's speed at which its term becomes 0 [m/s]."""
-ROWS = 1024
-"""Rows of a line's table."""
+RACING_LINE = "racing_line"  # name of the reward that is no preset, and of its term
+MOST_TRACKS = 64  # most tracks of which the racing line is computed
+FAR = 0.7  # distance to the racing line at which its term becomes 0 [m]
+SLOW = 1.4  # difference to the racing line's speed at which its term becomes 0 [m/s]
+ROWS = 1024  # rows of a line's table
 _ZERO, _ONE, _HALF, _QUARTER, _TENTH = f32(0.0), f32(1.0), f32(0.5), f32(0.25), f32(0.1)
 _LEAST_BAND = f32(0.001)
 

@@ -236,8 +236,7 @@ def _end_episodes(cars, verdicts, outcomes, rules):
     return done
 
 
-CARS_PER_THREAD = 256
-"""Fewest cars that are worth another thread."""
+CARS_PER_THREAD = 256  # fewest cars that are worth another thread
 
 
 def over_worlds(

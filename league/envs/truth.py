@@ -12,8 +12,7 @@ from league.track.projection import curvature_at, frame_at, signed_gap
 
 CURVES = (0.2, 0.4, 0.6, 0.8, 1.0, 1.3, 1.6, 2.0, 2.5, 3.0, 4.0, 5.0)
 """Distances ahead at which the track's curvature is given [m]."""
-BORDERS = (1.0, 2.0)
-"""Distances ahead at which the borders are given [m]."""
+BORDERS = (1.0, 2.0)  # distances ahead at which the borders are given [m]
 RIVALS, THINGS = 3, 2
 """Nearest other cars and obstacles that are given; cars that cannot collide now are not."""
 REACH = 4.0

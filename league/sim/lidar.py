@@ -16,8 +16,7 @@ from league.sim.records import World
 from league.sim.rng import normal_of
 from league.track.track import TrackSet
 
-NEAR_SECTOR = 0.5
-"""A sector reads 1 when something stands within this range [m]."""
+NEAR_SECTOR = 0.5  # a sector reads 1 when something stands within this range [m]
 
 _NOISE = 7_320_001  # purpose of the draws (see league.sim.rng)
 _FAR, _TINY, _ZERO, _HALF = f32(1e9), f32(1e-9), f32(0.0), f32(0.5)

@@ -9,16 +9,14 @@ import numpy as np
 
 from league.jit import inner
 
-SEED_MASK = 2**62 - 1
-"""World seeds lie below 2^62, so that they can be written into a race's spec."""
+SEED_MASK = 2**62 - 1  # world seeds lie below 2^62, so that they can be written into a race's spec
 
 _GAMMA = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1, _MIX_2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 _27, _30, _31, _40 = np.uint64(27), np.uint64(30), np.uint64(31), np.uint64(40)
 _16, _32, _48, _LOW_16 = np.uint64(16), np.uint64(32), np.uint64(48), np.uint64(0xFFFF)
 _SHARE = np.float32(2.0**-24)
-_MEAN = np.int64(131070)
-"""Of four 16-bit numbers, each with variance (2**32 - 1) / 12."""
+_MEAN = np.int64(131070)  # of four 16-bit numbers, each with variance (2**32 - 1) / 12
 _DEVIATION = np.float32(3.0**0.5 / 65536.0)
 
 

@@ -6,10 +6,8 @@ import numpy as np
 
 from league.sim.config import GRAVITY, CarConfig, SimConfig
 
-HALF_WALL = 5.0
-"""Half the thickness of a wall [m]."""
-RESTITUTION_FROM = 0.05
-"""Slowest approach that bounces [m/s]."""
+HALF_WALL = 5.0  # half the thickness of a wall [m]
+RESTITUTION_FROM = 0.05  # slowest approach that bounces [m/s]
 
 _F4, _I8, _BOOL = np.float32, np.int64, np.bool_
 

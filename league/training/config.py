@@ -24,11 +24,9 @@ from league.errors import ConfigError, PolicyError
 from league.racing.evaluate import MAX_TRIALS
 from league.sim.config import CameraConfig, RaceKind, RulesName, SensorConfig
 
-_RACING_ROWS = 1536
-"""Cars in all worlds, where all learn to race on the true state."""
+_RACING_ROWS = 1536  # cars in all worlds, where all learn to race on the true state
 _T = TypeVar("_T")
-Hidden = Annotated[_T, tyro.conf.Fixed, tyro.conf.Suppress]
-"""A setting without a flag."""
+Hidden = Annotated[_T, tyro.conf.Fixed, tyro.conf.Suppress]  # a setting without a flag
 FREE = {"resume": "free"}
 """Metadata of settings that a resume may change; without metadata a setting is kept."""
 GROWS = {"resume": "grows"}
@@ -344,10 +342,8 @@ _OLD_NAMES = {
     "ppo": {"steps": "rollout", "forgiving": "bootstrap_on_failure"},
 }
 """Names of settings in the files of older versions, and what they are called now."""
-_REMOVED = ("scripted_share", "handicap")
-"""Settings of a run that older versions had."""
-GRIP_SPREAD = 0.15
-"""Largest deviation of grip where `dynamics_randomization` is 1."""
+_REMOVED = ("scripted_share", "handicap")  # settings of a run that older versions had
+GRIP_SPREAD = 0.15  # largest deviation of grip where `dynamics_randomization` is 1
 
 
 def read(folder: Path) -> RunConfig:

@@ -18,41 +18,29 @@ from league.racing.table import Evaluation
 from league.sim.config import ObstacleConfig, RaceKind, SimConfig
 from league.track.track import Track, TrackSet
 
-CLEAN_RUNS = 20
-"""Runs from the start line of which a card says how many were clean."""
-TIMEOUT_S = 600.0
-"""Longest wait for one evaluation [s]."""
+CLEAN_RUNS = 20  # runs from the start line of which a card says how many were clean
+TIMEOUT_S = 600.0  # longest wait for one evaluation [s]
 
 
 @dataclass(frozen=True)
 class EvalConfig:
     """What every policy of a run is evaluated on."""
 
-    tracks: tuple[Track, ...]
-    """Where it drives, one after the other."""
-    laps: int = 3
-    """Laps of each run."""
-    trials: int = 1
-    """Runs on each track."""
-    kind: RaceKind = "time_trial"
-    """Kind of race."""
-    obstacles: int | None = None
-    """Boxes or bots; None: six in obstacle avoidance, else none."""
-    bots: bool = False
-    """Bot cars instead of boxes."""
-    opponents: tuple[str, ...] = ()
-    """Drivers that race against it, behind it on the grid."""
-    seed: int = 1_000
-    """Seed of the first run; training draws others."""
+    tracks: tuple[Track, ...]  # where it drives, one after the other
+    laps: int = 3  # laps of each run
+    trials: int = 1  # runs on each track
+    kind: RaceKind = "time_trial"  # kind of race
+    obstacles: int | None = None  # boxes or bots; None: six in obstacle avoidance, else none
+    bots: bool = False  # bot cars instead of boxes
+    opponents: tuple[str, ...] = ()  # drivers that race against it, behind it on the grid
+    seed: int = 1_000  # seed of the first run; training draws others
 
 
 class EvalResult(NamedTuple):
     """The evaluation of one policy."""
 
-    number: int
-    """Updates before it."""
-    evaluation: Evaluation
-    """All trials, on all tracks."""
+    number: int  # updates before it
+    evaluation: Evaluation  # all trials, on all tracks
 
 
 def evaluate_policy(cfg: EvalConfig, checkpoint: Checkpoint) -> Evaluation:

@@ -42,8 +42,7 @@ from league.training.ppo.teacher import make_taught
 if TYPE_CHECKING:
     from league.racing.table import Evaluation
 
-_DUELS = 60
-"""Races at each pace, for the card of a policy of self-play."""
+_DUELS = 60  # races at each pace, for the card of a policy of self-play
 CRITIC_FIRST = 4
 """Updates from which only the critic learns, where the actor starts as another policy."""
 
@@ -52,18 +51,13 @@ CRITIC_FIRST = 4
 class Outcome:
     """The result of a run."""
 
-    best: Path
-    """The best policy."""
-    evaluation: Evaluation | None
-    """Its evaluation."""
-    samples: int
-    """Decisions learnt from."""
-    time_s: float
-    """Learning time, of earlier parts too [s]."""
-    why: str
-    """Why it stopped."""
+    best: Path  # the best policy
+    evaluation: Evaluation | None  # its evaluation
+    samples: int  # decisions learnt from
+    time_s: float  # learning time, of earlier parts too [s]
+    why: str  # why it stopped
+    # of self-play: how fast a rival the policy passes, and keeps behind
     duels: Threshold | None = None
-    """Of self-play: how fast a rival the policy passes, and keeps behind."""
 
 
 class Run:

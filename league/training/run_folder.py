@@ -6,12 +6,9 @@ from pathlib import Path
 from league.errors import ConfigError, PolicyError
 from league.training.monitor import history
 
-LEARNT = ("best.pt", "last.pt", "state.pt")
-"""Files that only learning again would bring back."""
-PRINTED = "printed.txt"
-"""The last lines that a reward function has printed."""
-SIMTRACE = "simtrace"
-"""The folder of traces that community log tools read."""
+LEARNT = ("best.pt", "last.pt", "state.pt")  # files that only learning again would bring back
+PRINTED = "printed.txt"  # the last lines that a reward function has printed
+SIMTRACE = "simtrace"  # the folder of traces that community log tools read
 _PICTURES = (PRINTED, "training.png", "win_matrix.json", "win_matrix.png", "pool/pool.json")
 _MANY = ("pool/*.pt", "tensorboard/events.out.tfevents.*", f"{SIMTRACE}/**/*-iteration.csv")
 

@@ -23,8 +23,7 @@ from league.track.track import Track, TrackSet
 
 Observation = dict[str, np.ndarray]
 
-DEFAULT_OPPONENTS = ("centerline",)
-"""Opponents in a head_to_head race unless others are given."""
+DEFAULT_OPPONENTS = ("centerline",)  # opponents in a head_to_head race unless others are given
 
 
 class LearnerEnv:

@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 
 MODES = ("rgb_array", "human")
 VIEWS = ("chase", "top")
-SIZE = (640, 360)
-"""Width and height of pictures."""
+SIZE = (640, 360)  # width and height of pictures
 
 
 class EnvRenderer:

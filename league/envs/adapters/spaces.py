@@ -16,8 +16,7 @@ from league.sim.records import CAR, VERDICT
 
 MOTION_LIMIT = 16.0
 """Bound of the scaled own motion; a car that is hit turns faster than it can by itself."""
-STATE_LIMIT = 10_000.0
-"""Bound of the `state` group, in any unit."""
+STATE_LIMIT = 10_000.0  # bound of the `state` group, in any unit
 
 FLAGS = (
     "off_track",

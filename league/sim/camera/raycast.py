@@ -64,16 +64,11 @@ class _Body:
     """One car or box in each world, in the frame of the camera's yaw; (num_rows,) each."""
 
     model: scene.Model
-    pose: tuple[Tensor, Tensor, Tensor, Tensor]
-    """x, y [m], cosine and sine of the yaw."""
-    sun: tuple[Tensor, Tensor]
-    """The sun's direction in the body's own frame."""
-    steering: tuple[Tensor, Tensor]
-    """Cosine and sine."""
-    scale: tuple[Tensor, Tensor, Tensor]
-    """Stretch of the model ahead, to the side and upwards."""
-    colour: Tensor
-    """(num_rows, 3)."""
+    pose: tuple[Tensor, Tensor, Tensor, Tensor]  # x, y [m], cosine and sine of the yaw
+    sun: tuple[Tensor, Tensor]  # the sun's direction in the body's own frame
+    steering: tuple[Tensor, Tensor]  # cosine and sine
+    scale: tuple[Tensor, Tensor, Tensor]  # stretch of the model ahead, to the side and upwards
+    colour: Tensor  # (num_rows, 3)
 
 
 class RayRenderer(Renderer):

@@ -39,10 +39,8 @@ from league.track.track import Rgb, TrackSet
 
 _WHEN_FAR = {CAR: FAR_CAR}
 _MAX_STEERING = math.radians(30)
-_TOUCH = 1e-6
-"""Solids nearer than this touch each other [m]."""
-_FLAT_RUBBER = len(PAINTS)
-"""The paint of a wheel's tread: round, so no one light fits it."""
+_TOUCH = 1e-6  # solids nearer than this touch each other [m]
+_FLAT_RUBBER = len(PAINTS)  # the paint of a wheel's tread: round, so no one light fits it
 
 
 class Renderer(ABC):

@@ -30,24 +30,18 @@ from league.sim.camera.tables import Mount, Pose
 from league.sim.config import CameraConfig, SimConfig
 from league.sim.records import World
 
-NEAR = 0.02
-"""Nothing nearer to a camera's plane than this is seen [m]."""
-MIN_HEIGHT = 0.01
-"""No eye of a camera sinks lower than this above the floor [m]."""
+NEAR = 0.02  # nothing nearer to a camera's plane than this is seen [m]
+MIN_HEIGHT = 0.01  # no eye of a camera sinks lower than this above the floor [m]
 
 
 @dataclass(frozen=True)
 class Lens:
     """A pinhole, or two side by side with parallel axes."""
 
-    width: int
-    """Pixels across."""
-    height: int
-    """Pixels down."""
-    focal: float
-    """Focal length [px]."""
-    eyes: tuple[float, ...] = (0.0,)
-    """How far each eye sits to the left of the middle [m]."""
+    width: int  # pixels across
+    height: int  # pixels down
+    focal: float  # focal length [px]
+    eyes: tuple[float, ...] = (0.0,)  # how far each eye sits to the left of the middle [m]
 
     @classmethod
     def of(cls, cfg: CameraConfig) -> "Lens":
@@ -82,20 +76,14 @@ class Lens:
 class Thing(NamedTuple):
     """A car or a box as it stands in the world."""
 
-    model: Model
-    """CAR or BOX."""
+    model: Model  # CAR or BOX
     x: float
-    y: float
-    """World frame [m]."""
+    y: float  # world frame [m]
     cos: float
-    sin: float
-    """Cosine and sine of the yaw."""
-    steering: float
-    """Angle of the front wheels [rad]."""
-    colour: tuple[float, float, float]
-    """Colour of the body, sRGB 0-255."""
-    scale: tuple[float, float, float]
-    """Stretch of the model ahead, to the side and upwards."""
+    sin: float  # cosine and sine of the yaw
+    steering: float  # angle of the front wheels [rad]
+    colour: tuple[float, float, float]  # colour of the body, sRGB 0-255
+    scale: tuple[float, float, float]  # stretch of the model ahead, to the side and upwards
 
 
 class SceneState:

@@ -24,16 +24,12 @@ from league.sim.physics import suspension
 from league.sim.records import is_frozen
 from league.sim.settings import HALF_WALL, RESTITUTION_FROM, settings
 
-MAX_WORLDS = 1000
-"""PyBullet keeps at most 1,024 simulations in a process."""
-LONGEST_STEP = 1 / 240
-"""Longest step of Bullet [s]; a physics step is split until none is longer."""
-WALL_HEIGHT = 2.0
-"""Height of the walls [m]: no car gets over them."""
+MAX_WORLDS = 1000  # PyBullet keeps at most 1,024 simulations in a process
+LONGEST_STEP = 1 / 240  # longest step of Bullet [s]; a physics step is split until none is longer
+WALL_HEIGHT = 2.0  # height of the walls [m]: no car gets over them
 HEAVY = 1e7
 """Mass of what moves and cannot be pushed [kg]: Bullet takes a body of mass 0 to be standing."""
-ITERATIONS = 20
-"""Rounds of Bullet's impulse solver in a physics step."""
+ITERATIONS = 20  # rounds of Bullet's impulse solver in a physics step
 
 _PARTS = ((0.74, -0.74, 0.96), (1.0, -1.0, 1.0), (0.28, -0.68, 0.66))
 """Skirt, shell and cabin of a car, much as they are drawn: where each begins and ends along the
@@ -70,14 +66,11 @@ pybullet = _load_pybullet()
 class _Body:
     """A rigid body of upright boxes to build."""
 
-    half_sizes: list[Triple]
-    """Of each of its boxes, ahead, to the side and upwards [m]."""
-    mass: float = 0.0
-    """[kg]; 0 for what never moves."""
-    inertia: Triple = (0.0, 0.0, 0.0)
-    """About the same three axes [kg m^2]."""
+    half_sizes: list[Triple]  # of each of its boxes, ahead, to the side and upwards [m]
+    mass: float = 0.0  # [kg]; 0 for what never moves
+    inertia: Triple = (0.0, 0.0, 0.0)  # about the same three axes [kg m^2]
+    # of each box, from the centre of mass [m]
     middles: list[Triple] = field(default_factory=lambda: [(0.0, 0.0, 0.0)])
-    """Of each box, from the centre of mass [m]."""
 
 
 @dataclass(frozen=True)
@@ -86,10 +79,8 @@ class _Plan:
 
     track: int
     masses: list[float]
-    held: list[bool]
-    """Cars that stand frozen without being ghosts: nothing can push them."""
-    sizes: list[list[float]]
-    """Half length and half width of each obstacle [m]."""
+    held: list[bool]  # cars that stand frozen without being ghosts: nothing can push them
+    sizes: list[list[float]]  # half length and half width of each obstacle [m]
 
 
 @dataclass(frozen=True)

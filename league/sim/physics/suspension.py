@@ -24,8 +24,7 @@ from league.sim.physics.vehicle import (
 )
 from league.sim.settings import GRAVITY
 
-LEAST_UPRIGHT = 0.5
-"""Cosine of the lean beyond which no wheel carries the car (60 deg)."""
+LEAST_UPRIGHT = 0.5  # cosine of the lean beyond which no wheel carries the car (60 deg)
 STILL, STILL_TURN, STILL_STEP = 0.002, 0.02, 1e-4
 """A car that lies on its body rests when it is slower than this and moved by less in a control step
 [m/s, rad/s, m]: contacts alone would let it creep."""

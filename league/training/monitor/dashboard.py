@@ -20,16 +20,12 @@ if TYPE_CHECKING:
     from league.training.monitor.history import EvaluationRow, Row, TrainingHistory
     from league.training.ppo.learner import Update
 
-PLAIN_EVERY_S = 5.0
-"""Seconds between two plain lines."""
-REFRESHES_HZ = 2.0
-"""How often the dashboard is drawn; once takes some milliseconds."""
-RECENT = 16
-"""Updates over which the speed is averaged."""
+PLAIN_EVERY_S = 5.0  # seconds between two plain lines
+REFRESHES_HZ = 2.0  # how often the dashboard is drawn; once takes some milliseconds
+RECENT = 16  # updates over which the speed is averaged
 _NARROW = 78
 _HEIGHT = 4
-_BLOCKS = " ▁▂▃▄▅▆▇█"
-"""A character cell filled from below, in eighths."""
+_BLOCKS = " ▁▂▃▄▅▆▇█"  # a character cell filled from below, in eighths
 
 
 class Dashboard(TrainingCallback):

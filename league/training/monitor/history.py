@@ -26,10 +26,8 @@ if TYPE_CHECKING:
     from league.training.ppo.statistics import EpisodeStatistics
 
 FORMAT = 1
-TEACHING = "/teacher/learning"
-"""Logged as 1 while a teacher learns (ppo/teacher.py)."""
-_OLD_TEACHING = "/tutor/learning"
-"""Its name in the files of older versions."""
+TEACHING = "/teacher/learning"  # logged as 1 while a teacher learns (ppo/teacher.py)
+_OLD_TEACHING = "/tutor/learning"  # its name in the files of older versions
 _Number = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
 """JSON has no NaN: it is written as null."""
 
@@ -41,26 +39,18 @@ class UpdateRow:
     __pydantic_config__ = ConfigDict(extra="forbid", ser_json_inf_nan="null")
 
     row: Literal["update"] = "update"
-    number: int
-    """Updates so far, this one included."""
-    samples: int
-    """Decisions learnt from so far."""
-    time_s: float
-    """Wall time of the run so far, of the parts before a resume too [s]."""
-    collect_s: float
-    """Wall time of this update's rollout: physics, cameras, reward and policy [s]."""
-    learn_s: float
-    """Wall time of this update's learning [s]."""
-    reward: _Number
-    """Mean reward of a step."""
+    number: int  # updates so far, this one included
+    samples: int  # decisions learnt from so far
+    time_s: float  # wall time of the run so far, of the parts before a resume too [s]
+    collect_s: float  # wall time of this update's rollout: physics, cameras, reward and policy [s]
+    learn_s: float  # wall time of this update's learning [s]
+    reward: _Number  # mean reward of a step
+    # mean sum of rewards of the last training episodes; None before the first one ended
     earned: float | None
-    """Mean sum of rewards of the last training episodes; None before the first one ended."""
+    # mean completion of the last training episodes [%]; None before the first one ended
     completion: float | None
-    """Mean completion of the last training episodes [%]; None before the first one ended."""
-    losses: dict[str, _Number]
-    """Mean losses by rsl-rl's names."""
-    log: dict[str, _Number]
-    """Means of the worlds' log over the steps."""
+    losses: dict[str, _Number]  # mean losses by rsl-rl's names
+    log: dict[str, _Number]  # means of the worlds' log over the steps
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,36 +60,21 @@ class EvaluationRow:
     __pydantic_config__ = ConfigDict(extra="forbid", ser_json_inf_nan="null")
 
     row: Literal["evaluation"] = "evaluation"
-    number: int
-    """Updates before it."""
-    samples: int
-    """Decisions learnt from before it."""
-    time_s: float
-    """Wall time of the run when it was known [s]: learning may have gone on meanwhile."""
-    took_s: float
-    """Wall time for which learning waited for it [s]."""
-    completion: float
-    """Mean completion [%]."""
-    asked: int
-    """Laps that were to be driven."""
-    complete_laps: int
-    """Laps completed."""
-    clean_laps: int
-    """Laps completed without a mistake."""
-    best_lap_s: float | None
-    """Best complete lap [s]."""
-    last_lap_s: float | None
-    """Last complete lap [s]."""
-    mean_lap_s: float | None
-    """Mean of the complete laps [s]."""
-    best_flying_s: float | None
-    """Best clean lap that began at speed [s]."""
-    off_tracks: int
-    """Times off the track."""
-    crashes: int
-    """Contacts to blame for."""
-    best: bool
-    """Whether the policy was then the best so far."""
+    number: int  # updates before it
+    samples: int  # decisions learnt from before it
+    time_s: float  # wall time of the run when it was known [s]: learning may have gone on meanwhile
+    took_s: float  # wall time for which learning waited for it [s]
+    completion: float  # mean completion [%]
+    asked: int  # laps that were to be driven
+    complete_laps: int  # laps completed
+    clean_laps: int  # laps completed without a mistake
+    best_lap_s: float | None  # best complete lap [s]
+    last_lap_s: float | None  # last complete lap [s]
+    mean_lap_s: float | None  # mean of the complete laps [s]
+    best_flying_s: float | None  # best clean lap that began at speed [s]
+    off_tracks: int  # times off the track
+    crashes: int  # contacts to blame for
+    best: bool  # whether the policy was then the best so far
 
 
 _FIGURES = (

@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from league.training.monitor.history import Row, TrainingHistory
     from league.training.ppo.learner import Update
 
-FLUSH_S = 10
-"""Seconds after which what was added is on the disk."""
+FLUSH_S = 10  # seconds after which what was added is on the disk
 
 
 class TensorBoard(TrainingCallback):
@@ -168,8 +167,7 @@ class LiveView(TrainingCallback):
             stream.close()
 
 
-EVERY_S = 60.0
-"""Seconds between two plots while learning goes on: one takes about half a second."""
+EVERY_S = 60.0  # seconds between two plots while learning goes on: one takes about half a second
 _EARNED, _DRIVEN, _EVALUATED, _BEST = "#2f9e63", "#3178c6", "#d9483b", "#e0a100"
 
 

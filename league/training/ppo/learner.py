@@ -34,26 +34,17 @@ AVERAGED = 50
 class Update:
     """The result of one round of collecting and learning."""
 
-    number: int
-    """Updates so far, this one included."""
-    samples: int
-    """Decisions learnt from so far, by all ranks."""
-    collect_s: float
-    """Wall time of collecting [s]."""
-    learn_s: float
-    """Wall time of learning [s]."""
-    reward: float
-    """Mean reward of a step."""
-    losses: dict[str, float]
-    """Mean losses by rsl-rl's names."""
-    log: dict[str, float]
-    """Means of the worlds' log over the steps."""
-    learning_rate: float | None = None
-    """Step size of the optimiser."""
-    mean_std: float | None = None
-    """Mean standard deviation of the actions."""
+    number: int  # updates so far, this one included
+    samples: int  # decisions learnt from so far, by all ranks
+    collect_s: float  # wall time of collecting [s]
+    learn_s: float  # wall time of learning [s]
+    reward: float  # mean reward of a step
+    losses: dict[str, float]  # mean losses by rsl-rl's names
+    log: dict[str, float]  # means of the worlds' log over the steps
+    learning_rate: float | None = None  # step size of the optimiser
+    mean_std: float | None = None  # mean standard deviation of the actions
+    # mean steps from one end of an episode to the next; None before the first one
     episode_steps: float | None = None
-    """Mean steps from one end of an episode to the next; None before the first one."""
 
 
 class Learner:

@@ -25,10 +25,8 @@ from league.training.config import GRIP_SPREAD, TrainConfig
 
 GENERATED = "generated:"
 MAX_GENERATED = 2000
-MAX_EVALUATED = 4
-"""Largest number of named tracks to evaluate on."""
-RANDOM_EVALUATED = 12
-"""Random tracks to evaluate on."""
+MAX_EVALUATED = 4  # largest number of named tracks to evaluate on
+RANDOM_EVALUATED = 12  # random tracks to evaluate on
 FIRST_EVALUATED = 1_000_000
 """Seed of the first random track to evaluate on, beyond all that are trained on."""
 

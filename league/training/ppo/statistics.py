@@ -12,26 +12,19 @@ from torch import Tensor
 
 from league.training.ppo import distributed
 
-WINDOW = 100
-"""Episodes over which means are taken; more where there are many rows."""
-LARGEST = 10.0
-"""Normalised rewards are cut off here."""
-_STANDING = 1e-3
-"""Laps in all below which the reward of a lap means nothing."""
+WINDOW = 100  # episodes over which means are taken; more where there are many rows
+LARGEST = 10.0  # normalised rewards are cut off here
+_STANDING = 1e-3  # laps in all below which the reward of a lap means nothing
 
 
 @dataclass(frozen=True)
 class Episode:
     """An episode that is over."""
 
-    completion: float
-    """Share of a lap it came from its own start, 0 to 1."""
-    reward: float
-    """Sum of its rewards."""
-    steps: int
-    """Its length."""
-    cut: bool = False
-    """Whether a save point cut it off: it would have come at least so far."""
+    completion: float  # share of a lap it came from its own start, 0 to 1
+    reward: float  # sum of its rewards
+    steps: int  # its length
+    cut: bool = False  # whether a save point cut it off: it would have come at least so far
 
 
 class EpisodeStatistics:
@@ -142,8 +135,7 @@ class Moments:
 
     count: float = 0.0
     mean: float = 0.0
-    square: float = 0.0
-    """Sum of squares about the mean."""
+    square: float = 0.0  # sum of squares about the mean
 
     def joined(self, other: Moments) -> Moments:
         """Return those of both sets (Chan et al.)."""
