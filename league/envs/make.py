@@ -163,11 +163,7 @@ def weights(reward: RewardConfig | Reward | str | os.PathLike[str] | None) -> Re
 
 
 def checked_seed(seed: object) -> int:
-    """Return a user's seed as an int.
-
-    Raises:
-        ConfigError: it is not a whole number from 0.
-    """
+    """Return a user's seed as an int; ConfigError if it is not a whole number from 0."""
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise ConfigError(f"seed is {seed!r}: give a whole number, 0 or more, or None")
     return int(seed)
@@ -257,10 +253,6 @@ def _no_sensor(value: object) -> str:
 
 
 def check_whole(what: str, value: object, least: int) -> None:
-    """Check an argument that is a count.
-
-    Raises:
-        ConfigError: it is no whole number, or too small.
-    """
+    """Check an argument that is a count; ConfigError if it is no whole number, or too small."""
     if not isinstance(value, int) or isinstance(value, bool) or value < least:
         raise ConfigError(f"{what} is {brief(value)}: give a whole number, {least} or more")

@@ -158,11 +158,7 @@ class RacingLineReward:
     """
 
     def __init__(self, tracks: TrackSet, car: CarConfig) -> None:
-        """Compute the line of each track.
-
-        Raises:
-            ConfigError: too many tracks.
-        """
+        """Compute the line of each track; ConfigError for too many tracks."""
         check_name(RACING_LINE, len(tracks.tracks))
         self._progress = BuiltIn(PRESETS["progress"])
         self.terms = (*self._progress.terms, RACING_LINE)

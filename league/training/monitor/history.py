@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from io import BufferedWriter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import BeforeValidator, ConfigDict, Discriminator, TypeAdapter
 
@@ -107,11 +107,7 @@ class TrainingHistory:
 
     @classmethod
     def resumed(cls, path: Path, number: int) -> TrainingHistory:
-        """Continue a run's file after an update; rows of later updates are removed.
-
-        Raises:
-            PolicyError: the file is no history, or cannot be written.
-        """
+        """Continue a run's file after an update; rows of later ones go. See `read` for errors."""
         return cls(path, [row for row in read(path) if row.number <= number])
 
     @property
@@ -131,11 +127,6 @@ class TrainingHistory:
         return self.updates[-1].samples if self.updates else 0
 
     @property
-    def number(self) -> int:
-        """Updates so far."""
-        return self.updates[-1].number if self.updates else 0
-
-    @property
     def teacher_learns(self) -> bool:
         """Whether the last update was a teacher's."""
         return bool(self.updates) and TEACHING in self.updates[-1].log
@@ -150,15 +141,14 @@ class TrainingHistory:
 
     def add_update(self, update: Update, episodes: EpisodeStatistics, time_s: float) -> UpdateRow:
         """Add an update; `time_s` is the wall time of the run, before a resume too [s]."""
+        completion = episodes.completion
         row = UpdateRow(
-            number=update.number,
-            samples=update.samples,
+            **{name: getattr(update, name) for name in ("number", "samples", "reward")},
             time_s=round(time_s, 4),
             collect_s=round(update.collect_s, 4),
             learn_s=round(update.learn_s, 4),
-            reward=update.reward,
             earned=episodes.earned,
-            completion=None if episodes.completion is None else 100.0 * episodes.completion,
+            completion=None if completion is None else 100.0 * completion,
             losses={name: float(value) for name, value in update.losses.items()},
             log={name: float(value) for name, value in update.log.items()},
         )
@@ -167,29 +157,22 @@ class TrainingHistory:
         return row
 
     def add_evaluation(
-        self,
-        evaluation: Evaluation,
-        *,
-        time_s: float,
-        took_s: float,
-        best: bool,
-        number: int | None = None,
+        self, evaluation: Evaluation, number: int, *, time_s: float, took_s: float, best: bool
     ) -> EvaluationRow:
-        """Add an evaluation of the policy as it was after update `number`, by default the last.
+        """Add an evaluation of the policy as it was after update `number`.
 
         `time_s` is the wall time of the run so far, `took_s` how long learning waited for it [s];
         `best` says whether the policy is the best so far.
         """
-        number = self.number if number is None else number
         samples = next((row.samples for row in self.updates if row.number == number), 0)
+        laps_s = evaluation.lap_times_s
+        times = {"time_s": time_s, "took_s": took_s, "completion": evaluation.completion}
         row = EvaluationRow(
             number=number,
             samples=samples,
-            time_s=round(time_s, 4),
-            took_s=round(took_s, 4),
-            completion=round(evaluation.completion, 4),
-            last_lap_s=evaluation.lap_times_s[-1] if evaluation.lap_times_s else None,
+            last_lap_s=laps_s[-1] if laps_s else None,
             best=best,
+            **{name: round(value, 4) for name, value in times.items()},
             **{name: getattr(evaluation, name) for name in _FIGURES},
         )
         self.evaluations.append(row)
@@ -260,20 +243,17 @@ def _line(row: Row) -> bytes:
     return _ROW.dump_json(row) + b"\n"
 
 
-class TrainingCallback(Protocol):
+class TrainingCallback:
     """Shows or writes the metrics of a run, which is the same without it."""
 
     def update(self, history: TrainingHistory, update: Update) -> None:
         """Called after an update, which is the last row of the history."""
-        ...
 
     def evaluated(self, history: TrainingHistory, evaluation: Evaluation) -> None:
         """Called after an evaluation, which is the last row of the history."""
-        ...
 
     def racing(self, what: str) -> None:
-        """Called before races after the last update, which take a while. Optional."""
+        """Called before races after the last update, which take a while."""
 
     def close(self) -> None:
         """Called once at the end, also after an error or Ctrl-C."""
-        ...

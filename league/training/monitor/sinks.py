@@ -30,10 +30,12 @@ FLUSH_S = 10  # seconds after which what was added is on the disk
 
 
 class TensorBoard(TrainingCallback):
-    """Adds a point to each chart; the step is the number of updates, as in rsl-rl."""
+    """Adds a point to each chart; the step is the number of updates, as in rsl-rl.
+
+    Nothing is written, nor TensorBoard loaded, before the first update.
+    """
 
     def __init__(self, folder: Path) -> None:
-        """Nothing is written, nor TensorBoard loaded, before the first update."""
         self._folder = folder
         self._writer: SummaryWriter | None = None
 
@@ -120,13 +122,8 @@ class LiveView(TrainingCallback):
         self._stream: Stream | None = Stream(layout, window=window)
         self.address = self._stream.address
         """Where it can be watched."""
-        self._cars = TrainingStream(
-            self._stream.recording,
-            track,
-            shown,
-            step_hz=sim.step_hz,
-            bots=sim.obstacles.kind == "bot",
-        )
+        recording, bots = self._stream.recording, sim.obstacles.kind == "bot"
+        self._cars = TrainingStream(recording, track, shown, step_hz=sim.step_hz, bots=bots)
         for env in envs:
             env.watch = self._cars.add
 
@@ -198,11 +195,7 @@ class TrainingPlot(TrainingCallback):
 
 
 def draw_plot(history: TrainingHistory, path: Path) -> None:
-    """Write the curves of a run as a PNG, whole or not at all.
-
-    Raises:
-        PolicyError: the file cannot be written.
-    """
+    """Write the curves of a run as a PNG, whole or not at all; PolicyError if it cannot be."""
     figures.save(plot_figure(history), path, "the plot of the training", PolicyError)
 
 
@@ -222,43 +215,28 @@ def plot_figure(history: TrainingHistory) -> Figure:
     _shade_teacher(history, reward)
     _mark_best(history, completion)
     _label_axes(history, completion, reward)
-    drawn.legend(
-        handles=lines,
-        loc="outside lower center",
-        ncols=3,
-        frameon=False,
-        fontsize=10,
-        labelcolor=INK,
-    )
+    place: dict[str, Any] = {"loc": "outside lower center", "ncols": 3, "frameon": False}
+    drawn.legend(handles=lines, fontsize=10, labelcolor=INK, **place)
     return drawn
 
 
 def _lines(history: TrainingHistory, completion: Axes, reward: Axes) -> list[Any]:
     updates, evaluations = history.updates, history.evaluations
-    dots: dict[str, Any] = {
-        "marker": "o",
-        "markersize": 5,
-        "markeredgecolor": "white",
-        "clip_on": False,
-    }
-    curves: tuple[tuple[Axes, Sequence[Row], str, str, str, dict[str, Any]], ...] = (
-        (reward, updates, "earned", "average reward (training)", _EARNED, {"alpha": 0.9}),
-        (completion, updates, "completion", "average % completion (training)", _DRIVEN, {}),
-        (
-            completion,
-            evaluations,
-            "completion",
-            "average % completion (evaluation)",
-            _EVALUATED,
-            dots,
-        ),
-    )
     lines = []
-    for axes, rows, name, label, colour, style in curves:
+
+    def draw(axes: Axes, rows: Sequence[Row], name: str, label: str, **style: Any) -> None:  # noqa: ANN401
         known = [row for row in rows if getattr(row, name) is not None]
         values = [getattr(row, name) for row in known]
-        style |= {"label": label, "color": colour, "linewidth": 1.8}
-        lines += axes.plot(history.learnt_s(known), values, **style)
+        label = f"average {label}"
+        lines.extend(
+            axes.plot(history.learnt_s(known), values, label=label, linewidth=1.8, **style)
+        )
+
+    draw(reward, updates, "earned", "reward (training)", color=_EARNED, alpha=0.9)
+    draw(completion, updates, "completion", "% completion (training)", color=_DRIVEN)
+    label, dots = "% completion (evaluation)", {"marker": "o", "markersize": 5, "clip_on": False}
+    style = {"color": _EVALUATED, "markeredgecolor": "white", **dots}
+    draw(completion, evaluations, "completion", label, **style)
     completion.set_xlim(0, max(history.updates[-1].time_s, 1e-9))
     return lines
 
@@ -269,16 +247,9 @@ def _shade_teacher(history: TrainingHistory, axes: Axes) -> None:
     if not taught_s:
         return
     axes.axvspan(0, taught_s[-1], color=GRID, alpha=0.6, linewidth=0, zorder=0)
-    axes.annotate(
-        "the teacher learns",
-        (0.0, 1.0),
-        xytext=(6, -22),
-        xycoords="axes fraction",
-        textcoords="offset points",
-        va="top",
-        color=INK,
-        fontsize=10,
-    )
+    inside = {"xycoords": "axes fraction", "textcoords": "offset points"}
+    text = {"va": "top", "color": INK, "fontsize": 10}
+    axes.annotate("the teacher learns", (0.0, 1.0), xytext=(6, -22), **inside, **text)
 
 
 def _mark_best(history: TrainingHistory, axes: Axes) -> None:
@@ -287,34 +258,18 @@ def _mark_best(history: TrainingHistory, axes: Axes) -> None:
         return
     (best_s,) = history.learnt_s([best])
     axes.axvline(best_s, color=_BEST, linewidth=1.2, linestyle=(0, (4, 3)), zorder=1)
-    axes.plot(
-        best_s,
-        best.completion,
-        marker="*",
-        markersize=19,
-        color=_BEST,
-        markeredgecolor="white",
-        markeredgewidth=1.2,
-        zorder=5,
-        clip_on=False,
-    )
+    star: dict[str, Any] = {"marker": "*", "markersize": 19, "markeredgecolor": "white"}
+    star |= {"markeredgewidth": 1.2, "color": _BEST, "clip_on": False, "zorder": 5}
+    axes.plot(best_s, best.completion, **star)
     label = "best model"
     if best.best_lap_s is not None:
         label += f": {best.best_lap_s:.2f} s a lap"
     right = best_s < 0.6 * axes.get_xlim()[1]
     # At the foot, below the curves: where a policy is good they are high.
-    axes.annotate(
-        label,
-        (best_s, 0.0),
-        xytext=(9 if right else -9, 12),
-        textcoords="offset points",
-        ha="left" if right else "right",
-        color=INK,
-        fontsize=10,
-        fontweight="bold",
-        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 2.0},
-        zorder=6,
-    )
+    box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 2.0}
+    text: dict[str, Any] = {"color": INK, "fontsize": 10, "fontweight": "bold", "bbox": box}
+    text |= {"textcoords": "offset points", "ha": "left" if right else "right", "zorder": 6}
+    axes.annotate(label, (best_s, 0.0), xytext=(9 if right else -9, 12), **text)
 
 
 def _label_axes(history: TrainingHistory, completion: Axes, reward: Axes) -> None:

@@ -50,11 +50,7 @@ def load_tracks(names: Sequence[str]) -> list[Track]:
 
 
 def count_tracks(names: Sequence[str]) -> int:
-    """Return the number of tracks of some names, without generating any.
-
-    Raises:
-        ConfigError: no number of random ones.
-    """
+    """Return the number of tracks of some names, without generating any; see `load_tracks`."""
     return sum(_num_generated(name) if name.startswith(GENERATED) else 1 for name in names)
 
 
@@ -68,8 +64,7 @@ def random_track(seed: int) -> Track:
     if seed % 3 == 0:
         return generate(seed, min_radius=0.34, length=length)
     if seed % 3 == 1:
-        narrow = generate(seed, width=(0.58, 0.95), length=length)
-        return replace(narrow, line_inside=False)
+        return replace(generate(seed, width=(0.58, 0.95), length=length), line_inside=False)
     return generate(seed, length=length)
 
 
@@ -114,6 +109,9 @@ def env_config(cfg: TrainConfig) -> EnvConfig:
         rules=replace(RULES[cfg.rules], laps=_ENDLESS),
         spread=_spread(cfg.dynamics_randomization),
     )
+    # Cars that start anywhere on a lap hardly ever meet.
+    shortest = min(Scenarios.shortest, cfg.episode_s)
+    meeting = Scenarios(shortest=shortest) if cfg.num_cars > 1 else None
     return EnvConfig(
         sim=sim,
         solver="planar",
@@ -123,10 +121,7 @@ def env_config(cfg: TrainConfig) -> EnvConfig:
         mode="training",
         reward=cfg.reward,
         episode_s=cfg.episode_s,
-        # Cars that start anywhere on a lap hardly ever meet.
-        scenarios=Scenarios(shortest=min(Scenarios.shortest, cfg.episode_s))
-        if cfg.num_cars > 1
-        else None,
+        scenarios=meeting,
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -157,7 +157,7 @@ class RewardNormalization:
         """Start without rewards."""
         self._gamma = gamma
         self._return = torch.zeros(num_rows, device=device)
-        self._set(Moments(1e-4))
+        self.restore(Moments(1e-4))
 
     def restart(self) -> None:
         """Forget the running sums, not their spread."""
@@ -179,7 +179,7 @@ class RewardNormalization:
         seen = self._shared
         for recent in distributed.gather(self._recent):
             seen = seen.joined(recent)
-        self._set(seen)
+        self.restore(seen)
 
     @property
     def deviation(self) -> float:
@@ -187,14 +187,7 @@ class RewardNormalization:
         variance = self.seen.square / self.seen.count
         return max(variance, 1e-12) ** 0.5 if self.seen.count > 1 else 1.0
 
-    def state(self) -> dict[str, float]:
-        """Return what outlives a restart."""
-        return asdict(self.seen)
-
-    def restore(self, state: dict[str, float]) -> None:
-        """Go on from a state."""
-        self._set(Moments(**{name: float(state[name]) for name in ("count", "mean", "square")}))
-
-    def _set(self, seen: Moments) -> None:
+    def restore(self, seen: Moments) -> None:
+        """Go on from what had been seen at a save point."""
         self.seen = self._shared = seen
         self._recent = Moments()
