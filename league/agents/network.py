@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from league.envs import truth
-from league.envs.observations import MOTION_FIELDS, history_size
+from league.envs.observations import MOTION_FIELDS, TRUTH_SIZE, history_size
 from league.errors import ConfigError
 from league.sim.config import SensorConfig
 
@@ -86,7 +85,7 @@ def group_shapes(sensors: SensorConfig) -> dict[str, tuple[int, ...]]:
     if sensors.history:
         shapes["history"] = (history_size(sensors),)
     if sensors.truth:
-        shapes["truth"] = (truth.SIZE,)
+        shapes["truth"] = (TRUTH_SIZE,)
     shapes["motion"] = (len(MOTION_FIELDS),)
     return shapes
 

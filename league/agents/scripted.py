@@ -26,8 +26,7 @@ from league.agents.steering import (
     steering_target,
     table,
 )
-from league.agents.traffic import STATE, THING, cover, gather, go_round, largest_speed
-from league.envs.state import NEAR_OBSTACLES, NEIGHBOURS
+from league.envs.state import FIELDS, INDEX, LOOKAHEADS, NEAR_OBSTACLES, NEIGHBOURS
 from league.jit import compiled, inner
 from league.portable_math import atan, clamp, f32
 from league.racing_line.racing_line import center_line, optimal_line
@@ -71,6 +70,33 @@ _BRAKING = 0.8  # part of the brakes that is counted on
 _MOST_CORNERING = math.sqrt(0.95)  # part of the grip; a twentieth of its square is left to drive
 _SERVO = 0.6  # part of a speed error that the servo makes good within a control step
 
+_RIVAL = np.dtype([(name, np.float64) for name in ("present", "gap", "lateral", "speed", "frozen")])
+_BOX = np.dtype([(name, np.float64) for name in ("present", "gap", "lateral")])
+_STATE = np.dtype(
+    [
+        *((name, np.float64) for name in FIELDS[: INDEX["progress"] + 1]),
+        ("curvature", np.float64, len(LOOKAHEADS)),
+        ("cars", _RIVAL, NEIGHBOURS),
+        ("obstacles", _BOX, NEAR_OBSTACLES),
+    ]
+)
+"""A row of the `state` group; league/envs/state.py has the meaning."""
+_THING = np.dtype(
+    [(name, np.float64) for name in ("gap", "lateral", "speed", "closing", "reach", "width", "box")]
+)
+"""A car or a box: distance ahead [m], place left of the centreline [m] and speed [m/s] along the
+track, the share of its distance that is closed while the car drives there, the distances along and
+across the track within which bodies may touch [m], and whether it is a box."""
+
+_CAR_REACH, _BOX_REACH = 0.40, 0.42
+_CAR_WIDTH, _BOX_WIDTH = 0.196, 0.248
+_CORNERS = 0.035  # half of the squared half lengths of a car and a box, together [m^2]
+_LEAVE = 0.7  # driving distance over which a car comes back behind a body [m]
+_SHARE = 0.5  # part of the room left beyond the clearance that is also kept
+_MOST_ROOM = 0.4  # more room than this next to a body counts no more [m]
+_SLOWEST = 1.0  # a car that stands is planned for as if it drove so [m/s]
+_FREE = 99.0
+
 
 @lru_cache(maxsize=8)
 def _line(track: Track, car: CarConfig, style: Style) -> np.ndarray:
@@ -106,7 +132,7 @@ class LineDriver:
 
     def drive(self, state: np.ndarray, pace: np.ndarray | float) -> np.ndarray:
         """Return actions from the `state` group, at a part of the own pace, one or for each row."""
-        rows = np.ascontiguousarray(state, np.float64).view(STATE)[:, 0]
+        rows = np.ascontiguousarray(state, np.float64).view(_STATE)[:, 0]
         paces = np.full(len(rows), pace, np.float64)
         if len(self._memory) != len(rows):
             self._memory = np.zeros(len(rows), _MEMORY)
@@ -118,7 +144,7 @@ class LineDriver:
 @compiled(allocates=True)
 def _drive(states, paces, memories, controls, line, points, courses, gains, cars, styles):
     """Write the steering targets [rad] and speeds to ask for [m/s] of all rows, (2, num_rows)."""
-    road, things = np.empty(NODES, NODE), np.empty(NEIGHBOURS + NEAR_OBSTACLES, THING)
+    road, things = np.empty(NODES, NODE), np.empty(NEIGHBOURS + NEAR_OBSTACLES, _THING)
     car, style = cars[0], styles[0]
     for row in range(len(states)):
         state, memory = states[row], memories[row]
@@ -146,13 +172,13 @@ def _drive(states, paces, memories, controls, line, points, courses, gains, cars
 @inner
 def _targets(state, things, road, style):
     """Write where to drive; return the largest speed because of others [m/s]."""
-    things = things[: gather(state, things)]
+    things = things[: _gather(state, things)]
     for node in road:
         node.target = node.lateral
     if style.blocks:
-        cover(state, road)
-    go_round(state.lateral, things, road, style)
-    return min(largest_speed(state.lateral, things, road, style), style.top_speed)
+        _cover(state, road)
+    _go_round(state.lateral, things, road, style)
+    return min(_largest_speed(state.lateral, things, road, style), style.top_speed)
 
 
 @inner
@@ -199,3 +225,117 @@ def _spare(cornering, car):
     """Return the drive or braking that tyres can give while cornering [m/s^2], never nothing."""
     most, transfer = car.grip * GRAVITY, 2.0 * car.mass_height / car.wheelbase / GRAVITY
     return spare_grip(min(cornering, _MOST_CORNERING * most), most, transfer)
+
+
+# Getting past others -------------------------------------------------------------------------
+
+
+@inner
+def _gather(state, things):
+    """Write the cars and boxes near a car into _THING records, the nearest first of each kind.
+
+    Returns:
+        Their number. A car that stands a penalty is a ghost and does not count.
+    """
+    own, count = max(state.speed_ahead, _SLOWEST), 0
+    for car in state.cars:
+        if car.present and not car.frozen:
+            speed = max(car.speed, 0.0)
+            thing = things[count]
+            thing.gap, thing.lateral, thing.speed, thing.box = car.gap, car.lateral, speed, 0.0
+            thing.reach, thing.width = _CAR_REACH, _CAR_WIDTH
+            thing.closing = max(1.0 - speed / own, 0.08)
+            count += 1
+    for box in state.obstacles:
+        if box.present:
+            thing = things[count]
+            thing.gap, thing.lateral, thing.speed, thing.box = box.gap, box.lateral, 0.0, 1.0
+            thing.reach, thing.width, thing.closing = _BOX_REACH, _BOX_WIDTH, 1.0
+            count += 1
+    return count
+
+
+@inner
+def _cover(state, road):
+    """Aim in front of the nearest free car behind, if it is near."""
+    for car in state.cars:
+        # Full weight from half a metre to a metre and a half behind, fading out at two and a half.
+        weight = clamp(2.5 + car.gap, 0.0, 1.0) * clamp((-0.4 - car.gap) / 0.2, 0.0, 1.0)
+        if car.present and not car.frozen and weight > 0.0:
+            for node in road:
+                place = clamp(car.lateral, 0.1 - node.right, node.left - 0.1)
+                node.target += (place - node.target) * weight
+            return
+
+
+@inner(allocates=True)
+def _go_round(lateral, things, road, style):
+    """Move the targets aside where another body will be.
+
+    A moving body is met where both will be: at distance d it is `gap - d (1 - its speed / own)`
+    ahead, so that a car of nearly the own speed is passed over a long stretch.
+    """
+    wished = road.target.copy()
+    # Far ones first, so that the nearest has the last word.
+    for thing in things[::-1]:
+        if style.waits and not thing.box:
+            continue
+        meeting = max(thing.gap / thing.closing, 0.0)
+        planned = at(wished, meeting)
+        # Within reach the side is the one the car is on.
+        if thing.gap < 1.2:
+            planned = lateral
+        apart = thing.width + style.clearance + _CORNERS * abs(at(road.curvature, meeting))
+        room_left = at(road.left, meeting) - style.edge - (thing.lateral + apart)
+        room_right = (thing.lateral - apart) + at(road.right, meeting) - style.edge
+        left = planned >= thing.lateral
+        if style.freer_side and thing.gap >= 0.8:
+            left = room_left >= room_right
+        if (room_left >= 0.0) != (room_right >= 0.0):
+            left = room_left >= 0.0
+        if abs(thing.gap) < thing.reach:
+            left = lateral >= thing.lateral
+        extra = _SHARE * clamp(room_left if left else room_right, 0.0, _MOST_ROOM)
+        for k in range(NODES):
+            # In a bend the corners of two long bodies stand out towards each other.
+            apart = thing.width + style.clearance + _CORNERS * abs(road[k].curvature) + extra
+            aside = max(wished[k], thing.lateral + apart)
+            if not left:
+                aside = min(wished[k], thing.lateral - apart)
+            road[k].target += (aside - road[k].target) * _weight(thing, road[k].ahead, style)
+    for node in road:
+        # The line itself may run nearer to a border.
+        node.target = max(node.target, min(style.edge - node.right, node.lateral))
+        node.target = min(node.target, max(node.left - style.edge, node.lateral))
+
+
+@inner
+def _weight(thing, ahead, style):
+    """Return how much a thing counts at a distance, from 0 to 1, smoothly."""
+    apart = thing.gap - ahead * thing.closing
+    if apart > 0.0:
+        outside = apart - thing.reach - style.lead * thing.closing
+        ramp = style.approach * thing.closing
+    else:  # the way back may be shorter than the way out
+        outside, ramp = -apart - thing.reach, _LEAVE * thing.closing
+    near = clamp(1.0 - max(outside, 0.0) / max(ramp, 0.25), 0.0, 1.0)
+    return near * near * (3.0 - 2.0 * near)
+
+
+@inner
+def _largest_speed(lateral, things, road, style):
+    """Return the speed from which the car can still stop closing in on what is in its way [m/s]."""
+    most = _FREE
+    for thing in things:
+        before = max(thing.gap - thing.reach, 0.0)
+        meeting = before / thing.closing
+        off_plan = (lateral - road[0].target) / (1.0 + meeting * meeting / 0.25)
+        apart = abs(at(road.target, meeting) + off_plan - thing.lateral)
+        if thing.gap > 0.1 and apart < thing.width + 0.02:
+            free = before - style.gap
+            if free > 0.0:
+                limit = math.sqrt(thing.speed * thing.speed + 2.0 * style.braking * free)
+            else:  # fall behind a little
+                limit = 0.7 * thing.speed
+            most = min(most, limit)
+    return most

@@ -9,7 +9,6 @@ from league.envs.config import EnvConfig, Scenarios
 from league.jit import inner
 from league.portable_math import clamp, f32
 from league.sim import grid
-from league.sim import obstacles as obstacle_kernels
 from league.sim.rng import SEED_MASK, bits_of, purposes, uniform_of
 from league.track.projection import frame_at, signed_gap
 
@@ -81,7 +80,7 @@ def _restart(mask, encounter, cars, obstacles, world, points, course, places, si
     if all_begin and len(obstacles) and sim.random_places and world.step > 0:
         # Another seed, and with it other obstacles.
         world.seed = bits_of(world.seed, _SEED, world.step) & SEED_MASK
-        obstacle_kernels.place(obstacles, world, points, course, places, sim)
+        grid.place_obstacles(obstacles, world, points, course, places, sim)
     if episodes.meeting:
         scenarios.begin(encounter, cars, obstacles, world, points, course, sim, episodes)
     else:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from league.envs import observations, state, truth
+from league.envs import observations, state
 from league.envs.config import EnvConfig
 from league.envs.step import over_worlds
 from league.sim.config import FRAME_STEPS, CameraConfig
@@ -21,7 +21,7 @@ if TYPE_CHECKING:  # OpenCV comes late
 Reading = Callable[[World, int, np.ndarray | None], np.ndarray]
 _COMPUTED: dict[str, tuple[Callable[..., int], int]] = {
     "state": (observations.states, state.SIZE),
-    "truth": (truth.truths, truth.SIZE),
+    "truth": (observations.truths, observations.TRUTH_SIZE),
 }
 """Loop and size of the groups that are computed on access."""
 

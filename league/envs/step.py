@@ -19,7 +19,6 @@ from league.envs import observations, rewards, scenarios
 from league.jit import compiled, inner
 from league.portable_math import f32
 from league.sim import grid, referee
-from league.sim import obstacles as obstacle_kernels
 from league.sim.physics import planar
 
 PREPARE, PHYSICS, JUDGE, SETTLE = 1, 2, 4, 8
@@ -120,7 +119,7 @@ def step(
                 share = (actions[w, c, 1] + _ONE) * _HALF
                 speed = sim.min_speed + share * (sim.max_speed - sim.min_speed)
                 controls[w, c, 1] = min(speed, cars[w, c].top_speed)
-            obstacle_kernels.aim(things, arrivals[w], world, points, course, places, sim)
+            grid.aim_obstacles(things, arrivals[w], world, points, course, places, sim)
         if phases & PHYSICS:
             planar.step_world(cars[w], things, course, controls[w], contacts[w], pairs, sim)
         if phases & JUDGE:

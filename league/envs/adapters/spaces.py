@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium.spaces import Box, Dict, Space
 from gymnasium.vector.utils import batch_space
 
-from league.envs import actions, observations, state, truth
+from league.envs import actions, observations, state
 from league.envs.race_env import RaceEnv, Step
 from league.sim import referee
 from league.sim.config import SensorConfig
@@ -55,7 +55,7 @@ def observation_space(sensors: SensorConfig, privileged: bool) -> Dict:
         shape = (observations.history_size(sensors),)
         groups["history"] = Box(-MOTION_LIMIT, most, shape, np.float32)
     if sensors.truth:
-        groups["truth"] = Box(-STATE_LIMIT, STATE_LIMIT, (truth.SIZE,), np.float32)
+        groups["truth"] = Box(-STATE_LIMIT, STATE_LIMIT, (observations.TRUTH_SIZE,), np.float32)
     size = len(observations.MOTION_FIELDS)
     groups["motion"] = Box(-MOTION_LIMIT, MOTION_LIMIT, (size,), np.float32)
     if privileged:
@@ -120,9 +120,8 @@ class Infos:
         self._rates = {"motion_rate_hz": float(step_hz)}
         for name, sensor in (("stereo", sensors.camera), ("lidar", sensors.lidar)):
             if sensor is not None:
-                self._rates[f"{name}_rate_hz"] = observations.effective_rate_hz(
-                    sensor.rate_hz, step_hz
-                )
+                # No sensor is read more often than that.
+                self._rates[f"{name}_rate_hz"] = min(sensor.rate_hz, float(step_hz))
 
     def of_all(self, step: Step | None) -> dict[str, Any]:
         """Return the info of all worlds: arrays of shape (num_worlds,).

@@ -1,4 +1,4 @@
-"""Compiled painting: walls and things as convex polygons; the floor is in floor_raster.py.
+"""Compiled painting: walls and things as convex polygons; the floor is in painting.py.
 
 A pixel belongs to a polygon if its centre lies inside: neighbours share no pixel and leave none
 out.
