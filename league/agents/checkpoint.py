@@ -61,51 +61,37 @@ Count = Annotated[int, Field(ge=0, lt=2**63)]
 class RewardCard(FrozenModel):
     """The reward a policy was trained with."""
 
-    name: Label
-    """Name of a built-in reward, or of the user's file."""
-    sha256: Digest | Literal[""] = ""
-    """Of the user's file; empty for built-in rewards."""
+    name: Label  # name of a built-in reward, or of the user's file
+    sha256: Digest | Literal[""] = ""  # of the user's file; empty for built-in rewards
 
 
 class Card(FrozenModel):
     """Everything about a checkpoint but its weights."""
 
-    format: Literal[1] = FORMAT
-    """Version of the checkpoint format."""
-    name: Label
-    """What a person calls the policy."""
-    sensors: Annotated[SensorConfig, AfterValidator(_reasonable)]
-    """What its car carries."""
-    action_space: ContinuousActions | DiscreteActions = ContinuousActions()
-    """What its outputs mean."""
-    network: NetworkConfig = NetworkConfig()
-    """Its layers."""
-    tracks: Annotated[tuple[Label, ...], Field(max_length=256)] = ()
-    """Tracks it was trained on."""
-    kind: RaceKind = "time_trial"
-    """Kind of race it was trained for."""
-    reward: RewardCard | None = None
-    """The reward it was trained with; None: unknown."""
-    steps: Count = 0
-    """Decisions it learnt from, those of its parents not counted."""
-    train_s: Annotated[float, Field(ge=0, le=1e9)] = 0.0
-    """Time spent on training it [s]."""
-    seed: Count = 0
-    """Seed of the training."""
+    format: Literal[1] = FORMAT  # version of the checkpoint format
+    name: Label  # what a person calls the policy
+    sensors: Annotated[SensorConfig, AfterValidator(_reasonable)]  # what its car carries
+    action_space: ContinuousActions | DiscreteActions = ContinuousActions()  # what its outputs mean
+    network: NetworkConfig = NetworkConfig()  # its layers
+    tracks: Annotated[tuple[Label, ...], Field(max_length=256)] = ()  # tracks it was trained on
+    kind: RaceKind = "time_trial"  # kind of race it was trained for
+    reward: RewardCard | None = None  # the reward it was trained with; None: unknown
+    steps: Count = 0  # decisions it learnt from, those of its parents not counted
+    train_s: Annotated[float, Field(ge=0, le=1e9)] = 0.0  # time spent on training it [s]
+    seed: Count = 0  # seed of the training
+    # digests of the checkpoints it was trained from
     parents: Annotated[tuple[Digest, ...], Field(max_length=64)] = ()
-    """Digests of the checkpoints it was trained from."""
-    licence: Label = "CC-BY-4.0"
-    """Under which the weights may be used; an SPDX name."""
+    licence: Label = "CC-BY-4.0"  # under which the weights may be used; an SPDX name
+    # day it was made, UTC
     created: Annotated[str, Field(pattern=r"^\d{4}-\d\d-\d\d$")] = Field(
         default_factory=lambda: datetime.now(tz=UTC).date().isoformat()
     )
-    """Day it was made, UTC."""
+    # version of the league that made it
     league_version: Annotated[str, Field(max_length=40), AfterValidator(printable)] = ""
-    """Version of the league that made it."""
+    # figures of its last evaluation, by name; None: there was none
     results: dict[Label, float | None] = Field(default_factory=dict, max_length=64)
-    """Figures of its last evaluation, by name; None: there was none."""
+    # the command line that made it
     command: Annotated[str, Field(max_length=2000), AfterValidator(printable)] = ""
-    """The command line that made it."""
 
     @property
     def group_shapes(self) -> dict[str, tuple[int, ...]]:
@@ -132,12 +118,10 @@ class Checkpoint:
     Names, shapes, dtypes and numbers have been checked.
     """
 
-    card: Card
-    """What it is."""
-    weights: Mapping[str, np.ndarray]
-    """Weights by name, float32."""
+    card: Card  # what it is
+    weights: Mapping[str, np.ndarray]  # weights by name, float32
+    # the card as JSON with sorted keys; made of the card unless it was read from a file
     text: str = field(default="")
-    """The card as JSON with sorted keys; made of the card unless it was read from a file."""
 
     def __post_init__(self) -> None:
         with refusing(

@@ -43,18 +43,14 @@ _LIMITS = {"channels": 256, "kernels": 15, "strides": 8, "hidden": 1024}
 class NetworkConfig:
     """Convolutions for the pictures, then fully connected layers for all observations."""
 
+    # channels made by each convolution; unused without a camera
     channels: tuple[int, ...] = (16, 32, 32)
-    """Channels made by each convolution; unused without a camera."""
-    kernels: tuple[int, ...] = (5, 3, 3)
-    """Side of each convolution's window [px]."""
-    strides: tuple[int, ...] = (3, 2, 2)
-    """Step of each convolution's window [px]."""
-    hidden: tuple[int, ...] = (128,)
-    """Sizes of the fully connected layers between input and output."""
-    activation: Activation = "elu"
-    """What follows each layer but the last."""
+    kernels: tuple[int, ...] = (5, 3, 3)  # side of each convolution's window [px]
+    strides: tuple[int, ...] = (3, 2, 2)  # step of each convolution's window [px]
+    hidden: tuple[int, ...] = (128,)  # sizes of the fully connected layers between input and output
+    activation: Activation = "elu"  # what follows each layer but the last
+    # whether lidar and motion are shifted and scaled by their running mean and deviation
     normalise: bool = False
-    """Whether lidar and motion are shifted and scaled by their running mean and deviation."""
 
     def __post_init__(self) -> None:
         for name, largest in _LIMITS.items():

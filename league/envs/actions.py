@@ -21,8 +21,7 @@ from league.sim.config import CarConfig
 if TYPE_CHECKING:  # only learners need torch
     from torch import Tensor
 
-SIZE = 2
-"""Numbers in one action: steering and speed."""
+SIZE = 2  # numbers in one action: steering and speed
 
 
 def encode(steering: np.ndarray, speed: np.ndarray, car: CarConfig) -> np.ndarray:
@@ -189,14 +188,10 @@ MAX_CHOICES = 256
 class ContinuousActions:
     """Two numbers in [-1, 1], scaled to a range of steering and a range of speed."""
 
-    steering_low: float = -30.0
-    """Steering asked for by -1 [deg], positive to the left."""
-    steering_high: float = 30.0
-    """Steering asked for by 1 [deg]."""
-    speed_low: float = 0.5
-    """Speed asked for by -1 [m/s]."""
-    speed_high: float = 4.0
-    """Speed asked for by 1 [m/s]."""
+    steering_low: float = -30.0  # steering asked for by -1 [deg], positive to the left
+    steering_high: float = 30.0  # steering asked for by 1 [deg]
+    speed_low: float = 0.5  # speed asked for by -1 [m/s]
+    speed_high: float = 4.0  # speed asked for by 1 [m/s]
 
     def __post_init__(self) -> None:
         _check_steering(self.steering_low, self.steering_high)
@@ -238,8 +233,7 @@ class ContinuousActions:
 class DiscreteActions:
     """A list of choices; a network scores each, and the chosen one is recorded as one-hot."""
 
-    choices: tuple[tuple[float, float], ...]
-    """Steering [deg] and speed [m/s] of each choice."""
+    choices: tuple[tuple[float, float], ...]  # steering [deg] and speed [m/s] of each choice
 
     def __post_init__(self) -> None:
         if not 2 <= len(self.choices) <= MAX_CHOICES:

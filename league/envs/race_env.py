@@ -36,24 +36,16 @@ class Step:
     The arrays belong to the environment, which overwrites them at the next step: copy what is kept.
     """
 
-    observations: Observations
-    """For each car its groups, of the worlds after restarts."""
-    rewards: np.ndarray
-    """Weighted sum of the reward terms, of the worlds before restarts, float32."""
-    terminated: np.ndarray
-    """The car has finished, or in training made a mistake, bool."""
-    truncated: np.ndarray
-    """Time is up, bool."""
-    verdicts: np.ndarray
-    """The referee's findings, VERDICT records."""
-    log: Mapping[str, np.ndarray]
-    """Each weighted reward term by name, float32."""
-    began: np.ndarray
-    """The car began another episode by the end of the step, bool."""
+    observations: Observations  # for each car its groups, of the worlds after restarts
+    rewards: np.ndarray  # weighted sum of the reward terms, of the worlds before restarts, float32
+    terminated: np.ndarray  # the car has finished, or in training made a mistake, bool
+    truncated: np.ndarray  # time is up, bool
+    verdicts: np.ndarray  # the referee's findings, VERDICT records
+    log: Mapping[str, np.ndarray]  # each weighted reward term by name, float32
+    began: np.ndarray  # the car began another episode by the end of the step, bool
+    # in training with scenarios: another car was within 1.5 m along the track, bool
     near: np.ndarray
-    """In training with scenarios: another car was within 1.5 m along the track, bool."""
-    attack: np.ndarray
-    """There: how the car's attack ended in this step, uint8; see scenarios.py."""
+    attack: np.ndarray  # there: how the car's attack ended in this step, uint8; see scenarios.py
 
 
 class RaceEnv:
