@@ -52,11 +52,7 @@ def replacing(
 
 
 def check_writable(path: Path, what: str, error: type[LeagueError]) -> None:
-    """Refuse a place where a file cannot be made, before the work that it is to keep.
-
-    Raises:
-        LeagueError: of the given type, in one sentence.
-    """
+    """Refuse a place where no file can be made, before the work that it is to keep."""
     there = path.parent
     while not there.exists() and there != there.parent:
         there = there.parent

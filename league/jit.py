@@ -64,10 +64,7 @@ def source_digest() -> str:
 
 @cache
 def cache_folder() -> Path | None:
-    """Return the folder of the machine code: in the package, or in the user's cache; or None.
-
-    None means that neither can be written; then each process compiles for itself.
-    """
+    """Return where machine code is kept, in the package or the user's cache; None: nowhere."""
     shared = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     for base in (Path(__file__).parent / "__pycache__", Path(shared) / "racing-league"):
         folder = base / f"jit-{source_digest()}"
@@ -146,10 +143,7 @@ def inner(function: _Function | None = None, *, allocates: bool = False) -> _Fun
 
 
 def spliced(function: _Function) -> _Function:
-    """Compile a long function of one caller as a part of that caller.
-
-    It is optimised once and not once for each function that it is made of.
-    """
+    """Compile a long function as a part of its one caller: it is optimised once, not twice."""
     return njit(inline="always", **_INNER)(function)
 
 

@@ -23,11 +23,7 @@ _PACKAGE = Path(__file__).parent
 
 
 def ensure() -> None:
-    """Compile everything that this installation has not compiled yet; show progress on stderr.
-
-    Raises:
-        LeagueError: a part failed.
-    """
+    """Compile all that is not compiled yet, with progress on stderr; LeagueError if it fails."""
     folder = jit.cache_folder()
     if folder is None or (folder / _COMPLETE).exists():
         return
@@ -55,11 +51,7 @@ def ensure() -> None:
 
 
 def _compiled(parts: tuple[str, ...]) -> Iterator[str]:
-    """Compile parts in a process of their own, for Numba compiles one function at a time.
-
-    Yields:
-        Each part when it is compiled.
-    """
+    """Compile parts in a process of their own (Numba is serial); yield each when it is done."""
     with (
         tempfile.TemporaryFile("w+") as errors,
         subprocess.Popen(

@@ -33,11 +33,7 @@ CONTEXT = (
 
 
 def prepare(modules: Sequence[str]) -> None:
-    """Start the server, without waiting for it; it imports these modules if it does not run yet.
-
-    Raises:
-        ConfigError: no process can be started on this machine.
-    """
+    """Start the server, which imports modules; ConfigError if no process can be started."""
     if _SERVED:
         CONTEXT.set_forkserver_preload(list(modules))
         with failing_in_one_sentence():

@@ -175,11 +175,7 @@ def save(path: str | os.PathLike[str], checkpoint: Checkpoint) -> None:
 
 
 def load(path: str | os.PathLike[str]) -> Checkpoint:
-    """Read a checkpoint from a stranger: nothing in it is executed, and all of it is checked.
-
-    Raises:
-        PolicyError: it is no checkpoint, or not a sound one.
-    """
+    """Read a stranger's checkpoint: all is checked, nothing executed; PolicyError if not sound."""
     name = repr(os.fspath(path))
     what = name if len(name) <= 200 else f"{name[:60]}...{name[-137:]}"
     with refusing(what, "give a .pt file as `league train` writes it"):
@@ -187,20 +183,13 @@ def load(path: str | os.PathLike[str]) -> Checkpoint:
 
 
 def digest(checkpoint: str | os.PathLike[str] | Checkpoint) -> str:
-    """Return the SHA-256 of a checkpoint's content, which names it in a league.
-
-    Raises:
-        PolicyError: the file is not a sound checkpoint.
-    """
+    """Return the SHA-256 that names a checkpoint in a league; PolicyError if it is not sound."""
     return (checkpoint if isinstance(checkpoint, Checkpoint) else load(checkpoint)).digest
 
 
 @contextmanager
 def refusing(what: str, advice: str) -> Generator[None]:
-    """Turn a RefusedError into the PolicyError of a file or checkpoint.
-
-    `what` is refused, and `advice` says what to give instead.
-    """
+    """Turn a RefusedError into a PolicyError: `what` is refused, `advice` says what to give."""
     try:
         yield
     except RefusedError as refusal:
@@ -245,11 +234,7 @@ def _parsed(content: bytes) -> Checkpoint:
 
 
 def check_shapes(card: Card, shapes: Mapping[str, tuple[int, ...]]) -> None:
-    """Refuse weights with other names or shapes than the card's network has.
-
-    Raises:
-        RefusedError: they are not, or the network cannot be built.
-    """
+    """Refuse weights of other names or shapes than the card's network has, by RefusedError."""
     try:
         expected = card.weight_shapes
     except ConfigError as error:
@@ -272,11 +257,7 @@ def check_shapes(card: Card, shapes: Mapping[str, tuple[int, ...]]) -> None:
 
 
 def check_weights(card: Card, weights: Mapping[str, np.ndarray]) -> None:
-    """Refuse weights of other names, shapes or dtypes, with NaN, infinity or huge numbers.
-
-    Raises:
-        RefusedError: they are not sound.
-    """
+    """Refuse other names, shapes, dtypes, NaN and huge numbers, by RefusedError."""
     check_shapes(card, {name: tuple(weight.shape) for name, weight in weights.items()})
     for name, weight in weights.items():
         is_float32 = type(weight) is np.ndarray and weight.dtype == np.float32

@@ -289,11 +289,7 @@ class Policy:
         """Do nothing: there is no memory to lose."""
 
     def act(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Return actions [steering, speed] in [-1, 1], float32 (num_rows, 2).
-
-        Raises:
-            PolicyError: a group it needs is missing or has another shape.
-        """
+        """Return actions in [-1, 1], float32 (num_rows, 2); PolicyError if a group does not fit."""
         return to_actions(self._space, self.outputs(observations), self._car)
 
     def outputs(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:

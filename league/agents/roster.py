@@ -82,11 +82,7 @@ def load(name_or_path: str, tracks: TrackSet, car: CarConfig) -> Driver:
 
 
 def check(name_or_path: str) -> None:
-    """Check that there is such a driver, without building it.
-
-    Raises:
-        PolicyError: the name is unknown, or the checkpoint not sound.
-    """
+    """Check that there is such a driver, without building it; PolicyError if there is none."""
     if path := _file(name_or_path):
         from league.agents import checkpoint
 
@@ -94,11 +90,7 @@ def check(name_or_path: str) -> None:
 
 
 def checkpoint_path(name_or_path: str) -> str:
-    """Return the file of a policy: the one named, or the garage's of that name.
-
-    Raises:
-        PolicyError: the name is unknown, or a scripted driver's.
-    """
+    """Return the file of a policy, the garage's too; PolicyError if it has none."""
     path = _file(name_or_path)
     if path is None:
         raise PolicyError(

@@ -89,11 +89,7 @@ class Archive:
 
 
 def read(content: bytes) -> Archive:
-    """Return the content of a file of torch.save.
-
-    Raises:
-        RefusedError: it is none, or holds more than plain data and tensors of float32.
-    """
+    """Return the content of a file of torch.save; RefusedError if it holds anything unexpected."""
     members = _members(content)
     if "data.pkl" not in members:
         raise RefusedError("it lacks its head, data.pkl")

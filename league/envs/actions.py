@@ -83,11 +83,7 @@ def valid_rows(actions: np.ndarray) -> np.ndarray:
 
 
 def finite(action: object, name: str, shape: tuple[int, int]) -> np.ndarray:
-    """Return what networks answered for some rows, float32; see `checked`.
-
-    Raises:
-        ActionError: not real numbers, the wrong shape, NaN or infinity.
-    """
+    """Return what networks answered, float32; ActionError for NaN, infinity, or as `checked`."""
     numbers = real_numbers(action, name, shape, "(rows, actions)")
     if not np.isfinite(numbers).all():
         row = int(np.argmin(np.isfinite(numbers).all(axis=1)))
@@ -273,10 +269,7 @@ class DiscreteActions:
         return outputs[:, swapped]
 
     def controls(self, outputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return steering [deg] and speed [m/s] of the best-scored choice, each (num_rows,).
-
-        Of equal scores the first counts.
-        """
+        """Return steering [deg] and speed [m/s] of the choice with the (first) best score."""
         steering, speed = np.array(self.choices, np.float32)[outputs.argmax(axis=1)].T
         return steering, speed
 

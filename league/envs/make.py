@@ -139,11 +139,7 @@ def configure(
 
 
 def check_options(options: Iterable[str], function: Callable[..., object]) -> None:
-    """Check the names of the keyword arguments that a function passes on as EnvOptions.
-
-    Raises:
-        ConfigError: there is no such argument.
-    """
+    """Check the names of the EnvOptions that a function passes on; ConfigError for another."""
     if unknown := set(options) - EnvOptions.__annotations__.keys():
         own = set(inspect.signature(function).parameters) - {"self", "options"}
         near = nearest_names(min(unknown), [*own, *EnvOptions.__annotations__])
@@ -151,11 +147,7 @@ def check_options(options: Iterable[str], function: Callable[..., object]) -> No
 
 
 def weights(reward: RewardConfig | Reward | str | os.PathLike[str] | None) -> RewardConfig:
-    """Return the weights of the built-in terms; a reward that is computed in Python needs none.
-
-    Raises:
-        ConfigError: there is no built-in reward of this name.
-    """
+    """Return the weights of the built-in terms; ConfigError for an unknown name."""
     if isinstance(reward, RewardConfig):
         return reward
     name = os.fspath(reward) if isinstance(reward, str | os.PathLike) else RACING_LINE
@@ -175,11 +167,7 @@ def draw_seed(generator: np.random.Generator) -> int:
 
 
 def sensors_of_car(sensors: Carried) -> SensorConfig:
-    """Return what one car carries, from names or settings of its sensors.
-
-    Raises:
-        ConfigError: there is no such sensor, or two of a kind.
-    """
+    """Return what a car carries; ConfigError for an unknown sensor, or two of a kind."""
     if isinstance(sensors, SensorConfig):
         return sensors
     if sensors is None:

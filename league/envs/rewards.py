@@ -73,11 +73,7 @@ class Reward(Protocol):
 
 
 def preset(name: str) -> RewardConfig:
-    """Return the weights of a preset: `centerline`, `progress` or `race`.
-
-    Raises:
-        ConfigError: there is no preset of this name.
-    """
+    """Return the weights of `centerline`, `progress` or `race`; ConfigError for others."""
     if name not in PRESETS:
         raise ConfigError(
             f"there is no built-in reward {name!r}; "
@@ -88,11 +84,7 @@ def preset(name: str) -> RewardConfig:
 
 
 def check_name(name: str, num_tracks: int) -> None:
-    """Check that there is a built-in reward of this name for so many tracks.
-
-    Raises:
-        ConfigError: there is none, or there are too many tracks for it.
-    """
+    """Check that a built-in reward is for so many tracks; ConfigError says why not."""
     if name != RACING_LINE:
         preset(name)
     elif num_tracks > MOST_TRACKS:
@@ -104,11 +96,7 @@ def check_name(name: str, num_tracks: int) -> None:
 
 
 def built_in(name: str, tracks: TrackSet, car: CarConfig) -> Reward:
-    """Return a built-in reward: one of the presets, or `racing_line`.
-
-    Raises:
-        ConfigError: there is none of this name, or too many tracks for it.
-    """
+    """Return a preset, or `racing_line`, as a Reward; ConfigError as `check_name`."""
     return RacingLineReward(tracks, car) if name == RACING_LINE else BuiltIn(preset(name))
 
 

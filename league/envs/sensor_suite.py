@@ -92,10 +92,7 @@ class SensorSuite:
             self.refresh(verdicts["crashed"] | verdicts["released"] | thrown)
 
     def groups(self, world: World, motions: np.ndarray) -> tuple[Groups, ...]:
-        """Return each car's groups, views of the last readings and of the live worlds.
-
-        Own motion is float32 (num_cars, num_worlds, 5).
-        """
+        """Return each car's groups, views of live data; motions is (num_cars, num_worlds, 5)."""
         return tuple(Groups(self, car, world, motions) for car in range(len(self.held)))
 
     def computed(self, name: str, world: World) -> np.ndarray:

@@ -124,11 +124,7 @@ class Run:
         self._lock: int | None = None
 
     def resume(self) -> None:
-        """Go on from the folder's state; the schedules follow the whole of a larger budget.
-
-        Raises:
-            PolicyError: there is none, or it is of another run.
-        """
+        """Go on from the folder's state; PolicyError if there is none, or it is of another run."""
         if not (self.folder / "state.pt").exists():
             raise PolicyError(
                 f"{self.folder / 'state.pt'} cannot be resumed: the run stopped before its "

@@ -81,10 +81,7 @@ class LearnerEnv:
     def step(
         self, actions: np.ndarray, restart: np.ndarray | None = None, seeds: list[int] | None = None
     ) -> Step:
-        """Drive the learner by its actions (num_worlds, 2) and the others by their drivers.
-
-        Worlds in `restart` are started again from their seeds; see RaceEnv.
-        """
+        """Drive the learner by (num_worlds, 2) actions, the others by drivers; see RaceEnv.step."""
         self._actions[:, self.car] = actions
         if not self._opponents.cars:
             return self.env.step(self._actions, restart=restart, seeds=seeds)
@@ -204,11 +201,7 @@ class GymEnv(gymnasium.Env[Any, np.ndarray]):
         return self._reader.read(groups), self._infos.of_first(None)
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Drive for 1/15 s.
-
-        Raises:
-            ActionError: the action is not two numbers in [-1, 1], or the race is over.
-        """
+        """Drive for 1/15 s; ActionError if the action is not sound, or the race over."""
         if self._over:
             raise ActionError("step was called on a race that is over or not begun: call reset")
         step, car = self.learner.step(checked(action, "the learner")), self.learner.car
@@ -319,11 +312,7 @@ class GymVectorEnv(VectorEnv[Observation, np.ndarray, np.ndarray]):
     def step(
         self, actions: np.ndarray
     ) -> tuple[Observation, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Drive all races for 1/15 s, or restart those that have ended.
-
-        Raises:
-            ActionError: the actions are not (num_envs, 2) numbers in [-1, 1].
-        """
+        """Drive all for 1/15 s, or restart those that have ended; ActionError as `checked`."""
         if not self._seeds.begun:
             raise ActionError("step was called before the first reset: call reset")
         actions, ended = checked(actions, "the learners", rows=self.num_envs), self._done

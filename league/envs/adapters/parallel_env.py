@@ -148,11 +148,7 @@ class RaceParallelEnv(ParallelEnv[str, Any, np.ndarray]):
         dict[str, bool],
         dict[str, dict[str, Any]],
     ]:
-        """Drive all cars for 1/15 s.
-
-        Raises:
-            ActionError: an agent without an action, an action without its agent, or no action.
-        """
+        """Drive all cars for 1/15 s; ActionError if agents and actions do not match."""
         known = self.possible_agents if self._generator is not None else []
         checked = of_agents(actions, self.agents, known)
         if not self.agents:

@@ -24,10 +24,7 @@ class EnvRenderer:
     """Shows the first world of a RaceEnv; it never changes it."""
 
     def __init__(self, env: RaceEnv, mode: str | None, view: str, car: int | None = None) -> None:
-        """Check the arguments; nothing is opened yet.
-
-        The chase camera follows `car`; None: the leader.
-        """
+        """Check the arguments. The chase camera follows `car`; None: the leader."""
         if mode is not None and mode not in MODES:
             raise ConfigError(f"render_mode is {mode!r}: choose one of {', '.join(MODES)}, or None")
         if view not in VIEWS:

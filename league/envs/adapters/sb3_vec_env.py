@@ -60,11 +60,7 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]  # without the extra
         return self._reader.read(self.learner.reset(seeds))
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Note the actions of all races.
-
-        Raises:
-            ActionError: they are not (num_envs, 2) numbers in [-1, 1].
-        """
+        """Note the actions of all races, (num_envs, 2) in [-1, 1]; ActionError if they are not."""
         if not self._race_seeds.begun:
             raise ActionError("step was called before the first reset: call reset")
         self._actions = checked(actions, "the learners", rows=self.num_envs)

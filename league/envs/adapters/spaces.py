@@ -124,11 +124,7 @@ class Infos:
                 self._rates[f"{name}_rate_hz"] = min(sensor.rate_hz, float(step_hz))
 
     def of_all(self, step: Step | None) -> dict[str, Any]:
-        """Return the info of all worlds: arrays of shape (num_worlds,).
-
-        Args:
-            step: the last step; None after a reset, where all flags are False and all rewards 0.
-        """
+        """Return the info of all worlds, arrays (num_worlds,); without a step of a reset."""
         cars, car, number = self._world.cars[:, self._car], self._car, self._env.num_worlds
         info: dict[str, Any] = {"time_s": self._env.time_s, "place": self._places() + 1}
         info |= {name: cars[name].astype(np.float64) for name in _LENGTHS}

@@ -90,11 +90,7 @@ class TrainingHistory:
     """The rows of a run, in memory and, if it has a path, in a file that is appended to."""
 
     def __init__(self, path: Path | None = None, rows: Iterable[Row] = ()) -> None:
-        """Start with some rows; an existing file is replaced.
-
-        Raises:
-            PolicyError: the file cannot be written.
-        """
+        """Start with some rows, in a new file if any; PolicyError if it cannot be written."""
         rows = list(rows)
         self.updates = [row for row in rows if isinstance(row, UpdateRow)]
         self.evaluations = [row for row in rows if isinstance(row, EvaluationRow)]
@@ -203,11 +199,7 @@ class TrainingHistory:
 
 
 def read(path: Path) -> list[Row]:
-    """Return the rows of a run's file in order; a torn last line is ignored.
-
-    Raises:
-        PolicyError: there is no such file, or it is no history.
-    """
+    """Return the rows of a run's file but for a torn last line; PolicyError if it is none."""
     try:
         lines = path.read_bytes().decode("utf-8", errors="replace").split("\n")
     except OSError as error:

@@ -59,11 +59,7 @@ class Learner:
     """
 
     def __init__(self, env: RacingVecEnv, cfg: TrainConfig) -> None:
-        """Build networks and storage; `env` has pictures as bytes, `cfg` this rank's device.
-
-        Raises:
-            ConfigError: the other ranks cannot be reached.
-        """
+        """Build networks and storage; `env` has pictures as bytes, `cfg` this rank's device."""
         self.env, self.cfg = env, cfg
         distributed.join(cfg.device)
         if self._on_gpu:
@@ -110,11 +106,7 @@ class Learner:
         return network.from_learner(self._average)
 
     def load_weights(self, weights: Mapping[str, np.ndarray]) -> None:
-        """Take the actor's weights from a policy of the same shape.
-
-        Raises:
-            PolicyError: the layers differ.
-        """
+        """Take the actor's weights from a policy; PolicyError if its layers differ."""
         own = self._alg.get_policy().state_dict()
         shapes = {name: value.shape for name, value in self.weights().items()}
         if shapes != {name: value.shape for name, value in weights.items()}:
