@@ -7,9 +7,9 @@ drive here, without rsl-rl.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -86,6 +86,36 @@ def group_shapes(sensors: SensorConfig) -> dict[str, tuple[int, ...]]:
     return shapes
 
 
+class Convolution(NamedTuple):
+    """A convolution of the pictures."""
+
+    name: str  # prefix of its weights' names
+    channels: int  # of the picture that goes in
+    made: int  # channels that come out
+    kernel: int  # side of its window [px]
+    stride: int  # [px]
+    size: tuple[int, int]  # height and width of the picture that goes in [px]
+    out: tuple[int, int]  # and of the one that comes out
+
+
+def convolutions(cfg: NetworkConfig, shapes: Shapes) -> Iterator[Convolution]:
+    """Yield the convolutions in order; ConfigError for a picture too small for the windows."""
+    if "stereo" not in shapes:
+        return
+    channels, *size = whole = shapes["stereo"]
+    layers = zip(cfg.channels, cfg.kernels, cfg.strides, strict=True)
+    for number, (made, kernel, stride) in enumerate(layers):
+        height, width = ((side - kernel) // stride + 1 for side in size)
+        if height < 1 or width < 1:
+            raise ConfigError(
+                f"a picture of {whole[2]}x{whole[1]} is too small for convolution {number + 1}: "
+                "give larger pictures, or smaller kernels and strides"
+            )
+        name, before = f"cnns.stereo.{2 * number}", (size[0], size[1])
+        yield Convolution(name, channels, made, kernel, stride, before, (height, width))
+        channels, size = made, [height, width]
+
+
 def weight_shapes(cfg: NetworkConfig, shapes: Shapes, outputs: int) -> dict[str, tuple[int, ...]]:
     """Return the name and shape of every weight, by arithmetic alone: nothing is allocated.
 
@@ -97,27 +127,13 @@ def weight_shapes(cfg: NetworkConfig, shapes: Shapes, outputs: int) -> dict[str,
     if cfg.normalise and flat:
         weights |= {f"obs_normalizer.{name}": (1, flat) for name in ("_mean", "_std")}
     cost, held, inputs = 0, 0, flat
-    for group, shape in shapes.items():
-        if len(shape) != 3:
-            continue
-        channels, height, width = shape
-        for layer, (made, kernel, stride) in enumerate(
-            zip(cfg.channels, cfg.kernels, cfg.strides, strict=True)
-        ):
-            height, width = (height - kernel) // stride + 1, (width - kernel) // stride + 1
-            if height < 1 or width < 1:
-                raise ConfigError(
-                    f"a picture of {shape[2]}x{shape[1]} is too small for convolution {layer + 1}: "
-                    "give larger pictures, or smaller kernels and strides"
-                )
-            name = f"cnns.{group}.{2 * layer}"
-            weights[f"{name}.weight"] = (made, channels, kernel, kernel)
-            weights[f"{name}.bias"] = (made,)
-            windows = channels * kernel * kernel * height * width
-            cost += max(made, _FEWEST_COUNTED) * windows
-            held += made * height * width
-            channels = made
-        inputs += channels * height * width
+    for layer in convolutions(cfg, shapes):
+        made, kernel, (height, width) = layer.made, layer.kernel, layer.out
+        weights[f"{layer.name}.weight"] = (made, layer.channels, kernel, kernel)
+        weights[f"{layer.name}.bias"] = (made,)
+        cost += max(made, _FEWEST_COUNTED) * layer.channels * kernel * kernel * height * width
+        held += made * height * width
+        inputs = flat + made * height * width
     for layer, size in enumerate((*cfg.hidden, outputs)):
         weights[f"mlp.{2 * layer}.weight"] = (size, inputs)
         weights[f"mlp.{2 * layer}.bias"] = (size,)
@@ -125,18 +141,13 @@ def weight_shapes(cfg: NetworkConfig, shapes: Shapes, outputs: int) -> dict[str,
         held += size
         inputs = size
     count = sum(math.prod(shape) for shape in weights.values())
-    _check_work(count, cost, held)
-    return weights
-
-
-def _check_work(count: int, cost: int, held: int) -> None:
-    """Refuse a network of too many parameters, multiplications or activations."""
     if count > MAX_PARAMETERS or cost > MAX_MULTIPLICATIONS or held > MAX_ACTIVATIONS:
         raise ConfigError(
             f"the network has {count} parameters, multiplies {cost} times and holds {held} "
             f"activations for a decision: give at most {MAX_PARAMETERS}, {MAX_MULTIPLICATIONS} and "
             f"{MAX_ACTIVATIONS}, by smaller pictures or layers"
         )
+    return weights
 
 
 def from_learner(state_dict: Mapping[str, Tensor]) -> dict[str, np.ndarray]:

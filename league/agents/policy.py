@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from league.agents.network import NORMALISER_EPS, NetworkConfig, Shapes
+from league.agents.network import NORMALISER_EPS, NetworkConfig, Shapes, convolutions
 from league.envs.actions import to_actions
 from league.errors import PolicyError
 from league.jit import compiled, inner
@@ -82,21 +82,12 @@ class Network:
             first += table.size + bias.size
 
         pixels = None
-        for group, shape in shapes.items():
-            if len(shape) != 3:
-                continue
-            channels, height, width = shape
-            for number, (made, kernel, stride) in enumerate(
-                zip(cfg.channels, cfg.kernels, cfg.strides, strict=True)
-            ):
-                name = f"cnns.{group}.{2 * number}"
-                # Window lines, columns, channels in, channels out: the order of the loops.
-                table = weights[f"{name}.weight"].transpose(2, 3, 1, 0)
-                sizes = (channels, made, kernel, stride, height, width)
-                add(_CONVOLUTION, False, table, weights[f"{name}.bias"], *sizes)
-                height, width = (height - kernel) // stride + 1, (width - kernel) // stride + 1
-                channels = made
-            pixels = (channels, height, width)
+        for one in convolutions(cfg, shapes):
+            # Window lines, columns, channels in, channels out: the order of the loops.
+            table = weights[f"{one.name}.weight"].transpose(2, 3, 1, 0)
+            sizes = (one.channels, one.made, one.kernel, one.stride, *one.size)
+            add(_CONVOLUTION, False, table, weights[f"{one.name}.bias"], *sizes)
+            pixels = (one.made, *one.out)
         sizes_out = [weights[f"mlp.{2 * k}.bias"].size for k in range(len(cfg.hidden) + 1)]
         for number, size in enumerate(sizes_out):
             table = weights[f"mlp.{2 * number}.weight"]

@@ -139,15 +139,9 @@ def _readable(numbers: np.ndarray) -> str:
 def of_agents(
     actions: object, racing: Sequence[str], known: Sequence[str]
 ) -> dict[str, np.ndarray]:
-    """Return the checked action of each agent that is still racing.
+    """Return the checked action of each agent in `racing`; ActionError says what does not fit.
 
-    Args:
-        actions: a dict of actions by agent.
-        racing: agents that must act.
-        known: agents that the environment has had since its reset.
-
-    Raises:
-        ActionError: an agent without an action, an action without its agent, or no action.
+    `actions` is a dict by agent, `known` are the agents since the environment's reset.
     """
     if not isinstance(actions, Mapping):
         raise ActionError(
@@ -190,8 +184,8 @@ class ContinuousActions:
     speed_high: float = 4.0  # speed asked for by 1 [m/s]
 
     def __post_init__(self) -> None:
-        _check_steering(self.steering_low, self.steering_high)
-        _check_speed(self.speed_low, self.speed_high)
+        _check_choice(self.steering_low, self.speed_low)
+        _check_choice(self.steering_high, self.speed_high)
         if not self.steering_low < self.steering_high or not self.speed_low <= self.speed_high:
             raise ConfigError(
                 f"the action space runs from {self.steering_low:g} to {self.steering_high:g} deg "
@@ -236,10 +230,9 @@ class DiscreteActions:
             raise ConfigError(
                 f"the action space has {len(self.choices)} choices: give 2 to {MAX_CHOICES}"
             )
-        for number, (steering, speed) in enumerate(self.choices):
+        for number, choice in enumerate(self.choices):
             try:
-                _check_steering(steering)
-                _check_speed(speed)
+                _check_choice(*choice)
             except ConfigError as error:
                 raise ConfigError(f"choice {number}: {error}") from None
 
@@ -280,10 +273,7 @@ ActionSpace: TypeAlias = ContinuousActions | DiscreteActions
 def to_actions(space: ActionSpace, outputs: np.ndarray, car: CarConfig) -> np.ndarray:
     """Return the environment's actions that a network's outputs ask for, float32 (num_rows, 2).
 
-    Args:
-        space: what the outputs mean.
-        outputs: one row for each car, float32 (num_rows, space.size).
-        car: ranges of the environment's own actions.
+    The outputs are float32 (num_rows, space.size); `car` has the ranges of the actions.
     """
     steering, speed = space.controls(outputs)
     return encode(steering * (math.pi / 180.0), speed, car)
@@ -308,24 +298,17 @@ def grid(steerings: int, max_steering: float, speeds: int, max_speed: float) -> 
             f"a grid of {steerings} steering angles and {speeds} speeds is too large: "
             f"give at most {MAX_CHOICES} choices"
         )
-    # From the middle outwards, so that left and right are the same number to the bit.
-    half = [max_steering * (1.0 - 2.0 * number / (steerings - 1)) for number in range(steerings)]
-    for number in range(steerings // 2):
-        half[steerings - 1 - number] = -half[number]
-    if steerings % 2:
-        half[steerings // 2] = 0.0
+    half = range(steerings // 2)
+    left = [max_steering * (1.0 - 2.0 * number / (steerings - 1)) for number in half]
+    # Left and right are the same number to the bit.
+    angles = [*left, *[0.0] * (steerings % 2), *(-angle for angle in reversed(left))]
     return DiscreteActions(
-        tuple((angle, max_speed * (n + 1) / speeds) for angle in half for n in range(speeds))
+        tuple((angle, max_speed * (n + 1) / speeds) for angle in angles for n in range(speeds))
     )
 
 
-def _check_steering(*angles: float) -> None:
-    for angle in angles:
-        if not abs(angle) <= MAX_STEERING_DEG:  # False for NaN
-            raise ConfigError(f"a steering angle is {angle} deg: give -30 to 30")
-
-
-def _check_speed(*speeds: float) -> None:
-    for speed in speeds:
-        if not MIN_SPEED <= speed <= MAX_SPEED:
-            raise ConfigError(f"a speed is {speed} m/s: give {MIN_SPEED} to {MAX_SPEED}")
+def _check_choice(angle: float, speed: float) -> None:
+    if not abs(angle) <= MAX_STEERING_DEG:  # False for NaN
+        raise ConfigError(f"a steering angle is {angle} deg: give -30 to 30")
+    if not MIN_SPEED <= speed <= MAX_SPEED:
+        raise ConfigError(f"a speed is {speed} m/s: give {MIN_SPEED} to {MAX_SPEED}")

@@ -303,9 +303,7 @@ class RaceEnv:
             self._run(stages.PREPARE | stages.PHYSICS | stages.JUDGE, actions)
         else:
             self._run(stages.PREPARE, actions)
-            self._solver.step(
-                world.cars, world.obstacles, world.worlds, self._controls, self._contacts
-            )
+            self._solver.step(world, self._controls, self._contacts)
             self._run(stages.JUDGE, actions)
         if self._reward is not None:
             before = replace(world, cars=self._before)
@@ -335,8 +333,8 @@ class RaceEnv:
 
     def retire(self, car: int | slice, world: int | slice = slice(None)) -> None:
         """End a car's race, in all worlds or one: it is frozen for good, without contacts."""
-        self._world.cars["retired"][world, car] = True
-        self._world.cars["ghost"][world, car] = True
+        for name in ("retired", "ghost"):
+            self._world.cars[name][world, car] = True
 
     def close(self) -> None:
         """Release the solver's resources; the environment cannot be used afterwards."""

@@ -4,6 +4,7 @@ from dataclasses import fields
 from typing import Protocol
 
 import numpy as np
+from numpy import ndarray
 
 from league.envs.config import RewardConfig
 from league.errors import ConfigError, nearest_names
@@ -49,13 +50,8 @@ class Reward(Protocol):
         ...
 
     def __call__(
-        self,
-        tracks: TrackSet,
-        before: World,
-        world: World,
-        actions: np.ndarray,
-        verdicts: np.ndarray,
-    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        self, tracks: TrackSet, before: World, world: World, actions: ndarray, verdicts: ndarray
+    ) -> tuple[ndarray, dict[str, ndarray]]:
         """Return each car's reward and each term of it by name, all (num_worlds, num_cars).
 
         Args:
@@ -109,24 +105,18 @@ class BuiltIn:
     """The built-in terms as a Reward in Python, for rewards that add to them."""
 
     def __init__(self, cfg: RewardConfig) -> None:
-        self.terms = cfg.terms
+        self.terms = self._summed = cfg.terms
         self._weight = weights(cfg)
 
     def __call__(
-        self,
-        tracks: TrackSet,
-        before: World,
-        world: World,
-        actions: np.ndarray,
-        verdicts: np.ndarray,
-    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        self, tracks: TrackSet, before: World, world: World, actions: ndarray, verdicts: ndarray
+    ) -> tuple[ndarray, dict[str, ndarray]]:
         """Return the weighted sum and each weighted term; see Reward."""
-        columns = np.empty((*world.cars.shape, len(TERMS)), np.float32)
-        _pay_all(
-            world.cars, world.worlds, verdicts, columns, self._weight, tracks.points, tracks.courses
-        )
-        terms = {name: columns[..., TERMS.index(name)] for name in self.terms}
-        total = np.zeros(world.cars.shape, np.float32)
+        cars, columns = world.cars, np.empty((*world.cars.shape, len(TERMS)), np.float32)
+        courses = tracks.points, tracks.courses
+        _pay_all(cars, world.worlds, verdicts, columns, self._weight, *courses)
+        terms = {name: columns[..., TERMS.index(name)] for name in self._summed}
+        total = np.zeros(cars.shape, np.float32)
         for value in terms.values():
             total += value
         return total, terms
@@ -135,7 +125,7 @@ class BuiltIn:
         """Nothing: it keeps no state."""
 
 
-class RacingLineReward:
+class RacingLineReward(BuiltIn):
     """`progress`, and up to 1 in each step for being on the racing line at its speed.
 
     Without it, a driver that brakes too late learns of it only by its lap time, a second later. The
@@ -148,21 +138,16 @@ class RacingLineReward:
     def __init__(self, tracks: TrackSet, car: CarConfig) -> None:
         """Compute the line of each track; ConfigError for too many tracks."""
         check_name(RACING_LINE, len(tracks.tracks))
-        self._progress = BuiltIn(PRESETS["progress"])
-        self.terms = (*self._progress.terms, RACING_LINE)
+        super().__init__(PRESETS["progress"])
+        self.terms = (*self.terms, RACING_LINE)
         table = np.stack([_line_table(track, car) for track in tracks.tracks])
         self._table = table.astype(np.float32)
 
     def __call__(
-        self,
-        tracks: TrackSet,
-        before: World,
-        world: World,
-        actions: np.ndarray,
-        verdicts: np.ndarray,
-    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        self, tracks: TrackSet, before: World, world: World, actions: ndarray, verdicts: ndarray
+    ) -> tuple[ndarray, dict[str, ndarray]]:
         """Return each car's reward and each term of it; see Reward."""
-        total, terms = self._progress(tracks, before, world, actions, verdicts)
+        total, terms = super().__call__(tracks, before, world, actions, verdicts)
         cars, index = world.cars, world.track[:, None]
         lateral, line_speed = self.line_at(index, cars["s"] / tracks.length[index])
         aside = (cars["lateral"] - lateral) / np.float32(FAR)
@@ -171,9 +156,6 @@ class RacingLineReward:
         near = np.maximum(1.0 - aside * aside - slower * slower, np.float32(0.0))
         near = np.where(verdicts["advance"] > 0, near, np.float32(0.0))
         return total + near, terms | {RACING_LINE: near}
-
-    def restart(self, world: World, begun: np.ndarray) -> None:
-        """Nothing: it keeps no state."""
 
     def line_at(self, index: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return lateral place [m] and speed [m/s] of a track's line at a share of the lap."""

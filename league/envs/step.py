@@ -69,32 +69,23 @@ def step(
     settings,
     episodes,
 ):
-    """Drive the worlds from `first` to `last` for one control step.
+    """Drive the worlds from `first` to before `last` for one control step.
 
-    Args:
-        first: first world.
-        last: world behind the last one.
+    Records and what belongs to them, of all worlds:
         phases: which stages to run, PREPARE to SETTLE.
         actions: steering and speed in [-1, 1], float32 (num_worlds, num_cars, 2).
-        cars: CAR records (num_worlds, num_cars).
-        before: set to the CAR records before the step.
-        obstacles: OBSTACLE records (num_worlds, num_obstacles).
-        arrivals: scratch of the same shape.
-        worlds: WORLD records (num_worlds,).
+        cars: CAR records (num_worlds, num_cars); of the same shape are contacts, verdicts,
+            outcomes, and `before`, which is set to the cars before the step.
+        obstacles: OBSTACLE records (num_worlds, num_obstacles); `arrivals` is scratch like it.
+        worlds: WORLD records (num_worlds,); `encounters` are those of training where cars meet.
         controls: set to target steering [rad] and speed [m/s], float32 (num_worlds, num_cars, 2).
-        contacts: CONTACT records (num_worlds, num_cars).
-        verdicts: VERDICT records (num_worlds, num_cars).
-        outcomes: OUTCOME records (num_worlds, num_cars).
-        encounters: ENCOUNTER records (num_worlds,), of training where cars meet.
         terms: weighted terms of the reward, float32 (num_worlds, num_cars, num_terms).
         motions: set to the `motion` group, float32 (num_cars, num_worlds, 5).
         weight: weights of the terms, float32 (num_terms,); of length 0: the reward is Python's.
-        points: of the TrackSet.
-        courses: of the TrackSet.
+        points, courses: of the TrackSet.
         places: fixed places of obstacles, float32 (num_obstacles, 2), or (0, 2).
         pairs: planar.schedule.
-        settings: SETTINGS record, shape (1,).
-        episodes: EPISODES record, shape (1,).
+        settings, episodes: SETTINGS and EPISODES records, shape (1,).
 
     Returns:
         FINE; or BAD_ACTION or BAD_STATE plus 4 times the number of the first bad car, counted
@@ -133,12 +124,11 @@ def step(
             for k in range(len(things)):
                 things[k] = arrivals[w, k]
             world.step += 1
-            referee.judge(
-                before[w], cars[w], things, world, verdicts[w], contacts[w], points, course, sim
-            )
-            referee.stop_bots(cars[w], things, verdicts[w], sim)
+            seen = verdicts[w]
+            referee.judge(before[w], cars[w], things, world, seen, contacts[w], points, course, sim)
+            referee.stop_bots(cars[w], things, seen, sim)
             if len(weight):
-                rewards.pay(cars[w], verdicts[w], terms[w], weight, points, course)
+                rewards.pay(cars[w], seen, terms[w], weight, points, course)
                 _sum_terms(terms[w], outcomes[w])
         if phases & SETTLE:
             if rules.training:

@@ -38,8 +38,10 @@ class LearnerEnv:
         num_worlds: int = 1,
         car: int = 0,
         opponents: Sequence[Driver | str] | None = None,
+        privileged: bool = False,
         **options: Unpack[EnvOptions],
     ) -> None:
+        make.check_whole("num_envs", num_worlds, 1)
         tracks = make.course(track)
         racing = kind == "head_to_head"
         if opponents is None:
@@ -68,7 +70,8 @@ class LearnerEnv:
         )
         reward = load_reward(options.get("reward"), tracks, cfg, num_worlds, (car,))
         self.env, self.car = RaceEnv(tracks, cfg, num_worlds=num_worlds, reward=reward), car
-        self.sensors = cfg.sensors_of(car)
+        self.sensors, self.infos = cfg.sensors_of(car), spaces.Infos(self.env, car)
+        self.space = spaces.observation_space(self.sensors, privileged)
         self._opponents = Opponents(dict(zip(others, drivers, strict=True)))
         self._actions = np.zeros((num_worlds, len(carried), SIZE), np.float32)
 
@@ -123,10 +126,10 @@ class Seeds:
             seeds = [None if one is None else make.checked_seed(one) for one in seed]
         if len(seeds) != self._num_envs:
             raise ConfigError(f"{len(seeds)} seeds for {self._num_envs} races: give one for each")
-        kept = self._generators or [None] * self._num_envs
+        kept = self._generators
         self._generators = [
-            old if one is None and old is not None else np_random(one)[0]
-            for one, old in zip(seeds, kept, strict=True)
+            kept[race] if one is None and kept else np_random(one)[0]
+            for race, one in enumerate(seeds)
         ]
         return self.draw(np.ones(self._num_envs, bool))
 
@@ -176,12 +179,12 @@ class GymEnv(gymnasium.Env[Any, np.ndarray]):
             LeagueError: an unknown track or name, or settings that contradict each other.
         """
         make.check_options(options, GymEnv.__init__)
-        self.learner = LearnerEnv(track, kind, sensors, car=car, opponents=opponents, **options)
+        field: dict[str, Any] = {"car": car, "opponents": opponents, "privileged": privileged}
+        self.learner = LearnerEnv(track, kind, sensors, **field, **options)
         self.render_mode = render_mode
         self._renderer = EnvRenderer(self.learner.env, render_mode, view, car)
-        self.observation_space = spaces.observation_space(self.learner.sensors, privileged)
-        self._reader = spaces.ObservationReader(self.observation_space)
-        self._infos = spaces.Infos(self.learner.env, car)
+        self.observation_space = self.learner.space
+        self._reader, self._infos = spaces.ObservationReader(self.learner.space), self.learner.infos
         self.action_space = spaces.action_space()
         self._over = True
 
@@ -263,13 +266,11 @@ class GymVectorEnv(VectorEnv[Observation, np.ndarray, np.ndarray]):
                 f"render_mode is {render_mode!r}: a batch is not drawn, give None, or choose "
                 "vectorization_mode='sync'"
             )
-        make.check_whole("num_envs", num_envs, 1)
         make.check_options(options, GymVectorEnv.__init__)
         if max_episode_steps is not None:
             options.setdefault("max_steps", max_episode_steps)
-        self.learner = LearnerEnv(
-            track, kind, sensors, num_worlds=num_envs, car=car, opponents=opponents, **options
-        )
+        field: dict[str, Any] = {"car": car, "opponents": opponents, "privileged": privileged}
+        self.learner = LearnerEnv(track, kind, sensors, num_worlds=num_envs, **field, **options)
         modes = [mode.value for mode in AutoresetMode]
         if autoreset_mode not in (*AutoresetMode, *modes):
             raise ConfigError(
@@ -277,11 +278,10 @@ class GymVectorEnv(VectorEnv[Observation, np.ndarray, np.ndarray]):
             )
         self.num_envs, self.autoreset_mode = num_envs, AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
-        self.single_observation_space = spaces.observation_space(self.learner.sensors, privileged)
+        self.single_observation_space, self._infos = self.learner.space, self.learner.infos
         self.single_action_space = spaces.action_space()
         self.observation_space = spaces.batched(self.single_observation_space, num_envs)
         self._reader = spaces.ObservationReader(self.observation_space)
-        self._infos = spaces.Infos(self.learner.env, car)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._seeds = Seeds(num_envs)
         self._done = np.zeros(num_envs, dtype=bool)

@@ -40,13 +40,10 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]  # without the extra
     ) -> None:
         """Set up the races, by the arguments of GymVectorEnv."""
         make.check_options(options, SB3VecEnv.__init__)
-        make.check_whole("num_envs", num_envs, 1)
-        self.learner = LearnerEnv(
-            track, kind, sensors, num_worlds=num_envs, car=car, opponents=opponents, **options
-        )
+        field: dict[str, Any] = {"car": car, "opponents": opponents, "privileged": privileged}
+        self.learner = LearnerEnv(track, kind, sensors, num_worlds=num_envs, **field, **options)
         self.sensors, self.render_mode = self.learner.sensors, None
-        single = spaces.observation_space(self.sensors, privileged)
-        self._infos = spaces.Infos(self.learner.env, car)
+        single, self._infos = self.learner.space, self.learner.infos
         self._reader = spaces.ObservationReader(spaces.batched(single, num_envs))
         self._race_seeds, self._actions = Seeds(num_envs), np.zeros((num_envs, 2), np.float32)
         self._returns, self._lengths = np.zeros(num_envs), np.zeros(num_envs, np.int64)
@@ -105,13 +102,7 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]  # without the extra
         """Races are one batch, so none has attributes of its own."""
         raise ConfigError(f"{attr_name} cannot be set in some races: they are one batch")
 
-    def env_method(
-        self,
-        method_name: str,
-        *args: Any,  # noqa: ANN401
-        indices: Any = None,  # noqa: ANN401
-        **kwargs: Any,  # noqa: ANN401
-    ) -> list[Any]:
+    def env_method(self, method_name: str, *args: object, **kwargs: object) -> list[Any]:
         """Races are one batch, so none has methods of its own."""
         raise ConfigError(f"{method_name} cannot be called in some races: they are one batch")
 

@@ -70,11 +70,6 @@ def batched(space: Dict, num_envs: int) -> Dict:
     return batch
 
 
-def state_space(num_cars: int) -> Box:
-    """Return the space of the truth about all cars."""
-    return Box(-STATE_LIMIT, STATE_LIMIT, (num_cars * state.SIZE,), np.float32)
-
-
 class ObservationReader:
     """Copies the groups of a space, bounded by it, out of a car's observations."""
 

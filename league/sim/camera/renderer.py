@@ -31,7 +31,7 @@ from league.sim.camera.scene import (
     luma,
 )
 from league.sim.camera.scene_state import NEAR, Lens, SceneState, Thing, mount_of, table
-from league.sim.camera.tables import MOST_CORNERS, Floor, Models, Mount, Optics, Pose
+from league.sim.camera.tables import MOST_CORNERS, Floor, Models, Optics, Pose
 from league.sim.camera.visual_randomization import Look
 from league.sim.config import CameraConfig, SimConfig, VisualRandomization
 from league.sim.records import World
@@ -95,13 +95,9 @@ class PaintRenderer(Renderer):
         cv2.setNumThreads(1)
         return Painter(self._lens, gray=not self._camera.colour, sky=self._sky)
 
-    @cached_property
-    def _mount(self) -> Mount:
-        return mount_of(self._camera)
-
     def _draw(self, state: SceneState, car: int, look: Look | None) -> np.ndarray:
         cfg, painter = self._camera, self._painter
-        poses, things = state.tables(car, self._mount, gray=not cfg.colour)
+        poses, things = state.tables(car, mount_of(cfg), gray=not cfg.colour)
         shape = (len(poses), cfg.num_eyes, cfg.height, cfg.width)
         pictures = np.empty((*shape, 3) if cfg.colour else shape, np.uint8)
         for track in set(state.track.tolist()):
@@ -155,18 +151,8 @@ class Painter:
     ) -> int:
         """Draw the pictures of some worlds on one track; see painting.paint."""
         flat = pictures.reshape(*pictures.shape[:2], self._lens.height, -1)
-        return painting.paint(
-            phases,
-            rows,
-            flat,
-            poses,
-            things,
-            floor,
-            self._sky,
-            self._optics,
-            self._far,
-            self._models,
-        )
+        own = self._sky, self._optics, self._far, self._models
+        return painting.paint(phases, rows, flat, poses, things, floor, *own)
 
 
 @cache

@@ -119,10 +119,8 @@ class SceneState:
         self.num_cars = world.num_cars
         self.track = world.track if rows is None else world.track[rows]
         """Row of the TrackSet that each world is on, int64 (num_rows,)."""
-        things = sim.obstacles
-        self._obstacle_model, self._box_height = _BOX, float(things.height)
-        if things.kind == "bot":
-            self._obstacle_model = _CAR
+        self._obstacle_model = _CAR if sim.obstacles.kind == "bot" else _BOX
+        self._box_height = float(sim.obstacles.height)
 
     def tables(
         self, car: int, mount: Mount, *, gray: bool | None = None
@@ -147,18 +145,8 @@ class SceneState:
         count = self.num_cars + num_obstacles - (car >= 0)
         poses = np.empty((len(self._rows), len(Pose._fields)))
         things = np.empty((len(self._rows), count, THING_COLUMNS))
-        stand(
-            self._rows,
-            car,
-            self._cars,
-            self._obstacles,
-            mount,
-            (_CAR, self._obstacle_model),
-            self._box_height,
-            colours,
-            poses,
-            things,
-        )
+        shapes = (_CAR, self._obstacle_model), self._box_height, colours
+        stand(self._rows, car, self._cars, self._obstacles, mount, *shapes, poses, things)
         return poses, things
 
     def camera(self, row: int, car: int, cfg: CameraConfig) -> Pose:

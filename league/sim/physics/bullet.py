@@ -13,6 +13,7 @@ import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from types import ModuleType
 from typing import Any
 
@@ -21,7 +22,7 @@ import numpy as np
 from league.errors import ConfigError
 from league.sim.config import SimConfig
 from league.sim.physics import suspension
-from league.sim.records import is_frozen
+from league.sim.records import World, is_frozen
 from league.sim.settings import HALF_WALL, RESTITUTION_FROM, settings
 
 MAX_WORLDS = 1000  # PyBullet keeps at most 1,024 simulations in a process
@@ -132,26 +133,20 @@ class BulletSolver:
                 )
             self._clients.append(client)
 
-    def step(
-        self,
-        cars: np.ndarray,
-        obstacles: np.ndarray,
-        worlds: np.ndarray,
-        controls: np.ndarray,
-        contacts: np.ndarray,
-    ) -> None:
+    def step(self, world: World, controls: np.ndarray, contacts: np.ndarray) -> None:
         """Move the cars through one control step, and note what touched what; see planar.py.
 
         Controls are target steering [rad] and speed [m/s], (num_worlds, num_cars, 2); contacts are
         CONTACT records (num_worlds, num_cars), overwritten.
         """
+        cars, obstacles = world.cars, world.obstacles
         held = is_frozen(cars)
         for name in _RATES:
             cars[name][held] = 0.0
         placed, boxes = np.empty((*cars.shape, 13)), np.empty((*obstacles.shape, 13))
         suspension.place(cars, self._chassis, placed)
         suspension.place_boxes(obstacles, self._height / 2, boxes)
-        stages = self._set(cars, obstacles, worlds, held, placed.tolist(), boxes.tolist())
+        stages = self._set(world, held, placed.tolist(), boxes.tolist())
         contacts["cars"], contacts["obstacles"], contacts["wall"] = 0, 0, False
         bodies, acting = placed.copy(), np.zeros((*cars.shape, 6))
         free = [np.flatnonzero(~row).tolist() for row in held]
@@ -203,18 +198,13 @@ class BulletSolver:
         self.close()
 
     def _set(
-        self,
-        cars: np.ndarray,
-        obstacles: np.ndarray,
-        worlds: np.ndarray,
-        frozen: np.ndarray,
-        placed: list[Any],
-        boxes: list[Any],
+        self, world: World, frozen: np.ndarray, placed: list[Any], boxes: list[Any]
     ) -> list[_Stage]:
         """Build what changed in kind, and put every body where the records say."""
+        cars, obstacles = world.cars, world.obstacles
         ghosts = cars["ghost"].tolist()
         held = (frozen & ~cars["ghost"]).tolist()
-        mass, track = cars["mass"].tolist(), worlds["track"].tolist()
+        mass, track = cars["mass"].tolist(), world.track.tolist()
         sizes = np.stack([obstacles["half_length"], obstacles["half_width"]], axis=-1).tolist()
         stages = []
         for index, client in enumerate(self._clients):
@@ -264,12 +254,10 @@ class BulletSolver:
         inertia = (share * car.roll_inertia, share * car.pitch_inertia, share * car.yaw_inertia)
         heights = [car.clearance + share * (car.height - car.clearance) for share in _LEVELS]
         half_sizes, middles = [], []
-        for (front, back, side), low, high in zip(_PARTS, heights[:-1], heights[1:], strict=True):
-            half_sizes.append(
-                ((front - back) * car.length / 4, side * car.width / 2, (high - low) / 2)
-            )
-            middle = (low + high) / 2 - car.mass_height
-            middles.append(((front + back) * car.length / 4, 0.0, middle))
+        for (front, back, side), (low, high) in zip(_PARTS, pairwise(heights), strict=True):
+            half_length, ahead = (front - back) * car.length / 4, (front + back) * car.length / 4
+            half_sizes.append((half_length, side * car.width / 2, (high - low) / 2))
+            middles.append((ahead, 0.0, (low + high) / 2 - car.mass_height))
         weight = (HEAVY, _UNTURNED) if held else (mass, inertia)
         return _Body(half_sizes, *weight, middles)
 
