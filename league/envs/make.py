@@ -6,7 +6,7 @@ import re
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Literal, TypedDict, Unpack
+from typing import Any, Literal, TypedDict, Unpack
 
 import numpy as np
 
@@ -176,46 +176,29 @@ def sensors_of_car(sensors: Carried) -> SensorConfig:
         sensors = (sensors,)
     if not isinstance(sensors, Sequence):
         raise ConfigError(_no_sensor(sensors))
-    truth = "truth" in sensors
-    named: list[Sensor] = []
-    numbers: dict[str, list[int]] = {"history": [], "frames": []}
-    for sensor in sensors:
-        match = re.fullmatch(r"(history|frames)([0-9]{1,3})", str(sensor))
-        if match is not None:
-            numbers[match[1]].append(int(match[2]))
-        elif sensor != "truth":
-            named.append(sensor)
-    carried = [_named(sensor) if isinstance(sensor, str) else sensor for sensor in named]
-    cameras = [sensor for sensor in carried if isinstance(sensor, CameraConfig)]
-    lidars = [sensor for sensor in carried if isinstance(sensor, LidarConfig)]
-    strangers = [sensor for sensor in carried if sensor not in (*cameras, *lidars, None)]
-    if strangers:
-        raise ConfigError(_no_sensor(strangers[0]))
-    if any(len(given) > 1 for given in (cameras, lidars, *numbers.values())):
+    parts = [_part(sensor) for sensor in sensors if sensor not in (None, "motion", "truth")]
+    if len(dict(parts)) < len(parts):
         raise ConfigError(
             f"the sensors {brief(sensors)} hold two of a kind: give one camera and one lidar"
         )
-    return SensorConfig(
-        camera=cameras[0] if cameras else None,
-        lidar=lidars[0] if lidars else None,
-        truth=truth,
-        **{name: given[0] for name, given in numbers.items() if given},
-    )
+    return SensorConfig(**dict(parts), truth="truth" in sensors)
 
 
-def _named(name: str) -> CameraConfig | LidarConfig | None:
-    """Return the settings of a sensor by its name; None for own motion."""
-    match = re.fullmatch(r"(stereo|mono|left)([0-9]{1,4})x([0-9]{1,4})", name)
-    if match is not None:
+def _part(sensor: Sensor) -> tuple[str, Any]:
+    """Return which field of a SensorConfig a sensor is, and its value."""
+    if isinstance(sensor, CameraConfig | LidarConfig):
+        return "camera" if isinstance(sensor, CameraConfig) else "lidar", sensor
+    name = sensor if isinstance(sensor, str) else ""
+    if match := re.fullmatch(r"(stereo|mono|left)([0-9]{1,4})x([0-9]{1,4})", name):
         eyes, width, height = match.groups()
-        return CameraConfig(int(width), int(height), eyes=eyes)  # type: ignore
+        return "camera", CameraConfig(int(width), int(height), eyes=eyes)  # type: ignore
     if name == "stereo":
-        return CameraConfig()
+        return "camera", CameraConfig()
     if name in ("lidar", "sectors", "discretised"):
-        return LidarConfig(form="ranges" if name == "lidar" else name)  # type: ignore
-    if name == "motion":
-        return None
-    raise ConfigError(_no_sensor(name))
+        return "lidar", LidarConfig(form="ranges" if name == "lidar" else name)  # type: ignore
+    if match := re.fullmatch(r"(history|frames)([0-9]{1,3})", name):
+        return match[1], int(match[2])
+    raise ConfigError(_no_sensor(sensor))
 
 
 def _of_cars(sensors: Sensors, num_cars: int) -> tuple[SensorConfig, ...]:

@@ -176,9 +176,8 @@ class SensorSuite:
         self._stale = None
         for car, sensors in enumerate(self._sensors):
             for name, (_, read) in sensors.items():
-                self._readings[car][name] = _with(
-                    self._readings[car][name], rows, read(world, car, rows)
-                )
+                kept = self._readings[car][name]
+                self._readings[car][name] = _with(kept, rows, read(world, car, rows))
         for car, length in enumerate(self._history):
             given = {} | self._readings[car]
             if self._frames[car] > 1:

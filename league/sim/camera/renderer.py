@@ -14,22 +14,8 @@ from functools import cache, cached_property
 import cv2
 import numpy as np
 
-from league.sim.camera import painting, visual_randomization
+from league.sim.camera import painting, scene, visual_randomization
 from league.sim.camera.ground import floor_of
-from league.sim.camera.scene import (
-    CAR,
-    FAR_CAR,
-    HIDDEN,
-    MODELS,
-    PAINTS,
-    RUBBER,
-    SKY_COLOUR,
-    SUN,
-    Solid,
-    far_from,
-    lit,
-    luma,
-)
 from league.sim.camera.scene_state import NEAR, Lens, SceneState, Thing, mount_of, table
 from league.sim.camera.tables import MOST_CORNERS, Floor, Models, Optics, Pose
 from league.sim.camera.visual_randomization import Look
@@ -37,10 +23,10 @@ from league.sim.config import CameraConfig, SimConfig, VisualRandomization
 from league.sim.records import World
 from league.track.track import Rgb, TrackSet
 
-_WHEN_FAR = {CAR: FAR_CAR}
+_WHEN_FAR = {scene.CAR: scene.FAR_CAR}
 _MAX_STEERING = math.radians(30)
 _TOUCH = 1e-6  # solids nearer than this touch each other [m]
-_FLAT_RUBBER = len(PAINTS)  # the paint of a wheel's tread: round, so no one light fits it
+_FLAT_RUBBER = len(scene.PAINTS)  # the paint of a wheel's tread: round, so no one light fits it
 
 
 class Renderer(ABC):
@@ -55,7 +41,7 @@ class Renderer(ABC):
         sim: SimConfig,
         camera: CameraConfig,
         looks: VisualRandomization | None = None,
-        sky: Rgb = SKY_COLOUR,
+        sky: Rgb = scene.SKY_COLOUR,
     ) -> None:
         """Work out the lens; `looks` randomises the pictures, `sky` is above the walls."""
         self._sky = sky
@@ -115,14 +101,14 @@ class PaintRenderer(Renderer):
 class Painter:
     """Draws what a lens sees; knows the lens and nothing that changes."""
 
-    def __init__(self, lens: Lens, gray: bool, sky: Rgb = SKY_COLOUR) -> None:
+    def __init__(self, lens: Lens, gray: bool, sky: Rgb = scene.SKY_COLOUR) -> None:
         self._lens, self._gray = lens, gray
         channels = 1 if gray else 3
         self._optics = Optics(lens.focal, lens.cx, lens.cy, np.array(lens.eyes), channels, NEAR)
-        shown = np.array([luma(sky)] if gray else sky)
+        shown = np.array([scene.luma(sky)] if gray else sky)
         self._sky = np.tile(shown.astype(np.uint8), lens.width)
         self._models = models(gray)
-        self._far = far_from(lens.focal)
+        self._far = scene.far_from(lens.focal)
 
     def paint(
         self,
@@ -158,7 +144,7 @@ class Painter:
 @cache
 def models(gray: bool) -> Models:
     """Return the tables of every model, for gray pictures or for RGB."""
-    solids = [solid for model in MODELS for solid in model.solids]
+    solids = [solid for model in scene.MODELS for solid in model.solids]
     assert max(len(face) for solid in solids for face in solid.faces) <= MOST_CORNERS
     vertices = np.concatenate([solid.vertices for solid in solids])
     first_vertex = np.cumsum([0, *(len(solid.vertices) for solid in solids)])
@@ -168,15 +154,15 @@ def models(gray: bool) -> Models:
         for number, (face, paint) in enumerate(zip(solid.faces, solid.paints, strict=True)):
             if paint == HIDDEN:
                 continue
-            flat = solid.rounded and paint >= 0 and PAINTS[paint] == RUBBER
+            flat = solid.rounded and paint >= 0 and scene.PAINTS[paint] == scene.RUBBER
             faces.append((len(corners), len(corners) + len(face), _FLAT_RUBBER if flat else paint))
             corners += [start + vertex for vertex in face]
             planes.append(solid.planes[number])
         stop = start + len(solid.vertices)
         rows.append((start, stop, first_face, len(faces), int(solid.pivot is not None)))
-    first_solid = np.cumsum([0, *(len(model.solids) for model in MODELS)]).tolist()
-    when_far = [MODELS.index(_WHEN_FAR.get(model, model)) for model in MODELS]
-    flat_rubber = (luma(RUBBER), 0.0, 0.0) if gray else RUBBER
+    first_solid = np.cumsum([0, *(len(model.solids) for model in scene.MODELS)]).tolist()
+    when_far = [scene.MODELS.index(_WHEN_FAR.get(model, model)) for model in scene.MODELS]
+    flat_rubber = (scene.luma(scene.RUBBER), 0.0, 0.0) if gray else scene.RUBBER
     return Models(
         vertices=vertices,
         corners=np.array(corners),
@@ -186,17 +172,17 @@ def models(gray: bool) -> Models:
         pivots=np.array([solid.pivot or (0.0, 0.0) for solid in solids]),
         parting=_parting(),
         models=np.array(list(zip(first_solid[:-1], first_solid[1:], when_far, strict=True))),
-        sizes=np.array([(model.half_length, model.half_width) for model in MODELS]),
-        paints=np.array([*lit(PAINTS, gray), (*flat_rubber, 0.0, 0.0, 0.0)]),
-        sun=np.array(SUN),
+        sizes=np.array([(model.half_length, model.half_width) for model in scene.MODELS]),
+        paints=np.array([*scene.lit(scene.PAINTS, gray), (*flat_rubber, 0.0, 0.0, 0.0)]),
+        sun=np.array(scene.SUN),
     )
 
 
 def _parting() -> np.ndarray:
     """Return the planes that part the solids of each model; see Models.parting."""
-    most = max(len(model.solids) for model in MODELS)
+    most = max(len(model.solids) for model in scene.MODELS)
     tables = []
-    for model in MODELS:
+    for model in scene.MODELS:
         # Faces of solids that are not steered: they stand where they stand.
         planes = [solid.planes for solid in model.solids if solid.pivot is None]
         both = np.concatenate([*planes, *(-one for one in planes)])
@@ -236,7 +222,7 @@ def _part(
     _part(rows, beyond, planes, low, high)
 
 
-def _along(planes: np.ndarray, solid: Solid) -> tuple[np.ndarray, np.ndarray]:
+def _along(planes: np.ndarray, solid: scene.Solid) -> tuple[np.ndarray, np.ndarray]:
     """Return the least and the greatest n . p - d of a solid's vertices for each plane."""
     points = solid.vertices
     if solid.pivot is not None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from league.jit import compiled, inner
 from league.portable_math import direction, f32, sincos
+from league.sim.camera import tables
 from league.sim.camera.scene import (
     BOT_COLOUR,
     BOX,
@@ -25,21 +26,7 @@ from league.sim.camera.scene import (
     faded,
     lit,
 )
-from league.sim.camera.tables import (
-    ACROSS,
-    ALONG,
-    COS,
-    MODEL,
-    SHADE,
-    SIN,
-    STEERING,
-    THING_COLUMNS,
-    UPWARD,
-    Mount,
-    Pose,
-    X,
-    Y,
-)
+from league.sim.camera.tables import THING_COLUMNS, Mount, Pose
 from league.sim.config import CameraConfig, SimConfig
 from league.sim.physics.vehicle import frozen
 from league.sim.records import World
@@ -243,19 +230,21 @@ def stand(rows, car, cars, obstacles, mount, kinds, box_height, colours, poses, 
             body, thing = obstacles[w, k], things[n, count]
             _put(thing, kinds[1], body, f32(0.0), shown[cars.shape[1] + k, 0])
             if kinds[1] != kinds[0]:
-                thing[ALONG], thing[ACROSS] = 2 * f64(body.half_length), 2 * f64(body.half_width)
-                thing[UPWARD] = box_height
+                thing[tables.ALONG] = 2 * f64(body.half_length)
+                thing[tables.ACROSS] = 2 * f64(body.half_width)
+                thing[tables.UPWARD] = box_height
             count += 1
 
 
 @inner
 def _put(thing, model, body, steering, colour):
     """Write a body of its model's own size."""
-    thing[MODEL], thing[X], thing[Y], thing[STEERING] = model, body.x, body.y, steering
-    thing[COS], thing[SIN] = _direction(body.yaw)
-    thing[ALONG], thing[ACROSS], thing[UPWARD] = 1.0, 1.0, 1.0
-    for k in range(THING_COLUMNS - SHADE):
-        thing[SHADE + k] = colour[k]
+    thing[tables.MODEL], thing[tables.STEERING] = model, steering
+    thing[tables.X], thing[tables.Y] = body.x, body.y
+    thing[tables.COS], thing[tables.SIN] = _direction(body.yaw)
+    thing[tables.ALONG], thing[tables.ACROSS], thing[tables.UPWARD] = 1.0, 1.0, 1.0
+    for k in range(THING_COLUMNS - tables.SHADE):
+        thing[tables.SHADE + k] = colour[k]
 
 
 @inner
