@@ -152,7 +152,7 @@ def models(gray: bool) -> Models:
     for solid, start in zip(solids, first_vertex.tolist(), strict=False):
         first_face = len(faces)
         for number, (face, paint) in enumerate(zip(solid.faces, solid.paints, strict=True)):
-            if paint == HIDDEN:
+            if paint == scene.HIDDEN:
                 continue
             flat = solid.rounded and paint >= 0 and scene.PAINTS[paint] == scene.RUBBER
             faces.append((len(corners), len(corners) + len(face), _FLAT_RUBBER if flat else paint))
