@@ -41,13 +41,7 @@ def prepare(modules: Sequence[str]) -> None:
 
 
 def start(target: Callable[..., None], *arguments: object) -> BaseProcess:
-    """Start a process; the first waits until the server has imported its modules.
-
-    `target` is a function of a module; its arguments may hold pipes and queues of CONTEXT.
-
-    Raises:
-        ConfigError: none can be started on this machine.
-    """
+    """Run a module's function in a process; the first waits until the server has its modules."""
     process = CONTEXT.Process(target=_run, args=(target, *arguments), daemon=True)
     with failing_in_one_sentence():
         for _ in range(SERVER_STARTS - 1):

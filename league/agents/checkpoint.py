@@ -150,11 +150,7 @@ class Checkpoint:
 
 
 def save(path: str | os.PathLike[str], checkpoint: Checkpoint) -> None:
-    """Write a checkpoint, whole or not at all; the same content gives the same bytes.
-
-    Raises:
-        PolicyError: the file cannot be written, or would be too large.
-    """
+    """Write a checkpoint, always to the same bytes; PolicyError if it cannot be or is too large."""
     import torch
 
     # Copies, so that each tensor's storage holds its own numbers and no others.
@@ -270,12 +266,7 @@ def check_weights(card: Card, weights: Mapping[str, np.ndarray]) -> None:
 
 
 def read_card(text: str, size: int) -> tuple[Card, str]:
-    """Return the card of a stranger's file of so many bytes, and its text with sorted keys.
-
-    Raises:
-        RefusedError: it is no card, or one that this version does not read, or the file is too
-            large for its sensors.
-    """
+    """Return a card and its text with sorted keys; RefusedError if it, or `size`, is not sound."""
     card, canonical = _card(text)
     if size > _limit(card):
         raise RefusedError(f"it takes {size} bytes, at most {_limit(card)} without a camera")

@@ -100,11 +100,7 @@ def from_sb3(model: Any, *, name: str, sensors: make.Carried, **card: Any) -> Ch
     """Return the checkpoint of a Stable-Baselines3 model with a MultiInputPolicy: PPO or A2C.
 
     With a camera it must be trained with `policy_kwargs={"activation_fn": torch.nn.ReLU}`, because
-    SB3's convolutions use ReLU. The other arguments are those of `from_modules`.
-
-    Raises:
-        PolicyError: another policy, or layers that no checkpoint can hold.
-        ConfigError: there is no such sensor, or the network is too large.
+    SB3's convolutions use ReLU. The other arguments, and errors, are those of `from_modules`.
     """
     from torch import nn
 

@@ -110,13 +110,7 @@ class Rollout:
         restart: np.ndarray | None = None,
         seeds: Sequence[int] | None = None,
     ) -> Step:
-        """Drive one control step.
-
-        Args:
-            readings: see `DriverPool.act`.
-            restart: worlds that are started again at the end of the step, bool (num_worlds,).
-            seeds: of the worlds that are started again; those of others are not read.
-        """
+        """Drive one control step; see `DriverPool.act` and `RaceEnv.step` for the arguments."""
         driven = self.drivers.act(self.env.observations, readings)
         faults = np.isnan(driven[..., 0])
         if self._on_faults is not None:

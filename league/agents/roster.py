@@ -56,17 +56,10 @@ def garage() -> dict[str, Path]:
 
 
 def load(name_or_path: str, tracks: TrackSet, car: CarConfig) -> Driver:
-    """Build a driver for the tracks that its rows race on.
+    """Build a driver for the tracks that its rows race on, one alone for a scripted driver.
 
-    Args:
-        name_or_path: name of a scripted driver or of a policy in the garage, or a checkpoint,
-            which ends in .pt.
-        tracks: the set, which must hold one track for a scripted driver.
-        car: the car it will drive.
-
-    Raises:
-        PolicyError: the name is unknown, the checkpoint not sound, or the driver cannot drive
-            this set.
+    It is the name of a scripted driver or of a policy in the garage, or a checkpoint, which ends in
+    .pt. PolicyError: the name is unknown, the checkpoint not sound, or there are several tracks.
     """
     if path := _file(name_or_path):
         from league.agents import checkpoint

@@ -285,12 +285,7 @@ class RaceEnv:
         return self._result
 
     def restart(self, worlds: np.ndarray, seeds: ArrayLike) -> None:
-        """Start some races again between two steps, as `reset` would; the others stay.
-
-        Args:
-            worlds: the races, bool, (num_worlds,).
-            seeds: their seeds (those of others are not read), int64, (num_worlds,).
-        """
+        """Start some races again between two steps; bool and int64 seeds, both (num_worlds,)."""
         self._check_open()
         which = np.flatnonzero(worlds)
         self._start(which, np.asarray(seeds, np.int64)[which])

@@ -130,11 +130,7 @@ class Evaluator:
             self._jobs.append(self._pool.submit(_evaluated, self._cfg, number, checkpoint))
 
     def take(self, *, wait: bool = False) -> list[EvalResult]:
-        """Return and forget the results so far; with `wait` at least one, if any is pending.
-
-        Raises:
-            PolicyError: the process has died.
-        """
+        """Return and forget the results, with `wait` one at least; PolicyError if it has died."""
         results, self._results = self._results, []
         while self._jobs and (self._jobs[0].done() or (wait and not results)):
             try:

@@ -55,12 +55,10 @@ class Run:
     """
 
     def __init__(self, cfg: RunConfig, folder: Path, *, background: bool = True) -> None:
-        """Build worlds, learner and evaluator; nothing is written before the first update.
+        """Build worlds, learner and evaluator; LeagueError if settings are unknown or contradict.
 
-        The folder is this run's alone; without `background` evaluations come between updates.
-
-        Raises:
-            LeagueError: unknown tracks, rewards or drivers, or settings that contradict.
+        Nothing is written before the first update. The folder is this run's alone; without
+        `background` evaluations come between updates.
         """
         cfg.check()
         self.cfg, self.folder = cfg, folder

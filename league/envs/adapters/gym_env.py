@@ -191,12 +191,7 @@ class GymEnv(gymnasium.Env[Any, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start a new race or episode; nothing of the past remains.
-
-        Args:
-            seed: of all random numbers; None goes on to another race.
-            options: not used.
-        """
+        """Start a race or episode from a seed; None goes on to another. `options` is not used."""
         super().reset(seed=None if seed is None else make.checked_seed(seed))
         groups = self.learner.reset([make.draw_seed(self.np_random)])
         self._over = False

@@ -125,12 +125,7 @@ class RaceParallelEnv(ParallelEnv[str, Any, np.ndarray]):
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
-        """Start a new race; nothing of the past remains.
-
-        Args:
-            seed: of obstacles, noise and all other random numbers; None goes on to another race.
-            options: not used.
-        """
+        """Start a race from a seed; None goes on to another. `options` is not used."""
         if seed is not None:
             self._generator = np.random.default_rng(make.checked_seed(seed))
         elif self._generator is None:

@@ -99,13 +99,7 @@ class BulletSolver:
     """Integrates each world in a Bullet simulation of its own."""
 
     def __init__(self, cfg: SimConfig, rooms: np.ndarray, num_worlds: int) -> None:
-        """Connect to Bullet.
-
-        `rooms` are the walls of each track, x_min, y_min, x_max, y_max [m], (num_tracks, 4).
-
-        Raises:
-            ConfigError: more worlds than Bullet keeps.
-        """
+        """Connect to Bullet; `rooms` are x_min, y_min, x_max, y_max [m], (num_tracks, 4)."""
         self._clients = []
         if num_worlds > MAX_WORLDS:
             raise ConfigError(

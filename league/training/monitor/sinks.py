@@ -103,13 +103,7 @@ class LiveView(TrainingCallback):
     """Shows some cars as they learn; learning does not wait for it."""
 
     def __init__(self, *envs: RacingVecEnv, window: bool | None = None) -> None:
-        """Open the viewer and watch every step of a learner's worlds, and its teacher's.
-
-        `window` is by default whether there is a display.
-
-        Raises:
-            ReplayError: the viewer does not start.
-        """
+        """Open the viewer, in a window where there is a display, and watch a learner's worlds."""
         from league.rerun_view import blueprint
         from league.rerun_view.live import ShownCars, TrainingStream
         from league.rerun_view.viewer import Stream

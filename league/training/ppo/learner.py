@@ -119,12 +119,9 @@ class Learner:
         self._begin_average()
 
     def update(self, share: float) -> Update:
-        """Collect one round of steps and learn from it.
+        """Collect one round of steps and learn from it; LeagueError if a reward or a rank fails.
 
         The first rank's `share` of the budget that is used up, 0 to 1, sets the schedules.
-
-        Raises:
-            LeagueError: a reward function or another rank has failed.
         """
         self._schedule(distributed.agreed(share))
         self._alg.train_mode()
@@ -179,11 +176,7 @@ class Learner:
             file.write_bytes(buffer.getbuffer())
 
     def restore(self, path: Path) -> dict[str, Any]:
-        """Load a saved state; return its notes. Only weights are unpickled.
-
-        Raises:
-            PolicyError: it is no state, or one of another network.
-        """
+        """Load a saved state, of which only weights are unpickled; return its notes."""
         try:
             # Adam's counts stay on the CPU: on a GPU they would be read back in each step.
             state = torch.load(path, weights_only=True, map_location="cpu")

@@ -32,12 +32,7 @@ FIRST_EVALUATED = 1_000_000
 
 
 def load_tracks(names: Sequence[str]) -> list[Track]:
-    """Return the tracks of some names.
-
-    Raises:
-        TrackError: there is no such track.
-        ConfigError: no names, or no number of random ones.
-    """
+    """Return the tracks of some names; TrackError or ConfigError says which is none."""
     if not names:
         raise ConfigError("no track was named: give --track NAME, `league tracks` lists them")
     tracks: list[Track] = []
