@@ -214,17 +214,12 @@ def _speed(speed, road, limit, pace, car, style):
         node.speed = math.sqrt(squared)
     target = min(at(road.speed, speed * (STEP_DT + car.latency_s)), limit)
     # Drive and brakes take grip that a bend needs: leave it its share.
-    spare = _spare(speed * speed * max(abs(road[0].bend), abs(road[1].bend)), car)
+    cornering, most = speed * speed * max(abs(road[0].bend), abs(road[1].bend)), car.grip * GRAVITY
+    transfer = 2.0 * car.mass_height / car.wheelbase / GRAVITY
+    spare = spare_grip(min(cornering, _MOST_CORNERING * most), most, transfer)
     faster = speed + min(spare, car.max_acceleration) * STEP_DT
     slower = speed - min(spare, car.max_braking) * STEP_DT
     return speed + (clamp(target, slower, faster) - speed) / _SERVO
-
-
-@inner
-def _spare(cornering, car):
-    """Return the drive or braking that tyres can give while cornering [m/s^2], never nothing."""
-    most, transfer = car.grip * GRAVITY, 2.0 * car.mass_height / car.wheelbase / GRAVITY
-    return spare_grip(min(cornering, _MOST_CORNERING * most), most, transfer)
 
 
 # Getting past others -------------------------------------------------------------------------
@@ -232,11 +227,7 @@ def _spare(cornering, car):
 
 @inner
 def _gather(state, things):
-    """Write the cars and boxes near a car into _THING records, the nearest first of each kind.
-
-    Returns:
-        Their number. A car that stands a penalty is a ghost and does not count.
-    """
+    """Write the cars (no ghosts) and boxes near a car, nearest first; return how many."""
     own, count = max(state.speed_ahead, _SLOWEST), 0
     for car in state.cars:
         if car.present and not car.frozen:

@@ -55,10 +55,7 @@ def begin_all(encounter, cars, obstacles, world, points, course, places, sim, ep
 
 @inner
 def end_and_begin(done, encounter, cars, obstacles, world, points, course, places, sim, episodes):
-    """Begin the next episodes of one world; return the mask of the cars that begin one.
-
-    `done` is the mask of the cars with an episode that is over; see step.py for the rest.
-    """
+    """Begin the next episodes of the cars in the mask `done`; return the mask of those that do."""
     begins = done
     if not episodes.meeting and not episodes.all_restart:
         begins = done & episodes.restarting
@@ -137,10 +134,7 @@ def encode(car, sim):
 
 @inner
 def _free_spots(mask, cars, obstacles, world, spots, course):
-    """Draw s of a free stretch for each car of a mask; those that begin together keep clear.
-
-    Of eight places the first that is 0.8 m clear of all else is taken, or the clearest.
-    """
+    """Draw s of a stretch for each car of a mask: the first of 8 that is clear, or the clearest."""
     for c in range(len(cars)):
         spots[c] = cars[c].s
     for c in range(len(cars)):

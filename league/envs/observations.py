@@ -61,10 +61,7 @@ def motions(cars, out) -> None:
 
 @compiled
 def states(first, last, cars, obstacles, worlds, points, courses, out):
-    """Write the `state` group of every car of the worlds from `first` to `last`; return 0.
-
-    `out` is float32 (num_cars, num_worlds, SIZE); the rest is as in step.py.
-    """
+    """Write the `state` groups, float32 (num_cars, num_worlds, SIZE); return 0. See step.py."""
     for w in range(first, last):
         course = courses[worlds[w].track]
         for c in range(cars.shape[1]):
@@ -191,10 +188,7 @@ _REACH = f32(REACH)
 
 @compiled
 def truths(first, last, cars, obstacles, worlds, points, courses, out):
-    """Write the `truth` group of every car of the worlds from `first` to `last`; return 0.
-
-    `out` is float32 (num_cars, num_worlds, TRUTH_SIZE); the rest is as in step.py.
-    """
+    """Write the `truth` groups, float32 (num_cars, num_worlds, TRUTH_SIZE); return 0."""
     for w in range(first, last):
         course = courses[worlds[w].track]
         for c in range(cars.shape[1]):
@@ -257,10 +251,7 @@ def _things(car, obstacles, course, sin, cos, out):
 
 
 def due(rate_hz: float, step_hz: int, step: np.ndarray) -> np.ndarray:
-    """Return whether a sensor of this rate is read at these control steps, bool, (num_worlds,).
-
-    `step` counts control steps since the start of each race, int64, (num_worlds,).
-    """
+    """Return whether a sensor of this rate is read at these steps of races, (num_worlds,) each."""
     readings, steps = _share(rate_hz, step_hz)
     # The first step at or after each multiple of the sensor's period, and the start: where
     # floor(step readings / steps) grows. Whole numbers stay exact.

@@ -115,7 +115,9 @@ def step(
             planar.step_world(cars[w], things, course, controls[w], contacts[w], pairs, sim)
         if phases & JUDGE:
             for c in range(num_cars):
-                if not _is_finite(cars[w, c]):
+                car = cars[w, c]
+                motion = car.x + car.y + car.yaw + car.velocity_x + car.velocity_y + car.yaw_rate
+                if not math.isfinite(motion):
                     return BAD_STATE + 4 * (w * num_cars + c)
                 cars[w, c].target_steering = controls[w, c, 0]
                 cars[w, c].target_speed = controls[w, c, 1]
@@ -166,11 +168,7 @@ def reset(
     settings,
     episodes,
 ):
-    """Start the races of some worlds: on the grid, or in training wherever episodes begin.
-
-    `which` holds these worlds, int64 (num_started,); their seeds and tracks have been set. For the
-    rest see `step`.
-    """
+    """Start the races of the worlds `which`, int64, whose seeds and tracks have been set."""
     sim, rules = settings[0], episodes[0]
     for n in range(len(which)):
         w = which[n]
@@ -183,12 +181,6 @@ def reset(
         for c in range(cars.shape[1]):
             episode_kernels.encode(cars[w, c], sim)
             observations.motion(cars[w, c], motions[c, w])
-
-
-@inner
-def _is_finite(car):
-    total = car.x + car.y + car.yaw + car.velocity_x + car.velocity_y + car.yaw_rate
-    return math.isfinite(total)
 
 
 @inner
@@ -233,10 +225,9 @@ def over_worlds(
 ) -> int:
     """Run a compiled loop over all worlds; return its first result that is not 0, else 0.
 
-    Many worlds are shared out among threads; each drives worlds of its own, so results do not
-    depend on their number. They are Python threads, because compiled code releases the interpreter
-    and they survive a fork, unlike OpenMP's. The loop takes the first world, the world behind the
-    last one, and the arguments.
+    It takes the first world, the world behind the last one, and the arguments. Many worlds are
+    shared out among Python threads: compiled code releases the interpreter, and they survive a
+    fork, unlike OpenMP's. Results do not depend on their number.
     """
     if num_worlds * num_cars < 2 * CARS_PER_THREAD or (threads := num_threads()) == 1:
         return loop(0, num_worlds, *arguments)

@@ -90,10 +90,7 @@ def stand(car, points, course, s, lateral):
 
 @inner
 def draw_parameters(car, number, seed, episode, settings):
-    """Draw a car's parameters; without a spread they are the settings.
-
-    `number` is its slot; `episode` makes this draw differ from others of the same seed.
-    """
+    """Draw a car's parameters by its slot and episode; without a spread they are the settings."""
     car.top_speed = settings.max_speed
     half = settings.latency_spread_s * _HALF
     grip, mass = settings.grip_spread, settings.mass_spread
@@ -129,10 +126,7 @@ def blank_book(car, distance, now_s):
 
 @inner
 def move(car, points, course, shift, lateral):
-    """Put a car elsewhere along its track, at rest; its book goes on.
-
-    `shift` is how far along the track from where it is, `lateral` where across the track [m].
-    """
+    """Put a car at rest `shift` along the track from here, at `lateral` [m]; its book goes on."""
     car.distance = car.distance + shift
     stand(car, points, course, car.s + shift, lateral)
     car.still_steps, car.backward_steps = 0, 0
@@ -140,10 +134,7 @@ def move(car, points, course, shift, lateral):
 
 @inner
 def release(car, points, course):
-    """Put a car after its penalty on the nearer lane where it left the road, if it asked for it.
-
-    After a crash the car has been moved already.
-    """
+    """Put a car after its penalty on the nearer lane; after a crash it has been moved already."""
     if car.put_back:
         frame = frame_at(points, course, car.s)
         lateral = frame.left * _HALF if car.lateral > _ZERO else -frame.right * _HALF
@@ -153,12 +144,9 @@ def release(car, points, course):
 
 @inner
 def place_behind(car, target, side, points, course, settings):
-    """Return how to move a crashed car behind what it hit, on the other lane; never forward.
+    """Return how far along and where across [m] to put a crashed car behind what it hit.
 
-    `target` and `side` are the place of what it hit along and across the track [m].
-
-    Returns:
-        How far along the track from where it is [m], and where across the track [m].
+    That lies at `target` along and `side` across the track [m]; the car comes to the other lane.
     """
     shift = min(signed_gap(course, target, car.s) - settings.put_back_behind, _ZERO)
     if not course.closed:
@@ -214,8 +202,7 @@ def is_racing(car):
 def place_obstacles(obstacles, world, points, course, places, settings):
     """Put the obstacles of one world where they stand at the start of its race.
 
-    `places` are fixed places, (fraction of the lap, lane) of each, float32 (num_obstacles, 2), or
-    none.
+    `places` may hold (fraction of the lap, lane) of each, float32 (num_obstacles, 2).
     """
     for k in range(len(obstacles)):
         thing = obstacles[k]

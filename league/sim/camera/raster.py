@@ -84,16 +84,9 @@ def _polygon(pictures, eye, points, count, colour, optics, scratch):
 
 @spliced
 def draw_room(pictures, optics, view, room, things, far, models):
-    """Draw the walls round a room, then the things in it, far to near.
+    """Draw the walls round a room, then the things in it, far to near; see painting.paint.
 
-    Args:
-        pictures: (num_eyes, height, width * channels) uint8, the floor and the sky already there.
-        optics: the lens.
-        view: where the camera is.
-        room: the walls.
-        things: (num_things, THING_COLUMNS).
-        far: things farther than this become what they are when far [m].
-        models: the shapes.
+    Pictures are (num_eyes, height, width * channels) uint8, the floor and the sky already there.
     """
     scratch = np.empty((2 * tables.MOST_CORNERS, 2)), np.empty((pictures.shape[1], 2))
     _walls(pictures, optics, view, room, scratch)

@@ -199,21 +199,12 @@ def _plain(array: np.ndarray) -> np.ndarray:
 
 @compiled
 def stand(rows, car, cars, obstacles, mount, kinds, box_height, colours, poses, things):
-    """Write where the camera of one car is in some worlds, and what it may see there.
+    """Write where the camera of one car is in the worlds `rows`, and what it may see there.
 
-    Args:
-        rows: the worlds, int64 (num_rows,).
-        car: the slot of the car, which does not see itself; -1: no camera, and all cars are seen.
-        cars: CAR records of all worlds (num_worlds, num_cars).
-        obstacles: OBSTACLE records (num_worlds, num_obstacles).
-        mount: how the camera is bolted to the car.
-        kinds: the models of cars and of obstacles, by their numbers.
-        box_height: height of an obstacle that is no car [m].
-        colours: of each car and obstacle, and when it is frozen, as three numbers in the shade and
-            three that full sun adds, float64 (num_rows or 1, num_bodies, 2, 6).
-        poses: set to the fields of Pose, float64 (num_rows, 9).
-        things: set to the cars, by slot, then the obstacles, float64 (num_rows, num_things,
-            THING_COLUMNS).
+    `poses` and `things` are set; see SceneState.tables. The car does not see itself; -1: no camera,
+    and all cars are seen. `kinds` are the numbers of the models of cars and obstacles,
+    `colours` those of each body, and when it is frozen: three numbers in the shade and three that
+    full sun adds, float64 (num_rows or 1, num_bodies, 2, 6).
     """
     for n in range(len(rows)):
         w = rows[n]

@@ -90,10 +90,7 @@ def place(cars, chassis, bodies):
 
 @compiled
 def place_boxes(obstacles, up, bodies):
-    """Write the states of obstacles, float64 (num_worlds, num_obstacles, 13).
-
-    They stand upright, with their middles `up` above the ground [m].
-    """
+    """Write the states of obstacles, upright, with their middles `up` above the ground [m]."""
     for w in range(obstacles.shape[0]):
         for k in range(obstacles.shape[1]):
             thing, body = obstacles[w, k], bodies[w, k]
@@ -105,10 +102,7 @@ def place_boxes(obstacles, up, bodies):
 
 @compiled
 def read_back(cars, chassis, placed, bodies):
-    """Write where the chassis have come to into CAR records; frozen cars keep theirs.
-
-    `placed` are the states that `place` wrote for these records, `bodies` the states now.
-    """
+    """Write where chassis have come to, from `placed` to `bodies`, into cars but frozen ones."""
     height = chassis[0].height
     for w in range(cars.shape[0]):
         for c in range(cars.shape[1]):
@@ -227,10 +221,7 @@ def _foot(body, axes, along, across, height):
 
 @inner
 def _pointing(front, across, wheelbase, steering):
-    """Return the direction of a wheel, ahead and to the left: all four roll about one point.
-
-    That point lies on the line of the rear axle (Ackermann), at wheelbase / tan(steering).
-    """
+    """Return a wheel's direction, ahead and to the left: all roll about one point (Ackermann)."""
     if front < 0.0:
         return 1.0, 0.0
     sin, cos = np.float64(steering[0]), np.float64(steering[1])
