@@ -5,7 +5,6 @@ import json
 import math
 import os
 import re
-import stat
 import struct
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
@@ -194,14 +193,11 @@ def refusing(what: str, advice: str) -> Generator[None]:
 
 def _content(path: Path) -> bytes:
     """Return the bytes of a file that is a plain one and not too large."""
+    if path.exists() and not path.is_file():
+        raise RefusedError("it is no file, but a folder or a device")
     try:
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):
-            raise RefusedError("it is no file, but a folder or a device")
         with path.open("rb") as file:
-            content = file.read(min(status.st_size, MAX_SIZE_CAMERA) + 1)
-    except RefusedError:
-        raise
+            content = file.read(MAX_SIZE_CAMERA + 1)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise RefusedError(f"it cannot be read ({reason})") from error

@@ -117,11 +117,7 @@ def convolutions(cfg: NetworkConfig, shapes: Shapes) -> Iterator[Convolution]:
 
 
 def weight_shapes(cfg: NetworkConfig, shapes: Shapes, outputs: int) -> dict[str, tuple[int, ...]]:
-    """Return the name and shape of every weight, by arithmetic alone: nothing is allocated.
-
-    Raises:
-        ConfigError: a picture is too small for the windows, or the network is too large.
-    """
+    """Return each weight's name and shape, by arithmetic alone; ConfigError if it cannot be."""
     weights: dict[str, tuple[int, ...]] = {}
     flat = sum(shape[0] for shape in shapes.values() if len(shape) == 1)
     if cfg.normalise and flat:

@@ -65,10 +65,7 @@ class Network:
 
     @classmethod
     def of(cls, cfg: NetworkConfig, shapes: Shapes, weights: Mapping[str, np.ndarray]) -> Network:
-        """Put weights, float32 by the names of `network.weight_shapes`, into tables.
-
-        `shapes` are those of one row of each group.
-        """
+        """Put weights by the names of `network.weight_shapes` into tables; shapes are of a row."""
         activation = _ACTIVATIONS.index(cfg.activation)
         flat = sum(shape[0] for shape in shapes.values() if len(shape) == 1)
         layers: list[tuple[int, ...]] = []

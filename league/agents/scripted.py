@@ -5,6 +5,9 @@ are in the way; steer for the path through the targets; ask for the speed that i
 is in the way allow.
 """
 
+# Records have the attributes of their fields.
+# pyright: reportAttributeAccessIssue=false
+
 import math
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass, fields
@@ -138,7 +141,7 @@ class LineDriver:
             self._memory = np.zeros(len(rows), _MEMORY)
         controls = np.empty((2, len(rows)))
         _drive(rows, paces, self._memory, controls, *self._settings)
-        return actions_from(*controls, self._car)
+        return actions_from(controls[0], controls[1], self._car)
 
 
 @compiled(allocates=True)

@@ -129,15 +129,10 @@ def slope(values):
 
 @inner
 def steering_target(gains, speed, errors, road, pace):
-    """Return the new steering target [rad].
+    """Return the new steering target [rad] at a speed ahead, and along the line, the pace [m/s].
 
-    Args:
-        gains: of the car.
-        speed: ahead [m/s].
-        errors: lateral [m], heading [rad], speed to the left [m/s], yaw rate [rad/s], last steering
-            target [rad].
-        road: NODE records with the bends of the path.
-        pace: speed counted along the line [m/s].
+    Errors are lateral [m], heading [rad], speed to the left [m/s], yaw rate [rad/s] and the last
+    steering target [rad]; the road has the bends of the path.
     """
     place = (speed - SLOWEST) / SPEED_STEP
     target = errors[4]

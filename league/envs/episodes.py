@@ -47,13 +47,6 @@ def settings(cfg: EnvConfig) -> np.ndarray:
 
 
 @inner
-def begin_all(encounter, cars, obstacles, world, points, course, places, sim, episodes):
-    """Begin the first episode of every car of one world, which has just been put on the grid."""
-    all_cars = (1 << len(cars)) - 1
-    _restart(all_cars, encounter, cars, obstacles, world, points, course, places, sim, episodes)
-
-
-@inner
 def end_and_begin(done, encounter, cars, obstacles, world, points, course, places, sim, episodes):
     """Begin the next episodes of the cars in the mask `done`; return the mask of those that do."""
     begins = done
@@ -63,7 +56,7 @@ def end_and_begin(done, encounter, cars, obstacles, world, points, course, place
             if ((done & ~begins) >> c) & 1:
                 grid.retire(cars[c])
     if begins:
-        _restart(begins, encounter, cars, obstacles, world, points, course, places, sim, episodes)
+        begin(begins, encounter, cars, obstacles, world, points, course, places, sim, episodes)
         for c in range(len(cars)):
             # A car that begins another episode is to blame for nothing of the last one.
             if (begins >> cars[c].pushed_by) & 1:
@@ -72,7 +65,8 @@ def end_and_begin(done, encounter, cars, obstacles, world, points, course, place
 
 
 @inner
-def _restart(mask, encounter, cars, obstacles, world, points, course, places, sim, episodes):
+def begin(mask, encounter, cars, obstacles, world, points, course, places, sim, episodes):
+    """Begin the next episodes of the cars in a mask."""
     all_begin = mask == (1 << len(cars)) - 1
     if all_begin and len(obstacles) and sim.random_places and world.step > 0:
         # Another seed, and with it other obstacles.

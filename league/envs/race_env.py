@@ -146,16 +146,13 @@ class RaceEnv:
         built_in = {
             name: self._terms[..., rewards.TERMS.index(name)] for name in self.cfg.reward.terms
         }
+        same = ("terminated", "truncated", "began", "near", "attack")
         return Step(
             observations=self._sensors.groups(self._world, self._motions),
             rewards=self._outcomes["reward"],
-            terminated=self._outcomes["terminated"],
-            truncated=self._outcomes["truncated"],
             verdicts=self._verdicts,
             log=built_in if self._reward is None else {},
-            began=self._outcomes["began"],
-            near=self._outcomes["near"],
-            attack=self._outcomes["attack"],
+            **{name: self._outcomes[name] for name in same},
         )
 
     @property
@@ -353,7 +350,8 @@ class RaceEnv:
         seeds = np.asarray(seeds, np.int64)
         if seeds.shape != (self.num_worlds,):
             raise ValueError(f"seeds have shape {seeds.shape}: give ({self.num_worlds},)")
-        limit_s = time_limit(self.tracks, self.cfg, self._world.track)
+        rules, length = self.cfg.sim.rules, self.tracks.length[self._world.track]
+        limit_s = rules.max_time_s or 30.0 + rules.laps * length.astype(np.float64) / 0.25
         # In whole steps, so that no rounding adds one: 2 s are 30 steps.
         self._world.worlds["last_step"] = np.ceil(limit_s * self.cfg.sim.step_hz - 1e-2)
         self._sensors.reset()
@@ -387,11 +385,3 @@ class RaceEnv:
     def _check_open(self) -> None:
         if self._closed:
             raise ConfigError("the environment was closed: make a new one")
-
-
-def time_limit(tracks: TrackSet, cfg: EnvConfig, track: np.ndarray) -> np.ndarray:
-    """Return when each race is stopped [s], (num_worlds,)."""
-    rules, length = cfg.sim.rules, tracks.length[track].astype(np.float64)
-    if rules.max_time_s > 0:
-        return np.full_like(length, rules.max_time_s)
-    return 30.0 + rules.laps * length / 0.25

@@ -175,8 +175,9 @@ def reset(
         world, course = worlds[w], courses[worlds[w].track]
         grid.start(cars[w], obstacles[w], world, points, course, places, sim)
         if rules.training:
-            episode_kernels.begin_all(
-                encounters[w], cars[w], obstacles[w], world, points, course, places, sim, rules
+            all_cars, things = (1 << cars.shape[1]) - 1, obstacles[w]
+            episode_kernels.begin(
+                all_cars, encounters[w], cars[w], things, world, points, course, places, sim, rules
             )
         for c in range(cars.shape[1]):
             episode_kernels.encode(cars[w, c], sim)

@@ -145,11 +145,6 @@ class VisualRandomization(Checked, what="look"):
     noise: float = ranged(0.0, 0.0, 64.0)  # largest standard deviation of a pixel, of 255
     blur: float = ranged(0.0, 0.0, 0.8)  # largest standard deviation of the blur [px], up to 0.8
 
-    @property
-    def is_plain(self) -> bool:
-        """Whether nothing is drawn."""
-        return not (self.light or self.colour or self.noise or self.blur)
-
 
 @dataclass(frozen=True)
 class LidarConfig(Checked, what="lidar"):

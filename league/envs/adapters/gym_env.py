@@ -38,7 +38,6 @@ class LearnerEnv:
         num_worlds: int = 1,
         car: int = 0,
         opponents: Sequence[Driver | str] | None = None,
-        privileged: bool = False,
         **options: Unpack[EnvOptions],
     ) -> None:
         make.check_whole("num_envs", num_worlds, 1)
@@ -71,7 +70,6 @@ class LearnerEnv:
         reward = load_reward(options.get("reward"), tracks, cfg, num_worlds, (car,))
         self.env, self.car = RaceEnv(tracks, cfg, num_worlds=num_worlds, reward=reward), car
         self.sensors, self.infos = cfg.sensors_of(car), spaces.Infos(self.env, car)
-        self.space = spaces.observation_space(self.sensors, privileged)
         self._opponents = Opponents(dict(zip(others, drivers, strict=True)))
         self._actions = np.zeros((num_worlds, len(carried), SIZE), np.float32)
 
@@ -179,12 +177,11 @@ class GymEnv(gymnasium.Env[Any, np.ndarray]):
             LeagueError: an unknown track or name, or settings that contradict each other.
         """
         make.check_options(options, GymEnv.__init__)
-        field: dict[str, Any] = {"car": car, "opponents": opponents, "privileged": privileged}
-        self.learner = LearnerEnv(track, kind, sensors, **field, **options)
+        self.learner = LearnerEnv(track, kind, sensors, car=car, opponents=opponents, **options)
         self.render_mode = render_mode
         self._renderer = EnvRenderer(self.learner.env, render_mode, view, car)
-        self.observation_space = self.learner.space
-        self._reader, self._infos = spaces.ObservationReader(self.learner.space), self.learner.infos
+        self.observation_space = spaces.observation_space(self.learner.sensors, privileged)
+        self._reader = spaces.ObservationReader(self.observation_space)
         self.action_space = spaces.action_space()
         self._over = True
 
@@ -196,7 +193,7 @@ class GymEnv(gymnasium.Env[Any, np.ndarray]):
         groups = self.learner.reset([make.draw_seed(self.np_random)])
         self._over = False
         self._renderer.reset()
-        return self._reader.read(groups), self._infos.of_first(None)
+        return self._reader.read(groups), self.learner.infos.of_first(None)
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Drive for 1/15 s; ActionError if the action is not sound, or the race over."""
@@ -207,7 +204,7 @@ class GymEnv(gymnasium.Env[Any, np.ndarray]):
         terminated, truncated = step.terminated.item(0, car), step.truncated.item(0, car)
         self._over = terminated or truncated
         observation = self._reader.read(step.observations[car])
-        info = self._infos.of_first(step)
+        info = self.learner.infos.of_first(step)
         return observation, step.rewards.item(0, car), terminated, truncated, info
 
     def render(self) -> np.ndarray | None:
@@ -264,8 +261,9 @@ class GymVectorEnv(VectorEnv[Observation, np.ndarray, np.ndarray]):
         make.check_options(options, GymVectorEnv.__init__)
         if max_episode_steps is not None:
             options.setdefault("max_steps", max_episode_steps)
-        field: dict[str, Any] = {"car": car, "opponents": opponents, "privileged": privileged}
-        self.learner = LearnerEnv(track, kind, sensors, num_worlds=num_envs, **field, **options)
+        self.learner = LearnerEnv(
+            track, kind, sensors, num_worlds=num_envs, car=car, opponents=opponents, **options
+        )
         modes = [mode.value for mode in AutoresetMode]
         if autoreset_mode not in (*AutoresetMode, *modes):
             raise ConfigError(
@@ -273,7 +271,7 @@ class GymVectorEnv(VectorEnv[Observation, np.ndarray, np.ndarray]):
             )
         self.num_envs, self.autoreset_mode = num_envs, AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
-        self.single_observation_space, self._infos = self.learner.space, self.learner.infos
+        self.single_observation_space = spaces.observation_space(self.learner.sensors, privileged)
         self.single_action_space = spaces.action_space()
         self.observation_space = spaces.batched(self.single_observation_space, num_envs)
         self._reader = spaces.ObservationReader(self.observation_space)
@@ -311,54 +309,43 @@ class GymVectorEnv(VectorEnv[Observation, np.ndarray, np.ndarray]):
         if not self._seeds.begun:
             raise ActionError("step was called before the first reset: call reset")
         actions, ended = checked(actions, "the learners", rows=self.num_envs), self._done
-        if self.autoreset_mode != AutoresetMode.NEXT_STEP:
-            return self._step_alone(actions)
-        if ended.any():
-            step = self.learner.step(actions, ended, self._seeds.draw(ended))
-        else:
-            step = self.learner.step(actions)
-        car = self.learner.car
-        terminated = step.terminated[:, car] & ~ended
-        truncated = step.truncated[:, car] & ~ended
-        rewards = np.where(ended, 0.0, step.rewards[:, car].astype(np.float64))
-        self._done = terminated | truncated
-        observations = self._reader.read(step.observations[car])
-        return observations, rewards, terminated, truncated, self._info(step, ended)
-
-    def _step_alone(
-        self, actions: np.ndarray
-    ) -> tuple[Observation, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Drive all races, and in mode SAME_STEP restart those that have ended."""
-        if self._done.any():
+        if ended.any() and self.autoreset_mode != AutoresetMode.NEXT_STEP:
             raise ActionError(
-                f"step was called while race {int(self._done.argmax())} is over: call "
+                f"step was called while race {int(ended.argmax())} is over: call "
                 'reset(options={"reset_mask": ended})'
             )
-        step, car = self.learner.step(actions), self.learner.car
-        terminated, truncated = step.terminated[:, car].copy(), step.truncated[:, car].copy()
-        rewards, done = step.rewards[:, car].astype(np.float64), terminated | truncated
-        observations, info = self._reader.read(step.observations[car]), self._info(step)
-        if self.autoreset_mode == AutoresetMode.DISABLED:
+        restart = (ended, self._seeds.draw(ended)) if ended.any() else ()
+        step, car = self.learner.step(actions, *restart), self.learner.car
+        terminated, truncated = step.terminated[:, car] & ~ended, step.truncated[:, car] & ~ended
+        rewards = np.where(ended, 0.0, step.rewards[:, car].astype(np.float64))
+        observations, info = self._reader.read(step.observations[car]), self._info(step, ended)
+        done = terminated | truncated
+        if self.autoreset_mode != AutoresetMode.SAME_STEP:
             self._done = done
         elif done.any():
-            final = np.full(self.num_envs, None, object)
-            for race in np.flatnonzero(done):
-                final[race] = {name: values[race] for name, values in observations.items()}
-            self.learner.restart(done, self._seeds.draw(done))
-            observations = self._reader.read(self.learner.env.observations[car])
-            begun = self._infos.of_all(None)
-            begun = spaces.masked(spaces.mixed(done, begun, info), self.num_envs)
-            info = begun | {
-                "final_obs": final, "_final_obs": done, "final_info": info, "_final_info": done,
-            }  # fmt: skip
+            observations, info = self._restarted(done, observations, info)
         return observations, rewards, terminated, truncated, info
+
+    def _restarted(
+        self, done: np.ndarray, final: Observation, info: dict[str, Any]
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Restart races; return what they observe, and infos with what they observed last."""
+        last = np.full(self.num_envs, None, object)
+        for race in np.flatnonzero(done):
+            last[race] = {name: values[race] for name, values in final.items()}
+        self.learner.restart(done, self._seeds.draw(done))
+        begun = spaces.mixed(done, self.learner.infos.of_all(None), info)
+        ended = {"final_obs": last, "final_info": info}
+        masks = {f"_{name}": done for name in ended}
+        observations = self._reader.read(self.learner.env.observations[self.learner.car])
+        return observations, spaces.masked(begun, self.num_envs) | ended | masks
 
     def close_extras(self, **kwargs: Any) -> None:  # noqa: ANN401
         """Close the physics engine."""
         self.learner.env.close()
 
     def _info(self, step: Step | None, ended: np.ndarray | None = None) -> dict[str, Any]:
-        info = self._infos.of_all(step)
+        info = self.learner.infos.of_all(step)
         if ended is not None and ended.any():
-            info = spaces.mixed(ended, self._infos.of_all(None), info)
+            info = spaces.mixed(ended, self.learner.infos.of_all(None), info)
         return spaces.masked(info, self.num_envs)

@@ -194,7 +194,9 @@ class RacingVecEnv(VecEnv):
             self.watch(self._env.world)
         self._opponents.forget(step.began)
         dones = self._rows(step.terminated | step.truncated).to(torch.int64)
-        laps_driven = self._laps_driven + self._rows(step.verdicts["advance"]) / self._lap_lengths
+        lengths = self._env.tracks.length[self._env.world.track].repeat(len(self.learners))
+        laps = self._rows(step.verdicts["advance"]) / torch.from_numpy(lengths).to(self.device)
+        laps_driven = self._laps_driven + laps
         self._laps_driven = torch.where(dones > 0, 0.0, laps_driven)
         extras = {"time_outs": self._rows(step.truncated), "log": self._log(step)}
         extras["driven"] = laps_driven
@@ -208,12 +210,6 @@ class RacingVecEnv(VecEnv):
         """Return a copy of the learners' values on the rows' device, (num_envs, ...)."""
         mine = values[:, self._columns].reshape(self.num_envs, *values.shape[2:])
         return torch.from_numpy(mine).to(self.device)
-
-    @property
-    def _lap_lengths(self) -> Tensor:
-        """Length of the lap each row drives [m], (num_envs,)."""
-        lengths = self._env.tracks.length[self._env.world.track]
-        return torch.from_numpy(lengths.repeat(len(self.learners))).to(self.device)
 
     def _stacked(self, groups: list[np.ndarray]) -> Tensor:
         """Return one group of all rows: a copy, because the environment overwrites its own."""

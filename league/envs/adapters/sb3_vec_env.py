@@ -40,10 +40,11 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]  # without the extra
     ) -> None:
         """Set up the races, by the arguments of GymVectorEnv."""
         make.check_options(options, SB3VecEnv.__init__)
-        field: dict[str, Any] = {"car": car, "opponents": opponents, "privileged": privileged}
-        self.learner = LearnerEnv(track, kind, sensors, num_worlds=num_envs, **field, **options)
+        self.learner = LearnerEnv(
+            track, kind, sensors, num_worlds=num_envs, car=car, opponents=opponents, **options
+        )
         self.sensors, self.render_mode = self.learner.sensors, None
-        single, self._infos = self.learner.space, self.learner.infos
+        single = spaces.observation_space(self.sensors, privileged)
         self._reader = spaces.ObservationReader(spaces.batched(single, num_envs))
         self._race_seeds, self._actions = Seeds(num_envs), np.zeros((num_envs, 2), np.float32)
         self._returns, self._lengths = np.zeros(num_envs), np.zeros(num_envs, np.int64)
@@ -74,7 +75,7 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]  # without the extra
         observations = self._reader.read(groups)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if dones.any():
-            ended = self._infos.of_all(step)
+            ended = self.learner.infos.of_all(step)
             for race in np.flatnonzero(dones).tolist():
                 infos[race] = {name: values[race].item() for name, values in ended.items()} | {
                     "terminal_observation": {n: v[race] for n, v in observations.items()},

@@ -194,7 +194,7 @@ def _shares_at(x, y):
 @inner
 def _fixed(number):
     """Return a number as int32; floor so far away that it does not fit lies behind a wall."""
-    return int32(min(max(number, -2147483000.0), 2147483000.0))
+    return int32(min(max(number, -2147483000.0), 2147483000.0))  # type: ignore
 
 
 @inner(allocates=True)

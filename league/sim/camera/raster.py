@@ -141,7 +141,7 @@ def _lit(colour, light, facing):
     """Write the colour of a face that the sun meets at an angle of this cosine."""
     for channel in range(3):
         full = light[channel] + max(facing, 0.0) * light[3 + channel]
-        colour[channel] = uint8(min(full + 0.5, 255.0))
+        colour[channel] = uint8(min(full + 0.5, 255.0))  # type: ignore
 
 
 # Things --------------------------------------------------------------------------------------

@@ -46,7 +46,7 @@ class Renderer(ABC):
         """Work out the lens; `looks` randomises the pictures, `sky` is above the walls."""
         self._sky = sky
         self._tracks, self._sim, self._camera = tracks, sim, camera
-        self._looks = None if looks is None or looks.is_plain else looks
+        self._looks = None if looks in (None, VisualRandomization()) else looks
         self._lens = Lens.of(camera)
         self._floors: dict[int, Floor] = {}
 

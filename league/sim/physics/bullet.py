@@ -237,7 +237,7 @@ class BulletSolver:
             obstacles.append(self._box(client, place, body, _OBSTACLE))
         # Bullet takes a body's new inertia into use when it moves it.
         pybullet.stepSimulation(physicsClientId=client)
-        walls = self._build_walls(client, *self._rooms[plan.track])
+        walls = self._build_walls(client, self._rooms[plan.track])
         ground = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
         self._body(client, ground, _Body([]), [0, 0, 0], _WALL)
         return _Stage(plan, cars, obstacles, walls, [False] * len(cars))
@@ -255,9 +255,8 @@ class BulletSolver:
         weight = (HEAVY, _UNTURNED) if held else (mass, inertia)
         return _Body(half_sizes, *weight, middles)
 
-    def _build_walls(
-        self, client: int, x_min: float, y_min: float, x_max: float, y_max: float
-    ) -> list[int]:
+    def _build_walls(self, client: int, room: list[float]) -> list[int]:
+        x_min, y_min, x_max, y_max = room
         half_x, half_y = (x_max - x_min) / 2 + 2 * HALF_WALL, (y_max - y_min) / 2
         mid_x, mid_y = (x_min + x_max) / 2, (y_min + y_max) / 2
         boxes = (

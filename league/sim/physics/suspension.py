@@ -14,14 +14,7 @@ import numpy as np
 from league.jit import compiled, inner
 from league.portable_math import f32, heading_of, sincos, wrap_angle
 from league.sim.config import CarConfig
-from league.sim.physics.vehicle import (
-    asked_acceleration,
-    drive_force,
-    frozen,
-    late_steps,
-    lateral_force,
-    steered,
-)
+from league.sim.physics import vehicle
 from league.sim.settings import GRAVITY
 
 LEAST_UPRIGHT = 0.5  # cosine of the lean beyond which no wheel carries the car (60 deg)
@@ -107,7 +100,7 @@ def read_back(cars, chassis, placed, bodies):
     for w in range(cars.shape[0]):
         for c in range(cars.shape[1]):
             car, body = cars[w, c], bodies[w, c]
-            if frozen(car):
+            if vehicle.frozen(car):
                 continue
             old_x, old_y = _axes(placed[w, c])[:2]
             xx, xy, xz, yx, yy, yz, zx, zy, zz = _axes(body)
@@ -133,27 +126,21 @@ def read_back(cars, chassis, placed, bodies):
 
 @compiled
 def loads(cars, bodies, controls, sim, chassis, k, out):
-    """Turn every car's wheels by one physics step, and write what acts on it.
+    """Turn every car's wheels by physics step `k` of a control step, and write what acts on it.
 
-    Args:
-        cars: CAR records (num_worlds, num_cars).
-        bodies: states of the chassis, float64 (num_worlds, num_cars, 13).
-        controls: target steering [rad] and speed [m/s], float32 (num_worlds, num_cars, 2).
-        sim: SETTINGS record, shape (1,).
-        chassis: CHASSIS record, shape (1,).
-        k: number of the physics step in its control step.
-        out: force [N] and torque about the centre of mass [N m], world frame, float64 (num_worlds,
-            num_cars, 6).
+    Controls are target steering [rad] and speed [m/s], float32 (num_worlds, num_cars, 2); `out` is
+    set to force [N] and torque about the centre of mass [N m], world frame, float64 (num_worlds,
+    num_cars, 6).
     """
     for w in range(cars.shape[0]):
         for c in range(cars.shape[1]):
             car = cars[w, c]
-            if frozen(car):
+            if vehicle.frozen(car):
                 continue
-            late = late_steps(car, sim[0]) > k
+            late = vehicle.late_steps(car, sim[0]) > k
             speed = car.target_speed if late else controls[w, c, 1]
             target = car.target_steering if late else controls[w, c, 0]
-            car.steering = steered(car, sim[0], target)
+            car.steering = vehicle.steered(car, sim[0], target)
             _load(car, bodies[w, c], sim[0], chassis[0], speed, out[w, c])
 
 
@@ -172,7 +159,7 @@ def _load(car, body, settings, chassis, target_speed, out):
         body[8] - (body[12] * zx - body[10] * zz) * height
     )
     # Open differentials: each wheel is asked for a quarter of the force.
-    asked = asked_acceleration(settings, target_speed, f32(ahead)) * car.mass * _QUARTER
+    asked = vehicle.asked_acceleration(settings, target_speed, f32(ahead)) * car.mass * _QUARTER
     cap, slope = chassis.cap * car.mass, settings.slope_of_grip / car.grip
     steering, share = sincos(car.steering), mass * (GRAVITY / 4)
     for front, left in _WHEELS:
@@ -189,8 +176,8 @@ def _load(car, body, settings, chassis, target_speed, out):
         rolling = f32(vx * wheel_x + vy * wheel_y)
         sliding = f32(vy * wheel_x - vx * wheel_y)
         grip = max(f32(load), _LEAST_LOAD) * car.grip
-        drive = drive_force(asked, rolling, grip, cap)
-        lateral = lateral_force(sliding, rolling, drive, grip, slope, cap)
+        drive = vehicle.drive_force(asked, rolling, grip, cap)
+        lateral = vehicle.lateral_force(sliding, rolling, drive, grip, slope, cap)
         fx, fy = wheel_x * drive - wheel_y * lateral, wheel_y * drive + wheel_x * lateral
         out[0] += fx
         out[1] += fy

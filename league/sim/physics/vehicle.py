@@ -80,10 +80,7 @@ def asked_acceleration(settings, target_speed, speed):
 
 @inner
 def push(car, settings, target_steering, target_speed):
-    """Return what acts on a car for one physics step.
-
-    The target angle of the front wheels [rad] is clipped to the largest; the speed is in m/s.
-    """
+    """Return what acts on a car in a physics step, at target steering [rad] and speed [m/s]."""
     steering = steered(car, settings, target_steering)
     sin, cos = sincos(car.yaw)
     sin_wheel, cos_wheel = sincos(steering)

@@ -6,7 +6,7 @@ import atexit
 import math
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from league.times import duration
 from league.training.monitor.history import TrainingCallback
@@ -116,9 +116,15 @@ class Dashboard(TrainingCallback):
             body += [Text(""), _charts(history, width - 4), Text(""), _figures(history)]
         if self._racing:
             body.append(Text(f"{self._racing} ...", style="dim"))
-        title = Text(f"{self._name} · {self._kind}", style="bold")
-        look: dict[str, Any] = {"title_align": "left", "box": box.ROUNDED, "border_style": "dim"}
-        yield Panel(Group(*body), title=title, padding=(0, 1), width=width, **look)
+        yield Panel(
+            Group(*body),
+            title=Text(f"{self._name} · {self._kind}", style="bold"),
+            title_align="left",
+            box=box.ROUNDED,
+            border_style="dim",
+            padding=(0, 1),
+            width=width,
+        )
 
     def _budget(self) -> RenderableType:
         from rich.progress_bar import ProgressBar

@@ -159,6 +159,7 @@ class LiveView(TrainingCallback):
 
 
 EVERY_S = 60.0  # seconds between two plots while learning goes on: one takes about half a second
+_TEXT: dict[str, Any] = {"color": INK, "fontsize": 10, "textcoords": "offset points"}
 _EARNED, _DRIVEN, _EVALUATED, _BEST = "#2f9e63", "#3178c6", "#d9483b", "#e0a100"
 
 
@@ -209,8 +210,14 @@ def plot_figure(history: TrainingHistory) -> Figure:
     _shade_teacher(history, reward)
     _mark_best(history, completion)
     _label_axes(history, completion, reward)
-    place: dict[str, Any] = {"loc": "outside lower center", "ncols": 3, "frameon": False}
-    drawn.legend(handles=lines, fontsize=10, labelcolor=INK, **place)
+    drawn.legend(
+        handles=lines,
+        loc="outside lower center",
+        ncols=3,
+        frameon=False,
+        fontsize=10,
+        labelcolor=INK,
+    )
     return drawn
 
 
@@ -228,9 +235,14 @@ def _lines(history: TrainingHistory, completion: Axes, reward: Axes) -> list[Any
 
     draw(reward, updates, "earned", "reward (training)", color=_EARNED, alpha=0.9)
     draw(completion, updates, "completion", "% completion (training)", color=_DRIVEN)
-    label, dots = "% completion (evaluation)", {"marker": "o", "markersize": 5, "clip_on": False}
-    style = {"color": _EVALUATED, "markeredgecolor": "white", **dots}
-    draw(completion, evaluations, "completion", label, **style)
+    draw(
+        *(completion, evaluations, "completion", "% completion (evaluation)"),
+        color=_EVALUATED,
+        marker="o",
+        markersize=5,
+        markeredgecolor="white",
+        clip_on=False,
+    )
     completion.set_xlim(0, max(history.updates[-1].time_s, 1e-9))
     return lines
 
@@ -241,9 +253,9 @@ def _shade_teacher(history: TrainingHistory, axes: Axes) -> None:
     if not taught_s:
         return
     axes.axvspan(0, taught_s[-1], color=GRID, alpha=0.6, linewidth=0, zorder=0)
-    inside = {"xycoords": "axes fraction", "textcoords": "offset points"}
-    text = {"va": "top", "color": INK, "fontsize": 10}
-    axes.annotate("the teacher learns", (0.0, 1.0), xytext=(6, -22), **inside, **text)
+    axes.annotate(
+        "the teacher learns", (0, 1), xytext=(6, -22), xycoords="axes fraction", va="top", **_TEXT
+    )
 
 
 def _mark_best(history: TrainingHistory, axes: Axes) -> None:
@@ -252,18 +264,32 @@ def _mark_best(history: TrainingHistory, axes: Axes) -> None:
         return
     (best_s,) = history.learnt_s([best])
     axes.axvline(best_s, color=_BEST, linewidth=1.2, linestyle=(0, (4, 3)), zorder=1)
-    star: dict[str, Any] = {"marker": "*", "markersize": 19, "markeredgecolor": "white"}
-    star |= {"markeredgewidth": 1.2, "color": _BEST, "clip_on": False, "zorder": 5}
-    axes.plot(best_s, best.completion, **star)
+    axes.plot(
+        best_s,
+        best.completion,
+        marker="*",
+        markersize=19,
+        color=_BEST,
+        markeredgecolor="white",
+        markeredgewidth=1.2,
+        zorder=5,
+        clip_on=False,
+    )
     label = "best model"
     if best.best_lap_s is not None:
         label += f": {best.best_lap_s:.2f} s a lap"
     right = best_s < 0.6 * axes.get_xlim()[1]
     # At the foot, below the curves: where a policy is good they are high.
-    box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 2.0}
-    text: dict[str, Any] = {"color": INK, "fontsize": 10, "fontweight": "bold", "bbox": box}
-    text |= {"textcoords": "offset points", "ha": "left" if right else "right", "zorder": 6}
-    axes.annotate(label, (best_s, 0.0), xytext=(9 if right else -9, 12), **text)
+    axes.annotate(
+        label,
+        (best_s, 0.0),
+        xytext=(9 if right else -9, 12),
+        ha="left" if right else "right",
+        fontweight="bold",
+        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 2.0},
+        zorder=6,
+        **_TEXT,
+    )
 
 
 def _label_axes(history: TrainingHistory, completion: Axes, reward: Axes) -> None:

@@ -144,9 +144,14 @@ class Learner:
             self._average[name].lerp_(value, share)
         if self.at_save_point:
             self.restart_rows()
-        took_s = collected - started, time.perf_counter() - collected
         return Update(
-            *(self.updates, self.samples, *took_s, reward, losses, log),
+            number=self.updates,
+            samples=self.samples,
+            collect_s=collected - started,
+            learn_s=time.perf_counter() - collected,
+            reward=reward,
+            losses=losses,
+            log=log,
             learning_rate=self._alg.learning_rate,
             mean_std=float(self._alg.get_policy().output_std.detach().mean()),
             episode_steps=self.episodes.steps,
