@@ -193,7 +193,7 @@ def refusing(what: str, advice: str) -> Generator[None]:
 
 def _content(path: Path) -> bytes:
     """Return the bytes of a file that is a plain one and not too large."""
-    if path.exists() and not path.is_file():
+    if os.path.exists(path) and not os.path.isfile(path):
         raise RefusedError("it is no file, but a folder or a device")
     try:
         with path.open("rb") as file:
