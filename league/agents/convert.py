@@ -81,7 +81,7 @@ def from_modules(
     if linear:
         linear, dense = _passing(linear, dense, vector, activations[0])
     dense = linear + dense
-    windows: dict[str, tuple[int, ...]] = {}
+    windows: dict[str, Any] = {}
     if kernels:
         sides = tuple(weight.shape[2] for weight in kernels)
         windows = {"channels": tuple(map(len, kernels)), "kernels": sides, "strides": seen}

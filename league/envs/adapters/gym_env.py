@@ -314,8 +314,9 @@ class GymVectorEnv(VectorEnv[Observation, np.ndarray, np.ndarray]):
                 f"step was called while race {int(ended.argmax())} is over: call "
                 'reset(options={"reset_mask": ended})'
             )
-        restart = (ended, self._seeds.draw(ended)) if ended.any() else ()
-        step, car = self.learner.step(actions, *restart), self.learner.car
+        seeds = self._seeds.draw(ended) if ended.any() else None
+        step = self.learner.step(actions, None if seeds is None else ended, seeds)
+        car = self.learner.car
         terminated, truncated = step.terminated[:, car] & ~ended, step.truncated[:, car] & ~ended
         rewards = np.where(ended, 0.0, step.rewards[:, car].astype(np.float64))
         observations, info = self._reader.read(step.observations[car]), self._info(step, ended)
