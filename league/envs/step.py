@@ -168,7 +168,7 @@ def reset(
     settings,
     episodes,
 ):
-    """Start the races of the worlds `which`, int64, whose seeds and tracks have been set."""
+    """Start the races of the worlds `which`, int64; their seeds and tracks have been set."""
     sim, rules = settings[0], episodes[0]
     for n in range(len(which)):
         w = which[n]

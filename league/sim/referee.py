@@ -26,7 +26,7 @@ def judge(before, cars, obstacles, world, verdicts, contacts, points, course, se
     """Write down what happened to the cars of one world in a control step; see records.py.
 
     `before` are the cars before the step, `cars` those after physics, still with the old book; it
-    is brought up to date, and so are `leader` and `lead_changes` of the world, whose step has been
+    is brought up to date, and so are `leader` and `lead_changes` of the world, after its step was
     counted up. Verdicts are overwritten.
     """
     wanted = world.step % blame.PACE_EVERY == 0
