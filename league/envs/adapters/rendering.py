@@ -17,18 +17,14 @@ if TYPE_CHECKING:
 
 MODES = ("rgb_array", "human")
 VIEWS = ("chase", "top")
-SIZE = (640, 360)
-"""Width and height of pictures."""
+SIZE = (640, 360)  # width and height of pictures
 
 
 class EnvRenderer:
     """Shows the first world of a RaceEnv; it never changes it."""
 
     def __init__(self, env: RaceEnv, mode: str | None, view: str, car: int | None = None) -> None:
-        """Check the arguments; nothing is opened yet.
-
-        The chase camera follows `car`; None: the leader.
-        """
+        """Check the arguments. The chase camera follows `car`; None: the leader."""
         if mode is not None and mode not in MODES:
             raise ConfigError(f"render_mode is {mode!r}: choose one of {', '.join(MODES)}, or None")
         if view not in VIEWS:
