@@ -51,7 +51,7 @@ class RatingSettings:
     slot_sd: float = 300.0
     """How far two grid slots may differ in worth, before any race [Elo]."""
     dense_most: int = systems.DENSE_MOST
-    """Entries up to which variances are exact; in larger fields they are estimated to about 1 %."""
+    """Entries that met others up to which variances are exact; of more they are right to 1 %."""
 
     def __post_init__(self) -> None:
         for name in ("prior_sd", "slot_sd"):
@@ -184,6 +184,8 @@ class _Model:
         tiny everywhere, near the fixed point or not. So the root of its drift is sought, by
         Newton's steps on the logarithm of the variance, kept within a bracket.
         """
+        if not len(self._counts.met):
+            return self.at(USUAL_SPREAD)
         bounds = low, high = tuple(float(2 * np.log(limit)) for limit in SPREAD_LIMITS)
         spread = float(np.clip(2 * np.log(self._spread), low, high))
         enough, last = self._enough, None
@@ -212,18 +214,21 @@ class _Model:
         return self.at(float(np.exp(0.5 * spread)))
 
     def _drift(self, posterior: Posterior, spread: float) -> tuple[float, float, np.ndarray]:
-        """Return the EM step, its slope by the logarithm of the variance, and the parameters'."""
-        size = self._counts.num_entries
-        strengths = posterior.parameters[:size]
+        """Return the EM step, its slope by the logarithm of the variance, and the parameters'.
+
+        Entries that met no other tell nothing of the spread, so they are left out of its means.
+        """
+        met = self._counts.met
+        size, strengths = len(met), posterior.parameters[met]
         precision = np.exp(-spread) * ELO**2
         right = np.zeros(self._counts.size)
-        right[:size] = precision * strengths
+        right[met] = precision * strengths
         # As the prior loosens, d strengths = H^-1 (precision strengths) du, and their variances
         # change by d H^-1 = H^-1 precision H^-1 du.
         towards = posterior.system.solve(right, within=1e-4)
         variance, twice = posterior.system.mean_variance()
         square = float((strengths**2).mean()) + variance
-        rise = 2.0 * float(strengths @ towards[:size]) / size + precision * twice
+        rise = 2.0 * float(strengths @ towards[met]) / size + precision * twice
         likeliest = _likeliest(square * ELO**2, size)
         data = size * square * ELO**2 * np.exp(-likeliest)
         share = data / (data + 2 / (2 * SPREAD_DOUBT) ** 2)

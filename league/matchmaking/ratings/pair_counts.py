@@ -124,6 +124,11 @@ class PairCounts:
         return self.num_entries + self.num_slots
 
     @cached_property
+    def met(self) -> np.ndarray:
+        """Entries that met others, ascending."""
+        return np.union1d(self.one, self.other)
+
+    @cached_property
     def pair(self) -> np.ndarray:
         """Pair of each cell, (cells,)."""
         cells = np.diff(np.append(self.starts, len(self.sides)))
