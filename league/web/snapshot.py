@@ -59,9 +59,6 @@ class Snapshot:
         for name in (*SHARED, "rows", "clean_laps", "car_counts"):
             getattr(self, name)
         _ = self.counted.index
-        if self.rated:
-            none = np.empty(0, int)
-            self.rated.ratings.gap_variances(none, none)  # what all differences need
 
     @cached_property
     def by_number(self) -> dict[int, LeagueEntry]:

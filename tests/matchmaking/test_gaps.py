@@ -54,18 +54,6 @@ def test_differences_by_iteration_are_the_exact_ones_as_they_are_printed(met, ca
     assert found[-1] == 0.0
 
 
-def test_a_bound_on_what_is_left_keeps_the_models_variance_right(monkeypatch):
-    generator = np.random.default_rng(8)
-    results = raced(generator, generator.normal(0, 150, SIZE), clusters(generator))
-    rated = fit(results, BY_ITERATION)
-    one, other = generator.integers(0, len(rated.entries), (2, 40))
-    loose = rated.gap_variances(one, other)
-    monkeypatch.setattr("league.matchmaking.ratings.systems.GAP_ERROR", 1e-14)
-    exact = rated.gap_variances(one, other)
-    assert np.sqrt(loose) == pytest.approx(np.sqrt(exact), rel=5e-3)
-    assert np.abs(np.sqrt(loose) - np.sqrt(exact)).max() < 0.25  # Elo; whole ones are printed
-
-
 @pytest.mark.parametrize("settings", [None, BY_ITERATION])
 def test_no_differences_at_all_are_none(settings):
     generator = np.random.default_rng(8)

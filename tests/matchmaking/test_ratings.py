@@ -636,7 +636,7 @@ def test_ranks_that_the_races_allow_are_those_of_whole_intervals():
     # 95 % are 1.96 sd to each side: 1200 +- 20, 1100 +- 98, 1000 +- 59 and 800 +- 20.
     field = fit(results_of([]), entries=range(4))
     elo, sd = np.array([800.0, 1200.0, 1000.0, 1100.0]), np.array([10.0, 10.0, 30.0, 50.0])
-    rated = replace(field, elo=elo, sd=sd, provisional=np.zeros(4, bool))
+    rated = replace(field, elo=elo, sd=sd, connected=np.ones(4, bool))
     best, worst = rated.possible_ranks()
     # 1198 reaches beyond 1180, and 1059 beyond 1002; all of the last one is below 941.
     assert (best.tolist(), worst.tolist()) == ([0, 0, 1, 3], [1, 2, 2, 3])

@@ -13,12 +13,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse import csgraph
 
 from league.errors import ConfigError
 from league.matchmaking.pairing.heat_spec import Ruleset
-from league.matchmaking.ratings.pair_counts import ELO
+from league.matchmaking.ratings.pair_counts import ELO, groups
 from league.matchmaking.ratings.table import PROVISIONAL_SD
 from league.matchmaking.store.records import RATED, EntryState
 
@@ -317,6 +315,4 @@ def _groups(entries: np.ndarray, meetings: Meetings) -> np.ndarray:
     known = np.unique([*entries, *(entry for pair in meetings for entry in pair)])
     pairs = np.array([pair for pair, count in meetings.items() if count > 0], dtype=np.int64)
     one, other = np.searchsorted(known, pairs.reshape(-1, 2)).T
-    graph = sparse.coo_array((np.ones(len(one)), (one, other)), shape=(len(known), len(known)))
-    group = csgraph.connected_components(graph, directed=False)[1]
-    return group[np.searchsorted(known, entries)]
+    return groups(one, other, len(known))[np.searchsorted(known, entries)]

@@ -10,10 +10,9 @@ from scipy.special import wrightomega
 
 from league.errors import ConfigError
 from league.matchmaking.ratings import systems
-from league.matchmaking.ratings.pair_counts import ELO, RatingData, Results, slope
+from league.matchmaking.ratings.pair_counts import ELO, RatingData, Results, groups, slope
 from league.matchmaking.ratings.systems import Squares, Variances
 from league.matchmaking.ratings.table import (
-    PROVISIONAL_SD,
     SIGMAS_95,
     Carried,
     Posterior,
@@ -269,7 +268,7 @@ def _ratings(
     if anchor is not None:  # what is published is the lead over the anchor
         elo_sd = ELO * np.sqrt(variances.against(int(np.searchsorted(entries, anchor))))
     pairs, points = data.counts.points()
-    group = data.counts.groups()
+    group = groups(data.counts.one, data.counts.other, size)
     if anchor is not None:
         home = group[np.searchsorted(entries, anchor)]
     else:
@@ -284,9 +283,7 @@ def _ratings(
         races=races,
         pairs=pairs,
         points=points,
-        provisional=(sd > PROVISIONAL_SD) | ~connected,
         connected=connected,
-        one_sided=(pairs > 0) & ((points == 0) | (points == pairs)),
         slot_advantages=ELO * posterior.parameters[size:],
         slot_sd=ELO * np.sqrt(variances.slots()),
         prior_sd=posterior.prior_sd,

@@ -182,10 +182,6 @@ class PairCounts:
         shape = (self.num_entries, self.num_entries)
         return sparse.csr_array((values, self._columns, self._bounds), shape=shape)
 
-    def groups(self) -> np.ndarray:
-        """Return each entry's group; no chain of races leads from one group to another."""
-        return csgraph.connected_components(self.graph(np.ones(len(self.one))), directed=False)[1]
-
     def points(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the pairs each entry was in and the points it made in them, (entries,) both."""
         met, won = self.by_pair(self.meetings), self.by_pair(self.won)
@@ -252,6 +248,12 @@ class Slope:
 def score(places_one: np.ndarray, places_other: np.ndarray) -> np.ndarray:
     """Return the points of the one: 1, 0.5 for a tie, or 0."""
     return 0.5 + 0.5 * np.sign(places_other - places_one)
+
+
+def groups(one: np.ndarray, other: np.ndarray, size: int) -> np.ndarray:
+    """Return the group of each entry, (size,): no chain of pairs leads from one to another."""
+    graph = sparse.coo_array((np.ones(len(one)), (one, other)), shape=(size, size))
+    return csgraph.connected_components(graph, directed=False)[1]
 
 
 def slot_pairs(results: Results) -> list[tuple[int, int]]:

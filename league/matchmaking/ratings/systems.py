@@ -27,10 +27,6 @@ BATCHES = 12
 """Batches of probes at most."""
 NOISE = 0.03
 """Relative noise of the variances (twice that of the standard deviations) that ends the probing."""
-GAP_ERROR = 1e-2
-"""Relative error of a difference's variance at most; that of its interval is half of it."""
-FEW = 0.1
-"""Share of a vector's numbers up to which only the rows of those that are not 0 are read."""
 PULL = 50.0
 """Heats an entry needs for its own scatter to count as much as the field's."""
 
@@ -197,8 +193,9 @@ class Sparse:
 
     def __init__(self, blocks: Blocks) -> None:
         self._above = blocks.counts.graph(blocks.between)
-        self._diagonal, self.border, self._corner = blocks.diagonal, blocks.border, blocks.corner
-        self.prior = blocks.prior
+        self._diagonal, self._border, self._corner = blocks.diagonal, blocks.border, blocks.corner
+        self._level = 1.0 / blocks.prior[0]
+        """Variance of the field as a whole, the prior's."""
         self._num_met = len(blocks.counts.met)
         self._probed = np.zeros((len(self._diagonal), 1))
         """1 for entries that met others; the variance of all else is known, (entries, 1)."""
@@ -206,39 +203,26 @@ class Sparse:
         self.diagonal = np.concatenate([self._diagonal, self._corner.diagonal()])
         self.shape, self.dtype = (len(self.diagonal), len(self.diagonal)), np.dtype(float)
 
-    @property
-    def _level(self) -> float:
-        """Variance of the field as a whole, the prior's."""
-        return 1.0 / self.prior[0]
-
     def _met(self, entries: np.ndarray) -> np.ndarray:
         """Return the pairs' weights, in both triangles, times a vector or some columns."""
         return self._above @ entries + self._above.T @ entries
-
-    def both(self) -> sparse.csr_array:
-        """Return the weights of the pairs that met in both triangles."""
-        return (self._above + self._above.T).tocsr()
-
-    def slots_of(self, entries: np.ndarray) -> np.ndarray:
-        """Return corner^-1 border' times a vector of the strengths, (slots,)."""
-        return np.linalg.solve(self._corner, self.border.T @ entries)
 
     def matvec(self, vectors: np.ndarray) -> np.ndarray:
         """Return H times a vector or some columns."""
         size = len(self._diagonal)
         entries, slots = vectors[:size], vectors[size:]
-        above = (self._diagonal * entries.T).T - self._met(entries) + self.border @ slots
-        return np.concatenate([above, self.border.T @ entries + self._corner @ slots])
+        above = (self._diagonal * entries.T).T - self._met(entries) + self._border @ slots
+        return np.concatenate([above, self._border.T @ entries + self._corner @ slots])
 
     def solve(self, right: np.ndarray, *, within: float = 1e-8) -> np.ndarray:
         """Return H^-1 right."""
         scaling = sparse.diags_array(1.0 / self.diagonal)
         operator = aslinearoperator(self)
-        solved = [
-            cg(operator, column, rtol=within, maxiter=1000, M=scaling)[0]
-            for column in right.reshape(len(right), -1).T
-        ]
-        return np.stack(solved, axis=1).reshape(right.shape)
+        columns = right.reshape(len(right), -1)
+        solved = np.zeros_like(columns)
+        for k, column in enumerate(columns.T):
+            solved[:, k] = cg(operator, column, rtol=within, maxiter=1000, M=scaling)[0]
+        return solved.reshape(right.shape)
 
     def mean_variance(self) -> tuple[float, float]:
         """Return the mean diagonals of H^-1 and of its square over the entries that met others.
@@ -316,63 +300,6 @@ class Sparse:
 System = Dense | Sparse
 
 
-class Gaps:
-    """Variances of differences between two strengths in a large field, one at a time.
-
-    The right side is 0 but for two entries, and so are the first steps of conjugate gradients but
-    for their opponents, and those of these: only later steps read all pairs that met. Slots are
-    eliminated, H's Schur complement over the strengths is solved.
-    """
-
-    def __init__(self, system: Sparse, squares: Squares) -> None:
-        """Prepare for some differences, which takes as long as a hundred of them."""
-        self._system, self._squares = system, squares
-        self._met = system.both()
-        self._scattered = (squares.scores.T @ squares.scores).tocsr()
-        self._least = float(system.prior.min())
-
-    def variances(self, one: int, other: int) -> tuple[float, float]:
-        """Return the model's and the robust variance of a difference, entries given by index."""
-        right = np.zeros(len(self._squares.prior))
-        right[one] += 1.0
-        right[other] -= 1.0
-        entries, squares = self._solved(right), self._squares
-        slots = -self._system.slots_of(entries)
-        robust = entries @ (_times(self._scattered, entries) + squares.prior * entries)
-        robust += slots @ (2 * squares.border.T @ entries + squares.corner @ slots)
-        return float(right @ entries), float(robust)
-
-    def _solved(self, right: np.ndarray) -> np.ndarray:
-        """Return the strengths' part of H^-1 right, its variance right to `GAP_ERROR`.
-
-        A residual r leaves out r' H^-1 r of the variance, at most |r|^2 / (least prior), because
-        races only add curvature.
-        """
-        system, solved, residual, variance = self._system, np.zeros(len(right)), right.copy(), 0.0
-        diagonal = system.diagonal[: len(right)]
-        towards = scaled = residual / diagonal
-        length = float(residual @ scaled)
-        while residual @ residual > GAP_ERROR * self._least * variance:
-            met = _times(self._met, towards)
-            curved = diagonal * towards - met - system.border @ system.slots_of(towards)
-            step = length / float(towards @ curved)
-            solved += step * towards
-            residual -= step * curved
-            variance += step * length
-            scaled = residual / diagonal
-            before, length = length, float(residual @ scaled)
-            towards = scaled + length / before * towards
-        return solved
-
-
-def _times(symmetric: sparse.csr_array, vector: np.ndarray) -> np.ndarray:
-    """Return the product of a symmetric table with a vector."""
-    known = np.flatnonzero(vector)
-    if len(known) > FEW * len(vector):
-        return symmetric @ vector
-    return symmetric[known].T @ vector[known]
-
-
 class Variances:
     """How sure the parameters are [natural units^2]."""
 
@@ -406,27 +333,18 @@ class Variances:
 
     def gaps(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
         """Return the variances of strength differences between entries, given by index."""
-        if isinstance(self._system, Dense):
-            right = np.zeros((self._squares.size, len(one)))
-            column = np.arange(len(one))
-            np.add.at(right, (one, column), 1.0)
-            np.add.at(right, (other, column), -1.0)
-            model, robust = self._quadratic(right)
-        else:
-            pairs, gaps = zip(one.tolist(), other.tolist(), strict=True), self._gaps
-            found = [gaps.variances(*pair) for pair in pairs]
-            model, robust = np.reshape(found, (-1, 2)).T
+        right, column = np.zeros((self._squares.size, len(one))), np.arange(len(one))
+        np.add.at(right, (one, column), 1.0)
+        np.add.at(right, (other, column), -1.0)
+        model, robust = self._quadratic(right, within=1e-4)
         heats = np.minimum(self._squares.heats[one], self._squares.heats[other])
         return _blend(model, robust, heats, self._ratio)
 
-    @cached_property
-    def _gaps(self) -> Gaps:
-        assert isinstance(self._system, Sparse)
-        return Gaps(self._system, self._squares)
-
-    def _quadratic(self, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _quadratic(
+        self, right: np.ndarray, *, within: float = 1e-8
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return the model's and the robust variances of some combinations, one a column."""
-        solved = self._system.solve(right)
+        solved = self._system.solve(right, within=within)
         return (right * solved).sum(axis=0), (solved * self._squares.times(solved)).sum(axis=0)
 
     def _against(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -15,7 +15,7 @@ from scipy.sparse.linalg import aslinearoperator, cg
 
 from league.matchmaking.ratings.pair_counts import ELO, EMPTY, PairCounts, Results, count, slope
 from league.matchmaking.ratings.systems import Blocks, Sparse, System
-from league.matchmaking.ratings.table import PROVISIONAL_SD, SIGMAS_95, Ratings
+from league.matchmaking.ratings.table import SIGMAS_95, Ratings
 
 ENOUGH = 1e-4
 """A step this small [natural units] is the last one: it leaves an error of its square."""
@@ -102,7 +102,6 @@ def _rated(
     at_home = (connected[results.entries] & raced).any(axis=1)
     connected[results.entries[at_home][raced[at_home]]] = True
     more, points = counts.points()
-    pairs, points = fitted.pairs + more, fitted.points + points
     return replace(
         fitted,
         elo=elo,
@@ -110,11 +109,9 @@ def _rated(
         low95=elo - reach,
         high95=elo + reach,
         races=fitted.races + np.bincount(results.entries[raced], minlength=size),
-        pairs=pairs,
-        points=points,
-        provisional=(sd > PROVISIONAL_SD) | ~connected,
+        pairs=fitted.pairs + more,
+        points=fitted.points + points,
         connected=connected,
-        one_sided=(pairs > 0) & ((points == 0) | (points == pairs)),
         slot_advantages=ELO * parameters[size:],
         num_races=fitted.num_races + len(results),
     )
