@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from league.errors import StoreError, brief
 from league.matchmaking.ratings import Carried, RatingData, Ratings, Results, expected_score, fit
 from league.matchmaking.ratings import updated as updated_ratings
 from league.matchmaking.ratings.goodness_of_fit import Goodness, goodness_of_fit
+from league.matchmaking.ratings.table import Strengths
 from league.matchmaking.runs import Runs
 from league.matchmaking.scope import RatingScope, scope
 from league.matchmaking.store import (
@@ -333,25 +334,6 @@ UNMET = HeadToHead(0, 0, 0, 0.0, 0.0)
 def head_to_head(standings: Standings, one: int, other: int) -> HeadToHead:
     """Return the record of two entries, by number."""
     return meetings(standings, one).get(other, UNMET)
-
-
-class Strengths(Protocol):
-    """Ratings, as far as what they promise depends on them."""
-
-    @property
-    def entries(self) -> np.ndarray:
-        """Entry numbers, ascending."""
-        ...
-
-    @property
-    def elo(self) -> np.ndarray:
-        """Strength of each [Elo]."""
-        ...
-
-    @property
-    def slot_advantages(self) -> np.ndarray:
-        """What each slot of the grid is worth [Elo]."""
-        ...
 
 
 @dataclass(frozen=True)

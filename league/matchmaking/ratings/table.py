@@ -84,13 +84,21 @@ class Posterior:
 
 
 @dataclass(frozen=True)
-class Ratings:
-    """Strengths of a field, all from one table of races."""
+class Strengths:
+    """Ratings, as far as what they promise depends on them."""
 
     entries: np.ndarray
     """Entry numbers, ascending, (entries,)."""
     elo: np.ndarray
     """Strength [Elo], the anchor's 1000; 400 more are ten times the odds, (entries,)."""
+    slot_advantages: np.ndarray
+    """What each grid slot is worth [Elo], 0 on average, slot 0 in front, (slots,)."""
+
+
+@dataclass(frozen=True)
+class Ratings(Strengths):
+    """Strengths of a field, all from one table of races."""
+
     sd: np.ndarray
     """Standard deviation of the place above or below the average of all others [Elo], (entries,).
 
@@ -108,8 +116,6 @@ class Ratings:
     """Those of these it came in ahead of, ties half, (entries,)."""
     connected: np.ndarray
     """False where no chain of races leads to the anchor (or the largest group), (entries,)."""
-    slot_advantages: np.ndarray
-    """What each grid slot is worth [Elo], 0 on average, slot 0 in front, (slots,)."""
     slot_sd: np.ndarray
     """Standard deviations of the slots' advantages [Elo], (slots,)."""
     prior_sd: float
