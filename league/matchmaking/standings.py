@@ -140,26 +140,20 @@ def rated(
     entries: Sequence[LeagueEntry],
     also: Collection[int] = (),
     carried: Carried | None = None,
-) -> Ratings | None:
-    """Return the fit of a league's results, pinned to its first anchor; None without an entry.
+    near: Ratings | None = None,
+) -> tuple[RatingData, Ratings] | None:
+    """Return a league's counted results and their fit, pinned to its first anchor.
 
     Args:
         results: the races.
         entries: all entries of the league.
         also: numbers of entries to rate besides those in a rated state and those that raced.
         carried: what is known from an earlier season.
+        near: ratings by nearly the same races.
+
+    Returns:
+        None without an entry to rate.
     """
-    found = _fitted(results, entries, also, carried)
-    return found[1] if found else None
-
-
-def _fitted(
-    results: Results,
-    entries: Sequence[LeagueEntry],
-    also: Collection[int],
-    carried: Carried | None,
-    near: Ratings | None = None,
-) -> tuple[RatingData, Ratings] | None:
     numbers = {entry.number for entry in entries if entry.state in RATED} | set(also)
     data = RatingData.of(results, sorted(numbers))
     if not len(data.entries):
@@ -215,7 +209,7 @@ def table(
         tracks: its tracks.
         near: ratings by nearly the same races, which make this quick.
     """
-    found = _fitted(results_of(within.races), entries, (), within.carried, near)
+    found = rated(results_of(within.races), entries, (), within.carried, near)
     if found is None:
         return None
     data, fitted = found

@@ -303,7 +303,8 @@ class _Roster:
         roster = cls()
         results = standings.results_of(past.races)
         passed = {number for number, heats in validations.items() if past.passed(heats)}
-        fitted = roster.fitted = standings.rated(results, entries, passed, past.carried)
+        found = standings.rated(results, entries, passed, past.carried)
+        fitted = roster.fitted = found[1] if found else None
         for entry in entries:
             state, reason = entry.state, entry.reason
             heats = validations.get(entry.number, [])

@@ -133,7 +133,7 @@ class Dense:
     def __init__(self, blocks: Blocks) -> None:
         counts = blocks.counts
         met, self._num_met = counts.met, len(counts.met)
-        self._size = counts.num_entries
+        self._size, self.shape = counts.num_entries, (counts.size, counts.size)
         self._rows = np.concatenate([met, np.arange(self._size, counts.size)])
         """Parameters that the table holds; of the others H has nothing but its diagonal."""
         self.diagonal = np.concatenate([blocks.diagonal, blocks.corner.diagonal()])
@@ -194,14 +194,18 @@ class Sparse:
     def __init__(self, blocks: Blocks) -> None:
         self._above = blocks.counts.graph(blocks.between)
         self._diagonal, self._border, self._corner = blocks.diagonal, blocks.border, blocks.corner
-        self._level = 1.0 / blocks.prior[0]
-        """Variance of the field as a whole, the prior's."""
+        self._prior = blocks.prior[0]
         self._num_met = len(blocks.counts.met)
         self._probed = np.zeros((len(self._diagonal), 1))
         """1 for entries that met others; the variance of all else is known, (entries, 1)."""
         self._probed[blocks.counts.met] = 1.0
         self.diagonal = np.concatenate([self._diagonal, self._corner.diagonal()])
-        self.shape, self.dtype = (len(self.diagonal), len(self.diagonal)), np.dtype(float)
+        self.shape = len(self.diagonal), len(self.diagonal)
+
+    @property
+    def _level(self) -> float:
+        """Variance of the field as a whole, the prior's."""
+        return 1.0 / self._prior
 
     def _met(self, entries: np.ndarray) -> np.ndarray:
         """Return the pairs' weights, in both triangles, times a vector or some columns."""
