@@ -183,8 +183,8 @@ def draw(replay: Replay, scores: Sequence[Score], path: Path) -> None:
 
 def _running_mean(values: np.ndarray, width: int) -> np.ndarray:
     """Return the mean over a window centred on each step, shorter at the ends."""
-    window = np.ones(min(max(width, 1), max(len(values), 1)))
     if not len(values):
         return values
+    window = np.ones(min(max(width, 1), len(values)))
     sums = np.convolve(values, window, "same")
     return sums / np.convolve(np.ones_like(values), window, "same")

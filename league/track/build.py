@@ -5,7 +5,7 @@ A sound course has no crossing, no overlap and no bend that no car can drive.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -47,6 +47,7 @@ def _course(file: TrackFile, text: str) -> Track:
     left, right = _reaches(center, normal, file)
     left = spline.unfold(center, normal, left, closed=file.closed)
     right = spline.unfold(center, -normal, right, closed=file.closed)
+    colours: dict[str, Any] = {part: tuple(rgb) for part, rgb in file.colours.items() if rgb}
     return Track(
         name=file.name,
         title=file.title,
@@ -56,7 +57,7 @@ def _course(file: TrackFile, text: str) -> Track:
         closed=file.closed,
         line_inside=file.line == "inside",
         line_width=file.line_width,
-        colours=Colours(**{part: tuple(rgb) for part, rgb in file.colours.items() if rgb}),
+        colours=Colours(**colours),
         origin=file.origin,
         text=text,
         waypoints=None if file.waypoints is None else np.array(file.waypoints, dtype=np.float64),
@@ -75,8 +76,8 @@ def _check_points(points: np.ndarray, closed: bool) -> None:
         )
     if chord.sum() > MAX_LENGTH:
         raise TrackError(
-            f"the points are {chord.sum():,.0f} m long in all and a track has at most {MAX_LENGTH:g} "
-            "m; coordinates are in metres"
+            f"the points are {chord.sum():,.0f} m long in all and a track has at most "
+            f"{MAX_LENGTH:g} m; coordinates are in metres"
         )
 
 

@@ -124,7 +124,7 @@ def dump(track: Track) -> str:
     right = np.linalg.norm(track.right - track.center, axis=1)
     even = np.ptp(np.concatenate([left, right])) < 2e-3
     usual = vars(Colours())
-    colours: dict[Part, Rgb | None] = {
+    colours: dict[Any, Any] = {
         part: list(rgb) for part, rgb in vars(track.colours).items() if tuple(rgb) != usual[part]
     }
     return write(
