@@ -36,7 +36,6 @@ class DriveReport:
     title: str
     """What the drive shows."""
     kind: str
-    """Kind of race."""
     calls: int
     """Steps rewarded."""
     rewards: tuple[float, ...]
@@ -57,9 +56,7 @@ class Report:
     """How a reward file did on all drives."""
 
     source: RewardFile
-    """The file."""
     drives: tuple[DriveReport, ...]
-    """Each drive."""
     keys: tuple[str, ...]
     """Keys of `params` it has read, by name."""
     unknown_keys: tuple[str, ...]
@@ -228,7 +225,6 @@ class Drive:
     title: str
     """What it shows."""
     kind: RaceKind
-    """Kind of race."""
     params: list[Params]
     """Argument of the function, step by step."""
 

@@ -100,12 +100,11 @@ def _verdicts(replay: Replay) -> np.ndarray:
     """
     verdicts = np.zeros((replay.num_frames, replay.num_cars), VERDICT)
     verdicts["crashed_car"] = verdicts["crashed_obstacle"] = NOBODY
+    hits = {"crash": "crashed_car", "obstacle_contact": "crashed_obstacle"}
     for event in replay.result.events:
         verdict = verdicts[_frame(replay, event.time_s), event.car]
-        if event.kind == "crash":
-            verdict["crashed_car"] = NOBODY if event.other is None else event.other
-        if event.kind == "obstacle_contact":
-            verdict["crashed_obstacle"] = NOBODY if event.other is None else event.other
+        if event.kind in hits:
+            verdict[hits[event.kind]] = NOBODY if event.other is None else event.other
         if event.kind == "overtake" and event.other is not None:
             verdict["overtook"] |= 1 << event.other
     for flag, kind in _FLAGS.items():

@@ -31,7 +31,6 @@ class CupResult:
     """How an entrant did in a heat."""
 
     entry: str
-    """Id of the entry."""
     seed: int
     """Its place after qualifying, from 1; 0 in qualifying."""
     places: tuple[int, ...] = ()

@@ -26,7 +26,6 @@ class SeasonSettings:
     """What a season's organiser may choose."""
 
     division_size: int = 20
-    """Entries of a division."""
     least_safety: float = 2.0
     """Safety rating that the top division asks for; 0 for none."""
 

@@ -21,7 +21,6 @@ class RaceScore:
     """An entry's rated race."""
 
     heat: int
-    """Number of the heat."""
     race: int
     """Number of the race within the heat, from 1."""
     track: str
@@ -78,7 +77,6 @@ class PastSeason:
     races: Races
     ratings: Strengths
     tracks: Sequence[str]
-    """Tracks of the ruleset."""
 
 
 def final_ratings(document: Mapping[str, Any]) -> Strengths:
@@ -129,11 +127,8 @@ class BestLap:
     """An entry's fastest clean lap on a track: one of a race in which it made no mistake."""
 
     number: int
-    """Number of the entry."""
     lap_s: float
-    """[s]."""
     heat: int
-    """Number of the heat."""
     race: int
     """Number of the race within the heat, from 1."""
 

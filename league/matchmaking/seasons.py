@@ -76,7 +76,6 @@ class Trophy:
 
     title: str
     number: int
-    """Number of the entry."""
     name: str
     owner: str
     value: str

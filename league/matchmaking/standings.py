@@ -44,7 +44,6 @@ class Row:
     worst_rank: int
     """The worst rank that the races allow."""
     number: int
-    """Entry number."""
     id: str
     name: str
     owner: str
@@ -88,7 +87,6 @@ class Standings:
     rows: tuple[Row, ...]
     """Best first; the provisional ones by rating - 2 sd."""
     ratings: Ratings
-    """The fit."""
     goodness: Goodness
     """Whether one number a driver explains the results."""
     ruleset: str
@@ -100,7 +98,6 @@ class Standings:
     runs: Runs = field(repr=False)
     """How the races of each entry went."""
     tracks: tuple[str, ...] = ()
-    """Tracks of the ruleset."""
     season: Season | None = None
     """The season that the races belong to; None in a league without seasons."""
 

@@ -174,8 +174,7 @@ def report(track: Track) -> dict[str, str | float | int]:
 
 def _read_text(path: str) -> str:
     try:
-        content = _read_bytes(path)
-        return content.decode("utf-8")
+        return _read_bytes(path).decode("utf-8")
     except UnicodeDecodeError as error:
         raise TrackError(
             f"{path} is not text: byte {error.start} is not UTF-8; a track file is YAML "

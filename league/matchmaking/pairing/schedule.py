@@ -49,7 +49,6 @@ class Contender:
     entry: int
     """Its number."""
     state: EntryState
-    """Where it stands."""
     owner: str = ""
     """Its owner; entries without one ("") may meet any entry."""
     elo: float = 1000.0
@@ -71,7 +70,6 @@ class HeatPlan:
     grid: tuple[int, ...]
     """Entry numbers in random order."""
     tracks: tuple[str, ...]
-    """Track of each race."""
     rated: bool = True
     """Whether it counts for ratings."""
 
@@ -181,9 +179,8 @@ class _Grids:
             raise ConfigError("an entry stands twice in the standings: give each once")
         self.cars, self.generator = rules.cars, generator
         self.entries = np.array([one.entry for one in field])
-        self.elo = np.array([one.elo for one in field], dtype=float)
-        self.sd = np.array([one.sd for one in field], dtype=float)
-        self.races = np.array([one.races for one in field], dtype=float)
+        numbers = np.array([(one.elo, one.sd, one.races) for one in field], dtype=float)
+        self.elo, self.sd, self.races = numbers.T
         self.planned = np.zeros(len(field))  # races planned in this round
         self.anchor = np.array([one.anchor for one in field])
         owners: dict[str, int] = {}  # an entry without an owner gets a number of its own

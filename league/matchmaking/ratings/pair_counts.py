@@ -140,10 +140,6 @@ class PairCounts:
         return np.searchsorted(self.one, np.arange(self.num_entries + 1)).astype(np.int32)
 
     @cached_property
-    def _columns(self) -> np.ndarray:
-        return self.other.astype(np.int32)
-
-    @cached_property
     def _entry_sides(self) -> tuple[np.ndarray, np.ndarray]:
         """Index of each cell's one, and other, in a table of entries by sides, (cells,) both."""
         kinds = self.num_slots**2
@@ -180,7 +176,7 @@ class PairCounts:
     def graph(self, values: np.ndarray) -> sparse.csr_array:
         """Return the pairs' values as a matrix by one and other: above its diagonal."""
         shape = (self.num_entries, self.num_entries)
-        return sparse.csr_array((values, self._columns, self._bounds), shape=shape)
+        return sparse.csr_array((values, self.other, self._bounds), shape=shape)
 
     def points(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the pairs each entry was in and the points it made in them, (entries,) both."""
@@ -205,7 +201,6 @@ class RatingData:
     races: np.ndarray
     """Races each entry started in, (entries,)."""
     counts: PairCounts
-    """Counts of the pairs that met, by index."""
 
     @classmethod
     def of(cls, results: Results, extra: Iterable[int] = ()) -> RatingData:
