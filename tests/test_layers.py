@@ -37,7 +37,7 @@ HEAVY = {
     "tensordict": ("envs.adapters.rsl_vec_env", "training"),
     "gymnasium": ("envs",),
     "av": ("video",),
-    "ray": ("matchmaking.workers.ray",),
+    "ray": ("matchmaking.workers",),
     "safetensors": ("matchmaking.submission",),
     "matplotlib": ("figures", "deepracer.rescore", "training"),
     "sqlite3": ("matchmaking.store",),

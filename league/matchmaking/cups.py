@@ -138,7 +138,7 @@ def advance(store: Store) -> int:
             planned += store.plan(now.due)
         if now.order:
             names = {entry.id: entry for entry in store.entries()}
-            store.end_cup(cup.number, document(cup, now, names))
+            store.freeze(cup, document(cup, now, names))
     return planned
 
 

@@ -48,7 +48,7 @@ def end(store: Store) -> Season:
             "being raced: end it again when they are over"
         )
     season = store.seasons()[-1]
-    return store.end_season(season.number, freeze(store, season))
+    return store.freeze(season, freeze(store, season))
 
 
 def freeze(store: Store, season: Season) -> dict[str, Any]:
@@ -126,7 +126,7 @@ def _cup_winners(store: Store, rated: Standings) -> list[Trophy]:
     won: list[Trophy] = []
     entries = {entry.number: entry for entry in store.entries()}
     for cup in store.cups():
-        document = store.cup_document(cup.number)
+        document = store.frozen(cup)
         if document is None or rated.season is None or cup.season != rated.season.number:
             continue
         best, final = document["order"][0], document["stages"][-1]["heats"][0]["number"]

@@ -14,8 +14,7 @@ from league.matchmaking.ratings import Carried, RatingData, Ratings, Results, ex
 from league.matchmaking.ratings import updated as updated_ratings
 from league.matchmaking.ratings.goodness_of_fit import Goodness, goodness_of_fit
 from league.matchmaking.ratings.table import Strengths
-from league.matchmaking.runs import Runs
-from league.matchmaking.scope import RatingScope, scope
+from league.matchmaking.scope import RatingScope, Runs, scope
 from league.matchmaking.store import (
     RATED,
     EntryState,
@@ -267,8 +266,8 @@ def _rows(fitted: Ratings, entries: Sequence[LeagueEntry], runs: Runs) -> tuple[
     by_number = {entry.number: entry for entry in entries}
     ordered = [by_number[number] for number in columns["number"]]
     columns |= {name: [getattr(entry, name) for entry in ordered] for name in ENTRY_FIELDS}
-    for name in ("best_laps_s", "clean_laps_s"):
-        columns[name] = getattr(runs, name)(columns["number"])
+    columns["best_laps_s"] = runs.laps_s(columns["number"], clean=False)
+    columns["clean_laps_s"] = runs.laps_s(columns["number"], clean=True)
     return tuple(map(Row, *(columns[name] for name in Row.__dataclass_fields__)))
 
 
@@ -277,7 +276,7 @@ def _later_rows(earlier: Sequence[Row], fitted: Ratings, runs: Runs, later: Race
     columns = _numbers(fitted, runs)
     old = {row.number: vars(row) for row in earlier}
     raced = np.unique(later.entries[later.entries >= 0]).tolist()
-    best_s, clean_s = runs.best_laps_s(raced), runs.clean_laps_s(raced)
+    best_s, clean_s = (runs.laps_s(raced, clean=clean) for clean in (False, True))
     laps_s = dict(zip(raced, zip(best_s, clean_s, strict=True), strict=True))
     rows = []
     for values in zip(*columns.values(), strict=True):

@@ -23,7 +23,7 @@ from league.cli.season import OnLeague, Reading
 from league.errors import ConfigError, StoreError
 
 if TYPE_CHECKING:
-    from league.matchmaking.store import HeatOutcome, HeatRecord, Store
+    from league.matchmaking.store import HeatRecord, Store
 
 COLUMNS: tuple[str, ...] = (
     "heat", "race", "key", "purpose", "ruleset", "track", "seed", "slot", "entry", "id", "owner",
@@ -157,10 +157,9 @@ class Audit(OnLeague):
                     "There is nothing to audit: no rated heat is done that was not audited before."
                 )
                 return 1 if found.mismatches else 0
-            number_of = {one.heat.key: store.heat(one.heat.audits).number for one in audits}
 
-            def watch(outcome: HeatOutcome, verdict: str) -> None:
-                print(f"heat {number_of[outcome.key]} {VERDICTS[verdict]}", flush=True)
+            def watch(number: int, verdict: str) -> None:
+                print(f"heat {number} {VERDICTS[verdict]}", flush=True)
 
             with season.local_workers(self.workers) as executor:
                 verdicts = gauntlet.audit(store, executor, audits, watch=watch)

@@ -13,7 +13,7 @@ from league.cli.season import Reading
 from league.errors import ConfigError
 
 if TYPE_CHECKING:
-    from league.matchmaking.store import Cup, Store
+    from league.matchmaking.store import Cup, Season, Store
 
 
 @dataclass
@@ -51,15 +51,14 @@ class Seasons(Reading):
             if self.action == "end":
                 ended = seasons.end(store)
                 print(f"{ended.name} has ended; its standings have the hash {ended.hash[:16]}.")
-                _print_trophies(store, ended.number)
+                _print_trophies(store, ended)
                 return
             self._list(store)
 
     def _list(self, store: Store) -> None:
         known = store.seasons()
         if self.json:
-            documents = {one.number: store.season_document(one.number) for one in known}
-            season.print_json([{"season": one, "frozen": documents[one.number]} for one in known])
+            season.print_json([{"season": one, "frozen": store.frozen(one)} for one in known])
             return
         if not known:
             print("This league has no seasons: all its races are one. `league season start` begins")
@@ -76,11 +75,11 @@ class Seasons(Reading):
         for one in known:
             if one.ended_s:
                 print(f"{one.name}:")
-                _print_trophies(store, one.number)
+                _print_trophies(store, one)
 
 
-def _print_trophies(store: Store, number: int) -> None:
-    document = store.season_document(number) or {}
+def _print_trophies(store: Store, over: Season) -> None:
+    document = store.frozen(over) or {}
     for trophy in document.get("trophies", ()):
         where = f", heat {trophy['heat']}" if trophy["heat"] else ""
         print(f"  {trophy['title']}: {trophy['name']} ({trophy['value']}{where})")
@@ -122,7 +121,7 @@ class Cups(Reading):
 def _document_of(store: Store, cup: Cup) -> dict[str, Any]:
     from league.matchmaking import cups
 
-    frozen = store.cup_document(cup.number)
+    frozen = store.frozen(cup)
     if frozen is not None:
         return frozen
     entries = {entry.id: entry for entry in store.entries()}

@@ -12,7 +12,7 @@ import numpy as np
 
 from league import times
 from league.matchmaking.scores import BestLap
-from league.matchmaking.store import is_clean
+from league.matchmaking.store.race_table import is_clean
 from league.replay import Replay
 from league.replay.replay import seconds_behind
 from league.track.track import Track

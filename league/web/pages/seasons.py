@@ -67,8 +67,7 @@ def frozen(reader: Reader, one: Season | Cup) -> dict[str, Any] | None:
     """Return what a season, or a cup, was frozen as; None before its end."""
     if one.ended_s is None:
         return None
-    read = reader.store.cup_document if isinstance(one, Cup) else reader.store.season_document
-    return reader.kept(("frozen", type(one), one.number), lambda: read(one.number))
+    return reader.kept(("frozen", type(one), one.number), lambda: reader.store.frozen(one))
 
 
 def _season(reader: Reader, known: Season) -> Document:
