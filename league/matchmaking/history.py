@@ -61,9 +61,10 @@ def history(store: Store, entry: LeagueEntry, *, points: int = 20) -> list[Histo
         own = np.array(sorted(heats - {0}), dtype=np.int64)
         for heat in own[season.has(own)] if season else own:
             before = standings.results_of(within.races, before=heat + 1)
-            fitted = standings.rated(before, entries, carried=within.carried)
-            if fitted is None or entry.number not in fitted.entries:
+            found = standings.rated(before, entries, carried=within.carried)
+            if found is None or entry.number not in found[1].entries:
                 continue
+            fitted = found[1]
             at = fitted.index(entry.number)
             moments.append(
                 HistoryPoint(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from league.errors import StoreError, brief
 from league.matchmaking.ratings import Carried, RatingData, Ratings, Results, expected_score, fit
 from league.matchmaking.ratings import updated as updated_ratings
 from league.matchmaking.ratings.goodness_of_fit import Goodness, goodness_of_fit
+from league.matchmaking.ratings.table import Strengths
 from league.matchmaking.scope import RatingScope, Runs, scope
 from league.matchmaking.store import (
     RATED,
@@ -42,7 +43,6 @@ class Row:
     worst_rank: int
     """The worst rank that the races allow."""
     number: int
-    """Entry number."""
     id: str
     name: str
     owner: str
@@ -86,7 +86,6 @@ class Standings:
     rows: tuple[Row, ...]
     """Best first; the provisional ones by rating - 2 sd."""
     ratings: Ratings
-    """The fit."""
     goodness: Goodness
     """Whether one number a driver explains the results."""
     ruleset: str
@@ -98,7 +97,6 @@ class Standings:
     runs: Runs = field(repr=False)
     """How the races of each entry went."""
     tracks: tuple[str, ...] = ()
-    """Tracks of the ruleset."""
     season: Season | None = None
     """The season that the races belong to; None in a league without seasons."""
 
@@ -152,26 +150,20 @@ def rated(
     entries: Sequence[LeagueEntry],
     also: Collection[int] = (),
     carried: Carried | None = None,
-) -> Ratings | None:
-    """Return the fit of a league's results, pinned to its first anchor; None without an entry.
+    near: Ratings | None = None,
+) -> tuple[RatingData, Ratings] | None:
+    """Return a league's counted results and their fit, pinned to its first anchor.
 
     Args:
         results: the races.
         entries: all entries of the league.
         also: numbers of entries to rate besides those in a rated state and those that raced.
         carried: what is known from an earlier season.
+        near: ratings by nearly the same races.
+
+    Returns:
+        None without an entry to rate.
     """
-    found = _fitted(results, entries, also, carried)
-    return found[1] if found else None
-
-
-def _fitted(
-    results: Results,
-    entries: Sequence[LeagueEntry],
-    also: Collection[int],
-    carried: Carried | None,
-    near: Ratings | None = None,
-) -> tuple[RatingData, Ratings] | None:
     numbers = {entry.number for entry in entries if entry.state in RATED} | set(also)
     data = RatingData.of(results, sorted(numbers))
     if not len(data.entries):
@@ -227,7 +219,7 @@ def table(
         tracks: its tracks.
         near: ratings by nearly the same races, which make this quick.
     """
-    found = _fitted(results_of(within.races), entries, (), within.carried, near)
+    found = rated(results_of(within.races), entries, (), within.carried, near)
     if found is None:
         return None
     data, fitted = found
@@ -346,25 +338,6 @@ UNMET = HeadToHead(0, 0, 0, 0.0, 0.0)
 def head_to_head(standings: Standings, one: int, other: int) -> HeadToHead:
     """Return the record of two entries, by number."""
     return meetings(standings, standings.own_races(one)).get(other, UNMET)
-
-
-class Strengths(Protocol):
-    """Ratings, as far as what they promise depends on them."""
-
-    @property
-    def entries(self) -> np.ndarray:
-        """Entry numbers, ascending."""
-        ...
-
-    @property
-    def elo(self) -> np.ndarray:
-        """Strength of each [Elo]."""
-        ...
-
-    @property
-    def slot_advantages(self) -> np.ndarray:
-        """What each slot of the grid is worth [Elo]."""
-        ...
 
 
 @dataclass(frozen=True)

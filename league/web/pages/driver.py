@@ -14,14 +14,15 @@ from league.errors import StoreError
 from league.matchmaking import standings
 from league.matchmaking.history import HistoryPoint, history, own_history
 from league.matchmaking.pairing import matchmaker
+from league.matchmaking.ratings.table import Strengths
 from league.matchmaking.scores import (
-    FinalRatings,
     RaceScore,
+    final_ratings,
     heat_scores,
     race_scores,
     scores_by_season,
 )
-from league.matchmaking.standings import HeadToHead, OwnRaces, Row, Standings, Strengths
+from league.matchmaking.standings import HeadToHead, OwnRaces, Row, Standings
 from league.matchmaking.store import (
     HeatRecord,
     HeatState,
@@ -344,7 +345,7 @@ def _by_season(
         document = frozen(reader, season) if season else None
         if season is None or document is None:
             return both.ratings
-        return reader.kept(("ratings", season.number), lambda: FinalRatings.of(document))
+        return reader.kept(("ratings", season.number), lambda: final_ratings(document))
 
     under = [(raced(hash), rules.tracks) for hash, rules in now.rulesets.items() if hash in hashes]
     return scores_by_season(under, now.seasons, ratings, one, other)
