@@ -75,9 +75,9 @@ def cup(entrants: int) -> dict[str, Any]:
 def freeze(store: Store, entries: int, entrants: int) -> None:
     """Begin and end a season of so many entries, with a cup of so many entrants in it."""
     rules = store.settings.ruleset
-    season_number = store.start_season("Large", {"division_size": 20}).number
+    large = store.start_season("Large", {"division_size": 20})
     settings = {"entrants": [], "qualifying": rules.hash, "knock_out": rules.hash}
     wide = store.start_cup("Wide", settings, [rules])
-    store.end_cup(wide.number, cup(entrants))
-    store.close_season(season_number)
-    store.end_season(season_number, season(entries))
+    store.freeze(wide, cup(entrants))
+    store.close_season(large.number)
+    store.freeze(large, season(entries))

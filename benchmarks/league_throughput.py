@@ -24,10 +24,10 @@ from league import subprocesses
 from league.agents import checkpoint
 from league.agents.checkpoint import Checkpoint
 from league.matchmaking import loop, submission
+from league.matchmaking import workers as executors
 from league.matchmaking.pairing import matchmaker
 from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset, mirrored
 from league.matchmaking.store import Store, create
-from league.matchmaking.workers import make_executor, processes
 from league.matchmaking.workers.dispatcher import Dispatcher, heat_driver
 from league.matchmaking.workers.worker import HeatJob, RaceWorker
 from league.racing import race
@@ -41,7 +41,7 @@ SHARES = {
     "referee": ("controls, referee and penalties", "step.py", "step"),
     "sensors": ("cameras and lidars", "sensor_suite.py", "read"),
     "inference": ("inference", "policy.py", "act"),
-    "recording": ("recording", "recording.py", "add"),
+    "recording": ("recording", "replay.py", "add"),
 }
 
 
@@ -123,7 +123,7 @@ def batching(store: Store, repeats: int = 3) -> None:
 def throughput(store: Store, solver: SolverName, seconds: float, workers: int, goal: float) -> None:
     """Print duels of a minute a day, whole: matchmaker, store, replays, ratings and all."""
     planner = matchmaker.Matchmaker(store)
-    with closing(make_executor("processes", workers)) as executor:
+    with closing(executors.make_executor("processes", workers)) as executor:
         dispatcher = Dispatcher(store, executor)
         loop.run(store, dispatcher, planner, heats=2 * workers)  # workers have warmed up
         start = time.perf_counter()
@@ -156,7 +156,7 @@ def _started(count: int, start: Callable[..., BaseProcess]) -> tuple[float, floa
     began, pipes, workers = time.perf_counter(), [], []
     for _ in range(count):
         ours, theirs = subprocesses.CONTEXT.Pipe()
-        workers.append(start(processes._work, theirs))
+        workers.append(start(executors._work, theirs))
         theirs.close()
         pipes.append(ours)
     assert [pipe.recv() for pipe in pipes] == [None] * count
@@ -180,7 +180,7 @@ def starting(workers: int = 4) -> None:
         return process
 
     each_s, each_mb = _started(workers, alone)
-    subprocesses.prepare(processes.MODULES)
+    subprocesses.prepare(executors.MODULES)
     first_s, _ = _started(1, subprocesses.start)
     served_s, served_mb = _started(workers, subprocesses.start)
     note(f"{workers} workers, all ready; the first of a server after {first_s:.2f} s:")

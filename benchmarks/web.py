@@ -26,10 +26,11 @@ from starlette.testclient import TestClient
 from benchmarks import web_browser, web_scene
 from benchmarks.report import figure, heading, note, table
 from league.matchmaking.store import RaceOutcome, Store
-from league.matchmaking.workers.worker import outcome_of
+from league.matchmaking.workers.worker import race_outcome
 from league.race_spec import Entry, RaceSpec
 from league.racing import race
 from league.racing.race import FinishedRace
+from league.replay import format as replay_format
 from league.web.app import make_app
 
 ENTRIES, HEATS = 10_000, 500_000
@@ -69,6 +70,12 @@ def eight_cars() -> FinishedRace:
     names = ("racing_line", "cautious", "blocker", "duelist") * 2
     entries = tuple(Entry(name=name) for name in names)
     return race.run(RaceSpec(entries=entries, laps=4, solver="planar"))
+
+
+def recorded(finished: FinishedRace) -> RaceOutcome:
+    """Return a race as a league keeps it."""
+    assert finished.replay is not None
+    return race_outcome(finished.replay, replay_format.encode(finished.replay))
 
 
 def processor_s(pid: int) -> float:
@@ -333,8 +340,8 @@ def main() -> None:
     """Print the figures."""
     heading("The league in the browser")
     entries = (Entry(name="racing_line"), Entry(name="cautious"))
-    outcome = outcome_of(race.run(RaceSpec(entries=entries, solver="planar")))
-    eight = outcome_of(eight_cars())
+    outcome = recorded(race.run(RaceSpec(entries=entries, solver="planar")))
+    eight = recorded(eight_cars())
     with tempfile.TemporaryDirectory() as folder:
         url = f"sqlite:///{Path(folder) / 'league.db'}"
         strengths = np.random.default_rng(5).normal(0, 200, ENTRIES)

@@ -244,7 +244,7 @@ def test_an_audit_recomputes_all_races_whatever_is_run_again(told, league, tmp_p
     text = told(*command, code=1)
     assert text.count("what it records was changed") == 3  # ann, bob, centerline
     assert "race 1: the standings miss it" in text and "4 mismatches." in text
-    assert "the ledger no longer has the record abc" in told(*command, "--head", "abc", code=1)
+    assert "the ledger no longer has the record xyz" in told(*command, "--head", "xyz", code=1)
 
 
 def test_an_audit_without_the_present_rules_says_so(told, league, tmp_path):
@@ -440,5 +440,5 @@ def test_upgrade_brings_an_older_league_up_to_date_and_makes_none(tmp_path, monk
     assert "bring it up to date with `league upgrade`" in capsys.readouterr().err
     assert main(["upgrade"]) == 0
     out = capsys.readouterr().out
-    assert "version 0002: " in out and "version 0003: " in out and "is up to date" in out
+    assert "version 0006: " in out and "is up to date" in out
     assert main(["standings"]) == 0

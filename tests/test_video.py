@@ -12,8 +12,7 @@ from league.sim.camera.scene import BOX, BOX_COLOUR, CAR, CAR_COLOURS
 from league.sim.camera.scene_state import Thing
 from league.sim.camera.tables import Pose
 from league.video import hud
-from league.video.film import SHADOW_EDGE, SHADOW_KEPT, Film, shadow_of
-from league.video.mp4 import Coding, Mp4
+from league.video.film import SHADOW_EDGE, SHADOW_KEPT, Coding, Film, Mp4, shadow_of
 from league.video.pixels import mix
 from tests.recorded import by_hand, moved, raced
 

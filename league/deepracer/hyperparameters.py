@@ -30,7 +30,6 @@ class Hyperparameters(BaseModel):
     lr: float | None = Field(
         None, ge=1e-8, le=0.1, validation_alias=AliasChoices("lr", "learning_rate")
     )
-    """Learning rate."""
     beta_entropy: float | None = Field(
         None, ge=0, le=1, validation_alias=AliasChoices("beta_entropy", "entropy")
     )

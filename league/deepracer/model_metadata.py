@@ -127,12 +127,8 @@ def parse(content: Mapping[str, Any], name: str = "model_metadata") -> Metadata:
     ranges = isinstance(content.get("action_space"), Mapping)
     try:
         file = (_ContinuousFile if ranges else _DiscreteFile).model_validate(dict(content))
-    except ValidationError as error:
-        raise ConfigError(f"{name}: {reason(error)}") from None
-    try:
-        action_space = _action_space(file, kind)
         return Metadata(
-            action_space=action_space,
+            action_space=_action_space(file, kind),
             sensors=_sensors(file.sensor or ["observation"], file.lidar_config),
             version=_version(file),
             training_algorithm=_one_of(  # type: ignore
@@ -141,6 +137,8 @@ def parse(content: Mapping[str, Any], name: str = "model_metadata") -> Metadata:
             neural_network=_one_of("neural_network", file.neural_network, NETWORKS),
             notes=_notes(file),
         )
+    except ValidationError as error:
+        raise ConfigError(f"{name}: {reason(error)}") from None
     except ConfigError as error:
         raise ConfigError(f"{name}: {error}") from None
 

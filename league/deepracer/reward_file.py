@@ -196,23 +196,23 @@ class RewardFile:
                 "number"
             )
         try:
-            parameters = list(inspect.signature(function).parameters.values())
+            signature = inspect.signature(function)
         except (TypeError, ValueError):
             return function
-        needed = [p for p in parameters if p.default is p.empty and p.kind not in (2, 4)]
-        takes_one = any(p.kind in (0, 1, 2) for p in parameters)
-        line = _first_line(function)
-        if any(p.name == "on_track" for p in parameters):
+        parameters, line = signature.parameters, _first_line(function)
+        if "on_track" in parameters:
             raise RewardError(
                 f"{self.path}, line {line}: {NAME} takes {len(parameters)} parameters, the "
                 "positional signature of November 2018, which is no longer used: take one dict, "
                 f"`def {NAME}(params):`"
             )
-        if len(needed) > 1 or not takes_one or any(p.kind == p.KEYWORD_ONLY for p in needed):
+        try:
+            signature.bind({})
+        except TypeError:
             raise RewardError(
                 f"{self.path}, line {line}: {NAME} takes {len(parameters)} parameters: it must "
                 f"take one, `def {NAME}(params):`"
-            )
+            ) from None
         return function
 
 

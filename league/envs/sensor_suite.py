@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from league.envs import observations, state, truth
+from league.envs import observations, state
 from league.envs.config import EnvConfig
 from league.envs.step import over_worlds
 from league.sim.config import FRAME_STEPS, CameraConfig
@@ -21,7 +21,7 @@ if TYPE_CHECKING:  # OpenCV comes late
 Reading = Callable[[World, int, np.ndarray | None], np.ndarray]
 _COMPUTED: dict[str, tuple[Callable[..., int], int]] = {
     "state": (observations.states, state.SIZE),
-    "truth": (truth.truths, truth.SIZE),
+    "truth": (observations.truths, observations.TRUTH_SIZE),
 }
 """Loop and size of the groups that are computed on access."""
 
@@ -93,10 +93,7 @@ class SensorSuite:
             self.refresh(verdicts["crashed"] | verdicts["released"] | thrown)
 
     def groups(self, world: World, motions: np.ndarray) -> tuple[Groups, ...]:
-        """Return each car's groups, views of the last readings and of the live worlds.
-
-        Own motion is float32 (num_cars, num_worlds, 5).
-        """
+        """Return each car's groups, views of live data; motions is (num_cars, num_worlds, 5)."""
         return tuple(Groups(self, car, world, motions) for car in range(len(self.held)))
 
     def computed(self, name: str, world: World) -> np.ndarray:
@@ -180,9 +177,8 @@ class SensorSuite:
         self._stale = None
         for car, sensors in enumerate(self._sensors):
             for name, (_, read) in sensors.items():
-                self._readings[car][name] = _with(
-                    self._readings[car][name], rows, read(world, car, rows)
-                )
+                kept = self._readings[car][name]
+                self._readings[car][name] = _with(kept, rows, read(world, car, rows))
         for car, length in enumerate(self._history):
             given = {} | self._readings[car]
             if self._frames[car] > 1:

@@ -13,12 +13,12 @@ from league.agents.checkpoint import Checkpoint
 from league.errors import ConfigError, StoreError
 from league.matchmaking import ratings, standings, submission
 from league.matchmaking.pairing import heat_spec
-from league.matchmaking.pairing.heat_spec import Heat
+from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.ratings import Ratings, Results, sprt
 from league.matchmaking.ratings.sprt import Comparison, SequentialSettings
 from league.matchmaking.ratings.table import SIGMAS_95
 from league.matchmaking.scope import RatingScope, scope
-from league.matchmaking.store import RATED, HeatOutcome, LeagueEntry, Store
+from league.matchmaking.store import RATED, HeatOutcome, HeatRecord, LeagueEntry, Store
 from league.matchmaking.workers import Executor
 from league.matchmaking.workers.dispatcher import heat_driver
 from league.matchmaking.workers.worker import HeatDriver, HeatJob, check_physics
@@ -33,18 +33,8 @@ newcomer's interval would miss the truth more often than it says.
 """
 
 
-@dataclass(frozen=True)
-class SeededHeat:
-    """A heat that is raced outside the season."""
-
-    heat: Heat
-    """Races, with the grid reversed in the second."""
-    seeds: tuple[int, ...]
-    """Seed of each race."""
-
-
-def pick_audit(store: Store, share: float, generator: np.random.Generator) -> list[SeededHeat]:
-    """Return the audits of a share of the finished rated heats, at least one if there are any.
+def pick_audit(store: Store, share: float, generator: np.random.Generator) -> list[HeatRecord]:
+    """Return a share of the finished rated heats to run again, at least one if there are any.
 
     Those audited before are left out, so that repeated audits reach all.
     """
@@ -67,97 +57,91 @@ def pick_audit(store: Store, share: float, generator: np.random.Generator) -> li
         return []
     number = max(1, round(share * len(unaudited)))
     picked = sorted(generator.choice(len(unaudited), size=number, replace=False))
-    chosen = [unaudited[int(index)] for index in picked]
-    return [SeededHeat(heat_spec.audit_of(one.heat), one.seeds or ()) for one in chosen]
+    return [unaudited[int(index)] for index in picked]
 
 
 def audit(
     store: Store,
     executor: Executor,
-    audits: Sequence[SeededHeat],
+    heats: Sequence[HeatRecord],
     *,
-    watch: Callable[[HeatOutcome, str], None] = lambda outcome, verdict: None,
+    watch: Callable[[int, str], None] = lambda number, verdict: None,
 ) -> Counter[str]:
     """Run heats again; return how many got each verdict (a field of Received).
 
     Those that differ are in quarantine then, but for races in Bullet on another class of machine.
-    They do not wait in the queue, but the store receives them as if they had.
+    They do not wait in the queue, but the store receives them as if they had. `watch` is called
+    with the number of each heat and its verdict.
     """
-    store.plan([one.heat for one in audits])
-    entries = {entry.id: entry for entry in store.entries()}
-    ids = {id for one in audits for id in one.heat.entries}
-    field = {id: heat_driver(store, entries[id]) for id in ids}
-    verdicts = Counter[str]()
+    audits = [heat_spec.audit_of(one.heat) for one in heats]
+    store.plan(audits)
+    rules, raced = store.settings.ruleset, {id for heat in audits for id in heat.entries}
+    field = {one.id: heat_driver(store, one) for one in store.entries() if one.id in raced}
+    jobs: list[HeatJob] = []
+    for one, heat in zip(heats, audits, strict=True):
+        drivers, seeds = {id: field[id] for id in heat.entries}, one.seeds or ()
+        jobs.append(HeatJob(heat.key, one.number, heat.halves, seeds, rules, drivers, False))
+    number_of, verdicts = {job.key: job.number for job in jobs}, Counter[str]()
 
     def judge(outcome: HeatOutcome) -> bool:
         verdict = store.complete("auditor", [outcome]).verdict(outcome.key)
         verdicts[verdict] += 1
-        watch(outcome, verdict)
+        watch(number_of[outcome.key], verdict)
         return True
 
-    race(executor, store, audits, field, watch=judge)
+    race(executor, jobs, watch=judge)
     return verdicts
 
 
-def duel(store: Store, one: str, other: str, draw: int, salt: bytes) -> SeededHeat:
+def duel(rules: Ruleset, one: HeatDriver, other: HeatDriver, draw: int, salt: bytes) -> HeatJob:
     """Return a heat of two contestants by the league's rules, with seeds of its own."""
-    rules = store.settings.ruleset
     generator = np.random.default_rng([draw, *salt])
     tracks = generator.choice(rules.tracks, size=2, replace=len(rules.tracks) < 2)
     first = str(tracks[0])
     second = str(tracks[1]) if len(rules.tracks) >= 4 else first
-    heat = heat_spec.mirrored(rules.hash, (first, second), (one, other), draw)
-    return SeededHeat(heat, heat.seeds(salt))
+    heat = heat_spec.mirrored(rules.hash, (first, second), (one.id, other.id), draw)
+    drivers = {one.id: one, other.id: other}
+    return HeatJob(heat.key, draw, heat.halves, heat.seeds(salt), rules, drivers, False)
 
 
 def race(
     executor: Executor,
-    store: Store,
-    heats: Sequence[SeededHeat],
-    field: dict[str, HeatDriver],
+    jobs: Sequence[HeatJob],
     *,
     watch: Callable[[HeatOutcome], bool] = lambda outcome: True,
 ) -> list[HeatOutcome]:
-    """Race heats of a field (by id) that are not in the store's queue; return their outcomes.
+    """Race heats under one ruleset that are not in the store's queue; return their outcomes.
 
-    `watch` is called with each outcome in the order of the heats; False ends it early.
-
-    Raises:
-        StoreError: a heat could not be raced three times in a row.
+    `watch` is called with each outcome in the order of the heats; False ends it early. A heat that
+    could not be raced three times in a row is a StoreError.
     """
-    rules = store.settings.ruleset
-    check_physics(rules, "this league")
-    waiting, failures = deque(range(len(heats))), Counter[int]()
-    running: dict[str, int] = {}
-    outcomes: dict[int, HeatOutcome] = {}
-    watched = 0
-    while len(outcomes) < len(heats):
+    check_physics(jobs[0].ruleset, "this league")
+    waiting, failures = deque(range(len(jobs))), Counter[int]()
+    place_of = {job.key: place for place, job in enumerate(jobs)}
+    outcomes, watched = dict[int, HeatOutcome](), 0
+    while len(outcomes) < len(jobs):
         while executor.free and waiting:
-            number = waiting.popleft()
-            heat, seeds = heats[number].heat, heats[number].seeds
-            contestants = {id: field[id] for id in heat.entries}
-            executor.offer(HeatJob(heat.key, number, heat.halves, seeds, rules, contestants, False))
-            running[heat.key] = number
+            executor.offer(jobs[waiting.popleft()])
         for report in executor.wait(0.5):
-            number = running.pop(report.key)
+            place = place_of[report.key]
             if report.outcome is not None:
-                outcomes[number] = report.outcome
+                outcomes[place] = report.outcome
                 continue
-            failures[number] += 1
-            if failures[number] == TRIES:
+            failures[place] += 1
+            if failures[place] == TRIES:
                 last = (report.traceback.strip().splitlines() or ["no reason given"])[-1]
                 raise StoreError(
                     f"a race failed {TRIES} times ({last[:200]}): look at the cause, try again"
                 )
-            waiting.appendleft(number)
+            waiting.appendleft(place)
         while watched in outcomes:
             watched += 1
             if not watch(outcomes[watched - 1]):
-                return [outcomes[number] for number in range(watched)]
-    return [outcomes[number] for number in range(len(heats))]
+                return [outcomes[place] for place in range(watched)]
+    return [outcomes[place] for place in range(len(jobs))]
 
 
-def points_of(heat: Heat, outcome: HeatOutcome, id: str) -> list[float]:
+def points_of(heat: HeatJob, outcome: HeatOutcome, id: str) -> list[float]:
     """Return the points of a contestant of a duel in each of its races: 1, 0.5 for a tie, or 0."""
     points = []
     for half, result in zip(heat.halves, outcome.races, strict=True):
@@ -192,12 +176,12 @@ class GauntletResult:
 
 def opponents(store: Store, *, most: int = 8) -> list[LeagueEntry]:
     """Return opponents for a gauntlet: rated entries evenly spread over the table."""
-    entries = {e.number: e for e in store.entries(RATED)}
+    entries = {entry.number: entry for entry in store.entries(RATED)}
     try:
-        table = standings.of(store)
-        ordered = [entries[row.number] for row in table.rows if row.number in entries]
+        order = [row.number for row in standings.of(store).rows]
     except StoreError:
-        ordered = list(entries.values())
+        order = list(entries)
+    ordered = [entries[number] for number in order if number in entries]
     if not ordered:
         raise StoreError("there is no entry to race in this league yet: submit entries first")
     spread = np.unique(np.linspace(0, len(ordered) - 1, min(most, len(ordered))).round())
@@ -214,37 +198,31 @@ def gauntlet(
     watch: Callable[[HeatOutcome], bool] = lambda outcome: True,
 ) -> GauntletResult:
     """Race a checkpoint against opponents without submitting it; the league keeps nothing of it."""
-    submission.check_sensors(newcomer.card.sensors, store.settings.ruleset)
+    rules, salt = store.settings.ruleset, secrets.token_bytes(16)
+    submission.check_sensors(newcomer.card.sensors, rules)
     own = HeatDriver(newcomer.digest, newcomer.card.name, weights=submission.pack(newcomer))
-    contestants = {entry.id: heat_driver(store, entry) for entry in field}
-    contestants[own.id] = own
-    salt = secrets.token_bytes(16)
-    heats = [
-        duel(store, own.id, entry.id, draw * len(field) + number, salt)
-        for draw in range(rounds)
-        for number, entry in enumerate(field)
-    ]
-    outcomes = race(executor, store, heats, contestants, watch=watch)
-    return _placed(store, own.id, field, heats, outcomes)
+    others = [heat_driver(store, entry) for entry in field] * rounds
+    heats = [duel(rules, own, other, draw, salt) for draw, other in enumerate(others)]
+    outcomes = race(executor, heats, watch=watch)
+    return _placed(store, own.id, field, heats[: len(outcomes)], outcomes)
 
 
 def _placed(
     store: Store,
     newcomer: str,
     field: Sequence[LeagueEntry],
-    heats: Sequence[SeededHeat],
+    heats: Sequence[HeatJob],
     outcomes: Sequence[HeatOutcome],
 ) -> GauntletResult:
     """Rate the newcomer with all entries, from all races of the league and its own."""
     entries = store.entries()
     number_of = {entry.id: entry.number for entry in entries}
     own = number_of[newcomer] = max(number_of.values()) + 1
-    within = scope(store)
-    fitted = _fit_with(within, heats[: len(outcomes)], outcomes, number_of, entries)
+    fitted = _fit_with(scope(store), heats, outcomes, number_of, entries)
     points: dict[str, list[float]] = {entry.id: [] for entry in field}
-    for one, outcome in zip(heats, outcomes, strict=False):
-        other = next(id for id in one.heat.entries if id != newcomer)
-        points[other] += points_of(one.heat, outcome, newcomer)
+    for one, outcome in zip(heats, outcomes, strict=True):
+        other = next(id for id in one.drivers if id != newcomer)
+        points[other] += points_of(one, outcome, newcomer)
     at = fitted.index(own)
     rank = 1 + int((fitted.elo > fitted.elo[at]).sum())
     low, high = fitted.elo - SIGMAS_95 * fitted.sd, fitted.elo + SIGMAS_95 * fitted.sd
@@ -259,26 +237,21 @@ def _placed(
 
 def _fit_with(
     within: RatingScope,
-    heats: Sequence[SeededHeat],
+    heats: Sequence[HeatJob],
     outcomes: Sequence[HeatOutcome],
     number_of: dict[str, int],
     entries: Sequence[LeagueEntry],
 ) -> Ratings:
     """Return the fit of a season with some heats more, of at least a newcomer's spread."""
     season = standings.results_of(within.races)
-    width = season.entries.shape[1]
-    numbers, grids, places = [], [], []
-    for number, (one, outcome) in enumerate(
-        zip(heats, outcomes, strict=True), int(season.heats.max(initial=0)) + 1
-    ):
-        for half, result in zip(one.heat.halves, outcome.races, strict=True):
-            numbers.append(number)
-            grids.append([number_of[id] for id in half.grid] + [-1] * (width - 2))
-            places.append([*result.places] + [0] * (width - 2))
+    first = int(season.heats.max(initial=0)) + 1
+    grids = [[number_of[id] for id in half.grid] for one in heats for half in one.halves]
+    places = [result.places for outcome in outcomes for result in outcome.races]
+    room = ((0, 0), (0, season.entries.shape[1] - 2))  # a duel has two cars, others may have more
     both = Results(
-        heats=np.append(season.heats, np.array(numbers, dtype=np.int64)),
-        entries=np.concatenate([season.entries, np.array(grids, dtype=np.int64)]),
-        places=np.concatenate([season.places, np.array(places, dtype=np.int64)]),
+        heats=np.append(season.heats, np.repeat(np.arange(first, first + len(heats)), 2)),
+        entries=np.concatenate([season.entries, np.pad(grids, room, constant_values=-1)]),
+        places=np.concatenate([season.places, np.pad(places, room)]),
     )
     anchor = standings.anchor_of(both.entries, entries)
     fitted = ratings.fit(both, anchor=anchor, carried=within.carried)
@@ -302,17 +275,17 @@ def compare(
 
     Outcomes are judged in the order they were planned, so that fast races do not weigh more.
     """
-    salt = secrets.token_bytes(16)
-    heats = [duel(store, one.id, other.id, draw, salt) for draw in range(most_heats)]
+    rules, salt = store.settings.ruleset, secrets.token_bytes(16)
+    heats = [duel(rules, one, other, draw, salt) for draw in range(most_heats)]
     scores: list[float] = []
     comparison = sprt.compare(np.array(scores), settings)
 
     def judge(outcome: HeatOutcome) -> bool:
         nonlocal comparison
-        scores.append(float(np.mean(points_of(heats[len(scores)].heat, outcome, other.id))))
+        scores.append(float(np.mean(points_of(heats[len(scores)], outcome, other.id))))
         comparison = sprt.compare(np.array(scores), settings)
         watch(comparison)
         return comparison.decision == "undecided"
 
-    race(executor, store, heats, {one.id: one, other.id: other}, watch=judge)
+    race(executor, heats, watch=judge)
     return comparison

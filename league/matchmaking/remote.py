@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import quote, urlsplit
 
+from pydantic import TypeAdapter, ValidationError
+
 from league.atomic_file import replacing
 from league.errors import ConfigError, StoreError, brief
 from league.matchmaking import wire
@@ -60,16 +62,10 @@ class Client:
 
     @classmethod
     def of(cls, url: str, token: str, *, insecure: bool = False) -> Client:
-        """Return a league by its address.
+        """Return a league by the address of its first page.
 
-        Args:
-            url: of its first page, http:// or https://.
-            token: the secret.
-            insecure: whether the token may travel unencrypted to another machine.
-
-        Raises:
-            ConfigError: the address or the token is not possible, or the token would be readable
-                on its way.
+        An impossible address or token is a ConfigError, and so is a token that would travel
+        unencrypted to another machine, unless that may be (`insecure`).
         """
         parts = urlsplit(url)
         if parts.scheme not in ("http", "https") or not parts.hostname or "@" in parts.netloc:
@@ -113,8 +109,7 @@ class Client:
     def fetch(self, path: str, body: bytes | None = None, kind: str = "") -> bytes:
         """Return what an address answers; a busy or absent server is asked again for a while.
 
-        Raises:
-            StoreError: it refuses, with its sentence, or cannot be reached.
+        If it refuses, its sentence is a StoreError; so is one that cannot be reached.
         """
         headers = {"Authorization": f"Bearer {self.token}", "User-Agent": "racing-league"}
         if kind:
@@ -123,7 +118,6 @@ class Client:
         opener = urllib.request.build_opener(_NoRedirects)
         give_up_s, pause_s = time.monotonic() + self.patience_s, 0.5
         while True:
-            wait_s = 0.0
             try:
                 with opener.open(request, timeout=TIMEOUT_S) as answer:
                     return answer.read(MOST_ANSWER)
@@ -131,14 +125,14 @@ class Client:
                 refusal, asked = self._refusal(error), error.headers.get("retry-after", "")
                 if error.code not in BUSY:
                     raise refusal from None
-                if asked.isdecimal() and len(asked) < 5:
-                    wait_s = float(asked)
+                wait_s = float(asked) if asked.isdecimal() and len(asked) < 5 else 0.0
             except (OSError, http.client.HTTPException) as error:
                 reason = str(getattr(error, "reason", None) or error) or type(error).__name__
                 refusal = StoreError(
                     f"{self.url} cannot be reached ({reason[:200]}): check the address, and that "
                     "`league serve` runs there"
                 )
+                wait_s = 0.0
             pause_s = min(2 * pause_s, 30.0)
             if time.monotonic() + max(pause_s, wait_s) > give_up_s:
                 raise refusal
@@ -157,12 +151,6 @@ class Client:
             sentence = f"{self.url} answers {error.code} {error.reason}: is a league served there?"
         printable = "".join(letter if letter.isprintable() else "?" for letter in sentence)
         return StoreError(printable[:1000])
-
-
-def cache_folder() -> Path:
-    """Return where weights are kept from one run to the next."""
-    shared = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(shared) / "racing-league" / "weights"
 
 
 class RemoteWeights:
@@ -195,11 +183,14 @@ class RemoteQueue:
 
     def __init__(self, client: Client, *, folder: Path | None = None) -> None:
         """Reach a league; weights are kept in a folder, by default in the user's cache."""
+        if folder is None:
+            cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+            folder = Path(cache) / "racing-league" / "weights"
         self._client = client
         self._rulesets: dict[str, Ruleset] = {}
         self._entries: dict[str, wire.LentEntry] = {}
         self._asked_s = float("-inf")
-        self.blobs = RemoteWeights(client, folder or cache_folder())
+        self.blobs = RemoteWeights(client, folder)
 
     def claim(self, worker: str, limit: int = 1, *, lease_s: float) -> list[HeatRecord]:
         """Lend up to `limit` heats to a worker."""
@@ -242,7 +233,12 @@ class RemoteQueue:
         return wire.entry_of(text, self._entries[text])
 
     def _ask(self, what: str, asked: FrozenModel, answer: type[_Answer]) -> _Answer:
-        content = self._client.fetch(
-            f"{WORK}/{what}", asked.model_dump_json().encode(), "application/json"
-        )
-        return wire.checked(answer, content)
+        body = asked.model_dump_json().encode()
+        content = self._client.fetch(f"{WORK}/{what}", body, "application/json")
+        try:
+            return TypeAdapter(answer).validate_json(content)
+        except ValidationError as error:
+            raise StoreError(
+                "the server does not answer as a league of this version does: use the same version "
+                "of the program on both machines"
+            ) from error

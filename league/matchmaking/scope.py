@@ -1,13 +1,14 @@
-"""What ratings are made of: the races of a season, and the ratings of the season before."""
+"""What standings are made of: a season's races, how they went, and the ratings before it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from league.matchmaking.ratings import Carried
-from league.matchmaking.store import Races, Season, Store
+from league.matchmaking.store import LeagueEntry, Races, Season, Store, records
 
 SEASON_SD = 100.0
 """How far strengths may move from one season to the next, besides what was not known [Elo]: drivers
@@ -32,13 +33,10 @@ def scope(
     season: Season | None = None,
     races: Races | None = None,
 ) -> RatingScope:
-    """Return what the ratings of a season are made of.
+    """Return what the ratings of a season are made of, by default the last one under a ruleset.
 
-    Args:
-        store: the league.
-        ruleset: hash; by default the present one.
-        season: by default the last one under this ruleset.
-        races: all rated races under the ruleset, if they have been read already.
+    By default `ruleset`, a hash, is the present one; `races` are all rated races under it, if they
+    have been read already.
     """
     ruleset = ruleset or store.settings.ruleset.hash
     own = [one for one in store.seasons() if one.ruleset == ruleset]
@@ -57,7 +55,7 @@ def _carried(store: Store, season: Season | None) -> Carried | None:
 
     Whoever was less sure than a newcomer is stays as sure as that.
     """
-    document = store.season_document(season.number) if season else None
+    document = store.frozen(season) if season else None
     if document is None:
         return None
     frozen = document["standings"]
@@ -69,3 +67,59 @@ def _carried(store: Store, season: Season | None) -> Carried | None:
         sd=np.minimum(np.hypot(sd, SEASON_SD), np.maximum(sd, frozen["prior_sd"])),
         prior_sd=frozen["prior_sd"],
     )
+
+
+@dataclass(frozen=True)
+class Runs:
+    """How the races of each entry went, by its number."""
+
+    tracks: tuple[str, ...]
+    first: np.ndarray
+    """Races in which it came first, (numbers,)."""
+    known: np.ndarray
+    """Races of which it is known, (numbers,)."""
+    finished: np.ndarray
+    """Races in which all laps were driven, (numbers,)."""
+    laps_ms: np.ndarray
+    """Best lap, and best clean lap, infinite for none, (2, tracks, numbers)."""
+
+    @classmethod
+    def of(cls, races: Races, tracks: tuple[str, ...], entries: Sequence[LeagueEntry]) -> Runs:
+        """Count the races, finishes and best laps of all entries."""
+        size = 1 + max((entry.number for entry in entries), default=0)
+        first, known, finished = np.zeros(size), np.zeros(size), np.zeros(size)
+        best_ms, clean_ms = laps_ms = np.full((2, len(tracks) * size), np.inf)
+        for slot in range(races.entries.shape[1]):
+            first += np.bincount(races.entries[races.places[:, slot] == 1, slot], minlength=size)
+            rows = np.flatnonzero(races.runs[:, slot] & records.KNOWN)
+            entry, run = races.entries[rows, slot], races.runs[rows, slot]
+            known += np.bincount(entry, minlength=size)
+            finished += np.bincount(entry, (run & records.FINISHED) > 0, size)
+            lap_ms, track = run & records.BEST_MS, races.track[rows]
+            timed = (lap_ms > 0) & (track < len(tracks))
+            place = track[timed].astype(np.int64) * size + entry[timed]
+            clean, lap_ms = (run[timed] & records.CLEAN) > 0, lap_ms[timed].astype(float)
+            np.minimum.at(best_ms, place, lap_ms)
+            np.minimum.at(clean_ms, place[clean], lap_ms[clean])
+        return cls(tracks, first, known, finished, laps_ms.reshape(2, len(tracks), size))
+
+    def laps_s(self, numbers: Sequence[int], *, clean: bool) -> list[dict[str, float]]:
+        """Return the best laps, or best clean laps, of some entries [s] by track."""
+        return [
+            {
+                track: lap_ms / 1000
+                for track, lap_ms in zip(self.tracks, laps_ms, strict=True)
+                if lap_ms < np.inf
+            }
+            for laps_ms in self.laps_ms[int(clean)][:, numbers].T.tolist()
+        ]
+
+    def joined(self, later: Runs) -> Runs:
+        """Return how these races and later ones of the same entries went."""
+        return Runs(
+            self.tracks,
+            self.first + later.first,
+            self.known + later.known,
+            self.finished + later.finished,
+            np.minimum(self.laps_ms, later.laps_ms),
+        )

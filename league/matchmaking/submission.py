@@ -39,11 +39,7 @@ MAX_PICTURE = 160 * 120
 
 
 def pack(given: Checkpoint) -> bytes:
-    """Return a checkpoint as the bytes of an entry; the same content gives the same bytes.
-
-    Raises:
-        PolicyError: the card is too long for the header.
-    """
+    """Return a checkpoint as an entry, always the same bytes; a PolicyError if its card is long."""
     from safetensors.numpy import save
 
     content = save(dict(given.weights), {"card": given.text})
@@ -57,11 +53,7 @@ def pack(given: Checkpoint) -> bytes:
 
 
 def unpack(content: bytes, what: str = "the submission") -> Checkpoint:
-    """Return the checkpoint in a stranger's entry, every part of it checked.
-
-    Raises:
-        PolicyError: it is no entry, or not a sound one.
-    """
+    """Return the checkpoint in a stranger's entry; a PolicyError if any part is not sound."""
     from safetensors import SafetensorError, deserialize
 
     with checkpoint.refusing(what, "submit a checkpoint with `league submit FILE.pt`"):
@@ -98,11 +90,7 @@ def unpack(content: bytes, what: str = "the submission") -> Checkpoint:
 def probe(given: Checkpoint, what: str = "the submission") -> float:
     """Let a policy decide in made-up situations: finite, the same twice, and fast enough.
 
-    Returns:
-        Time of its fastest decision [s of one core].
-
-    Raises:
-        PolicyError: it is not.
+    Returns the time of its fastest decision [s of one core], or raises a PolicyError.
     """
     policy = Policy(given, SimConfig().car)
     fastest = float("inf")
@@ -146,11 +134,7 @@ def _situations(card: Card) -> list[dict[str, np.ndarray]]:
 
 
 def check_sensors(sensors: SensorConfig, ruleset: Ruleset) -> None:
-    """Refuse sensors that a league's cars do not carry.
-
-    Raises:
-        PolicyError: they are not stock: a mount, lens, rate or scan of their own.
-    """
+    """Refuse sensors (PolicyError) with a mount, lens, rate or scan that is not stock."""
     if sensors.truth:
         raise PolicyError(
             "this policy is given the true state, which no car can measure: "
@@ -218,18 +202,10 @@ def accept(
     *,
     download: bool = False,
 ) -> LeagueEntry:
-    """Check what an owner sent, and enter it; nothing is kept if it is refused.
+    """Check what an owner sent, as `pack` makes it, and enter it; nothing is kept if it is refused.
 
-    Args:
-        store: the league.
-        content: an entry, as `pack` makes it.
-        name: shown to people.
-        owner: its owner.
-        quota: how much the owner may enter; None for any number.
-        download: whether everyone may have the weights.
-
-    Raises:
-        LeagueError: it is not sound, its sensors are not stock, or its name is taken.
+    With `download` everyone may have its weights. A LeagueError says that it is not sound, that
+    its sensors are not stock, that its name is taken, or that the owner's quota is used up.
     """
     what = f"the submission {brief(name)}"
     policy = unpack(content, what)

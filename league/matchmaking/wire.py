@@ -6,24 +6,17 @@ import base64
 import binascii
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import Annotated, Any, TypeVar, cast
+from typing import Annotated, Any, cast
 
-from pydantic import AfterValidator, Field, TypeAdapter, ValidationError, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from league.errors import LeagueError, StoreError
 from league.matchmaking.pairing.heat_spec import Half, Heat, Purpose, Ruleset, canonical
-from league.matchmaking.store import (
-    HeatOutcome,
-    HeatRecord,
-    HeatState,
-    LeagueEntry,
-    RaceOutcome,
-)
-from league.matchmaking.workers.worker import outcome_in
+from league.matchmaking.store import HeatOutcome, HeatRecord, HeatState, LeagueEntry, RaceOutcome
+from league.matchmaking.workers.worker import race_outcome
 from league.race_spec import CarResult, FrozenModel, printable
 from league.sim.config import MAX_CARS
 
-_Answer = TypeVar("_Answer")
 MOST_HEATS = 64
 """Heats of one message."""
 MOST_REPLAY = 4 << 20
@@ -203,11 +196,7 @@ def lent(
 
 
 def record_of(sent: LentHeat, worker: str) -> HeatRecord:
-    """Return a heat that came over the wire.
-
-    Raises:
-        StoreError: its key is not that of its content.
-    """
+    """Return a heat that came over the wire; a StoreError if its key is not its content's."""
     halves = tuple(Half(one.track, one.grid) for one in sent.races)
     heat = Heat(sent.ruleset, halves, sent.draw, cast("Purpose", sent.purpose), sent.audits)
     if heat.key != sent.key:
@@ -215,18 +204,8 @@ def record_of(sent: LentHeat, worker: str) -> HeatRecord:
             f"heat {sent.number} came with another key than its content has: use the same version "
             "of the program as the server"
         )
-    return HeatRecord(
-        heat=heat,
-        number=sent.number,
-        state="claimed",
-        worker=worker,
-        attempts=sent.attempts,
-        traceback="",
-        seeds=tuple(one.seed for one in sent.races),
-        created_s=0.0,
-        claimed_s=None,
-        done_s=None,
-    )
+    seeds = tuple(one.seed for one in sent.races)
+    return HeatRecord(heat, sent.number, "claimed", worker, sent.attempts, seeds)
 
 
 def entry_of(id: str, sent: LentEntry) -> LeagueEntry:
@@ -253,10 +232,7 @@ def outcome_of(sent: SentHeat, record: HeatRecord, names: Mapping[str, str]) -> 
     """Return the results that a stranger's worker sent, checked as far as one can without racing.
 
     A recording must be of this race, with the names of its entries (given by id), and the result
-    must be what follows from it.
-
-    Raises:
-        StoreError: they contradict the heat, or each other.
+    must be what follows from it; results that contradict the heat, or each other, are a StoreError.
     """
     halves, seeds = record.heat.halves, record.seeds or ()
     if len(sent.races) != len(halves):
@@ -288,20 +264,5 @@ def _check_recording(
     spec = replay.result.spec
     if (spec.track, spec.seed, [one.name for one in spec.entries]) != (half.track, seed, names):
         raise StoreError(f"a recording of heat {number} is of another race: send its own")
-    if outcome_in(replay.result, replay.columns, outcome.replay) != outcome:
+    if race_outcome(replay, outcome.replay) != outcome:
         raise StoreError(f"a result of heat {number} does not follow from its recording: send both")
-
-
-def checked(model: type[_Answer], content: bytes) -> _Answer:
-    """Return a server's answer, checked.
-
-    Raises:
-        StoreError: it is not what a league of this version answers.
-    """
-    try:
-        return TypeAdapter(model).validate_json(content)
-    except ValidationError as error:
-        raise StoreError(
-            "the server does not answer as a league of this version does: use the same version of "
-            "the program on both machines"
-        ) from error

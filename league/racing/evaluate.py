@@ -126,6 +126,7 @@ def evaluate(
     Raises:
         LeagueError: unknown names, settings that contradict each other, actions that are none.
     """
+    from league.agents import roster
     from league.track import files
 
     if not 1 <= trials <= MAX_TRIALS:
@@ -143,7 +144,10 @@ def evaluate(
         rules=replace(rules or RaceRules(), laps=laps),
         spread=dynamics(variation, start_speed(variation, 1 + len(opponents))),
     )
-    drivers = [_loaded(one, tracks, sim) for one in (driver, *opponents)]
+    drivers = [
+        roster.load(one, tracks, sim.car) if isinstance(one, str) else one
+        for one in (driver, *opponents)
+    ]
     cfg = EnvConfig(sim=sim, solver=solver, sensors=tuple(one.sensors for one in drivers))
     run_laps = laps if course.closed else 1
     runs = [
@@ -154,7 +158,7 @@ def evaluate(
         batch = runs[first : first + WORLDS_AT_ONCE]
         batch_reward = reward(len(batch)) if reward is not None else None
         _drive(tracks, cfg, drivers, batch, batch_reward, watch)
-    rows = [(run, row) for run in runs for row in run.rows]
+    rows = [row for run in runs for row in run.rows]
     return Evaluation(
         driver=drivers[0].name,
         track=course.name,
@@ -165,10 +169,7 @@ def evaluate(
         asked=run_laps * trials,
         seed=seed,
         variation=variation,
-        trials=tuple(
-            Trial(trial=number, run=run.number, seed=run.seed, **row)
-            for number, (run, row) in enumerate(rows, 1)
-        ),
+        trials=tuple(Trial(trial=number, **row) for number, row in enumerate(rows, 1)),
         places=tuple(run.place for run in runs) if opponents else (),
     )
 
@@ -176,12 +177,6 @@ def evaluate(
 def start_speed(variation: float, num_cars: int) -> float:
     """Return the largest speed at the start of a run [m/s]; a grid of several cars stands."""
     return START_SPEED * variation if num_cars == 1 else 0.0
-
-
-def _loaded(driver: Driver | str, tracks: TrackSet, sim: SimConfig) -> Driver:
-    from league.agents import roster
-
-    return roster.load(driver, tracks, sim.car) if isinstance(driver, str) else driver
 
 
 def _drive(
@@ -210,12 +205,8 @@ def _drive(
                 elif not run.over:
                     trial_steps.append(run.add(row, records[row]))
             if watch is not None and recorder is not None:
-                watch(
-                    EvalStep(
-                        *(tracks, cfg.sim, before, recorder.judged, env.world, step),
-                        tuple(trial_steps),
-                    )
-                )
+                worlds = before, recorder.judged, env.world
+                watch(EvalStep(tracks, cfg.sim, *worlds, step, tuple(trial_steps)))
     finally:
         env.close()
 
@@ -345,6 +336,8 @@ class LapRun:
         share = 1.0 if complete else min(max(record.share, 0.0), 1.0)
         self.rows.append(
             {
+                "run": self.number,
+                "seed": self.seed,
                 "standing": self.standing,
                 "status": ending,
                 "time_s": round(record.lap_s if complete else record.elapsed_s, 4),

@@ -15,6 +15,7 @@ import os
 import time
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -105,10 +106,8 @@ class StepRows:
 
     def _action(self, steer: float, throttle: float) -> str | int:
         if isinstance(self._space, DiscreteActions):
-            gaps = [
-                abs(angle - steer) / 30.0 + abs(speed - throttle)
-                for angle, speed in self._space.choices
-            ]
+            choices = self._space.choices
+            gaps = [abs(angle - steer) / 30.0 + abs(speed - throttle) for angle, speed in choices]
             return gaps.index(min(gaps))
         # No comma between the two: readers of the older files count commas.
         return f"[{steer:.4f} {throttle:.4f}]"
@@ -132,7 +131,6 @@ class Trace:
         self.sensors = sensors or SensorConfig()
         self._step_rows = StepRows(space)
         self._rows: dict[int, list[dict[str, Any]]] = {}
-        self._crashes: dict[tuple[int, int], int] = {}
         self._step_dt = 0.0
 
     def add(self, step: EvalStep) -> None:
@@ -143,10 +141,10 @@ class Trace:
         )
         pauses = _plain(step.world.cars["penalty_s"][:, 0])
         for trial in step.trials:
+            run = self._rows.setdefault(trial.run, [])
+            crashes = run[-1]["obstacle_crash_counter"] if trial.step > 1 else 0
             crash = bool(step.step.verdicts["crashed_obstacle"][trial.row, 0] != NOBODY)
-            key = (trial.run, trial.trial)
-            self._crashes[key] = self._crashes.get(key, 0) + crash
-            self._rows.setdefault(trial.run, []).append(
+            run.append(
                 {
                     **rows[trial.row],
                     "trial": trial.trial,
@@ -154,7 +152,7 @@ class Trace:
                     "done": trial.done,
                     "episode_status": trial.status,
                     "pause_duration": pauses[trial.row],
-                    "obstacle_crash_counter": self._crashes[key],
+                    "obstacle_crash_counter": crashes + crash,
                     **({"progress": 100.0} if trial.status == "lap_complete" else {}),
                 }
             )
@@ -382,9 +380,6 @@ class TrainingTrace:
 
 def _read_episodes(path: Path, episodes: int) -> list[list[dict[str, Any]]]:
     """Return the rows of each episode of a file, of those below a number."""
-    by_episode: dict[int, list[dict[str, Any]]] = {}
     with path.open(newline="", encoding="utf-8") as file:
-        for row in csv.DictReader(file):
-            if int(row["episode"]) < episodes:
-                by_episode.setdefault(int(row["episode"]), []).append(row)
-    return list(by_episode.values())
+        rows = [row for row in csv.DictReader(file) if int(row["episode"]) < episodes]
+    return [list(episode) for _, episode in groupby(rows, key=lambda row: row["episode"])]

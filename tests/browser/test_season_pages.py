@@ -56,7 +56,7 @@ def test_a_heat_of_an_exported_season_plays_from_disk(browser, complaints, store
 def test_a_season_that_is_over_keeps_its_table_and_a_running_one_leads_to_the_standings(
     browser, origin, complaints, store
 ):
-    frozen = store.season_document(1)["standings"]["entries"]
+    frozen = store.frozen(store.seasons()[0])["standings"]["entries"]
     page = opened(browser, origin, complaints, java_script_enabled=False)
     page.goto("/seasons")
     page.get_by_role("link", name="final standings").click()
@@ -71,7 +71,7 @@ def test_a_season_that_is_over_keeps_its_table_and_a_running_one_leads_to_the_st
 
 
 def test_a_bracket_says_who_goes_through_and_leads_to_the_race(browser, origin, complaints, store):
-    cup = store.cup_document(1)
+    cup = store.frozen(store.cups()[0])
     page = opened(browser, origin, complaints)
     page.goto("/seasons")
     page.get_by_role("link", name="May Cup").click()

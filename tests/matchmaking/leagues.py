@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import sqlalchemy as sa
 
+from league.errors import StoreError
 from league.matchmaking import store
 from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset, mirrored
 from league.matchmaking.store import schema
@@ -14,21 +15,16 @@ from league.matchmaking.store.database import Database
 
 TRACKS = ("ring", "square")
 RULES = Ruleset(tracks=TRACKS, laps=2)
-WITHOUT_SEASONS = (
+FIRST_VERSION = (
     "DROP TABLE tokens",
     "DROP TABLE divisions",
     "DROP TABLE cups",
     "DROP TABLE seasons",
     "ALTER TABLE races DROP COLUMN driven",
     "ALTER TABLE heats DROP COLUMN claimed_s",
-)
-"""Statements that take away what versions after 0003 added to a league's tables."""
-FIRST_VERSION = (
-    *WITHOUT_SEASONS,
-    "ALTER TABLE results DROP COLUMN rejected",
     "ALTER TABLE results DROP COLUMN machine",
     "DROP TABLE ledger",
-    "UPDATE alembic_version SET version_num = '0001'",
+    "UPDATE alembic_version SET version_num = '0002'",
 )
 """Statements that take away what later versions added to a league's tables."""
 
@@ -80,10 +76,18 @@ def change(url: str, *statements: str, **values: object) -> None:
 def set_ruleset(league: store.Store, ruleset: Ruleset) -> None:
     """Race by other rules from now on, as a later version of the program may allow."""
     database = Database(league.url)
-    with database.writing() as connection:
-        number = schema.add_ruleset(connection, 0.0, ruleset)
-        connection.execute(schema.league.update().values(ruleset=number))
+    with schema.changing(database) as change:
+        number = schema.add_ruleset(change, ruleset)
+        change.update(schema.league, sa.true(), ruleset=number)
     database.close()
+
+
+def keeps(league: store.Store, digest: str) -> bool:
+    """Return whether a league keeps the file with this SHA-256."""
+    try:
+        return bool(league.blobs.get(digest))
+    except StoreError:
+        return False
 
 
 def duels(league: store.Store, count: int, *, first: int = 0) -> list[Heat]:

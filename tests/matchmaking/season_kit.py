@@ -21,7 +21,7 @@ def new_league(
     url: str, *, anchors: Sequence[str] = ("centerline",), rules: Ruleset = SHORT
 ) -> Store:
     # The same secret each time, so the same seeds: a test that fails once fails always.
-    with patch("league.matchmaking.store.schema.secrets.token_bytes", lambda size: b"s" * size):
+    with patch("league.matchmaking.store.founding.secrets.token_bytes", lambda size: b"s" * size):
         store = create(url, name="small", ruleset=rules)
     matchmaker.enter_anchors(store, anchors)
     return store

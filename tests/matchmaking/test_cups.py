@@ -52,9 +52,9 @@ def test_the_best_qualifiers_meet_as_late_as_possible(new_league):
 def test_the_bracket_is_frozen_and_in_the_ledger(new_league, url):
     league = new_league(5)
     cup = cups.start(league)
-    assert cup.name == "Cup 1" and league.cup_document(1) is None
+    assert cup.name == "Cup 1" and league.frozen(league.cups()[0]) is None
     race_on(league)
-    frozen = league.cup_document(1) or {}
+    frozen = league.frozen(league.cups()[0]) or {}
     assert [one["name"] for one in frozen["order"]] == ["e5", "e4", "e3", "e2", "e1"]
     assert frozen["order"][0] == {"entry": 5, "name": "e5"}
     assert league.verify().mismatches == []
@@ -80,7 +80,7 @@ def test_a_cup_goes_on_after_a_kill_as_if_there_was_none(new_league, killed_afte
     with store.Store(league.url, clock=_later) as after:  # the leases have ended
         assert cups.bracket(after, cup).stages[0].name == before.stages[0].name
         race_on(after)
-        frozen = after.cup_document(1) or {}
+        frozen = after.frozen(after.cups()[0]) or {}
         assert len(after.heats()) == 9 + 2 + 1
     assert [one["name"] for one in frozen["order"]][:2] == ["e9", "e8"]
 
@@ -154,7 +154,7 @@ def test_a_cup_follows_from_the_seasons_seed_its_number_and_the_entries(tmp_path
             leagues.change(url, f"UPDATE seasons SET seed = {seed}")
             cup = cups.start(league)
             race_on(league, lambda _: 1.0)  # the draw decides who qualifies, and who goes on
-            frozen = league.cup_document(1) or {}
+            frozen = league.frozen(league.cups()[0]) or {}
             tracks = [heat["track"] for stage in frozen["stages"] for heat in stage["heats"]]
             return cup.seed, frozen["order"], tracks
 

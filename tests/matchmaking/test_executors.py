@@ -15,9 +15,8 @@ import pytest
 from league.errors import ConfigError
 from league.matchmaking import workers
 from league.matchmaking.pairing import heat_spec
-from league.matchmaking.workers import processes
+from league.matchmaking.workers import ProcessExecutor
 from league.matchmaking.workers.dispatcher import heat_driver
-from league.matchmaking.workers.processes import ProcessExecutor
 from league.matchmaking.workers.worker import HeatJob, HeatReport, RaceWorker
 from tests.matchmaking.season_kit import SHORT, new_league, submitted
 
@@ -106,7 +105,7 @@ def test_a_worker_that_dies_while_it_starts_costs_the_heat_no_try(job):
 
 
 def test_where_no_worker_can_start_the_run_ends_with_a_sentence(job, monkeypatch):
-    monkeypatch.setattr(processes, "_work", _cannot_start)
+    monkeypatch.setattr(workers, "_work", _cannot_start)
     field = {id: replace(who, weights=LARGE) for id, who in job.drivers.items()}
     with closing(ProcessExecutor(1)) as executor:
         executor.offer(replace(job, drivers=field))

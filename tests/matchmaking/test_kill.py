@@ -221,7 +221,7 @@ def test_kill_nine_during_a_cup_changes_neither_bracket_nor_winner(tmp_path):
     for path in (calm, wild):
         with Store(f"sqlite:///{path}") as store:
             keys = sorted(h.heat.key for h in store.heats() if h.heat.purpose == "cup")
-            frozen = store.cup_document(1) or {}
+            frozen = store.frozen(store.cups()[0]) or {}
             assert len(frozen["order"]) == ENTRANTS
             # The heats have other numbers where rated ones were planned between them.
             heats = [heat for stage in frozen["stages"] for heat in stage["heats"]]

@@ -75,12 +75,12 @@ def test_standings_are_frozen_and_hashed_whatever_comes_later(league):
     race(league, 6)
     table = standings.of(league)
     ended = seasons.end(league)
-    frozen = league.season_document(ended.number)
+    frozen = league.frozen(ended)
     assert [row["elo"] for row in frozen["standings"]["entries"]] == [r.elo for r in table.rows]
     assert [one["title"] for one in frozen["trophies"]] == ["Champion", "Second", "Third"]
     assert frozen["trophies"][0]["name"] == table.rows[0].name
-    assert league.end_season(ended.number, {"other": "standings"}) == ended
-    assert league.season_document(ended.number) == frozen
+    assert league.freeze(ended, {"other": "standings"}) == ended
+    assert league.frozen(ended) == frozen
 
 
 def test_waiting_heats_are_cancelled_and_those_being_raced_are_waited_for(league):

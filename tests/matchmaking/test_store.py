@@ -15,7 +15,7 @@ from league.errors import StoreError
 from league.matchmaking import store
 from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Half, Heat, Ruleset
-from league.matchmaking.store import database, schema
+from league.matchmaking.store import database, founding, schema
 from league.matchmaking.store.blobs import FolderBlobs
 from tests.matchmaking import leagues
 
@@ -38,9 +38,9 @@ def test_migrations_build_exactly_the_tables_of_the_schema(url, older):
     with there.reading() as connection:
         context = MigrationContext.configure(connection, opts={"compare_type": True})
         assert compare_metadata(context, schema.metadata) == []
-        assert context.get_current_revision() == schema.SCHEMA
+        assert context.get_current_revision() == founding.SCHEMA
     there.close()
-    assert ScriptDirectory(str(schema.MIGRATIONS)).get_heads() == [schema.SCHEMA]
+    assert ScriptDirectory(str(founding.MIGRATIONS)).get_heads() == [founding.SCHEMA]
 
 
 def test_a_second_league_in_the_same_place_is_refused(url):
@@ -56,7 +56,7 @@ def test_founding_that_fails_leaves_nothing_behind(url, monkeypatch):
         raise RuntimeError("the machine dies")
 
     with monkeypatch.context() as patched:
-        patched.setattr(schema, "add_ruleset", broken)
+        patched.setattr(founding, "add_ruleset", broken)
         with pytest.raises(RuntimeError):
             store.create(url)
     with pytest.raises(StoreError, match="holds no league: make one"):
@@ -78,15 +78,17 @@ def test_an_empty_postgresql_database_is_refused(new_postgres):
 def test_a_newer_league_is_refused(url):
     leagues.founded(url, entries=0).close()
     _set_version(url, "0999")
-    match = f"version 0999, this program knows {schema.SCHEMA}: install a newer"
+    match = f"version 0999, this program knows {founding.SCHEMA}: install a newer"
     with pytest.raises(StoreError, match=match):
         store.Store(url)
+    with pytest.raises(StoreError, match="version 0999, which this program cannot bring up"):
+        store.upgrade(url)
 
 
 def test_an_older_league_says_how_to_bring_it_up_to_date(url):
     leagues.founded(url, entries=0).close()
     _set_version(url, "0000")
-    match = f"version 0000, this program needs {schema.SCHEMA}: make a backup"
+    match = f"version 0000, this program needs {founding.SCHEMA}: make a backup"
     with pytest.raises(StoreError, match=match):
         store.Store(url)
 
@@ -213,7 +215,7 @@ def test_a_name_that_is_taken_is_refused(league):
 def test_a_scripted_driver_is_an_entry_without_weights(league):
     entry = league.submit("anchor", "league", scripted="centerline", anchor=True)
     assert (entry.kind, entry.anchor, entry.card) == ("scripted", True, {"driver": "centerline"})
-    assert not league.blobs.has(entry.id)
+    assert not leagues.keeps(league, entry.id)
 
 
 def test_an_entry_moves_only_along_its_way(league):

@@ -53,8 +53,8 @@ def test_columns_have_room_for_the_longest_texts_that_are_let_in():
 
 
 def test_the_audit_log_has_room_for_long_subjects(league):
-    with league._writing() as (connection, now):
-        schema.log_event(connection, now, "a", "deed", "s" * 300, more="kept")
+    with league._writing() as change:
+        change.log("a", "deed", "s" * 300, more="kept")
     event = leagues.events(league)[-1]
     assert (event.subject, json.loads(event.detail)) == ("s" * 100, {"more": "kept"})
 
@@ -144,7 +144,7 @@ def test_newest_heats_come_in_order_and_pages_leave_none_out(league):
 def test_nothing_of_a_refused_submission_is_kept(league):
     with pytest.raises(StoreError, match="is taken"):
         league.submit("e1", "owner 9", weights=b"weights 9")
-    assert not league.blobs.has(heat_spec.digest(b"weights 9"))
+    assert not leagues.keeps(league, heat_spec.digest(b"weights 9"))
     assert "owner 9" not in {entry.owner for entry in league.entries()}
 
 
@@ -157,10 +157,10 @@ def test_a_driver_is_either_weights_or_a_script(league, tmp_path):
 
 
 def test_entries_of_one_beginning_are_told_apart_by_more_digits(league):
-    with league._writing() as (connection, _):
+    with league._writing() as change:
         for number, id in ((1, "abcdef0" + "0" * 57), (2, "abcdef1" + "0" * 57)):
             own = schema.entries.c.number == number
-            connection.execute(schema.entries.update().where(own).values(id=id))
+            change.update(schema.entries, own, id=id)
     with pytest.raises(StoreError, match="begins the ids of 2 entries: give more digits"):
         league.entry("abcdef")
     assert league.entry("abcdef1").name == "e2"

@@ -195,7 +195,7 @@ def test_a_dispatcher_hands_in_what_its_workers_raced(league):
     assert ended.became == "accepted" and not dispatcher.running
     assert league.heat(1).state == "done" and len(league.races().heat) == 2
     replay = league.results(1)[0].replay
-    assert replay is not None and league.blobs.has(replay)
+    assert replay is not None and leagues.keeps(league, replay)
 
 
 class Suspended(Here):
@@ -319,7 +319,7 @@ def test_no_room_for_recordings_is_reported_and_the_heat_is_raced_again_when_the
         assert store.counts() == {"claimed": 1} and not len(store.races().heat)
         assert [path for path in blobs.rglob(".*")] == []  # no part of a file is left
         _raced_by_another(store)
-        assert store.blobs.has(store.results(1)[0].replay or "")
+        assert leagues.keeps(store, store.results(1)[0].replay or "")
 
 
 FULL = """

@@ -55,7 +55,7 @@ def test_a_warm_server_has_read_the_trophies_that_drivers_pages_list(store, monk
 
 
 def test_a_season_shows_its_standings_as_they_were_frozen(client, store):
-    frozen = store.season_document(1)
+    frozen = store.frozen(store.seasons()[0])
     page = client.get("/seasons/1").text
     assert store.seasons()[0].hash in page
     names = re.findall(r'<td class="name"><a href="/drivers/(\d+)">', page)
@@ -160,7 +160,7 @@ def test_a_season_that_is_over_is_exported_as_it_ended(store, tmp_path):
     assert main(command) == 0
     pages = {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("*.html")}
     assert not any("Summer" in page for page in pages.values())
-    frozen = store.season_document(1)["standings"]["entries"]
+    frozen = store.frozen(store.seasons()[0])["standings"]["entries"]
     rows = re.findall(r'<td class="name"><a href="drivers/(\d+)', pages["standings.html"])
     assert rows == [str(row["number"]) for row in frozen]
     assert f">{frozen[0]['elo']:.0f} " in pages["standings.html"]

@@ -13,7 +13,7 @@ from league.cli.season import Reading
 from league.errors import ConfigError
 
 if TYPE_CHECKING:
-    from league.matchmaking.store import Cup, Store
+    from league.matchmaking.store import Season, Store
 
 
 @dataclass
@@ -33,7 +33,6 @@ class Seasons(Reading):
     """Safety rating, 0 to 5, that its top division asks for; 0 for none."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.matchmaking import seasons
         from league.matchmaking.divisions import SeasonSettings
 
@@ -51,15 +50,14 @@ class Seasons(Reading):
             if self.action == "end":
                 ended = seasons.end(store)
                 print(f"{ended.name} has ended; its standings have the hash {ended.hash[:16]}.")
-                _print_trophies(store, ended.number)
+                _print_trophies(store, ended)
                 return
             self._list(store)
 
     def _list(self, store: Store) -> None:
         known = store.seasons()
         if self.json:
-            documents = {one.number: store.season_document(one.number) for one in known}
-            season.print_json([{"season": one, "frozen": documents[one.number]} for one in known])
+            season.print_json([{"season": one, "frozen": store.frozen(one)} for one in known])
             return
         if not known:
             print("This league has no seasons: all its races are one. `league season start` begins")
@@ -70,17 +68,17 @@ class Seasons(Reading):
             heats = f"{one.after + 1}-{one.until or ''}"
             ended = times.day(one.ended_s)[:10] if one.ended_s else "running"
             started = times.day(one.started_s)[:10]
-            rows.append((str(one.number), one.name, heats, started, ended, one.hash[:12]))
+            rows.append((one.number, one.name, heats, started, ended, one.hash[:12]))
         heads = ("", "season", "heats", "from", "to", "standings")
         tables.table("Seasons", heads, rows, "standings", "from")
         for one in known:
             if one.ended_s:
                 print(f"{one.name}:")
-                _print_trophies(store, one.number)
+                _print_trophies(store, one)
 
 
-def _print_trophies(store: Store, number: int) -> None:
-    document = store.season_document(number) or {}
+def _print_trophies(store: Store, over: Season) -> None:
+    document = store.frozen(over) or {}
     for trophy in document.get("trophies", ()):
         where = f", heat {trophy['heat']}" if trophy["heat"] else ""
         print(f"  {trophy['title']}: {trophy['name']} ({trophy['value']}{where})")
@@ -100,7 +98,6 @@ class Cups(Reading):
     """Let the league's own drivers take part in the cup that starts."""
 
     def run(self) -> None:
-        """Run the command."""
         from league.matchmaking import cups
 
         if self.anchors and self.action != "start":
@@ -112,21 +109,14 @@ class Cups(Reading):
                 print(f"{cup.name} has begun with {entrants} entrants: `league run` races it.")
                 return
             cup = cups.named(store, self.name)
-            document = _document_of(store, cup)
+            document = store.frozen(cup)
+            if document is None:
+                entries = {entry.id: entry for entry in store.entries()}
+                document = cups.document(cup, cups.bracket(store, cup), entries)
         if self.json:
             season.print_json(document)
-            return
-        _print_bracket(document)
-
-
-def _document_of(store: Store, cup: Cup) -> dict[str, Any]:
-    from league.matchmaking import cups
-
-    frozen = store.cup_document(cup.number)
-    if frozen is not None:
-        return frozen
-    entries = {entry.id: entry for entry in store.entries()}
-    return cups.document(cup, cups.bracket(store, cup), entries)
+        else:
+            _print_bracket(document)
 
 
 def _print_bracket(document: dict[str, Any]) -> None:

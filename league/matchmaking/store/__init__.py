@@ -1,6 +1,6 @@
 """The league's database; the only package that imports SQLAlchemy and Alembic."""
 
-from league.matchmaking.store.race_table import is_clean
+from league.matchmaking.store.founding import upgrade
 from league.matchmaking.store.records import (
     BEST_MS,
     CLEAN,
@@ -26,36 +26,11 @@ from league.matchmaking.store.records import (
     StoredResult,
     Token,
 )
-from league.matchmaking.store.season_view import SeasonView
-from league.matchmaking.store.store import Store, create, upgrade
+from league.matchmaking.store.store import SeasonView, Store, create
 
 __all__ = [
-    "BEST_MS",
-    "CLEAN",
-    "FINISHED",
-    "KNOWN",
-    "RATED",
-    "SCOPES",
-    "Cup",
-    "DoneHeat",
-    "Drives",
-    "EntryState",
-    "HeatOutcome",
-    "HeatRecord",
-    "HeatState",
-    "LeagueEntry",
-    "Move",
-    "Quota",
-    "RaceOutcome",
-    "Races",
-    "Received",
-    "Scope",
-    "Season",
-    "SeasonView",
-    "Store",
-    "StoredResult",
-    "Token",
-    "create",
-    "is_clean",
-    "upgrade",
-]
+    "BEST_MS", "CLEAN", "FINISHED", "KNOWN", "RATED", "SCOPES", "Cup", "DoneHeat", "Drives",
+    "EntryState", "HeatOutcome", "HeatRecord", "HeatState", "LeagueEntry", "Move", "Quota",
+    "RaceOutcome", "Races", "Received", "Scope", "Season", "SeasonView", "Store",
+    "StoredResult", "Token", "create", "upgrade",
+]  # fmt: skip

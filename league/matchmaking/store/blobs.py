@@ -6,13 +6,14 @@ swapped file is noticed.
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import sqlalchemy as sa
 
 from league.atomic_file import replacing
 from league.errors import StoreError
 from league.matchmaking.pairing import heat_spec
-from league.matchmaking.store.database import Database, Transactional, insert_new
-from league.matchmaking.store.schema import blobs
+from league.matchmaking.store.schema import Change, Transactional, blobs
 
 MAX_BYTES = 64 * 1024 * 1024
 """Largest blob [bytes]."""
@@ -40,36 +41,22 @@ def _verified(content: bytes | None, digest: str, where: str) -> bytes:
     return content
 
 
-def insert_blob(connection: sa.Connection, now: float, content: bytes) -> str:
+def insert_blob(change: Change, content: bytes) -> str:
     """Keep some bytes in the database and return their SHA-256."""
     digest = heat_spec.digest(_checked(content))
-    row = {"digest": digest, "size": len(content), "created_s": now, "content": content}
-    connection.execute(insert_new(connection, blobs), [row])
+    row = {"digest": digest, "size": len(content), "created_s": change.now, "content": content}
+    change.insert_new(blobs, row)
     return digest
 
 
 class TableBlobs(Transactional):
-    """Blobs in the league's own database."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
-
-    def put(self, content: bytes) -> str:
-        """Keep some bytes and return their SHA-256."""
-        with self._writing() as (connection, now):
-            return insert_blob(connection, now, content)
+    """Blobs in the league's own database, which transactions put there with `insert_blob`."""
 
     def get(self, digest: str) -> bytes:
         """Return the bytes with this SHA-256."""
         with self._database.reading() as connection:
             content = connection.scalar(sa.select(blobs.c.content).where(blobs.c.digest == digest))
         return _verified(content, digest, self._database.shown)
-
-    def has(self, digest: str) -> bool:
-        """Return whether the bytes with this SHA-256 are kept."""
-        with self._database.reading() as connection:
-            size = connection.scalar(sa.select(blobs.c.size).where(blobs.c.digest == digest))
-        return size is not None
 
 
 class FolderBlobs:
@@ -91,9 +78,10 @@ class FolderBlobs:
     def put(self, content: bytes) -> str:
         """Keep some bytes and return their SHA-256."""
         digest = heat_spec.digest(_checked(content))
-        if self.has(digest):
-            return digest
         path = self._path(digest)
+        with suppress(OSError):  # writing says what is wrong
+            if self._files.isfile(path):
+                return digest
         if "file" in self._files.protocol:
             with replacing(path, f"the file {digest[:12]}", StoreError) as file:
                 file.write_bytes(content)
@@ -101,8 +89,9 @@ class FolderBlobs:
         try:  # a bucket shows an object whole or not at all
             self._files.pipe_file(path, content)
         except (OSError, ValueError) as refusal:
+            reason = getattr(refusal, "strerror", None) or refusal
             raise StoreError(
-                f"the file {digest[:12]} cannot be kept in {self._url} ({_reason(refusal)}): "
+                f"the file {digest[:12]} cannot be kept in {self._url} ({reason}): "
                 "give a place that can be written and has free space"
             ) from refusal
         return digest
@@ -115,29 +104,15 @@ class FolderBlobs:
             content = None
         except OSError as refusal:
             raise StoreError(
-                f"the file {digest[:12]} cannot be read from {self._url} ({_reason(refusal)}): "
-                "check that the place can be reached"
+                f"the file {digest[:12]} cannot be read from {self._url} "
+                f"({refusal.strerror or refusal}): check that the place can be reached"
             ) from refusal
         return _verified(content, digest, self._url)
-
-    def has(self, digest: str) -> bool:
-        """Return whether the bytes with this SHA-256 are kept."""
-        try:
-            return bool(self._files.isfile(self._path(digest)))
-        except OSError:
-            return False
 
     def _path(self, digest: str) -> str:
         if len(digest) != 64 or not set(digest) <= set("0123456789abcdef"):
             raise StoreError(f"{digest[:70]!r} names no file: give 64 hexadecimal digits")
         return f"{self._root}/{digest[:2]}/{digest}"
-
-
-def _reason(refusal: Exception) -> str:
-    return getattr(refusal, "strerror", None) or str(refusal) or type(refusal).__name__
-
-
-Blobs = TableBlobs | FolderBlobs
 
 
 class BlobStore(Transactional):
@@ -147,6 +122,6 @@ class BlobStore(Transactional):
     """Directory or bucket that they are in; empty for the database itself."""
 
     @property
-    def blobs(self) -> Blobs:
+    def blobs(self) -> TableBlobs | FolderBlobs:
         """Where weights and recordings are kept."""
         return FolderBlobs(self._blobs_url) if self._blobs_url else TableBlobs(self._database)

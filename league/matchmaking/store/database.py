@@ -13,15 +13,15 @@ import os
 import random
 import re
 import sqlite3
+import threading
 import time
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import sqlalchemy as sa
 from sqlalchemy import event, exc
-from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.engine import URL, make_url
 
 from league.errors import DatabaseError, StoreError, brief
@@ -61,12 +61,10 @@ class Database:
     """Connections to one database; not shared across a fork."""
 
     def __init__(self, url: str, clock: Callable[[], float] | None = None) -> None:
-        """Prepare to connect; nothing is opened yet.
+        """Prepare to connect to an `address`; nothing is opened yet.
 
-        Args:
-            url: sqlite:///file or postgresql://...
-            clock: returns the time [s]; by default the database server's, so that machines with
-                wrong clocks agree about leases.
+        `clock` returns the time [s]; by default it is the database server's, so that machines with
+        wrong clocks agree about leases.
         """
         self.url = address(url)
         self.shown = self.url.set(drivername=self.url.get_backend_name()).render_as_string()
@@ -74,6 +72,8 @@ class Database:
         self._clock = clock
         self._jitter = random.Random()
         self._pid = os.getpid()
+        self._shared = threading.local()
+        """Of each thread: the connection of `reading_at_once`, if it goes on."""
         try:
             self._engine = sa.create_engine(self.url, pool_pre_ping=not self.is_sqlite)
         except ModuleNotFoundError as missing:
@@ -90,20 +90,37 @@ class Database:
         """The SQLite file."""
         return Path(self.url.database or "") if self.is_sqlite else None
 
-    @contextmanager
-    def reading(self) -> Generator[sa.Connection]:
+    def reading(self) -> AbstractContextManager[sa.Connection]:
         """Yield a connection that sees one state of the database throughout."""
-        with self._translated(), self._engine.connect() as connection:
-            if not self.is_sqlite:
-                connection = connection.execution_options(isolation_level="REPEATABLE READ")
-            with connection.begin():
-                yield connection
+        shared: sa.Connection | None = getattr(self._shared, "connection", None)
+        if shared is not None:
+            return self._joined(shared)
+        return self._begun(**({} if self.is_sqlite else {"isolation_level": "REPEATABLE READ"}))
 
     @contextmanager
-    def writing(self) -> Generator[sa.Connection]:
+    def reading_at_once(self) -> Generator[None]:
+        """Let all that this thread reads meanwhile see one state of the database."""
+        with self.reading() as connection:
+            before = getattr(self._shared, "connection", None)
+            self._shared.connection = connection
+            try:
+                yield
+            finally:
+                self._shared.connection = before
+
+    def writing(self) -> AbstractContextManager[sa.Connection]:
         """Yield a connection; all its changes are on the disk when this ends without an error."""
-        with self._translated(), self._engine.connect() as connection:
-            connection = connection.execution_options(writes=True)
+        return self._begun(writes=True)
+
+    @contextmanager
+    def _joined(self, shared: sa.Connection) -> Generator[sa.Connection]:
+        with self._translated():
+            yield shared
+
+    @contextmanager
+    def _begun(self, **options: Any) -> Generator[sa.Connection]:  # noqa: ANN401
+        with self._translated(), self._engine.connect() as plain:
+            connection = plain.execution_options(**options)
             with connection.begin():
                 yield connection
 
@@ -175,31 +192,11 @@ class Database:
             ) from refusal
 
 
-class Transactional:
-    """What the parts of a Store have in common: a database, and transactions that write to it."""
-
-    _database: Database
-
-    @contextmanager
-    def _writing(self, *, lock: bool = False) -> Generator[tuple[sa.Connection, float]]:
-        """Begin a transaction that writes; yield its connection and the time [s since 1970]."""
-        with self._database.writing() as connection:
-            if lock:
-                self._database.lock(connection)
-            yield connection, self._database.now(connection)
-
-
 def made_of(cls: type[_Data], row: Any, **given: object) -> _Data:  # noqa: ANN401
     """Return frozen data with the fields of a row, apart from those that are given."""
     known = row._mapping
     names = [name for name in cls.__dataclass_fields__ if name not in given]
     return cls(**{name: known[name] for name in names}, **given)
-
-
-def insert_new(connection: sa.Connection, table: sa.Table) -> Any:  # noqa: ANN401
-    """Return an INSERT that leaves rows that are there already as they are."""
-    dialect = sqlite if connection.dialect.name == "sqlite" else postgresql
-    return dialect.insert(table).on_conflict_do_nothing()
 
 
 def chunked(
@@ -221,7 +218,7 @@ def _prepare(raw: Any, _record: object) -> None:  # noqa: ANN401
         raw.execute(f"PRAGMA {setting}")
 
 
-_SQLITE = {
+_MEANINGS = {
     "SQLITE_FULL": "cannot grow, the disk is full: free some space; nothing was changed",
     "SQLITE_IOERR": "cannot be written or read ({reason}): check the disk and its free space; "
     "nothing was changed",
@@ -232,8 +229,7 @@ _SQLITE = {
     "SQLITE_BUSY": "is locked by another program: end it, or try again later",
     "SQLITE_PERM": "may not be opened: check the file's permissions",
     "SQLITE_AUTH": "may not be opened: check the file's permissions",
-}
-_POSTGRES = {
+    # PostgreSQL
     "53100": "cannot grow, the server's disk is full: free some space; nothing was changed",
     "3D000": "names a database that does not exist: make it with createdb",
     "28P01": "refused the password: check the user and password in the address",
@@ -246,6 +242,7 @@ _POSTGRES = {
     "58030": "cannot be written or read ({reason}): check the server's disk; nothing was changed",
     "53300": "has no free connections: use fewer workers, or raise max_connections",
 }
+"""What names of SQLite's errors, or their beginnings, and SQLSTATEs mean."""
 
 _REFUSALS = {
     "password authentication failed|no password supplied": "28P01",
@@ -263,16 +260,14 @@ def _sentence(refusal: BaseException | None) -> str:
     """Return what happened and how to mend it, to follow the database's address."""
     first = str(refusal).strip().splitlines()
     reason = " ".join((first[0] if first else type(refusal).__name__).split())[:200]
-    name = getattr(refusal, "sqlite_errorname", None)
-    state = getattr(refusal, "sqlstate", None)
-    if name is None and state is None and "FATAL:" in reason:
+    code = getattr(refusal, "sqlite_errorname", None) or getattr(refusal, "sqlstate", None)
+    if code is None and "FATAL:" in reason:
         said = reason.split("FATAL:", 1)[1]
-        state = next((state for text, state in _REFUSALS.items() if re.search(text, said)), None)
-    if name is not None:
-        known = next((text for code, text in _SQLITE.items() if name.startswith(code)), None)
-    elif state is not None:
-        known = _POSTGRES.get(state)
+        code = next((state for text, state in _REFUSALS.items() if re.search(text, said)), None)
+    if code is None:
+        meaning = "cannot be reached ({reason}): check the address and that the server runs"
     else:
-        known = "cannot be reached ({reason}): check the address and that the server runs"
-    known = known or "refused the request ({reason}): look at the cause above"
-    return known.format(reason=reason)
+        unknown = "refused the request ({reason}): look at the cause above"
+        known = (text for start, text in _MEANINGS.items() if code.startswith(start))
+        meaning = next(known, unknown)
+    return meaning.format(reason=reason)

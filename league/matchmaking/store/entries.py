@@ -1,8 +1,9 @@
-"""Entries and their owners: names, submission, look-up and states."""
+"""Entries, their owners, and the tokens by which owners and workers are known over HTTP."""
 
 from __future__ import annotations
 
 import json
+import secrets
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, cast
@@ -11,22 +12,21 @@ import sqlalchemy as sa
 
 from league.errors import QuotaError, StoreError, brief, nearest_names
 from league.matchmaking.pairing import heat_spec
-from league.matchmaking.store.blobs import BlobStore, insert_blob
-from league.matchmaking.store.database import chunked, insert_new, made_of
+from league.matchmaking.store import records, schema
+from league.matchmaking.store.blobs import BlobStore, FolderBlobs, insert_blob
+from league.matchmaking.store.database import chunked, made_of
 from league.matchmaking.store.names import check_name, looks
 from league.matchmaking.store.queue import cancel, entry_numbers, of_entry
-from league.matchmaking.store.records import NEXT, EntryState, LeagueEntry, Quota
-from league.matchmaking.store.schema import (
-    LedgerRecord,
-    append,
-    entries,
-    heats,
-    log_event,
-    owners,
-    state_record,
-)
+from league.matchmaking.store.records import SCOPES, EntryState, LeagueEntry, Quota, Scope, Token
+from league.matchmaking.store.schema import Change, LedgerRecord, entries, owners, tokens
 
 DAY_S = 86400.0
+PREFIX = "league_"
+"""Begins every token, so that programs that look for leaked secrets can know one."""
+LONGEST_S = 10 * 365 * 86400.0
+"""Longest life of a token that ends [s]."""
+USED_EVERY_S = 3600.0
+"""How exactly the last use is noted [s]: a write for every request would be too many."""
 
 
 class EntryStore(BlobStore):
@@ -52,51 +52,46 @@ class EntryStore(BlobStore):
         if (weights is None) == (scripted is None):
             raise ValueError("give either weights or the name of a scripted driver")
         if weights is not None and self._blobs_url:
-            self.blobs.put(weights)
+            FolderBlobs(self._blobs_url).put(weights)
         blob = heat_spec.digest(weights or b"")
         card = {**(card or {}), **({"driver": scripted} if scripted else {"blob": blob})}
         id = heat_spec.scripted_id(scripted) if scripted else id or blob
         kind = "policy" if scripted is None else "scripted"
-        with self._writing(lock=True) as (connection, now):
-            query = with_owners().where(entries.c.id == id)
-            row = connection.execute(query).one_or_none()
+        query = with_owners().where(entries.c.id == id)
+        with self._writing(lock=True) as change:
+            row = change.connection.execute(query).one_or_none()
             if row is not None and row.owner_name != owner:
                 raise StoreError(
                     f"these weights are entered already, as {row.name!r} by {row.owner_name!r}: "
                     "submit weights of your own"
                 )
             if row is None:
-                _check_free(connection, name)
-                number = owner_number(connection, now, owner)
+                _check_free(change.connection, name)
+                number = owner_number(change, owner)
                 if quota is not None:
-                    check_quota(connection, now, owner, quota)
-                connection.execute(
-                    entries.insert().values(
-                        id=id,
-                        name=name,
-                        owner=number,
-                        kind=kind,
-                        anchor=anchor,
-                        state="pending",
-                        reason="",
-                        card=heat_spec.canonical(card).decode(),
-                        created_s=now,
-                    )
-                )
-                log_event(connection, now, owner, "submit", id, name=name, kind=kind)
-                row = connection.execute(query).one()
-                append(connection, [ledger_record(row), state_record(id, "pending", "")])
+                    check_quota(change, owner, quota)
+                new = {
+                    "id": id,
+                    "name": name,
+                    "owner": number,
+                    "kind": kind,
+                    "anchor": anchor,
+                    "state": "pending",
+                    "reason": "",
+                    "card": heat_spec.canonical(card).decode(),
+                    "created_s": change.now,
+                }
+                change.insert(entries, new)
+                change.log(owner, "submit", id, name=name, kind=kind)
+                row = change.connection.execute(query).one()
+                change.record([ledger_record(row), schema.state_record(id, "pending", "")])
             entry = _entry(row)
             if weights is not None and not self._blobs_url and entry.blob == blob:
-                insert_blob(connection, now, weights)
+                insert_blob(change, weights)
             return entry
 
     def entry(self, text: str) -> LeagueEntry:
-        """Return the entry with this name, id, or beginning of an id (6 digits or more).
-
-        Raises:
-            StoreError: none has it, or several; it names the nearest.
-        """
+        """Return the entry of this name, id or beginning of one (6 digits); else a StoreError."""
         match = entries.c.name == text
         if len(text) >= 6 and set(text) <= set("0123456789abcdef"):
             match = match | entries.c.id.like(f"{text}%")
@@ -149,28 +144,26 @@ class EntryStore(BlobStore):
 
         The planned heats of one that leaves the league are cancelled.
         """
-        with self._writing(lock=True) as (connection, now):
-            entry_numbers(connection, states)
+        with self._writing(lock=True) as change:
+            entry_numbers(change.connection, states)
             query = sa.select(entries).with_for_update()
-            rows = chunked(connection, query, entries.c.id, sorted(states))
+            rows = chunked(change.connection, query, entries.c.id, sorted(states))
             changes = [(row, states[row.id]) for row in rows if row.state != states[row.id]]
             for row, state in changes:
-                possible = NEXT[cast(EntryState, row.state)]
+                possible = records.NEXT[cast(EntryState, row.state)]
                 if state not in possible:
                     raise StoreError(
                         f"entry {row.name!r} is {row.state} and cannot become {state}: "
                         f"possible is {', '.join(possible) or 'nothing more'}"
                     )
             for row, state in changes:
-                own = entries.c.id == row.id
-                connection.execute(entries.update().where(own).values(state=state, reason=reason))
-                append(connection, [state_record(row.id, state, reason)])
-                log_event(connection, now, actor, state, row.id, was=row.state, reason=reason)
+                change.update(entries, entries.c.id == row.id, state=state, reason=reason)
+                change.record([schema.state_record(row.id, state, reason)])
+                change.log(actor, state, row.id, was=row.state, reason=reason)
                 if state in ("retired", "refused"):
-                    waiting = cancel(connection, heats.c.number.in_(of_entry(row.number)))
+                    waiting = cancel(change, schema.heats.c.number.in_(of_entry(row.number)))
                     if waiting:
-                        subject = str(row.number)
-                        log_event(connection, now, "league", "cancel", subject, heats=waiting)
+                        change.log("league", "cancel", str(row.number), heats=waiting)
             return len(changes)
 
 
@@ -186,34 +179,26 @@ def _check_free(connection: sa.Connection, name: str) -> None:
             )
 
 
-def owner_number(connection: sa.Connection, now: float, name: str) -> int:
-    """Return the number of an owner, who is added if new.
-
-    Raises:
-        StoreError: the name cannot be shown, or passes for that of another owner.
-    """
+def owner_number(change: Change, name: str) -> int:
+    """Return the number of an owner, who is added if new and the name is possible."""
     query = sa.select(owners.c.number).where(owners.c.name == name)
-    number = connection.scalar(query)
+    number = change.connection.scalar(query)
     if number is not None:
         return number
     check_name(name, "an owner's name")
     own = looks(name)
-    for known in connection.scalars(sa.select(owners.c.name)):
+    for known in change.connection.scalars(sa.select(owners.c.name)):
         if looks(known) & own:
             raise StoreError(
                 f"the owner {name!r} looks like {known!r}: write it like that, or choose another"
             )
-    connection.execute(insert_new(connection, owners).values(name=name, created_s=now))
-    return connection.scalars(query).one()
+    change.insert_new(owners, {"name": name, "created_s": change.now})
+    return change.connection.scalars(query).one()
 
 
-def check_quota(connection: sa.Connection, now: float, owner: str, quota: Quota) -> None:
-    """Refuse one more entry of an owner who has as many as are allowed.
-
-    Raises:
-        QuotaError: there are as many in the league, or as many came within 24 hours.
-    """
-    rows = connection.execute(
+def check_quota(change: Change, owner: str, quota: Quota) -> None:
+    """Refuse one more entry (QuotaError) of an owner who has as many, now or within 24 hours."""
+    rows = change.connection.execute(
         sa.select(entries.c.state, entries.c.created_s)
         .join(owners, owners.c.number == entries.c.owner)
         .where(owners.c.name == owner)
@@ -224,9 +209,9 @@ def check_quota(connection: sa.Connection, now: float, owner: str, quota: Quota)
             f"{owner!r} has {active} entries, and an owner may have {quota.entries}: retire one "
             "first"
         )
-    recent_s = sorted(row.created_s for row in rows if row.created_s > now - DAY_S)
+    recent_s = sorted(row.created_s for row in rows if row.created_s > change.now - DAY_S)
     if len(recent_s) >= quota.per_day:
-        wait_h = max(1, round((recent_s[-quota.per_day] + DAY_S - now) / 3600))
+        wait_h = max(1, round((recent_s[-quota.per_day] + DAY_S - change.now) / 3600))
         raise QuotaError(
             f"{owner!r} made {len(recent_s)} submissions within 24 hours, and {quota.per_day} are "
             f"allowed: try again in {wait_h} h"
@@ -239,12 +224,104 @@ def ledger_record(row: Any) -> LedgerRecord:  # noqa: ANN401
     return LedgerRecord("entry", row.id, [row._mapping[name] for name in names])
 
 
-def with_owners() -> sa.Select[Any]:
-    """Select entries and the names of their owners."""
-    return sa.select(entries, owners.c.name.label("owner_name")).join(
-        owners, owners.c.number == entries.c.owner
+def with_owners(table: sa.Table = entries) -> sa.Select[Any]:
+    """Select entries, or tokens, and the names of their owners."""
+    return sa.select(table, owners.c.name.label("owner_name")).join(
+        owners, owners.c.number == table.c.owner
     )
 
 
 def _entry(row: Any) -> LeagueEntry:  # noqa: ANN401
     return made_of(LeagueEntry, row, owner=row.owner_name, card=json.loads(row.card))
+
+
+class Tokens(schema.Transactional):
+    """The tokens of a league: 256 random bits each, of which the hash is kept.
+
+    A hash without salt is enough, because 2^256 secrets cannot be tried.
+    """
+
+    def create(
+        self, owner: str, scopes: Sequence[Scope], *, life_s: float | None = None
+    ) -> tuple[str, Token]:
+        """Make a token of an owner, known or new; return its secret, which is not kept, and it.
+
+        It ends after `life_s` [s]; None is never. An impossible name, scope or life is a
+        StoreError.
+        """
+        unknown = next((scope for scope in scopes if scope not in SCOPES), "" if scopes else "none")
+        if unknown:
+            raise StoreError(
+                f"the scope {brief(unknown)} is not known: give one or more of {', '.join(SCOPES)}"
+            )
+        if life_s is not None and not 0 < life_s <= LONGEST_S:
+            raise StoreError(
+                f"a token's life is {life_s / 86400:g} days: give more than 0 and at most "
+                f"{LONGEST_S / 86400:.0f}, or none for a token that does not end"
+            )
+        secret = PREFIX + secrets.token_urlsafe(32)
+        with self._writing(lock=True) as change:
+            row = {
+                "hash": _hash(secret),
+                "owner": owner_number(change, owner),
+                "scopes": " ".join(scope for scope in SCOPES if scope in scopes),
+                "created_s": change.now,
+                "expires_s": None if life_s is None else change.now + life_s,
+            }
+            change.insert(tokens, row)
+            query = with_owners(tokens).where(tokens.c.hash == row["hash"])
+            made = change.connection.execute(query).one()
+            change.log(owner, "token", str(made.number), scopes=row["scopes"])
+        return secret, _token(made)
+
+    def listed(self) -> list[Token]:
+        """Return all tokens, in the order they were made."""
+        with self._database.reading() as connection:
+            rows = connection.execute(with_owners(tokens).order_by(tokens.c.number))
+            return [_token(row) for row in rows]
+
+    def active(self) -> list[Token]:
+        """Return the tokens that can be used."""
+        with self._database.reading() as connection:
+            now = self._database.now(connection)
+        return [token for token in self.listed() if token.state(now) == "active"]
+
+    def revoke(self, which: str) -> Token:
+        """End a token, given by its number or its secret; return it as it is now."""
+        match = tokens.c.hash == _hash(which)
+        if which.isdecimal() and len(which) < 10:
+            match = tokens.c.number == int(which)
+        query = with_owners(tokens).where(match)
+        with self._writing() as change:
+            row = change.connection.execute(query).one_or_none()
+            if row is None:
+                raise StoreError(
+                    "this league has no such token: give its number, as `league token list` "
+                    "prints it, or the token itself"
+                )
+            if row.revoked_s is None:
+                change.update(tokens, match, revoked_s=change.now)
+                change.log(row.owner_name, "revoke", str(row.number))
+            return _token(change.connection.execute(query).one())
+
+    def find(self, secret: str) -> Token | None:
+        """Return the active token with this secret, and note that it is used; None for no such."""
+        match = tokens.c.hash == _hash(secret)
+        with self._database.reading() as connection:
+            now = self._database.now(connection)
+            row = connection.execute(with_owners(tokens).where(match)).one_or_none()
+        token = None if row is None else _token(row)
+        if token is None or token.state(now) != "active":
+            return None
+        if token.used_s is None or now - token.used_s > USED_EVERY_S:
+            with self._writing() as change:
+                change.update(tokens, match, used_s=now)
+        return token
+
+
+def _hash(secret: str) -> str:
+    return heat_spec.digest(secret.encode("utf-8", "replace"))
+
+
+def _token(row: Any) -> Token:  # noqa: ANN401
+    return made_of(Token, row, owner=row.owner_name, scopes=tuple(row.scopes.split()))

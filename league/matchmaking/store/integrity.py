@@ -15,17 +15,16 @@ from league.matchmaking.pairing import heat_spec
 from league.matchmaking.pairing.heat_spec import Ruleset
 from league.matchmaking.store import entries, results, schema, seasons
 from league.matchmaking.store.database import chunked
-from league.matchmaking.store.heat_rows import heat_in, with_rules
+from league.matchmaking.store.queue import heat_in, with_rules
 from league.matchmaking.store.results import PackedResult
 from league.matchmaking.store.schema import (
+    Change,
     LedgerRecord,
-    append,
     heats,
     ledger,
     link,
     races,
     rulesets,
-    state_record,
 )
 
 BLOCK = 2000
@@ -50,11 +49,7 @@ class Integrity:
 
 
 def verify(connection: sa.Connection, head: str = "") -> Integrity:
-    """Check a league; what standings use is recomputed from the documents of all results.
-
-    The connection must see one state of the database throughout, and the ledger still have the
-    record with the hash `head`, if there is one.
-    """
+    """Check a league, see Store.verify; the connection must see one state of it throughout."""
     found = Integrity()
     simple = {record[:2]: record.content for record in _simple_records(connection)}
     num_results, settled, missing = Counter[int](), dict[int, set[str]](), set(simple)
@@ -83,7 +78,8 @@ def verify(connection: sa.Connection, head: str = "") -> Integrity:
     found.mismatches += [f"{kind} {name[:12]}: not in the ledger" for kind, name in missing]
     for row in connection.execute(sa.select(entries.entries).order_by(entries.entries.c.number)):
         # Of entries from before states were recorded, the ledger knows none until they change.
-        if row.id in states and states[row.id] != _state_record(row).subject:
+        now = schema.state_record(row.id, row.state, row.reason).subject
+        if states.get(row.id, now) != now:
             found.mismatches.append(
                 f"entry {row.name!r}: it is {row.state}, and the ledger has another state or reason"
             )
@@ -157,6 +153,7 @@ def _check_heats(
     num_results: Counter[int],
     settled: dict[int, set[str]],
 ) -> None:
+    """Check heats, given what the ledger has of each: results, and those a settled dispute kept."""
     tracks = _sound_tracks(connection, found)
     id_of = {row.number: row.id for row in connection.execute(entries.with_owners())}
     query = with_rules().order_by(heats.c.number).limit(BLOCK)
@@ -169,7 +166,11 @@ def _check_heats(
         for row in chunked(connection, sa.select(races), races.c.heat, numbers):
             counted[row.heat].append(row)
         for row in rows:
-            if not _is_as_planned(row, id_of):
+            try:
+                is_as_planned = heat_in(row, json.loads(row.halves), id_of).key == row.key
+            except (ValueError, KeyError, TypeError):
+                is_as_planned = False
+            if not is_as_planned:
                 found.damaged = True
                 found.mismatches.append(f"heat {row.number}: it is not what was planned")
                 continue
@@ -183,13 +184,6 @@ def _check_heats(
         orphans = sa.select(table.c.heat).where(~sa.exists().where(heats.c.number == table.c.heat))
         for heat in connection.scalars(orphans.distinct()):
             found.mismatches.append(f"{table.name} of heat {heat}: there is no such heat")
-
-
-def _is_as_planned(row: Any, id_of: dict[int, str]) -> bool:  # noqa: ANN401
-    try:
-        return heat_in(row, id_of).key == row.key
-    except (ValueError, KeyError, TypeError):
-        return False
 
 
 def _check_races(
@@ -237,10 +231,6 @@ def _read(found: Integrity, row: Any) -> PackedResult | None:  # noqa: ANN401
     return None
 
 
-def _state_record(row: Any) -> LedgerRecord:  # noqa: ANN401
-    return state_record(row.id, row.state, row.reason)
-
-
 def _present(connection: sa.Connection) -> str | None:
     """Return the hash of the present rules; None if they are missing."""
     query = sa.select(rulesets.c.hash).join(
@@ -249,35 +239,23 @@ def _present(connection: sa.Connection) -> str | None:
     return connection.scalar(query)
 
 
-def adopt_present(connection: sa.Connection) -> bool:
-    """Record the present rules of a league from before the ledger did; return whether it was."""
-    known = connection.scalar(sa.select(ledger.c.number).where(ledger.c.kind == "present").limit(1))
-    hash = _present(connection)
-    if known is not None or hash is None:
-        return False
-    append(connection, [schema.present_record(hash)])
-    return True
-
-
-def adopt_states(connection: sa.Connection) -> int:
-    """Record the states of entries from before the ledger did; return how many these are."""
-    subjects = connection.scalars(sa.select(ledger.c.subject).where(ledger.c.kind == "state"))
-    known = {subject.split("/")[0] for subject in subjects}
-    query = sa.select(entries.entries).order_by(entries.entries.c.number)
-    rows = [row for row in connection.execute(query) if row.id not in known]
-    append(connection, map(_state_record, rows))
-    return len(rows)
-
-
-def adopt(connection: sa.Connection) -> int:
-    """Begin the ledger of an older league with all that it holds; return the number of records."""
-    numbers = list(connection.scalars(sa.select(heats.c.number).order_by(heats.c.number)))
-    append(connection, _simple_records(connection))
-    for start in range(0, len(numbers), BLOCK):
-        append(connection, _result_records(connection, numbers[start : start + BLOCK]))
+def adopt(change: Change) -> list[str]:
+    """Begin the ledger of an older league with all that it holds; return what that was."""
+    connection = change.connection
+    change.record(_simple_records(connection))
+    change.record(_result_records(connection, list(connection.scalars(sa.select(heats.c.number)))))
     rejected = sa.select(results.results.c.heat).where(results.results.c.rejected).distinct()
     for heat in sorted(connection.scalars(rejected)):
         stored = results.read_results(connection, [heat])
         kept = [(one.half, one.hash) for one in stored if not one.rejected]
-        append(connection, [results.settlement(heat, kept)])
-    return connection.scalar(sa.select(sa.func.count()).select_from(ledger)) or 0
+        change.record([results.settlement(heat, kept)])
+    count = connection.scalar(sa.select(sa.func.count()).select_from(ledger))
+    done = [f"{count} records begin the ledger"]
+    query = sa.select(entries.entries).order_by(entries.entries.c.number)
+    if rows := connection.execute(query).all():
+        change.record(schema.state_record(row.id, row.state, row.reason) for row in rows)
+        done.append(f"states of {len(rows)} entries begin in the ledger")
+    if (present := _present(connection)) is not None:
+        change.record([schema.present_record(present)])
+        done.append("the present rules begin in the ledger")
+    return done

@@ -59,12 +59,9 @@ def looks(name: str) -> frozenset[str]:
     punctuation tell no names apart, nor do small raised or lowered characters, which may be read as
     if they were not there.
     """
-    plain = "".join(sign for sign in name if not _is_raised(sign))
+    raised = ("<super>", "<sub>")
+    plain = "".join(sign for sign in name if not unicodedata.decomposition(sign).startswith(raised))
     return frozenset(_skeleton(text) for text in {name, plain} if text)
-
-
-def _is_raised(sign: str) -> bool:
-    return unicodedata.decomposition(sign).startswith(("<super>", "<sub>"))
 
 
 def _skeleton(text: str) -> str:
@@ -97,11 +94,7 @@ def _plain(letter: str) -> str:
 
 
 def check_printable(name: str, what: str) -> None:
-    """Refuse a name that is too long or cannot be printed.
-
-    Raises:
-        StoreError: it is.
-    """
+    """Refuse a name (StoreError) that is too long or cannot be printed."""
     if not 1 <= len(name) <= 100 or not name.isprintable() or name != name.strip():
         raise StoreError(
             f"{what} is {brief(name)}: give 1 to 100 printable characters without spaces around"
@@ -109,11 +102,7 @@ def check_printable(name: str, what: str) -> None:
 
 
 def check_name(name: str, what: str) -> None:
-    """Refuse a name that cannot be shown, or that passes for another.
-
-    Raises:
-        StoreError: it is too long, not printable, holds invisible characters or mixes scripts.
-    """
+    """Refuse a name (StoreError) that cannot be shown, in part or at all, or mixes scripts."""
     check_printable(name, what)
     begins_with_mark = unicodedata.category(name[0]).startswith("M")  # an accent without a letter
     if INVISIBLE & set(name) or begins_with_mark or not all(looks(name)):

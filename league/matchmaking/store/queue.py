@@ -5,28 +5,18 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import sqlalchemy as sa
 
 from league.errors import StoreError, brief
 from league.matchmaking.pairing import heat_spec
-from league.matchmaking.pairing.heat_spec import Heat, Purpose
-from league.matchmaking.store.database import Transactional, chunked, insert_new
-from league.matchmaking.store.heat_rows import records_of, with_rules
+from league.matchmaking.pairing.heat_spec import Half, Heat, Purpose
+from league.matchmaking.store import schema
+from league.matchmaking.store.database import chunked
 from league.matchmaking.store.records import HeatRecord, HeatState
-from league.matchmaking.store.schema import (
-    append,
-    entries,
-    heat_entries,
-    heats,
-    log_event,
-    owners,
-    results,
-    rulesets,
-    state_record,
-    tokens,
-)
+from league.matchmaking.store.schema import Change, entries, heat_entries, heats, rulesets
 
 LEASE_S = 60.0
 """Lease of a heat [s]; dispatchers renew it every 10 s."""
@@ -34,21 +24,22 @@ BATCH = 1000
 """Heats planned or completed per transaction."""
 ATTEMPTS = 3
 """Failed races before a heat is marked as an error."""
-PRIORITY: dict[Purpose, int] = {
-    "validation": 0,
-    "gauntlet": 1,
-    "cup": 1,
-    "rated": 2,
-    "audit": 2,
-}
+PRIORITY: dict[Purpose, int] = {"validation": 0, "gauntlet": 1, "cup": 1, "rated": 2, "audit": 2}
 """Small numbers are claimed first; a season always has rated heats, and audits must not wait."""
 TRACEBACK_CHARS = 8000
 """The end of a traceback that is kept."""
-RETRIED: tuple[HeatState, ...] = ("error", "cancelled", "quarantined")
-"""States out of which a heat may be raced again."""
+COPIED = tuple(name for name in HeatRecord.__dataclass_fields__ if name not in ("heat", "seeds"))
+"""What a record has from its row as it is."""
+STATES = (
+    sa.select(heats.c.number, heats.c.state)
+    .join(heat_entries, heat_entries.c.heat == heats.c.number)
+    .where(heat_entries.c.entry == sa.bindparam("entry"))
+    .order_by(heats.c.number)
+)
+"""Selects the states of an entry's heats; made once, which takes as long as to ask."""
 
 
-class QueueStore(Transactional):
+class QueueStore(schema.Transactional):
     """The part of a Store that is about heats and their queue."""
 
     _secret: bytes
@@ -56,12 +47,16 @@ class QueueStore(Transactional):
     _entry_ids: dict[int, str]
     """Ids of entries by their numbers; they never change."""
 
+    def _shown(self, heat: sa.ColumnElement[int]) -> sa.ColumnElement[bool]:
+        """Return which heats, by number, reading methods return: here all of them."""
+        return sa.true()
+
     def plan(self, planned: Sequence[Heat]) -> int:
         """Add heats to the queue and return how many are new; known ones are left as they are."""
         added = 0
         for start in range(0, len(planned), BATCH):
-            with self._writing(lock=True) as (connection, now):
-                added += _plan(connection, now, planned[start : start + BATCH])
+            with self._writing(lock=True) as change:
+                added += _plan(change, planned[start : start + BATCH])
         return added
 
     def claim(
@@ -74,8 +69,8 @@ class QueueStore(Transactional):
         own have none.
         """
         check_worker(worker)
-        with self._writing() as (connection, now):
-            reap(connection, now)
+        with self._writing() as change:
+            reap(change)
             wanted = (
                 sa.select(heats.c.number)
                 .where(heats.c.state == "planned", *(_impartial(lender) if lender else ()))
@@ -83,22 +78,21 @@ class QueueStore(Transactional):
                 .limit(min(limit, BATCH))
                 .with_for_update(skip_locked=True)
             )
-            numbers = list(connection.scalars(wanted))
+            numbers = list(change.connection.scalars(wanted))
             if not numbers:
                 return []
-            connection.execute(
-                heats.update()
-                .where(heats.c.number.in_(numbers))
-                .values(
-                    state="claimed",
-                    worker=worker,
-                    claimed_s=now,
-                    lease_s=now + lease_s,
-                    attempts=heats.c.attempts + 1,
-                )
+            change.update(
+                heats,
+                heats.c.number.in_(numbers),
+                state="claimed",
+                worker=worker,
+                claimed_s=change.now,
+                lease_s=change.now + lease_s,
+                attempts=heats.c.attempts + 1,
             )
-            log_event(connection, now, worker, "claim", "", heats=numbers)
-            lent = self._read(connection, heats.c.number.in_(numbers))
+            change.log(worker, "claim", "", heats=numbers)
+            rows = change.connection.execute(with_rules().where(heats.c.number.in_(numbers)))
+            lent = self._records(change.connection, rows)
             lent.sort(key=lambda record: numbers.index(record.number))
             return [replace(record, seeds=self.seeds(record.heat)) for record in lent]
 
@@ -110,20 +104,17 @@ class QueueStore(Transactional):
         With `keys` only those of these heats, so that what it was lent without hearing of it ends.
         """
         check_worker(worker)
-        with self._writing() as (connection, now):
+        with self._writing() as change:
             held = sa.select(heats.c.number, heats.c.key).where(
-                heats.c.state == "claimed", heats.c.worker == worker, heats.c.lease_s >= now
+                heats.c.state == "claimed", heats.c.worker == worker, heats.c.lease_s >= change.now
             )
             if keys is not None:
                 held = held.where(heats.c.key.in_(keys))
             # A row that is locked is being completed: it needs no lease any more.
-            rows = connection.execute(held.with_for_update(skip_locked=True)).all()
+            rows = change.connection.execute(held.with_for_update(skip_locked=True)).all()
             if rows:
-                connection.execute(
-                    heats.update()
-                    .where(heats.c.number.in_([row.number for row in rows]))
-                    .values(lease_s=now + lease_s)
-                )
+                own = heats.c.number.in_([row.number for row in rows])
+                change.update(heats, own, lease_s=change.now + lease_s)
             return [row.key for row in rows]
 
     def seeds(self, heat: Heat) -> tuple[int, ...]:
@@ -139,32 +130,22 @@ class QueueStore(Transactional):
     def fail(self, worker: str, key: str, traceback: str, *, lost: bool = False) -> HeatState:
         """Hand back a heat that could not be raced, and return its state: planned, or error.
 
-        A worker that has lost the lease changes nothing.
-
-        Args:
-            worker: the one that claimed it.
-            key: of the heat.
-            traceback: why it could not be raced.
-            lost: its worker was killed, so that this is no failed try of the heat.
+        A worker that has lost the lease changes nothing. If it was killed (`lost`), that is no
+        failed try of the heat.
         """
         check_worker(worker)
-        with self._writing() as (connection, now):
-            query = sa.select(heats.c.number, heats.c.state, heats.c.worker, heats.c.attempts)
-            query = query.where(heats.c.key == key).with_for_update()
-            row = connection.execute(query).one_or_none()
+        with self._writing() as change:
+            row = _locked(change, key)
             if row is None:
                 raise unknown_heat(key)
             text = traceback.replace("\x00", "?")[-TRACEBACK_CHARS:]
             tried = {"attempt": row.attempts, "traceback": text[-500:]}
-            log_event(connection, now, worker, "lose" if lost else "fail", key, **tried)
+            change.log(worker, "lose" if lost else "fail", key, **tried)
             if row.state != "claimed" or row.worker != worker:
                 return row.state
             state: HeatState = "planned" if lost or row.attempts < ATTEMPTS else "error"
-            connection.execute(
-                heats.update()
-                .where(heats.c.number == row.number)
-                .values(state=state, lease_s=None, attempts=row.attempts - lost, traceback=text)
-            )
+            now = {"state": state, "attempts": row.attempts - lost, "traceback": text}
+            change.update(heats, heats.c.number == row.number, lease_s=None, **now)
             return state
 
     def retry(self, key: str) -> int:
@@ -174,22 +155,17 @@ class QueueStore(Transactional):
         one of a dispute settles it; another one leaves it in quarantine. An entry that was refused
         for the dispute is validating again.
         """
-        with self._writing(lock=True) as (connection, now):
-            query = sa.select(heats.c.number, heats.c.state, heats.c.audits)
-            query = query.where(heats.c.key == key).with_for_update()
-            row = connection.execute(query).one_or_none()
+        with self._writing(lock=True) as change:
+            row = _locked(change, key)
             if row is None:
                 return 0
             number = row.audits if row.audits and row.state == "quarantined" else row.number
-            changed = connection.execute(
-                heats.update()
-                .where(heats.c.number == number, heats.c.state.in_(RETRIED))
-                .values(state="planned", attempts=0, done_s=None)
-            ).rowcount
-            if not changed:
+            over = heats.c.state.in_(("error", "cancelled", "quarantined"))
+            match = (heats.c.number == number) & over
+            if not change.update(heats, match, state="planned", attempts=0, done_s=None):
                 return 0
-            log_event(connection, now, "league", "retry", key, heat=number, was=row.state)
-            _reopen_entries(connection, now, number)
+            change.log("league", "retry", key, heat=number, was=row.state)
+            _reopen_entries(change, number)
             return number
 
     def heat(self, name: str | int) -> HeatRecord:
@@ -216,15 +192,11 @@ class QueueStore(Transactional):
         limit: int | None = None,
         newest: bool = False,
     ) -> list[HeatRecord]:
-        """Return heats by number.
+        """Return heats by number, all or only some.
 
-        Args:
-            states: only those in one of them; by default all.
-            numbers: only those with one of these; by default all.
-            entries: only those with all these entries (numbers) in them.
-            since: only those with a larger number.
-            limit: so many at most.
-            newest: with a limit, those with the largest numbers instead of the smallest.
+        Those in one of the `states`, with one of the `numbers`, with all of the `entries` (numbers)
+        in them, and numbered above `since`; at most `limit`, and then those with the smallest
+        numbers, or the largest ones (`newest`).
         """
         match = heats.c.number > since
         if states is not None:
@@ -237,12 +209,14 @@ class QueueStore(Transactional):
             match &= heats.c.number.in_(of_entry(entry))
         return self._heats(match, limit, newest=newest)
 
+    def heat_states(self, entry: int) -> dict[int, HeatState]:
+        """Return the states of all heats of an entry (its number), by number, the oldest first."""
+        with self._database.reading() as connection:
+            return {number: state for number, state in connection.execute(STATES, {"entry": entry})}
+
     def heats_by_key(self, keys: Sequence[str]) -> list[HeatRecord]:
         """Return those of some heats that are known, by number."""
-        records: list[HeatRecord] = []
-        for start in range(0, len(keys), BATCH):
-            records += self._heats(heats.c.key.in_(keys[start : start + BATCH]))
-        return sorted(records, key=lambda record: record.number)
+        return self._heats(heats.c.key.in_(keys))
 
     def counts(self) -> dict[HeatState, int]:
         """Return how many heats are in each state."""
@@ -253,35 +227,92 @@ class QueueStore(Transactional):
     def _heats(
         self, match: sa.ColumnElement[bool], limit: int | None = None, *, newest: bool = False
     ) -> list[HeatRecord]:
+        query = with_rules().where(match, self._shown(heats.c.number)).limit(limit)
+        query = query.order_by(heats.c.number.desc() if newest else heats.c.number)
         with self._database.reading() as connection:
-            return self._read(connection, match, limit, newest=newest)
+            return self._records(connection, connection.execute(query))
 
-    def _read(
-        self,
-        connection: sa.Connection,
-        match: sa.ColumnElement[bool],
-        limit: int | None = None,
-        *,
-        newest: bool = False,
-    ) -> list[HeatRecord]:
-        order = heats.c.number.desc() if newest else heats.c.number
-        rows = connection.execute(with_rules().where(match).order_by(order).limit(limit)).all()
-        return records_of(connection, sorted(rows, key=lambda row: row.number), self._secret,
-                          self._entry_ids)  # fmt: skip
+    def _records(self, connection: sa.Connection, found: Iterable[Any]) -> list[HeatRecord]:
+        """Return the heats in rows of `with_rules`, by number."""
+        rows = [(row, json.loads(row.halves)) for row in found]
+        numbers = {number for _, halves in rows for _, grid in halves for number in grid}
+        if not numbers <= self._entry_ids.keys():
+            ids = connection.execute(sa.select(entries.c.number, entries.c.id))
+            self._entry_ids.update(map(tuple, ids))
+        rows.sort(key=lambda row: row[0].number)
+        return [self._record(row, halves) for row, halves in rows]
+
+    def _record(self, row: Any, halves: list[Any]) -> HeatRecord:  # noqa: ANN401
+        heat = heat_in(row, halves, self._entry_ids)
+        vars(heat)["key"] = row.key  # computed when it was planned; Store.verify computes it again
+        is_public = row.state in ("done", "quarantined")
+        seeds = self.seeds(heat) if is_public else None
+        known = row._mapping
+        return HeatRecord(heat=heat, seeds=seeds, **{name: known[name] for name in COPIED})
 
 
-def _plan(connection: sa.Connection, now: float, planned: Sequence[Heat]) -> int:
+@cache
+def with_rules() -> sa.Select[Any]:
+    """Select heats, the hashes of their rules (`rules`) and the keys of those they audit."""
+    audited = heats.alias("audited")
+    return (
+        sa.select(heats, rulesets.c.hash.label("rules"), audited.c.key.label("audited_key"))
+        .outerjoin(rulesets, rulesets.c.number == heats.c.ruleset)
+        .outerjoin(audited, audited.c.number == heats.c.audits)
+    )
+
+
+def heat_in(row: Any, halves: list[Any], id_of: Mapping[int, str]) -> Heat:  # noqa: ANN401
+    """Return the heat in a row of `with_rules`, with the ids of entries (given by number)."""
+    races = tuple(Half(track, tuple([id_of[number] for number in grid])) for track, grid in halves)
+    return Heat(row.rules, races, row.draw, row.purpose, row.audited_key or "")
+
+
+def _locked(change: Change, key: str) -> sa.Row[Any] | None:
+    """Return the row of a heat, which no other transaction can change meanwhile."""
+    query = sa.select(heats).where(heats.c.key == key).with_for_update()
+    return change.connection.execute(query).one_or_none()
+
+
+def _plan(change: Change, planned: Sequence[Heat]) -> int:
     """Add heats to the queue; those that were ever planned before are left out."""
+    connection = change.connection
     ruleset_of = dict(connection.execute(sa.select(rulesets.c.hash, rulesets.c.number)).all())
     number_of = entry_numbers(connection, {entry for heat in planned for entry in heat.entries})
-    has_results = sa.exists().where(results.c.heat == heats.c.number)
+    has_results = sa.exists().where(schema.results.c.heat == heats.c.number)
     by_key = sa.select(heats.c.key, heats.c.number)
     audited = [heat.audits for heat in planned if heat.audits]
     audited_rows = chunked(connection, by_key.where(has_results), heats.c.key, audited)
     audited_of = {row.key: row.number for row in audited_rows}
-    rows = [_row(heat, now, ruleset_of, number_of, audited_of) for heat in planned]
+    rows: list[dict[str, Any]] = []
+    for heat in planned:
+        if heat.ruleset not in ruleset_of:
+            raise StoreError(
+                f"a heat under the ruleset {heat.ruleset[:12]} was planned, which this league does "
+                "not have: set the league's ruleset first"
+            )
+        if heat.audits and heat.audits not in audited_of:
+            raise StoreError(
+                f"an audit of heat {heat.audits[:12]} was planned, which has no results here: "
+                "audit a heat that is done"
+            )
+        halves = [[half.track, [number_of[entry] for entry in half.grid]] for half in heat.halves]
+        row = {
+            "key": heat.key,
+            "ruleset": ruleset_of[heat.ruleset],
+            "purpose": heat.purpose,
+            "priority": PRIORITY[heat.purpose],
+            "halves": json.dumps(halves, separators=(",", ":")),
+            "draw": heat.draw,
+            "audits": audited_of.get(heat.audits),
+            "state": "planned",
+            "attempts": 0,
+            "traceback": "",
+            "created_s": change.now,
+        }
+        rows.append(row)
     before = connection.scalar(sa.select(sa.func.coalesce(sa.func.max(heats.c.number), 0)))
-    connection.execute(insert_new(connection, heats), rows)
+    change.insert_new(heats, *rows)
     entries_of = {heat.key: heat.entries for heat in planned}
     new = by_key.where(heats.c.number > before)
     added = chunked(connection, new, heats.c.key, list(entries_of))
@@ -290,88 +321,49 @@ def _plan(connection: sa.Connection, now: float, planned: Sequence[Heat]) -> int
         for row in added
         for entry in entries_of[row.key]
     ]
-    if links:
-        connection.execute(insert_new(connection, heat_entries), links)
-        log_event(connection, now, "league", "plan", "", heats=len(added))
+    change.insert_new(heat_entries, *links)
+    if added:
+        change.log("league", "plan", "", heats=len(added))
     return len(added)
-
-
-def _row(
-    heat: Heat,
-    now: float,
-    ruleset_of: Mapping[str, int],
-    number_of: Mapping[str, int],
-    audited_of: Mapping[str, int],
-) -> dict[str, Any]:
-    if heat.ruleset not in ruleset_of:
-        raise StoreError(
-            f"a heat under the ruleset {heat.ruleset[:12]} was planned, which this league does "
-            "not have: set the league's ruleset first"
-        )
-    if heat.audits and heat.audits not in audited_of:
-        raise StoreError(
-            f"an audit of heat {heat.audits[:12]} was planned, which has no results here: "
-            "audit a heat that is done"
-        )
-    halves = [[half.track, [number_of[entry] for entry in half.grid]] for half in heat.halves]
-    return {
-        "key": heat.key,
-        "ruleset": ruleset_of[heat.ruleset],
-        "purpose": heat.purpose,
-        "priority": PRIORITY[heat.purpose],
-        "halves": json.dumps(halves, separators=(",", ":")),
-        "draw": heat.draw,
-        "audits": audited_of.get(heat.audits),
-        "state": "planned",
-        "attempts": 0,
-        "traceback": "",
-        "created_s": now,
-    }
 
 
 def _impartial(owner: str) -> tuple[sa.ColumnElement[bool], ...]:
     """Return what holds for heats that workers of an owner may race: others have to judge."""
-    of_owner = sa.select(owners.c.number).where(owners.c.name == owner).scalar_subquery()
+    of_owner = (
+        sa.select(schema.owners.c.number).where(schema.owners.c.name == owner).scalar_subquery()
+    )
     own_entry = (
         sa.exists()
         .where(heat_entries.c.heat == heats.c.number)
         .where(heat_entries.c.entry == entries.c.number, entries.c.owner == of_owner)
     )
     raced = sa.exists().where(
-        results.c.heat == sa.func.coalesce(heats.c.audits, heats.c.number),
-        tokens.c.owner == of_owner,
-        results.c.worker.like(sa.cast(tokens.c.number, sa.String) + "/%"),
+        schema.results.c.heat == sa.func.coalesce(heats.c.audits, heats.c.number),
+        schema.tokens.c.owner == of_owner,
+        schema.results.c.worker.like(sa.cast(schema.tokens.c.number, sa.String) + "/%"),
     )
     return ~own_entry, ~raced
 
 
-def reap(connection: sa.Connection, now: float) -> None:
+def reap(change: Change) -> None:
     """Plan heats with an expired lease again; their machine's end is no failed try."""
     ended = (
         sa.select(heats.c.number, heats.c.attempts, heats.c.worker, heats.c.traceback)
-        .where(heats.c.lease_s < now, heats.c.state == "claimed")
+        .where(heats.c.lease_s < change.now, heats.c.state == "claimed")
         .order_by(heats.c.number)
         .with_for_update(skip_locked=True)
     )
-    for row in connection.execute(ended).all():
+    for row in change.connection.execute(ended).all():
         lost = f"worker {row.worker} gave no sign until its lease ended"
-        connection.execute(
-            heats.update()
-            .where(heats.c.number == row.number)
-            .values(
-                state="planned",
-                lease_s=None,
-                attempts=row.attempts - 1,
-                traceback=f"{row.traceback}\n{lost}".strip()[-TRACEBACK_CHARS:],
-            )
-        )
-        log_event(connection, now, "league", "reap", str(row.number), worker=row.worker)
+        text = f"{row.traceback}\n{lost}".strip()[-TRACEBACK_CHARS:]
+        now = {"state": "planned", "attempts": row.attempts - 1, "traceback": text}
+        change.update(heats, heats.c.number == row.number, lease_s=None, **now)
+        change.log("league", "reap", str(row.number), worker=row.worker)
 
 
-def cancel(connection: sa.Connection, which: sa.ColumnElement[bool]) -> int:
+def cancel(change: Change, which: sa.ColumnElement[bool]) -> int:
     """Take those of some heats that wait out of the queue; return how many."""
-    waiting = heats.update().where(heats.c.state == "planned", which)
-    return connection.execute(waiting.values(state="cancelled")).rowcount
+    return change.update(heats, (heats.c.state == "planned") & which, state="cancelled")
 
 
 def entry_numbers(connection: sa.Connection, ids: Iterable[str]) -> dict[str, int]:
@@ -392,7 +384,7 @@ def of_entry(entry: int) -> sa.Select[Any]:
     return sa.select(heat_entries.c.heat).where(heat_entries.c.entry == entry)
 
 
-def _reopen_entries(connection: sa.Connection, now: float, heat: int) -> None:
+def _reopen_entries(change: Change, heat: int) -> None:
     """Move entries that were refused for a validation heat back to `validating`.
 
     Their other validation heats, which were cancelled, are planned again.
@@ -400,17 +392,14 @@ def _reopen_entries(connection: sa.Connection, now: float, heat: int) -> None:
     of_heat = sa.select(heat_entries.c.entry).where(heat_entries.c.heat == heat)
     validates = sa.exists().where(heats.c.number == heat, heats.c.purpose == "validation")
     refused = (entries.c.state == "refused") & entries.c.number.in_(of_heat) & validates
-    for row in connection.execute(sa.select(entries.c.number, entries.c.id).where(refused)).all():
-        again = entries.update().where(entries.c.number == row.number)
-        connection.execute(again.values(state="validating", reason=""))
-        append(connection, [state_record(row.id, "validating", "")])
+    query = sa.select(entries.c.number, entries.c.id).where(refused)
+    for row in change.connection.execute(query).all():
+        change.update(entries, entries.c.number == row.number, state="validating", reason="")
+        change.record([schema.state_record(row.id, "validating", "")])
         cancelled = (heats.c.purpose == "validation") & (heats.c.state == "cancelled")
-        connection.execute(
-            heats.update()
-            .where(heats.c.number.in_(of_entry(row.number)), cancelled)
-            .values(state="planned", attempts=0)
-        )
-        log_event(connection, now, "league", "validating", row.id, was="refused", heat=heat)
+        own = heats.c.number.in_(of_entry(row.number))
+        change.update(heats, own & cancelled, state="planned", attempts=0)
+        change.log("league", "validating", row.id, was="refused", heat=heat)
 
 
 def unknown_heat(key: str) -> StoreError:

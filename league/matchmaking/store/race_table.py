@@ -13,31 +13,22 @@ import sqlalchemy as sa
 
 from league.matchmaking.store.queue import of_entry
 from league.matchmaking.store.records import BEST_MS, CLEAN, FINISHED, KNOWN, Drives, Races
-from league.matchmaking.store.schema import heats, races, results, rulesets
+from league.matchmaking.store.schema import Change, heats, races, results, rulesets
 
 OFF_TRACK, TOUCH, CRASH = 1, 1, 4
 """Incident points of leaving the track, of a light contact and of a crash one is to blame for."""
 FAULTS = ("off_tracks", "crashes", "touches", "immobilised", "reversed")
 """What a result counts of each car; a lap is clean in a race without any of them."""
-FILLED = 5000
-"""Races of an older league brought up to date at a time."""
 BLOCK = 1 << 20
 """Races read at a time."""
 NO_TRACK = 255
 """Number of a track that is not in the ruleset, or has a number too large for one byte."""
 DRIVEN = np.dtype([("points", ">u2"), ("distance_cm", ">u4"), ("clean_ms", ">u4")])
 """What the bytes of `driven` are for each car."""
-UNKNOWN = "00" * DRIVEN.itemsize
-"""A car of which a result does not tell, in hexadecimal."""
+DRIVEN_MOST = (0xFFFF, 0xFFFFFFFF, BEST_MS)
+"""The largest numbers there."""
 
-KINDS = {
-    "heat": np.int64,
-    "half": np.uint8,
-    "track": np.uint8,
-    "entries": np.int32,
-    "places": np.uint8,
-    "runs": np.uint32,
-}
+KINDS = {"heat": "i8", "half": "u1", "track": "u1", "entries": "i4", "places": "u1", "runs": "u4"}
 """Types of the columns of Races."""
 
 
@@ -47,85 +38,39 @@ def is_clean(row: Mapping[str, Any]) -> bool:
 
 
 def driven(result: Mapping[str, Any], cars: int) -> str:
-    """Return how each car drove, in hexadecimal: incident points, distance [cm], clean lap [ms].
+    """Return how each car drove, as DRIVEN in hexadecimal; nothing if the result does not tell.
 
-    That is 4, 8 and 8 digits for each car, and nothing for a result that does not tell. The clean
-    lap is the best one of a race without any fault, 0 for none.
+    The clean lap is the best one of a race without any fault, 0 for none.
     """
-    order = result.get("order")
-    parts = [UNKNOWN] * cars
-    for row in order if isinstance(order, list | tuple) else ():
-        match row:
-            case {
-                "car": int(car),
-                "distance": float() | int() as distance,
-                "lap_times_s": laps,
-            } if car < cars:
-                off, crashes, touches = (int(row.get(name, 0)) for name in FAULTS[:3])
-                points = OFF_TRACK * off + CRASH * crashes + TOUCH * touches
-                clean_ms = round(1000 * min(laps, default=0.0)) if is_clean(row) else 0
-                parts[car] = (
-                    f"{min(points, 0xFFFF):04x}{round(100 * max(distance, 0.0)):08x}"
-                    f"{min(clean_ms, BEST_MS):08x}"
-                )
-    text = "".join(parts)
-    return text if text.strip("0") else ""
+    drives = np.zeros(cars, DRIVEN)
+    for car, best_ms, row in _lines(result, cars):
+        distance = row.get("distance")
+        if isinstance(distance, int | float):
+            off, crashes, touches = (int(row.get(name, 0)) for name in FAULTS[:3])
+            points = OFF_TRACK * off + CRASH * crashes + TOUCH * touches
+            clean_ms = best_ms if is_clean(row) else 0
+            numbers = (points, round(100 * max(distance, 0.0)), clean_ms)
+            drives[car] = tuple(map(min, numbers, DRIVEN_MOST))
+    content = drives.tobytes()
+    return content.hex() if any(content) else ""
 
 
 def runs_of(result: Mapping[str, Any], cars: int) -> tuple[int, ...]:
     """Return the bits of Races.runs for each car; 0 for a car that the result does not describe."""
     runs = [0] * cars
-    order = result.get("order")
-    for row in order if isinstance(order, list | tuple) else ():
-        match row:
-            case {"car": int(car), "finished": bool(finished), "lap_times_s": laps} if car < cars:
-                best_ms = round(1000 * min(laps, default=0.0))
-                runs[car] = KNOWN | finished * FINISHED | min(best_ms, BEST_MS)
+    for car, best_ms, row in _lines(result, cars):
+        if isinstance(row.get("finished"), bool):
+            runs[car] = KNOWN | row["finished"] * FINISHED | min(best_ms, BEST_MS)
     return tuple(runs)
 
 
-def packed(
-    heat: int,
-    half: int,
-    grid: Sequence[int],
-    places: Sequence[int],
-    *,
-    track: int = NO_TRACK,
-    runs: Sequence[int] = (),
-) -> str:
-    """Return a race in hexadecimal: heat, half, track; its cars' entries, their places, their runs.
-
-    That is 12 digits, and 18 for each car. The database joins a million of these into one text,
-    which numpy reads at once; as rows of columns they would take seconds.
-    """
-    entries = "".join(f"{number:08x}" for number in grid)
-    run_digits = "".join(f"{run:08x}" for run in runs or (0,) * len(grid))
-    return f"{heat:08x}{half:02x}{track:02x}{entries}{bytes(places).hex()}{run_digits}"
-
-
-def fill_driven(connection: sa.Connection) -> int:
-    """Let races of an older league tell how cars drove, from their results; return how many."""
-    query = (
-        sa.select(races.c.number, races.c.cars, results.c.document)
-        .join(results, (results.c.heat == races.c.heat) & (results.c.half == races.c.half))
-        .where(~results.c.rejected)
-        .order_by(races.c.number)
-        .limit(FILLED)
-    )
-    last = filled = 0
-    while rows := connection.execute(query.where(races.c.number > last)).all():
-        last = rows[-1].number
-        found = [
-            {"number_": row.number, "driven": driven(_result(row.document), row.cars)}
-            for row in rows
-        ]
-        connection.execute(races.update().where(races.c.number == sa.bindparam("number_")), found)
-        filled += len(found)
-    return filled
-
-
-def _result(document: bytes) -> dict[str, Any]:
-    return json.loads(zlib.decompress(document))["result"]
+def _lines(result: Mapping[str, Any], cars: int) -> Iterator[tuple[int, int, dict[str, Any]]]:
+    """Yield a result's lines that tell of laps: slot of the car, its best lap [ms], the line."""
+    order = result.get("order")
+    for row in order if isinstance(order, list | tuple) else ():
+        match row:
+            case {"car": int(car), "lap_times_s": laps} if car < cars:
+                yield car, round(1000 * min(laps, default=0.0)), row
 
 
 def race_type(cars: int) -> np.dtype[Any]:
@@ -138,87 +83,97 @@ def race_type(cars: int) -> np.dtype[Any]:
     )
 
 
-def read_races(
-    connection: sa.Connection,
-    ruleset: str,
-    since: int = 0,
-    *,
-    rated: bool | None = True,
-    entries: Sequence[int] = (),
-) -> Races:
-    """Return the races under a ruleset that count; for the arguments see Store.races."""
-    last = _last(connection)
-    voided = connection.scalar(
-        sa.select(sa.func.count()).select_from(heats).where(heats.c.state == "quarantined")
+def packed(
+    heat: int,
+    half: int,
+    track: int,
+    grid: Sequence[int],
+    places: Sequence[int],
+    runs: Sequence[int],
+) -> str:
+    """Return a race as `race_type` in hexadecimal.
+
+    The database joins a million of these into one text, which numpy reads at once; as rows of
+    columns they would take seconds.
+    """
+    race = (heat, half, track, list(grid), list(places), list(runs))
+    return np.array(race, race_type(len(grid))).tobytes().hex()
+
+
+def fill_driven(change: Change) -> int:
+    """Let races of an older league tell how cars drove, from their results; return how many."""
+    query = (
+        sa.select(races.c.number, races.c.cars, results.c.document)
+        .join(results, (results.c.heat == races.c.heat) & (results.c.half == races.c.half))
+        .where(~results.c.rejected)
     )
-    parts = []
-    counted = _counted(ruleset, rated)
+    rows = change.connection.execute(query).all()
+    for row in rows:
+        result = json.loads(zlib.decompress(row.document))["result"]
+        change.update(races, races.c.number == row.number, driven=driven(result, row.cars))
+    return len(rows)
+
+
+def counted(
+    ruleset: str, rated: bool | None = True, entries: Sequence[int] = ()
+) -> sa.ColumnElement[bool]:
+    """Return which races count; for the arguments see Store.races."""
+    match = races.c.ruleset.in_(sa.select(rulesets.c.number).where(rulesets.c.hash == ruleset))
+    if rated is not None:
+        match &= races.c.rated if rated else ~races.c.rated
     for entry in entries:
-        counted &= races.c.heat.in_(of_entry(entry))
-    for piece in _read(connection, counted, since, last):
+        match &= races.c.heat.in_(of_entry(entry))
+    return match
+
+
+def read_races(connection: sa.Connection, match: sa.ColumnElement[bool], since: int) -> Races:
+    """Return those races after number `since` that match."""
+    quarantined = sa.select(sa.func.count()).where(heats.c.state == "quarantined")
+    voided = connection.scalar(quarantined) or 0
+    last, pieces = _read(connection, match, since)
+    parts = []
+    for piece in pieces:
         columns = {name: piece["race"][name].astype(kind) for name, kind in KINDS.items()}
         columns["runs"] |= np.where(piece["driven"]["clean_ms"] > 0, np.uint32(CLEAN), 0)
-        parts.append(Races(**columns, last=max(last, since), voided=voided or 0))
+        parts.append(Races(**columns, last=last, voided=voided))
     return reduce(Races.joined, parts)
 
 
-def read_drives(connection: sa.Connection, ruleset: str, since: int = 0) -> Drives:
-    """Return how each car drove in the rated races under a ruleset, see `read_races`."""
-    last = _last(connection)
+def read_drives(connection: sa.Connection, match: sa.ColumnElement[bool], since: int) -> Drives:
+    """Return how each car drove in those races after number `since` that match."""
+    last, pieces = _read(connection, match, since)
     parts = []
-    for piece in _read(connection, _counted(ruleset), since, last):
+    for piece in pieces:
         race, driven = piece["race"], piece["driven"]
         cars = driven.shape[1]
         columns = {name: np.repeat(race[name], cars) for name in ("heat", "half", "track")}
         columns["entry"] = race["entries"].ravel()
         columns |= {name: driven[name].ravel() for name in ("points", "distance_cm")}
         numbers = {name: column.astype(np.int64) for name, column in columns.items()}
-        parts.append(Drives(**numbers, last=max(last, since)))
+        parts.append(Drives(**numbers, last=last))
     return reduce(Drives.joined, parts)
 
 
 def _read(
-    connection: sa.Connection, counted: sa.ColumnElement[bool], since: int, last: int
-) -> list[np.ndarray]:
-    """Return races with what is known of their cars, those of as many cars together; at least one.
+    connection: sa.Connection, match: sa.ColumnElement[bool], since: int
+) -> tuple[int, list[np.ndarray]]:
+    """Return the number of the last race, and races by how many cars they have; at least one array.
 
-    Only those after number `since` up to `last`.
+    Each race has what is packed of it (`race`) and what is known of its cars (`driven`).
     """
-    parts = [
-        np.frombuffer(bytes.fromhex(text), dtype=_known_type(cars))
-        for text, cars in _joined(connection, counted, since, last)
-    ]
-    return parts or [np.empty(0, _known_type(2))]
+    last = connection.scalar(sa.select(sa.func.max(races.c.number))) or 0
+    parts = []
+    for start in range(since, last, BLOCK):
+        block = sa.and_(races.c.number > start, races.c.number <= min(start + BLOCK, last), match)
+        sizes = sa.select(races.c.cars).where(block).distinct().order_by(races.c.cars)
+        for cars in connection.scalars(sizes).all():
+            unknown = sa.literal_column(f"'{bytes(cars * DRIVEN.itemsize).hex()}'")
+            text = races.c.packed + sa.case((races.c.driven == "", unknown), else_=races.c.driven)
+            joined = sa.select(sa.func.aggregate_strings(text, " "))
+            digits = connection.scalar(joined.where(block, races.c.cars == cars)) or ""
+            parts.append(np.frombuffer(bytes.fromhex(digits), _known_type(cars)))
+    return max(last, since), parts or [np.empty(0, _known_type(2))]
 
 
 def _known_type(cars: int) -> np.dtype[Any]:
     return np.dtype([("race", race_type(cars)), ("driven", DRIVEN, (cars,))])
-
-
-def _last(connection: sa.Connection) -> int:
-    return connection.scalar(sa.select(sa.func.coalesce(sa.func.max(races.c.number), 0))) or 0
-
-
-def _counted(ruleset: str, rated: bool | None = True) -> sa.ColumnElement[bool]:
-    rules = sa.select(rulesets.c.number).where(rulesets.c.hash == ruleset).scalar_subquery()
-    counted = races.c.ruleset == rules
-    if rated is None:
-        return counted
-    return counted & (races.c.rated if rated else ~races.c.rated)
-
-
-def _joined(
-    connection: sa.Connection,
-    counted: sa.ColumnElement[bool],
-    since: int,
-    last: int,
-) -> Iterator[tuple[str, int]]:
-    """Yield the texts of some races, with spaces between, and how many cars these have."""
-    for start in range(since, last, BLOCK):
-        block = sa.and_(races.c.number > start, races.c.number <= min(start + BLOCK, last), counted)
-        fields = sa.select(races.c.cars).where(block).distinct().order_by(races.c.cars)
-        for cars in connection.scalars(fields).all():
-            unknown = sa.literal_column(f"'{UNKNOWN * cars}'")
-            text = races.c.packed + sa.case((races.c.driven == "", unknown), else_=races.c.driven)
-            joined = sa.select(sa.func.aggregate_strings(text, " "))
-            yield connection.scalar(joined.where(block, races.c.cars == cars)) or "", cars

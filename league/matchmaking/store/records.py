@@ -255,15 +255,15 @@ class HeatRecord:
     """The worker that has it, or had it last."""
     attempts: int
     """Races that failed, and the one under way; not those lost with their machine."""
-    traceback: str
-    """Of the last failure."""
     seeds: tuple[int, ...] | None
     """Seed of each race; secret (None) until the heat is over, but for its worker."""
-    created_s: float
+    traceback: str = ""
+    """Of the last failure."""
+    created_s: float = 0.0
     """When it was planned [s since 1970]."""
-    claimed_s: float | None
+    claimed_s: float | None = None
     """When its worker took it [s since 1970]; None before, and in heats of older versions."""
-    done_s: float | None
+    done_s: float | None = None
     """When its results came [s since 1970]."""
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zlib
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,20 +13,12 @@ import sqlalchemy as sa
 
 from league.errors import StoreError
 from league.matchmaking.pairing import heat_spec
-from league.matchmaking.store.blobs import BlobStore, insert_blob
+from league.matchmaking.store.blobs import BlobStore, FolderBlobs, insert_blob
 from league.matchmaking.store.database import chunked, made_of
 from league.matchmaking.store.queue import BATCH, check_worker, unknown_heat
 from league.matchmaking.store.race_table import NO_TRACK, driven, packed, runs_of
 from league.matchmaking.store.records import HeatOutcome, RaceOutcome, Received, StoredResult
-from league.matchmaking.store.schema import (
-    LedgerRecord,
-    append,
-    heats,
-    log_event,
-    races,
-    results,
-    rulesets,
-)
+from league.matchmaking.store.schema import Change, LedgerRecord, heats, races, results, rulesets
 
 
 class ResultStore(BlobStore):
@@ -46,24 +39,21 @@ class ResultStore(BlobStore):
         return received
 
     def _complete(self, worker: str, outcomes: Sequence[HeatOutcome]) -> Received:
-        keep = self.blobs.put if self._blobs_url else heat_spec.digest
+        keep = FolderBlobs(self._blobs_url).put if self._blobs_url else heat_spec.digest
         batch = [
             (outcome.key, [_pack(race, outcome, keep) for race in outcome.races])
             for outcome in outcomes
         ]
-        with self._writing(lock=True) as (connection, now):
-            received = _take_in(connection, now, worker, batch)
+        with self._writing(lock=True) as change:
+            received = _take_in(change, worker, batch)
             if not self._blobs_url:
                 races = (race for outcome in outcomes for race in outcome.races)
                 for replay in filter(None, (race.replay for race in races)):
-                    insert_blob(connection, now, replay)
+                    insert_blob(change, replay)
         return received
 
     def results(self, *heats: int) -> list[StoredResult]:
-        """Return all results of heats (by number), by race and time.
-
-        Several for one race are a dispute.
-        """
+        """Return all results of heats (by number), by race and time; several are a dispute."""
         with self._database.reading() as connection:
             return read_results(connection, heats)
 
@@ -119,14 +109,14 @@ def _pack(race: RaceOutcome, outcome: HeatOutcome, keep: Callable[[bytes], str])
 class _Intake:
     """What a batch of results is going to change; results are (half, hash), by heat."""
 
-    known: dict[int, set[tuple[int, str]]]
-    """Results that were not rejected."""
-    before: dict[int, set[tuple[int, str]]]
-    """All results, rejected or not, from before this batch."""
-    machines: dict[int, set[str]]
-    """Classes of the machines that the known results came from."""
     tracks: dict[int, tuple[str, ...]]
     """Tracks of each ruleset, by its number."""
+    known: dict[int, set[tuple[int, str]]] = field(default_factory=lambda: defaultdict(set))
+    """Results that were not rejected."""
+    before: dict[int, set[tuple[int, str]]] = field(default_factory=lambda: defaultdict(set))
+    """All results, rejected or not, from before this batch."""
+    machines: dict[int, set[str]] = field(default_factory=lambda: defaultdict(set))
+    """Classes of the machines that the known results came from."""
     new_results: list[dict[str, Any]] = field(default_factory=list)
     new_races: list[dict[str, Any]] = field(default_factory=list)
     done: set[int] = field(default_factory=set)
@@ -138,54 +128,35 @@ class _Intake:
 
 
 def _take_in(
-    connection: sa.Connection,
-    now: float,
-    worker: str,
-    batch: Sequence[tuple[str, list[PackedResult]]],
+    change: Change, worker: str, batch: Sequence[tuple[str, list[PackedResult]]]
 ) -> Received:
     """Take in results of heats; the caller must hold the database's lock."""
+    connection, sent_keys = change.connection, [key for key, _ in batch]
     query = sa.select(heats).order_by(heats.c.number).with_for_update()
-    rows = {row.key: row for row in chunked(connection, query, heats.c.key, [k for k, _ in batch])}
-    intake = _intake(connection, sorted({row.audits or row.number for row in rows.values()}))
-    keys: dict[str, list[str]] = {verdict: [] for verdict in Received.__dataclass_fields__}
-    for key, sent in batch:
-        if key not in rows:
-            raise unknown_heat(key)
-        keys[_judge(intake, rows[key], sent, worker, now)].append(key)
-    _write(connection, intake, now)
-    counts = {verdict: len(some) for verdict, some in keys.items() if some}
-    numbers = [rows[key].number for key, _ in batch]
-    log_event(connection, now, worker, "complete", "", heats=numbers, **counts)
-    for key in keys["quarantined"]:
-        log_event(connection, now, worker, "quarantine", key, of=rows[key].audits)
-    for number, kept in intake.settled.items():
-        hashes = [hash for _, hash in sorted(kept)]
-        log_event(connection, now, worker, "settle", str(number), kept=hashes)
-    return Received(**{verdict: tuple(some) for verdict, some in keys.items()})
-
-
-def _intake(connection: sa.Connection, targets: list[int]) -> _Intake:
-    intake = _Intake(
-        known={number: set() for number in targets},
-        before={number: set() for number in targets},
-        machines={number: set() for number in targets},
-        tracks=tracks_of(connection),
-    )
-    stored = sa.select(
-        results.c.heat, results.c.half, results.c.hash, results.c.rejected, results.c.machine
-    )
-    for row in chunked(connection, stored, results.c.heat, targets):
+    rows = {row.key: row for row in chunked(connection, query, heats.c.key, sent_keys)}
+    rules = connection.execute(sa.select(rulesets.c.number, rulesets.c.settings))
+    intake = _Intake({number: tuple(json.loads(text)["tracks"]) for number, text in rules})
+    targets = sorted({row.audits or row.number for row in rows.values()})
+    columns = [results.c[name] for name in ("heat", "half", "hash", "rejected", "machine")]
+    for row in chunked(connection, sa.select(*columns), results.c.heat, targets):
         intake.before[row.heat].add((row.half, row.hash))
         if not row.rejected:
             intake.known[row.heat].add((row.half, row.hash))
             intake.machines[row.heat].add(row.machine)
-    return intake
-
-
-def tracks_of(connection: sa.Connection) -> dict[int, tuple[str, ...]]:
-    """Return the tracks of each ruleset, by its number."""
-    query = sa.select(rulesets.c.number, rulesets.c.settings)
-    return {number: tuple(json.loads(text)["tracks"]) for number, text in connection.execute(query)}
+    keys: dict[str, list[str]] = {verdict: [] for verdict in Received.__dataclass_fields__}
+    for key, sent in batch:
+        if key not in rows:
+            raise unknown_heat(key)
+        keys[_judge(intake, rows[key], sent, worker, change.now)].append(key)
+    _write(change, intake)
+    counts = {verdict: len(some) for verdict, some in keys.items() if some}
+    numbers = [rows[key].number for key, _ in batch]
+    change.log(worker, "complete", "", heats=numbers, **counts)
+    for key in keys["quarantined"]:
+        change.log(worker, "quarantine", key, of=rows[key].audits)
+    for number, kept in intake.settled.items():
+        change.log(worker, "settle", str(number), kept=[hash for _, hash in sorted(kept)])
+    return Received(**{verdict: tuple(some) for verdict, some in keys.items()})
 
 
 def _judge(
@@ -276,7 +247,7 @@ def race_rows(
                 "ruleset": row.ruleset,
                 "rated": row.purpose == "rated",
                 "cars": len(grid),
-                "packed": packed(row.number, half, grid, one.places, track=track, runs=one.runs),
+                "packed": packed(row.number, half, track, grid, one.places, one.runs),
                 "driven": one.driven,
             }
         )
@@ -289,40 +260,26 @@ def ledger_record(key: str, row: Mapping[str, Any]) -> LedgerRecord:
     return LedgerRecord("result", f"{row['heat']}/{row['half']}/{row['hash']}", content)
 
 
-def _write(connection: sa.Connection, intake: _Intake, now: float) -> None:
-    if intake.new_results:
-        connection.execute(results.insert(), intake.new_results)
-        query, numbers = sa.select(heats.c.number, heats.c.key), list(intake.known)
-        key_of = dict(map(tuple, chunked(connection, query, heats.c.number, numbers)))
-        append(connection, [ledger_record(key_of[row["heat"]], row) for row in intake.new_results])
-    if intake.new_races:
-        connection.execute(races.insert(), intake.new_races)
+def _write(change: Change, intake: _Intake) -> None:
+    change.insert(results, *intake.new_results)
+    query, numbers = sa.select(heats.c.number, heats.c.key), list(intake.known)
+    key_of = dict(map(tuple, chunked(change.connection, query, heats.c.number, numbers)))
+    change.record(ledger_record(key_of[row["heat"]], row) for row in intake.new_results)
+    change.insert(races, *intake.new_races)
     for heat, kept in intake.settled.items():
-        _settle(connection, heat, kept)
-    changed = {
-        "done": intake.done,
-        "quarantined": intake.disputed,
-        "cancelled": intake.unverified,
-    }
+        is_kept = [(results.c.half == half) & (results.c.hash == hash) for half, hash in kept]
+        change.update(results, results.c.heat == heat, rejected=sa.not_(sa.or_(*is_kept)))
+        change.record([settlement(heat, kept)])
+        # Audits of it that differed are done: a third worker has judged them.
+        audits = (heats.c.audits == heat) & (heats.c.state == "quarantined")
+        change.update(heats, audits, state="done")
+    changed = {"done": intake.done, "quarantined": intake.disputed, "cancelled": intake.unverified}
     for state, numbers in changed.items():
         if numbers:
-            over = {"state": state, "lease_s": None, "done_s": now}
-            connection.execute(heats.update().where(heats.c.number.in_(numbers)).values(**over))
+            over = heats.c.number.in_(numbers)
+            change.update(heats, over, state=state, lease_s=None, done_s=change.now)
     if intake.disputed:
-        connection.execute(races.delete().where(races.c.heat.in_(intake.disputed)))
-
-
-def _settle(connection: sa.Connection, heat: int, kept: set[tuple[int, str]]) -> None:
-    """Keep some results of a heat and reject the others; audits of it that differed are done."""
-    keep = sa.or_(*((results.c.half == half) & (results.c.hash == hash) for half, hash in kept))
-    of_heat = results.update().where(results.c.heat == heat)
-    connection.execute(of_heat.values(rejected=sa.not_(keep)))
-    append(connection, [settlement(heat, kept)])
-    connection.execute(
-        heats.update()
-        .where(heats.c.audits == heat, heats.c.state == "quarantined")
-        .values(state="done")
-    )
+        change.connection.execute(races.delete().where(races.c.heat.in_(intake.disputed)))
 
 
 def settlement(heat: int, kept: Iterable[tuple[int, str]]) -> LedgerRecord:

@@ -1,4 +1,4 @@
-"""The tables of a league, the same in SQLite and PostgreSQL: definition, creation, migration.
+"""The tables of a league, the same in SQLite and PostgreSQL, and transactions that change them.
 
 A refit reads a million rows of `races`, so they are narrow; documents are in `results`. Entries
 and heats have numbers in addition to their hashes, so that a race takes tens of bytes.
@@ -7,27 +7,18 @@ and heats have numbers in addition to their hashes, so that a race takes tens of
 from __future__ import annotations
 
 import json
-import secrets
-from collections.abc import Iterable
-from dataclasses import asdict
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Generator, Iterable, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple, get_args
 
 import sqlalchemy as sa
+from sqlalchemy.dialects import postgresql, sqlite
 
-from league.errors import StoreError
 from league.matchmaking.pairing import heat_spec
-from league.matchmaking.pairing.heat_spec import Ruleset
+from league.matchmaking.pairing.heat_spec import Purpose, Ruleset
 from league.matchmaking.store.database import Database
-
-if TYPE_CHECKING:
-    from alembic.runtime.migration import MigrationContext
-    from alembic.script import ScriptDirectory
-
-MIGRATIONS = Path(__file__).parent / "migrations"
-
-SCHEMA = "0006"
-"""Version of these tables: the newest revision in migrations/versions."""
+from league.matchmaking.store.records import EntryState, HeatState
 
 # SQLite numbers rows by itself only in a column that is declared INTEGER PRIMARY KEY.
 Number = sa.BigInteger().with_variant(sa.Integer, "sqlite")
@@ -41,6 +32,13 @@ metadata = sa.MetaData(
         "pk": "pk_%(table_name)s",
     }
 )
+
+
+def _among(column: str, words: Any) -> sa.CheckConstraint:  # noqa: ANN401
+    """Let a column hold none but the words of a Literal."""
+    listed = ", ".join(f"'{word}'" for word in get_args(words))
+    return sa.CheckConstraint(f"{column} IN ({listed})", name=column)
+
 
 league = sa.Table(
     "league",
@@ -86,11 +84,7 @@ entries = sa.Table(
     sa.Column("card", sa.Text, nullable=False),
     sa.Column("created_s", sa.Float(53), nullable=False),
     sa.CheckConstraint("kind IN ('policy', 'scripted')", name="kind"),
-    sa.CheckConstraint(
-        "state IN ('pending', 'validating', 'placement', 'provisional', 'ranked', 'retired',"
-        " 'refused')",
-        name="state",
-    ),
+    _among("state", EntryState),
 )
 """`id` is the content hash; a policy's weights are the blob of that name."""
 
@@ -138,18 +132,13 @@ heats = sa.Table(
     sa.Column("traceback", sa.Text, nullable=False),
     sa.Column("created_s", sa.Float(53), nullable=False),
     sa.Column("done_s", sa.Float(53)),
-    sa.CheckConstraint(
-        "purpose IN ('rated', 'validation', 'audit', 'gauntlet', 'cup')", name="purpose"
-    ),
-    sa.CheckConstraint(
-        "state IN ('planned', 'claimed', 'done', 'error', 'quarantined', 'cancelled')", name="state"
-    ),
+    _among("purpose", Purpose),
+    _among("state", HeatState),
     sa.Index("ix_heats_queue", "state", "priority", "number"),
     sa.Index("ix_heats_lease_s", "lease_s"),
     sqlite_autoincrement=True,
 )
-"""The queue. `claimed_s` is when the last lease began, `lease_s` when it ends, NULL unless claimed.
-"""
+"""The queue. The last lease began at `claimed_s`; it ends at `lease_s`, NULL unless claimed."""
 
 heat_entries = sa.Table(
     "heat_entries",
@@ -286,146 +275,79 @@ def present_record(hash: str) -> LedgerRecord:
     return LedgerRecord("present", hash, None)
 
 
-def append(connection: sa.Connection, records: Iterable[LedgerRecord]) -> None:
-    """Add records to the ledger; the caller must hold the database's lock."""
-    newest = sa.select(ledger.c.number, ledger.c.chain).order_by(ledger.c.number.desc()).limit(1)
-    last, chain = connection.execute(newest).one_or_none() or (0, "")
-    rows = []
-    for number, record in enumerate(records, last + 1):
-        chain = link(chain, record)
-        row = {"number": number, "kind": record.kind, "subject": record.subject, "chain": chain}
-        rows.append(row)
-    if rows:
-        connection.execute(ledger.insert(), rows)
-
-
 def link(before: str, record: LedgerRecord) -> str:
     """Return the hash of a record and of all before it."""
     return heat_spec.digest(heat_spec.canonical([before, *record]))
 
 
-def log_event(
-    connection: sa.Connection, now: float, actor: str, action: str, subject: str, **detail: object
-) -> None:
-    """Write a line of the audit log."""
-    connection.execute(
-        events.insert().values(
-            at_s=now,
-            actor=actor[:200],
-            action=action,
-            subject=subject[:100],
-            detail=json.dumps(detail, separators=(",", ":"), default=str),
-        )
-    )
+@dataclass(frozen=True)
+class Change:
+    """A transaction that writes."""
+
+    connection: sa.Connection
+    now: float
+    """When it began [s since 1970]."""
+
+    def insert(self, table: sa.Table, *rows: Mapping[str, Any]) -> None:
+        """Add rows to a table."""
+        if rows:
+            self.connection.execute(table.insert(), rows)
+
+    def insert_new(self, table: sa.Table, *rows: Mapping[str, Any]) -> None:
+        """Add rows to a table; those that are there already stay as they are."""
+        dialect = sqlite if self.connection.dialect.name == "sqlite" else postgresql
+        if rows:
+            self.connection.execute(dialect.insert(table).on_conflict_do_nothing(), rows)
+
+    def update(self, table: sa.Table, match: sa.ColumnElement[bool], **values: object) -> int:
+        """Change those rows of a table that match; return how many."""
+        return self.connection.execute(table.update().where(match).values(values)).rowcount
+
+    def record(self, records: Iterable[LedgerRecord]) -> None:
+        """Add records to the ledger; the database must be locked."""
+        newest = sa.select(ledger.c.number, ledger.c.chain).order_by(ledger.c.number.desc())
+        last, chain = self.connection.execute(newest.limit(1)).one_or_none() or (0, "")
+        rows: list[dict[str, Any]] = []
+        for number, (kind, subject, content) in enumerate(records, last + 1):
+            chain = link(chain, LedgerRecord(kind, subject, content))
+            rows.append({"number": number, "kind": kind, "subject": subject, "chain": chain})
+        self.insert(ledger, *rows)
+
+    def log(self, actor: str, action: str, subject: str, **detail: object) -> None:
+        """Write a line of the audit log."""
+        text = json.dumps(detail, separators=(",", ":"), default=str)
+        line = {"actor": actor[:200], "action": action, "subject": subject[:100], "detail": text}
+        self.insert(events, {"at_s": self.now, **line})
 
 
-def create_tables(database: Database, name: str, ruleset: Ruleset, blobs: str) -> None:
-    """Make a league where there is none: all of it or nothing."""
-    path = database.path
-    if path is not None:
-        if path.exists() and not path.is_file():
-            raise StoreError(f"{database.shown} is a folder: give the name of a file")
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as refusal:
-            raise StoreError(
-                f"the folder of {database.shown} cannot be made ({refusal.strerror}): "
-                "give a place that can be written"
-            ) from refusal
-        database.use_wal()
+@contextmanager
+def changing(database: Database, *, lock: bool = False) -> Generator[Change]:
+    """Begin a transaction that writes, if asked with the database locked."""
     with database.writing() as connection:
-        database.lock(connection)
-        tables = set(sa.inspect(connection).get_table_names())
-        if {"league", "alembic_version"} <= tables:
-            raise StoreError(
-                f"there is a league in {database.shown} already: use it, or give another place"
-            )
-        if tables & set(metadata.tables):
-            raise StoreError(
-                f"{database.shown} holds tables of something else ({', '.join(sorted(tables)[:3])}"
-                "): give a database of its own"
-            )
-        metadata.create_all(connection)
-        context, steps = _migrations(connection)
-        context.stamp(steps, SCHEMA)
-        now = database.now(connection)
-        connection.execute(
-            league.insert().values(
-                number=1,
-                name=name,
-                secret=secrets.token_bytes(32),
-                blobs=blobs,
-                ruleset=add_ruleset(connection, now, ruleset),
-                created_s=now,
-            )
-        )
-        append(connection, [present_record(ruleset.hash)])
-        log_event(connection, now, "league", "found", name, ruleset=ruleset.hash)
+        if lock:
+            database.lock(connection)
+        yield Change(connection, database.now(connection))
 
 
-def version_of(database: Database) -> str:
-    """Return the version of a league's tables; refuse a database without a league."""
-    path = database.path
-    if path is not None and not path.is_file():
-        raise StoreError(f"there is no league in {database.shown}: make one with `league init`")
-    with database.reading() as connection:
-        version = None
-        if {"league", "alembic_version"} <= set(sa.inspect(connection).get_table_names()):
-            version = connection.scalar(sa.text("SELECT version_num FROM alembic_version"))
-    if version is None:
-        raise StoreError(
-            f"{database.shown} holds no league: make one with `league init`, or give another place"
-        )
-    return str(version)
+class Transactional:
+    """What the parts of a Store have in common: a database, and transactions that write to it."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def _writing(self, *, lock: bool = False) -> AbstractContextManager[Change]:
+        return changing(self._database, lock=lock)
 
 
-def check_version(database: Database) -> None:
-    """Refuse a database without a league, or with tables of another version."""
-    version = version_of(database)
-    if version > SCHEMA:
-        raise StoreError(
-            f"the league in {database.shown} has tables of version {version}, this program knows "
-            f"{SCHEMA}: install a newer racing-league"
-        )
-    if version < SCHEMA:
-        raise StoreError(
-            f"the league in {database.shown} has tables of version {version}, this program needs "
-            f"{SCHEMA}: make a backup, then bring it up to date with `league upgrade`"
-        )
-
-
-def migrate(connection: sa.Connection) -> list[str]:
-    """Bring the tables to the newest version within a transaction; return what that changed."""
-    from alembic.operations import Operations
-
-    context, steps = _migrations(connection)
-    done = []
-    with Operations.context(context):
-        for step in list(steps.iterate_revisions("head", context.get_current_revision()))[::-1]:
-            step.module.upgrade()
-            context.stamp(steps, step.revision)
-            done.append(f"version {step.revision}: {step.doc}")
-    return done
-
-
-def _migrations(connection: sa.Connection) -> tuple[MigrationContext, ScriptDirectory]:
-    from alembic.runtime.migration import MigrationContext
-    from alembic.script import ScriptDirectory
-
-    options = {"target_metadata": metadata}  # names constraints by its convention
-    return MigrationContext.configure(connection, opts=options), ScriptDirectory(str(MIGRATIONS))
-
-
-def add_ruleset(connection: sa.Connection, now: float, ruleset: Ruleset) -> int:
+def add_ruleset(change: Change, ruleset: Ruleset) -> int:
     """Return the number of a ruleset, which is added if it is new."""
     query = sa.select(rulesets.c.number).where(rulesets.c.hash == ruleset.hash)
-    number = connection.scalar(query)
+    number = change.connection.scalar(query)
     if number is None:
         settings = heat_spec.canonical(asdict(ruleset)).decode()
-        connection.execute(
-            rulesets.insert().values(hash=ruleset.hash, settings=settings, created_s=now)
-        )
-        append(connection, [LedgerRecord("ruleset", ruleset.hash, settings)])
-        number = connection.scalar(query)
+        row = {"hash": ruleset.hash, "settings": settings, "created_s": change.now}
+        change.insert(rulesets, row)
+        change.record([LedgerRecord("ruleset", ruleset.hash, settings)])
+        number = change.connection.scalar(query)
     assert number is not None
     return number

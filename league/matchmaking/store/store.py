@@ -4,23 +4,31 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from typing import Self
+from contextlib import AbstractContextManager, closing
+from dataclasses import replace
+from typing import Any, Self
 
 import sqlalchemy as sa
 
 from league.errors import StoreError
 from league.matchmaking.pairing.heat_spec import Ruleset
-from league.matchmaking.store import integrity, queue, race_table, schema, seasons
+from league.matchmaking.store import (
+    founding,
+    integrity,
+    queue,
+    race_table,
+    records,
+    schema,
+    seasons,
+)
 from league.matchmaking.store.blobs import FolderBlobs
 from league.matchmaking.store.database import Database
-from league.matchmaking.store.entries import EntryStore
+from league.matchmaking.store.entries import EntryStore, Tokens
 from league.matchmaking.store.integrity import Integrity
 from league.matchmaking.store.queue import QueueStore
-from league.matchmaking.store.records import DoneHeat, Drives, HeatRecord, LeagueSettings, Races
 from league.matchmaking.store.results import ResultStore
-from league.matchmaking.store.schema import heats, league, rulesets
+from league.matchmaking.store.schema import events, heats, league, races, rulesets
 from league.matchmaking.store.seasons import SeasonStore
-from league.matchmaking.store.tokens import Tokens
 
 
 class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
@@ -38,12 +46,11 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
             url: sqlite:///league.db, a bare file name, or postgresql://user@host/database.
             clock: returns the time [s since 1970], for tests; by default the database's.
 
-        Raises:
-            StoreError: no league there, of another version, or no database at all.
+        A StoreError says that there is no league of this version, or no database at all.
         """
-        self._database = Database(url, clock)
+        super().__init__(Database(url, clock))
         try:
-            schema.check_version(self._database)
+            founding.check_version(self._database)
             with self._database.reading() as connection:
                 row = connection.execute(sa.select(league)).one()
         except BaseException:
@@ -70,7 +77,7 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
         return self._database.shown
 
     @property
-    def settings(self) -> LeagueSettings:
+    def settings(self) -> records.LeagueSettings:
         """The league's settings, as they are now."""
         with self._database.reading() as connection:
             query = sa.select(league, rulesets.c.settings).join(
@@ -82,7 +89,7 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
                 f"the present rules of the league in {self._database.shown} are missing: restore "
                 "the database from a backup"
             )
-        return LeagueSettings(row.name, Ruleset.of(json.loads(row.settings)))
+        return records.LeagueSettings(row.name, Ruleset.of(json.loads(row.settings)))
 
     def rulesets(self) -> dict[str, Ruleset]:
         """Return all rulesets the league ever had, by hash."""
@@ -93,22 +100,21 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
     def set_ruleset(self, ruleset: Ruleset) -> int:
         """Race under other rules from now on; return how many waiting heats this cancels.
 
-        Raises:
-            StoreError: a season under the present rules is running.
+        While a season under the present rules is running, that is a StoreError.
         """
-        with self._writing(lock=True) as (connection, now):
-            season = next(iter(seasons.listed(connection)[::-1]), None)
+        with self._writing(lock=True) as change:
+            season = next(iter(seasons.listed(change.connection)[::-1]), None)
             if season is not None and season.ended_s is None and season.ruleset != ruleset.hash:
                 raise StoreError(
                     f"the season {season.name!r} is raced by the present rules to its end: end it "
                     "first with `league season end`"
                 )
-            number = schema.add_ruleset(connection, now, ruleset)
-            connection.execute(league.update().values(ruleset=number))
-            schema.append(connection, [schema.present_record(ruleset.hash)])
+            number = schema.add_ruleset(change, ruleset)
+            change.update(league, sa.true(), ruleset=number)
+            change.record([schema.present_record(ruleset.hash)])
             others = (heats.c.ruleset != number) & (heats.c.purpose != "cup")
-            cancelled = queue.cancel(connection, others)
-            schema.log_event(connection, now, "league", "rules", ruleset.hash, cancelled=cancelled)
+            cancelled = queue.cancel(change, others)
+            change.log("league", "rules", ruleset.hash, cancelled=cancelled)
             return cancelled
 
     @property
@@ -118,25 +124,26 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
 
     # What happened
 
-    def done(self, *, entry: int | None, skip: int, limit: int) -> list[HeatRecord]:
-        """Return heats that are done, the newest first.
+    def at_once(self) -> AbstractContextManager[None]:
+        """Let all that this thread reads meanwhile see the league at one moment, and sooner."""
+        return self._database.reading_at_once()
 
-        Args:
-            entry: number of an entry: only its heats.
-            skip: so many of the newest ones are left out.
-            limit: so many at most.
+    def done(self, *, entry: int | None, skip: int, limit: int) -> list[records.HeatRecord]:
+        """Return up to `limit` heats that are done, of all or one entry (its number).
+
+        The newest come first, and `skip` of them are left out.
         """
         query = sa.select(heats.c.number).where(self._done(entry)).order_by(heats.c.number.desc())
         with self._database.reading() as connection:
             numbers = list(connection.scalars(query.offset(skip).limit(limit)))
         return self.heats(numbers=numbers)[::-1]
 
-    def newest_done(self, limit: int) -> list[DoneHeat]:
+    def newest_done(self, limit: int) -> list[records.DoneHeat]:
         """Return who raced so many of the newest heats that are done, the newest first."""
         query = sa.select(heats.c.worker, heats.c.done_s).where(self._done(None))
         with self._database.reading() as connection:
             rows = connection.execute(query.order_by(heats.c.number.desc()).limit(limit))
-            return [DoneHeat(*row) for row in rows]
+            return [records.DoneHeat(*row) for row in rows]
 
     def num_done(self, entry: int | None = None) -> int:
         """Return how many heats are done, of all or of one entry (its number)."""
@@ -146,7 +153,7 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
 
     def _done(self, entry: int | None) -> sa.ColumnElement[bool]:
         # By an index of states the database would sort all heats that are done.
-        match = heats.c.state.concat("") == "done"
+        match = self._shown(heats.c.number) & (heats.c.state.concat("") == "done")
         return match if entry is None else match & heats.c.number.in_(queue.of_entry(entry))
 
     def races(
@@ -156,7 +163,7 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
         since: int = 0,
         rated: bool | None = True,
         entries: Sequence[int] = (),
-    ) -> Races:
+    ) -> records.Races:
         """Return the races that count as arrays.
 
         Args:
@@ -166,19 +173,19 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
             entries: only those of heats with all these entries (numbers) in them.
         """
         ruleset = ruleset or self.settings.ruleset.hash
+        match = race_table.counted(ruleset, rated, entries) & self._shown(races.c.heat)
         with self._database.reading() as connection:
-            return race_table.read_races(connection, ruleset, since, rated=rated, entries=entries)
+            return race_table.read_races(connection, match, since)
 
-    def drives(self, ruleset: str, *, since: int = 0) -> Drives:
+    def drives(self, ruleset: str, *, since: int = 0) -> records.Drives:
         """Return how each car drove in the rated races under a ruleset; see `races`."""
         with self._database.reading() as connection:
-            return race_table.read_drives(connection, ruleset, since)
+            return race_table.read_drives(connection, race_table.counted(ruleset), since)
 
     def verify(self, head: str = "") -> Integrity:
         """Recompute all that standings use, and check it against documents, hashes and the ledger.
 
-        Args:
-            head: `Integrity.head` of an earlier check, which the ledger must still have.
+        The ledger must still have the `Integrity.head` of an earlier check, if it is given.
         """
         with self._database.reading() as connection:
             return integrity.verify(connection, head)
@@ -187,13 +194,78 @@ class Store(EntryStore, QueueStore, ResultStore, SeasonStore):
     def revision(self) -> int:
         """A number that grows with whatever happens in the league: its events so far."""
         with self._database.reading() as connection:
-            return connection.scalar(sa.select(sa.func.max(schema.events.c.number))) or 0
+            return connection.scalar(sa.select(sa.func.max(events.c.number))) or 0
 
     def happened(self, since: int) -> set[str]:
         """Return what kinds of things happened after a `revision`."""
-        query = sa.select(schema.events.c.action).where(schema.events.c.number > since).distinct()
+        query = sa.select(events.c.action).where(events.c.number > since).distinct()
         with self._database.reading() as connection:
             return set(connection.scalars(query))
+
+
+class SeasonView(Store):
+    """The heats of one season that is over, with the rules, entries and seasons of its end."""
+
+    def __init__(self, store: Store, number: int) -> None:
+        """Show a season of a league that is over (else a StoreError), over its connections."""
+        vars(self).update(vars(store))
+        over = {one.number: one for one in store.seasons() if one.ended_s is not None}
+        if number not in over:
+            raise StoreError(
+                f"this league has no season {number} that is over: "
+                + (f"give {', '.join(map(str, over))}" if over else "none is over yet")
+            )
+        self.season = over[number]
+        document = store.frozen(self.season) or {}
+        self.rows: list[dict[str, Any]] = document["standings"]["entries"]
+        """Its frozen standings, best first."""
+
+    @property
+    def settings(self) -> records.LeagueSettings:
+        """The league's settings, with the rules of the season."""
+        return replace(super().settings, ruleset=self.rulesets()[self.season.ruleset])
+
+    def seasons(self) -> list[records.Season]:
+        """Return the season and those before it."""
+        return super().seasons()[: self.season.number]
+
+    def cups(self) -> list[records.Cup]:
+        """Return the cups of these seasons."""
+        return [cup for cup in super().cups() if (cup.season or 0) <= self.season.number]
+
+    def entries(
+        self, states: Sequence[records.EntryState] | None = None
+    ) -> list[records.LeagueEntry]:
+        """Return the entries that the league had then, those rated in the states they had."""
+        state_of = {row["number"]: row["state"] for row in self.rows}
+        ended_s = self.season.ended_s or 0.0
+        found = [
+            replace(entry, state=state_of.get(entry.number, entry.state), reason="")
+            for entry in super().entries()
+            if entry.created_s <= ended_s
+        ]
+        return [entry for entry in found if states is None or entry.state in states]
+
+    def counts(self) -> dict[records.HeatState, int]:
+        """Return how many heats of the season are done."""
+        return {"done": self.num_done()}
+
+    def heat_states(self, entry: int) -> dict[int, records.HeatState]:
+        """Return the states of an entry's heats of the season; see QueueStore.heat_states."""
+        within = range(self.season.after + 1, (self.season.until or 0) + 1)
+        return {
+            number: state
+            for number, state in super().heat_states(entry).items()
+            if number in within
+        }
+
+    def drives(self, ruleset: str, *, since: int = 0) -> records.Drives:
+        """Return how each car drove up to the end of the season; see Store.drives."""
+        drives = super().drives(ruleset, since=since)
+        return drives.where(drives.heat <= (self.season.until or 0))
+
+    def _shown(self, heat: sa.ColumnElement[int]) -> sa.ColumnElement[bool]:
+        return (heat > self.season.after) & (heat <= (self.season.until or 0))
 
 
 def create(
@@ -206,43 +278,11 @@ def create(
 ) -> Store:
     """Make a league and open it; StoreError where there is one already.
 
-    Args:
-        url: sqlite:///league.db, a bare file name, or postgresql://user@host/database.
-        name: shown to people.
-        ruleset: the rules of all races.
-        blobs: directory or bucket for weights and recordings; empty for the database itself.
-        clock: returns the time [s since 1970], for tests.
+    Weights and recordings go into `blobs`, a directory or bucket, or, if it is empty, into the
+    database itself. For `url` and `clock` see Store.
     """
     if blobs:
         FolderBlobs(blobs)
-    database = Database(url, clock)
-    try:
-        schema.create_tables(database, name, ruleset or Ruleset(), blobs)
-    finally:
-        database.close()
+    with closing(Database(url, clock)) as database:
+        founding.create_tables(database, name, ruleset or Ruleset(), blobs)
     return Store(url, clock=clock)
-
-
-def upgrade(url: str) -> list[str]:
-    """Bring the tables of an older league up to date, all of it or nothing; return what was done.
-
-    Raises:
-        StoreError: there is no league, or a newer program made it.
-    """
-    database = Database(url)
-    try:
-        version = schema.version_of(database)
-        with database.writing() as connection:
-            database.lock(connection)
-            steps = schema.migrate(connection)
-            if version < "0004":
-                steps.append(f"{race_table.fill_driven(connection)} races tell their incidents")
-            if version < "0003":
-                steps.append(f"{integrity.adopt(connection)} records begin the ledger")
-            if states := integrity.adopt_states(connection):
-                steps.append(f"states of {states} entries begin in the ledger")
-            if integrity.adopt_present(connection):
-                steps.append("the present rules begin in the ledger")
-            return steps
-    finally:
-        database.close()

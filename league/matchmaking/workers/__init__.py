@@ -1,23 +1,45 @@
 """Executors, which race heats in processes of this machine or on a Ray cluster.
 
-An executor stores no results, and may lose any job at any time.
+An executor stores no results, and may lose any job at any time. Processes have one thread and a
+pipe each; one that dies is replaced, as actors are. Ray moves jobs and reports, no more: the
+database owns results.
 """
 
 from __future__ import annotations
 
+import contextlib
+import logging
 import os
+import signal
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from multiprocessing import connection
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from typing import Any, Generic, Literal, TypeVar
 
+from league import subprocesses
 from league.errors import ConfigError, brief
-from league.matchmaking.workers.worker import HeatJob, HeatReport
+from league.matchmaking.workers.worker import JOB_LIMIT_S, HeatJob, HeatReport, RaceWorker
 
 WORKERS_PER_CORE = 4
 """Processes of one machine at most, for each of its cores."""
 MOST_ACTORS = 4096
 """Actors of a cluster at most."""
+MODULES = (
+    "league.agents.policy",
+    "league.agents.roster",
+    "league.matchmaking.workers",
+    "league.racing.race",
+    "league.sim.physics.bullet",
+    "league.sim.camera.renderer",
+)
+"""Modules that a worker imports."""
+STARTS = 3
+"""Give up after this many consecutive failed starts of a worker."""
+KILLED = (-signal.SIGKILL, -signal.SIGTERM, 255)
+"""Exit codes of workers that were killed; 255 when the fork server died, and its children."""
 
 
 @dataclass
@@ -54,11 +76,7 @@ class SlotExecutor(Generic[AnySlot]):
         self._begin(slot)
 
     def wait(self, timeout_s: float) -> list[HeatReport]:
-        """Return reports of jobs that ended; the job of a worker that died failed.
-
-        Raises:
-            ConfigError: no worker can be started.
-        """
+        """Return reports of jobs that ended, or a ConfigError if no worker can be started."""
         busy = [slot for slot in self._slots if slot.job]
         if not busy:
             time.sleep(timeout_s)
@@ -100,12 +118,196 @@ Executor = SlotExecutor[Any]
 """Workers of any kind."""
 
 
-def make_executor(name: Literal["processes", "ray"], num_workers: int) -> Executor:
-    """Start workers.
+@dataclass(kw_only=True)
+class _Process(Slot):
+    """One worker process."""
 
-    Raises:
-        ConfigError: none or far too many were asked for, or Ray is not installed.
+    process: BaseProcess
+    pipe: Connection
+    ready: bool = False
+    """Whether it reads from the pipe: before, it gets no job, for a large one would block."""
+    failed_starts: int = 0
+    """Consecutive processes that died before they were ready."""
+
+
+class ProcessExecutor(SlotExecutor[_Process]):
+    """An executor of processes."""
+
+    def __init__(self, num_workers: int, *, job_limit_s: float = JOB_LIMIT_S) -> None:
+        subprocesses.prepare(MODULES)
+        super().__init__([_started() for _ in range(num_workers)], job_limit_s)
+
+    def close(self) -> None:
+        """End the workers."""
+        for slot in self._slots:
+            slot.pipe.close()
+            slot.process.kill()
+        for slot in self._slots:
+            slot.process.join(5.0)
+        self._slots = []
+
+    def _begin(self, slot: _Process) -> None:
+        if not slot.ready:
+            return
+        try:
+            slot.pipe.send(slot.job)
+        except OSError:  # it died while it was idle
+            self._replace(slot)
+
+    def _ended(self, busy: Sequence[_Process], timeout_s: float) -> list[HeatReport]:
+        slot_of = {slot.pipe: slot for slot in busy}
+        pipes = connection.wait(list(slot_of), timeout_s)
+        reports = [self._read(slot_of[pipe]) for pipe in pipes if isinstance(pipe, Connection)]
+        return [report for report in reports if report is not None]
+
+    def _read(self, slot: _Process) -> HeatReport | None:
+        """Return the report on a worker's job; None if the worker has only just started."""
+        try:
+            report: HeatReport | None = slot.pipe.recv()
+        except (EOFError, OSError):
+            slot.process.join(5.0)
+            if slot.ready:
+                code = slot.process.exitcode
+                return self._lost(slot, f"died with exit code {code}", killed=code in KILLED)
+            # It died before it got its job: that is no try at the heat.
+            slot.failed_starts += 1
+            if slot.failed_starts >= STARTS:
+                raise ConfigError(
+                    f"{STARTS} worker processes in a row ended before their first race (exit code "
+                    f"{slot.process.exitcode}): look at their messages above, or give fewer "
+                    "--workers if memory is short"
+                ) from None
+            self._replace(slot)
+            return None
+        if report is None:
+            slot.ready, slot.failed_starts = True, 0
+            self._begin(slot)
+        else:
+            slot.job = None
+        return report
+
+    def _replace(self, slot: _Process) -> None:
+        slot.pipe.close()
+        slot.process.kill()
+        slot.process.join(5.0)
+        fresh = _started()
+        slot.worker, slot.process, slot.pipe = fresh.worker, fresh.process, fresh.pipe
+        slot.ready = False
+
+
+def _started() -> _Process:
+    pipe, workers_end = subprocesses.CONTEXT.Pipe()
+    process = subprocesses.start(_work, workers_end)
+    workers_end.close()  # so that reading ends when the worker does
+    return _Process(f"worker process {process.pid}", process=process, pipe=pipe)
+
+
+def _work(pipe: Connection) -> None:
+    """Race jobs until the pipe ends, as it does when the dispatcher dies."""
+    worker = RaceWorker()
+    with contextlib.suppress(OSError):
+        pipe.send(None)  # ready: what fails from here on is reported for a job
+    while True:
+        try:
+            job = pipe.recv()
+        except (EOFError, OSError):
+            return
+        report = worker.race(job)
+        try:
+            pipe.send(report)
+        except OSError:
+            return
+
+
+@dataclass(kw_only=True)
+class _Actor(Slot):
+    """One actor."""
+
+    actor: Any
+    answer: Any = None
+
+
+class RayExecutor(SlotExecutor[_Actor]):
+    """An executor of Ray actors, one CPU each; one that dies is replaced.
+
+    With RAY_ADDRESS set it joins that cluster, otherwise it starts one of its own on this machine.
+    Ray's usage reports, dashboard and retries are off: the queue decides what is tried again.
     """
+
+    def __init__(self, num_workers: int, *, job_limit_s: float = JOB_LIMIT_S) -> None:
+        self._ray = _ray()
+        self._own = not self._ray.is_initialized()
+        if self._own:
+            address = os.environ.get("RAY_ADDRESS")
+            local: dict[str, Any] = {"num_cpus": num_workers, "include_dashboard": False}
+            self._ray.init(
+                address=address or "local",
+                log_to_driver=False,
+                configure_logging=False,
+                **({} if address else local),
+            )
+        self._kind = self._ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0)(RaceWorker)
+        slots = [_Actor("a Ray actor", actor=self._kind.remote()) for _ in range(num_workers)]
+        super().__init__(slots, job_limit_s)
+
+    def close(self) -> None:
+        """End the actors, and the cluster if it is our own."""
+        for slot in self._slots:
+            self._ray.kill(slot.actor)
+        self._slots = []
+        if self._own and self._ray.is_initialized():
+            self._ray.shutdown()
+
+    def _begin(self, slot: _Actor) -> None:
+        slot.answer = slot.actor.race.remote(slot.job)
+
+    def _ended(self, busy: Sequence[_Actor], timeout_s: float) -> list[HeatReport]:
+        ready, _ = self._ray.wait([slot.answer for slot in busy], num_returns=1, timeout=timeout_s)
+        return [self._read(slot) for slot in busy if slot.answer in ready]
+
+    def _read(self, slot: _Actor) -> HeatReport:
+        try:
+            report: HeatReport = self._ray.get(slot.answer)
+        except self._ray.exceptions.RayError as lost:
+            first = (str(lost).strip().splitlines() or [type(lost).__name__])[0]
+            return self._lost(slot, f"was lost ({first[:200]})", killed=True)
+        slot.job = slot.answer = None
+        return report
+
+    def _replace(self, slot: _Actor) -> None:
+        self._ray.kill(slot.actor)
+        slot.actor, slot.answer = self._kind.remote(), None
+
+
+def _ray() -> Any:  # noqa: ANN401
+    """Return the ray package with reports and messages off."""
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    try:
+        import ray  # pyright: ignore[reportMissingImports]
+    except ModuleNotFoundError as missing:
+        raise ConfigError(
+            "--executor ray was asked for and Ray is not installed: run pip install "
+            '"racing-league[cluster]"'
+        ) from missing
+    # What fails is raised.
+    logging.getLogger("ray").setLevel(logging.ERROR)
+    # What it prints about an actor's death goes to stderr: stdout is for results. Ray has no
+    # setting for it, so this patches a private function, if this version has it.
+    worker = getattr(ray._private, "worker", None)
+    prints = getattr(worker, "print_to_stdstream", None)
+    if worker is None or prints is None or getattr(prints, "league", False):
+        return ray
+
+    def to_stderr(data: dict[str, Any], *settings: Any, **named: Any) -> None:  # noqa: ANN401
+        prints({**data, "is_err": True}, *settings, **named)
+
+    to_stderr.league = True  # pyright: ignore[reportFunctionMemberAccess]
+    worker.print_to_stdstream = to_stderr
+    return ray
+
+
+def make_executor(name: Literal["processes", "ray"], num_workers: int) -> Executor:
+    """Start workers; a ConfigError for none or far too many, or if Ray is not installed."""
     cores = os.cpu_count() or 1
     most = MOST_ACTORS if name == "ray" else max(8, WORKERS_PER_CORE * cores)
     if not 1 <= num_workers <= most:
@@ -114,11 +316,7 @@ def make_executor(name: Literal["processes", "ray"], num_workers: int) -> Execut
             "cores, and each worker takes one)"
         )
     if name == "processes":
-        from league.matchmaking.workers.processes import ProcessExecutor
-
         return ProcessExecutor(num_workers)
     if name == "ray":
-        from league.matchmaking.workers.ray import RayExecutor
-
         return RayExecutor(num_workers)
     raise ConfigError(f"there is no executor {brief(name)}: give processes or ray")

@@ -72,14 +72,7 @@ class Dispatcher:
         lease_s: float = LEASE_S,
         keep_replays: bool = True,
     ) -> None:
-        """Take workers into service.
-
-        Args:
-            store: the league.
-            executor: races the heats.
-            lease_s: lease of a heat [s]; renewed every `lease_s / 6`.
-            keep_replays: whether recordings are stored.
-        """
+        """Take workers into service; a lease of `lease_s` [s] is renewed six times as often."""
         self._store, self._executor = store, executor
         self.name = f"{socket.gethostname()[:60]}-{os.getpid()}-{secrets.token_hex(3)}"
         """Unique among dispatchers."""
@@ -91,15 +84,13 @@ class Dispatcher:
         self.running: dict[str, RunningHeat] = {}
 
     def step(self, timeout_s: float = 0.5, *, claim: int | None = None) -> list[FinishedHeat]:
-        """Give heats to idle workers, wait for reports, and hand in what ended.
-
-        Args:
-            timeout_s: longest wait for reports [s].
-            claim: claim at most so many more heats.
-        """
+        """Lend up to `claim` heats to idle workers, wait `timeout_s` [s], hand in what ended."""
         wanted = self._executor.free if claim is None else min(claim, self._executor.free)
         finished = self._begin(wanted) if wanted > 0 else []
-        self._renew_leases()
+        now_s = time.monotonic()
+        if self.running and now_s - self._renewed_s > self._lease_s / 6:
+            self._store.heartbeat(self.name, lease_s=self._lease_s, keys=list(self.running))
+            self._renewed_s = now_s
         return finished + self._hand_in(self._executor.wait(timeout_s))
 
     def _begin(self, wanted: int) -> list[FinishedHeat]:
@@ -137,13 +128,6 @@ class Dispatcher:
             drivers={id: self._driver(id) for id in heat.entries},
             keep_replays=self._keep_replays,
         )
-
-    def _renew_leases(self) -> None:
-        now = time.monotonic()
-        if self.running and now - self._renewed_s > self._lease_s / 6:
-            keys = list(self.running)
-            self._store.heartbeat(self.name, lease_s=self._lease_s, keys=keys)
-            self._renewed_s = now
 
     def _hand_in(self, reports: list[HeatReport]) -> list[FinishedHeat]:
         for report in reports:

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from league.agents.checkpoint import Checkpoint
     from league.agents.driver import Driver
     from league.race_spec import RaceResult
-    from league.racing.race import FinishedRace, RaceJob
-    from league.replay.replay import Columns
+    from league.racing.race import RaceJob
+    from league.replay.replay import Replay
     from league.sim.config import CarConfig
     from league.track.track import Track
 
@@ -48,7 +48,6 @@ class HeatDriver:
     """An entry as a worker needs it."""
 
     id: str
-    """Entry id."""
     name: str
     """Name shown in the replay."""
     scripted: str = ""
@@ -65,7 +64,6 @@ class HeatJob:
     number: int
     """Number of the heat, for messages."""
     halves: tuple[Half, ...]
-    """Its races."""
     seeds: tuple[int, ...]
     """Seed of each race."""
     ruleset: Ruleset
@@ -80,7 +78,6 @@ class HeatReport:
     """How a job went."""
 
     key: str
-    """Key of the heat."""
     outcome: HeatOutcome | None
     """Its results; None if it could not be raced."""
     traceback: str = ""
@@ -117,19 +114,23 @@ class RaceWorker:
     def race(self, job: HeatJob) -> HeatReport:
         """Race a heat; whatever fails is in the report, never raised."""
         from league.racing import race
+        from league.replay import format as replay_format
 
-        start = perf_counter()
+        start, outcomes = perf_counter(), list[RaceOutcome]()
         try:
             jobs = [self._race_job(job, *one) for one in zip(job.halves, job.seeds, strict=True)]
             # All as one batch: each goes as it would alone.
             races = race.run_together(jobs, patience_s=TOO_LATE_S)
-            outcomes = tuple(outcome_of(one, keep_replay=job.keep_replays) for one in races)
+            for one in races:
+                assert one.replay is not None
+                recording = replay_format.encode(one.replay) if job.keep_replays else None
+                outcomes.append(race_outcome(one.replay, recording))
         except Exception:
             # The season goes on without this heat; its traceback is kept.
             return HeatReport(job.key, None, traceback.format_exc(), perf_counter() - start)
         race_s = sum(one.result.race_s for one in races)
         machine = machine_class() if job.ruleset.solver == "bullet" else ""
-        outcome = HeatOutcome(job.key, outcomes, machine)
+        outcome = HeatOutcome(job.key, tuple(outcomes), machine)
         return HeatReport(job.key, outcome, "", perf_counter() - start, race_s)
 
     def _race_job(self, job: HeatJob, half: Half, seed: int) -> RaceJob:
@@ -137,14 +138,10 @@ class RaceWorker:
         from league.racing import race
 
         rules, track = job.ruleset, self._track(half.track)
-        grid = [job.drivers[id] for id in half.grid]
-        entries = [
-            {
-                "name": driver.name,
-                "digest": "" if driver.scripted else self._checkpoint(driver).digest,
-            }
-            for driver in grid
-        ]
+        grid, entries = [job.drivers[id] for id in half.grid], list[dict[str, str]]()
+        for driver in grid:
+            digest = "" if driver.scripted else self._checkpoint(driver).digest
+            entries.append({"name": driver.name, "digest": digest})
         given = {name: getattr(rules, name) for name in SPEC_FIELDS}
         spec = checked({**given, "track": track.name, "seed": seed, "entries": entries})
         car = race.sim_config(spec).car
@@ -168,29 +165,21 @@ def _checkpoint(entry: HeatDriver) -> Checkpoint:
     return submission.unpack(entry.weights, f"the entry {entry.name!r}")
 
 
-def outcome_of(finished: FinishedRace, *, keep_replay: bool = True) -> RaceOutcome:
-    """Return a race's outcome as the store keeps it."""
-    from league.replay import format as replay_format
-
-    assert finished.replay is not None
-    content = replay_format.encode(finished.replay) if keep_replay else None
-    return outcome_in(finished.result, finished.replay.columns, content)
-
-
-def outcome_in(result: RaceResult, columns: Columns, replay: bytes | None) -> RaceOutcome:
-    """Return the outcome that follows from a race's classification and its recorded columns.
+def race_outcome(replay: Replay, recording: bytes | None) -> RaceOutcome:
+    """Return a race's outcome as the store keeps it, with its recording or without.
 
     It holds the hash of every step's state and action, so that an audit notices a race that went
     another way to the same places.
     """
+    result = replay.result
     document = result.model_dump(mode="json", exclude={"spec", "events"})
     if result.spec.rules == "deepracer":
         # Results of leagues made before the other rules hold no touches; an audit compares hashes.
         for car in document["order"]:
             del car["touches"]
     document["faults"] = sum(event.kind == "driver_fault" for event in result.events)
-    document["trace"] = hashlib.sha256(columns.checksum.astype("<u4").tobytes()).hexdigest()
-    return RaceOutcome(places=places(result), result=document, replay=replay)
+    document["trace"] = hashlib.sha256(replay.columns.checksum.astype("<u4").tobytes()).hexdigest()
+    return RaceOutcome(places=places(result), result=document, replay=recording)
 
 
 def places(result: RaceResult) -> tuple[int, ...]:

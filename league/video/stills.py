@@ -1,4 +1,4 @@
-"""Pictures for people: a camera that chases a car, and the whole track from above."""
+"""Pictures for people: a camera that chases a car, the track from above, and film strips."""
 
 import math
 from dataclasses import replace
@@ -7,13 +7,14 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from league.errors import ConfigError
+from league.errors import ConfigError, ReplayError
+from league.replay import Replay
 from league.sim.camera.ground import floor_of
-from league.sim.camera.renderer import Painter
+from league.sim.camera.renderer import Painter, PaintRenderer
 from league.sim.camera.scene import BOX, CAR, GLASS, lit
 from league.sim.camera.scene_state import Lens, SceneState, Thing
 from league.sim.camera.tables import Pose
-from league.sim.config import SimConfig
+from league.sim.config import CameraConfig, SimConfig
 from league.sim.records import World
 from league.track.markings import SHIFT, Plan, placed
 from league.track.track import Track, TrackSet
@@ -27,23 +28,19 @@ CHASE_PITCH = 0.33
 CHASE_FIELD_OF_VIEW = 1.15
 """Across [rad]."""
 
+STRIP_COLUMNS, STRIP_ROWS = 4, 2
+STRIP_CAMERA = CameraConfig(width=240, height=180, colour=True, eyes="left")
+"""The stock mount and lens, with more pixels than the drivers get, so that people see something."""
+STRIP_QUALITY = 80
+"""Of the JPEG."""
+
 _FINER = 2  # drawn this much larger, then averaged: smooth edges
 _BACKDROP = (24, 29, 36)
 _SMOOTHED = 2_000_000  # pixels of the largest picture for which that is done
 _SMALLEST_CAR = 16  # pixels from nose to tail in the view from above
 _DARK = (16, 18, 22)
-_OUTLINE = np.array(
-    [
-        (0.162, 0.045),
-        (0.128, 0.094),
-        (-0.140, 0.098),
-        (-0.162, 0.080),
-        (-0.162, -0.080),
-        (-0.140, -0.098),
-        (0.128, -0.094),
-        (0.162, -0.045),
-    ]
-)
+_LEFT_SIDE = np.array([(0.162, 0.045), (0.128, 0.094), (-0.140, 0.098), (-0.162, 0.080)])
+_OUTLINE = np.concatenate([_LEFT_SIDE, _LEFT_SIDE[::-1] * (1, -1)])
 _SQUARE = np.array([(0.5, 0.5), (-0.5, 0.5), (-0.5, -0.5), (0.5, -0.5)])
 _WINDSCREEN = np.array([(0.062, 0.072), (0.010, 0.060), (0.010, -0.060), (0.062, -0.072)])
 
@@ -158,3 +155,32 @@ def _behind(x: float, y: float, yaw: float, room: tuple[float, float, float, flo
     # The nearer it has to be, the more it looks down, and the car keeps its row of the picture.
     pitch = CHASE_PITCH + math.atan(CHASE_UP / away) - math.atan(CHASE_UP / CHASE_BEHIND)
     return Pose(behind_x, behind_y, CHASE_UP, cos, sin, math.cos(pitch), math.sin(pitch))
+
+
+def strip_moments(total_s: float, race_s: float) -> list[float]:
+    """Return the race times [s] that a film strip shows, evenly spread over a car's own race.
+
+    Of a car that was never over the line, `total_s` is infinite.
+    """
+    count, end_s = STRIP_COLUMNS * STRIP_ROWS, min(total_s, race_s)
+    return [round(end_s * (number + 0.5) / count, 1) for number in range(count)]
+
+
+def strip(replay: Replay, car: int) -> bytes:
+    """Return what a car (from 0) saw in its race as JPEG: rows of pictures, the earliest first.
+
+    Raises:
+        ReplayError: the race has no such car.
+    """
+    if not 0 <= car < replay.num_cars:
+        raise ReplayError(f"car {car + 1} is not in this race: give 1 to {replay.num_cars}")
+    result, camera = replay.result, STRIP_CAMERA
+    driven = next(row for row in result.order if row.car == car)
+    times_s = strip_moments(driven.total_s if driven.finished else np.inf, result.race_s)
+    renderer = PaintRenderer(replay.tracks, replay.sim, camera)
+    planes = renderer.render(replay.at(np.array(times_s)), car)
+    cells = list(planes.transpose(0, 2, 3, 1))
+    starts = range(0, len(cells), STRIP_COLUMNS)
+    sheet = np.vstack([np.hstack(cells[first : first + STRIP_COLUMNS]) for first in starts])
+    quality = [cv2.IMWRITE_JPEG_QUALITY, STRIP_QUALITY]
+    return cv2.imencode(".jpg", sheet[..., ::-1], quality)[1].tobytes()

@@ -1,4 +1,0 @@
-"""The first tables: leagues of that version have them, and schema.create_tables makes new ones."""
-
-revision = "0001"
-down_revision = None
