@@ -17,7 +17,7 @@ from pydantic import (
 )
 
 from league import times
-from league.errors import ConfigError, brief
+from league.errors import ConfigError, brief, first_problem
 from league.sim.config import (
     MAX_OBSTACLES,
     USUAL_OBSTACLES,
@@ -156,8 +156,7 @@ def checked(settings: Mapping[str, Any]) -> RaceSpec:
     try:
         return RaceSpec.model_validate(dict(settings))
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-    where = ".".join(str(part)[:40] for part in first["loc"]) or "the spec"
+        first, where, reason = first_problem(error, "the spec")
     if first["type"] == "missing":
         raise ConfigError(f"the race lacks the field {where}: say what it is to be")
     if first["type"] == "extra_forbidden":
@@ -166,8 +165,7 @@ def checked(settings: Mapping[str, Any]) -> RaceSpec:
         )
     if first["loc"] == ("entries",) and isinstance(first["input"], (list, tuple)):
         raise ConfigError(f"{len(first['input'])} drivers were named: give 1 to 8")
-    reason = _wanted(where) or first["msg"].removeprefix("Value error, ").replace("\n", " ")[:200]
-    raise ConfigError(f"{where} is {brief(first['input'])}: {reason}")
+    raise ConfigError(f"{where} is {brief(first['input'])}: {_wanted(where) or reason}")
 
 
 def _wanted(name: str) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from league.atomic_file import replacing
-from league.errors import ReplayError, TrackError
+from league.errors import ReplayError, TrackError, first_problem
 from league.race_spec import RaceResult, of_older_version
 from league.replay.replay import (
     GRAINS,
@@ -143,9 +143,9 @@ def decode(content: bytes) -> Replay:
     try:
         header = _Header.model_validate_json(raw_header)
     except ValidationError as error:
-        where = ".".join(str(part) for part in error.errors()[0]["loc"]) or "its text"
+        first, where, _ = first_problem(error, "its text")
         raise ReplayError(
-            f"has a header that does not describe a race ({where}: {error.errors()[0]['msg']}): "
+            f"has a header that does not describe a race ({where}: {first['msg']}): "
             "get the file again from where the race was run"
         ) from error
     if problem := header.problem():

@@ -14,7 +14,7 @@ from league.agents.policy import Policy
 from league.atomic_file import replacing
 from league.envs import rewards
 from league.envs.rewards import Reward
-from league.errors import ConfigError, LeagueError, PolicyError, brief
+from league.errors import ConfigError, LeagueError, PolicyError, brief, first_problem
 from league.racing import duels, trace
 from league.racing.duels import DuelConfig, Threshold
 from league.racing.table import Evaluation
@@ -384,11 +384,9 @@ class Run:
         try:
             self._card().weight_shapes  # noqa: B018
         except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            where = ".".join(str(part) for part in first["loc"])
+            first, where, reason = first_problem(error, "values")
             raise ConfigError(
-                f"the checkpoint's card refuses the {where} {brief(first['input'])}: "
-                f"{first['msg'].removeprefix('Value error, ')}"
+                f"the checkpoint's card refuses the {where} {brief(first['input'])}: {reason}"
             ) from None
 
     def _card(self, samples: int = 0) -> Card:
